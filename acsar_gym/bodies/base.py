@@ -1,0 +1,56 @@
+"""The contract between the firmware's twin and the physics below it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym.protocol import Speeds
+from acsar_gym.worlds import Pose, Scene
+
+Image = NDArray[np.uint8]
+"""height x width x 3, RGB."""
+
+
+@dataclass(frozen=True, slots=True)
+class GroundTruth:
+    """What only a simulator knows; it never feeds an observation. World frame."""
+
+    pose: Pose = (0.0, 0.0, 0.0)
+    """x [m], y [m], theta [rad]"""
+    twist: tuple[float, float] = (0.0, 0.0)
+    """forward speed [m/s], yaw rate [rad/s]"""
+    contact: bool = False
+    """whether the robot touches anything but the floor"""
+
+
+class Body(Protocol):
+    """Motors, tyres and chassis, stepped by the firmware once a loop period."""
+
+    wheel_angles: Speeds
+    """Angles turned by the four wheels since the reset [rad]; what encoders see."""
+
+    def reset(self, scene: Scene) -> None:
+        """Build the scene; the robot stands still at its start."""
+
+    def step(self, set_points: Speeds) -> None:
+        """Let one loop period pass with these wheel speed set points [rad/s]."""
+
+    @property
+    def truth(self) -> GroundTruth:
+        """The state of the robot now."""
+
+    def image(self, width: int, height: int) -> Image | None:
+        """A camera's picture of the scene; None where the body has no camera."""
+
+    def close(self) -> None:
+        """Free the engine; twice is once."""
+
+
+def wrapped(theta: float) -> float:
+    """The angle within [-pi, pi]."""
+    return math.remainder(theta, 2.0 * math.pi)

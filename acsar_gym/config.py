@@ -1,0 +1,241 @@
+"""Frozen, validated parameters of the robot and of its simulated twin.
+
+The first block of `RobotConfig` is what the robot's own driver reads from its URDF; the sections
+(`motor`, `encoder`, `firmware`, `body`) describe what stands on the other side of the wire and are
+used by simulated links only. Every bad value is one `ConfigError` that names field, value and what
+is allowed.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    ModelWrapValidatorHandler,
+    NonNegativeFloat,
+    PositiveFloat,
+    ValidationError,
+    model_validator,
+)
+
+from acsar_gym.errors import ConfigError, suggestion
+from acsar_gym.protocol import BITS_PER_BYTE, LINE_BYTES
+
+BAUD_RATES = (9600, 19200, 38400, 57600, 115200)
+
+
+def _known_baud(value: int) -> int:
+    if value not in BAUD_RATES:
+        raise ValueError(f"must be one of {', '.join(map(str, BAUD_RATES))}")
+    return value
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _as_one_error(cls, data: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        try:
+            return handler(data)
+        except ValidationError as error:
+            raise ConfigError(_describe(cls, error)) from None
+
+
+class MotorConfig(_Section):
+    """The motors and their speed loop."""
+
+    max_speed: PositiveFloat = 30.0
+    """Fastest wheel speed the motors reach [rad/s]."""
+    acceleration: PositiveFloat = 60.0
+    """Slope at which the firmware ramps its set point [rad/s^2]."""
+    time_constant: NonNegativeFloat = 0.08
+    """First-order lag of the speed loop [s]; published hobby figures are 0.05-0.2."""
+    deadband: NonNegativeFloat = 0.0
+    """Set points below this don't turn the wheel [rad/s]."""
+
+
+class EncoderConfig(_Section):
+    """The wheel encoders, as the firmware reads them."""
+
+    counts_per_revolution: Annotated[int, Field(gt=0)] = 1320
+    """Counts per turn of the wheel."""
+    window: PositiveFloat = 0.05
+    """Time over which the firmware averages before it sends [s]."""
+
+
+class FirmwareConfig(_Section):
+    """The microcontroller's program."""
+
+    loop_rate: PositiveFloat = 200.0
+    """Rate of its control loop, and of the simulation's substeps [Hz]."""
+    feedback_rate: PositiveFloat | None = None
+    """Feedback lines per second [Hz]; None: one per tick of the control rate."""
+    processing_time: NonNegativeFloat = 0.00125
+    """Time from the last byte of a line to its effect, and from encoder to first byte [s]."""
+    command_timeout: PositiveFloat | None = 0.5
+    """Motors stop when no valid command came for so long [s]; None: they never do."""
+
+
+class BodyConfig(_Section):
+    """Chassis and ground."""
+
+    mass: PositiveFloat = 4.0
+    """Whole robot [kg]."""
+    length: PositiveFloat = 0.34
+    """Footprint along x [m]."""
+    width: PositiveFloat = 0.34
+    """Footprint along y, over the wheels [m]."""
+    height: PositiveFloat = 0.12
+    """Top of the chassis above ground [m]."""
+    friction: PositiveFloat = 1.0
+    """Coulomb friction of tyre on ground."""
+    slip_speed: PositiveFloat = 0.005
+    """Slip below which friction falls off linearly [m/s]."""
+
+
+class RobotConfig(_Section):
+    """One robot: geometry, wire, limits, and its twin. Lengths in m, speeds in rad/s or m/s."""
+
+    wheel_radius: PositiveFloat = 0.05
+    """[m]"""
+    wheel_separation: PositiveFloat = 0.3
+    """Distance between the centres of left and right wheels [m]."""
+    wheelbase: PositiveFloat = 0.22
+    """Distance between the front and the rear axle [m]; used by the simulation."""
+    wheel_separation_multiplier: PositiveFloat = 1.0
+    """As in ROS diff_drive_controller. For equal loads 1 + (wheelbase / wheel_separation)^2."""
+    serial_port: str | None = None
+    """Device for `open_link("serial", config)`; there is no default."""
+    baud_rate: Annotated[int, AfterValidator(_known_baud)] = 115200
+    """Bits per second, 8N1, no flow control."""
+    trailing_comma: bool = False
+    """Send a comma after the last motor too, as the robot's own driver does."""
+    control_rate: PositiveFloat = 100.0
+    """Ticks per second: one command line each [Hz]."""
+    connect_timeout: PositiveFloat = 5.0
+    """How long activation waits for the board's first valid line [s]; AVR boards reset on open."""
+    feedback_timeout: PositiveFloat = 0.5
+    """Feedback older than this stops the robot with an error [s]."""
+    max_linear: PositiveFloat = 0.5
+    """Linear speed of a full action [m/s]."""
+    max_angular: PositiveFloat = 1.5
+    """Angular speed of a full action [rad/s]."""
+    max_wheel_speed: PositiveFloat = 30.0
+    """Wheel speeds of a twist shrink to this, keeping the turn radius [rad/s]."""
+    odom_frame: str = "odom"
+    base_frame: str = "base_link"
+    lidar_frame: str = "lidar_link"
+    lidar_x_offset: float = -0.15
+    """[m] in the base frame, as the two below."""
+    lidar_y_offset: float = 0.0
+    lidar_z_offset: float = 0.37
+    motor: MotorConfig = MotorConfig()
+    encoder: EncoderConfig = EncoderConfig()
+    firmware: FirmwareConfig = FirmwareConfig()
+    body: BodyConfig = BodyConfig()
+
+    @model_validator(mode="after")
+    def _wire_is_fast_enough(self) -> Self:
+        line = LINE_BYTES + self.trailing_comma
+        lines = self.baud_rate / (BITS_PER_BYTE * line)
+        for field, rate in (
+            ("control_rate", self.control_rate),
+            ("firmware.feedback_rate", self.feedback_rate),
+        ):
+            if rate > lines:
+                enough = [b for b in BAUD_RATES if b >= rate * BITS_PER_BYTE * line]
+                hint = f"baud_rate {enough[0]} or more, or " if enough else ""
+                raise ConfigError(
+                    f"baud_rate = {self.baud_rate}: carries {int(lines)} lines of {line} bytes a "
+                    f"second, {field} needs {rate:g}; use {hint}{field} up to {int(lines)}"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _rates_are_whole(self) -> Self:
+        loop = self.firmware.loop_rate
+        whole_ratio("firmware.loop_rate", loop, "control_rate", self.control_rate)
+        whole_ratio("firmware.loop_rate", loop, "firmware.feedback_rate", self.feedback_rate)
+        if self.encoder.window * loop < 1.0 - 1e-9:
+            raise ConfigError(
+                f"encoder.window = {self.encoder.window:g} s: must be at least one period of "
+                f"firmware.loop_rate ({1.0 / loop:g} s)"
+            )
+        return self
+
+    @property
+    def feedback_rate(self) -> float:
+        """Feedback lines per second that the board sends [Hz]."""
+        return self.firmware.feedback_rate or self.control_rate
+
+    @property
+    def period(self) -> float:
+        """Length of a tick [s]."""
+        return 1.0 / self.control_rate
+
+    @property
+    def effective_separation(self) -> float:
+        """wheel_separation * wheel_separation_multiplier [m]."""
+        return self.wheel_separation * self.wheel_separation_multiplier
+
+    @classmethod
+    def load(cls, path: str | Path) -> RobotConfig:
+        """Read a `.yaml` file, or the `<ros2_control>` parameters of a `.urdf` file.
+
+        Raises ConfigError where the file is missing, malformed, or holds a bad value.
+        """
+        from acsar_gym import config_files  # noqa: PLC0415 - only loading needs the parsers
+
+        return config_files.load(Path(path))
+
+    @classmethod
+    def preset(cls, name: str) -> RobotConfig:
+        """A robot that comes with the package, such as "acsar"."""
+        from acsar_gym import config_files  # noqa: PLC0415
+
+        return config_files.preset(name)
+
+    @classmethod
+    def of(cls, robot: RobotConfig | str | Path | None) -> RobotConfig:
+        """What users may pass as `robot=`: a config, a file, a preset's name, or None for acsar."""
+        if isinstance(robot, RobotConfig):
+            return robot
+        if robot is None:
+            return cls.preset("acsar")
+        if isinstance(robot, Path) or Path(robot).suffix or "/" in robot:
+            return cls.load(robot)
+        return cls.preset(robot)
+
+
+def whole_ratio(fast_name: str, fast: float, slow_name: str, slow: float) -> int:
+    """fast / slow as an int; ConfigError unless it is a whole number of at least 1."""
+    ratio = fast / slow
+    whole = round(ratio)
+    if whole < 1 or not math.isclose(ratio, whole, rel_tol=1e-9):
+        raise ConfigError(
+            f"{fast_name} = {fast:g} Hz: must be a whole multiple of {slow_name} = {slow:g} Hz"
+        )
+    return whole
+
+
+def _describe(model: type[BaseModel], error: ValidationError) -> str:
+    parts = []
+    for item in error.errors(include_url=False):
+        field = ".".join(str(step) for step in item["loc"])
+        if item["type"] == "extra_forbidden":
+            parts.append(f"unknown field {field!r}{suggestion(field, model.model_fields)}")
+            continue
+        allowed = item["msg"].removeprefix("Value error, ").removeprefix("Input should ")
+        parts.append(f"{field} = {item['input']!r}: {_must(allowed)}")
+    return f"{model.__name__}: " + "; ".join(parts)
+
+
+def _must(allowed: str) -> str:
+    return f"must {allowed}" if allowed.startswith("be") else allowed

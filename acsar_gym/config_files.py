@@ -1,0 +1,82 @@
+"""Robot parameters from files: YAML, and the ros2_control block of a URDF."""
+
+from __future__ import annotations
+
+import difflib
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Element, ParseError
+
+import defusedxml.ElementTree
+import yaml
+from defusedxml.common import DefusedXmlException
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import ConfigError, suggestion
+from acsar_gym.resources import ASSETS
+
+DRIVER_BAUD_RATE = "9600"
+"""What the robot's own driver assumes where its URDF has no baud_rate."""
+
+
+def preset(name: str) -> RobotConfig:
+    """The preset of that name in assets/robots; ConfigError names the nearest one."""
+    known = {path.stem: path for path in (ASSETS / "robots").glob("*.yaml")}
+    if name not in known:
+        raise ConfigError(f"unknown robot preset {name!r}{suggestion(name, known)}")
+    return load(known[name])
+
+
+def load(path: Path) -> RobotConfig:
+    """A RobotConfig from a `.yaml`, `.yml` or `.urdf` file."""
+    readers = {".yaml": _from_yaml, ".yml": _from_yaml, ".urdf": _from_urdf}
+    reader = readers.get(path.suffix)
+    if reader is None:
+        raise ConfigError(f"{path}: a robot is read from .yaml, .yml or .urdf (expand .xacro first)")
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: can't be read: {error}") from None
+    try:
+        return RobotConfig(**reader(text))
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from None
+
+
+def _from_yaml(text: str) -> dict[str, Any]:
+    try:
+        data = yaml.safe_load(text)
+    except (yaml.YAMLError, RecursionError) as error:
+        raise ConfigError(f"not valid YAML: {' '.join(str(error).split())}") from None
+    if not isinstance(data, dict) or not all(isinstance(key, str) for key in data):
+        raise ConfigError("must be a mapping of parameter names to values")
+    return data
+
+
+def _from_urdf(text: str) -> dict[str, Any]:
+    try:
+        root = defusedxml.ElementTree.fromstring(text)
+    except (ParseError, DefusedXmlException, ValueError) as error:
+        raise ConfigError(f"not a valid URDF: {error}") from None
+    hardware = root.find(".//ros2_control/hardware")
+    if hardware is None:
+        raise ConfigError("has no <ros2_control><hardware> block to take the parameters from")
+    params: dict[str, Any] = {"baud_rate": DRIVER_BAUD_RATE}
+    for element in hardware.findall("param"):
+        name, value = _param(element)
+        if name is not None:
+            params[name] = value
+    return params
+
+
+def _param(element: Element) -> tuple[str | None, str]:
+    """Name and value; the name is None for a parameter that belongs to some other plugin."""
+    name = element.get("name", "")
+    value = (element.text or "").strip()
+    fields = [f for f in RobotConfig.model_fields if f not in ("motor", "encoder", "firmware", "body")]
+    if name in fields:
+        return name, value
+    near = difflib.get_close_matches(name, fields, n=1, cutoff=0.85)
+    if near:
+        raise ConfigError(f"unknown param {name!r}; did you mean {near[0]!r}?")
+    return None, value

@@ -1,0 +1,177 @@
+"""Motor and tyre model of a skid-steer robot on a flat floor, as pure scalar functions.
+
+The planar state is (vx, vy [m/s], yaw rate [rad/s]) in the body frame; wheels are in the order
+front_right, front_left, rear_left, rear_right. Tyres are isotropic Coulomb friction under equal
+loads, smoothed below a small slip speed. That law is stiff, so it is solved implicitly: backward
+Euler with secant friction, a symmetric 3 x 3 system per fixed-point round. In a steady turn the
+exact solution turns 1 + (wheelbase / wheel_separation)^2 times slower than the differential-drive
+formula says.
+
+Where numba is installed the functions are compiled and cached on disk; without it they run as
+plain Python with the same results to rounding.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple, ParamSpec, TypeVar
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.protocol import Speeds
+
+GRAVITY = 9.81
+"""[m/s^2]"""
+ROUNDS = 3
+"""Fixed-point rounds for the secant friction."""
+
+Velocity = tuple[float, float, float]
+"""vx, vy [m/s] and yaw rate [rad/s]."""
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+try:
+    import numba
+except ImportError:
+    COMPILED = False
+    """Whether numba compiles the functions below."""
+
+    def jit(function: Callable[P, R]) -> Callable[P, R]:
+        """The function as it is: numba isn't installed."""
+        return function
+else:
+    COMPILED = True
+
+    def jit(function: Callable[P, R]) -> Callable[P, R]:
+        """The function compiled by numba, cached on disk."""
+        compiled: Callable[P, R] = numba.njit(cache=True)(function)
+        return compiled
+
+
+class Params(NamedTuple):
+    """The numbers of a robot that its physics needs; SI units."""
+
+    dt: float
+    radius: float
+    half_wheelbase: float
+    half_track: float
+    mass: float
+    yaw_inertia: float
+    grip: float
+    """Greatest friction force of one tyre [N]."""
+    slip_speed: float
+    blend: float
+    """Share of the distance to its set point that a wheel's speed covers in dt."""
+    deadband: float
+    max_speed: float
+
+
+def params(config: RobotConfig) -> Params:
+    """The physics of a configured robot, for substeps of the firmware's loop period."""
+    body, motor = config.body, config.motor
+    dt = 1.0 / config.firmware.loop_rate
+    lag = motor.time_constant
+    return Params(
+        dt=dt,
+        radius=config.wheel_radius,
+        half_wheelbase=config.wheelbase / 2.0,
+        half_track=config.wheel_separation / 2.0,
+        mass=body.mass,
+        yaw_inertia=body.mass * (body.length**2 + body.width**2) / 12.0,
+        grip=body.friction * body.mass * GRAVITY / 4.0,
+        slip_speed=body.slip_speed,
+        blend=1.0 - math.exp(-dt / lag) if lag > 0.0 else 1.0,
+        deadband=motor.deadband,
+        max_speed=motor.max_speed,
+    )
+
+
+@jit
+def wheel_speed(speed: float, set_point: float, blend: float, deadband: float, top: float) -> float:
+    """A wheel's speed [rad/s] one substep later: first-order lag, deadband, saturation."""
+    if abs(set_point) < deadband:
+        set_point = 0.0
+    set_point = min(max(set_point, -top), top)
+    speed += blend * (set_point - speed)
+    return 0.0 if set_point == 0.0 and abs(speed) < 1e-3 else speed
+
+
+@jit
+def tyre_step(
+    vx: float,
+    vy: float,
+    yaw_rate: float,
+    wheels: Speeds,
+    params: Params,
+) -> Velocity:
+    """The body's velocity one substep later, under the forces of four tyres. Body frame.
+
+    Solves m (v' - v) / dt = sum F_i(v') with F_i = -D_i slip_i(v') and D_i = grip / |slip_i|, in
+    which slip_i is the velocity of contact patch i over the ground.
+    """
+    a, b = params.half_wheelbase, params.half_track
+    inertia = params.mass / params.dt
+    yaw_inertia = params.yaw_inertia / params.dt
+    rim_a, rim_b = wheels[0] * params.radius, wheels[1] * params.radius
+    rim_c, rim_d = wheels[2] * params.radius, wheels[3] * params.radius
+    nx, ny, nw = vx, vy, yaw_rate
+    for _ in range(ROUNDS):
+        right, left = nx + nw * b, nx - nw * b
+        front, rear = ny + nw * a, ny - nw * a
+        d_a = params.grip / max(math.sqrt((right - rim_a) ** 2 + front**2), params.slip_speed)
+        d_b = params.grip / max(math.sqrt((left - rim_b) ** 2 + front**2), params.slip_speed)
+        d_c = params.grip / max(math.sqrt((left - rim_c) ** 2 + rear**2), params.slip_speed)
+        d_d = params.grip / max(math.sqrt((right - rim_d) ** 2 + rear**2), params.slip_speed)
+        total = d_a + d_b + d_c + d_d
+        # Symmetric system [[k, 0, p], [0, k, q], [p, q, s]] (nx, ny, nw) = (fx, fy, fw).
+        k = inertia + total
+        p = b * (d_a + d_d - d_b - d_c)
+        q = a * (d_a + d_b - d_c - d_d)
+        s = yaw_inertia + (a * a + b * b) * total
+        fx = inertia * vx + d_a * rim_a + d_b * rim_b + d_c * rim_c + d_d * rim_d
+        fy = inertia * vy
+        fw = yaw_inertia * yaw_rate + b * (d_a * rim_a + d_d * rim_d - d_b * rim_b - d_c * rim_c)
+        nw = (fw - (p * fx + q * fy) / k) / (s - (p * p + q * q) / k)
+        nx = (fx - p * nw) / k
+        ny = (fy - q * nw) / k
+    return nx, ny, nw
+
+
+@jit
+def robot_step(
+    cos: float,
+    sin: float,
+    velocity: Velocity,
+    wheels: Speeds,
+    angles: Speeds,
+    set_points: Speeds,
+    flat: tuple[float, ...],
+) -> tuple[Velocity, Speeds, Speeds]:
+    """Motors, then tyres, over one substep, for a robot whose heading has this cosine and sine.
+
+    `velocity` is (vx, vy [m/s], yaw rate [rad/s]) in the world frame, before and after. Returns it
+    with the new wheel speeds [rad/s] and the angles turned by the wheels [rad]. `flat` is a Params as a plain tuple, which numba takes in half the time.
+    """
+    params = Params(*flat)
+    blend, dead, top, dt = params.blend, params.deadband, params.max_speed, params.dt
+    a = wheel_speed(wheels[0], set_points[0], blend, dead, top)
+    b = wheel_speed(wheels[1], set_points[1], blend, dead, top)
+    c = wheel_speed(wheels[2], set_points[2], blend, dead, top)
+    d = wheel_speed(wheels[3], set_points[3], blend, dead, top)
+    vx, vy, rate = velocity
+    forward, left, rate = tyre_step(
+        cos * vx + sin * vy, cos * vy - sin * vx, rate, (a, b, c, d), params
+    )
+    return (
+        (cos * forward - sin * left, sin * forward + cos * left, rate),
+        (a, b, c, d),
+        (angles[0] + a * dt, angles[1] + b * dt, angles[2] + c * dt, angles[3] + d * dt),
+    )
+
+
+def closed_form_yaw_rate(speeds: Speeds, config: RobotConfig) -> float:
+    """Yaw rate [rad/s] of a steady turn with constant wheel speeds, neglecting inertia."""
+    right, left = (speeds[0] + speeds[3]) / 2.0, (speeds[1] + speeds[2]) / 2.0
+    plain = (right - left) * config.wheel_radius / config.wheel_separation
+    return plain / (1.0 + (config.wheelbase / config.wheel_separation) ** 2)

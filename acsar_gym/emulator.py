@@ -1,0 +1,120 @@
+"""The microcontroller's twin in real time on a pseudo-terminal, for every serial code path.
+
+Whoever opens the printed device talks to a simulated robot exactly as to a board. A wrong baud rate
+garbles both directions, as on a real UART. The log, one JSON line per event, holds what the board
+was told and where the robot really was, on the monotonic clock that all processes share.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import pty
+import termios
+import time
+import tty
+from pathlib import Path
+from typing import IO, Self
+
+from acsar_gym.config import BAUD_RATES, RobotConfig
+from acsar_gym.errors import ConfigError
+from acsar_gym.links import Link, open_link
+from acsar_gym.worlds import Scene
+
+CHUNK = 4096
+BAUD_CODES = {getattr(termios, f"B{rate}"): rate for rate in BAUD_RATES}
+
+
+class Emulator:
+    """A simulated robot on a pseudo-terminal; `device` is what a SerialLink opens.
+
+    `silent` never answers; `log` appends one JSON line per command line and per `truth_period`.
+    """
+
+    def __init__(
+        self,
+        config: RobotConfig,
+        *,
+        body: str = "planar",
+        log: Path | None = None,
+        silent: bool = False,
+    ) -> None:
+        if body not in ("planar", "bullet"):
+            raise ConfigError(f"body = {body!r}: must be planar or bullet")
+        self._config = config
+        self._silent = silent
+        self._link: Link = open_link(body, config)
+        self._link.open()
+        self._link.reset(Scene())
+        self._log = _opened(log)
+        self._descriptors: tuple[int, ...]
+        self._master, self._slave = self._descriptors = pty.openpty()
+        self._configure_terminal()
+        os.set_blocking(self._master, False)
+        self.device = os.ttyname(self._slave)
+
+    def _configure_terminal(self) -> None:
+        """Raw, and at the board's own baud rate until a client sets another one."""
+        tty.setraw(self._slave)
+        attributes = termios.tcgetattr(self._slave)
+        attributes[4] = attributes[5] = getattr(termios, f"B{self._config.baud_rate}")
+        termios.tcsetattr(self._slave, termios.TCSANOW, attributes)
+
+    def run(self, duration: float | None = None) -> None:
+        """Emulate for `duration` [s], or until interrupted; deadlines are absolute."""
+        period = 1.0 / self._config.firmware.loop_rate
+        start = deadline = time.monotonic()
+        while duration is None or deadline - start < duration:
+            deadline += period
+            time.sleep(max(0.0, deadline - time.monotonic()))
+            self._turn(period)
+
+    def _turn(self, period: float) -> None:
+        """One loop of the firmware: bytes in, physics, bytes out."""
+        with contextlib.suppress(BlockingIOError):
+            data = os.read(self._master, CHUNK)
+            self._note({"rx": data.decode("latin-1")})
+            self._link.write(self._over_uart(data))
+        answer = self._link.advance(period)
+        if self._log is not None:
+            self._note({"pose": self._link.truth.pose if self._link.truth else None})
+        if answer and not self._silent:
+            with contextlib.suppress(BlockingIOError):  # nobody reads: a UART drops it too
+                os.write(self._master, self._over_uart(answer))
+
+    def _over_uart(self, data: bytes) -> bytes:
+        """The bytes as the other side sees them: garbage where the baud rates differ."""
+        if BAUD_CODES.get(termios.tcgetattr(self._slave)[4]) == self._config.baud_rate:
+            return data
+        return bytes((byte * 7 + 0x80) & 0xFF | 0x80 for byte in data)
+
+    def _note(self, event: dict[str, object]) -> None:
+        if self._log is not None:
+            self._log.write(json.dumps({"t": time.monotonic(), **event}) + "\n")
+            self._log.flush()
+
+    def close(self) -> None:
+        """Close the terminal and the log; twice is once."""
+        descriptors, self._descriptors = self._descriptors, ()
+        for descriptor in descriptors:
+            os.close(descriptor)
+        self._link.close()
+        if self._log is not None:
+            self._log.close()
+            self._log = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _opened(log: Path | None) -> IO[str] | None:
+    if log is None:
+        return None
+    try:
+        return log.open("w", encoding="ascii")
+    except OSError as error:
+        raise ConfigError(f"{log}: can't be written: {error}") from None

@@ -1,0 +1,85 @@
+"""One tree of errors. Every message says what happened, where, and what to do next."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class AcsarError(Exception):
+    """Base of every error this package raises on purpose.
+
+    `exit_code` is what the command line ends with, so that scripts can tell them apart.
+    """
+
+    exit_code = 1
+
+
+class ConfigError(AcsarError):
+    """A parameter, option, file or name that can't be used as given."""
+
+    exit_code = 2
+
+
+class CommandError(AcsarError):
+    """A wheel speed, twist or action that must not be sent to a robot (NaN, infinite, wrong shape)."""
+
+    exit_code = 2
+
+
+class MissingExtraError(AcsarError):
+    """A feature whose optional dependency isn't installed."""
+
+    exit_code = 2
+
+    def __init__(self, feature: str, extra: str) -> None:
+        super().__init__(f"{feature} needs an extra: pip install 'acsar_gym[{extra}]'")
+
+
+class RenderError(AcsarError):
+    """A picture that can't be drawn here: no display, or no camera behind this link."""
+
+    exit_code = 2
+
+
+class PolicyError(AcsarError):
+    """A policy file that is missing, broken, or made for another observation."""
+
+    exit_code = 2
+
+
+class LinkError(AcsarError):
+    """The other side of the wire can't be reached, or was lost."""
+
+    exit_code = 3
+
+
+class PortNotFoundError(LinkError):
+    """There is no such serial device."""
+
+
+class PortPermissionError(LinkError):
+    """The user may not open the serial device."""
+
+
+class PortBusyError(LinkError):
+    """Another process holds the serial device."""
+
+
+class BoardSilentError(LinkError):
+    """The port is open, but no valid feedback line arrives."""
+
+
+class BoardGarbledError(BoardSilentError):
+    """Bytes arrive, but none of them form a valid line: most likely a wrong baud rate."""
+
+
+class LinkLostError(LinkError):
+    """The device went away while it was in use."""
+
+
+def suggestion(name: str, known: Iterable[str]) -> str:
+    """'; did you mean X?' for the nearest known name, or the list of known names."""
+    names = sorted(known)
+    near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    return f"; did you mean {near[0]!r}?" if near else f"; known: {', '.join(names)}"

@@ -1,0 +1,131 @@
+"""The microcontroller's twin: bytes in, bytes out, over a Body, on its own simulated clock.
+
+It parses command lines by the same rules as the driver, ramps the motors' set points, stops them
+when commands stop, and sends encoder lines at its own rate. Bytes take their time on the UART
+(10 bits each at the baud rate, one after the other) and in the processor.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+from acsar_gym.bodies import Body
+from acsar_gym.config import RobotConfig, whole_ratio
+from acsar_gym.protocol import BITS_PER_BYTE, ZERO, Decoder, Speeds, encode
+
+EPSILON = 1e-9
+"""Slack for comparing times that are sums of periods [s]."""
+
+
+class Firmware:
+    """One board. `advance` lets time pass; `decoder` keeps the counters of what it refused."""
+
+    def __init__(self, config: RobotConfig, body: Body) -> None:
+        self._body = body
+        self._comma = config.trailing_comma
+        self._dt = 1.0 / config.firmware.loop_rate
+        self._ramp = config.motor.acceleration * self._dt
+        self._top = config.motor.max_speed
+        self._byte_time = BITS_PER_BYTE / config.baud_rate
+        self._processing = config.firmware.processing_time
+        self._timeout = config.firmware.command_timeout or math.inf
+        self._feedback_every = whole_ratio(
+            "firmware.loop_rate", config.firmware.loop_rate, "feedback_rate", config.feedback_rate
+        )
+        window = round(config.encoder.window * config.firmware.loop_rate)
+        self._angles: deque[Speeds] = deque(maxlen=window + 1)
+        self._per_radian = config.encoder.counts_per_revolution / (2.0 * math.pi)
+        self._per_count = 1.0 / (self._per_radian * window * self._dt)
+        self.decoder = Decoder()
+        self.reset()
+
+    def reset(self) -> None:
+        """As after power-up: nothing on the wire, set points zero, encoder history at rest."""
+        self._loops = 0
+        self._received: deque[tuple[float, bytes]] = deque()
+        self._sent: deque[tuple[float, bytes]] = deque()
+        self._receive_free = 0.0
+        self._send_free = 0.0
+        self._last_command = -math.inf
+        self._targets: Speeds = ZERO
+        self._set_points: Speeds = ZERO
+        self._angles.clear()
+        self._angles.extend([self._body.wheel_angles] * (self._angles.maxlen or 1))
+        self.decoder.reset()
+
+    def receive(self, data: bytes) -> None:
+        """Bytes that the host puts on the wire now; they arrive one after the other."""
+        start = max(self._receive_free, self._loops * self._dt)
+        self._receive_free = start + len(data) * self._byte_time
+        self._received.append((self._receive_free + self._processing, data))
+
+    def advance(self, period: float) -> bytes:
+        """Let `period` [s] pass; return the feedback bytes that reach the host in it.
+
+        A period is rounded to whole loops of the firmware.
+        """
+        for _ in range(round(period / self._dt)):
+            self._loop()
+        now = self._loops * self._dt + EPSILON
+        arrived = b""
+        while self._sent and self._sent[0][0] <= now:
+            arrived += self._sent.popleft()[1]
+        return arrived
+
+    def _loop(self) -> None:
+        now = self._loops * self._dt
+        while self._received and self._received[0][0] <= now + EPSILON:
+            self._obey(self._received.popleft()[1], now)
+        if now - self._last_command > self._timeout:
+            self._targets = ZERO
+        if self._set_points != self._targets:
+            self._set_points = self._ramped()
+        self._body.step(self._set_points)
+        self._angles.append(self._body.wheel_angles)
+        self._loops += 1
+        if self._loops % self._feedback_every == 0:
+            self._answer()
+
+    def _obey(self, data: bytes, now: float) -> None:
+        for reading in self.decoder.feed(data):
+            self._last_command = now
+            a, b, c, d = reading.speeds
+            old = self._targets
+            self._targets = (
+                self._limited(old[0] if a is None else a),
+                self._limited(old[1] if b is None else b),
+                self._limited(old[2] if c is None else c),
+                self._limited(old[3] if d is None else d),
+            )
+
+    def _limited(self, speed: float) -> float:
+        return min(max(speed, -self._top), self._top)
+
+    def _ramped(self) -> Speeds:
+        (a, b, c, d), (ta, tb, tc, td), step = self._set_points, self._targets, self._ramp
+        return (_towards(a, ta, step), _towards(b, tb, step), _towards(c, tc, step), _towards(d, td, step))
+
+    def _answer(self) -> None:
+        line = encode(self._encoder_speeds(), trailing_comma=self._comma)
+        start = max(self._send_free, self._loops * self._dt + self._processing)
+        self._send_free = start + len(line) * self._byte_time
+        self._sent.append((self._send_free, line))
+
+    def _encoder_speeds(self) -> Speeds:
+        """Whole counts of the last window, as speeds [rad/s]."""
+        (a1, b1, c1, d1), (a0, b0, c0, d0) = self._angles[-1], self._angles[0]
+        k, scale, floor = self._per_radian, self._per_count, math.floor
+        return (
+            (floor(a1 * k) - floor(a0 * k)) * scale,
+            (floor(b1 * k) - floor(b0 * k)) * scale,
+            (floor(c1 * k) - floor(c0 * k)) * scale,
+            (floor(d1 * k) - floor(d0 * k)) * scale,
+        )
+
+
+def _towards(value: float, target: float, step: float) -> float:
+    """The value moved to the target by at most one step."""
+    if value < target:
+        return min(value + step, target)
+    return max(value - step, target)

@@ -1,0 +1,60 @@
+"""From a URL to a link. Everything behind it is imported late: a robot needs no pybullet."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from acsar_gym.bodies import Body
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import ConfigError, suggestion
+from acsar_gym.links.base import Link
+
+NAMES = ("bullet", "planar", "serial", "replay:FILE", "/dev/ttyUSB0", "COM3", "socket://host:port")
+_DEVICE = re.compile(r"(/|\./|COM\d+$|(socket|rfc2217)://)", re.IGNORECASE)
+
+
+def open_link(
+    url: str, config: RobotConfig | str | Path | None = None, *, window: bool = False
+) -> Link:
+    """The link that `url` names; it opens nothing before `open()` or `Robot.activate()`.
+
+    "bullet" and "planar" are simulations (`window` opens PyBullet's own window), "/dev/ttyUSB0",
+    "COM3" and "socket://host:port" are serial devices, "serial" is the device that the config
+    names, "replay:FILE" plays a recording back. Raises ConfigError for anything else.
+    """
+    config = RobotConfig.of(config)
+    if url in ("bullet", "planar"):
+        return _simulated(url, config, window)
+    if url.startswith("replay:"):
+        from acsar_gym.links.replay import ReplayLink  # noqa: PLC0415
+
+        return ReplayLink(Path(url.removeprefix("replay:")))
+    if url == "serial" or _DEVICE.match(url):
+        from acsar_gym.links.serial import SerialLink  # noqa: PLC0415
+
+        return SerialLink(_device(url, config), config)
+    raise ConfigError(f"unknown link {url!r}{suggestion(url, NAMES)}")
+
+
+def _simulated(name: str, config: RobotConfig, window: bool) -> Link:
+    from acsar_gym.links.simulated import SimulatedLink  # noqa: PLC0415
+
+    def body() -> Body:
+        if name == "planar":
+            from acsar_gym.bodies.planar import PlanarBody  # noqa: PLC0415
+
+            return PlanarBody(config)
+        from acsar_gym.bodies.bullet import BulletBody  # noqa: PLC0415
+
+        return BulletBody(config, window=window)
+
+    return SimulatedLink(config, body)
+
+
+def _device(url: str, config: RobotConfig) -> str:
+    if url != "serial":
+        return url
+    if config.serial_port is None:
+        raise ConfigError("serial_port is missing: set it in the robot's config, or name the device")
+    return config.serial_port

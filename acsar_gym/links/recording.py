@@ -1,0 +1,138 @@
+"""Recordings of what went over a wire: one JSON line per event, readable with any text tool.
+
+`{"reset": t}` begins an episode with the link's clock at t [s]; `{"sent": [...], "got": "...",
+"t": t}` is one period: what was written in it, what arrived, and the clock at its end.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+from acsar_gym.bodies.base import GroundTruth, Image
+from acsar_gym.errors import ConfigError
+from acsar_gym.links.base import Link
+from acsar_gym.worlds import Scene
+
+
+@dataclass(frozen=True, slots=True)
+class Period:
+    """One period of a recording."""
+
+    sent: bytes
+    got: bytes
+    stamp: float
+
+
+@dataclass(frozen=True, slots=True)
+class Episode:
+    """The periods after one reset, and the clock at that reset [s]."""
+
+    start: float
+    periods: list[Period]
+
+
+class RecordingLink:
+    """Passes everything on to another link and writes it down. The file grows as it goes."""
+
+    def __init__(self, link: Link, path: Path) -> None:
+        self._link = link
+        self._path = path
+        self._file: IO[str] | None = None
+        self._sent = b""
+
+    def open(self) -> None:
+        """Open the link, and the file the first time."""
+        if self._file is None:
+            try:
+                self._file = self._path.open("w", encoding="ascii")
+            except OSError as error:
+                raise ConfigError(f"{self._path}: can't be written: {error}") from None
+        self._link.open()
+
+    def reset(self, scene: Scene) -> None:
+        """Begin an episode."""
+        self._link.reset(scene)
+        self._sent = b""
+        self._note({"reset": self._link.now()})
+
+    def write(self, data: bytes) -> None:
+        """Pass on and remember."""
+        self._link.write(data)
+        self._sent += data
+
+    def advance(self, period: float) -> bytes:
+        """Pass on, and write the period down."""
+        got = self._link.advance(period)
+        sent, self._sent = self._sent, b""
+        self._note(
+            {"sent": sent.decode("latin-1"), "got": got.decode("latin-1"), "t": self._link.now()}
+        )
+        return got
+
+    def _note(self, event: dict[str, object]) -> None:
+        if self._file is not None:
+            self._file.write(json.dumps(event) + "\n")
+
+    def now(self) -> float:
+        """The link's clock."""
+        return self._link.now()
+
+    @property
+    def truth(self) -> GroundTruth | None:
+        """The link's truth; it isn't recorded."""
+        return self._link.truth
+
+    @property
+    def late_ticks(self) -> int:
+        """The link's late ticks."""
+        return self._link.late_ticks
+
+    def image(self, width: int, height: int) -> Image | None:
+        """The link's camera."""
+        return self._link.image(width, height)
+
+    def close(self) -> None:
+        """Close the link, then the file."""
+        self._link.close()
+        if self._file is not None:
+            self._file.flush()
+
+
+def read(path: Path) -> list[Episode]:
+    """All episodes of a recording. Raises ConfigError where the file isn't one."""
+    episodes: list[Episode] = []
+    for number, event in _events(path):
+        try:
+            if "reset" in event:
+                episodes.append(Episode(float(event["reset"]), []))
+            else:
+                episodes[-1].periods.append(_period(event))
+        except (KeyError, IndexError, TypeError, ValueError, AttributeError):
+            raise ConfigError(f"{path}: line {number} isn't part of a recording") from None
+    if not episodes:
+        raise ConfigError(f"{path}: holds no episode")
+    return episodes
+
+
+def _events(path: Path) -> Iterator[tuple[int, dict[str, str]]]:
+    try:
+        lines = path.read_text(encoding="ascii").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: can't be read as a recording: {error}") from None
+    for number, line in enumerate(lines, start=1):
+        try:
+            event = json.loads(line)
+        except ValueError:
+            event = None
+        if not isinstance(event, dict):
+            raise ConfigError(f"{path}: line {number} isn't part of a recording")
+        yield number, event
+
+
+def _period(event: dict[str, str]) -> Period:
+    sent, got = event["sent"].encode("latin-1"), event["got"].encode("latin-1")
+    return Period(sent, got, float(event["t"]))

@@ -1,0 +1,85 @@
+"""A recording, played back as a link: the same bytes at the same stamps, whatever is commanded."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Protocol
+
+from acsar_gym.bodies.base import Image
+from acsar_gym.errors import LinkLostError
+from acsar_gym.links import recording
+from acsar_gym.worlds import Scene
+
+
+class Port(Protocol):
+    """A byte stream, such as an open tty."""
+
+    def write(self, data: bytes) -> object:
+        """Send bytes."""
+
+    def read(self, size: int) -> bytes:
+        """Exactly `size` bytes, or fewer after the port's own time-out."""
+
+
+class ReplayLink:
+    """Plays the episodes of a recording in turn, one a reset. Its clock shows the recorded stamps.
+
+    With a `port`, the feedback of each period is read from there instead of from the file: a tape
+    player at the other end of a tty sends it, and this link only knows how many bytes to expect.
+    """
+
+    truth = None
+    late_ticks = 0
+
+    def __init__(self, path: Path, port: Port | None = None) -> None:
+        self._path = path
+        self._port = port
+        self._episodes: list[recording.Episode] = []
+        self._next_episode = 0
+        self._next_period = 0
+        self._now = 0.0
+
+    def open(self) -> None:
+        """Read the recording."""
+        if not self._episodes:
+            self._episodes = recording.read(self._path)
+
+    def reset(self, scene: Scene) -> None:
+        """Begin the next recorded episode. Raises LinkLostError after the last one."""
+        self.open()
+        if self._next_episode >= len(self._episodes):
+            raise LinkLostError(f"{self._path}: all {self._next_episode} episodes have been played")
+        self._now = self._episodes[self._next_episode].start
+        self._next_episode += 1
+        self._next_period = 0
+
+    def write(self, data: bytes) -> None:
+        """Commands change nothing about a recording; a port gets them all the same."""
+        if self._port is not None:
+            self._port.write(data)
+
+    def advance(self, period: float) -> bytes:
+        """The bytes of the next recorded period. Raises LinkLostError at the episode's end."""
+        if self._next_episode == 0:
+            raise LinkLostError(f"{self._path}: call reset() first")
+        periods = self._episodes[self._next_episode - 1].periods
+        if self._next_period >= len(periods):
+            raise LinkLostError(f"{self._path}: the recorded episode ends here; reset for the next")
+        entry = periods[self._next_period]
+        self._next_period += 1
+        got = entry.got if self._port is None else self._port.read(len(entry.got))
+        if len(got) != len(entry.got):
+            raise LinkLostError(f"{self._path}: the port sent {len(got)} of {len(entry.got)} bytes")
+        self._now = entry.stamp
+        return got
+
+    def now(self) -> float:
+        """The recorded clock [s]."""
+        return self._now
+
+    def image(self, width: int, height: int) -> Image | None:
+        """A recording holds no pictures."""
+        return None
+
+    def close(self) -> None:
+        """Nothing to stop: the port belongs to whoever opened it."""

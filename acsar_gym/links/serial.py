@@ -1,0 +1,237 @@
+"""The real wire: pyserial, with absolute deadlines. The only file that imports pyserial."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import serial
+from serial.tools import list_ports
+
+from acsar_gym.bodies.base import Image
+from acsar_gym.config import BAUD_RATES, RobotConfig
+from acsar_gym.errors import (
+    BoardGarbledError,
+    BoardSilentError,
+    LinkError,
+    LinkLostError,
+    PortBusyError,
+    PortNotFoundError,
+    PortPermissionError,
+)
+from acsar_gym.links.guard import guard, unguard
+from acsar_gym.protocol import ZERO, Decoder, encode
+from acsar_gym.worlds import Scene
+
+LATE = 0.001
+"""A tick that ends this long after its deadline is late [s]."""
+POLL = 0.01
+"""How often activation looks for the first valid line [s]."""
+CHUNK = 4096
+"""Most bytes taken from the port at once."""
+WRITE_TIMEOUT = 0.2
+"""A write that blocks this long means that nobody takes the bytes [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class PortInfo:
+    """A serial device of this computer."""
+
+    device: str
+    description: str
+
+
+def ports() -> list[PortInfo]:
+    """The serial devices that the operating system knows."""
+    return [PortInfo(port.device, port.description) for port in sorted(list_ports.comports())]
+
+
+class SerialLink:
+    """A board on a serial device: 8N1, no flow control, opened exclusively.
+
+    `late_ticks` counts periods that ended more than a millisecond after their deadline, `ticks`
+    all of them since the last reset, and `worst_lateness` is in seconds.
+    """
+
+    truth = None
+
+    def __init__(self, device: str, config: RobotConfig) -> None:
+        self.device = device
+        self._config = config
+        self._port: serial.SerialBase | None = None
+        self._deadline = 0.0
+        self._clear_statistics()
+
+    def _clear_statistics(self) -> None:
+        self.ticks = 0
+        self.late_ticks = 0
+        self.worst_lateness = 0.0
+
+    def open(self) -> None:
+        """Open the device, flush it, and wait for the board's first valid line.
+
+        Raises PortNotFoundError, PortPermissionError, PortBusyError, BoardSilentError or
+        BoardGarbledError; the device is closed again then.
+        """
+        if self._port is not None:
+            return
+        self._port = _opened(self.device, self._config)
+        guard(self)
+        try:
+            self._flush()
+            self._stop_motors()
+            self._wait_for_board()
+        except BaseException:
+            self.close()
+            raise
+        self._deadline = self.now()
+
+    def _flush(self) -> None:
+        with _translated(self.device):
+            self._require().reset_input_buffer()
+            self._require().reset_output_buffer()
+
+    def _wait_for_board(self) -> None:
+        decoder = Decoder()
+        heard = 0
+        deadline = self.now() + self._config.connect_timeout
+        while not decoder.lines:
+            if self.now() > deadline:
+                raise self._no_board(heard)
+            time.sleep(POLL)
+            data = self._read()
+            heard += len(data)
+            decoder.feed(data)
+
+    def _no_board(self, heard: int) -> BoardSilentError:
+        waited, baud = self._config.connect_timeout, self._config.baud_rate
+        if heard:
+            others = ", ".join(str(rate) for rate in BAUD_RATES if rate != baud)
+            return BoardGarbledError(
+                f"{self.device}: {heard} bytes in {waited:g} s at {baud} baud, but no valid line: "
+                f"the board probably uses another baud_rate ({others})"
+            )
+        return BoardSilentError(
+            f"{self.device}: no byte from the board in {waited:g} s: check its power and cable, "
+            "and that this is the right port (acsar-gym doctor lists them)"
+        )
+
+    def reset(self, scene: Scene) -> None:
+        """Command zero, drop what lies in the buffer, and start the deadlines anew."""
+        self._stop_motors()
+        with _translated(self.device):
+            self._require().reset_input_buffer()
+        self._deadline = self.now()
+        self._clear_statistics()
+
+    def write(self, data: bytes) -> None:
+        """Send bytes to the board."""
+        with _translated(self.device):
+            self._require().write(data)
+
+    def advance(self, period: float) -> bytes:
+        """Sleep until the period's absolute deadline, then take what has arrived.
+
+        After a delay of more than a period the deadlines start anew from now.
+        """
+        self._deadline += period
+        remaining = self._deadline - self.now()
+        if remaining > 0.0:
+            time.sleep(remaining)
+        lateness = self.now() - self._deadline
+        self.ticks += 1
+        self.worst_lateness = max(self.worst_lateness, lateness)
+        if lateness > LATE:
+            self.late_ticks += 1
+        if lateness > period:
+            self._deadline = self.now()
+        return self._read()
+
+    def _read(self) -> bytes:
+        with _translated(self.device):
+            return bytes(self._require().read(CHUNK))
+
+    def now(self) -> float:
+        """The monotonic clock [s]."""
+        return time.monotonic()
+
+    def image(self, width: int, height: int) -> Image | None:
+        """A serial port has no camera."""
+        return None
+
+    def close(self) -> None:
+        """Command zero, let it leave the port, close; twice is once."""
+        port, self._port = self._port, None
+        if port is None:
+            return
+        unguard(self)
+        with contextlib.suppress(serial.SerialException, OSError):
+            port.write(self._stop_line())
+            port.flush()
+        with contextlib.suppress(serial.SerialException, OSError):
+            port.close()
+
+    def _stop_motors(self) -> None:
+        self.write(self._stop_line())
+
+    def _stop_line(self) -> bytes:
+        """The line end first, so that a command cut short can't swallow the zeros."""
+        return b"\r\n" + encode(ZERO, trailing_comma=self._config.trailing_comma)
+
+    def _require(self) -> Any:
+        if self._port is None:
+            raise LinkLostError(f"{self.device} is closed: call open() or env.reset() first")
+        return self._port
+
+
+def _opened(device: str, config: RobotConfig) -> serial.SerialBase:
+    """The open port; errors of pyserial and the system become ours."""
+    options: dict[str, Any] = {
+        "baudrate": config.baud_rate,
+        "bytesize": serial.EIGHTBITS,
+        "parity": serial.PARITY_NONE,
+        "stopbits": serial.STOPBITS_ONE,
+        "timeout": 0,
+        "write_timeout": WRITE_TIMEOUT,
+    }
+    if "://" not in device:
+        options["exclusive"] = True
+    try:
+        port = serial.serial_for_url(device, **options)
+    except (serial.SerialException, OSError, ValueError) as error:
+        raise _why_not_open(device, error) from None
+    with contextlib.suppress(AttributeError, ValueError, NotImplementedError, OSError):
+        port.set_low_latency_mode(True)
+    return port
+
+
+def _why_not_open(device: str, error: Exception) -> LinkError:
+    code = getattr(error, "errno", None)
+    text = str(error)
+    if code in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or isinstance(error, FileNotFoundError):
+        known = ", ".join(port.device for port in ports()) or "none"
+        return PortNotFoundError(f"{device}: no such device; serial ports here: {known}")
+    if code in (errno.EACCES, errno.EPERM):
+        return PortPermissionError(
+            f"{device}: permission denied: add yourself to the group that owns it, usually "
+            "'sudo usermod -aG dialout $USER', and log in again"
+        )
+    if code in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in text:
+        return PortBusyError(
+            f"{device}: in use by another process: close it first (find it with 'fuser {device}')"
+        )
+    return LinkError(f"{device}: can't be opened as a serial port: {text}")
+
+
+@contextlib.contextmanager
+def _translated(device: str):  # type: ignore[no-untyped-def]
+    """Errors of a port in use become LinkLostError."""
+    try:
+        yield
+    except (serial.SerialException, OSError, TypeError) as error:
+        raise LinkLostError(
+            f"{device}: lost while in use ({error}): check the cable, then reset"
+        ) from None

@@ -1,0 +1,76 @@
+"""A simulated robot behind the wire: the firmware's twin over a Body."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from acsar_gym.bodies import Body, GroundTruth
+from acsar_gym.bodies.base import Image
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import LinkLostError
+from acsar_gym.firmware import Firmware
+from acsar_gym.worlds import Scene
+
+
+class SimulatedLink:
+    """Runs firmware and physics as fast as they go. Its clock starts at zero with every reset."""
+
+    late_ticks = 0
+
+    def __init__(self, config: RobotConfig, make_body: Callable[[], Body]) -> None:
+        self._config = config
+        self._make_body = make_body
+        self._body: Body | None = None
+        self._firmware: Firmware | None = None
+        self._now = 0.0
+
+    def open(self) -> None:
+        """Build the body and switch the board on."""
+        if self._body is None:
+            self._body = self._make_body()
+            self._firmware = Firmware(self._config, self._body)
+
+    def reset(self, scene: Scene) -> None:
+        """Put the robot at the scene's start, at rest, with an empty wire."""
+        self.open()
+        if self._body is None or self._firmware is None:
+            raise _closed()
+        self._body.reset(scene)
+        self._firmware.reset()
+        self._now = 0.0
+
+    def write(self, data: bytes) -> None:
+        """Put bytes on the simulated UART."""
+        if self._firmware is None:
+            raise _closed()
+        self._firmware.receive(data)
+
+    def advance(self, period: float) -> bytes:
+        """Simulate one period [s]."""
+        if self._firmware is None:
+            raise _closed()
+        self._now += period
+        return self._firmware.advance(period)
+
+    def now(self) -> float:
+        """Simulated seconds since the reset."""
+        return self._now
+
+    @property
+    def truth(self) -> GroundTruth:
+        """The body's state; the origin before the link is opened."""
+        return self._body.truth if self._body else GroundTruth()
+
+    def image(self, width: int, height: int) -> Image | None:
+        """The body's camera, if it has one."""
+        return self._body.image(width, height) if self._body else None
+
+    def close(self) -> None:
+        """Free the body."""
+        if self._body is not None:
+            self._body.close()
+            self._body = self._firmware = None
+
+
+def _closed() -> LinkLostError:
+    return LinkLostError("the simulated link is closed: call open() or env.reset() first")

@@ -1,0 +1,78 @@
+"""Trained policies as single ONNX files: what drives a robot needs no torch."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym.errors import MissingExtraError, PolicyError
+from acsar_gym.resources import AGENTS
+from acsar_gym.tasks import POINT_GOAL_LAYOUT, Observation
+
+ENV_KEY = "acsar_gym.env"
+LAYOUT_KEY = "acsar_gym.observation"
+"""Keys of the file's metadata: the env's id, and the names of the observation's numbers."""
+ENV_ID = "acsar_gym/PointGoal-v0"
+
+
+class Policy(Protocol):
+    """Whatever maps an observation to an action."""
+
+    def __call__(self, observation: Observation) -> NDArray[np.float32]:
+        """The action for one observation; shapes as the env's spaces."""
+
+
+class OnnxPolicy:
+    """A policy read from an ONNX file; loading runs no code from the file.
+
+    Raises PolicyError where the file is missing, isn't a policy, or was made for an observation
+    with another layout, and MissingExtraError without onnxruntime.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = resolve(path)
+        try:
+            import onnxruntime  # noqa: PLC0415 - optional
+        except ImportError:
+            raise MissingExtraError("running a policy", "deploy") from None
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = options.inter_op_num_threads = 1
+        options.log_severity_level = 4
+        try:
+            self._session: Any = onnxruntime.InferenceSession(
+                self.path.read_bytes(), options, providers=["CPUExecutionProvider"]
+            )
+        except OSError as error:
+            raise PolicyError(f"{self.path}: can't be read: {error}") from None
+        except Exception as error:  # onnxruntime's errors have no common base of their own
+            raise PolicyError(f"{self.path}: not an ONNX policy: {error}") from None
+        self._check()
+
+    def _check(self) -> None:
+        metadata = self._session.get_modelmeta().custom_metadata_map
+        layout = tuple(metadata.get(LAYOUT_KEY, "").split(","))
+        if layout != POINT_GOAL_LAYOUT:
+            raise PolicyError(
+                f"{self.path}: made for the observation ({', '.join(layout)}), but {ENV_ID} gives "
+                f"({', '.join(POINT_GOAL_LAYOUT)}): train it again"
+            )
+
+    def __call__(self, observation: Observation) -> NDArray[np.float32]:
+        """The deterministic action in [-1, 1], shape (2,), for an observation of shape (7,)."""
+        action: NDArray[np.float32] = self._session.run(None, {"observation": observation[None]})[0]
+        return action[0]
+
+
+def resolve(path: str | Path) -> Path:
+    """The path itself, or the policy of that name that comes with the package."""
+    path = Path(path)
+    if path.exists():
+        return path
+    packaged = AGENTS / "policies" / f"{path}.onnx"
+    if packaged.exists():
+        return packaged
+    known = ", ".join(sorted(p.stem for p in packaged.parent.glob("*.onnx"))) or "none"
+    raise PolicyError(f"{path}: no such policy file; policies that come along: {known}")

@@ -1,0 +1,165 @@
+"""The wire's ASCII lines, without any I/O: speeds to bytes, bytes to readings.
+
+A line is `ap12.50,bn08.75,cp15.00,dn10.25\\r\\n`: motor letter (a front_right, b front_left,
+c rear_left, d rear_right), direction (p forward, n backward), speed in rad/s with two digits and
+two decimals. Commands and encoder feedback look the same, so both ends share this module.
+Source: the robot's hardware interface document, sections 2.3 and 5.3.2.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from acsar_gym.errors import CommandError
+
+MOTORS = "abcd"
+WHEELS = ("front_right", "front_left", "rear_left", "rear_right")
+MAX_SPEED = 99.99
+"""The fastest speed that two digits and two decimals can say [rad/s]."""
+SMALLEST = 0.005
+"""What rounds to 0.01 rather than to zero [rad/s]: the double nearest 0.005 lies just above it."""
+LINE_BYTES = 33
+"""Length of a full line with its line end, without the optional trailing comma."""
+BITS_PER_BYTE = 10
+"""8N1: a start bit, eight data bits, a stop bit."""
+MAX_LINE = 256
+"""Longest line the decoder keeps [bytes]; anything longer is dropped up to the next line end."""
+
+Speeds = tuple[float, float, float, float]
+"""Wheel speeds [rad/s] in the order front_right, front_left, rear_left, rear_right."""
+ZERO: Speeds = (0.0, 0.0, 0.0, 0.0)
+
+_LINE = "a%s%05.2f,b%s%05.2f,c%s%05.2f,d%s%05.2f"
+_PART = re.compile(rb"([abcd])([pn])([0-9]{2}\.[0-9]{2})")
+
+
+def encode(speeds: Sequence[float], *, trailing_comma: bool = False) -> bytes:
+    """One command or feedback line for four wheel speeds [rad/s], order a, b, c, d.
+
+    Speeds are rounded to two decimals and saturate at +-99.99; what rounds to zero is `p00.00`.
+    Raises CommandError if there aren't four of them or one isn't finite.
+    """
+    if len(speeds) != len(MOTORS):
+        raise CommandError(f"a line carries 4 wheel speeds (a, b, c, d), got {len(speeds)}")
+    a, b, c, d = speeds
+    if not math.isfinite(a + b + c + d):
+        _refuse_not_finite(speeds)
+    return _encode(a, b, c, d, trailing_comma)
+
+
+@functools.lru_cache(maxsize=64)
+def _encode(a: float, b: float, c: float, d: float, trailing_comma: bool) -> bytes:
+    """A command is repeated on every tick of a step, so lines are cached."""
+    line = _LINE % (
+        "n" if a <= -SMALLEST else "p",
+        min(abs(a), MAX_SPEED),
+        "n" if b <= -SMALLEST else "p",
+        min(abs(b), MAX_SPEED),
+        "n" if c <= -SMALLEST else "p",
+        min(abs(c), MAX_SPEED),
+        "n" if d <= -SMALLEST else "p",
+        min(abs(d), MAX_SPEED),
+    )
+    return (line + (",\r\n" if trailing_comma else "\r\n")).encode("ascii")
+
+
+def _refuse_not_finite(speeds: Sequence[float]) -> None:
+    for wheel, speed in zip(WHEELS, speeds, strict=True):
+        if not math.isfinite(speed):
+            raise CommandError(f"{wheel} speed is {speed}: only finite rad/s can be sent")
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What one line said. `speeds` [rad/s] holds None for a motor that the line didn't name."""
+
+    speeds: tuple[float | None, float | None, float | None, float | None]
+
+
+class Decoder:
+    """Turns any chunking of the byte stream into readings; never raises, never grows.
+
+    Lines end with CR, LF or CRLF. A bad part is refused and counted, the other motors of its line
+    still count; where a motor is named twice the last one wins. Memory is bounded by `MAX_LINE`.
+
+    Attributes: `lines`, lines with at least one good part; `refused`, what was refused and why.
+    """
+
+    def __init__(self) -> None:
+        self._partial = b""
+        self._skipping = False
+        self.lines = 0
+        self.refused: Counter[str] = Counter()
+
+    def reset(self) -> None:
+        """Forget the partial line and the counters."""
+        self.__init__()  # type: ignore[misc]
+
+    def feed(self, data: bytes) -> list[Reading]:
+        """The readings of all lines that `data` completes, oldest first."""
+        *lines, rest = (self._partial + data).replace(b"\r", b"\n").split(b"\n")
+        if lines and self._skipping:
+            self._skipping = False
+            lines[0] = b""
+        self._partial = self._bounded(rest)
+        readings = []
+        for line in lines:
+            if line and (reading := self._read(line)):
+                readings.append(reading)
+        return readings
+
+    def _bounded(self, rest: bytes) -> bytes:
+        if len(rest) > MAX_LINE and not self._skipping:
+            self._skipping = True
+            self.refused["line too long"] += 1
+        return b"" if self._skipping else rest
+
+    def _read(self, line: bytes) -> Reading | None:
+        if len(line) > MAX_LINE:
+            self.refused["line too long"] += 1
+            return None
+        reading, refused = _parse_line(line)
+        if refused:
+            self.refused.update(refused)
+        if reading:
+            self.lines += 1
+        return reading
+
+
+@functools.lru_cache(maxsize=512)
+def _parse_line(line: bytes) -> tuple[Reading | None, tuple[str, ...]]:
+    """What a line says, and why its bad parts were refused. Lines repeat, so they are cached."""
+    speeds: list[float | None] = [None, None, None, None]
+    refused = []
+    for part in line.removesuffix(b",").split(b","):
+        found = _parse_part(part)
+        if isinstance(found, str):
+            refused.append(found)
+            continue
+        motor, speed = found
+        if speeds[motor] is not None:
+            refused.append("duplicate motor")
+        speeds[motor] = speed
+    a, b, c, d = speeds
+    named = not (a is b is c is d is None)
+    return Reading((a, b, c, d)) if named else None, tuple(refused)
+
+
+@functools.lru_cache(maxsize=4096)
+def _parse_part(part: bytes) -> tuple[int, float] | str:
+    """(motor index, speed) of one part such as `bn08.75`, or the reason why it is refused."""
+    match = _PART.fullmatch(part)
+    if match:
+        motor, direction, digits = match.groups()
+        speed = float(digits)
+        return b"abcd".index(motor), -speed if direction == b"n" and speed else speed
+    if not part:
+        return "empty part"
+    if part[:1] not in (b"a", b"b", b"c", b"d"):
+        return "unknown motor"
+    return "unknown direction" if part[1:2] not in (b"p", b"n") else "malformed number"

@@ -1,0 +1,18 @@
+"""Where assets/ and agents/ lie: beside the package in a checkout, inside it in an installed wheel."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+_PACKAGE = Path(__file__).resolve().parent
+
+
+def _folder(name: str) -> Path:
+    inside = _PACKAGE / name
+    return inside if inside.is_dir() else _PACKAGE.parent / name
+
+
+ASSETS = _folder("assets")
+"""Robot presets and URDF."""
+AGENTS = _folder("agents")
+"""Training recipes and trained policies."""

@@ -1,0 +1,191 @@
+"""The driver of one robot: Link, Decoder and Odometry with a lifecycle. No clock of its own."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Self
+
+from acsar_gym import kinematics
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import BoardGarbledError, BoardSilentError, LinkError
+from acsar_gym.links.base import Link
+from acsar_gym.odometry import Odometry
+from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds, encode
+from acsar_gym.worlds import Scene
+
+STANDSTILL = 0.1
+"""Wheels slower than this count as standing [rad/s]."""
+STANDSTILL_TIMEOUT = 5.0
+"""How long a reset waits for the wheels to stand [s]."""
+STANDSTILL_TICKS = 2
+"""Fresh readings in a row that must say so."""
+
+
+class Robot:
+    """Drives whatever stands behind `link`.
+
+    Attributes: `link`, `config`, `odometry`; `speeds`, the newest wheel speeds [rad/s] (a motor that
+    a line doesn't name keeps its last value); `feedback_age`, seconds since the last valid line;
+    `decoder`, with the counters of refused input.
+
+    As a context manager it is active inside the block and stopped on any way out of it.
+    """
+
+    def __init__(self, link: Link, config: RobotConfig | None = None) -> None:
+        self.link = link
+        self.config = RobotConfig.of(config)
+        self.odometry = Odometry(
+            self.config.wheel_radius,
+            self.config.wheel_separation,
+            self.config.wheel_separation_multiplier,
+        )
+        self.decoder = Decoder()
+        self.speeds: Speeds = ZERO
+        self.feedback_age = 0.0
+        self.active = False
+        self._stamp = 0.0
+        self._period = self.config.period
+        self._comma = self.config.trailing_comma
+        self._patience = self.config.feedback_timeout
+
+    def activate(self) -> None:
+        """Zero the states, open the link and wait until the board answers and stands still.
+
+        Raises LinkError; the link is closed then. Activating an active robot does nothing.
+        """
+        if not self.active:
+            self.reset(Scene())
+
+    def reset(self, scene: Scene) -> None:
+        """Stop, wait for standstill, and set the odometry to zero: the same on every link.
+
+        Opens the link where it isn't open. Raises LinkError where it can't be opened, the board is
+        silent or the wheels keep turning; the link is closed then.
+        """
+        if not self.active:
+            self.link.open()
+            self.active = True
+        try:
+            self.link.reset(scene)
+            self.decoder.reset()
+            self.speeds = ZERO
+            self.feedback_age = 0.0
+            self._stamp = self.link.now()
+            self._settle()
+        except BaseException:
+            self.deactivate()
+            raise
+        self.odometry.reset()
+
+    def _settle(self) -> None:
+        standing = 0
+        start = self._stamp
+        while standing < STANDSTILL_TICKS:
+            self._exchange(ZERO)
+            if self.feedback_age == 0.0:
+                still = max(map(abs, self.speeds)) < STANDSTILL
+                standing = standing + 1 if still else 0
+            if self._stamp - start > STANDSTILL_TIMEOUT:
+                raise LinkError(
+                    f"the wheels still turn {STANDSTILL_TIMEOUT:g} s after the stop command "
+                    f"({_listed(self.speeds)} rad/s): check what else commands the board"
+                )
+
+    def tick(self, speeds: Sequence[float]) -> None:
+        """One control period: send four wheel speeds [rad/s], let it pass, read, integrate.
+
+        Raises CommandError for speeds that aren't four finite numbers, and LinkError where the
+        robot isn't active or the link is lost or silent for longer than `feedback_timeout`. On any
+        error the wheels are commanded to stop and the link is closed.
+        """
+        if not self.active:
+            raise LinkError("the robot isn't active: call activate() or env.reset() first")
+        try:
+            self._exchange(speeds)
+        except BaseException:
+            self.deactivate()
+            raise
+
+    def drive(self, linear: float, angular: float) -> None:
+        """One tick towards a twist (linear [m/s], angular [rad/s])."""
+        self.tick(self.wheel_speeds(linear, angular))
+
+    def wheel_speeds(self, linear: float, angular: float) -> Speeds:
+        """Wheel speeds [rad/s] for a twist, shrunk to `max_wheel_speed` at the same turn radius."""
+        config = self.config
+        return kinematics.inverse(
+            linear,
+            angular,
+            config.wheel_radius,
+            config.effective_separation,
+            config.max_wheel_speed,
+        )
+
+    def stop(self) -> None:
+        """Put a zero command on the wire; no time passes."""
+        if self.active:
+            self.link.write(encode(ZERO, trailing_comma=self._comma))
+
+    def deactivate(self) -> None:
+        """Command zero, then close the link; twice is once."""
+        if not self.active:
+            return
+        try:
+            with contextlib.suppress(LinkError):
+                self.stop()
+        finally:
+            self.active = False
+            self.link.close()
+
+    def _exchange(self, speeds: Sequence[float]) -> None:
+        link = self.link
+        link.write(encode(speeds, trailing_comma=self._comma))
+        readings = self.decoder.feed(link.advance(self._period))
+        stamp = link.now()
+        dt = stamp - self._stamp
+        self._stamp = stamp
+        self.feedback_age = 0.0 if readings else self.feedback_age + dt
+        for reading in readings:
+            self._take(reading)
+        self.odometry.update(self.speeds, dt)
+        if self.feedback_age > self._patience:
+            raise self._silence()
+
+    def _take(self, reading: Reading) -> None:
+        a, b, c, d = reading.speeds
+        old = self.speeds
+        self.speeds = (
+            old[0] if a is None else a,
+            old[1] if b is None else b,
+            old[2] if c is None else c,
+            old[3] if d is None else d,
+        )
+
+    def _silence(self) -> BoardSilentError:
+        refused = sum(self.decoder.refused.values())
+        if refused:
+            return BoardGarbledError(
+                f"no valid feedback line for {self.feedback_age:.2f} s, {refused} bad parts: "
+                "check the baud rate and the cable"
+            )
+        return BoardSilentError(
+            f"no feedback for {self.feedback_age:.2f} s: check the board's power and the cable"
+        )
+
+    def __enter__(self) -> Self:
+        self.activate()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.deactivate()
+
+
+def _listed(speeds: Speeds) -> str:
+    return ", ".join(f"{speed:.2f}" for speed in speeds)
