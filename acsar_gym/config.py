@@ -25,9 +25,12 @@ from pydantic import (
 )
 
 from acsar_gym.errors import ConfigError, suggestion
-from acsar_gym.protocol import BITS_PER_BYTE, LINE_BYTES
 
 BAUD_RATES = (9600, 19200, 38400, 57600, 115200)
+LINE_BYTES = 33
+"""Length of a full line with its line end, without the optional trailing comma."""
+BITS_PER_BYTE = 10
+"""8N1: a start bit, eight data bits, a stop bit."""
 
 
 def _known_baud(value: int) -> int:
@@ -185,6 +188,10 @@ class RobotConfig(_Section):
         """wheel_separation * wheel_separation_multiplier [m]."""
         return self.wheel_separation * self.wheel_separation_multiplier
 
+    def with_(self, **changes: Any) -> RobotConfig:
+        """A validated copy with some fields changed."""
+        return RobotConfig(**{**self.model_dump(), **changes})
+
     @classmethod
     def load(cls, path: str | Path) -> RobotConfig:
         """Read a `.yaml` file, or the `<ros2_control>` parameters of a `.urdf` file.
@@ -215,7 +222,7 @@ class RobotConfig(_Section):
 
 
 def whole_ratio(fast_name: str, fast: float, slow_name: str, slow: float) -> int:
-    """fast / slow as an int; ConfigError unless it is a whole number of at least 1."""
+    """The ratio fast / slow as an int; ConfigError unless it is a whole number of at least 1."""
     ratio = fast / slow
     whole = round(ratio)
     if whole < 1 or not math.isclose(ratio, whole, rel_tol=1e-9):

@@ -32,7 +32,9 @@ def load(path: Path) -> RobotConfig:
     readers = {".yaml": _from_yaml, ".yml": _from_yaml, ".urdf": _from_urdf}
     reader = readers.get(path.suffix)
     if reader is None:
-        raise ConfigError(f"{path}: a robot is read from .yaml, .yml or .urdf (expand .xacro first)")
+        raise ConfigError(
+            f"{path}: a robot is read from .yaml, .yml or .urdf (expand .xacro first)"
+        )
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -73,7 +75,9 @@ def _param(element: Element) -> tuple[str | None, str]:
     """Name and value; the name is None for a parameter that belongs to some other plugin."""
     name = element.get("name", "")
     value = (element.text or "").strip()
-    fields = [f for f in RobotConfig.model_fields if f not in ("motor", "encoder", "firmware", "body")]
+    fields = [
+        f for f in RobotConfig.model_fields if f not in ("motor", "encoder", "firmware", "body")
+    ]
     if name in fields:
         return name, value
     near = difflib.get_close_matches(name, fields, n=1, cutoff=0.85)

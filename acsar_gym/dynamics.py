@@ -151,7 +151,8 @@ def robot_step(
     """Motors, then tyres, over one substep, for a robot whose heading has this cosine and sine.
 
     `velocity` is (vx, vy [m/s], yaw rate [rad/s]) in the world frame, before and after. Returns it
-    with the new wheel speeds [rad/s] and the angles turned by the wheels [rad]. `flat` is a Params as a plain tuple, which numba takes in half the time.
+    with the new wheel speeds [rad/s] and the angles turned by the wheels [rad].
+    `flat` is a Params as a plain tuple, which numba takes in half the time.
     """
     params = Params(*flat)
     blend, dead, top, dt = params.blend, params.deadband, params.max_speed, params.dt

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -91,7 +92,10 @@ class PointGoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     - v0: first version.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["human", "rgb_array"], "render_fps": 10}
+    metadata: dict[str, Any] = {  # noqa: RUF012 - as gymnasium.Env declares it
+        "render_modes": ["human", "rgb_array"],
+        "render_fps": 10,
+    }
 
     def __init__(
         self,
@@ -105,10 +109,10 @@ class PointGoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     ) -> None:
         config = RobotConfig.of(robot)
         self.render_mode = render_mode
-        self.task = PointGoal(
-            *goal_distance, goal_tolerance, config.max_linear, config.max_angular
+        self.task = PointGoal(*goal_distance, goal_tolerance, config.max_linear, config.max_angular)
+        self.ticks_per_step = whole_ratio(
+            "control_rate", config.control_rate, "policy_rate", policy_rate
         )
-        self.ticks_per_step = whole_ratio("control_rate", config.control_rate, "policy_rate", policy_rate)
         self.robot = Robot(self._link(link, config), config)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
         high = np.array([OBSERVATION_LIMIT, 1, 1, OBSERVATION_LIMIT, OBSERVATION_LIMIT, 1, 1])
@@ -122,7 +126,9 @@ class PointGoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def _link(self, link: str | Link, config: RobotConfig) -> Link:
         if self.render_mode not in (None, *self.metadata["render_modes"]):
-            raise ConfigError(f"render_mode = {self.render_mode!r}: must be None, human or rgb_array")
+            raise ConfigError(
+                f"render_mode = {self.render_mode!r}: must be None, human or rgb_array"
+            )
         if self.render_mode is not None and isinstance(link, str) and link != "bullet":
             raise RenderError(f"link {link!r} has no camera; render_mode needs link='bullet'")
         if not isinstance(link, str):
@@ -135,15 +141,15 @@ class PointGoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         """Begin an episode; opens the link the first time. `options={"goal": (x, y)}` in m."""
         super().reset(seed=seed)
         goal = (options or {}).get("goal")
-        self._goal = self.task.sample_goal(self.np_random) if goal is None else self.task.check_goal(goal)
+        self._goal = (
+            self.task.sample_goal(self.np_random) if goal is None else self.task.check_goal(goal)
+        )
         self.robot.reset(Scene(goal=self._goal))
         self._last_action = (0.0, 0.0)
         self._distance = goal_distance(self.robot.odometry.pose, self._goal)
         return self._observation(), self._info(Outcome.GOING)
 
-    def step(
-        self, action: NDArray[np.float32]
-    ) -> tuple[Observation, float, bool, bool, Info]:
+    def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, Info]:
         """Drive for one step of the policy; see the class for spaces, reward and end."""
         self._last_action = linear, angular = self._checked(action)
         self._drive(linear * self.task.max_linear, angular * self.task.max_angular)
@@ -197,13 +203,15 @@ class PointGoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             "odometry_error": math.hypot(true_pose[0] - x, true_pose[1] - y),
         }
 
-    def render(self) -> Image | None:  # type: ignore[override]
+    def render(self) -> Image | None:
         """PyBullet's camera as height x width x 3 uint8; the window draws itself."""
         if self.render_mode != "rgb_array":
             return None
         image = self.robot.link.image(*IMAGE_SIZE)
         if image is None:
-            raise RenderError("this link has no camera; render_mode='rgb_array' needs link='bullet'")
+            raise RenderError(
+                "this link has no camera; render_mode='rgb_array' needs link='bullet'"
+            )
         return image
 
     def close(self) -> None:
@@ -213,7 +221,5 @@ class PointGoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     def __del__(self) -> None:
         robot = getattr(self, "robot", None)
         if robot is not None:
-            try:
+            with contextlib.suppress(AcsarError):
                 robot.deactivate()
-            except AcsarError:
-                pass

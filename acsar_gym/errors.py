@@ -22,7 +22,7 @@ class ConfigError(AcsarError):
 
 
 class CommandError(AcsarError):
-    """A wheel speed, twist or action that must not be sent to a robot (NaN, infinite, wrong shape)."""
+    """A wheel speed, twist or action that must not be sent to a robot, such as NaN."""
 
     exit_code = 2
 
@@ -49,9 +49,17 @@ class PolicyError(AcsarError):
 
 
 class LinkError(AcsarError):
-    """The other side of the wire can't be reached, or was lost."""
+    """The other side of the wire can't be reached, or was lost.
+
+    `found` says what happened and where, `fix` what to do; the message is both.
+    """
 
     exit_code = 3
+
+    def __init__(self, found: str, fix: str = "") -> None:
+        super().__init__(f"{found}: {fix}" if fix else found)
+        self.found = found
+        self.fix = fix
 
 
 class PortNotFoundError(LinkError):

@@ -11,8 +11,8 @@ import math
 from collections import deque
 
 from acsar_gym.bodies import Body
-from acsar_gym.config import RobotConfig, whole_ratio
-from acsar_gym.protocol import BITS_PER_BYTE, ZERO, Decoder, Speeds, encode
+from acsar_gym.config import BITS_PER_BYTE, RobotConfig, whole_ratio
+from acsar_gym.protocol import ZERO, Decoder, Speeds, encode
 
 EPSILON = 1e-9
 """Slack for comparing times that are sums of periods [s]."""
@@ -104,7 +104,12 @@ class Firmware:
 
     def _ramped(self) -> Speeds:
         (a, b, c, d), (ta, tb, tc, td), step = self._set_points, self._targets, self._ramp
-        return (_towards(a, ta, step), _towards(b, tb, step), _towards(c, tc, step), _towards(d, td, step))
+        return (
+            _towards(a, ta, step),
+            _towards(b, tb, step),
+            _towards(c, tc, step),
+            _towards(d, td, step),
+        )
 
     def _answer(self) -> None:
         line = encode(self._encoder_speeds(), trailing_comma=self._comma)

@@ -47,7 +47,7 @@ class OnnxPolicy:
             )
         except OSError as error:
             raise PolicyError(f"{self.path}: can't be read: {error}") from None
-        except Exception as error:  # onnxruntime's errors have no common base of their own
+        except Exception as error:  # noqa: BLE001 - onnxruntime's errors have no common base of their own
             raise PolicyError(f"{self.path}: not an ONNX policy: {error}") from None
         self._check()
 
@@ -62,8 +62,10 @@ class OnnxPolicy:
 
     def __call__(self, observation: Observation) -> NDArray[np.float32]:
         """The deterministic action in [-1, 1], shape (2,), for an observation of shape (7,)."""
-        action: NDArray[np.float32] = self._session.run(None, {"observation": observation[None]})[0]
-        return action[0]
+        action: NDArray[np.float32] = self._session.run(None, {"observation": observation[None]})[
+            0
+        ][0]
+        return action
 
 
 def resolve(path: str | Path) -> Path:

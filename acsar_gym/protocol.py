@@ -1,6 +1,6 @@
-"""The wire's ASCII lines, without any I/O: speeds to bytes, bytes to readings.
+r"""The wire's ASCII lines, without any I/O: speeds to bytes, bytes to readings.
 
-A line is `ap12.50,bn08.75,cp15.00,dn10.25\\r\\n`: motor letter (a front_right, b front_left,
+A line is `ap12.50,bn08.75,cp15.00,dn10.25\r\n`: motor letter (a front_right, b front_left,
 c rear_left, d rear_right), direction (p forward, n backward), speed in rad/s with two digits and
 two decimals. Commands and encoder feedback look the same, so both ends share this module.
 Source: the robot's hardware interface document, sections 2.3 and 5.3.2.
@@ -23,10 +23,6 @@ MAX_SPEED = 99.99
 """The fastest speed that two digits and two decimals can say [rad/s]."""
 SMALLEST = 0.005
 """What rounds to 0.01 rather than to zero [rad/s]: the double nearest 0.005 lies just above it."""
-LINE_BYTES = 33
-"""Length of a full line with its line end, without the optional trailing comma."""
-BITS_PER_BYTE = 10
-"""8N1: a start bit, eight data bits, a stop bit."""
 MAX_LINE = 256
 """Longest line the decoder keeps [bytes]; anything longer is dropped up to the next line end."""
 
@@ -107,11 +103,7 @@ class Decoder:
             self._skipping = False
             lines[0] = b""
         self._partial = self._bounded(rest)
-        readings = []
-        for line in lines:
-            if line and (reading := self._read(line)):
-                readings.append(reading)
-        return readings
+        return [reading for line in lines if line and (reading := self._read(line))]
 
     def _bounded(self, rest: bytes) -> bytes:
         if len(rest) > MAX_LINE and not self._skipping:

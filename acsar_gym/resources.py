@@ -1,4 +1,4 @@
-"""Where assets/ and agents/ lie: beside the package in a checkout, inside it in an installed wheel."""
+"""Where assets/ and agents/ lie: beside the package in a checkout, inside it in a wheel."""
 
 from __future__ import annotations
 

@@ -26,9 +26,9 @@ STANDSTILL_TICKS = 2
 class Robot:
     """Drives whatever stands behind `link`.
 
-    Attributes: `link`, `config`, `odometry`; `speeds`, the newest wheel speeds [rad/s] (a motor that
-    a line doesn't name keeps its last value); `feedback_age`, seconds since the last valid line;
-    `decoder`, with the counters of refused input.
+    Attributes: `link`, `config`, `odometry`; `speeds`, the newest wheel speeds [rad/s], of which a
+    motor keeps its last one where a line doesn't name it; `feedback_age`, seconds since the last
+    valid line; `decoder`, with the counters of refused input.
 
     As a context manager it is active inside the block and stopped on any way out of it.
     """
@@ -90,7 +90,8 @@ class Robot:
             if self._stamp - start > STANDSTILL_TIMEOUT:
                 raise LinkError(
                     f"the wheels still turn {STANDSTILL_TIMEOUT:g} s after the stop command "
-                    f"({_listed(self.speeds)} rad/s): check what else commands the board"
+                    f"({_listed(self.speeds)} rad/s)",
+                    "check what else commands the board",
                 )
 
     def tick(self, speeds: Sequence[float]) -> None:
@@ -101,7 +102,7 @@ class Robot:
         error the wheels are commanded to stop and the link is closed.
         """
         if not self.active:
-            raise LinkError("the robot isn't active: call activate() or env.reset() first")
+            raise LinkError("the robot isn't active", "call activate() or env.reset() first")
         try:
             self._exchange(speeds)
         except BaseException:
@@ -167,11 +168,11 @@ class Robot:
         refused = sum(self.decoder.refused.values())
         if refused:
             return BoardGarbledError(
-                f"no valid feedback line for {self.feedback_age:.2f} s, {refused} bad parts: "
-                "check the baud rate and the cable"
+                f"no valid feedback line for {self.feedback_age:.2f} s, {refused} bad parts",
+                "check the baud rate and the cable",
             )
         return BoardSilentError(
-            f"no feedback for {self.feedback_age:.2f} s: check the board's power and the cable"
+            f"no feedback for {self.feedback_age:.2f} s", "check the board's power and the cable"
         )
 
     def __enter__(self) -> Self:

@@ -27,7 +27,7 @@ class _Actor(torch.nn.Module):
         self.policy = policy
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
-        features = self.policy.extract_features(observation, self.policy.pi_features_extractor)
+        features: Any = self.policy.extract_features(observation, self.policy.pi_features_extractor)
         mean = self.policy.action_net(self.policy.mlp_extractor.forward_actor(features))
         return torch.clamp(mean, -1.0, 1.0)
 
@@ -53,8 +53,6 @@ def export(policy: ActorCriticPolicy, path: Path) -> None:
             verbose=False,
         )
     model = program.model_proto
-    onnx.helper.set_model_props(
-        model, {ENV_KEY: ENV_ID, LAYOUT_KEY: ",".join(POINT_GOAL_LAYOUT)}
-    )
+    onnx.helper.set_model_props(model, {ENV_KEY: ENV_ID, LAYOUT_KEY: ",".join(POINT_GOAL_LAYOUT)})
     path.parent.mkdir(parents=True, exist_ok=True)
     onnx.save(model, path)

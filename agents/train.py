@@ -64,7 +64,8 @@ def train(options: Options) -> Path:
         tensorboard_log=str(options.out / "tensorboard"),
     )
     checkpoints = CheckpointCallback(
-        save_freq=max(options.steps // (4 * options.envs), 1), save_path=str(options.out / "checkpoints")
+        save_freq=max(options.steps // (4 * options.envs), 1),
+        save_path=str(options.out / "checkpoints"),
     )
     try:
         model.learn(options.steps, callback=checkpoints, progress_bar=options.progress)

@@ -103,9 +103,7 @@ class BulletBody:
                 rgbaColor=GOAL_COLOUR,
                 physicsClientId=self._client,
             )
-            self._goal = pybullet.createMultiBody(
-                0.0, -1, disc, physicsClientId=self._client
-            )
+            self._goal = pybullet.createMultiBody(0.0, -1, disc, physicsClientId=self._client)
         pybullet.resetBasePositionAndOrientation(
             self._goal, (*goal, 0.006), (0.0, 0.0, 0.0, 1.0), physicsClientId=self._client
         )
@@ -129,6 +127,10 @@ class BulletBody:
         pybullet.applyExternalForce(robot, -1, force, position, pybullet.WORLD_FRAME, client)
         pybullet.applyExternalTorque(robot, -1, torque, pybullet.WORLD_FRAME, client)
         pybullet.stepSimulation(client)
+
+    def engine_step(self) -> None:
+        """PyBullet's stepSimulation alone, which benchmarks compare with."""
+        pybullet.stepSimulation(self._client)
 
     @property
     def truth(self) -> GroundTruth:
@@ -259,7 +261,10 @@ def _shapes(config: RobotConfig, bottom: float, top: float) -> list[_Shape]:
         _Shape(chassis, flat, (0.0, 0.0, (top + bottom) / 2), CHASSIS_COLOUR),
         _Shape(deck, flat, (0.0, 0.0, top + 0.004), DECK_COLOUR),
         _Shape(None, (0.035, 0.04), (body.length / 4, 0.0, top + 0.028), WHEEL_COLOUR),
-        *(_Shape(None, (config.wheel_radius, tyre), hub, WHEEL_COLOUR, sideways) for hub in _hubs(config)),
+        *(
+            _Shape(None, (config.wheel_radius, tyre), hub, WHEEL_COLOUR, sideways)
+            for hub in _hubs(config)
+        ),
     ]
 
 

@@ -11,8 +11,9 @@ from acsar_gym.worlds import Scene
 class Link(Protocol):
     """A wire to a robot, real or simulated. `advance` is the only place in which time passes."""
 
-    late_ticks: int
-    """Periods that ended more than a millisecond after their deadline; always 0 in simulation."""
+    @property
+    def late_ticks(self) -> int:
+        """Periods that ended over a millisecond after their deadline; always 0 in simulation."""
 
     @property
     def truth(self) -> GroundTruth | None:

@@ -9,23 +9,30 @@ from acsar_gym.bodies import Body
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, suggestion
 from acsar_gym.links.base import Link
+from acsar_gym.links.paced import PacedLink
 
 NAMES = ("bullet", "planar", "serial", "replay:FILE", "/dev/ttyUSB0", "COM3", "socket://host:port")
 _DEVICE = re.compile(r"(/|\./|COM\d+$|(socket|rfc2217)://)", re.IGNORECASE)
 
 
 def open_link(
-    url: str, config: RobotConfig | str | Path | None = None, *, window: bool = False
+    url: str,
+    config: RobotConfig | str | Path | None = None,
+    *,
+    window: bool = False,
+    realtime: bool = False,
 ) -> Link:
     """The link that `url` names; it opens nothing before `open()` or `Robot.activate()`.
 
-    "bullet" and "planar" are simulations (`window` opens PyBullet's own window), "/dev/ttyUSB0",
-    "COM3" and "socket://host:port" are serial devices, "serial" is the device that the config
-    names, "replay:FILE" plays a recording back. Raises ConfigError for anything else.
+    "bullet" and "planar" are simulations, as fast as they go; `realtime` holds them to the wall
+    clock, and so does `window`, which opens PyBullet's own window. "/dev/ttyUSB0", "COM3" and
+    "socket://host:port" are serial devices, "serial" is the one that the config names, and
+    "replay:FILE" plays a recording back. Raises ConfigError for anything else.
     """
     config = RobotConfig.of(config)
     if url in ("bullet", "planar"):
-        return _simulated(url, config, window)
+        link = _simulated(url, config, window)
+        return PacedLink(link) if realtime or window else link
     if url.startswith("replay:"):
         from acsar_gym.links.replay import ReplayLink  # noqa: PLC0415
 
@@ -56,5 +63,7 @@ def _device(url: str, config: RobotConfig) -> str:
     if url != "serial":
         return url
     if config.serial_port is None:
-        raise ConfigError("serial_port is missing: set it in the robot's config, or name the device")
+        raise ConfigError(
+            "serial_port is missing: set it in the robot's config, or name the device"
+        )
     return config.serial_port

@@ -23,9 +23,7 @@ class Closable(Protocol):
         """Stop the motors and close; twice is once."""
 
 
-SIGNALS = tuple(
-    getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)
-)
+SIGNALS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 _open: weakref.WeakSet[Closable] = weakref.WeakSet()
 

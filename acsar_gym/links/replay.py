@@ -48,7 +48,9 @@ class ReplayLink:
         """Begin the next recorded episode. Raises LinkLostError after the last one."""
         self.open()
         if self._next_episode >= len(self._episodes):
-            raise LinkLostError(f"{self._path}: all {self._next_episode} episodes have been played")
+            raise LinkLostError(
+                f"{self._path}: all {self._next_episode} episodes have been played", "open it again"
+            )
         self._now = self._episodes[self._next_episode].start
         self._next_episode += 1
         self._next_period = 0
@@ -61,15 +63,20 @@ class ReplayLink:
     def advance(self, period: float) -> bytes:
         """The bytes of the next recorded period. Raises LinkLostError at the episode's end."""
         if self._next_episode == 0:
-            raise LinkLostError(f"{self._path}: call reset() first")
+            raise LinkLostError(f"{self._path}: nothing plays", "call reset() first")
         periods = self._episodes[self._next_episode - 1].periods
         if self._next_period >= len(periods):
-            raise LinkLostError(f"{self._path}: the recorded episode ends here; reset for the next")
+            raise LinkLostError(
+                f"{self._path}: the recorded episode ends here", "reset for the next one"
+            )
         entry = periods[self._next_period]
         self._next_period += 1
         got = entry.got if self._port is None else self._port.read(len(entry.got))
         if len(got) != len(entry.got):
-            raise LinkLostError(f"{self._path}: the port sent {len(got)} of {len(entry.got)} bytes")
+            raise LinkLostError(
+                f"{self._path}: the port sent {len(got)} of {len(entry.got)} bytes",
+                "check the tape player",
+            )
         self._now = entry.stamp
         return got
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -102,7 +103,7 @@ class SerialLink:
             if self.now() > deadline:
                 raise self._no_board(heard)
             time.sleep(POLL)
-            data = self._read()
+            data = self.read_now()
             heard += len(data)
             decoder.feed(data)
 
@@ -111,19 +112,18 @@ class SerialLink:
         if heard:
             others = ", ".join(str(rate) for rate in BAUD_RATES if rate != baud)
             return BoardGarbledError(
-                f"{self.device}: {heard} bytes in {waited:g} s at {baud} baud, but no valid line: "
-                f"the board probably uses another baud_rate ({others})"
+                f"{self.device}: {heard} bytes in {waited:g} s at {baud} baud, but no valid line",
+                f"the board probably uses another baud_rate ({others})",
             )
         return BoardSilentError(
-            f"{self.device}: no byte from the board in {waited:g} s: check its power and cable, "
-            "and that this is the right port (acsar-gym doctor lists them)"
+            f"{self.device}: no byte from the board in {waited:g} s",
+            "check its power and cable, and the port's name (acsar-gym doctor lists them)",
         )
 
     def reset(self, scene: Scene) -> None:
         """Command zero, drop what lies in the buffer, and start the deadlines anew."""
         self._stop_motors()
-        with _translated(self.device):
-            self._require().reset_input_buffer()
+        self.reset_input()
         self._deadline = self.now()
         self._clear_statistics()
 
@@ -148,9 +148,15 @@ class SerialLink:
             self.late_ticks += 1
         if lateness > period:
             self._deadline = self.now()
-        return self._read()
+        return self.read_now()
 
-    def _read(self) -> bytes:
+    def reset_input(self) -> None:
+        """Drop what has arrived and wasn't read."""
+        with _translated(self.device):
+            self._require().reset_input_buffer()
+
+    def read_now(self) -> bytes:
+        """What has arrived; waits for nothing."""
         with _translated(self.device):
             return bytes(self._require().read(CHUNK))
 
@@ -183,7 +189,7 @@ class SerialLink:
 
     def _require(self) -> Any:
         if self._port is None:
-            raise LinkLostError(f"{self.device} is closed: call open() or env.reset() first")
+            raise LinkLostError(f"{self.device} is closed", "call open() or env.reset() first")
         return self._port
 
 
@@ -213,25 +219,26 @@ def _why_not_open(device: str, error: Exception) -> LinkError:
     text = str(error)
     if code in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or isinstance(error, FileNotFoundError):
         known = ", ".join(port.device for port in ports()) or "none"
-        return PortNotFoundError(f"{device}: no such device; serial ports here: {known}")
+        return PortNotFoundError(f"{device}: no such device", f"serial ports here: {known}")
     if code in (errno.EACCES, errno.EPERM):
         return PortPermissionError(
-            f"{device}: permission denied: add yourself to the group that owns it, usually "
-            "'sudo usermod -aG dialout $USER', and log in again"
+            f"{device}: permission denied",
+            "add yourself to the group that owns it, usually 'sudo usermod -aG dialout $USER', and "
+            "log in again",
         )
     if code in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in text:
         return PortBusyError(
-            f"{device}: in use by another process: close it first (find it with 'fuser {device}')"
+            f"{device}: in use by another process", f"close it first; find it with 'fuser {device}'"
         )
-    return LinkError(f"{device}: can't be opened as a serial port: {text}")
+    return LinkError(f"{device}: can't be opened as a serial port", text)
 
 
 @contextlib.contextmanager
-def _translated(device: str):  # type: ignore[no-untyped-def]
+def _translated(device: str) -> Iterator[None]:
     """Errors of a port in use become LinkLostError."""
     try:
         yield
     except (serial.SerialException, OSError, TypeError) as error:
         raise LinkLostError(
-            f"{device}: lost while in use ({error}): check the cable, then reset"
+            f"{device}: lost while in use ({error})", "check the cable, then reset"
         ) from None

@@ -57,6 +57,11 @@ class SimulatedLink:
         return self._now
 
     @property
+    def body(self) -> Body | None:
+        """The physics behind the wire, for benchmarks and tests; None while the link is closed."""
+        return self._body
+
+    @property
     def truth(self) -> GroundTruth:
         """The body's state; the origin before the link is opened."""
         return self._body.truth if self._body else GroundTruth()
@@ -73,4 +78,4 @@ class SimulatedLink:
 
 
 def _closed() -> LinkLostError:
-    return LinkLostError("the simulated link is closed: call open() or env.reset() first")
+    return LinkLostError("the simulated link is closed", "call open() or env.reset() first")

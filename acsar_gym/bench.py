@@ -1,0 +1,177 @@
+"""How fast the parts are, measured side by side in one run.
+
+The machine's speed drifts, so whatever is compared runs in alternating blocks and the figures are
+medians over the blocks; ratios are medians of the ratios of neighbouring blocks.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium
+import numpy as np
+from rich.table import Table
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.env import PointGoalEnv
+from acsar_gym.errors import AcsarError, MissingExtraError
+from acsar_gym.links.simulated import SimulatedLink
+from acsar_gym.odometry import Odometry
+from acsar_gym.policy import OnnxPolicy
+from acsar_gym.protocol import Decoder, encode
+
+BLOCKS = 25
+STEPS = 100
+"""Env steps in one block."""
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One measured number."""
+
+    name: str
+    value: float
+    unit: str
+
+
+def measure(policy: str | None = None) -> list[Figure]:
+    """All figures, in the order in which they are shown."""
+    return [*_bullet(), *_planar(), *_wire(), *_policy(policy)]
+
+
+def _env(link: str) -> gymnasium.Env[Any, Any]:
+    env = gymnasium.make("acsar_gym/PointGoal-v0", link=link)
+    env.reset(seed=0)
+    return env
+
+
+def _steps(env: gymnasium.Env[Any, Any], actions: np.ndarray[Any, Any]) -> float:
+    """Seconds a tick of random driving, resets included."""
+    begin = time.perf_counter()
+    for action in actions:
+        _, _, terminated, truncated, _ = env.step(action)
+        if terminated or truncated:
+            env.reset()
+    ticks = len(actions) * _ticks_per_step(env)
+    return (time.perf_counter() - begin) / ticks
+
+
+def _ticks_per_step(env: gymnasium.Env[Any, Any]) -> int:
+    inner = env.unwrapped
+    return inner.ticks_per_step if isinstance(inner, PointGoalEnv) else 1
+
+
+def _bullet() -> list[Figure]:
+    """The whole PyBullet env against the bare stepSimulation calls that it makes."""
+    env, other = _env("bullet"), _env("bullet")
+    config = RobotConfig.of(None)
+    calls = round(config.firmware.loop_rate / config.control_rate)
+    bare = _engine(other)
+    whole, alone = [], []
+    rng = np.random.default_rng(0)
+    for _ in range(BLOCKS):
+        other.reset()
+        other.step(np.array([1.0, 0.3], np.float32))  # the bare robot rolls on, too
+        whole.append(_steps(env, rng.uniform(-1.0, 1.0, (STEPS, 2)).astype(np.float32)))
+        alone.append(calls * _each(bare, 10 * STEPS))
+    env.close()
+    other.close()
+    tick, engine = statistics.median(whole), statistics.median(alone)
+    ratio = statistics.median(w / a for w, a in zip(whole, alone, strict=True))
+    return [
+        Figure("PyBullet: bare stepSimulation calls of a tick", engine * 1e6, "us"),
+        Figure("PyBullet: env, wire included, per tick", tick * 1e6, "us"),
+        Figure("PyBullet: env against the bare calls", ratio, "x the time"),
+        Figure("PyBullet: env speed", config.period / tick, "x real time"),
+        Figure("PyBullet: env steps", 1.0 / (tick * _ticks_per_step(env)), "steps/s"),
+    ]
+
+
+def _engine(env: gymnasium.Env[Any, Any]) -> Callable[[], None]:
+    from acsar_gym.bodies.bullet import BulletBody  # noqa: PLC0415 - optional
+
+    inner = env.unwrapped
+    link = inner.robot.link if isinstance(inner, PointGoalEnv) else None
+    if not (isinstance(link, SimulatedLink) and isinstance(link.body, BulletBody)):
+        raise AcsarError("the bare engine can only be measured behind link='bullet'")
+    return link.body.engine_step
+
+
+def _planar() -> list[Figure]:
+    env = _env("planar")
+    rng = np.random.default_rng(0)
+    blocks = [
+        _steps(env, rng.uniform(-1.0, 1.0, (STEPS, 2)).astype(np.float32)) for _ in range(BLOCKS)
+    ]
+    tick = statistics.median(blocks)
+    period = RobotConfig.of(None).period
+    resets = _median(env.reset, 20)
+    env.close()
+    return [
+        Figure("planar: env, wire included, per tick", tick * 1e6, "us"),
+        Figure("planar: env speed", period / tick, "x real time"),
+        Figure("planar: reset", resets * 1e6, "us"),
+    ]
+
+
+def _wire() -> list[Figure]:
+    """Codec and odometry on speeds that change with every line."""
+    speeds = [tuple(row) for row in np.random.default_rng(0).uniform(-9, 9, (2000, 4)).tolist()]
+    lines = [encode(row) for row in speeds]
+    decoder, odometry = Decoder(), Odometry(0.05, 0.3)
+    return [
+        Figure("encode one line", _over(encode, speeds) * 1e6, "us"),
+        Figure("decode one line", _over(decoder.feed, lines) * 1e6, "us"),
+        Figure(
+            "odometry update", _over(lambda row: odometry.update(row, 0.01), speeds) * 1e6, "us"
+        ),
+    ]
+
+
+def _policy(policy: str | None) -> list[Figure]:
+    try:
+        actor = OnnxPolicy(policy or "point_goal")
+    except MissingExtraError:
+        return []
+    observation = np.zeros(7, np.float32)
+    return [
+        Figure("ONNX policy, one decision", _median(lambda: actor(observation), 1000) * 1e6, "us")
+    ]
+
+
+def _each(call: Callable[[], object], times: int) -> float:
+    """Mean seconds of a call."""
+    begin = time.perf_counter()
+    for _ in range(times):
+        call()
+    return (time.perf_counter() - begin) / times
+
+
+def _median(call: Callable[[], object], times: int) -> float:
+    return statistics.median(_each(call, times) for _ in range(BLOCKS))
+
+
+def _over(call: Callable[[Any], object], items: list[Any]) -> float:
+    """Median over blocks of the mean seconds of `call` over the items."""
+
+    def once() -> None:
+        for item in items:
+            call(item)
+
+    return _median(once, 1) / len(items)
+
+
+def table(figures: list[Figure]) -> Table:
+    """The figures for people."""
+    drawn = Table(title="acsar-gym bench: medians, one core", title_justify="left")
+    drawn.add_column("what")
+    drawn.add_column("figure", justify="right")
+    drawn.add_column("unit")
+    for figure in figures:
+        digits = 0 if figure.value >= 100 else 2
+        drawn.add_row(figure.name, f"{figure.value:,.{digits}f}", figure.unit)
+    return drawn

@@ -1,0 +1,243 @@
+"""`acsar-gym`: one command, subcommands, no logic.
+
+Exit codes: 0 all well, 1 a check or run failed, 2 a bad argument, config or file, 3 the link, 130
+interrupted.
+"""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import AcsarError
+
+Json = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
+File = Json
+Seconds = Annotated[float | None, tyro.conf.arg(metavar="SECONDS")]
+RobotArg = Annotated[str | None, tyro.conf.arg(metavar="PRESET|FILE")]
+
+
+def demo(
+    steps: int = 150_000,
+    episodes: int = 100,
+    serial_episodes: int = 20,
+    out: Path = Path("runs/demo"),
+    json: Json = None,
+) -> int:
+    """Train a policy, drive it in PyBullet, then over a serial device; print one table.
+
+    Args:
+        steps: env steps of training.
+        episodes: episodes in PyBullet.
+        serial_episodes: episodes over the emulator's tty, in real time.
+        out: folder for the policy and the logs.
+        json: write the table's figures here too.
+    """
+    from acsar_gym import demo as demos  # noqa: PLC0415
+    from acsar_gym import report  # noqa: PLC0415
+
+    rows = demos.run(steps, episodes, serial_episodes, out)
+    report.show(report.summary_table(f"One policy file, {out / 'policy.onnx'}", rows))
+    report.write_json(json, {name: summary.as_dict() for name, summary in rows})
+    return 0 if all(summary.success_rate >= 0.95 for _, summary in rows) else 1
+
+
+def bench(json: Json = None) -> int:
+    """Measure env, wire and engine side by side.
+
+    Args:
+        json: write the figures here too.
+    """
+    from acsar_gym import bench as benchmark  # noqa: PLC0415
+    from acsar_gym import report  # noqa: PLC0415
+
+    figures = benchmark.measure()
+    report.show(benchmark.table(figures))
+    report.write_json(json, {f"{f.name} [{f.unit}]": f.value for f in figures})
+    return 0
+
+
+def emulate(
+    robot: RobotArg = None,
+    body: str = "planar",
+    log: File = None,
+    duration: Seconds = None,
+    silent: bool = False,
+) -> int:
+    """Run the microcontroller's twin on a pseudo-terminal and print its device path.
+
+    Args:
+        robot: preset or config file of the emulated robot.
+        body: physics behind it, planar or bullet.
+        log: write commands and true poses here, one JSON line each.
+        duration: seconds to run; without it, until Ctrl-C.
+        silent: never answer, as a board without power.
+    """
+    from acsar_gym.emulator import Emulator  # noqa: PLC0415
+
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    with Emulator(RobotConfig.of(robot), body=body, log=log, silent=silent) as emulator:
+        print(f"serving a robot on {emulator.device}", flush=True)
+        emulator.run(duration)
+    return 0
+
+
+def doctor(
+    device: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="DEVICE")] = None,
+    robot: RobotArg = None,
+    baud_rate: int | None = None,
+    spin: bool = False,
+    json: Json = None,
+) -> int:
+    """List the serial ports, examine one, and say what to fix.
+
+    Args:
+        device: serial device to open; without it, ports are only listed.
+        robot: preset or config file.
+        baud_rate: instead of the robot's own.
+        spin: turn the wheels to measure the round trip and the command time-out: lift the robot!
+        json: write the findings here too.
+    """
+    from acsar_gym import doctor as doctors  # noqa: PLC0415
+    from acsar_gym import report  # noqa: PLC0415
+
+    config = RobotConfig.of(robot)
+    if baud_rate is not None:
+        config = config.with_(baud_rate=baud_rate)
+    device = device or config.serial_port
+    checks = [doctors.port_list()]
+    if device is not None:
+        checks += doctors.examine(device, config, spin=spin)
+    report.show(doctors.table(checks))
+    report.write_json(json, doctors.as_json(checks))
+    return 1 if any(check.status == "fail" for check in checks) else 0
+
+
+def drive(
+    link: str = "bullet",
+    robot: RobotArg = None,
+    linear: float | None = None,
+    angular: float | None = None,
+    duration: Seconds = None,
+    window: bool = False,
+) -> int:
+    """Drive with the keyboard, or hold a fixed twist, over any link.
+
+    Args:
+        link: bullet, planar, or a serial device.
+        robot: preset or config file.
+        linear: fixed linear speed [m/s].
+        angular: fixed angular speed [rad/s].
+        duration: seconds to hold the fixed twist; without it, until Ctrl-C.
+        window: open PyBullet's window.
+    """
+    from acsar_gym import teleop  # noqa: PLC0415
+    from acsar_gym.links import open_link  # noqa: PLC0415
+    from acsar_gym.robot import Robot  # noqa: PLC0415
+
+    config = RobotConfig.of(robot)
+    driver = Robot(open_link(link, config, window=window, realtime=True), config)
+    if linear is None and angular is None:
+        teleop.keyboard(driver)
+    else:
+        teleop.fixed(driver, linear or 0.0, angular or 0.0, duration)
+    return 0
+
+
+def train() -> int:
+    """Train PPO and export the policy: agents/train.py, with its own options."""
+    from acsar_gym.resources import AGENTS  # noqa: PLC0415
+
+    command = [sys.executable, str(AGENTS / "train.py"), *sys.argv[2:]]
+    return subprocess.run(command, check=False).returncode
+
+
+def evaluate(
+    policy: str = "point_goal",
+    link: str = "bullet",
+    robot: RobotArg = None,
+    episodes: int = 100,
+    seed: int = 0,
+    json: Json = None,
+) -> int:
+    """Run a policy for some episodes behind any link and print what it reached.
+
+    Args:
+        policy: ONNX file, or the name of a policy that comes along.
+        link: bullet, planar, or a serial device.
+        robot: preset or config file.
+        episodes: how many.
+        seed: of the first episode; the next ones count up.
+        json: write the figures here too.
+    """
+    from acsar_gym import evaluation, report, runs  # noqa: PLC0415
+
+    results = runs.evaluate(policy, link, robot, episodes, seed)
+    summary = evaluation.summarise(results)
+    report.show(
+        report.summary_table(f"{policy}, seeds {seed} to {seed + episodes - 1}", [(link, summary)])
+    )
+    report.write_json(json, summary.as_dict())
+    return 0
+
+
+def run(
+    goal: Annotated[tuple[float, float], tyro.conf.Positional, tyro.conf.arg(metavar="X Y")],
+    policy: str = "point_goal",
+    link: str = "bullet",
+    robot: RobotArg = None,
+    record: File = None,
+    json: Json = None,
+) -> int:
+    """Drive a policy to one goal (x y, in m, from where the robot stands).
+
+    Args:
+        goal: x and y in the odometry frame [m]: x ahead, y to the left.
+        policy: ONNX file, or the name of a policy that comes along.
+        link: bullet, planar, or a serial device.
+        robot: preset or config file.
+        record: write everything on the wire here; replay it with --link replay:FILE.
+        json: write the figures here too.
+    """
+    from acsar_gym import evaluation, report, runs  # noqa: PLC0415
+
+    result = runs.to_goal(policy, link, robot, goal, record)
+    summary = evaluation.summarise([result])
+    report.show(report.summary_table(f"{policy} to ({goal[0]:g}, {goal[1]:g})", [(link, summary)]))
+    report.write_json(json, summary.as_dict())
+    return 0 if result.success else 1
+
+
+COMMANDS: dict[str, Callable[..., Any]] = {
+    "demo": demo,
+    "bench": bench,
+    "emulate": emulate,
+    "doctor": doctor,
+    "drive": drive,
+    "train": train,
+    "evaluate": evaluate,
+    "run": run,
+}
+
+
+def main() -> None:
+    """Entry point: errors of this package become one line and an exit code."""
+    try:
+        if sys.argv[1:2] == ["train"]:
+            code = train()
+        else:
+            code = tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="acsar-gym")
+    except AcsarError as error:
+        print(f"acsar-gym: {error}", file=sys.stderr)
+        code = error.exit_code
+    except KeyboardInterrupt:
+        print("\nacsar-gym: interrupted, the wheels were commanded to stop", file=sys.stderr)
+        code = 130
+    sys.exit(code)

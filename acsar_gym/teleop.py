@@ -1,0 +1,87 @@
+"""Drive by hand or with a fixed twist, over any link."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import sys
+
+from blessed import Terminal
+
+from acsar_gym.errors import CommandError
+from acsar_gym.robot import Robot
+
+STEP = 0.1
+"""Share of the full speed that one key press adds."""
+SHOW_EVERY = 10
+"""Ticks between two updates of the status line."""
+HELP = "w/s faster/slower, a/d turn left/right, space stops, q quits (arrows work too)"
+KEYS = {
+    "w": (1, 0),
+    "KEY_UP": (1, 0),
+    "s": (-1, 0),
+    "KEY_DOWN": (-1, 0),
+    "a": (0, 1),
+    "KEY_LEFT": (0, 1),
+    "d": (0, -1),
+    "KEY_RIGHT": (0, -1),
+}
+
+
+def fixed(robot: Robot, linear: float, angular: float, duration: float | None) -> None:
+    """Hold a twist for `duration` [s], or until interrupted. Raises CommandError for NaN."""
+    if not math.isfinite(linear + angular) or (duration is not None and not duration >= 0.0):
+        raise CommandError("--linear, --angular and --duration must be finite numbers")
+    speeds = robot.wheel_speeds(linear, angular)
+    ticks = math.inf if duration is None else round(duration * robot.config.control_rate)
+    done = 0
+    with robot:
+        while done < ticks:
+            robot.tick(speeds)
+            done += 1
+            if done % SHOW_EVERY == 0:
+                _show(robot)
+    sys.stdout.write("\n")
+
+
+def keyboard(robot: Robot) -> None:
+    """Teleoperation from the keyboard, until q or Ctrl-C."""
+    terminal = Terminal()
+    if not sys.stdin.isatty():
+        raise CommandError("no keyboard here: give a fixed twist with --linear and --angular")
+    linear = angular = 0.0
+    print(HELP)
+    with robot, terminal.cbreak():
+        for tick in itertools.count():
+            key = terminal.inkey(timeout=0)
+            if key == "q":
+                break
+            linear, angular = pressed(str(key.name or key), linear, angular)
+            config = robot.config
+            robot.drive(linear * config.max_linear, angular * config.max_angular)
+            if tick % SHOW_EVERY == 0:
+                _show(robot)
+    sys.stdout.write("\n")
+
+
+def pressed(key: str, linear: float, angular: float) -> tuple[float, float]:
+    """The twist after a key, as shares of the full speeds; unknown keys change nothing."""
+    if key == " ":
+        return 0.0, 0.0
+    more, turn = KEYS.get(key, (0, 0))
+    return _share(linear + more * STEP), _share(angular + turn * STEP)
+
+
+def _share(value: float) -> float:
+    return round(min(max(value, -1.0), 1.0), 3)
+
+
+def _show(robot: Robot) -> None:
+    x, y, theta = robot.odometry.pose
+    linear, angular = robot.odometry.twist
+    age = robot.feedback_age * 1000.0
+    sys.stdout.write(
+        f"\rx {x:7.3f} m  y {y:7.3f} m  theta {math.degrees(theta):7.1f} deg  "
+        f"v {linear:6.3f} m/s  w {angular:6.3f} rad/s  feedback {age:4.0f} ms old "
+    )
+    sys.stdout.flush()
