@@ -31,7 +31,9 @@ Speeds = tuple[float, float, float, float]
 ZERO: Speeds = (0.0, 0.0, 0.0, 0.0)
 
 _LINE = "a%s%05.2f,b%s%05.2f,c%s%05.2f,d%s%05.2f"
-_PART = re.compile(rb"([abcd])([pn])([0-9]{2}\.[0-9]{2})")
+_SPEED = rb"([pn])([0-9]{2}\.[0-9]{2})"
+_PART = re.compile(rb"([abcd])" + _SPEED)
+_FULL_LINE = re.compile(rb"a%b,b%b,c%b,d%b,?" % (_SPEED, _SPEED, _SPEED, _SPEED))
 
 
 def encode(speeds: Sequence[float], *, trailing_comma: bool = False) -> bytes:
@@ -126,6 +128,20 @@ class Decoder:
 @functools.lru_cache(maxsize=512)
 def _parse_line(line: bytes) -> tuple[Reading | None, tuple[str, ...]]:
     """What a line says, and why its bad parts were refused. Lines repeat, so they are cached."""
+    full = _FULL_LINE.fullmatch(line)
+    if full is None:
+        return _parse_parts(line)
+    pa, a, pb, b, pc, c, pd, d = full.groups()
+    return Reading((_speed(pa, a), _speed(pb, b), _speed(pc, c), _speed(pd, d))), ()
+
+
+def _speed(direction: bytes, digits: bytes) -> float:
+    """The signed speed; never a negative zero."""
+    return float(digits) if direction == b"p" else 0.0 - float(digits)
+
+
+def _parse_parts(line: bytes) -> tuple[Reading | None, tuple[str, ...]]:
+    """Part by part, for lines that are damaged, partial or in another order."""
     speeds: list[float | None] = [None, None, None, None]
     refused = []
     for part in line.removesuffix(b",").split(b","):
@@ -142,14 +158,12 @@ def _parse_line(line: bytes) -> tuple[Reading | None, tuple[str, ...]]:
     return Reading((a, b, c, d)) if named else None, tuple(refused)
 
 
-@functools.lru_cache(maxsize=4096)
 def _parse_part(part: bytes) -> tuple[int, float] | str:
     """(motor index, speed) of one part such as `bn08.75`, or the reason why it is refused."""
     match = _PART.fullmatch(part)
     if match:
         motor, direction, digits = match.groups()
-        speed = float(digits)
-        return b"abcd".index(motor), -speed if direction == b"n" and speed else speed
+        return b"abcd".index(motor), _speed(direction, digits)
     if not part:
         return "empty part"
     if part[:1] not in (b"a", b"b", b"c", b"d"):

@@ -8,6 +8,7 @@ logs into the folder.
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,8 +19,9 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import CheckpointCallback
 from stable_baselines3.common.env_util import make_vec_env
 
-import acsar_gym  # registers the env
+import acsar_gym  # noqa: F401 - registers the env
 from acsar_gym import sb3
+from acsar_gym.errors import AcsarError, ConfigError
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,8 @@ class Options:
 
 def train(options: Options) -> Path:
     """Train, save, export; returns the path of the ONNX file."""
+    if min(options.steps, options.envs) < 1:
+        raise ConfigError("--steps and --envs must be at least 1")
     torch.set_num_threads(1)  # the networks are too small to share out
     env = make_vec_env(
         lambda: gymnasium.make("acsar_gym/PointGoal-v0", link=options.link),
@@ -78,4 +82,8 @@ def train(options: Options) -> Path:
 
 
 if __name__ == "__main__":
-    print(f"acsar_gym {acsar_gym.__version__}: policy written to {train(tyro.cli(Options))}")
+    try:
+        print(f"policy written to {train(tyro.cli(Options))}")
+    except AcsarError as error:
+        print(f"train.py: {error}", file=sys.stderr)
+        sys.exit(error.exit_code)

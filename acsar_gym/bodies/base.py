@@ -31,6 +31,8 @@ class GroundTruth:
 class Body(Protocol):
     """Motors, tyres and chassis, stepped by the firmware once a loop period."""
 
+    wheel_speeds: Speeds
+    """Speeds of the four wheels [rad/s]."""
     wheel_angles: Speeds
     """Angles turned by the four wheels since the reset [rad]; what encoders see."""
 

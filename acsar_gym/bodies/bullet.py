@@ -90,7 +90,7 @@ class BulletBody:
         )
         self._mark(scene.goal)
         self.wheel_angles: Speeds = ZERO
-        self._wheels: Speeds = ZERO
+        self.wheel_speeds: Speeds = ZERO
 
     def _mark(self, goal: tuple[float, float] | None) -> None:
         if goal is None:
@@ -113,11 +113,11 @@ class BulletBody:
         robot, client = self._robot, self._client
         position, (qx, qy, qz, qw) = pybullet.getBasePositionAndOrientation(robot, client)
         (vx, vy, _), (_, _, rate) = pybullet.getBaseVelocity(robot, client)
-        (nx, ny, new_rate), self._wheels, self.wheel_angles = dynamics.robot_step(
+        (nx, ny, new_rate), self.wheel_speeds, self.wheel_angles = dynamics.robot_step(
             1.0 - 2.0 * (qy * qy + qz * qz),
             2.0 * (qw * qz + qx * qy),
             (vx, vy, rate),
-            self._wheels,
+            self.wheel_speeds,
             self.wheel_angles,
             set_points,
             self._flat_params,

@@ -22,18 +22,18 @@ class PlanarBody:
     def reset(self, scene: Scene) -> None:
         """At rest at the scene's start."""
         self.wheel_angles: Speeds = ZERO
-        self._wheels: Speeds = ZERO
+        self.wheel_speeds: Speeds = ZERO
         self._velocity = (0.0, 0.0, 0.0)  # vx, vy in the world frame, yaw rate
         self._pose = scene.start
 
     def step(self, set_points: Speeds) -> None:
         """One loop period."""
         x, y, theta = self._pose
-        self._velocity, self._wheels, self.wheel_angles = dynamics.robot_step(
+        self._velocity, self.wheel_speeds, self.wheel_angles = dynamics.robot_step(
             math.cos(theta),
             math.sin(theta),
             self._velocity,
-            self._wheels,
+            self.wheel_speeds,
             self.wheel_angles,
             set_points,
             self._flat_params,

@@ -42,15 +42,17 @@ class RecordingLink:
         self._link = link
         self._path = path
         self._file: IO[str] | None = None
+        self._mode = "w"
         self._sent = b""
 
     def open(self) -> None:
-        """Open the link, and the file the first time."""
+        """Open the link and the file; what is recorded after a close is appended."""
         if self._file is None:
             try:
-                self._file = self._path.open("w", encoding="ascii")
+                self._file = self._path.open(self._mode, encoding="ascii")
             except OSError as error:
                 raise ConfigError(f"{self._path}: can't be written: {error}") from None
+            self._mode = "a"
         self._link.open()
 
     def reset(self, scene: Scene) -> None:
@@ -99,7 +101,8 @@ class RecordingLink:
         """Close the link, then the file."""
         self._link.close()
         if self._file is not None:
-            self._file.flush()
+            self._file.close()
+            self._file = None
 
 
 def read(path: Path) -> list[Episode]:

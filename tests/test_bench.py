@@ -1,0 +1,23 @@
+"""The benchmark's bookkeeping; its speeds are for people to read."""
+
+from __future__ import annotations
+
+import pytest
+
+from acsar_gym import bench
+
+
+def test_every_figure_is_a_positive_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bench, "BLOCKS", 2)
+    monkeypatch.setattr(bench, "STEPS", 3)
+    figures = bench.measure()
+    assert all(figure.value > 0.0 for figure in figures)
+    assert len({figure.name for figure in figures}) == len(figures) == 12
+    assert bench.table(figures).row_count == 12
+
+
+def test_the_bare_engine_makes_as_many_calls_as_the_env() -> None:
+    env = bench._env("bullet")
+    step = bench._engine(env)
+    step()
+    env.close()

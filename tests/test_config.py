@@ -1,0 +1,289 @@
+from __future__ import annotations
+
+import math
+import pickle
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+
+from acsar_gym import RobotConfig
+from acsar_gym.config import (
+    BodyConfig,
+    EncoderConfig,
+    FirmwareConfig,
+    MotorConfig,
+    whole_ratio,
+)
+from acsar_gym.errors import ConfigError
+
+POSITIVE: list[tuple[type[Any], str]] = [
+    *((RobotConfig, name) for name in ("wheel_radius", "wheel_separation", "wheelbase")),
+    *((RobotConfig, name) for name in ("wheel_separation_multiplier", "control_rate")),
+    *((RobotConfig, name) for name in ("connect_timeout", "feedback_timeout")),
+    *((RobotConfig, name) for name in ("max_linear", "max_angular", "max_wheel_speed")),
+    *((MotorConfig, name) for name in ("max_speed", "acceleration")),
+    *((EncoderConfig, name) for name in ("counts_per_revolution", "window")),
+    *((FirmwareConfig, name) for name in ("loop_rate", "feedback_rate", "command_timeout")),
+    *((BodyConfig, name) for name in ("mass", "length", "width", "height")),
+    *((BodyConfig, name) for name in ("friction", "slip_speed")),
+]
+LINES_PER_SECOND = [(9600, 29), (19200, 58), (38400, 116), (57600, 174), (115200, 349)]
+
+
+def refusal(model: type[Any], values: Mapping[str, Any]) -> str:
+    """The message of the one ConfigError that these values raise."""
+    with pytest.raises(ConfigError) as caught:
+        model(**values)
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+def config_of(**values: Any) -> RobotConfig:
+    return RobotConfig(**values)
+
+
+def test_defaults_are_those_of_the_robots_driver() -> None:
+    config = RobotConfig()
+    assert (config.wheel_radius, config.wheel_separation) == (0.05, 0.3)
+    assert (config.odom_frame, config.base_frame, config.lidar_frame) == (
+        "odom",
+        "base_link",
+        "lidar_link",
+    )
+    assert (config.lidar_x_offset, config.lidar_y_offset, config.lidar_z_offset) == (-0.15, 0, 0.37)
+    assert config.serial_port is None
+    assert config.baud_rate == 115200
+    assert config.control_rate == 100.0
+    assert config.trailing_comma is False
+    assert config.wheel_separation_multiplier == 1.0
+
+
+def test_derived_values() -> None:
+    config = config_of(wheel_separation=0.4, wheel_separation_multiplier=1.5, control_rate=50)
+    assert config.effective_separation == pytest.approx(0.6)
+    assert config.period == pytest.approx(0.02)
+    assert config.feedback_rate == 50
+    assert config.with_(firmware={"feedback_rate": 20}).feedback_rate == 20
+
+
+@pytest.mark.parametrize("name", ["wheel_radius", "baud_rate", "motor", "made_up"])
+def test_a_config_is_frozen(name: str) -> None:
+    config = RobotConfig()
+    with pytest.raises(ValidationError):
+        setattr(config, name, 1)
+    with pytest.raises(ValidationError, match="frozen"):
+        setattr(config.motor, "max_speed", 1)  # noqa: B010 - the type checker forbids it, too
+    assert config == RobotConfig()
+
+
+def test_equal_configs_are_one_key_and_survive_pickling() -> None:
+    config = config_of(wheel_radius=0.1, motor={"max_speed": 20})
+    same = config_of(wheel_radius=0.1, motor=MotorConfig(max_speed=20))
+    assert {config, same} == {config}
+    assert config != RobotConfig()
+    assert pickle.loads(pickle.dumps(config)) == config  # noqa: S301 - our own bytes
+
+
+@pytest.mark.parametrize(
+    ("bad", "allowed"),
+    [
+        (0, "must be greater than 0"),
+        (-1, "must be greater than 0"),
+        (math.nan, "must be a finite number"),
+        (math.inf, "must be a finite number"),
+        ("fast", "must be a valid (number|integer)"),
+        ([1], "must be a valid (number|integer)"),
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize(("model", "field"), POSITIVE)
+def test_a_bad_number_names_field_value_and_what_is_allowed(
+    model: type[Any], field: str, bad: object, allowed: str
+) -> None:
+    message = refusal(model, {field: bad})
+    assert message.startswith(f"{model.__name__}: {field} = {bad!r}: ")
+    assert re.search(allowed, message)
+
+
+@pytest.mark.parametrize(
+    ("model", "field", "bad", "allowed"),
+    [
+        (RobotConfig, "wheel_radius", None, "must be a valid number"),
+        (RobotConfig, "serial_port", 3, "must be a valid string"),
+        (RobotConfig, "odom_frame", 3, "must be a valid string"),
+        (RobotConfig, "lidar_x_offset", math.inf, "must be a finite number"),
+        (RobotConfig, "trailing_comma", "maybe", "must be a valid boolean"),
+        (RobotConfig, "baud_rate", 4800, "must be one of 9600, 19200, 38400, 57600, 115200"),
+        (RobotConfig, "baud_rate", 230400, "must be one of 9600, 19200, 38400, 57600, 115200"),
+        (RobotConfig, "baud_rate", "quick", "must be a valid integer"),
+        (MotorConfig, "time_constant", -0.1, "must be greater than or equal to 0"),
+        (MotorConfig, "deadband", -0.1, "must be greater than or equal to 0"),
+        (FirmwareConfig, "processing_time", -1, "must be greater than or equal to 0"),
+        (EncoderConfig, "counts_per_revolution", 1.5, "must be a valid integer"),
+    ],
+)
+def test_other_bad_values_say_what_is_allowed(
+    model: type[Any], field: str, bad: object, allowed: str
+) -> None:
+    message = refusal(model, {field: bad})
+    assert message.startswith(f"{model.__name__}: {field} = {bad!r}: {allowed}")
+
+
+def test_all_bad_fields_are_in_one_message() -> None:
+    message = refusal(RobotConfig, {"wheel_radius": -1, "wheelbase": "x", "max_lin": 1})
+    assert "wheel_radius = -1" in message
+    assert "wheelbase = 'x'" in message
+    assert "did you mean 'max_linear'?" in message
+
+
+@pytest.mark.parametrize(
+    ("values", "typo", "meant"),
+    [
+        ({"wheel_radus": 0.1}, "wheel_radus", "wheel_radius"),
+        ({"baudrate": 9600}, "baudrate", "baud_rate"),
+        ({"port": "COM3"}, "port", "serial_port"),
+        ({"motr": {}}, "motr", "motor"),
+        ({"motor": {"max_sped": 1}}, "max_sped", "max_speed"),
+        ({"firmware": {"feedbackrate": 1}}, "feedbackrate", "feedback_rate"),
+    ],
+)
+def test_a_typo_gets_a_suggestion(values: dict[str, Any], typo: str, meant: str) -> None:
+    assert f"unknown field '{typo}'; did you mean '{meant}'?" in refusal(RobotConfig, values)
+
+
+def test_a_name_like_no_other_gets_the_list_of_names() -> None:
+    message = refusal(MotorConfig, {"zzz": 1})
+    assert "unknown field 'zzz'" in message
+    assert "acceleration, deadband, max_speed, time_constant" in message
+
+
+@pytest.mark.parametrize(("baud", "lines"), LINES_PER_SECOND)
+def test_commands_must_fit_the_baud_rate(baud: int, lines: int) -> None:
+    config = config_of(baud_rate=baud, control_rate=lines, firmware={"loop_rate": lines})
+    assert config.control_rate == lines
+    too_fast = {"baud_rate": baud, "control_rate": lines + 1, "firmware": {"loop_rate": lines + 1}}
+    message = refusal(RobotConfig, too_fast)
+    assert message.startswith(f"baud_rate = {baud}: carries {lines} lines of 33 bytes a second")
+    assert f"control_rate needs {lines + 1}" in message
+    assert message.endswith(f"control_rate up to {lines}")
+
+
+@pytest.mark.parametrize(("baud", "lines"), LINES_PER_SECOND)
+def test_feedback_must_fit_the_baud_rate(baud: int, lines: int) -> None:
+    def at(rate: int) -> dict[str, Any]:
+        firmware = {"loop_rate": rate, "feedback_rate": rate}
+        return {"baud_rate": baud, "control_rate": 1, "firmware": firmware}
+
+    assert config_of(**at(lines)).feedback_rate == lines
+    message = refusal(RobotConfig, at(lines + 1))
+    assert message.startswith(f"baud_rate = {baud}: carries {lines} lines")
+    assert f"firmware.feedback_rate needs {lines + 1}" in message
+
+
+@pytest.mark.parametrize(
+    ("rate", "baud", "enough"), [(40, 9600, 19200), (100, 9600, 38400), (200, 19200, 115200)]
+)
+def test_a_slow_wire_names_the_first_baud_rate_that_is_fast_enough(
+    rate: int, baud: int, enough: int
+) -> None:
+    message = refusal(RobotConfig, {"control_rate": rate, "baud_rate": baud})
+    assert f"use baud_rate {enough} or more" in message
+    assert config_of(control_rate=rate, baud_rate=enough).baud_rate == enough
+
+
+def test_no_baud_rate_is_suggested_where_none_is_fast_enough() -> None:
+    message = refusal(RobotConfig, {"control_rate": 400, "firmware": {"loop_rate": 400}})
+    assert "use control_rate up to 349" in message
+    assert "or more" not in message
+
+
+def test_the_trailing_comma_takes_its_time_on_the_wire() -> None:
+    values: dict[str, Any] = {"control_rate": 345, "firmware": {"loop_rate": 345}}
+    assert config_of(**values).control_rate == 345
+    assert "34 bytes" in refusal(RobotConfig, {**values, "trailing_comma": True})
+
+
+@pytest.mark.parametrize(
+    ("values", "slow", "rate"),
+    [
+        ({"control_rate": 30}, "control_rate", "30"),
+        ({"control_rate": 300, "firmware": {"loop_rate": 200}}, "control_rate", "300"),
+        ({"firmware": {"feedback_rate": 30}}, "firmware.feedback_rate", "30"),
+        ({"firmware": {"loop_rate": 100, "feedback_rate": 200}}, "firmware.feedback_rate", "200"),
+    ],
+)
+def test_the_firmware_loop_is_a_whole_multiple_of_the_other_rates(
+    values: dict[str, Any], slow: str, rate: str
+) -> None:
+    message = refusal(RobotConfig, values)
+    assert message.startswith("firmware.loop_rate = ")
+    assert f"must be a whole multiple of {slow} = {rate} Hz" in message
+
+
+@pytest.mark.parametrize(
+    ("fast", "slow", "whole"), [(100, 10, 10), (100, 100, 1), (0.3, 0.1, 3), (1 / 3, 1 / 9, 3)]
+)
+def test_whole_ratio(fast: float, slow: float, whole: int) -> None:
+    assert whole_ratio("fast", fast, "slow", slow) == whole
+
+
+@pytest.mark.parametrize(("fast", "slow"), [(10, 100), (100, 30), (1, 3), (100, 99.99), (1, 10)])
+def test_a_ratio_that_is_not_whole_names_both_rates(fast: float, slow: float) -> None:
+    with pytest.raises(ConfigError, match=rf"quick = {fast:g} Hz.*multiple of lazy = {slow:g} Hz"):
+        whole_ratio("quick", fast, "lazy", slow)
+
+
+def test_the_encoder_window_is_at_least_a_period_of_the_loop() -> None:
+    assert config_of(encoder={"window": 0.005}).encoder.window == 0.005
+    message = refusal(RobotConfig, {"encoder": {"window": 0.004}})
+    assert message.startswith("encoder.window = 0.004 s: must be at least")
+    assert "firmware.loop_rate (0.005 s)" in message
+
+
+def test_sections_come_as_mappings_or_as_objects() -> None:
+    config = config_of(motor={"max_speed": 20}, body=BodyConfig(mass=7))
+    assert (config.motor.max_speed, config.body.mass) == (20, 7)
+    assert config.motor.time_constant == MotorConfig().time_constant
+    assert config.firmware == FirmwareConfig()
+    assert config_of(firmware={"command_timeout": None}).firmware.command_timeout is None
+
+
+def test_with_changes_a_validated_copy_and_keeps_the_rest() -> None:
+    config = config_of(wheelbase=0.25, motor={"max_speed": 20})
+    changed = config.with_(wheel_radius=0.1, encoder={"window": 0.1})
+    assert (changed.wheel_radius, changed.encoder.window) == (0.1, 0.1)
+    assert (changed.wheelbase, changed.motor) == (0.25, config.motor)
+    assert (config.wheel_radius, config.encoder) == (0.05, EncoderConfig())
+    assert config.with_() == config
+
+
+@pytest.mark.parametrize(
+    ("changes", "found"),
+    [
+        ({"wheel_radius": -1}, "wheel_radius = -1: must be greater than 0"),
+        ({"wheel_radus": 1}, "did you mean 'wheel_radius'?"),
+        ({"baud_rate": 9600}, "control_rate needs 100"),
+        ({"control_rate": 30}, "whole multiple of control_rate = 30 Hz"),
+        ({"motor": {"max_speed": 0}}, "max_speed = 0: must be greater than 0"),
+    ],
+)
+def test_with_refuses_what_the_constructor_refuses(changes: dict[str, Any], found: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        RobotConfig().with_(**changes)
+    assert found in str(caught.value)
+
+
+def test_of_takes_a_config_a_file_a_preset_or_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text("wheel_radius: 0.07\n")
+    config = config_of(wheel_radius=0.07)
+    assert RobotConfig.of(config) is config
+    assert RobotConfig.of(path) == RobotConfig.of(str(path)) == config
+    assert RobotConfig.of(None) == RobotConfig.of("acsar") == RobotConfig.preset("acsar")
+    with pytest.raises(ConfigError, match="did you mean 'acsar'"):
+        RobotConfig.of("acsr")

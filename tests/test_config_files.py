@@ -1,0 +1,246 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from acsar_gym import RobotConfig
+from acsar_gym.errors import ConfigError
+from acsar_gym.resources import ASSETS
+
+Load = Callable[[str], RobotConfig]
+
+BILLION_LAUGHS = "<!DOCTYPE robot [<!ENTITY e0 'ha'>{}]>".format(
+    "".join(f"<!ENTITY e{i} '{f'&e{i - 1};' * 10}'>" for i in range(1, 10))
+)
+SECRET = "entity content that must not be read"  # noqa: S105
+
+
+def param(name: str, value: object) -> str:
+    return f'<param name="{name}">{value}</param>'
+
+
+def urdf(*params: str, doctype: str = "") -> str:
+    return f"""<?xml version="1.0" encoding="utf-8"?>
+{doctype}<robot name="acsar">
+  <link name="base_link"/>
+  <ros2_control name="acsar" type="system">
+    <hardware>
+      <plugin>acsar_hardware/ACSARInterface</plugin>
+      {" ".join(params)}
+    </hardware>
+    <joint name="front_right"><param name="wheel_radius">9</param></joint>
+  </ros2_control>
+</robot>"""
+
+
+@pytest.fixture
+def load_yaml(tmp_path: Path) -> Load:
+    return loader(tmp_path / "robot.yaml")
+
+
+@pytest.fixture
+def load_urdf(tmp_path: Path) -> Load:
+    return loader(tmp_path / "robot.urdf")
+
+
+def shortened(text: str) -> str:
+    return text[:40]
+
+
+def loader(path: Path) -> Load:
+    def load(text: str) -> RobotConfig:
+        path.write_text(text, encoding="utf-8")
+        return RobotConfig.load(path)
+
+    return load
+
+
+@pytest.mark.parametrize("suffix", [".yaml", ".yml"])
+def test_yaml_sets_fields_and_sections_and_leaves_the_rest(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"robot{suffix}"
+    path.write_text("wheel_radius: 0.07\nodom_frame: süd\nmotor:\n  max_speed: 20\n", "utf-8")
+    expected = RobotConfig(wheel_radius=0.07, odom_frame="süd").with_(motor={"max_speed": 20})
+    assert RobotConfig.load(path) == expected
+    assert RobotConfig.load(str(path)) == expected
+
+
+def test_an_empty_mapping_is_all_defaults(load_yaml: Load) -> None:
+    assert load_yaml("{}") == RobotConfig()
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("", "must be a mapping of parameter names to values"),
+        ("- wheel_radius", "must be a mapping of parameter names to values"),
+        ("just text", "must be a mapping of parameter names to values"),
+        ("1: 2", "must be a mapping of parameter names to values"),
+        ("wheel_radius: [", "not valid YAML"),
+        ("wheel_radius: 1\n\tmax_linear: 1", "not valid YAML"),
+        ("a: 1\n---\nb: 2", "not valid YAML"),
+        ("wheel_radius: *unknown", "not valid YAML"),
+        ("odom_frame: \x00", "not valid YAML"),
+        ("odom_frame: !!python/object/apply:os.getcwd []", "not valid YAML"),
+        ("wheel_radius: " + "[" * 3_000, "not valid YAML"),
+        ("wheel_radius: -1", "wheel_radius = -1: must be greater than 0"),
+        ("wheel_radius: .nan", "wheel_radius = nan: must be a finite number"),
+        ("wheel_radius: big", "wheel_radius = 'big': must be a valid number"),
+        ("wheel_radius:", "wheel_radius = None: must be a valid number"),
+        ("wheel_radus: 1", "unknown field 'wheel_radus'; did you mean 'wheel_radius'?"),
+        ("motor: {max_sped: 1}", "unknown field 'max_sped'; did you mean 'max_speed'?"),
+        ("body: {mass: 0}", "mass = 0: must be greater than 0"),
+        ("baud_rate: 9600", "use baud_rate 38400 or more"),
+        ("control_rate: 30", "whole multiple of control_rate = 30 Hz"),
+    ],
+    ids=shortened,
+)
+def test_a_bad_yaml_file_is_one_error_that_names_the_file(
+    load_yaml: Load, tmp_path: Path, text: str, found: str
+) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load_yaml(text)
+    message = str(caught.value)
+    assert message.startswith(f"{tmp_path / 'robot.yaml'}: ")
+    assert found in message
+    assert "\n" not in message
+
+
+@pytest.mark.parametrize("suffix", [".yaml", ".yml", ".urdf"])
+def test_a_file_that_cannot_be_read_says_why(tmp_path: Path, suffix: str) -> None:
+    missing, folder, binary = (tmp_path / f"{name}{suffix}" for name in ("gone", "folder", "bin"))
+    folder.mkdir()
+    binary.write_bytes(b"odom_frame: \xff\xfe")
+    for path, reason in ((missing, "No such file"), (folder, "directory"), (binary, "utf-8")):
+        with pytest.raises(ConfigError) as caught:
+            RobotConfig.load(path)
+        assert str(caught.value).startswith(f"{path}: can't be read: ")
+        assert reason in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["robot.json", "robot.xacro", "robot.urdf.xacro", "robot"])
+def test_any_other_suffix_is_refused_before_reading(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    path.write_text("{}")
+    with pytest.raises(ConfigError, match=r"from \.yaml, \.yml or \.urdf \(expand \.xacro first\)"):
+        RobotConfig.load(path)
+
+
+@pytest.mark.parametrize("path", sorted((ASSETS / "robots").glob("*.yaml")), ids=lambda p: p.stem)
+def test_every_preset_loads(path: Path) -> None:
+    assert RobotConfig.preset(path.stem) == RobotConfig.load(path)
+
+
+def test_the_acsar_preset_is_the_drivers_geometry_with_the_skid_multiplier() -> None:
+    config = RobotConfig.preset("acsar")
+    skid = 1 + (config.wheelbase / config.wheel_separation) ** 2
+    assert (config.wheel_radius, config.wheel_separation) == (0.05, 0.3)
+    assert config.wheel_separation_multiplier == pytest.approx(skid, abs=1e-4)
+
+
+def test_an_unknown_preset_suggests_the_nearest_or_lists_them() -> None:
+    with pytest.raises(ConfigError, match="unknown robot preset 'acsr'; did you mean 'acsar'"):
+        RobotConfig.preset("acsr")
+    with pytest.raises(ConfigError, match=r"unknown robot preset 'zzz'; known: .*acsar"):
+        RobotConfig.preset("zzz")
+
+
+@pytest.mark.parametrize("name", ["../robots/acsar", "acsar.yaml", ""])
+def test_a_preset_is_a_name_and_not_a_path(name: str) -> None:
+    with pytest.raises(ConfigError, match="unknown robot preset"):
+        RobotConfig.preset(name)
+
+
+def test_urdf_params_of_the_drivers_document(load_urdf: Load) -> None:
+    values = {
+        "serial_port": "/dev/ttyUSB0",
+        "baud_rate": 57600,
+        "wheel_radius": 0.07,
+        "wheel_separation": 0.4,
+        "odom_frame": "odometry",
+        "base_frame": "base",
+        "lidar_frame": "laser",
+        "lidar_x_offset": 0.1,
+        "lidar_y_offset": -0.2,
+        "lidar_z_offset": 0.3,
+    }
+    config = load_urdf(urdf(*(param(name, value) for name, value in values.items())))
+    assert config.model_dump(include=set(values)) == values
+    assert config == RobotConfig().with_(**values)
+
+
+def test_urdf_values_may_have_space_around_them(load_urdf: Load) -> None:
+    config = load_urdf(urdf(param("baud_rate", "\n  115200 "), param("base_frame", " base\n")))
+    assert (config.baud_rate, config.base_frame) == (115200, "base")
+
+
+def test_urdf_without_a_baud_rate_means_the_drivers_9600(load_urdf: Load) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load_urdf(urdf(param("serial_port", "/dev/ttyUSB0")))
+    assert "baud_rate = 9600: carries 29 lines" in str(caught.value)
+    assert "control_rate needs 100; use baud_rate 38400 or more" in str(caught.value)
+    assert load_urdf(urdf(param("control_rate", 20))).baud_rate == 9600
+
+
+@pytest.mark.parametrize("name", ["left_wheel_name", "device", "pid_p", "motor", ""])
+def test_urdf_params_of_other_plugins_are_ignored(load_urdf: Load, name: str) -> None:
+    config = load_urdf(urdf(param(name, 3), param("baud_rate", 115200)))
+    assert config == RobotConfig()
+
+
+@pytest.mark.parametrize(
+    ("near", "meant"),
+    [
+        ("wheel_radus", "wheel_radius"),
+        ("baudrate", "baud_rate"),
+        ("serial_prt", "serial_port"),
+        ("wheel_seperation", "wheel_separation"),
+        ("lidar_z_ofset", "lidar_z_offset"),
+        ("Wheel_radius", "wheel_radius"),
+    ],
+)
+def test_a_near_miss_of_a_urdf_param_is_an_error(load_urdf: Load, near: str, meant: str) -> None:
+    with pytest.raises(ConfigError, match=f"unknown param '{near}'; did you mean '{meant}'?"):
+        load_urdf(urdf(param(near, 1), param("baud_rate", 115200)))
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("", "not a valid URDF"),
+        ("wheel_radius: 1", "not a valid URDF"),
+        ("<robot><ros2_control>", "not a valid URDF"),
+        ("<robot/><robot/>", "not a valid URDF"),
+        ("<robot name='acsar'/>", "has no <ros2_control><hardware> block"),
+        ("<robot><ros2_control/></robot>", "has no <ros2_control><hardware> block"),
+        ("<robot><hardware/></robot>", "has no <ros2_control><hardware> block"),
+        (urdf(param("baud_rate", "fast")), "baud_rate = 'fast': must be a valid integer"),
+        (urdf(param("baud_rate", 4800)), "must be one of 9600, 19200"),
+        (urdf(param("baud_rate", 115200), param("wheel_radius", "")), "wheel_radius = ''"),
+        (urdf(param("baud_rate", 115200), param("wheelbase", "inf")), "must be a finite number"),
+    ],
+    ids=shortened,
+)
+def test_a_bad_urdf_is_one_error_that_names_the_file(
+    load_urdf: Load, tmp_path: Path, text: str, found: str
+) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load_urdf(text)
+    assert str(caught.value).startswith(f"{tmp_path / 'robot.urdf'}: ")
+    assert found in str(caught.value)
+
+
+def test_an_entity_bomb_is_refused_unexploded(load_urdf: Load) -> None:
+    bomb = urdf(param("baud_rate", 115200), param("odom_frame", "&e9;"), doctype=BILLION_LAUGHS)
+    with pytest.raises(ConfigError, match=r"not a valid URDF: .*Entit") as caught:
+        load_urdf(bomb)
+    assert len(str(caught.value)) < 1000
+
+
+def test_an_external_entity_is_refused_unread(load_urdf: Load, tmp_path: Path) -> None:
+    (tmp_path / "secret").write_text(SECRET)
+    doctype = f"<!DOCTYPE robot [<!ENTITY e SYSTEM '{(tmp_path / 'secret').as_uri()}'>]>"
+    with pytest.raises(ConfigError, match=r"not a valid URDF: .*Entit") as caught:
+        load_urdf(urdf(param("odom_frame", "&e;"), doctype=doctype))
+    assert SECRET not in str(caught.value)

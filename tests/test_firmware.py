@@ -1,0 +1,191 @@
+"""The microcontroller's twin: bytes in, bytes out."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from acsar_gym.bodies.planar import PlanarBody
+from acsar_gym.config import (
+    BodyConfig,
+    EncoderConfig,
+    FirmwareConfig,
+    MotorConfig,
+    RobotConfig,
+)
+from acsar_gym.firmware import Firmware
+from acsar_gym.protocol import ZERO, Decoder, Speeds, encode
+
+TICK = 0.01
+FORWARD: Speeds = (8.0, 8.0, 8.0, 8.0)
+
+
+def board(config: RobotConfig | None = None) -> tuple[Firmware, PlanarBody]:
+    config = config or RobotConfig()
+    body = PlanarBody(config)
+    return Firmware(config, body), body
+
+
+def speeds_of(answer: bytes) -> list[tuple[float | None, ...]]:
+    return [reading.speeds for reading in Decoder().feed(answer)]
+
+
+def drive(firmware: Firmware, line: bytes, ticks: int) -> bytes:
+    answer = b""
+    for _ in range(ticks):
+        firmware.receive(line)
+        answer += firmware.advance(TICK)
+    return answer
+
+
+def test_it_reports_the_speed_it_was_told() -> None:
+    firmware, _ = board()
+    last = speeds_of(drive(firmware, encode((5.0, -4.0, 3.0, -2.0)), 200))[-1]
+    assert last == pytest.approx((5.0, -4.0, 3.0, -2.0), abs=0.1)
+
+
+def test_it_speaks_without_being_asked() -> None:
+    firmware, _ = board()
+    answer = b"".join(firmware.advance(TICK) for _ in range(100))
+    assert 98 <= answer.count(b"\r\n") <= 100
+    assert set(speeds_of(answer)) == {ZERO}
+
+
+@pytest.mark.parametrize("rate", [10.0, 20.0, 50.0, 100.0])
+def test_feedback_comes_at_its_own_rate(rate: float) -> None:
+    firmware, _ = board(RobotConfig(firmware=FirmwareConfig(feedback_rate=rate)))
+    answer = b"".join(firmware.advance(TICK) for _ in range(1000))
+    assert abs(answer.count(b"\r\n") - 10.0 * rate) <= 1.0
+
+
+def first_motion(config: RobotConfig) -> float:
+    """When the set points follow a command sent at time zero [s]."""
+    firmware, body = board(config)
+    firmware.receive(encode(FORWARD))
+    elapsed = 0.0
+    while body.wheel_speeds == ZERO:
+        firmware.advance(0.005)
+        elapsed += 0.005
+    return elapsed
+
+
+def test_slow_wires_delay_commands() -> None:
+    """33 bytes take 2.9 ms at 115200 baud and 8.6 ms at 38400; a loop period is 5 ms."""
+    assert first_motion(RobotConfig(baud_rate=115200)) == pytest.approx(0.010)
+    assert first_motion(RobotConfig(baud_rate=38400)) == pytest.approx(0.015)
+
+
+def test_a_line_reaches_the_host_after_processing_and_its_own_length() -> None:
+    """A feedback line made at 10 ms is complete at 10 + 1.25 + 2.86 ms."""
+    firmware, _ = board(RobotConfig(firmware=FirmwareConfig(loop_rate=1000.0)))
+    arrivals = [millisecond for millisecond in range(1, 31) if firmware.advance(0.001)]
+    assert arrivals == [15, 25]
+
+
+def test_the_round_trip_takes_five_to_ten_milliseconds() -> None:
+    """From a command's first byte to the last byte of the first line that could know of it."""
+    config = RobotConfig()
+    line = 33 * 10 / config.baud_rate
+    assert 0.005 <= 2.0 * (line + config.firmware.processing_time) <= 0.010
+
+
+def test_set_points_ramp() -> None:
+    firmware, body = board(
+        RobotConfig(motor=MotorConfig(acceleration=20.0, time_constant=0.0, max_speed=30.0))
+    )
+    speeds = []
+    for _ in range(60):
+        firmware.receive(encode(FORWARD))
+        firmware.advance(TICK)
+        speeds.append(body.wheel_speeds[0])
+    slopes = [(b - a) / TICK for a, b in zip(speeds, speeds[1:], strict=False)]
+    assert max(slopes) == pytest.approx(20.0)
+    assert speeds[-1] == 8.0
+
+
+def test_speeds_are_limited_to_what_the_motors_reach() -> None:
+    firmware, body = board(RobotConfig(motor=MotorConfig(max_speed=6.0)))
+    drive(firmware, encode((99.0, -99.0, -99.0, 99.0)), 200)
+    assert body.wheel_speeds == pytest.approx((6.0, -6.0, -6.0, 6.0))
+
+
+def test_motors_stop_when_commands_stop() -> None:
+    firmware, body = board(RobotConfig(firmware=FirmwareConfig(command_timeout=0.3)))
+    drive(firmware, encode(FORWARD), 100)
+    firmware.advance(0.29)
+    assert body.wheel_speeds[0] == pytest.approx(8.0)
+    firmware.advance(2.0)
+    assert body.wheel_speeds == ZERO
+
+
+def test_without_a_time_out_they_go_on_for_ever() -> None:
+    firmware, body = board(RobotConfig(firmware=FirmwareConfig(command_timeout=None)))
+    drive(firmware, encode(FORWARD), 100)
+    firmware.advance(20.0)
+    assert body.wheel_speeds[0] == pytest.approx(8.0)
+
+
+def test_a_motor_that_a_line_does_not_name_keeps_its_target() -> None:
+    firmware, body = board()
+    drive(firmware, encode(FORWARD), 100)
+    drive(firmware, b"bn02.00\r\n", 200)
+    assert body.wheel_speeds == pytest.approx((8.0, -2.0, 8.0, 8.0), abs=1e-3)
+
+
+def test_garbage_is_no_command_and_keeps_nobody_alive() -> None:
+    firmware, body = board(RobotConfig(firmware=FirmwareConfig(command_timeout=0.2)))
+    drive(firmware, encode(FORWARD), 100)
+    drive(firmware, b"xp99.99,ap9.99\r\n", 300)
+    assert body.wheel_speeds == ZERO
+    assert firmware.decoder.refused["unknown motor"] == 300
+
+
+def test_encoders_count_in_whole_steps() -> None:
+    """360 counts over a window of 50 ms: 2 pi / 360 / 0.05 = 0.349 rad/s a count."""
+    config = RobotConfig(encoder=EncoderConfig(counts_per_revolution=360, window=0.05))
+    firmware, _ = board(config)
+    quantum = 2.0 * math.pi / 360 / 0.05
+    for speeds in speeds_of(drive(firmware, encode((5.0, 4.0, 3.0, 2.0)), 300)):
+        for speed in speeds:
+            assert speed is not None
+            assert abs(speed / quantum - round(speed / quantum)) < 0.005 / quantum + 1e-9
+
+
+def test_no_count_is_lost() -> None:
+    """The mean of what the encoders report is the mean of what the wheels did."""
+    config = RobotConfig(encoder=EncoderConfig(counts_per_revolution=100, window=0.01))
+    firmware, body = board(config)
+    drive(firmware, encode((3.3, 3.3, 3.3, 3.3)), 100)
+    before = body.wheel_angles[0]
+    reported = [speeds[0] for speeds in speeds_of(drive(firmware, encode((3.3,) * 4), 1000))]
+    driven = (body.wheel_angles[0] - before) / 10.0
+    mean = sum(speed for speed in reported if speed is not None) / len(reported)
+    assert mean == pytest.approx(driven, abs=0.02)
+
+
+@given(st.lists(st.integers(1, 40), min_size=1, max_size=8))
+def test_a_command_may_arrive_in_any_pieces(cuts: list[int]) -> None:
+    whole, pieces = board()[0], board()[0]
+    stream = encode(FORWARD) * 3
+    whole.receive(stream)
+    rest = stream
+    for cut in cuts:
+        pieces.receive(rest[:cut])
+        rest = rest[cut:]
+    pieces.receive(rest)
+    whole.advance(0.5)
+    pieces.advance(0.5)
+    assert pieces.decoder.lines == whole.decoder.lines == 3
+
+
+def test_a_reset_forgets_everything() -> None:
+    config = RobotConfig(body=BodyConfig(mass=5.0))
+    firmware, body = board(config)
+    fresh = drive(firmware, encode(FORWARD), 50)
+    firmware.receive(b"half a li")
+    body.__init__(config)  # type: ignore[misc]
+    firmware.reset()
+    assert drive(firmware, encode(FORWARD), 50) == fresh

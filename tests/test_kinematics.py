@@ -1,0 +1,138 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from acsar_gym import kinematics
+
+RADIUS, SEPARATION = 0.05, 0.3
+
+thorough = settings(max_examples=300, deadline=None)
+wheel_speed = st.floats(-100, 100)
+four_speeds = st.tuples(wheel_speed, wheel_speed, wheel_speed, wheel_speed)
+length = st.floats(0.01, 2.0)
+linear_speed = st.floats(-5, 5)
+angular_speed = st.floats(-20, 20)
+
+
+def of_the_document(
+    speeds: tuple[float, float, float, float], radius: float, separation: float
+) -> tuple[float, float]:
+    """Equations (1) to (3), wheel by wheel as in the document's listing."""
+    wheel = dict(zip(("fr", "fl", "rl", "rr"), (speed * radius for speed in speeds), strict=True))
+    v_left = (wheel["fl"] + wheel["rl"]) / 2
+    v_right = (wheel["fr"] + wheel["rr"]) / 2
+    return (v_left + v_right) / 2, (v_right - v_left) / separation
+
+
+def close(value: float, expected: float) -> bool:
+    return math.isclose(value, expected, rel_tol=1e-9, abs_tol=1e-9)
+
+
+@thorough
+@given(speeds=four_speeds, radius=length, separation=length)
+def test_forward_is_equations_1_to_3(
+    speeds: tuple[float, float, float, float], radius: float, separation: float
+) -> None:
+    linear, angular = kinematics.forward(speeds, radius, separation)
+    expected_linear, expected_angular = of_the_document(speeds, radius, separation)
+    assert close(linear, expected_linear)
+    assert close(angular, expected_angular)
+
+
+@pytest.mark.parametrize(
+    ("speeds", "linear", "angular"),
+    [
+        ((10.0, 10.0, 10.0, 10.0), 0.5, 0.0),
+        ((-10.0, -10.0, -10.0, -10.0), -0.5, 0.0),
+        ((3.0, -3.0, -3.0, 3.0), 0.0, 1.0),
+        ((-3.0, 3.0, 3.0, -3.0), 0.0, -1.0),
+        ((6.0, 0.0, 0.0, 6.0), 0.15, 1.0),
+        ((4.0, 0.0, 0.0, 0.0), 0.05, 1.0 / 3.0),
+        ((0.0, 4.0, 0.0, 0.0), 0.05, -1.0 / 3.0),
+        ((0.0, 0.0, 4.0, 0.0), 0.05, -1.0 / 3.0),
+        ((0.0, 0.0, 0.0, 4.0), 0.05, 1.0 / 3.0),
+    ],
+)
+def test_each_wheel_stands_where_the_wheel_order_says(
+    speeds: tuple[float, float, float, float], linear: float, angular: float
+) -> None:
+    assert kinematics.forward(speeds, RADIUS, SEPARATION) == pytest.approx((linear, angular))
+
+
+@pytest.mark.parametrize(
+    ("linear", "angular", "speeds"),
+    [
+        (0.5, 0.0, (10.0, 10.0, 10.0, 10.0)),
+        (0.0, 1.0, (3.0, -3.0, -3.0, 3.0)),
+        (0.15, -1.0, (0.0, 6.0, 6.0, 0.0)),
+        (0.0, 0.0, (0.0, 0.0, 0.0, 0.0)),
+    ],
+)
+def test_inverse_by_hand(
+    linear: float, angular: float, speeds: tuple[float, float, float, float]
+) -> None:
+    assert kinematics.inverse(linear, angular, RADIUS, SEPARATION) == pytest.approx(speeds)
+
+
+@thorough
+@given(linear=linear_speed, angular=angular_speed, radius=length, separation=length)
+def test_forward_of_inverse_is_the_twist(
+    linear: float, angular: float, radius: float, separation: float
+) -> None:
+    speeds = kinematics.inverse(linear, angular, radius, separation)
+    back = kinematics.forward(speeds, radius, separation)
+    assert close(back[0], linear)
+    assert close(back[1], angular)
+
+
+@thorough
+@given(left=wheel_speed, right=wheel_speed, radius=length, separation=length)
+def test_inverse_of_forward_is_the_speeds_where_each_side_turns_as_one(
+    left: float, right: float, radius: float, separation: float
+) -> None:
+    speeds = (right, left, left, right)
+    twist = kinematics.forward(speeds, radius, separation)
+    assert kinematics.inverse(*twist, radius, separation) == pytest.approx(speeds, abs=1e-9)
+
+
+@thorough
+@given(linear=linear_speed, angular=angular_speed, limit=st.floats(0.01, 99.99))
+def test_wheels_beyond_the_limit_shrink_together(
+    linear: float, angular: float, limit: float
+) -> None:
+    free = kinematics.inverse(linear, angular, RADIUS, SEPARATION)
+    fastest = max(map(abs, free))
+    assume(fastest > limit)
+    held = kinematics.inverse(linear, angular, RADIUS, SEPARATION, limit)
+    assert close(max(map(abs, held)), limit)
+    assert held == pytest.approx([speed * limit / fastest for speed in free], abs=1e-9)
+
+
+@thorough
+@given(linear=linear_speed, angular=angular_speed, limit=st.floats(0.01, 99.99))
+def test_saturation_keeps_the_turn_radius_and_the_direction(
+    linear: float, angular: float, limit: float
+) -> None:
+    speeds = kinematics.inverse(linear, angular, RADIUS, SEPARATION, limit)
+    slow_linear, slow_angular = kinematics.forward(speeds, RADIUS, SEPARATION)
+    assert close(slow_linear * angular, linear * slow_angular)
+    assert slow_linear * linear >= 0.0 or close(slow_linear, 0.0)
+    assert slow_angular * angular >= 0.0 or close(slow_angular, 0.0)
+    assert abs(slow_linear) <= abs(linear) + 1e-9
+    assert abs(slow_angular) <= abs(angular) + 1e-9
+
+
+@thorough
+@given(linear=linear_speed, angular=angular_speed)
+def test_wheels_within_the_limit_are_left_alone(linear: float, angular: float) -> None:
+    free = kinematics.inverse(linear, angular, RADIUS, SEPARATION)
+    fastest = max(map(abs, free))
+    assert kinematics.inverse(linear, angular, RADIUS, SEPARATION, fastest) == free
+
+
+def test_a_limit_of_zero_stops_all_wheels() -> None:
+    assert kinematics.inverse(1.0, -2.0, RADIUS, SEPARATION, 0.0) == (0.0, 0.0, 0.0, 0.0)

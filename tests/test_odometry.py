@@ -1,0 +1,266 @@
+from __future__ import annotations
+
+import math
+import random
+from dataclasses import dataclass, field
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from acsar_gym.errors import CommandError, ConfigError
+from acsar_gym.odometry import POSE_COVARIANCE, TWIST_COVARIANCE, Odometry
+
+RADIUS, SEPARATION = 0.05, 0.3
+FORWARD = (10.0, 10.0, 10.0, 10.0)
+LEFT_ARC = (12.0, 8.0, 8.0, 12.0)
+
+thorough = settings(max_examples=300, deadline=None)
+wheel_speed = st.floats(-100, 100)
+four_speeds = st.tuples(wheel_speed, wheel_speed, wheel_speed, wheel_speed)
+huge = st.floats(-1e9, 1e9)
+four_huge = st.tuples(huge, huge, huge, huge)
+
+
+@dataclass
+class Listing:
+    """The document's listings (1) to (10), line by line."""
+
+    radius: float
+    separation: float
+    x: float = 0.0
+    y: float = 0.0
+    theta: float = 0.0
+    linear_vel_x: float = 0.0
+    angular_vel_z: float = 0.0
+    positions: list[float] = field(default_factory=lambda: [0.0] * 4)
+
+    def read(self, states: tuple[float, float, float, float], dt: float) -> None:
+        front_right, front_left, rear_left, rear_right = (s * self.radius for s in states)
+        left = (front_left + rear_left) / 2.0
+        right = (front_right + rear_right) / 2.0
+        self.linear_vel_x = (left + right) / 2.0
+        self.angular_vel_z = (right - left) / self.separation
+        delta_x = self.linear_vel_x * math.cos(self.theta) * dt
+        delta_y = self.linear_vel_x * math.sin(self.theta) * dt
+        delta_theta = self.angular_vel_z * dt
+        self.x += delta_x
+        self.y += delta_y
+        self.theta += delta_theta
+        while self.theta > math.pi:
+            self.theta -= 2 * math.pi
+        while self.theta < -math.pi:
+            self.theta += 2 * math.pi
+        for i in range(4):
+            self.positions[i] += states[i] * dt
+
+
+def apart(odometry: Odometry, listing: Listing) -> float:
+    """The largest difference of any number that both integrate."""
+    x, y, theta = odometry.pose
+    linear, angular = odometry.twist
+    turn = math.remainder(theta - listing.theta, 2 * math.pi)
+    wheels = zip(odometry.wheel_positions, listing.positions, strict=True)
+    return max(
+        abs(x - listing.x),
+        abs(y - listing.y),
+        abs(turn),
+        abs(linear - listing.linear_vel_x),
+        abs(angular - listing.angular_vel_z),
+        *(abs(mine - theirs) for mine, theirs in wheels),
+    )
+
+
+def state(odometry: Odometry) -> tuple[object, ...]:
+    return odometry.pose, odometry.twist, odometry.wheel_positions, odometry.quaternion
+
+
+def test_100_000_random_updates_agree_with_the_documents_listings() -> None:
+    rng = random.Random(20250609)
+    odometry, listing = Odometry(RADIUS, SEPARATION), Listing(RADIUS, SEPARATION)
+    worst = 0.0
+    for _ in range(100_000):
+        a, b, c, d = (rng.uniform(-30, 30) for _ in range(4))
+        dt = rng.uniform(0.0, 0.02)
+        odometry.update((a, b, c, d), dt)
+        listing.read((a, b, c, d), dt)
+        worst = max(worst, apart(odometry, listing))
+    assert worst < 1e-9
+    assert math.hypot(*odometry.pose[:2]) > 0.1
+
+
+@thorough
+@given(updates=st.lists(st.tuples(four_huge, st.floats(0, 1e3)), min_size=1, max_size=5))
+def test_theta_never_leaves_minus_pi_to_pi_even_after_huge_turns(
+    updates: list[tuple[tuple[float, float, float, float], float]],
+) -> None:
+    odometry = Odometry(RADIUS, SEPARATION)
+    for speeds, dt in updates:
+        odometry.update(speeds, dt)
+        assert -math.pi <= odometry.pose[2] <= math.pi
+
+
+@thorough
+@given(turn=st.floats(-1000, 1000))
+def test_a_wrapped_heading_points_where_the_whole_turn_does(turn: float) -> None:
+    odometry = Odometry(1.0, 1.0)
+    odometry.update((turn / 2, -turn / 2, -turn / 2, turn / 2), 1.0)
+    theta = odometry.pose[2]
+    assert math.cos(theta) == pytest.approx(math.cos(turn), abs=1e-9)
+    assert math.sin(theta) == pytest.approx(math.sin(turn), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("turn", "theta"),
+    [
+        (math.pi, math.pi),
+        (-math.pi, -math.pi),
+        (math.nextafter(math.pi, 4.0), -math.pi),
+        (math.nextafter(-math.pi, -4.0), math.pi),
+        (1.5 * math.pi, -0.5 * math.pi),
+        (-5.5 * math.pi, 0.5 * math.pi),
+    ],
+)
+def test_equation_10_wraps_only_beyond_pi(turn: float, theta: float) -> None:
+    odometry = Odometry(1.0, 1.0)
+    odometry.update((turn, 0.0, 0.0, turn), 1.0)
+    assert odometry.pose[2] == pytest.approx(theta, abs=1e-12)
+
+
+@thorough
+@given(speeds=four_speeds, dt=st.floats(0, 1))
+def test_the_quaternion_is_equation_11_and_of_unit_length(
+    speeds: tuple[float, float, float, float], dt: float
+) -> None:
+    odometry = Odometry(RADIUS, SEPARATION)
+    odometry.update(speeds, dt)
+    theta = odometry.pose[2]
+    x, y, z, w = odometry.quaternion
+    assert (x, y) == (0.0, 0.0)
+    assert (z, w) == pytest.approx((math.sin(theta / 2), math.cos(theta / 2)))
+    assert z * z + w * w == pytest.approx(1.0)
+    assert (w * w - z * z, 2 * w * z) == pytest.approx((math.cos(theta), math.sin(theta)), abs=1e-9)
+
+
+def test_position_moves_along_the_heading_before_the_turn() -> None:
+    odometry = Odometry(RADIUS, SEPARATION)
+    odometry.update(LEFT_ARC, 0.5)
+    assert odometry.pose == pytest.approx((0.25, 0.0, 1 / 3))
+    odometry.update(LEFT_ARC, 0.5)
+    assert odometry.pose == pytest.approx(
+        (0.25 + 0.25 * math.cos(1 / 3), 0.25 * math.sin(1 / 3), 2 / 3)
+    )
+
+
+def test_small_steps_of_a_steady_turn_trace_a_circle() -> None:
+    odometry = Odometry(RADIUS, SEPARATION)
+    linear, angular = 0.5, 2 / 3
+    steps, half_turn = 20_000, math.pi / angular
+    for _ in range(steps):
+        odometry.update(LEFT_ARC, half_turn / steps)
+    assert odometry.twist == pytest.approx((linear, angular))
+    assert odometry.pose[:2] == pytest.approx((0.0, 2 * linear / angular), abs=1e-3)
+
+
+@thorough
+@given(updates=st.lists(st.tuples(four_speeds, st.floats(0, 1)), max_size=8))
+def test_wheel_positions_integrate_each_wheel(
+    updates: list[tuple[tuple[float, float, float, float], float]],
+) -> None:
+    odometry = Odometry(RADIUS, SEPARATION)
+    for speeds, dt in updates:
+        odometry.update(speeds, dt)
+    expected = [math.fsum(speeds[i] * dt for speeds, dt in updates) for i in range(4)]
+    assert odometry.wheel_positions == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("covariance", "diagonal"),
+    [(POSE_COVARIANCE, {0, 7, 35}), (TWIST_COVARIANCE, {0, 35})],
+)
+def test_covariances_are_what_the_driver_publishes(
+    covariance: tuple[float, ...], diagonal: set[int]
+) -> None:
+    assert len(covariance) == 36
+    assert {i: entry for i, entry in enumerate(covariance) if entry} == dict.fromkeys(
+        diagonal, 0.01
+    )
+
+
+def test_an_odometry_carries_both_covariances() -> None:
+    odometry = Odometry(RADIUS, SEPARATION)
+    assert odometry.pose_covariance == POSE_COVARIANCE
+    assert odometry.twist_covariance == TWIST_COVARIANCE
+
+
+@thorough
+@given(speeds=four_speeds, multiplier=st.floats(0.5, 3.0))
+def test_the_multiplier_scales_the_separation_and_nothing_else(
+    speeds: tuple[float, float, float, float], multiplier: float
+) -> None:
+    plain, skidding = Odometry(RADIUS, SEPARATION), Odometry(RADIUS, SEPARATION, multiplier)
+    wider = Odometry(RADIUS, SEPARATION * multiplier)
+    for odometry in (plain, skidding, wider):
+        odometry.update(speeds, 0.01)
+    assert state(skidding) == state(wider)
+    assert skidding.twist[0] == plain.twist[0]
+    assert skidding.twist[1] * multiplier == pytest.approx(plain.twist[1])
+
+
+def test_without_a_multiplier_it_is_one() -> None:
+    plain, one = Odometry(RADIUS, SEPARATION), Odometry(RADIUS, SEPARATION, 1.0)
+    for odometry in (plain, one):
+        odometry.update(LEFT_ARC, 0.1)
+    assert state(plain) == state(one)
+
+
+def test_reset_is_a_fresh_start() -> None:
+    odometry = Odometry(RADIUS, SEPARATION, 1.5)
+    fresh = state(odometry)
+    assert fresh == ((0.0, 0.0, 0.0), (0.0, 0.0), (0.0,) * 4, (0.0, 0.0, 0.0, 1.0))
+    odometry.update(LEFT_ARC, 0.1)
+    assert state(odometry) != fresh
+    odometry.reset()
+    assert state(odometry) == fresh
+
+
+def test_an_update_over_no_time_changes_the_twist_alone() -> None:
+    odometry = Odometry(RADIUS, SEPARATION)
+    odometry.update(FORWARD, 0.0)
+    assert odometry.twist == pytest.approx((0.5, 0.0))
+    assert odometry.pose == (0.0, 0.0, 0.0)
+    assert odometry.wheel_positions == (0.0, 0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("speeds", "dt"),
+    [
+        ((math.nan, 0.0, 0.0, 0.0), 0.01),
+        ((0.0, math.inf, 0.0, 0.0), 0.01),
+        ((0.0, 0.0, -math.inf, 0.0), 0.01),
+        ((math.inf, math.inf, math.inf, math.inf), 0.01),
+        ((math.inf, -math.inf, 0.0, math.nan), 0.0),
+        (FORWARD, -0.001),
+        (FORWARD, math.nan),
+        (FORWARD, math.inf),
+    ],
+)
+def test_what_cannot_be_integrated_is_refused_and_changes_nothing(
+    speeds: tuple[float, float, float, float], dt: float
+) -> None:
+    odometry = Odometry(RADIUS, SEPARATION)
+    odometry.update(LEFT_ARC, 0.1)
+    before = state(odometry)
+    with pytest.raises(CommandError, match=f"dt = {dt}"):
+        odometry.update(speeds, dt)
+    assert state(odometry) == before
+
+
+@pytest.mark.parametrize("value", [0.0, -0.1, math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize(
+    "name", ["wheel_radius", "wheel_separation", "wheel_separation_multiplier"]
+)
+def test_geometry_must_be_positive_and_finite(name: str, value: float) -> None:
+    geometry = {"wheel_radius": RADIUS, "wheel_separation": SEPARATION, name: value}
+    with pytest.raises(ConfigError, match=f"^{name} = {value}: must be positive"):
+        Odometry(**geometry)

@@ -1,0 +1,87 @@
+"""From a stable-baselines3 model to a file that drives."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import onnx
+import pytest
+from stable_baselines3 import PPO
+
+from acsar_gym.errors import PolicyError
+from acsar_gym.evaluation import episodes, summarise
+from acsar_gym.policy import LAYOUT_KEY, OnnxPolicy
+from acsar_gym.resources import AGENTS
+
+TRAIN = AGENTS / "train.py"
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder that the real training script leaves, on a tiny budget."""
+    out = tmp_path_factory.mktemp("train")
+    options = ["--steps", "1024", "--envs", "4", "--no-progress", "--out", str(out)]
+    subprocess.run([sys.executable, str(TRAIN), *options], check=True, timeout=120)
+    return out
+
+
+def test_training_leaves_policy_model_checkpoints_and_logs(trained: Path) -> None:
+    assert (trained / "policy.onnx").exists()
+    assert (trained / "model.zip").exists()
+    assert list(trained.glob("checkpoints/*.zip"))
+    assert list(trained.glob("tensorboard/**/events.out.tfevents.*"))
+
+
+def test_the_file_decides_as_the_model_does(trained: Path) -> None:
+    model = PPO.load(trained / "model.zip", device="cpu")
+    policy = OnnxPolicy(trained / "policy.onnx")
+    rng = np.random.default_rng(0)
+    for observation in rng.uniform(-1.0, 1.0, (100, 7)).astype(np.float32):
+        expected, _ = model.predict(observation, deterministic=True)
+        assert policy(observation) == pytest.approx(expected, abs=1e-5)
+        assert np.abs(policy(observation)).max() <= 1.0
+
+
+@pytest.mark.parametrize("link", ["bullet", "planar"])
+def test_the_policy_that_comes_along_reaches_its_goals(link: str) -> None:
+    env = gymnasium.make("acsar_gym/PointGoal-v0", link=link)
+    summary = summarise(list(episodes(env, OnnxPolicy("point_goal"), 40, seed=500)))
+    env.close()
+    assert summary.success_rate >= 0.95
+    assert 0.0 < summary.odometry_error < 0.05
+    assert summary.late_ticks == 0
+
+
+def test_driving_needs_no_torch() -> None:
+    code = (
+        "import sys, numpy as np; from acsar_gym.policy import OnnxPolicy;"
+        "OnnxPolicy('point_goal')(np.zeros(7, np.float32));"
+        "sys.exit('torch' in sys.modules or 'pybullet' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0
+
+
+def test_a_missing_file_names_those_that_come_along() -> None:
+    with pytest.raises(PolicyError, match="point_goal"):
+        OnnxPolicy("no_such_policy.onnx")
+
+
+@pytest.mark.parametrize("content", [b"", b"not a network", b"\x08\x0a" * 50])
+def test_a_broken_file_says_so(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "broken.onnx"
+    path.write_bytes(content)
+    with pytest.raises(PolicyError, match=r"broken\.onnx"):
+        OnnxPolicy(path)
+
+
+def test_a_policy_for_another_observation_is_refused(trained: Path, tmp_path: Path) -> None:
+    model = onnx.load(trained / "policy.onnx")
+    onnx.helper.set_model_props(model, {LAYOUT_KEY: "range_0,range_1"})
+    path = tmp_path / "lidar.onnx"
+    onnx.save(model, path)
+    with pytest.raises(PolicyError, match="range_0, range_1"):
+        OnnxPolicy(path)

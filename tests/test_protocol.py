@@ -1,0 +1,304 @@
+from __future__ import annotations
+
+import itertools
+import math
+import pickle
+import re
+import tracemalloc
+from collections import Counter
+
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from acsar_gym.config import LINE_BYTES
+from acsar_gym.errors import CommandError
+from acsar_gym.protocol import MAX_LINE, MAX_SPEED, WHEELS, Decoder, encode
+
+GRAMMAR = re.compile(rb"a[pn]\d\d\.\d\d,b[pn]\d\d\.\d\d,c[pn]\d\d\.\d\d,d[pn]\d\d\.\d\d,?\r\n")
+NUMBER = re.compile(r"[pn]\d\d\.\d\d")
+NOT_NUMBERS = (
+    "nan|inf|1e001|1e+10|-1.00|+1.00| 1.00|001.00|01.000|1.000|100.0|01.0|01.|.01|0101|01:00|0x.10|"
+    "1_.00|01.00 |01.00\x00|\u0660\u0661.\u0660\u0660||ap01.00"
+)
+GOOD = b"ap12.50,bn08.75,cp15.00,dn10.25"
+GOOD_SPEEDS = (12.5, -8.75, 15.0, -10.25)
+
+thorough = settings(max_examples=400, deadline=None)
+
+
+def on_a_rounding_edge(thousandths: int, side: float) -> float:
+    """A multiple of 0.001, or its neighbour among the doubles."""
+    return math.nextafter(thousandths / 1000, side) if side else thousandths / 1000
+
+
+finite = st.one_of(
+    st.floats(allow_nan=False, allow_infinity=False),
+    st.floats(-120, 120),
+    st.builds(
+        on_a_rounding_edge,
+        st.integers(-101_000, 101_000),
+        st.sampled_from([0.0, math.inf, -math.inf]),
+    ),
+)
+four_speeds = st.tuples(finite, finite, finite, finite)
+noise = st.one_of(
+    st.binary(max_size=40),
+    st.text("abcdepnx0123456789.,- \r\n", max_size=60).map(str.encode),
+    st.integers(MAX_LINE - 40, 3 * MAX_LINE).map(lambda length: b"x" * length),
+    four_speeds.map(encode),
+    st.sampled_from([b"\r", b"\n", b"\r\n", b",", GOOD, GOOD + b"\n", b"ap01.00"]),
+)
+streams = st.lists(noise, max_size=12).map(b"".join)
+
+
+def on_the_wire(speed: float) -> float:
+    return max(-MAX_SPEED, min(MAX_SPEED, round(speed, 2)))
+
+
+def encoded(speed: float) -> str:
+    """How one speed is written, such as `p10.00`; all four motors must agree."""
+    written = set(NUMBER.findall(encode([speed] * 4).decode()))
+    assert len(written) == 1
+    return str(written.pop())
+
+
+def speeds_of(data: bytes) -> list[tuple[float | None, ...]]:
+    return [reading.speeds for reading in Decoder().feed(data)]
+
+
+def cut(stream: bytes, places: list[int]) -> list[bytes]:
+    edges = [0, *sorted(place % (len(stream) + 1) for place in places), len(stream)]
+    return [stream[start:end] for start, end in itertools.pairwise(edges)]
+
+
+@thorough
+@given(speeds=four_speeds, comma=st.booleans())
+@example(speeds=(1e308, 1e308, 1e308, 1e308), comma=False)
+def test_decode_of_encode_is_rounded_to_two_decimals_and_saturated(
+    speeds: tuple[float, float, float, float], comma: bool
+) -> None:
+    expected = tuple(on_the_wire(speed) for speed in speeds)
+    assert speeds_of(encode(speeds, trailing_comma=comma)) == [expected]
+
+
+@thorough
+@given(speeds=four_speeds, comma=st.booleans())
+@example(speeds=(-0.0, -0.001, -0.00499, -5e-324), comma=False)
+def test_every_line_fits_the_grammar_and_no_zero_is_negative(
+    speeds: tuple[float, float, float, float], comma: bool
+) -> None:
+    line = encode(speeds, trailing_comma=comma)
+    assert GRAMMAR.fullmatch(line)
+    assert line.endswith(b",\r\n") is comma
+    assert len(line) == LINE_BYTES + comma
+    assert b"n00.00" not in line
+
+
+@thorough
+@given(stream=streams, places=st.lists(st.integers(0, 5000), max_size=20))
+@example(stream=(GOOD + b"\r\n") * 2, places=list(range(2 * len(GOOD) + 4)))
+@example(stream=b"x" * (MAX_LINE + 1) + b"," + GOOD + b"\n" + GOOD + b"\n", places=[MAX_LINE + 1])
+def test_chunking_changes_neither_readings_nor_counters(stream: bytes, places: list[int]) -> None:
+    whole, parts = Decoder(), Decoder()
+    expected = whole.feed(stream)
+    assert [reading for chunk in cut(stream, places) for reading in parts.feed(chunk)] == expected
+    assert (parts.lines, parts.refused) == (whole.lines, whole.refused)
+    assert whole.lines == len(expected)
+
+
+@thorough
+@given(chunks=st.lists(st.one_of(noise, st.binary(max_size=3 * MAX_LINE)), max_size=20))
+def test_no_bytes_raise_and_what_the_decoder_holds_is_bounded(chunks: list[bytes]) -> None:
+    decoder = Decoder()
+    for chunk in chunks:
+        decoder.feed(chunk)
+        assert len(pickle.dumps(vars(decoder))) < MAX_LINE + 500
+
+
+def test_a_million_bytes_without_a_line_end_leave_nothing_behind() -> None:
+    decoder = Decoder()
+    for _ in range(1000):
+        assert decoder.feed(b"ap12.50,xx" * 100) == []
+    assert len(pickle.dumps(vars(decoder))) < MAX_LINE + 500
+    assert decoder.refused == {"line too long": 1}
+
+
+def test_memory_stays_bounded_over_many_different_lines() -> None:
+    decoder = Decoder()
+    tracemalloc.start()
+    try:
+        for number in range(20_000):
+            decoder.feed(b"%0240d\n" % number)
+        held, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert decoder.refused == {"unknown motor": 20_000}
+    assert held < 5_000_000
+
+
+@thorough
+@given(garbage=streams, places=st.lists(st.integers(0, 5000), max_size=10))
+@example(garbage=b"x" * MAX_LINE, places=[])
+@example(garbage=b"x" * (MAX_LINE + 1), places=[])
+@example(garbage=b"ap12", places=[4])
+def test_a_good_line_after_any_garbage_and_a_newline_is_read(
+    garbage: bytes, places: list[int]
+) -> None:
+    decoder = Decoder()
+    chunks = cut(garbage + b"\n" + GOOD + b"\n", places)
+    readings = [reading for chunk in chunks for reading in decoder.feed(chunk)]
+    assert readings[-1].speeds == GOOD_SPEEDS
+
+
+@pytest.mark.parametrize(
+    ("speed", "text"),
+    [
+        (9.994, "p09.99"),
+        (9.995, f"p{round(9.995, 2):05.2f}"),
+        (9.9951, "p10.00"),
+        (9.996, "p10.00"),
+        (9.997, "p10.00"),
+        (9.998, "p10.00"),
+        (9.999, "p10.00"),
+        (-9.996, "n10.00"),
+        (99.99, "p99.99"),
+        (99.994, "p99.99"),
+        (99.996, "p99.99"),
+        (100.0, "p99.99"),
+        (1e300, "p99.99"),
+        (-1e300, "n99.99"),
+        (0.0, "p00.00"),
+        (-0.0, "p00.00"),
+        (-0.001, "p00.00"),
+        (math.nextafter(0.005, 0.0), "p00.00"),
+        (math.nextafter(-0.005, 0.0), "p00.00"),
+        (0.005, "p00.01"),
+        (-0.005, "n00.01"),
+        (-0.006, "n00.01"),
+        (7, "p07.00"),
+    ],
+)
+def test_rounding_and_saturation(speed: float, text: str) -> None:
+    assert encoded(speed) == text
+
+
+def test_the_documents_example_in_the_documents_wheel_order() -> None:
+    assert encode(GOOD_SPEEDS) == b"ap12.50,bn08.75,cp15.00,dn10.25\r\n"
+    assert encode(GOOD_SPEEDS, trailing_comma=True) == b"ap12.50,bn08.75,cp15.00,dn10.25,\r\n"
+    assert speeds_of(b"ap15.23,bn12.45,cp14.67,dn13.89\r\n") == [(15.23, -12.45, 14.67, -13.89)]
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("index", range(4))
+def test_encode_refuses_what_is_not_finite_and_names_the_wheel(index: int, bad: float) -> None:
+    speeds = [1.0, 2.0, 3.0, 4.0]
+    speeds[index] = bad
+    with pytest.raises(CommandError, match=f"{WHEELS[index]} .*{bad}") as caught:
+        encode(speeds)
+    others = set(WHEELS) - {WHEELS[index]}
+    assert not [wheel for wheel in others if wheel in str(caught.value)]
+
+
+def test_encode_refuses_infinities_that_cancel() -> None:
+    with pytest.raises(CommandError, match="front_right"):
+        encode([math.inf, -math.inf, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("length", [0, 1, 3, 5])
+def test_encode_refuses_a_wrong_number_of_speeds(length: int) -> None:
+    with pytest.raises(CommandError, match=rf"4 .*got {length}"):
+        encode([0.0] * length)
+
+
+@pytest.mark.parametrize("comma", [b"", b","])
+@pytest.mark.parametrize("end", [b"\r", b"\n", b"\r\n", b"\n\n", b"\r\r\n"])
+def test_any_line_end_with_or_without_a_trailing_comma(end: bytes, comma: bytes) -> None:
+    decoder = Decoder()
+    readings = decoder.feed((GOOD + comma + end) * 3)
+    assert [reading.speeds for reading in readings] == [GOOD_SPEEDS] * 3
+    assert decoder.lines == 3
+    assert not decoder.refused
+
+
+@pytest.mark.parametrize(
+    ("line", "speeds", "refused"),
+    [
+        (b"bp02.00", (None, 2.0, None, None), {}),
+        (b"dn04.00,ap01.00", (1.0, None, None, -4.0), {}),
+        (b"an00.00", (0.0, None, None, None), {}),
+        (b"ap01.00,ep02.00,cp03.00", (1.0, None, 3.0, None), {"unknown motor": 1}),
+        (b"Ap01.00,bp02.00", (None, 2.0, None, None), {"unknown motor": 1}),
+        (b"rp10.00,lp10.00,dp01.00", (None, None, None, 1.0), {"unknown motor": 2}),
+        (b"ax01.00,bp02.00", (None, 2.0, None, None), {"unknown direction": 1}),
+        (b"a,bp02.00", (None, 2.0, None, None), {"unknown direction": 1}),
+        (b"ap1.00,bp02.00,cp,dp04.00", (None, 2.0, None, 4.0), {"malformed number": 2}),
+        (b"ap01.00,,cp03.00", (1.0, None, 3.0, None), {"empty part": 1}),
+        (b"ap01.00,,", (1.0, None, None, None), {"empty part": 1}),
+        (b"ap01.00,ap02.00,an03.00", (-3.0, None, None, None), {"duplicate motor": 2}),
+        (b"ap01.00,apnan", (1.0, None, None, None), {"malformed number": 1}),
+        (b"\xff\x00ap01.00,bp02.00", (None, 2.0, None, None), {"unknown motor": 1}),
+    ],
+)
+def test_bad_parts_are_refused_and_counted_and_the_rest_counts(
+    line: bytes, speeds: tuple[float | None, ...], refused: dict[str, int]
+) -> None:
+    decoder = Decoder()
+    assert [reading.speeds for reading in decoder.feed(line + b"\n")] == [speeds]
+    assert decoder.refused == refused
+    assert decoder.lines == 1
+
+
+def test_a_negative_zero_from_the_board_reads_as_plain_zero() -> None:
+    (reading,) = Decoder().feed(b"an00.00\n")
+    assert math.copysign(1.0, reading.speeds[0] or 0.0) == 1.0
+
+
+@pytest.mark.parametrize(
+    "number",
+    NOT_NUMBERS.split("|"),
+)
+def test_only_two_digits_and_two_decimals_are_a_number(number: str) -> None:
+    decoder = Decoder()
+    assert decoder.feed(f"ap{number},bp02.00\n".encode())[0].speeds == (None, 2.0, None, None)
+    assert decoder.refused == {"malformed number": 1}
+
+
+def test_a_line_without_a_good_part_is_no_reading_and_no_line() -> None:
+    decoder = Decoder()
+    assert decoder.feed(b"hello\n,\n") == []
+    assert decoder.lines == 0
+    assert decoder.refused == {"unknown motor": 1, "empty part": 1}
+
+
+@pytest.mark.parametrize("chunk", [1, 7, MAX_LINE, 10 * MAX_LINE])
+@pytest.mark.parametrize(("excess", "read"), [(0, 1), (1, 0), (MAX_LINE, 0)])
+def test_lines_beyond_the_limit_are_dropped_whole(excess: int, read: int, chunk: int) -> None:
+    line = b"ap01.00".rjust(MAX_LINE + excess - 8, b"x") + b",bp02.00"
+    stream = line + b"\n" + GOOD + b"\n"
+    decoder = Decoder()
+    readings = [
+        r for i in range(0, len(stream), chunk) for r in decoder.feed(stream[i : i + chunk])
+    ]
+    dropped = {"unknown motor": 1} if read else {"line too long": 1}
+    assert len(readings) == read + 1
+    assert readings[-1].speeds == GOOD_SPEEDS
+    assert decoder.refused == dropped
+
+
+def test_reset_forgets_the_partial_line_the_skipping_and_the_counters() -> None:
+    for before in (b"ap99.99,", b"x" * (MAX_LINE + 1), b"?\n" + GOOD + b"\n"):
+        decoder = Decoder()
+        decoder.feed(before)
+        decoder.reset()
+        assert (decoder.lines, decoder.refused) == (0, Counter())
+        assert [reading.speeds for reading in decoder.feed(GOOD + b"\n")] == [GOOD_SPEEDS]
+        assert not decoder.refused
+
+
+def test_an_incomplete_line_waits_for_its_end() -> None:
+    decoder = Decoder()
+    assert decoder.feed(GOOD) == []
+    assert decoder.feed(b"") == []
+    assert [reading.speeds for reading in decoder.feed(b"\r")] == [GOOD_SPEEDS]
+    assert decoder.feed(b"\n") == []

@@ -1,0 +1,197 @@
+"""The driver's lifecycle and bookkeeping, on simulated links."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from acsar_gym import Robot, RobotConfig, open_link
+from acsar_gym.bodies.base import GroundTruth, Image
+from acsar_gym.config import FirmwareConfig
+from acsar_gym.errors import BoardGarbledError, BoardSilentError, CommandError, LinkError
+from acsar_gym.protocol import ZERO, Decoder
+from acsar_gym.worlds import Scene
+
+LINE = b"ap01.00,bp02.00,cp03.00,dp04.00\r\n"
+
+
+class ScriptedLink:
+    """Answers with what it is told to; keeps what was written."""
+
+    truth: GroundTruth | None = None
+    late_ticks = 0
+
+    def __init__(self, *answers: bytes, then: bytes = b"") -> None:
+        self.answers = list(answers)
+        self.then = then
+        self.written: list[bytes] = []
+        self.opened = self.closed = 0
+        self._now = 0.0
+
+    def open(self) -> None:
+        self.opened += 1
+
+    def reset(self, scene: Scene) -> None:
+        pass
+
+    def write(self, data: bytes) -> None:
+        self.written.append(data)
+
+    def advance(self, period: float) -> bytes:
+        self._now += period
+        return self.answers.pop(0) if self.answers else self.then
+
+    def now(self) -> float:
+        return self._now
+
+    def image(self, width: int, height: int) -> Image | None:
+        return None
+
+    def close(self) -> None:
+        self.closed += 1
+
+    def last_command(self) -> tuple[float | None, ...]:
+        return Decoder().feed(self.written[-1])[-1].speeds
+
+
+STILL = b"ap00.00,bp00.00,cp00.00,dp00.00\r\n"
+
+
+def standing(*answers: bytes, then: bytes = STILL) -> tuple[Robot, ScriptedLink]:
+    link = ScriptedLink(STILL, STILL, *answers, then=then)
+    robot = Robot(link, RobotConfig())
+    robot.activate()
+    return robot, link
+
+
+def test_a_fresh_robot_stands_at_the_origin() -> None:
+    with Robot(open_link("planar")) as robot:
+        assert robot.odometry.pose == (0.0, 0.0, 0.0)
+        assert robot.link.truth is not None
+        assert robot.link.truth.pose == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("link", ["planar", "bullet"])
+def test_odometry_follows_truth(link: str) -> None:
+    with Robot(open_link(link)) as robot:
+        for _ in range(500):
+            robot.drive(0.4, 0.6)
+        for _ in range(50):
+            robot.drive(0.0, 0.0)
+        assert robot.link.truth is not None
+        assert math.dist(robot.link.truth.pose[:2], robot.odometry.pose[:2]) < 0.02
+        assert abs(robot.link.truth.pose[2] - robot.odometry.pose[2]) < 0.03
+
+
+def test_activating_twice_is_once_and_deactivating_too() -> None:
+    robot, link = standing()
+    robot.activate()
+    assert link.opened == 1
+    robot.deactivate()
+    robot.deactivate()
+    assert link.closed == 1
+
+
+def test_the_last_command_is_zero() -> None:
+    robot, link = standing()
+    robot.tick((5.0, 5.0, 5.0, 5.0))
+    robot.deactivate()
+    assert link.last_command() == ZERO
+
+
+def test_an_exception_in_the_block_stops_the_wheels() -> None:
+    link = ScriptedLink(then=STILL)
+    with pytest.raises(ZeroDivisionError), Robot(link, RobotConfig()) as robot:
+        robot.tick((5.0, 5.0, 5.0, 5.0))
+        raise ZeroDivisionError
+    assert link.last_command() == ZERO
+    assert link.closed == 1
+
+
+@pytest.mark.parametrize("bad", [(math.nan, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (math.inf,) * 4])
+def test_speeds_that_must_not_be_sent_stop_the_wheels(bad: tuple[float, ...]) -> None:
+    robot, link = standing()
+    with pytest.raises(CommandError):
+        robot.tick(bad)
+    assert link.last_command() == ZERO
+    assert link.closed == 1
+    with pytest.raises(LinkError, match="activate"):
+        robot.tick(ZERO)
+
+
+def test_the_newest_line_of_a_period_wins() -> None:
+    robot, _ = standing(LINE + b"ap09.00,bp09.00,cp09.00,dp09.00\r\nap01.")
+    robot.tick(ZERO)
+    assert robot.speeds == (9.0, 9.0, 9.0, 9.0)
+
+
+def test_a_motor_that_is_missing_keeps_its_last_value() -> None:
+    robot, _ = standing(LINE, b"bn07.00\r\n")
+    robot.tick(ZERO)
+    robot.tick(ZERO)
+    assert robot.speeds == (1.0, -7.0, 3.0, 4.0)
+
+
+def test_between_lines_the_last_reading_is_held_and_ages() -> None:
+    robot, _ = standing(LINE, then=b"")
+    robot.tick(ZERO)
+    ages = []
+    for _ in range(3):
+        robot.tick(ZERO)
+        ages.append(robot.feedback_age)
+    assert ages == pytest.approx([0.01, 0.02, 0.03])
+    assert robot.odometry.wheel_positions == pytest.approx((0.04, 0.08, 0.12, 0.16))
+
+
+def test_slow_feedback_still_gives_good_odometry() -> None:
+    config = RobotConfig(
+        wheel_separation_multiplier=1.5378, firmware=FirmwareConfig(feedback_rate=20.0)
+    )
+    with Robot(open_link("planar", config), config) as robot:
+        for speeds in (config.max_linear, 0.0):
+            for _ in range(300):
+                robot.drive(speeds, 0.0)
+        assert robot.link.truth is not None
+        assert math.dist(robot.link.truth.pose[:2], robot.odometry.pose[:2]) < 0.02
+
+
+def test_silence_ends_with_an_error_and_a_stop() -> None:
+    robot, link = standing(then=b"")
+    with pytest.raises(BoardSilentError, match=r"no feedback for 0\.5"):
+        for _ in range(100):
+            robot.tick((5.0, 5.0, 5.0, 5.0))
+    assert 50 <= len(link.written) <= 55
+    assert link.last_command() == ZERO
+    assert link.closed == 1
+
+
+def test_garbage_is_silence_with_another_name() -> None:
+    robot, _ = standing(then=b"\x80\x81,nonsense\r\n")
+    with pytest.raises(BoardGarbledError, match="baud rate"):
+        for _ in range(100):
+            robot.tick(ZERO)
+
+
+def test_a_reset_waits_for_standstill() -> None:
+    robot, link = standing(LINE, LINE, LINE)
+    commands = len(link.written)
+    robot.reset(Scene())
+    assert len(link.written) - commands == 5
+    assert robot.odometry.pose == (0.0, 0.0, 0.0)
+    assert robot.odometry.wheel_positions == ZERO
+
+
+def test_wheels_that_never_stop_are_an_error() -> None:
+    link = ScriptedLink(then=LINE)
+    with pytest.raises(LinkError, match="still turn"):
+        Robot(link, RobotConfig()).activate()
+    assert link.closed == 1
+
+
+def test_a_twist_beyond_the_wheels_keeps_its_radius() -> None:
+    robot, _ = standing()
+    a, b, c, d = robot.wheel_speeds(5.0, 3.0)
+    assert max(map(abs, (a, b, c, d))) == pytest.approx(robot.config.max_wheel_speed)
+    slow = robot.wheel_speeds(0.05, 0.03)
+    assert a / b == pytest.approx(slow[0] / slow[1])
