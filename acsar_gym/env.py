@@ -61,7 +61,8 @@ class PointGoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     ## Reward
 
-    Twice the metres gained on the goal, less 0.02 a step; +2 at the goal, -2 out of bounds.
+    Twice the metres gained on the goal, less 0.02 a step and 0.05 times the backward part of the
+    action (sensors look ahead); +2 at the goal, -2 out of bounds.
 
     ## Start and end
 
@@ -156,7 +157,7 @@ class PointGoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         pose = self.robot.odometry.pose
         before, self._distance = self._distance, goal_distance(pose, self._goal)
         outcome = self.task.outcome(pose, self._goal)
-        reward = point_goal_reward(before, self._distance, outcome)
+        reward = point_goal_reward(before, self._distance, linear, outcome)
         terminated = outcome is not Outcome.GOING
         if terminated:
             self.robot.stop()

@@ -119,10 +119,14 @@ def goal_distance(pose: Pose, goal: Goal) -> float:
     return math.hypot(goal[0] - pose[0], goal[1] - pose[1])
 
 
-def point_goal_reward(before: float, after: float, outcome: Outcome) -> float:
-    """Metres gained on the goal, less 0.02 a step, and 2 at the goal or -2 beyond the boundary."""
+def point_goal_reward(before: float, after: float, linear: float, outcome: Outcome) -> float:
+    """Twice the metres gained on the goal, less 0.02 a step and up to 0.05 for driving backwards.
+
+    Plus 2 at the goal, or -2 beyond the boundary. `before` and `after` are goal distances [m],
+    `linear` is the action's linear part in [-1, 1]. Backwards costs, because sensors look ahead.
+    """
     end = {Outcome.GOING: 0.0, Outcome.SUCCESS: 2.0, Outcome.OUT_OF_BOUNDS: -2.0}
-    return 2.0 * (before - after) - 0.02 + end[outcome]
+    return 2.0 * (before - after) - 0.02 + 0.05 * min(linear, 0.0) + end[outcome]
 
 
 def _clipped(value: float) -> float:

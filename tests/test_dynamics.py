@@ -45,7 +45,7 @@ def test_a_square_robot_turns_half_as_fast_as_a_differential_drive() -> None:
 
 
 @given(speed, speed, speed, speed, slow, slow, slow)
-def test_tyres_never_push_harder_than_they_grip(  # noqa: PLR0917 - hypothesis fills them in
+def test_tyres_never_push_harder_than_they_grip(
     a: float, b: float, c: float, d: float, vx: float, vy: float, rate: float
 ) -> None:
     p = params(RobotConfig())
@@ -65,7 +65,7 @@ def test_mirrored_robots_move_as_mirror_images(
 
 
 @given(speed, speed, speed, speed, slow, slow, slow)
-def test_compiled_and_plain_python_agree(  # noqa: PLR0917 - hypothesis fills them in
+def test_compiled_and_plain_python_agree(
     a: float, b: float, c: float, d: float, vx: float, vy: float, rate: float
 ) -> None:
     p = params(RobotConfig())

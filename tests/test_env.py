@@ -102,7 +102,8 @@ def test_what_went_before_leaves_no_trace(env: gymnasium.Env[Any, Any]) -> None:
 
 def test_driving_at_the_goal_ends_in_success(env: gymnasium.Env[Any, Any]) -> None:
     env.reset(seed=0, options={"goal": (1.0, 0.0)})
-    total, steps, terminated, truncated, info = 0.0, 0, False, False, {}
+    total, steps, terminated, truncated = 0.0, 0, False, False
+    info: dict[str, Any] = {}
     while not (terminated or truncated):
         _, reward, terminated, truncated, info = env.step(np.array([1.0, 0.0], np.float32))
         total += float(reward)
@@ -156,7 +157,7 @@ def test_bad_actions_stop_the_wheels(action: Any) -> None:
     for _ in range(10):
         env.step(np.array([1.0, 0.0], np.float32))
     with pytest.raises(CommandError, match="two finite numbers"):
-        env.step(action if isinstance(action, str) else np.array(action, np.float32))
+        env.step(action if isinstance(action, str) else np.array(action, np.float32))  # type: ignore[arg-type]
     env.robot.link.advance(1.0)
     assert env.robot.link.truth is not None
     assert env.robot.link.truth.twist == pytest.approx((0.0, 0.0), abs=1e-6)

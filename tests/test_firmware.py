@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import pytest
@@ -101,7 +102,7 @@ def test_set_points_ramp() -> None:
         firmware.receive(encode(FORWARD))
         firmware.advance(TICK)
         speeds.append(body.wheel_speeds[0])
-    slopes = [(b - a) / TICK for a, b in zip(speeds, speeds[1:], strict=False)]
+    slopes = [(b - a) / TICK for a, b in itertools.pairwise(speeds)]
     assert max(slopes) == pytest.approx(20.0)
     assert speeds[-1] == 8.0
 

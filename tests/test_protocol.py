@@ -155,11 +155,9 @@ def test_a_good_line_after_any_garbage_and_a_newline_is_read(
     ("speed", "text"),
     [
         (9.994, "p09.99"),
-        (9.995, f"p{round(9.995, 2):05.2f}"),
+        (9.995, "p09.99"),  # the nearest double lies below
         (9.9951, "p10.00"),
         (9.996, "p10.00"),
-        (9.997, "p10.00"),
-        (9.998, "p10.00"),
         (9.999, "p10.00"),
         (-9.996, "n10.00"),
         (99.99, "p99.99"),
@@ -175,7 +173,6 @@ def test_a_good_line_after_any_garbage_and_a_newline_is_read(
         (math.nextafter(-0.005, 0.0), "p00.00"),
         (0.005, "p00.01"),
         (-0.005, "n00.01"),
-        (-0.006, "n00.01"),
         (7, "p07.00"),
     ],
 )

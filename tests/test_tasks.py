@@ -93,11 +93,16 @@ def test_the_end_is_decided_by_distance() -> None:
 
 
 def test_reward_pays_for_progress_and_arrival() -> None:
-    step = point_goal_reward(1.0, 0.9, Outcome.GOING)
+    step = point_goal_reward(1.0, 0.9, 1.0, Outcome.GOING)
     assert step == pytest.approx(0.18)
-    assert point_goal_reward(1.0, 0.9, Outcome.SUCCESS) == pytest.approx(step + 2.0)
-    assert point_goal_reward(1.0, 0.9, Outcome.OUT_OF_BOUNDS) == pytest.approx(step - 2.0)
-    assert point_goal_reward(1.0, 1.0, Outcome.GOING) < 0.0
+    assert point_goal_reward(1.0, 0.9, 1.0, Outcome.SUCCESS) == pytest.approx(step + 2.0)
+    assert point_goal_reward(1.0, 0.9, 1.0, Outcome.OUT_OF_BOUNDS) == pytest.approx(step - 2.0)
+    assert point_goal_reward(1.0, 1.0, 0.0, Outcome.GOING) < 0.0
+
+
+def test_the_same_progress_pays_less_backwards() -> None:
+    forwards = point_goal_reward(1.0, 0.9, 1.0, Outcome.GOING)
+    assert point_goal_reward(1.0, 0.9, -1.0, Outcome.GOING) == pytest.approx(forwards - 0.05)
 
 
 @given(coordinate, coordinate, coordinate, coordinate)

@@ -120,7 +120,7 @@ def test_the_end_of_a_recording_is_an_error(taped: tuple[Path, list[bytes]]) -> 
 def test_files_that_are_no_recordings_say_so(tmp_path: Path, text: str) -> None:
     tape = tmp_path / "broken.jsonl"
     tape.write_text(text)
-    with pytest.raises(ConfigError, match="recording|holds no episode"):
+    with pytest.raises(ConfigError, match=r"recording|holds no episode"):
         ReplayLink(tape).open()
 
 

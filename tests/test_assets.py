@@ -1,0 +1,33 @@
+"""The robot's URDF and its preset describe the same robot."""
+
+from __future__ import annotations
+
+import defusedxml.ElementTree
+import pytest
+
+from acsar_gym import RobotConfig
+from acsar_gym.resources import ASSETS
+
+URDF = ASSETS / "robots" / "acsar.urdf"
+
+
+def test_urdf_parameters_and_preset_agree() -> None:
+    loaded = RobotConfig.load(URDF)
+    assert loaded.serial_port == "/dev/ttyUSB0"
+    assert loaded.with_(serial_port=None) == RobotConfig.preset("acsar")
+
+
+def test_the_multiplier_is_the_closed_form() -> None:
+    config = RobotConfig.preset("acsar")
+    expected = 1.0 + (config.wheelbase / config.wheel_separation) ** 2
+    assert config.wheel_separation_multiplier == pytest.approx(expected, abs=1e-3)
+
+
+def test_joints_stand_where_the_parameters_say() -> None:
+    config = RobotConfig.preset("acsar")
+    root = defusedxml.ElementTree.parse(URDF).getroot()
+    origin = root.find("joint[@name='front_left_wheel_joint']/origin")
+    x, y, _ = map(float, origin.get("xyz").split())
+    assert (2.0 * x, 2.0 * y) == pytest.approx((config.wheelbase, config.wheel_separation))
+    masses = [float(mass.get("value")) for mass in root.iter("mass")]
+    assert sum(masses) == pytest.approx(config.body.mass)
