@@ -9,8 +9,9 @@ is allowed.
 from __future__ import annotations
 
 import math
+import reprlib
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import (
     AfterValidator,
@@ -41,6 +42,8 @@ def _known_baud(value: int) -> int:
 
 class _Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    section: ClassVar[str] = ""
+    """Name of the field of RobotConfig that holds this section."""
 
     @model_validator(mode="wrap")
     @classmethod
@@ -48,12 +51,13 @@ class _Section(BaseModel):
         try:
             return handler(data)
         except ValidationError as error:
-            raise ConfigError(_describe(cls, error)) from None
+            raise ConfigError(_describe(cls, cls.section, error)) from None
 
 
 class MotorConfig(_Section):
     """The motors and their speed loop."""
 
+    section = "motor"
     max_speed: PositiveFloat = 30.0
     """Fastest wheel speed the motors reach [rad/s]."""
     acceleration: PositiveFloat = 60.0
@@ -67,6 +71,7 @@ class MotorConfig(_Section):
 class EncoderConfig(_Section):
     """The wheel encoders, as the firmware reads them."""
 
+    section = "encoder"
     counts_per_revolution: Annotated[int, Field(gt=0)] = 1320
     """Counts per turn of the wheel."""
     window: PositiveFloat = 0.05
@@ -76,6 +81,7 @@ class EncoderConfig(_Section):
 class FirmwareConfig(_Section):
     """The microcontroller's program."""
 
+    section = "firmware"
     loop_rate: PositiveFloat = 200.0
     """Rate of its control loop, and of the simulation's substeps [Hz]."""
     feedback_rate: PositiveFloat | None = None
@@ -89,6 +95,7 @@ class FirmwareConfig(_Section):
 class BodyConfig(_Section):
     """Chassis and ground."""
 
+    section = "body"
     mass: PositiveFloat = 4.0
     """Whole robot [kg]."""
     length: PositiveFloat = 0.34
@@ -155,9 +162,11 @@ class RobotConfig(_Section):
             if rate > lines:
                 enough = [b for b in BAUD_RATES if b >= rate * BITS_PER_BYTE * line]
                 hint = f"baud_rate {enough[0]} or more, or " if enough else ""
+                loop = self.firmware.loop_rate
+                fits = loop / math.ceil(loop / lines)
                 raise ConfigError(
                     f"baud_rate = {self.baud_rate}: carries {int(lines)} lines of {line} bytes a "
-                    f"second, {field} needs {rate:g}; use {hint}{field} up to {int(lines)}"
+                    f"second, {field} needs {rate:g}; use {hint}{field} = {fits:g} or less"
                 )
         return self
 
@@ -189,8 +198,12 @@ class RobotConfig(_Section):
         return self.wheel_separation * self.wheel_separation_multiplier
 
     def with_(self, **changes: Any) -> RobotConfig:
-        """A validated copy with some fields changed."""
-        return RobotConfig(**{**self.model_dump(), **changes})
+        """A validated copy with some fields changed; a dict changes fields of a section."""
+        fields = self.model_dump()
+        for name, value in changes.items():
+            nested = isinstance(value, dict) and isinstance(fields.get(name), dict)
+            fields[name] = {**fields[name], **value} if nested else value
+        return RobotConfig(**fields)
 
     @classmethod
     def load(cls, path: str | Path) -> RobotConfig:
@@ -216,6 +229,8 @@ class RobotConfig(_Section):
             return robot
         if robot is None:
             return cls.preset("acsar")
+        if not isinstance(robot, str | Path):
+            raise ConfigError(f"robot = {robot!r}: must be a RobotConfig, a preset or a file")
         if isinstance(robot, Path) or Path(robot).suffix or "/" in robot:
             return cls.load(robot)
         return cls.preset(robot)
@@ -223,25 +238,34 @@ class RobotConfig(_Section):
 
 def whole_ratio(fast_name: str, fast: float, slow_name: str, slow: float) -> int:
     """The ratio fast / slow as an int; ConfigError unless it is a whole number of at least 1."""
-    ratio = fast / slow
+    ratio = min(fast / slow, 1e9)
     whole = round(ratio)
-    if whole < 1 or not math.isclose(ratio, whole, rel_tol=1e-9):
+    if not 1 <= whole < 1e9 or not math.isclose(ratio, whole, rel_tol=1e-9):
         raise ConfigError(
             f"{fast_name} = {fast:g} Hz: must be a whole multiple of {slow_name} = {slow:g} Hz"
         )
     return whole
 
 
-def _describe(model: type[BaseModel], error: ValidationError) -> str:
+def _describe(model: type[BaseModel], section: str, error: ValidationError) -> str:
     parts = []
     for item in error.errors(include_url=False):
-        field = ".".join(str(step) for step in item["loc"])
+        field = ".".join([section, *map(str, item["loc"])] if section else map(str, item["loc"]))
         if item["type"] == "extra_forbidden":
-            parts.append(f"unknown field {field!r}{suggestion(field, model.model_fields)}")
+            near = suggestion(str(item["loc"][-1]), model.model_fields)
+            parts.append(f"unknown field {field!r}{near}")
             continue
         allowed = item["msg"].removeprefix("Value error, ").removeprefix("Input should ")
-        parts.append(f"{field} = {item['input']!r}: {_must(allowed)}")
-    return f"{model.__name__}: " + "; ".join(parts)
+        parts.append(f"{field} = {_shown(item['input'])}: {_must(allowed)}")
+    return "; ".join(parts)
+
+
+def _shown(value: object) -> str:
+    """The value as in source code, shortened where it is long."""
+    try:
+        return reprlib.repr(value)
+    except ValueError:  # Python refuses to print integers of thousands of digits
+        return "a very long number"
 
 
 def _must(allowed: str) -> str:

@@ -15,6 +15,8 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, suggestion
 from acsar_gym.resources import ASSETS
 
+YAML_ERRORS = (yaml.YAMLError, ValueError, LookupError, AttributeError, RecursionError)
+"""What the YAML library lets out for malformed scalars, besides its own errors."""
 DRIVER_BAUD_RATE = "9600"
 """What the robot's own driver assumes where its URDF has no baud_rate."""
 
@@ -37,7 +39,7 @@ def load(path: Path) -> RobotConfig:
         )
     try:
         text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:
         raise ConfigError(f"{path}: can't be read: {error}") from None
     try:
         return RobotConfig(**reader(text))
@@ -48,7 +50,7 @@ def load(path: Path) -> RobotConfig:
 def _from_yaml(text: str) -> dict[str, Any]:
     try:
         data = yaml.safe_load(text)
-    except (yaml.YAMLError, RecursionError) as error:
+    except YAML_ERRORS as error:
         raise ConfigError(f"not valid YAML: {' '.join(str(error).split())}") from None
     if not isinstance(data, dict) or not all(isinstance(key, str) for key in data):
         raise ConfigError("must be a mapping of parameter names to values")
@@ -60,15 +62,16 @@ def _from_urdf(text: str) -> dict[str, Any]:
         root = defusedxml.ElementTree.fromstring(text)
     except (ParseError, DefusedXmlException, ValueError) as error:
         raise ConfigError(f"not a valid URDF: {error}") from None
-    hardware = root.find(".//ros2_control/hardware")
-    if hardware is None:
+    # A robot with an arm has several blocks: ours is the one whose parameters we know.
+    blocks = [_params(hardware) for hardware in root.iterfind(".//ros2_control/hardware")]
+    if not blocks:
         raise ConfigError("has no <ros2_control><hardware> block to take the parameters from")
-    params: dict[str, Any] = {"baud_rate": DRIVER_BAUD_RATE}
-    for element in hardware.findall("param"):
-        name, value = _param(element)
-        if name is not None:
-            params[name] = value
-    return params
+    return {"baud_rate": DRIVER_BAUD_RATE, **max(blocks, key=lambda block: len(block))}
+
+
+def _params(hardware: Element) -> dict[str, Any]:
+    found = map(_param, hardware.findall("param"))
+    return {name: value for name, value in found if name is not None}
 
 
 def _param(element: Element) -> tuple[str | None, str]:

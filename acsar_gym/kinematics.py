@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from acsar_gym.errors import CommandError
 from acsar_gym.protocol import Speeds
 
 
@@ -36,12 +37,15 @@ def inverse(
     """Four wheel speeds [rad/s] for a twist (linear [m/s], angular [rad/s]).
 
     Beyond `max_speed` [rad/s] all four shrink by the same factor, which keeps the turn radius.
+    Raises CommandError where a wheel speed would not be finite.
     """
     half_turn = angular * wheel_separation / 2.0
     left = (linear - half_turn) / wheel_radius
     right = (linear + half_turn) / wheel_radius
     fastest = max(abs(left), abs(right))
+    if not math.isfinite(fastest):
+        raise CommandError(f"twist = ({linear}, {angular}): must be finite m/s and rad/s")
     if fastest > max_speed:
-        left *= max_speed / fastest
-        right *= max_speed / fastest
+        left = max_speed * (left / fastest)
+        right = max_speed * (right / fastest)
     return right, left, left, right

@@ -59,15 +59,18 @@ class Odometry:
     def update(self, speeds: Sequence[float], dt: float) -> None:
         """Integrate four wheel speeds [rad/s] over `dt` [s].
 
-        Raises CommandError where a speed isn't finite or `dt` is negative or not finite.
+        Raises CommandError unless there are four finite speeds and a finite `dt` that isn't
+        negative.
         """
+        if len(speeds) != 4:
+            raise CommandError(f"odometry needs 4 wheel speeds (a, b, c, d), got {len(speeds)}")
         linear, angular = kinematics.forward(speeds, self._radius, self._separation)
-        if not (math.isfinite(linear + angular) and 0.0 <= dt < math.inf):
-            raise CommandError(f"odometry can't integrate speeds {tuple(speeds)} over dt = {dt} s")
         x, y, theta = self.pose
         x += linear * math.cos(theta) * dt
         y += linear * math.sin(theta) * dt
         theta += angular * dt
+        if not (math.isfinite(x + y + theta) and 0.0 <= dt < math.inf):
+            raise CommandError(f"odometry can't integrate speeds {tuple(speeds)} over dt = {dt} s")
         if not -math.pi <= theta <= math.pi:
             theta = math.remainder(theta, 2.0 * math.pi)
         self.pose = (x, y, theta)

@@ -44,9 +44,9 @@ def encode(speeds: Sequence[float], *, trailing_comma: bool = False) -> bytes:
     """
     if len(speeds) != len(MOTORS):
         raise CommandError(f"a line carries 4 wheel speeds (a, b, c, d), got {len(speeds)}")
-    a, b, c, d = speeds
+    a, b, c, d = map(float, speeds)
     if not math.isfinite(a + b + c + d):
-        _refuse_not_finite(speeds)
+        _refuse_not_finite((a, b, c, d))
     return _encode(a, b, c, d, trailing_comma)
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import defusedxml.ElementTree
 import pytest
+from defusedxml import ElementTree
 
 from acsar_gym import RobotConfig
 from acsar_gym.resources import ASSETS
@@ -25,9 +25,9 @@ def test_the_multiplier_is_the_closed_form() -> None:
 
 def test_joints_stand_where_the_parameters_say() -> None:
     config = RobotConfig.preset("acsar")
-    root = defusedxml.ElementTree.parse(URDF).getroot()
-    origin = root.find("joint[@name='front_left_wheel_joint']/origin")
-    x, y, _ = map(float, origin.get("xyz").split())
+    root = ElementTree.fromstring(URDF.read_text())
+    (origin,) = root.iterfind("joint[@name='front_left_wheel_joint']/origin")
+    x, y, _ = map(float, origin.attrib["xyz"].split())
     assert (2.0 * x, 2.0 * y) == pytest.approx((config.wheelbase, config.wheel_separation))
-    masses = [float(mass.get("value")) for mass in root.iter("mass")]
+    masses = [float(mass.attrib["value"]) for mass in root.iter("mass")]
     assert sum(masses) == pytest.approx(config.body.mass)

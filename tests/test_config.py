@@ -47,6 +47,11 @@ def config_of(**values: Any) -> RobotConfig:
     return RobotConfig(**values)
 
 
+def name_of(model: type[Any], field: str) -> str:
+    """The field as users write it in a YAML file."""
+    return f"{model.section}.{field}" if model.section else field
+
+
 def test_defaults_are_those_of_the_robots_driver() -> None:
     config = RobotConfig()
     assert (config.wheel_radius, config.wheel_separation) == (0.05, 0.3)
@@ -106,7 +111,7 @@ def test_a_bad_number_names_field_value_and_what_is_allowed(
     model: type[Any], field: str, bad: object, allowed: str
 ) -> None:
     message = refusal(model, {field: bad})
-    assert message.startswith(f"{model.__name__}: {field} = {bad!r}: ")
+    assert message.startswith(f"{name_of(model, field)} = {bad!r}: ")
     assert re.search(allowed, message)
 
 
@@ -131,7 +136,17 @@ def test_other_bad_values_say_what_is_allowed(
     model: type[Any], field: str, bad: object, allowed: str
 ) -> None:
     message = refusal(model, {field: bad})
-    assert message.startswith(f"{model.__name__}: {field} = {bad!r}: {allowed}")
+    assert message.startswith(f"{name_of(model, field)} = {bad!r}: {allowed}")
+
+
+@pytest.mark.parametrize("bad", [None, 3, "fast"])
+def test_a_section_that_is_none_is_named(bad: object) -> None:
+    assert refusal(RobotConfig, {"motor": bad}).startswith(f"motor = {bad!r}: must be")
+
+
+def test_long_values_are_shortened() -> None:
+    assert len(refusal(RobotConfig, {"wheel_radius": ["x" * 1000] * 1000})) < 300
+    assert "a very long number" in refusal(RobotConfig, {"wheel_radius": 16**5000})
 
 
 def test_all_bad_fields_are_in_one_message() -> None:
@@ -148,8 +163,8 @@ def test_all_bad_fields_are_in_one_message() -> None:
         ({"baudrate": 9600}, "baudrate", "baud_rate"),
         ({"port": "COM3"}, "port", "serial_port"),
         ({"motr": {}}, "motr", "motor"),
-        ({"motor": {"max_sped": 1}}, "max_sped", "max_speed"),
-        ({"firmware": {"feedbackrate": 1}}, "feedbackrate", "feedback_rate"),
+        ({"motor": {"max_sped": 1}}, "motor.max_sped", "max_speed"),
+        ({"firmware": {"feedbackrate": 1}}, "firmware.feedbackrate", "feedback_rate"),
     ],
 )
 def test_a_typo_gets_a_suggestion(values: dict[str, Any], typo: str, meant: str) -> None:
@@ -158,7 +173,7 @@ def test_a_typo_gets_a_suggestion(values: dict[str, Any], typo: str, meant: str)
 
 def test_a_name_like_no_other_gets_the_list_of_names() -> None:
     message = refusal(MotorConfig, {"zzz": 1})
-    assert "unknown field 'zzz'" in message
+    assert "unknown field 'motor.zzz'" in message
     assert "acceleration, deadband, max_speed, time_constant" in message
 
 
@@ -170,7 +185,9 @@ def test_commands_must_fit_the_baud_rate(baud: int, lines: int) -> None:
     message = refusal(RobotConfig, too_fast)
     assert message.startswith(f"baud_rate = {baud}: carries {lines} lines of 33 bytes a second")
     assert f"control_rate needs {lines + 1}" in message
-    assert message.endswith(f"control_rate up to {lines}")
+    slower = (lines + 1) / 2
+    assert message.endswith(f"control_rate = {slower:g} or less")
+    assert config_of(**{**too_fast, "control_rate": slower}).control_rate == slower
 
 
 @pytest.mark.parametrize(("baud", "lines"), LINES_PER_SECOND)
@@ -198,7 +215,7 @@ def test_a_slow_wire_names_the_first_baud_rate_that_is_fast_enough(
 
 def test_no_baud_rate_is_suggested_where_none_is_fast_enough() -> None:
     message = refusal(RobotConfig, {"control_rate": 400, "firmware": {"loop_rate": 400}})
-    assert "use control_rate up to 349" in message
+    assert "use control_rate = 200 or less" in message
     assert "or more" not in message
 
 

@@ -89,7 +89,7 @@ def test_an_empty_mapping_is_all_defaults(load_yaml: Load) -> None:
         ("wheel_radius: big", "wheel_radius = 'big': must be a valid number"),
         ("wheel_radius:", "wheel_radius = None: must be a valid number"),
         ("wheel_radus: 1", "unknown field 'wheel_radus'; did you mean 'wheel_radius'?"),
-        ("motor: {max_sped: 1}", "unknown field 'max_sped'; did you mean 'max_speed'?"),
+        ("motor: {max_sped: 1}", "unknown field 'motor.max_sped'; did you mean 'max_speed'?"),
         ("body: {mass: 0}", "mass = 0: must be greater than 0"),
         ("baud_rate: 9600", "use baud_rate 38400 or more"),
         ("control_rate: 30", "whole multiple of control_rate = 30 Hz"),
@@ -244,3 +244,24 @@ def test_an_external_entity_is_refused_unread(load_urdf: Load, tmp_path: Path) -
     with pytest.raises(ConfigError, match=r"not a valid URDF: .*Entit") as caught:
         load_urdf(urdf(param("odom_frame", "&e;"), doctype=doctype))
     assert SECRET not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "scalar", ["2020-13-45", "!!int abc", "!!timestamp abc", "!!bool abc", '!!int ""', "9" * 5000]
+)
+def test_malformed_yaml_scalars_are_one_error(tmp_path: Path, scalar: str) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_text(f"wheel_radius: {scalar}\n")
+    with pytest.raises(ConfigError, match=r"robot\.yaml: "):
+        RobotConfig.load(path)
+
+
+def test_an_arms_block_before_the_bases_is_passed_over(tmp_path: Path) -> None:
+    path = tmp_path / "robot.urdf"
+    arm = "<ros2_control><hardware><param name='gripper'>1</param></hardware></ros2_control>"
+    base = "".join(
+        f"<param name='{name}'>{value}</param>"
+        for name, value in {"wheel_radius": 0.07, "baud_rate": 57600}.items()
+    )
+    path.write_text(f"<robot>{arm}<ros2_control><hardware>{base}</hardware></ros2_control></robot>")
+    assert RobotConfig.load(path).wheel_radius == 0.07

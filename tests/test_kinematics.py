@@ -7,6 +7,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from acsar_gym import kinematics
+from acsar_gym.errors import CommandError
 
 RADIUS, SEPARATION = 0.05, 0.3
 
@@ -136,3 +137,8 @@ def test_wheels_within_the_limit_are_left_alone(linear: float, angular: float) -
 
 def test_a_limit_of_zero_stops_all_wheels() -> None:
     assert kinematics.inverse(1.0, -2.0, RADIUS, SEPARATION, 0.0) == (0.0, 0.0, 0.0, 0.0)
+
+
+def test_a_twist_beyond_all_numbers_is_refused() -> None:
+    with pytest.raises(CommandError, match="twist"):
+        kinematics.inverse(1e308, 1e308, 0.05, 0.3, 30.0)

@@ -264,3 +264,11 @@ def test_geometry_must_be_positive_and_finite(name: str, value: float) -> None:
     geometry = {"wheel_radius": RADIUS, "wheel_separation": SEPARATION, name: value}
     with pytest.raises(ConfigError, match=f"^{name} = {value}: must be positive"):
         Odometry(**geometry)
+
+
+@pytest.mark.parametrize("speeds", [(1e308, -1e308, -1e308, 1e308), (1e308,) * 4, (1.0,) * 3])
+def test_what_cannot_be_integrated_leaves_the_pose_alone(speeds: tuple[float, ...]) -> None:
+    odometry = Odometry(0.05, 0.3)
+    with pytest.raises(CommandError):
+        odometry.update(speeds, 1e300)
+    assert odometry.pose == (0.0, 0.0, 0.0)

@@ -6,14 +6,16 @@ import pickle
 import re
 import tracemalloc
 from collections import Counter
+from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from acsar_gym.config import LINE_BYTES
 from acsar_gym.errors import CommandError
-from acsar_gym.protocol import MAX_LINE, MAX_SPEED, WHEELS, Decoder, encode
+from acsar_gym.protocol import MAX_LINE, MAX_SPEED, WHEELS, Decoder, Speeds, encode
 
 GRAMMAR = re.compile(rb"a[pn]\d\d\.\d\d,b[pn]\d\d\.\d\d,c[pn]\d\d\.\d\d,d[pn]\d\d\.\d\d,?\r\n")
 NUMBER = re.compile(r"[pn]\d\d\.\d\d")
@@ -58,9 +60,8 @@ def on_the_wire(speed: float) -> float:
 
 def encoded(speed: float) -> str:
     """How one speed is written, such as `p10.00`; all four motors must agree."""
-    written = set(NUMBER.findall(encode([speed] * 4).decode()))
-    assert len(written) == 1
-    return str(written.pop())
+    (written,) = set(NUMBER.findall(encode([speed] * 4).decode()))
+    return str(written)
 
 
 def speeds_of(data: bytes) -> list[tuple[float | None, ...]]:
@@ -75,9 +76,7 @@ def cut(stream: bytes, places: list[int]) -> list[bytes]:
 @thorough
 @given(speeds=four_speeds, comma=st.booleans())
 @example(speeds=(1e308, 1e308, 1e308, 1e308), comma=False)
-def test_decode_of_encode_is_rounded_to_two_decimals_and_saturated(
-    speeds: tuple[float, float, float, float], comma: bool
-) -> None:
+def test_decode_of_encode_is_rounded_and_saturated(speeds: Speeds, comma: bool) -> None:
     expected = tuple(on_the_wire(speed) for speed in speeds)
     assert speeds_of(encode(speeds, trailing_comma=comma)) == [expected]
 
@@ -85,9 +84,7 @@ def test_decode_of_encode_is_rounded_to_two_decimals_and_saturated(
 @thorough
 @given(speeds=four_speeds, comma=st.booleans())
 @example(speeds=(-0.0, -0.001, -0.00499, -5e-324), comma=False)
-def test_every_line_fits_the_grammar_and_no_zero_is_negative(
-    speeds: tuple[float, float, float, float], comma: bool
-) -> None:
+def test_lines_fit_the_grammar_and_no_zero_is_negative(speeds: Speeds, comma: bool) -> None:
     line = encode(speeds, trailing_comma=comma)
     assert GRAMMAR.fullmatch(line)
     assert line.endswith(b",\r\n") is comma
@@ -130,21 +127,19 @@ def test_memory_stays_bounded_over_many_different_lines() -> None:
     try:
         for number in range(20_000):
             decoder.feed(b"%0240d\n" % number)
+            encode([float(number), 1.0, 2.0, 3.0])
         held, _ = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
     assert decoder.refused == {"unknown motor": 20_000}
-    assert held < 5_000_000
+    assert held < 2_000_000
 
 
 @thorough
 @given(garbage=streams, places=st.lists(st.integers(0, 5000), max_size=10))
 @example(garbage=b"x" * MAX_LINE, places=[])
 @example(garbage=b"x" * (MAX_LINE + 1), places=[])
-@example(garbage=b"ap12", places=[4])
-def test_a_good_line_after_any_garbage_and_a_newline_is_read(
-    garbage: bytes, places: list[int]
-) -> None:
+def test_a_good_line_after_any_garbage_is_read(garbage: bytes, places: list[int]) -> None:
     decoder = Decoder()
     chunks = cut(garbage + b"\n" + GOOD + b"\n", places)
     readings = [reading for chunk in chunks for reading in decoder.feed(chunk)]
@@ -156,24 +151,19 @@ def test_a_good_line_after_any_garbage_and_a_newline_is_read(
     [
         (9.994, "p09.99"),
         (9.995, "p09.99"),  # the nearest double lies below
-        (9.9951, "p10.00"),
         (9.996, "p10.00"),
         (9.999, "p10.00"),
         (-9.996, "n10.00"),
         (99.99, "p99.99"),
         (99.994, "p99.99"),
         (99.996, "p99.99"),
-        (100.0, "p99.99"),
         (1e300, "p99.99"),
         (-1e300, "n99.99"),
-        (0.0, "p00.00"),
-        (-0.0, "p00.00"),
         (-0.001, "p00.00"),
         (math.nextafter(0.005, 0.0), "p00.00"),
         (math.nextafter(-0.005, 0.0), "p00.00"),
         (0.005, "p00.01"),
         (-0.005, "n00.01"),
-        (7, "p07.00"),
     ],
 )
 def test_rounding_and_saturation(speed: float, text: str) -> None:
@@ -214,8 +204,7 @@ def test_any_line_end_with_or_without_a_trailing_comma(end: bytes, comma: bytes)
     decoder = Decoder()
     readings = decoder.feed((GOOD + comma + end) * 3)
     assert [reading.speeds for reading in readings] == [GOOD_SPEEDS] * 3
-    assert decoder.lines == 3
-    assert not decoder.refused
+    assert (decoder.lines, decoder.refused) == (3, {})
 
 
 @pytest.mark.parametrize(
@@ -234,6 +223,10 @@ def test_any_line_end_with_or_without_a_trailing_comma(end: bytes, comma: bytes)
         (b"ap01.00,,", (1.0, None, None, None), {"empty part": 1}),
         (b"ap01.00,ap02.00,an03.00", (-3.0, None, None, None), {"duplicate motor": 2}),
         (b"ap01.00,apnan", (1.0, None, None, None), {"malformed number": 1}),
+        (GOOD + b"0", (*GOOD_SPEEDS[:3], None), {"malformed number": 1}),
+        (GOOD + b",,", GOOD_SPEEDS, {"empty part": 1}),
+        (GOOD + b",ap01.00", (1.0, *GOOD_SPEEDS[1:]), {"duplicate motor": 1}),
+        (b"x" + GOOD, (None, *GOOD_SPEEDS[1:]), {"unknown motor": 1}),
         (b"\xff\x00ap01.00,bp02.00", (None, 2.0, None, None), {"unknown motor": 1}),
     ],
 )
@@ -246,9 +239,18 @@ def test_bad_parts_are_refused_and_counted_and_the_rest_counts(
     assert decoder.lines == 1
 
 
-def test_a_negative_zero_from_the_board_reads_as_plain_zero() -> None:
-    (reading,) = Decoder().feed(b"an00.00\n")
-    assert math.copysign(1.0, reading.speeds[0] or 0.0) == 1.0
+@pytest.mark.parametrize("line", [b"an00.00\n", b"an00.00,bn00.00,cn00.00,dn00.00\n"])
+def test_a_negative_zero_from_the_board_reads_as_plain_zero(line: bytes) -> None:
+    read = [speed for speed in speeds_of(line)[0] if speed is not None]
+    assert [math.copysign(1.0, speed) for speed in read] == [1.0] * line.count(b"n0")
+
+
+@thorough
+@given(speeds=four_speeds, order=st.permutations(range(4)))
+def test_the_order_of_the_parts_does_not_matter(speeds: Speeds, order: list[int]) -> None:
+    parts = encode(speeds).rstrip().split(b",")
+    shuffled = b",".join(parts[i] for i in order)
+    assert speeds_of(shuffled + b"\n") == speeds_of(encode(speeds))
 
 
 @pytest.mark.parametrize(
@@ -279,8 +281,7 @@ def test_lines_beyond_the_limit_are_dropped_whole(excess: int, read: int, chunk:
     ]
     dropped = {"unknown motor": 1} if read else {"line too long": 1}
     assert len(readings) == read + 1
-    assert readings[-1].speeds == GOOD_SPEEDS
-    assert decoder.refused == dropped
+    assert (readings[-1].speeds, decoder.refused) == (GOOD_SPEEDS, dropped)
 
 
 def test_reset_forgets_the_partial_line_the_skipping_and_the_counters() -> None:
@@ -299,3 +300,10 @@ def test_an_incomplete_line_waits_for_its_end() -> None:
     assert decoder.feed(b"") == []
     assert [reading.speeds for reading in decoder.feed(b"\r")] == [GOOD_SPEEDS]
     assert decoder.feed(b"\n") == []
+
+
+def test_numpy_speeds_are_taken_for_what_they_are() -> None:
+    almost_zero: Any = np.array([-0.005] * 4, np.float32)  # lies just above -0.005
+    huge: Any = np.array([1e308] * 4)
+    assert encode(almost_zero).count(b"p00.00") == 4
+    assert encode(huge).count(b"p99.99") == 4

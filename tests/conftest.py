@@ -1,0 +1,77 @@
+"""Fixtures of everything that talks to a serial device: the emulator in another process."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+
+sys.path.insert(0, str(Path(__file__).parent))  # --import-mode=importlib leaves it out
+
+from serial_tools import TIMEOUT, Emulated, RobotFile, StartEmulator, start
+
+from acsar_gym import RobotConfig
+
+
+@pytest.fixture
+def deadline() -> Iterator[None]:
+    """Fails a test that hangs, wherever it hangs."""
+
+    def expire(*_: object) -> None:
+        pytest.fail(f"hangs for {2 * TIMEOUT:g} s")
+
+    before = signal.signal(signal.SIGALRM, expire)
+    signal.setitimer(signal.ITIMER_REAL, 2 * TIMEOUT)
+    yield
+    signal.setitimer(signal.ITIMER_REAL, 0.0)
+    signal.signal(signal.SIGALRM, before)
+
+
+@pytest.fixture
+def config() -> RobotConfig:
+    """The ACSAR robot, with the patience that a busy machine needs."""
+    return RobotConfig.preset("acsar").with_(connect_timeout=20.0, feedback_timeout=5.0)
+
+
+@pytest.fixture
+def robot_file(tmp_path: Path, config: RobotConfig) -> RobotFile:
+    """`robot_file(field=value, ...)` writes the patient robot with changes to a YAML file."""
+
+    def write(**changes: object) -> Path:
+        path = tmp_path / "robot.yaml"
+        path.write_text(yaml.safe_dump(config.with_(**changes).model_dump()), encoding="utf-8")
+        return path
+
+    return write
+
+
+@pytest.fixture
+def start_emulator(tmp_path: Path) -> Iterator[StartEmulator]:
+    """`start_emulator("--silent", ...)` starts one; all of them end with the test."""
+    running: list[Emulated] = []
+
+    def begin(*arguments: str) -> Emulated:
+        running.append(start(tmp_path / f"emulator{len(running)}.jsonl", *arguments))
+        return running[-1]
+
+    yield begin
+    for emulated in running:
+        emulated.end()
+
+
+@pytest.fixture
+def emulator(start_emulator: StartEmulator) -> Emulated:
+    """A robot of the test's own on a pseudo-terminal, with a log."""
+    return start_emulator()
+
+
+@pytest.fixture(scope="session")
+def shared_device(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """A robot's device for tests that need no log; wherever the last test left it, at rest."""
+    emulated = start(tmp_path_factory.mktemp("shared") / "emulator.jsonl")
+    yield emulated.device
+    emulated.end()

@@ -1,0 +1,206 @@
+"""One contract for every link, the serial one on a pseudo-terminal."""
+
+from __future__ import annotations
+
+import json
+import statistics
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from serial_tools import no_leak, open_files
+
+from acsar_gym import Link, Robot, RobotConfig, open_link
+from acsar_gym.errors import LinkError
+from acsar_gym.protocol import ZERO, Decoder, Reading, encode
+from acsar_gym.worlds import Scene
+
+pytestmark = pytest.mark.usefixtures("deadline")
+
+PERIOD = 0.01
+PATIENCE = 2000
+"""Periods to wait for a line."""
+TURNING = encode((3.0, 3.0, 3.0, 3.0))
+ALL = ("planar", "bullet", "replay", "serial")
+LIVE = tuple(name for name in ALL if name != "replay")
+"""A recording can't be opened again or driven elsewhere."""
+
+MakeLink = Callable[[], Link]
+
+
+def exchange(link: Link, command: bytes, periods: int) -> list[tuple[bytes, float]]:
+    """What arrives in each of so many periods, and the clock after it."""
+    heard = []
+    for _ in range(periods):
+        link.write(command)
+        heard.append((link.advance(PERIOD), link.now()))
+    return heard
+
+
+def recorded(path: Path, config: RobotConfig) -> Path:
+    """The planar robot, taped: it stands for 10 periods, then its wheels turn."""
+    link = open_link("planar", config)
+    link.open()
+    link.reset(Scene())
+    events: list[dict[str, object]] = [{"reset": link.now()}]
+    for command, periods in ((encode(ZERO), 10), (TURNING, 300)):
+        for got, stamp in exchange(link, command, periods):
+            events.append({"sent": command.decode(), "got": got.decode(), "t": stamp})
+    link.close()
+    path.write_text("".join(json.dumps(event) + "\n" for event in events), encoding="ascii")
+    return path
+
+
+@pytest.fixture
+def make_link(request: pytest.FixtureRequest, config: RobotConfig, tmp_path: Path) -> MakeLink:
+    name = request.param
+    if name == "replay":
+        url = f"replay:{recorded(tmp_path / 'tape.jsonl', config)}"
+    elif name == "serial":
+        url = request.getfixturevalue("shared_device")
+    else:
+        url = name
+    return lambda: open_link(url, config)
+
+
+every_link = pytest.mark.parametrize("make_link", ALL, indirect=True)
+every_live_link = pytest.mark.parametrize("make_link", LIVE, indirect=True)
+
+
+def stands(reading: Reading) -> bool:
+    return max(abs(speed or 0.0) for speed in reading.speeds) < 0.1
+
+
+def turns(reading: Reading) -> bool:
+    return min(speed or 0.0 for speed in reading.speeds) > 1.0
+
+
+def answers(link: Link, command: bytes, expected: Callable[[Reading], bool]) -> bool:
+    """Whether the expected line comes while a command is held; every line is a valid one."""
+    decoder = Decoder()
+    for _ in range(PATIENCE):
+        readings = [line for got, _ in exchange(link, command, 1) for line in decoder.feed(got)]
+        assert not decoder.refused
+        if any(map(expected, readings)):
+            return True
+    return False
+
+
+@every_link
+def test_a_robot_stands_at_zero_after_reset(make_link: MakeLink, config: RobotConfig) -> None:
+    with Robot(make_link(), config) as robot:
+        assert robot.odometry.pose == (0.0, 0.0, 0.0)
+        assert max(map(abs, robot.speeds)) < 0.1
+        if robot.link.truth:
+            assert robot.link.truth.pose == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
+
+
+@every_live_link
+def test_reset_begins_again_at_zero(make_link: MakeLink, config: RobotConfig) -> None:
+    with Robot(make_link(), config) as robot:
+        for _ in range(50):
+            robot.drive(0.3, 0.0)
+        assert robot.odometry.pose[0] > 0.01
+        robot.reset(Scene())
+        assert robot.odometry.pose == (0.0, 0.0, 0.0)
+        assert max(map(abs, robot.speeds)) < 0.1
+
+
+@every_live_link
+def test_a_simulated_reset_starts_where_the_scene_says(make_link: MakeLink) -> None:
+    link = make_link()
+    link.open()
+    link.reset(Scene(start=(1.0, -2.0, 0.5)))
+    truth = link.truth
+    link.close()
+    assert truth is None or truth.pose == pytest.approx((1.0, -2.0, 0.5), abs=1e-6)
+
+
+@every_link
+def test_valid_lines_come_back_and_commands_turn_the_wheels(make_link: MakeLink) -> None:
+    link = make_link()
+    link.open()
+    link.reset(Scene())
+    assert answers(link, encode(ZERO), stands)
+    assert answers(link, TURNING, turns)
+    link.close()
+
+
+@every_link
+def test_the_clock_never_runs_back_and_follows_the_periods(make_link: MakeLink) -> None:
+    link = make_link()
+    link.open()
+    link.reset(Scene())
+    start = link.now()
+    stamps = [stamp for _, stamp in exchange(link, encode(ZERO), 60)]
+    link.close()
+    steps = [after - before for before, after in zip([start, *stamps], stamps, strict=False)]
+    assert min(steps) >= 0.0
+    assert stamps[-1] - start >= 57 * PERIOD
+    assert 0.5 * PERIOD < statistics.median(steps) < 2.0 * PERIOD
+
+
+@every_link
+def test_opening_twice_is_once(make_link: MakeLink) -> None:
+    with no_leak():
+        link = make_link()
+        link.open()
+        held = open_files()
+        link.open()
+        assert open_files() == held
+        link.reset(Scene())
+        assert answers(link, encode(ZERO), stands)
+        link.open()
+        link.advance(PERIOD)
+        link.close()
+
+
+@every_link
+def test_closing_twice_is_once(make_link: MakeLink) -> None:
+    with no_leak():
+        link = make_link()
+        link.close()
+        link.open()
+        link.reset(Scene())
+        link.advance(PERIOD)
+        link.close()
+        link.close()
+
+
+@pytest.mark.parametrize(
+    "make_link",
+    [
+        *LIVE,
+        pytest.param(
+            "replay",
+            marks=pytest.mark.xfail(reason="ReplayLink.close changes nothing", strict=True),
+        ),
+    ],
+    indirect=True,
+)
+@pytest.mark.parametrize("use", ["write", "advance"])
+def test_using_a_closed_link_is_an_error(make_link: MakeLink, use: str) -> None:
+    link = make_link()
+    link.open()
+    link.reset(Scene())
+    link.close()
+    with pytest.raises(LinkError, match="open"):
+        link.write(TURNING) if use == "write" else link.advance(PERIOD)
+
+
+@every_live_link
+def test_a_closed_link_can_be_opened_again(make_link: MakeLink) -> None:
+    link = make_link()
+    for _ in range(2):
+        link.open()
+        link.reset(Scene())
+        assert answers(link, encode(ZERO), stands)
+        link.close()
+
+
+@every_live_link
+def test_a_new_link_opens_nothing(make_link: MakeLink) -> None:
+    with no_leak():
+        links = [make_link() for _ in range(5)]
+        with pytest.raises(LinkError):
+            links[0].write(TURNING)

@@ -1,0 +1,108 @@
+"""Whatever ends the program, the last command on the wire is zero. Each in a process of its own."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+
+import pytest
+from serial_tools import DRIVER, TIMEOUT, Emulated, program, wait_until
+
+pytestmark = pytest.mark.usefixtures("deadline")
+
+IN_BLOCK = """
+with robot:
+    drive({ticks})
+    {end}
+"""
+WITHOUT_BLOCK = """
+robot.activate()
+drive({ticks})
+{end}
+"""
+BLOCKS = pytest.mark.parametrize("block", [IN_BLOCK, WITHOUT_BLOCK], ids=["with", "without"])
+FOREVER = 10**9
+
+
+def drives(emulator: Emulated) -> None:
+    wait_until(emulator.is_driven, "a command that turns the wheels")
+
+
+def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
+    """Exit status and standard error."""
+    _, error = process.communicate(timeout=TIMEOUT)
+    return process.returncode, error
+
+
+def assert_stopped(emulator: Emulated) -> None:
+    """Wheels turned, then a zero command came; the process is gone, so nothing follows it."""
+    wait_until(emulator.is_stopped, "zero as the last command")
+
+
+@BLOCKS
+@pytest.mark.parametrize(
+    ("end", "status", "said"),
+    [
+        ("raise RuntimeError('oops')", 1, "RuntimeError: oops"),
+        ("raise KeyboardInterrupt", -signal.SIGINT, "KeyboardInterrupt"),
+        ("sys.exit(7)", 7, ""),
+        ("pass", 0, ""),
+    ],
+    ids=["exception", "interrupt", "sys.exit", "end of program"],
+)
+def test_ends_of_a_program(
+    block: str, end: str, status: int, said: str, emulator: Emulated
+) -> None:
+    with program(DRIVER + block.format(ticks=30, end=end), emulator.device) as process:
+        returned, error = ended(process)
+    assert returned == status, error
+    assert error.endswith(f"{said}\n") if said else not error
+    assert_stopped(emulator)
+
+
+@BLOCKS
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_signals_keep_their_effect(block: str, number: signal.Signals, emulator: Emulated) -> None:
+    code = DRIVER + block.format(ticks=FOREVER, end="pass")
+    with program(code, emulator.device) as process:
+        drives(emulator)
+        process.send_signal(number)
+        returned, error = ended(process)
+    assert returned == -number, error
+    assert_stopped(emulator)
+
+
+def test_a_handler_of_the_program_itself_is_left_alone(emulator: Emulated) -> None:
+    own = "signal.signal(signal.SIGTERM, lambda *_: sys.exit(9))"
+    code = DRIVER + own + WITHOUT_BLOCK.format(ticks=FOREVER, end="pass")
+    with program(code, emulator.device) as process:
+        drives(emulator)
+        process.terminate()
+        assert ended(process) == (9, "")
+    assert_stopped(emulator)
+
+
+def test_an_ignored_signal_stays_ignored(emulator: Emulated) -> None:
+    """As under nohup: the robot drives on after the terminal is closed."""
+    own = "signal.signal(signal.SIGHUP, signal.SIG_IGN)"
+    code = DRIVER + own + WITHOUT_BLOCK.format(ticks=FOREVER, end="pass")
+    with program(code, emulator.device) as process:
+        drives(emulator)
+        process.send_signal(signal.SIGHUP)
+        heard = len(emulator.commands())
+        wait_until(lambda: len(emulator.commands()) > heard + 20, "more commands")
+        assert emulator.is_driven()
+        process.terminate()
+        assert ended(process) == (-signal.SIGTERM, "")
+    assert_stopped(emulator)
+
+
+def test_what_no_program_can_catch_is_left_to_the_boards_own_timeout(emulator: Emulated) -> None:
+    """SIGKILL leaves no time for a zero command; it shows that the tests above can fail."""
+    code = DRIVER + IN_BLOCK.format(ticks=FOREVER, end="pass")
+    with program(code, emulator.device) as process:
+        drives(emulator)
+        process.kill()
+        assert ended(process)[0] == -signal.SIGKILL
+    wait_until(emulator.stands, "a robot that stands")
+    assert emulator.is_driven()

@@ -1,0 +1,314 @@
+"""Bad input on the serial side: one clear error each, nothing hangs, no descriptor stays open."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import signal
+import time
+from pathlib import Path
+
+import pytest
+from serial_tools import (
+    DRIVER,
+    TIMEOUT,
+    Emulated,
+    RobotFile,
+    StartEmulator,
+    first_line,
+    no_leak,
+    program,
+    wait_until,
+)
+
+from acsar_gym import Robot, RobotConfig, open_link
+from acsar_gym.errors import (
+    BoardGarbledError,
+    BoardSilentError,
+    CommandError,
+    ConfigError,
+    LinkError,
+    LinkLostError,
+    PortBusyError,
+    PortNotFoundError,
+)
+from acsar_gym.links.serial import SerialLink
+from acsar_gym.protocol import ZERO
+from acsar_gym.worlds import Scene
+
+pytestmark = pytest.mark.usefixtures("deadline")
+
+MISSING = "/dev/acsar-missing"
+NOBODY = 65534
+
+
+def assert_clear(error: LinkError, device: str) -> None:
+    """One line that names the device and says what to do."""
+    assert device in error.found
+    assert error.fix
+    assert "\n" not in str(error)
+
+
+def refusal(device: str, config: RobotConfig) -> LinkError:
+    """The error of activating a robot on a bad device, which leaves nothing open behind it."""
+    robot = Robot(open_link(device, config), config)
+    with no_leak(), pytest.raises(LinkError) as caught:
+        robot.activate()
+    assert not robot.active
+    with pytest.raises(LinkError, match="closed"):
+        robot.link.write(b"")
+    assert_clear(caught.value, device)
+    return caught.value
+
+
+def drive_until_error(robot: Robot, ticks: int = 100_000) -> int:
+    """How many ticks went well before one raised; the error is raised on."""
+    for _ in range(ticks):
+        robot.drive(0.2, 0.0)
+    raise AssertionError(f"no error in {ticks} ticks")
+
+
+def test_missing_device(config: RobotConfig) -> None:
+    error = refusal(MISSING, config)
+    assert type(error) is PortNotFoundError
+    assert error.exit_code == 3
+
+
+def test_missing_serial_port_parameter(config: RobotConfig) -> None:
+    with pytest.raises(ConfigError, match="serial_port"):
+        open_link("serial", config)
+
+
+def test_the_config_names_the_device(config: RobotConfig, shared_device: str) -> None:
+    with Robot(open_link("serial", config.with_(serial_port=shared_device)), config) as robot:
+        assert isinstance(robot.link, SerialLink)
+        assert robot.link.device == shared_device
+
+
+@pytest.mark.parametrize("kind", ["file", "folder", "/dev/null"])
+def test_not_a_tty(kind: str, config: RobotConfig, tmp_path: Path) -> None:
+    path = tmp_path / "port"
+    if kind == "file":
+        path.write_bytes(b"not a port")
+    device = {"file": path, "folder": tmp_path}.get(kind, kind)
+    error = refusal(str(device), config)
+    assert type(error) is LinkError
+    assert "serial port" in error.found
+    assert kind != "file" or path.read_bytes() == b"not a port"
+
+
+PERMISSION = f"""
+import os, sys
+from acsar_gym import Robot, RobotConfig, open_link
+
+master, slave = os.openpty()
+device = os.ttyname(slave)
+robot = Robot(open_link(device, RobotConfig.preset("acsar")))
+if os.getuid() == 0:
+    os.chmod(device, 0o600)
+    os.setgroups([])
+    os.setegid({NOBODY})
+    os.seteuid({NOBODY})
+else:
+    os.chmod(device, 0)
+before = len(os.listdir("/proc/self/fd"))
+try:
+    robot.activate()
+except Exception as error:
+    print(type(error).__name__, "-", error)
+sys.exit(len(os.listdir("/proc/self/fd")) != before)
+"""
+
+
+def test_no_permission_names_the_group() -> None:
+    with program(PERMISSION) as process:
+        out, err = process.communicate(timeout=TIMEOUT)
+    assert out.startswith("PortPermissionError - /dev/pts/"), err
+    assert "dialout" in out
+    assert out.count("\n") == 1
+    assert process.returncode == 0, "a descriptor was left open"
+
+
+def test_busy_with_another_robot_program(config: RobotConfig, shared_device: str) -> None:
+    code = DRIVER + "robot.activate(); print('ready', flush=True); drive(10**9)"
+    with program(code, shared_device) as process:
+        assert first_line(process) == "ready"
+        assert type(refusal(shared_device, config)) is PortBusyError
+    with Robot(open_link(shared_device, config), config) as robot:
+        assert robot.active
+
+
+def test_busy_with_a_lock(config: RobotConfig, shared_device: str) -> None:
+    holder = os.open(shared_device, os.O_RDWR | os.O_NOCTTY)
+    fcntl.flock(holder, fcntl.LOCK_EX)
+    try:
+        error = refusal(shared_device, config)
+    finally:
+        os.close(holder)
+    assert type(error) is PortBusyError
+    assert "fuser" in error.fix
+
+
+def test_silent_board(config: RobotConfig, start_emulator: StartEmulator) -> None:
+    silent = start_emulator("--silent")
+    error = refusal(silent.device, config.with_(connect_timeout=0.3))
+    assert type(error) is BoardSilentError
+    assert "no byte" in error.found
+    wait_until(lambda: set(silent.commands()) == {ZERO}, "nothing but zero commands")
+
+
+def test_wrong_baud_rate(config: RobotConfig, shared_device: str) -> None:
+    error = refusal(shared_device, config.with_(baud_rate=57600, connect_timeout=1.0))
+    assert type(error) is BoardGarbledError
+    assert "57600" in error.found
+    assert "115200" in error.fix
+
+
+def test_unplugged_while_driving(config: RobotConfig, emulator: Emulated) -> None:
+    robot = Robot(open_link(emulator.device, config), config)
+    with no_leak():
+        robot.activate()
+        robot.drive(0.2, 0.0)
+        emulator.kill()
+        with pytest.raises(LinkLostError) as caught:
+            drive_until_error(robot)
+    assert_clear(caught.value, emulator.device)
+    assert not robot.active
+    with pytest.raises(LinkError, match="closed"):
+        robot.link.advance(0.01)
+    with pytest.raises(LinkError, match="activate"):
+        robot.drive(0.2, 0.0)
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        "reset",
+        "read_now",
+        pytest.param(
+            "reset_input",
+            marks=pytest.mark.xfail(
+                reason="termios.error isn't translated", raises=Exception, strict=True
+            ),
+        ),
+    ],
+)
+def test_unplugged_between_two_uses(use: str, config: RobotConfig, emulator: Emulated) -> None:
+    link = SerialLink(emulator.device, config)
+    with no_leak():
+        link.open()
+        emulator.kill()
+        try:
+            with pytest.raises(LinkLostError):
+                link.reset(Scene()) if use == "reset" else getattr(link, use)()
+        finally:
+            link.close()
+
+
+def test_board_goes_silent_while_driving(config: RobotConfig, emulator: Emulated) -> None:
+    hasty = config.with_(feedback_timeout=1.0)
+    robot = Robot(open_link(emulator.device, hasty), hasty)
+    with no_leak():
+        robot.activate()
+        emulator.pause()
+        with pytest.raises(BoardSilentError, match="no feedback for") as caught:
+            drive_until_error(robot, ticks=200)
+    assert caught.value.fix
+    assert not robot.active
+    assert robot.feedback_age > 1.0
+
+
+def test_the_same_robot_works_again_after_silence(config: RobotConfig, emulator: Emulated) -> None:
+    hasty = config.with_(feedback_timeout=1.0)
+    robot = Robot(open_link(emulator.device, hasty), hasty)
+    robot.activate()
+    emulator.pause()
+    with pytest.raises(BoardSilentError):
+        drive_until_error(robot)
+    emulator.process.send_signal(signal.SIGCONT)
+    with robot:
+        assert robot.odometry.pose == (0.0, 0.0, 0.0)
+        robot.drive(0.2, 0.0)
+        assert robot.feedback_age < 1.0
+
+
+@pytest.mark.parametrize(
+    "speeds",
+    [(float("nan"), 1.0, 1.0, 1.0), (1.0, 1.0, float("inf"), 1.0), (1.0, 1.0, 1.0)],
+    ids=["nan", "inf", "three"],
+)
+def test_a_command_that_must_not_be_sent_stops_the_robot(
+    speeds: tuple[float, ...], config: RobotConfig, emulator: Emulated
+) -> None:
+    robot = Robot(open_link(emulator.device, config), config)
+    with no_leak():
+        robot.activate()
+        for _ in range(20):
+            robot.drive(0.2, 0.0)
+        with pytest.raises(CommandError):
+            robot.tick(speeds)
+    assert not robot.active
+    wait_until(emulator.is_stopped, "zero command after a bad one")
+    assert b"n" not in emulator.received()  # neither nan nor backward
+
+
+def test_ticks_that_end_late_are_counted(config: RobotConfig, shared_device: str) -> None:
+    with Robot(open_link(shared_device, config), config) as robot:
+        link = robot.link
+        assert isinstance(link, SerialLink)
+        before = link.late_ticks
+        time.sleep(0.1)
+        robot.drive(0.0, 0.0)
+        assert link.late_ticks == before + 1
+        assert link.worst_lateness > 0.08
+        link.reset(Scene())
+        assert (link.ticks, link.late_ticks, link.worst_lateness) == (0, 0, 0.0)
+
+
+def test_ticks_after_a_long_delay_are_not_rushed(config: RobotConfig, shared_device: str) -> None:
+    with Robot(open_link(shared_device, config), config) as robot:
+        time.sleep(0.1)
+        start = robot.link.now()
+        for _ in range(10):
+            robot.drive(0.0, 0.0)
+        assert robot.link.now() - start >= 9 * config.period
+
+
+def test_feedback_slower_than_the_tick_is_held_and_aged(
+    config: RobotConfig, start_emulator: StartEmulator, robot_file: RobotFile
+) -> None:
+    slow = start_emulator("--robot", str(robot_file(firmware={"feedback_rate": 20.0})))
+    ages: list[float] = []
+    held = 0
+    with Robot(open_link(slow.device, config), config) as robot:
+        while not (held > 5 and 0.0 in ages) and len(ages) < 3000:
+            before = robot.speeds
+            robot.drive(0.2, 0.0)
+            ages.append(robot.feedback_age)
+            held += robot.feedback_age > 0.0 and robot.speeds == before
+    assert held > 5
+    assert 0.0 in ages
+
+
+BRIDGE = """
+import os, select, socket, sys
+
+tty = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY)
+server = socket.create_server(("127.0.0.1", 0))
+print(server.getsockname()[1], flush=True)
+client, _ = server.accept()
+while True:
+    ready, _, _ = select.select([client, tty], [], [])
+    if tty in ready:
+        client.sendall(os.read(tty, 4096))
+    if client in ready:
+        os.write(tty, client.recv(4096))
+"""
+
+
+def test_a_socket_drives_like_a_device(config: RobotConfig, shared_device: str) -> None:
+    with program(BRIDGE, shared_device) as bridge, no_leak():
+        url = f"socket://127.0.0.1:{first_line(bridge)}"
+        with Robot(open_link(url, config), config) as robot:
+            while robot.odometry.pose[0] < 0.01:
+                robot.drive(0.2, 0.0)

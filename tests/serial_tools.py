@@ -1,0 +1,172 @@
+"""The emulator and the command line in processes of their own, and what the emulator's log says."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from acsar_gym.protocol import ZERO, Decoder
+
+TIMEOUT = 30.0
+"""Longest wait for anything another process does [s]; far more than it should take."""
+CLI = (sys.executable, "-m", "acsar_gym")
+DRIVER = """
+import signal, sys
+from acsar_gym import Robot, RobotConfig, open_link
+
+# As in an interactive shell, however the tests were started.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+for number in (signal.SIGTERM, signal.SIGHUP):
+    signal.signal(number, signal.SIG_DFL)
+
+config = RobotConfig.preset("acsar").with_(connect_timeout=20.0, feedback_timeout=5.0)
+robot = Robot(open_link(sys.argv[1], config), config)
+
+
+def drive(ticks):
+    for _ in range(ticks):
+        robot.drive(0.2, 0.0)
+"""
+"""Beginning of a program that drives the robot behind the device in argv[1]."""
+
+Command = tuple[float | None, float | None, float | None, float | None]
+StartEmulator = Callable[..., "Emulated"]
+RobotFile = Callable[..., Path]
+
+
+@dataclass
+class Emulated:
+    """`acsar-gym emulate` in another process: `device` is what links open."""
+
+    process: subprocess.Popen[str]
+    device: str
+    log: Path
+
+    def events(self) -> list[dict[str, Any]]:
+        """The log's complete lines."""
+        lines = self.log.read_text(encoding="ascii").splitlines(keepends=True)
+        return [json.loads(line) for line in lines if line.endswith("\n")]
+
+    def received(self) -> bytes:
+        """Everything that clients have put on the wire."""
+        return "".join(e["rx"] for e in self.events() if "rx" in e).encode("latin-1")
+
+    def commands(self) -> list[Command]:
+        """The wheel speeds of every command line so far."""
+        return [reading.speeds for reading in Decoder().feed(self.received())]
+
+    def poses(self) -> list[tuple[float, float, float]]:
+        """Where the robot really was, once a loop of the firmware."""
+        return [tuple(event["pose"]) for event in self.events() if "pose" in event]
+
+    def is_driven(self) -> bool:
+        """Whether the newest command turns wheels."""
+        commands = self.commands()
+        return bool(commands) and commands[-1] != ZERO
+
+    def is_stopped(self) -> bool:
+        """Whether wheels were commanded to turn, and the newest command is zero."""
+        commands = self.commands()
+        return any(command != ZERO for command in commands) and commands[-1] == ZERO
+
+    def stands(self, loops: int = 100) -> bool:
+        """Whether the robot hasn't moved for so many loops of 5 ms."""
+        poses = self.poses()
+        return len(poses) > loops and len(set(poses[-loops:])) == 1
+
+    def pause(self) -> None:
+        """Freeze the board; the device stays."""
+        self.process.send_signal(signal.SIGSTOP)
+
+    def kill(self) -> None:
+        """Unplug: the device goes away at once."""
+        self.process.kill()
+        self.process.wait(TIMEOUT)
+
+    def end(self) -> int:
+        """Switch off in order; the exit status. Twice is once."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGCONT)
+            self.process.terminate()
+        try:
+            return self.process.wait(TIMEOUT)
+        finally:
+            self.process.kill()
+            if self.process.stdout:
+                self.process.stdout.close()
+
+
+def start(log: Path, *arguments: str) -> Emulated:
+    """An emulator that serves; its log is at `log`."""
+    command = [*CLI, "emulate", "--log", str(log), *arguments]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    emulated = Emulated(process, first_line(process).split(" ")[-1], log)
+    if not emulated.device.startswith("/dev/"):
+        emulated.end()
+        raise AssertionError(f"no device from {command}")
+    return emulated
+
+
+def first_line(process: subprocess.Popen[str]) -> str:
+    """What a process says first."""
+    assert process.stdout is not None
+    ready, _, _ = select.select([process.stdout], [], [], TIMEOUT)
+    return process.stdout.readline().strip() if ready else ""
+
+
+def cli(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    """`acsar-gym ARGUMENTS`, to its end, without a keyboard."""
+    return subprocess.run(
+        [*CLI, *map(str, arguments)],
+        check=False,
+        capture_output=True,
+        stdin=subprocess.DEVNULL,
+        text=True,
+        timeout=TIMEOUT,
+    )
+
+
+@contextlib.contextmanager
+def program(code: str, *arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """A Python program in another process; killed at the end of the block if it still runs."""
+    command = [sys.executable, "-c", code, *arguments]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def wait_until(condition: Callable[[], bool], what: str) -> None:
+    """Return when the condition holds; fails after TIMEOUT."""
+    deadline = time.monotonic() + TIMEOUT
+    while not condition():
+        assert time.monotonic() < deadline, f"{what}: not within {TIMEOUT:g} s"
+        time.sleep(0.02)
+
+
+def open_files() -> int:
+    """How many descriptors this process holds."""
+    gc.collect()
+    return len(os.listdir("/proc/self/fd"))  # noqa: PTH208 - the count is all that is wanted
+
+
+@contextlib.contextmanager
+def no_leak() -> Iterator[None]:
+    """Fails where the block leaves a descriptor open."""
+    before = open_files()
+    yield
+    assert open_files() == before, "a descriptor was left open"

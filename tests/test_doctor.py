@@ -1,0 +1,155 @@
+"""The doctor at the command line and in process, over the emulator."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from serial_tools import RobotFile, StartEmulator, cli, no_leak
+
+from acsar_gym import RobotConfig, doctor
+from acsar_gym.doctor import Check
+
+pytestmark = pytest.mark.usefixtures("deadline")
+
+MISSING = "/dev/acsar-missing"
+TIMED = {"feedback rate", "command to feedback"}
+"""A busy machine may turn these to `warn`."""
+
+
+def examined(device: str, config: RobotConfig) -> list[Check]:
+    with no_leak():
+        return list(doctor.examine(device, config, spin=False))
+
+
+def reported(path: Path) -> dict[str, dict[str, str]]:
+    """The checks of a JSON report, by name."""
+    checks = json.loads(path.read_text(encoding="utf-8"))["checks"]
+    assert all(set(check) == {"name", "status", "found", "fix"} for check in checks)
+    return {check["name"]: check for check in checks}
+
+
+def number(text: str) -> float:
+    """The first number of a finding."""
+    return float(text.removeprefix("after ").split(" ")[0])
+
+
+def test_a_standing_robot(config: RobotConfig, shared_device: str) -> None:
+    checks = {check.name: check for check in examined(shared_device, config)}
+    assert [checks[name].status for name in ("open", "first valid line", "line quality")] == (
+        ["ok"] * 3
+    )
+    assert shared_device in checks["open"].found
+    assert number(checks["feedback rate"].found) > 10.0
+    assert number(checks["line quality"].found) == 0
+    assert checks["command to feedback"].status == "skip"
+    assert checks["stops when commands stop"].status == "skip"
+    assert "--spin" in checks["stops when commands stop"].fix
+
+
+def test_spin_measures_round_trip_and_stop(
+    shared_device: str, robot_file: RobotFile, tmp_path: Path
+) -> None:
+    report = tmp_path / "doctor.json"
+    done = cli("doctor", shared_device, "--spin", "--robot", robot_file(), "--json", report)
+    assert (done.returncode, done.stderr) == (0, "")
+    checks = reported(report)
+    assert {name for name, c in checks.items() if c["status"] == "warn"} <= TIMED | {"serial ports"}
+    assert checks["stops when commands stop"]["status"] == "ok"
+    assert 0.0 < number(checks["command to feedback"]["found"]) < 3000.0
+    assert 0.1 < number(checks["stops when commands stop"]["found"]) < 3.0
+    assert "stops when commands stop" in done.stdout
+
+
+def test_spin_finds_a_board_that_never_stops(
+    start_emulator: StartEmulator, robot_file: RobotFile, tmp_path: Path
+) -> None:
+    robot = robot_file(firmware={"command_timeout": None})
+    emulator = start_emulator("--robot", str(robot))
+    report = tmp_path / "doctor.json"
+    done = cli("doctor", emulator.device, "--spin", "--robot", robot, "--json", report)
+    assert (done.returncode, done.stderr) == (1, "")
+    stops = reported(report)["stops when commands stop"]
+    assert stops["status"] == "fail"
+    assert "time-out" in stops["fix"]
+    assert emulator.is_stopped()
+
+
+def test_slow_feedback_is_a_warning(
+    config: RobotConfig, start_emulator: StartEmulator, robot_file: RobotFile
+) -> None:
+    robot = robot_file(firmware={"feedback_rate": 20.0})
+    emulator = start_emulator("--robot", str(robot))
+    rate = {check.name: check for check in examined(emulator.device, config)}["feedback rate"]
+    assert rate.status == "warn"
+    assert "100 expected" in rate.found
+    assert "feedback_rate" in rate.fix
+
+
+def test_a_wrong_baud_rate(shared_device: str, config: RobotConfig) -> None:
+    wrong = config.with_(baud_rate=57600, connect_timeout=1.0)
+    (check,) = examined(shared_device, wrong)
+    assert (check.name, check.status) == ("first valid line", "fail")
+    assert "57600" in check.found
+    assert "115200" in check.fix
+
+
+def test_a_silent_board(config: RobotConfig, start_emulator: StartEmulator) -> None:
+    silent = start_emulator("--silent")
+    (check,) = examined(silent.device, config.with_(connect_timeout=0.3))
+    assert (check.name, check.status) == ("first valid line", "fail")
+    assert "power" in check.fix
+
+
+def test_a_missing_device(tmp_path: Path) -> None:
+    report = tmp_path / "doctor.json"
+    done = cli("doctor", MISSING, "--json", report)
+    assert (done.returncode, done.stderr) == (1, "")
+    failed = reported(report)["open"]
+    assert failed["status"] == "fail"
+    assert MISSING in failed["found"]
+
+
+def test_a_device_lost_during_the_examination(
+    config: RobotConfig, start_emulator: StartEmulator
+) -> None:
+    emulator = start_emulator()
+    checks = []
+    with no_leak():
+        for check in doctor.examine(emulator.device, config, spin=False):
+            checks.append(check)
+            if check.name == "first valid line":
+                emulator.kill()
+    assert (checks[-1].name, checks[-1].status) == ("connection", "fail")
+    assert emulator.device in checks[-1].found
+
+
+def test_without_a_device_only_ports_are_listed(tmp_path: Path) -> None:
+    report = tmp_path / "doctor.json"
+    done = cli("doctor", "--json", report)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert set(reported(report)) == {"serial ports"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--baud-rate", "12345"), "must be one of 9600"),
+        (("--baud-rate", "9600"), "control_rate"),
+        (("--robot", "acsr"), "did you mean 'acsar'"),
+        (("--json", "/missing/doctor.json"), "can't be written"),
+    ],
+)
+def test_bad_options(arguments: tuple[str, ...], said: str) -> None:
+    done = cli("doctor", *arguments)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert said in done.stderr
+
+
+def test_the_table_holds_every_check() -> None:
+    checks = [Check(status, status, "found", "fix") for status in doctor.MARKS]
+    figures: dict[str, Any] = doctor.as_json(checks)
+    assert doctor.table(checks).row_count == len(figures["checks"]) == 4

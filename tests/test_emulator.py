@@ -1,0 +1,170 @@
+"""The emulator as a process: its device, its log, its ends, and what its robot does."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import stat
+import termios
+import time
+import tty
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from serial_tools import (
+    TIMEOUT,
+    Emulated,
+    RobotFile,
+    StartEmulator,
+    cli,
+    no_leak,
+    wait_until,
+)
+
+from acsar_gym import Robot, RobotConfig, open_link
+from acsar_gym.emulator import Emulator
+from acsar_gym.errors import ConfigError
+from acsar_gym.links.serial import SerialLink
+from acsar_gym.protocol import ZERO, Decoder, encode
+
+pytestmark = pytest.mark.usefixtures("deadline")
+
+FORWARD = encode((4.0, 4.0, 4.0, 4.0))
+
+
+def last_received(emulator: Emulated) -> float:
+    """When the board was last told something."""
+    return max(event["t"] for event in emulator.events() if "rx" in event)
+
+
+def wait_for_log(emulator: Emulated, until: float) -> None:
+    wait_until(lambda: bool(emulator.events()[-1]["t"] > until), "a log that goes on")
+
+
+def drive_and_fall_silent(device: str, config: RobotConfig) -> SerialLink:
+    """A client that sent a command and then nothing more; its port is still open."""
+    link = SerialLink(device, config)
+    link.open()
+    for _ in range(30):
+        link.write(FORWARD)
+        link.advance(config.period)
+    return link
+
+
+def test_it_serves_a_terminal_and_logs_from_the_origin(emulator: Emulated) -> None:
+    assert stat.S_ISCHR(os.stat(emulator.device).st_mode)  # noqa: PTH116 - a device, not a path
+    wait_until(lambda: len(emulator.poses()) > 10, "poses")
+    assert emulator.poses()[0] == (0.0, 0.0, 0.0)
+    stamps = [event["t"] for event in emulator.events()]
+    assert stamps == sorted(stamps)
+    assert abs(stamps[-1] - time.monotonic()) < TIMEOUT
+
+
+def test_the_log_holds_commands_and_true_poses(config: RobotConfig, emulator: Emulated) -> None:
+    with Robot(open_link(emulator.device, config), config) as robot:
+        speeds = robot.wheel_speeds(0.3, 0.4)
+        for _ in range(60):
+            robot.tick(speeds)
+        pose = robot.odometry.pose
+    wait_until(emulator.is_stopped, "the last command")
+    wait_until(emulator.stands, "a robot that stands")
+    rounded = Decoder().feed(encode(speeds))[0].speeds
+    assert set(emulator.commands()) == {ZERO, rounded}
+    assert emulator.poses()[-1] != (0.0, 0.0, 0.0)
+    nearest = min(abs(x - pose[0]) + abs(y - pose[1]) for x, y, _ in emulator.poses())
+    assert nearest < 0.05
+
+
+def test_the_robot_stops_when_commands_stop(config: RobotConfig, emulator: Emulated) -> None:
+    link = drive_and_fall_silent(emulator.device, config)
+    wait_until(emulator.stands, "a robot that stands")
+    assert emulator.is_driven()
+    assert emulator.poses()[-1][0] > 0.05
+    link.close()
+
+
+def test_without_a_command_timeout_it_drives_on(
+    config: RobotConfig, start_emulator: StartEmulator, robot_file: RobotFile
+) -> None:
+    robot = robot_file(firmware={"command_timeout": None})
+    emulator = start_emulator("--robot", str(robot))
+    link = drive_and_fall_silent(emulator.device, config)
+    wait_until(emulator.is_driven, "a command")
+    wait_for_log(emulator, last_received(emulator) + 1.0)
+    assert not emulator.stands(loops=20)
+    link.close()
+    wait_until(emulator.stands, "a robot that stands")
+
+
+def test_the_bullet_body_drives_too(config: RobotConfig, start_emulator: StartEmulator) -> None:
+    emulator = start_emulator("--body", "bullet")
+    drive_and_fall_silent(emulator.device, config).close()
+    wait_until(emulator.stands, "a robot that stands")
+    assert emulator.poses()[-1][0] > 0.05
+
+
+@pytest.fixture
+def wrong_baud(emulator: Emulated) -> Iterator[int]:
+    """The device, opened at 57600 baud by a client that knows nothing of this package."""
+    port = os.open(emulator.device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    tty.setraw(port)
+    attributes = termios.tcgetattr(port)
+    attributes[4] = attributes[5] = termios.B57600
+    termios.tcsetattr(port, termios.TCSAFLUSH, attributes)
+    yield port
+    os.close(port)
+
+
+def heard(port: int, count: int) -> bytes:
+    data = b""
+    deadline = time.monotonic() + TIMEOUT
+    while len(data) < count and time.monotonic() < deadline:
+        if select.select([port], [], [], 1.0)[0]:
+            data += os.read(port, 4096)
+    return data
+
+
+def test_a_wrong_baud_rate_garbles_both_directions(emulator: Emulated, wrong_baud: int) -> None:
+    for _ in range(10):
+        os.write(wrong_baud, FORWARD)
+        data = heard(wrong_baud, 200)
+        assert len(data) >= 200
+    assert Decoder().feed(data) == []
+    wait_until(lambda: emulator.received() == FORWARD * 10, "all that was sent")
+    wait_for_log(emulator, last_received(emulator) + 0.2)
+    assert set(emulator.poses()) == {(0.0, 0.0, 0.0)}
+
+
+def test_sigterm_ends_it_cleanly(emulator: Emulated) -> None:
+    assert emulator.end() == 0
+    assert emulator.log.read_text(encoding="ascii").endswith("\n")
+
+
+def test_ctrl_c_ends_it(start_emulator: StartEmulator) -> None:
+    emulator = start_emulator()
+    emulator.process.send_signal(signal.SIGINT)
+    assert emulator.process.wait(TIMEOUT) == 130
+
+
+def test_a_duration_ends_it(tmp_path: Path) -> None:
+    log = tmp_path / "log.jsonl"
+    done = cli("emulate", "--duration", "0.2", "--log", log)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("serving a robot on /dev/")
+    assert log.read_text(encoding="ascii").count('"pose"') == 40
+
+
+def test_closing_it_twice_is_once(config: RobotConfig, tmp_path: Path) -> None:
+    with no_leak(), Emulator(config, log=tmp_path / "log.jsonl") as emulator:
+        emulator.run(duration=0.05)
+        emulator.close()
+
+
+def test_what_it_refuses(config: RobotConfig, tmp_path: Path) -> None:
+    with no_leak():
+        with pytest.raises(ConfigError, match="balloon"):
+            Emulator(config, body="balloon")
+        with pytest.raises(ConfigError, match="can't be written"):
+            Emulator(config, log=tmp_path / "missing" / "log.jsonl")
