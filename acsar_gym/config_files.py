@@ -66,7 +66,8 @@ def _from_urdf(text: str) -> dict[str, Any]:
     blocks = [_params(hardware) for hardware in root.iterfind(".//ros2_control/hardware")]
     if not blocks:
         raise ConfigError("has no <ros2_control><hardware> block to take the parameters from")
-    return {"baud_rate": DRIVER_BAUD_RATE, **max(blocks, key=lambda block: len(block))}
+    known: dict[str, Any] = max(blocks, key=len)
+    return {"baud_rate": DRIVER_BAUD_RATE, **known}
 
 
 def _params(hardware: Element) -> dict[str, Any]:

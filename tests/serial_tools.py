@@ -83,7 +83,8 @@ class Emulated:
     def stands(self, loops: int = 100) -> bool:
         """Whether the robot hasn't moved for so many loops of 5 ms."""
         poses = self.poses()
-        return len(poses) > loops and len(set(poses[-loops:])) == 1
+        spread = [max(values) - min(values) for values in zip(*poses[-loops:], strict=True)]
+        return len(poses) > loops and max(spread) < 1e-4
 
     def pause(self) -> None:
         """Freeze the board; the device stays."""

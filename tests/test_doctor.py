@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from serial_tools import RobotFile, StartEmulator, cli, no_leak
+from serial_tools import RobotFile, StartEmulator, cli, no_leak, wait_until
 
 from acsar_gym import RobotConfig, doctor
 from acsar_gym.doctor import Check
@@ -19,9 +19,21 @@ TIMED = {"feedback rate", "command to feedback"}
 """A busy machine may turn these to `warn`."""
 
 
-def examined(device: str, config: RobotConfig) -> list[Check]:
+@pytest.fixture(autouse=True)
+def hurry(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shorter than at the command line."""
+    monkeypatch.setattr(doctor, "LISTEN", 0.5)
+    monkeypatch.setattr(doctor, "PATIENCE", 1.5)
+
+
+def examined(device: str, config: RobotConfig, *, spin: bool = False) -> dict[str, Check]:
     with no_leak():
-        return list(doctor.examine(device, config, spin=False))
+        return {check.name: check for check in doctor.examine(device, config, spin=spin)}
+
+
+def only(checks: dict[str, Check]) -> Check:
+    (check,) = checks.values()
+    return check
 
 
 def reported(path: Path) -> dict[str, dict[str, str]]:
@@ -37,7 +49,7 @@ def number(text: str) -> float:
 
 
 def test_a_standing_robot(config: RobotConfig, shared_device: str) -> None:
-    checks = {check.name: check for check in examined(shared_device, config)}
+    checks = examined(shared_device, config)
     assert [checks[name].status for name in ("open", "first valid line", "line quality")] == (
         ["ok"] * 3
     )
@@ -64,17 +76,23 @@ def test_spin_measures_round_trip_and_stop(
 
 
 def test_spin_finds_a_board_that_never_stops(
-    start_emulator: StartEmulator, robot_file: RobotFile, tmp_path: Path
+    config: RobotConfig, start_emulator: StartEmulator, robot_file: RobotFile
 ) -> None:
-    robot = robot_file(firmware={"command_timeout": None})
-    emulator = start_emulator("--robot", str(robot))
-    report = tmp_path / "doctor.json"
-    done = cli("doctor", emulator.device, "--spin", "--robot", robot, "--json", report)
-    assert (done.returncode, done.stderr) == (1, "")
-    stops = reported(report)["stops when commands stop"]
-    assert stops["status"] == "fail"
-    assert "time-out" in stops["fix"]
-    assert emulator.is_stopped()
+    emulator = start_emulator("--robot", str(robot_file(firmware={"command_timeout": None})))
+    stops = examined(emulator.device, config, spin=True)["stops when commands stop"]
+    assert stops.status == "fail"
+    assert "time-out" in stops.fix
+    wait_until(emulator.is_stopped, "zero as the last command")
+
+
+def test_spin_finds_wheels_that_do_not_turn(
+    config: RobotConfig, start_emulator: StartEmulator, robot_file: RobotFile
+) -> None:
+    emulator = start_emulator("--robot", str(robot_file(motor={"deadband": 20.0})))
+    checks = examined(emulator.device, config, spin=True)
+    assert checks["command to feedback"].status == "fail"
+    assert "motors" in checks["command to feedback"].fix
+    assert "stops when commands stop" not in checks
 
 
 def test_slow_feedback_is_a_warning(
@@ -82,7 +100,7 @@ def test_slow_feedback_is_a_warning(
 ) -> None:
     robot = robot_file(firmware={"feedback_rate": 20.0})
     emulator = start_emulator("--robot", str(robot))
-    rate = {check.name: check for check in examined(emulator.device, config)}["feedback rate"]
+    rate = examined(emulator.device, config)["feedback rate"]
     assert rate.status == "warn"
     assert "100 expected" in rate.found
     assert "feedback_rate" in rate.fix
@@ -90,7 +108,7 @@ def test_slow_feedback_is_a_warning(
 
 def test_a_wrong_baud_rate(shared_device: str, config: RobotConfig) -> None:
     wrong = config.with_(baud_rate=57600, connect_timeout=1.0)
-    (check,) = examined(shared_device, wrong)
+    check = only(examined(shared_device, wrong))
     assert (check.name, check.status) == ("first valid line", "fail")
     assert "57600" in check.found
     assert "115200" in check.fix
@@ -98,7 +116,7 @@ def test_a_wrong_baud_rate(shared_device: str, config: RobotConfig) -> None:
 
 def test_a_silent_board(config: RobotConfig, start_emulator: StartEmulator) -> None:
     silent = start_emulator("--silent")
-    (check,) = examined(silent.device, config.with_(connect_timeout=0.3))
+    check = only(examined(silent.device, config.with_(connect_timeout=0.3)))
     assert (check.name, check.status) == ("first valid line", "fail")
     assert "power" in check.fix
 
@@ -137,7 +155,6 @@ def test_without_a_device_only_ports_are_listed(tmp_path: Path) -> None:
     ("arguments", "said"),
     [
         (("--baud-rate", "12345"), "must be one of 9600"),
-        (("--baud-rate", "9600"), "control_rate"),
         (("--robot", "acsr"), "did you mean 'acsar'"),
         (("--json", "/missing/doctor.json"), "can't be written"),
     ],

@@ -36,7 +36,7 @@ FORWARD = encode((4.0, 4.0, 4.0, 4.0))
 
 def last_received(emulator: Emulated) -> float:
     """When the board was last told something."""
-    return max(event["t"] for event in emulator.events() if "rx" in event)
+    return max(float(event["t"]) for event in emulator.events() if "rx" in event)
 
 
 def wait_for_log(emulator: Emulated, until: float) -> None:
@@ -138,6 +138,7 @@ def test_a_wrong_baud_rate_garbles_both_directions(emulator: Emulated, wrong_bau
 
 
 def test_sigterm_ends_it_cleanly(emulator: Emulated) -> None:
+    wait_until(lambda: len(emulator.poses()) > 10, "poses")
     assert emulator.end() == 0
     assert emulator.log.read_text(encoding="ascii").endswith("\n")
 
@@ -153,7 +154,7 @@ def test_a_duration_ends_it(tmp_path: Path) -> None:
     done = cli("emulate", "--duration", "0.2", "--log", log)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.startswith("serving a robot on /dev/")
-    assert log.read_text(encoding="ascii").count('"pose"') == 40
+    assert 39 <= log.read_text(encoding="ascii").count('"pose"') <= 41
 
 
 def test_closing_it_twice_is_once(config: RobotConfig, tmp_path: Path) -> None:
