@@ -40,12 +40,20 @@ except ImportError:
     def jit(function: Callable[P, R]) -> Callable[P, R]:
         """The function as it is: numba isn't installed."""
         return function
+
+    loop = jit
 else:
     COMPILED = True
 
     def jit(function: Callable[P, R]) -> Callable[P, R]:
-        """The function compiled by numba, cached on disk."""
-        compiled: Callable[P, R] = numba.njit(cache=True)(function)
+        """A scalar function, compiled into whatever calls it, so that loops over it vectorise."""
+        options = {"cache": True, "error_model": "numpy", "nogil": True}
+        compiled: Callable[P, R] = numba.njit(forceinline=True, **options)(function)
+        return compiled
+
+    def loop(function: Callable[P, R]) -> Callable[P, R]:
+        """A loop over scalar functions, compiled on its own; it runs without the GIL."""
+        compiled: Callable[P, R] = numba.njit(cache=True, error_model="numpy", nogil=True)(function)
         return compiled
 
 
@@ -98,6 +106,12 @@ def wheel_speed(speed: float, set_point: float, blend: float, deadband: float, t
 
 
 @jit
+def towards(value: float, target: float, step: float) -> float:
+    """The value moved to the target by at most one step."""
+    return min(max(target, value - step), value + step)
+
+
+@jit
 def tyre_step(
     vx: float,
     vy: float,
@@ -116,13 +130,14 @@ def tyre_step(
     rim_a, rim_b = wheels[0] * params.radius, wheels[1] * params.radius
     rim_c, rim_d = wheels[2] * params.radius, wheels[3] * params.radius
     nx, ny, nw = vx, vy, yaw_rate
+    floor = params.slip_speed * params.slip_speed
     for _ in range(ROUNDS):
         right, left = nx + nw * b, nx - nw * b
         front, rear = ny + nw * a, ny - nw * a
-        d_a = params.grip / max(math.sqrt((right - rim_a) ** 2 + front**2), params.slip_speed)
-        d_b = params.grip / max(math.sqrt((left - rim_b) ** 2 + front**2), params.slip_speed)
-        d_c = params.grip / max(math.sqrt((left - rim_c) ** 2 + rear**2), params.slip_speed)
-        d_d = params.grip / max(math.sqrt((right - rim_d) ** 2 + rear**2), params.slip_speed)
+        d_a = params.grip / math.sqrt(max((right - rim_a) ** 2 + front**2, floor))
+        d_b = params.grip / math.sqrt(max((left - rim_b) ** 2 + front**2, floor))
+        d_c = params.grip / math.sqrt(max((left - rim_c) ** 2 + rear**2, floor))
+        d_d = params.grip / math.sqrt(max((right - rim_d) ** 2 + rear**2, floor))
         total = d_a + d_b + d_c + d_d
         # Symmetric system [[k, 0, p], [0, k, q], [p, q, s]] (nx, ny, nw) = (fx, fy, fw).
         k = inertia + total
@@ -132,9 +147,10 @@ def tyre_step(
         fx = inertia * vx + d_a * rim_a + d_b * rim_b + d_c * rim_c + d_d * rim_d
         fy = inertia * vy
         fw = yaw_inertia * yaw_rate + b * (d_a * rim_a + d_d * rim_d - d_b * rim_b - d_c * rim_c)
-        nw = (fw - (p * fx + q * fy) / k) / (s - (p * p + q * q) / k)
-        nx = (fx - p * nw) / k
-        ny = (fy - q * nw) / k
+        free = 1.0 / k
+        nw = (fw - (p * fx + q * fy) * free) / (s - (p * p + q * q) * free)
+        nx = (fx - p * nw) * free
+        ny = (fy - q * nw) * free
     return nx, ny, nw
 
 

@@ -32,6 +32,15 @@ IMAGE_SIZE = (640, 480)
 """Width and height of rgb_array [pixels]."""
 
 
+def point_goal_spaces() -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:
+    """Action and observation space of PointGoal, single or one row of many."""
+    limit = OBSERVATION_LIMIT
+    high = np.array([limit, 1, 1, limit, limit, 1, 1], np.float32)
+    low = np.concatenate([np.zeros(1, np.float32), -high[1:]])
+    action = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
+    return action, gymnasium.spaces.Box(low, high, dtype=np.float32)
+
+
 class PointGoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     """Drive a four-wheel skid-steer robot to a point, seeing nothing but its odometry.
 
@@ -115,12 +124,7 @@ class PointGoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             "control_rate", config.control_rate, "policy_rate", policy_rate
         )
         self.robot = Robot(self._link(link, config), config)
-        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
-        high = np.array([OBSERVATION_LIMIT, 1, 1, OBSERVATION_LIMIT, OBSERVATION_LIMIT, 1, 1])
-        low = np.concatenate([[0.0], -high[1:]])
-        self.observation_space = gymnasium.spaces.Box(
-            low.astype(np.float32), high.astype(np.float32), dtype=np.float32
-        )
+        self.action_space, self.observation_space = point_goal_spaces()
         self._goal: Goal = (0.0, 0.0)
         self._last_action = (0.0, 0.0)
         self._distance = 0.0

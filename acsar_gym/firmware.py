@@ -12,6 +12,7 @@ from collections import deque
 
 from acsar_gym.bodies import Body
 from acsar_gym.config import BITS_PER_BYTE, RobotConfig, whole_ratio
+from acsar_gym.dynamics import towards
 from acsar_gym.protocol import ZERO, Decoder, Speeds, encode
 
 EPSILON = 1e-9
@@ -105,10 +106,10 @@ class Firmware:
     def _ramped(self) -> Speeds:
         (a, b, c, d), (ta, tb, tc, td), step = self._set_points, self._targets, self._ramp
         return (
-            _towards(a, ta, step),
-            _towards(b, tb, step),
-            _towards(c, tc, step),
-            _towards(d, td, step),
+            towards(a, ta, step),
+            towards(b, tb, step),
+            towards(c, tc, step),
+            towards(d, td, step),
         )
 
     def _answer(self) -> None:
@@ -127,10 +128,3 @@ class Firmware:
             (floor(c1 * k) - floor(c0 * k)) * scale,
             (floor(d1 * k) - floor(d0 * k)) * scale,
         )
-
-
-def _towards(value: float, target: float, step: float) -> float:
-    """The value moved to the target by at most one step."""
-    if value < target:
-        return min(value + step, target)
-    return max(value - step, target)

@@ -22,8 +22,15 @@ def forward(
     the robot skids.
     """
     front_right, front_left, rear_left, rear_right = speeds
-    left = (front_left * wheel_radius + rear_left * wheel_radius) / 2.0
-    right = (front_right * wheel_radius + rear_right * wheel_radius) / 2.0
+    return twist(front_right, front_left, rear_left, rear_right, wheel_radius, wheel_separation)
+
+
+def twist(  # noqa: PLR0917 - a scalar function for compiled loops
+    a: float, b: float, c: float, d: float, wheel_radius: float, wheel_separation: float
+) -> tuple[float, float]:
+    """Twist as `forward` gives it, from the speeds of wheels a to d one by one."""
+    left = (b * wheel_radius + c * wheel_radius) / 2.0
+    right = (a * wheel_radius + d * wheel_radius) / 2.0
     return (left + right) / 2.0, (right - left) / wheel_separation
 
 
@@ -39,13 +46,19 @@ def inverse(
     Beyond `max_speed` [rad/s] all four shrink by the same factor, which keeps the turn radius.
     Raises CommandError where a wheel speed would not be finite.
     """
+    right, left = sides(linear, angular, wheel_radius, wheel_separation, max_speed)
+    if not math.isfinite(right + left):
+        raise CommandError(f"twist = ({linear}, {angular}): must be finite m/s and rad/s")
+    return right, left, left, right
+
+
+def sides(
+    linear: float, angular: float, wheel_radius: float, wheel_separation: float, max_speed: float
+) -> tuple[float, float]:
+    """Speeds [rad/s] of the right and the left wheels, as `inverse` gives them; NaN on overflow."""
     half_turn = angular * wheel_separation / 2.0
     left = (linear - half_turn) / wheel_radius
     right = (linear + half_turn) / wheel_radius
     fastest = max(abs(left), abs(right))
-    if not math.isfinite(fastest):
-        raise CommandError(f"twist = ({linear}, {angular}): must be finite m/s and rad/s")
-    if fastest > max_speed:
-        left = max_speed * (left / fastest)
-        right = max_speed * (right / fastest)
-    return right, left, left, right
+    scale = max_speed / fastest if fastest > max_speed else 1.0
+    return scale * right, scale * left

@@ -15,6 +15,22 @@ TWIST_COVARIANCE: tuple[float, ...] = tuple(0.01 if i in (0, 35) else 0.0 for i 
 """Row-major 6 x 6 covariance of the twist, as the robot's driver publishes it."""
 
 
+def integrate(  # noqa: PLR0917 - a scalar function for compiled loops
+    x: float,
+    y: float,
+    theta: float,
+    cos: float,
+    sin: float,
+    linear: float,
+    angular: float,
+    dt: float,
+) -> tuple[float, float, float]:
+    """Equations (4)-(9): the pose after `dt` [s] at a twist; `cos` and `sin` are those of theta."""
+    x += linear * cos * dt
+    y += linear * sin * dt
+    return x, y, theta + angular * dt
+
+
 class Odometry:
     """Integrates wheel speeds to a pose in the odometry frame, which starts at the origin.
 
@@ -66,9 +82,8 @@ class Odometry:
             raise CommandError(f"odometry needs 4 wheel speeds (a, b, c, d), got {len(speeds)}")
         linear, angular = kinematics.forward(speeds, self._radius, self._separation)
         x, y, theta = self.pose
-        x += linear * math.cos(theta) * dt
-        y += linear * math.sin(theta) * dt
-        theta += angular * dt
+        c, s = math.cos(theta), math.sin(theta)
+        x, y, theta = integrate(x, y, theta, c, s, linear, angular, dt)
         if not (math.isfinite(x + y + theta) and 0.0 <= dt < math.inf):
             raise CommandError(f"odometry can't integrate speeds {tuple(speeds)} over dt = {dt} s")
         if not -math.pi <= theta <= math.pi:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import Enum
+from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,12 +32,12 @@ OBSERVATION_LIMIT = 2.0
 """Scaled distance and speeds are clipped to this, which bounds the observation space."""
 
 
-class Outcome(Enum):
+class Outcome(IntEnum):
     """Whether and how an episode has ended."""
 
-    GOING = "going"
-    SUCCESS = "success"
-    OUT_OF_BOUNDS = "out_of_bounds"
+    GOING = 0
+    SUCCESS = 1
+    OUT_OF_BOUNDS = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +70,7 @@ class PointGoal:
     def sample_goal(self, rng: np.random.Generator) -> Goal:
         """A goal in any direction, its distance uniform between the two limits."""
         distance = rng.uniform(self.min_distance, self.max_distance)
-        bearing = rng.uniform(-math.pi, math.pi)
-        return (distance * math.cos(bearing), distance * math.sin(bearing))
+        return goal_at(distance, rng.uniform(-math.pi, math.pi))
 
     def check_goal(self, goal: Goal) -> Goal:
         """The goal as floats; ConfigError if it is malformed or out of range."""
@@ -91,43 +90,78 @@ class PointGoal:
     ) -> Observation:
         """float32 of shape (7,), laid out as POINT_GOAL_LAYOUT; distance and speeds scaled."""
         x, y, theta = pose
-        bearing = math.atan2(goal[1] - y, goal[0] - x) - theta
+        c, s = math.cos(theta), math.sin(theta)
+        distance, ahead, left = seen_from(x, y, c, s, goal[0], goal[1])
+        scales = (self.max_distance, self.max_linear, self.max_angular)
         return np.array(
-            (
-                _clipped(goal_distance(pose, goal) / self.max_distance),
-                math.cos(bearing),
-                math.sin(bearing),
-                _clipped(twist[0] / self.max_linear),
-                _clipped(twist[1] / self.max_angular),
-                last_action[0],
-                last_action[1],
-            ),
-            np.float32,
+            (*point_goal_numbers(distance, ahead, left, twist, scales), *last_action), np.float32
         )
 
     def outcome(self, pose: Pose, goal: Goal) -> Outcome:
         """Success within the tolerance, out of bounds beyond the boundary."""
-        if goal_distance(pose, goal) <= self.tolerance:
-            return Outcome.SUCCESS
-        if math.hypot(pose[0], pose[1]) > self.boundary:
-            return Outcome.OUT_OF_BOUNDS
-        return Outcome.GOING
+        start = math.hypot(pose[0], pose[1])
+        return Outcome(
+            point_goal_outcome(goal_distance(pose, goal), start, self.tolerance, self.boundary)
+        )
 
 
-def goal_distance(pose: Pose, goal: Goal) -> float:
-    """Straight-line distance to the goal [m]."""
-    return math.hypot(goal[0] - pose[0], goal[1] - pose[1])
+# The functions below are compiled for whole batches of robots, too: scalars in, scalars out.
 
 
-def point_goal_reward(before: float, after: float, linear: float, outcome: Outcome) -> float:
+def goal_at(distance: float, bearing: float) -> Goal:
+    """The point at a distance [m] and a bearing [rad] from the origin."""
+    return (distance * math.cos(bearing), distance * math.sin(bearing))
+
+
+def seen_from(
+    x: float, y: float, cos: float, sin: float, goal_x: float, goal_y: float
+) -> tuple[float, float, float]:
+    """Distance to a point [m], and its bearing's cosine and sine in the frame of the pose."""
+    dx, dy = goal_x - x, goal_y - y
+    distance = math.sqrt(dx * dx + dy * dy)
+    near = max(distance, 1e-12)
+    ahead, left = (dx * cos + dy * sin) / near, (dy * cos - dx * sin) / near
+    return distance, min(max(ahead, -1.0), 1.0), min(max(left, -1.0), 1.0)
+
+
+def point_goal_numbers(
+    distance: float,
+    ahead: float,
+    left: float,
+    twist: tuple[float, float],
+    scales: tuple[float, float, float],
+) -> tuple[float, float, float, float, float]:
+    """The observation's first five numbers; `scales` of distance, linear and angular velocity."""
+    limit = OBSERVATION_LIMIT
+    return (
+        min(distance / scales[0], limit),
+        ahead,
+        left,
+        min(max(twist[0] / scales[1], -limit), limit),
+        min(max(twist[1] / scales[2], -limit), limit),
+    )
+
+
+def point_goal_outcome(
+    distance: float, from_start: float, tolerance: float, boundary: float
+) -> int:
+    """The Outcome's number for a distance to the goal and one from the start [m]."""
+    if distance <= tolerance:
+        return 1
+    return 2 if from_start > boundary else 0
+
+
+def point_goal_reward(before: float, after: float, linear: float, outcome: int) -> float:
     """Twice the metres gained on the goal, less 0.02 a step and up to 0.05 for driving backwards.
 
     Plus 2 at the goal, or -2 beyond the boundary. `before` and `after` are goal distances [m],
     `linear` is the action's linear part in [-1, 1]. Backwards costs, because sensors look ahead.
     """
-    end = {Outcome.GOING: 0.0, Outcome.SUCCESS: 2.0, Outcome.OUT_OF_BOUNDS: -2.0}
-    return 2.0 * (before - after) - 0.02 + 0.05 * min(linear, 0.0) + end[outcome]
+    end = 2.0 if outcome == 1 else (-2.0 if outcome == 2 else 0.0)
+    return 2.0 * (before - after) - 0.02 + 0.05 * min(linear, 0.0) + end
 
 
-def _clipped(value: float) -> float:
-    return min(max(value, -OBSERVATION_LIMIT), OBSERVATION_LIMIT)
+def goal_distance(pose: Pose, goal: Goal) -> float:
+    """Straight-line distance to the goal [m]."""
+    dx, dy = goal[0] - pose[0], goal[1] - pose[1]
+    return math.sqrt(dx * dx + dy * dy)

@@ -64,14 +64,26 @@ def start_emulator(tmp_path: Path) -> Iterator[StartEmulator]:
 
 
 @pytest.fixture
-def emulator(start_emulator: StartEmulator) -> Emulated:
-    """A robot of the test's own on a pseudo-terminal, with a log."""
+def own_emulator(start_emulator: StartEmulator) -> Emulated:
+    """A robot of the test's own: it may be unplugged, frozen, or asked where it started."""
     return start_emulator()
 
 
 @pytest.fixture(scope="session")
-def shared_device(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """A robot's device for tests that need no log; wherever the last test left it, at rest."""
+def shared_emulator(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Emulated]:
     emulated = start(tmp_path_factory.mktemp("shared") / "emulator.jsonl")
-    yield emulated.device
+    yield emulated
     emulated.end()
+
+
+@pytest.fixture
+def emulator(shared_emulator: Emulated) -> Emulated:
+    """A robot at rest, wherever the last test left it, and an empty log."""
+    shared_emulator.forget()
+    return shared_emulator
+
+
+@pytest.fixture
+def shared_device(shared_emulator: Emulated) -> str:
+    """The same robot's device, for tests that need no log."""
+    return shared_emulator.device

@@ -21,6 +21,14 @@ from acsar_gym.protocol import ZERO, Decoder
 TIMEOUT = 30.0
 """Longest wait for anything another process does [s]; far more than it should take."""
 CLI = (sys.executable, "-m", "acsar_gym")
+HEEDING_CTRL_C = """
+import signal
+from acsar_gym.cli import main
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+main()
+"""
+"""The command line as in an interactive shell, however the tests were started."""
 DRIVER = """
 import signal, sys
 from acsar_gym import Robot, RobotConfig, open_link
@@ -39,6 +47,21 @@ def drive(ticks):
         robot.drive(0.2, 0.0)
 """
 """Beginning of a program that drives the robot behind the device in argv[1]."""
+BRIDGE = """
+import os, select, socket, sys
+
+tty = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY)
+server = socket.create_server(("127.0.0.1", 0))
+print(server.getsockname()[1], flush=True)
+client, _ = server.accept()
+while True:
+    ready, _, _ = select.select([client, tty], [], [])
+    if tty in ready:
+        client.sendall(os.read(tty, 4096))
+    if client in ready:
+        os.write(tty, client.recv(4096))
+"""
+"""A serial device server: the device in argv[1] behind the TCP port that it prints."""
 
 Command = tuple[float | None, float | None, float | None, float | None]
 StartEmulator = Callable[..., "Emulated"]
@@ -52,11 +75,18 @@ class Emulated:
     process: subprocess.Popen[str]
     device: str
     log: Path
+    forgotten: int = 0
+    """How many bytes of the log belong to earlier tests."""
 
     def events(self) -> list[dict[str, Any]]:
         """The log's complete lines."""
-        lines = self.log.read_text(encoding="ascii").splitlines(keepends=True)
-        return [json.loads(line) for line in lines if line.endswith("\n")]
+        lines = self.log.read_bytes()[self.forgotten :].splitlines(keepends=True)
+        return [json.loads(line) for line in lines if line.endswith(b"\n")]
+
+    def forget(self) -> None:
+        """Begin a new log once the robot stands."""
+        wait_until(lambda: self.stands(loops=20), "a robot that stands")
+        self.forgotten += self.log.read_bytes()[self.forgotten :].rindex(b"\n") + 1
 
     def received(self) -> bytes:
         """Everything that clients have put on the wire."""

@@ -14,12 +14,15 @@ from pathlib import Path
 
 import pytest
 from serial_tools import (
+    HEEDING_CTRL_C,
     TIMEOUT,
     Emulated,
     RobotFile,
     StartEmulator,
     cli,
+    first_line,
     no_leak,
+    program,
     wait_until,
 )
 
@@ -53,35 +56,35 @@ def drive_and_fall_silent(device: str, config: RobotConfig) -> SerialLink:
     return link
 
 
-def test_it_serves_a_terminal_and_logs_from_the_origin(emulator: Emulated) -> None:
-    assert stat.S_ISCHR(os.stat(emulator.device).st_mode)  # noqa: PTH116 - a device, not a path
-    wait_until(lambda: len(emulator.poses()) > 10, "poses")
-    assert emulator.poses()[0] == (0.0, 0.0, 0.0)
-    stamps = [event["t"] for event in emulator.events()]
+def test_it_serves_a_terminal_and_logs_from_the_origin(own_emulator: Emulated) -> None:
+    assert stat.S_ISCHR(os.stat(own_emulator.device).st_mode)  # noqa: PTH116 - a device, not a path
+    wait_until(lambda: len(own_emulator.poses()) > 10, "poses")
+    assert own_emulator.poses()[0] == (0.0, 0.0, 0.0)
+    stamps = [event["t"] for event in own_emulator.events()]
     assert stamps == sorted(stamps)
     assert abs(stamps[-1] - time.monotonic()) < TIMEOUT
 
 
-def test_the_log_holds_commands_and_true_poses(config: RobotConfig, emulator: Emulated) -> None:
-    with Robot(open_link(emulator.device, config), config) as robot:
+def test_the_log_holds_commands_and_true_poses(config: RobotConfig, own_emulator: Emulated) -> None:
+    with Robot(open_link(own_emulator.device, config), config) as robot:
         speeds = robot.wheel_speeds(0.3, 0.4)
         for _ in range(60):
             robot.tick(speeds)
         pose = robot.odometry.pose
-    wait_until(emulator.is_stopped, "the last command")
-    wait_until(emulator.stands, "a robot that stands")
+    wait_until(own_emulator.is_stopped, "the last command")
+    wait_until(own_emulator.stands, "a robot that stands")
     rounded = Decoder().feed(encode(speeds))[0].speeds
-    assert set(emulator.commands()) == {ZERO, rounded}
-    assert emulator.poses()[-1] != (0.0, 0.0, 0.0)
-    nearest = min(abs(x - pose[0]) + abs(y - pose[1]) for x, y, _ in emulator.poses())
+    assert set(own_emulator.commands()) == {ZERO, rounded}
+    assert own_emulator.poses()[-1] != (0.0, 0.0, 0.0)
+    nearest = min(abs(x - pose[0]) + abs(y - pose[1]) for x, y, _ in own_emulator.poses())
     assert nearest < 0.05
 
 
-def test_the_robot_stops_when_commands_stop(config: RobotConfig, emulator: Emulated) -> None:
-    link = drive_and_fall_silent(emulator.device, config)
-    wait_until(emulator.stands, "a robot that stands")
-    assert emulator.is_driven()
-    assert emulator.poses()[-1][0] > 0.05
+def test_the_robot_stops_when_commands_stop(config: RobotConfig, own_emulator: Emulated) -> None:
+    link = drive_and_fall_silent(own_emulator.device, config)
+    wait_until(own_emulator.stands, "a robot that stands")
+    assert own_emulator.is_driven()
+    assert own_emulator.poses()[-1][0] > 0.05
     link.close()
 
 
@@ -106,9 +109,9 @@ def test_the_bullet_body_drives_too(config: RobotConfig, start_emulator: StartEm
 
 
 @pytest.fixture
-def wrong_baud(emulator: Emulated) -> Iterator[int]:
+def wrong_baud(own_emulator: Emulated) -> Iterator[int]:
     """The device, opened at 57600 baud by a client that knows nothing of this package."""
-    port = os.open(emulator.device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    port = os.open(own_emulator.device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     tty.setraw(port)
     attributes = termios.tcgetattr(port)
     attributes[4] = attributes[5] = termios.B57600
@@ -126,27 +129,30 @@ def heard(port: int, count: int) -> bytes:
     return data
 
 
-def test_a_wrong_baud_rate_garbles_both_directions(emulator: Emulated, wrong_baud: int) -> None:
+def test_a_wrong_baud_rate_garbles_both_directions(own_emulator: Emulated, wrong_baud: int) -> None:
     for _ in range(10):
         os.write(wrong_baud, FORWARD)
         data = heard(wrong_baud, 200)
         assert len(data) >= 200
     assert Decoder().feed(data) == []
-    wait_until(lambda: emulator.received() == FORWARD * 10, "all that was sent")
-    wait_for_log(emulator, last_received(emulator) + 0.2)
-    assert set(emulator.poses()) == {(0.0, 0.0, 0.0)}
+    wait_until(lambda: own_emulator.received() == FORWARD * 10, "all that was sent")
+    wait_for_log(own_emulator, last_received(own_emulator) + 0.2)
+    assert set(own_emulator.poses()) == {(0.0, 0.0, 0.0)}
 
 
-def test_sigterm_ends_it_cleanly(emulator: Emulated) -> None:
-    wait_until(lambda: len(emulator.poses()) > 10, "poses")
-    assert emulator.end() == 0
-    assert emulator.log.read_text(encoding="ascii").endswith("\n")
+def test_sigterm_ends_it_cleanly(own_emulator: Emulated) -> None:
+    wait_until(lambda: len(own_emulator.poses()) > 10, "poses")
+    assert own_emulator.end() == 0
+    assert own_emulator.log.read_text(encoding="ascii").endswith("\n")
 
 
-def test_ctrl_c_ends_it(start_emulator: StartEmulator) -> None:
-    emulator = start_emulator()
-    emulator.process.send_signal(signal.SIGINT)
-    assert emulator.process.wait(TIMEOUT) == 130
+def test_ctrl_c_ends_it() -> None:
+    with program(HEEDING_CTRL_C, "emulate") as process:
+        assert first_line(process).startswith("serving a robot on /dev/")
+        process.send_signal(signal.SIGINT)
+        _, error = process.communicate(timeout=TIMEOUT)
+    assert process.returncode == 130
+    assert "Traceback" not in error
 
 
 def test_a_duration_ends_it(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from serial_tools import (
+    BRIDGE,
     DRIVER,
     TIMEOUT,
     Emulated,
@@ -88,13 +89,12 @@ def test_the_config_names_the_device(config: RobotConfig, shared_device: str) ->
 @pytest.mark.parametrize("kind", ["file", "folder", "/dev/null"])
 def test_not_a_tty(kind: str, config: RobotConfig, tmp_path: Path) -> None:
     path = tmp_path / "port"
-    if kind == "file":
-        path.write_bytes(b"not a port")
+    path.write_bytes(b"not a port")
     device = {"file": path, "folder": tmp_path}.get(kind, kind)
     error = refusal(str(device), config)
     assert type(error) is LinkError
     assert "serial port" in error.found
-    assert kind != "file" or path.read_bytes() == b"not a port"
+    assert path.read_bytes() == b"not a port"
 
 
 PERMISSION = f"""
@@ -164,15 +164,15 @@ def test_wrong_baud_rate(config: RobotConfig, shared_device: str) -> None:
     assert "115200" in error.fix
 
 
-def test_unplugged_while_driving(config: RobotConfig, emulator: Emulated) -> None:
-    robot = Robot(open_link(emulator.device, config), config)
+def test_unplugged_while_driving(config: RobotConfig, own_emulator: Emulated) -> None:
+    robot = Robot(open_link(own_emulator.device, config), config)
     with no_leak():
         robot.activate()
         robot.drive(0.2, 0.0)
-        emulator.kill()
+        own_emulator.kill()
         with pytest.raises(LinkLostError) as caught:
             drive_until_error(robot)
-    assert_clear(caught.value, emulator.device)
+    assert_clear(caught.value, own_emulator.device)
     assert not robot.active
     with pytest.raises(LinkError, match="closed"):
         robot.link.advance(0.01)
@@ -193,11 +193,11 @@ def test_unplugged_while_driving(config: RobotConfig, emulator: Emulated) -> Non
         ),
     ],
 )
-def test_unplugged_between_two_uses(use: str, config: RobotConfig, emulator: Emulated) -> None:
-    link = SerialLink(emulator.device, config)
+def test_unplugged_between_two_uses(use: str, config: RobotConfig, own_emulator: Emulated) -> None:
+    link = SerialLink(own_emulator.device, config)
     with no_leak():
         link.open()
-        emulator.kill()
+        own_emulator.kill()
         try:
             with pytest.raises(LinkLostError):
                 link.reset(Scene()) if use == "reset" else getattr(link, use)()
@@ -205,12 +205,12 @@ def test_unplugged_between_two_uses(use: str, config: RobotConfig, emulator: Emu
             link.close()
 
 
-def test_board_goes_silent_while_driving(config: RobotConfig, emulator: Emulated) -> None:
+def test_board_goes_silent_while_driving(config: RobotConfig, own_emulator: Emulated) -> None:
     hasty = config.with_(feedback_timeout=1.0)
-    robot = Robot(open_link(emulator.device, hasty), hasty)
+    robot = Robot(open_link(own_emulator.device, hasty), hasty)
     with no_leak():
         robot.activate()
-        emulator.pause()
+        own_emulator.pause()
         with pytest.raises(BoardSilentError, match="no feedback for") as caught:
             drive_until_error(robot, ticks=200)
     assert caught.value.fix
@@ -218,14 +218,16 @@ def test_board_goes_silent_while_driving(config: RobotConfig, emulator: Emulated
     assert robot.feedback_age > 1.0
 
 
-def test_the_same_robot_works_again_after_silence(config: RobotConfig, emulator: Emulated) -> None:
+def test_the_same_robot_works_again_after_silence(
+    config: RobotConfig, own_emulator: Emulated
+) -> None:
     hasty = config.with_(feedback_timeout=1.0)
-    robot = Robot(open_link(emulator.device, hasty), hasty)
+    robot = Robot(open_link(own_emulator.device, hasty), hasty)
     robot.activate()
-    emulator.pause()
+    own_emulator.pause()
     with pytest.raises(BoardSilentError):
         drive_until_error(robot)
-    emulator.process.send_signal(signal.SIGCONT)
+    own_emulator.process.send_signal(signal.SIGCONT)
     with robot:
         assert robot.odometry.pose == (0.0, 0.0, 0.0)
         robot.drive(0.2, 0.0)
@@ -288,22 +290,6 @@ def test_feedback_slower_than_the_tick_is_held_and_aged(
             held += robot.feedback_age > 0.0 and robot.speeds == before
     assert held > 5
     assert 0.0 in ages
-
-
-BRIDGE = """
-import os, select, socket, sys
-
-tty = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY)
-server = socket.create_server(("127.0.0.1", 0))
-print(server.getsockname()[1], flush=True)
-client, _ = server.accept()
-while True:
-    ready, _, _ = select.select([client, tty], [], [])
-    if tty in ready:
-        client.sendall(os.read(tty, 4096))
-    if client in ready:
-        os.write(tty, client.recv(4096))
-"""
 
 
 def test_a_socket_drives_like_a_device(config: RobotConfig, shared_device: str) -> None:

@@ -1,0 +1,161 @@
+"""The arrays of many robots, and the calls of `kernel.py` on shares of them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym import dynamics, kernel, pcg
+from acsar_gym.config import BITS_PER_BYTE, LINE_BYTES, RobotConfig, whole_ratio
+from acsar_gym.errors import ConfigError
+from acsar_gym.randomization import Randomization
+from acsar_gym.tasks import PointGoal
+
+Mask = NDArray[np.bool_]
+
+
+class Batch:
+    """`state` (rows of `kernel` x robots), `observations`, `rewards`, `ends` (2 x robots)."""
+
+    def __init__(
+        self,
+        robots: int,
+        config: RobotConfig,
+        task: PointGoal,
+        ticks: int,
+        max_steps: int | None,
+        randomization: Randomization,
+    ) -> None:
+        self._setup = _setup(config, task, ticks, max_steps)
+        self._nominal = _nominal(config)
+        self._ranges = randomization.table()
+        self._slot = 0
+        slots = _slots(self._setup, self._nominal, self._ranges)
+        self.state = np.zeros((kernel.ROWS, robots))
+        self._counts = np.zeros((slots, 4, robots))
+        self._random = np.zeros((robots, 4), np.uint64)
+        self.observations = np.zeros((robots, 7), np.float32)
+        self.rewards = np.zeros(robots)
+        self.ends = np.zeros((2, robots), np.bool_)
+        self._seeded = False
+
+    def seed(self, seeds: list[int | None] | None, mask: Mask) -> None:
+        """New generators for the robots in the mask; the first time also without seeds."""
+        if seeds is None and self._seeded:
+            return
+        for robot in np.flatnonzero(mask):
+            seed = None if seeds is None else seeds[robot]
+            if seed is not None or not self._seeded:
+                self._random[robot] = pcg.seeded(seed)
+        self._seeded = True
+
+    def reset(self, mask: Mask, first: int, last: int) -> None:
+        """New episodes for robots in the mask, among first to last."""
+        kernel.reset(
+            self.state,
+            self._counts,
+            self._random,
+            self._nominal,
+            self._ranges,
+            self.observations,
+            mask,
+            first,
+            last,
+            self._setup,
+        )
+
+    def step(self, actions: NDArray[np.float64], over: Mask, first: int, last: int) -> None:
+        """An env step of robots first to last; those in `over` begin a new episode instead."""
+        kernel.step(
+            self.state,
+            self._counts,
+            self._random,
+            self._nominal,
+            self._ranges,
+            actions,
+            over,
+            self.observations,
+            self.rewards,
+            self.ends,
+            first,
+            last,
+            self._slot,
+            self._setup,
+        )
+
+    def turn(self) -> None:
+        """All robots have done their step: move on in the ring of encoder counts."""
+        loops = self._setup.ticks * self._setup.loops
+        self._slot = (self._slot + loops) % self._counts.shape[0]
+
+    @property
+    def bytes_per_robot(self) -> float:
+        """Memory that a robot takes in all arrays."""
+        arrays = (self.state, self._counts, self._random, self.observations, self.rewards, self.ends)
+        return sum(array.nbytes for array in arrays) / len(self.rewards)
+
+
+def _setup(config: RobotConfig, task: PointGoal, ticks: int, max_steps: int | None) -> kernel.Setup:
+    params = dynamics.params(config)
+    firmware, encoder = config.firmware, config.encoder
+    window = round(encoder.window * firmware.loop_rate)
+    per_radian = encoder.counts_per_revolution / (2.0 * math.pi)
+    return kernel.Setup(
+        dt=params.dt,
+        period=config.period,
+        half_wheelbase=params.half_wheelbase,
+        half_track=params.half_track,
+        slip_speed=params.slip_speed,
+        ramp=config.motor.acceleration * params.dt,
+        top=params.max_speed,
+        counts_per_radian=per_radian,
+        speed_per_count=1.0 / (per_radian * window * params.dt),
+        window=window,
+        ticks=ticks,
+        loops=whole_ratio("firmware.loop_rate", firmware.loop_rate, "", config.control_rate),
+        radius=config.wheel_radius,
+        separation=config.effective_separation,
+        max_wheel_speed=config.max_wheel_speed,
+        max_linear=task.max_linear,
+        max_angular=task.max_angular,
+        min_distance=task.min_distance,
+        max_distance=task.max_distance,
+        tolerance=task.tolerance,
+        boundary=task.boundary,
+        max_steps=math.inf if max_steps is None else float(max_steps),
+    )
+
+
+def _nominal(config: RobotConfig) -> NDArray[np.float64]:
+    """Rows of the configured robot; only those from MASS on are used."""
+    params, firmware = dynamics.params(config), config.firmware
+    line = (LINE_BYTES + config.trailing_comma) * BITS_PER_BYTE / config.baud_rate
+    delay = math.ceil((line + firmware.processing_time) / params.dt - 1e-6)
+    rows = np.zeros(kernel.ROWS)
+    rows[kernel.MASS] = params.mass
+    rows[kernel.INERTIA] = params.yaw_inertia
+    rows[kernel.GRIP] = params.grip
+    rows[kernel.RADIUS] = params.radius
+    rows[kernel.DEADBAND] = params.deadband
+    rows[kernel.BLEND : kernel.BLEND + 4] = params.blend
+    rows[kernel.GAIN : kernel.GAIN + 4] = 1.0
+    rows[kernel.COMMAND_LOOPS] = rows[kernel.DELAY_LOOPS] = delay
+    rows[kernel.FEEDBACK_LOOPS] = round(firmware.loop_rate / config.feedback_rate)
+    return rows
+
+
+def _slots(
+    setup: kernel.Setup, nominal: NDArray[np.float64], ranges: NDArray[np.float64]
+) -> int:
+    """Loops of encoder counts to keep: the window behind the oldest line still on its way."""
+    (latency, rate) = ranges[6], ranges[7]
+    extra = round(latency[1] / setup.dt) if latency[0] <= latency[1] else 0
+    delay = round(nominal[kernel.DELAY_LOOPS]) + extra
+    slowest = 1.0 / (rate[0] * setup.dt) if rate[0] <= rate[1] else nominal[kernel.FEEDBACK_LOOPS]
+    if delay >= setup.ticks * setup.loops:
+        raise ConfigError(
+            f"latency of {delay * setup.dt:g} s: must be shorter than a step of the policy"
+        )
+    return setup.window + delay + math.ceil(slowest) + setup.loops + 1

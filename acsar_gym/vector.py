@@ -1,0 +1,227 @@
+"""Thousands of planar robots as one Gymnasium VectorEnv."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from acsar_gym import dynamics, kernel
+from acsar_gym.batch import Batch
+from acsar_gym.config import RobotConfig, whole_ratio
+from acsar_gym.env import point_goal_spaces
+from acsar_gym.errors import CommandError, ConfigError
+from acsar_gym.randomization import Randomization
+from acsar_gym.tasks import PointGoal
+
+FAIR_SHARE = 256
+"""Robots for which another thread is worth its start."""
+
+Array = NDArray[Any]
+Info = dict[str, Any]
+INFO_ROWS = {
+    "goal_distance": kernel.DISTANCE,
+    "odom_x": kernel.ODOM_X,
+    "odom_y": kernel.ODOM_Y,
+    "odom_theta": kernel.ODOM_THETA,
+    "feedback_age": kernel.AGE,
+    "true_x": kernel.X,
+    "true_y": kernel.Y,
+}
+
+
+class PointGoalVectorEnv(VectorEnv[Array, Array, Array]):
+    """Many robots of `acsar_gym/PointGoal-v0` on a flat floor, stepped in compiled loops.
+
+    Spaces, reward, end and info are those of `PointGoalEnv`, one row a robot, and so are commands,
+    latency, motors, tyres, encoders and odometry: with the same seed and actions a robot does what
+    `link="planar"` does, to 1e-9. Make it with
+
+        gymnasium.make_vec("acsar_gym/PointGoal-v0", 1024, vectorization_mode="vector_entry_point")
+
+    Arguments besides those of `PointGoalEnv`:
+
+    - `num_envs`: robots.
+    - `max_episode_steps`: time limit; registration gives 200.
+    - `autoreset_mode`: an AutoresetMode or its value, "NextStep" (default), "SameStep", "Disabled".
+    - `threads`: cores to use, at most; None uses all where there is enough to do. Results don't
+      depend on it.
+    - `randomization`: see `Randomization`; drawn anew for every robot with every episode.
+
+    Seeds: `reset(seed=s)` seeds robot i with s + i, or a list names each one's. Every robot has its
+    own generator, the same as the single env's.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012 - as VectorEnv declares it
+        "render_modes": [],
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        robot: RobotConfig | str | Path | None = None,
+        *,
+        goal_distance: tuple[float, float] = (0.5, 3.0),
+        goal_tolerance: float = 0.15,
+        policy_rate: float = 10.0,
+        max_episode_steps: int | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        threads: int | None = None,
+        randomization: Mapping[str, tuple[float, float]] | None = None,
+        render_mode: str | None = None,
+    ) -> None:
+        config = RobotConfig.of(robot)
+        if render_mode is not None:
+            raise ConfigError("a batch of robots has no pictures: render a single env instead")
+        if not dynamics.COMPILED:
+            warnings.warn(
+                "numba isn't installed, so batches of robots are slow: pip install 'acsar_gym[fast]'",
+                RuntimeWarning,
+                stacklevel=2,
+            )
+        self.num_envs = _count("num_envs", num_envs)
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
+        task = PointGoal(*goal_distance, goal_tolerance, config.max_linear, config.max_angular)
+        self.single_action_space, self.single_observation_space = point_goal_spaces()
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        ticks = whole_ratio("control_rate", config.control_rate, "policy_rate", policy_rate)
+        self.batch = Batch(
+            self.num_envs, config, task, ticks, max_episode_steps, Randomization.of(randomization)
+        )
+        self._threads = _threads(threads, self.num_envs)
+        self._pool = ThreadPoolExecutor(self._threads - 1) if self._threads > 1 else None
+        self._done = np.zeros(self.num_envs, np.bool_)
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: Mapping[str, Any] | None = None,
+    ) -> tuple[Array, Info]:
+        """New episodes for all robots, or those in `options["reset_mask"]`."""
+        mask = _mask((options or {}).get("reset_mask"), self.num_envs)
+        self.batch.seed(_seeds(seed, self.num_envs), mask)
+        self._each(lambda first, last: self.batch.reset(mask, first, last))
+        self._done = self._done & ~mask
+        return self.batch.observations.copy(), self._info(mask)
+
+    def step(self, actions: Array) -> tuple[Array, Array, Array, Array, Info]:
+        """One env step of every robot; `actions` is num_envs x 2.
+
+        Raises CommandError for another shape, and for NaN or infinity, naming the first bad env.
+        """
+        actions = self._checked(actions)
+        if self.autoreset_mode is AutoresetMode.DISABLED and self._done.any():
+            raise ConfigError(
+                f"env {int(self._done.argmax())} has ended: reset it with options['reset_mask']"
+            )
+        next_step = self.autoreset_mode is AutoresetMode.NEXT_STEP
+        over = self._done if next_step else np.zeros(self.num_envs, np.bool_)
+        batch = self.batch
+        self._each(lambda first, last: batch.step(actions, over, first, last))
+        batch.turn()
+        terminated, truncated = batch.ends.copy()
+        self._done = terminated | truncated
+        rewards, info = batch.rewards.copy(), {}
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and self._done.any():
+            info = self._finals(self._done)
+            self._each(lambda first, last: batch.reset(self._done, first, last))
+        info |= self._info(np.ones(self.num_envs, np.bool_))
+        return batch.observations.copy(), rewards, terminated, truncated, info
+
+    def _each(self, work: Callable[[int, int], None]) -> None:
+        """Do the work on contiguous shares of the robots, one a thread."""
+        edges = np.linspace(0, self.num_envs, self._threads + 1).astype(int).tolist()
+        shares = list(zip(edges, edges[1:], strict=False))
+        others = [self._pool.submit(work, *share) for share in shares[1:]] if self._pool else []
+        work(*shares[0])
+        for other in others:
+            other.result()
+
+    def _checked(self, actions: Array) -> Array:
+        actions = np.asarray(actions, np.float64)
+        if actions.shape != (self.num_envs, 2):
+            raise CommandError(f"actions of shape {actions.shape}: must be ({self.num_envs}, 2)")
+        if not np.isfinite(actions).all():
+            bad = int(np.argmax(~np.isfinite(actions).all(axis=1)))
+            raise CommandError(f"action of env {bad} is {actions[bad]}: must be finite numbers")
+        return actions
+
+    def _finals(self, done: Array) -> Info:
+        """What Gymnasium wants to know of episodes that ended in this very step."""
+        final = np.full(self.num_envs, None, object)
+        for index in np.flatnonzero(done):
+            final[index] = self.batch.observations[index].copy()
+        info = self._info(done)
+        state = self.batch.state
+        info |= {"episode_return": state[kernel.RETURN].copy(), "_episode_return": done}
+        info |= {"episode_length": state[kernel.STEPS].copy(), "_episode_length": done}
+        return {"final_obs": final, "_final_obs": done, "final_info": info, "_final_info": done}
+
+    def _info(self, mask: Array) -> Info:
+        """The single env's info as arrays, each with its mask."""
+        state = self.batch.state
+        info: Info = {name: state[row].copy() for name, row in INFO_ROWS.items()}
+        info["is_success"] = (state[kernel.OUTCOME] == 1.0).astype(np.float64)
+        info["true_theta"] = np.remainder(state[kernel.THETA] + np.pi, 2.0 * np.pi) - np.pi
+        info["true_contact"] = np.zeros(self.num_envs)
+        x, y = info["true_x"], info["true_y"]
+        info["true_goal_distance"] = np.hypot(state[kernel.GOAL_X] - x, state[kernel.GOAL_Y] - y)
+        info["odometry_error"] = np.hypot(info["odom_x"] - x, info["odom_y"] - y)
+        return info | {f"_{name}": mask for name in list(info)}
+
+    def close_extras(self, **_: Any) -> None:
+        """End the threads."""
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None
+            self._threads = 1
+
+
+def _count(name: str, value: int) -> int:
+    if not isinstance(value, int | np.integer) or value < 1:
+        raise ConfigError(f"{name} = {value!r}: must be a whole number of at least 1")
+    return int(value)
+
+
+def _threads(asked: int | None, robots: int) -> int:
+    """Threads to use: as asked, or all cores where every thread gets a fair share."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if asked is None:
+        return max(1, min(cores, robots // FAIR_SHARE))
+    if not 1 <= _count("threads", asked) <= cores:
+        raise ConfigError(f"threads = {asked}: must be 1 to {cores}, the cores of this machine")
+    return min(asked, robots)
+
+
+def _mask(mask: Any, robots: int) -> Array:
+    if mask is None:
+        return np.ones(robots, np.bool_)
+    mask = np.asarray(mask)
+    if mask.shape != (robots,) or mask.dtype != np.bool_:
+        raise ConfigError(f"reset_mask: must be a boolean array of shape ({robots},)")
+    return mask
+
+
+def _seeds(seed: int | Sequence[int | None] | None, robots: int) -> list[int | None] | None:
+    """A seed for each robot; None where none is seeded."""
+    if seed is None:
+        return None
+    if isinstance(seed, int | np.integer):
+        return [int(seed) + index for index in range(robots)]
+    seeds = list(seed)
+    if len(seeds) != robots:
+        raise ConfigError(f"{len(seeds)} seeds for {robots} robots: give one each")
+    return seeds
+

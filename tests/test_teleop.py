@@ -1,0 +1,190 @@
+"""Driving by hand and with a fixed twist, over the emulator's terminal."""
+
+from __future__ import annotations
+
+import os
+import pty
+import select
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+
+import pytest
+from serial_tools import (
+    CLI,
+    HEEDING_CTRL_C,
+    TIMEOUT,
+    Command,
+    Emulated,
+    RobotFile,
+    cli,
+    no_leak,
+    program,
+    wait_until,
+)
+
+from acsar_gym import Robot, RobotConfig, open_link, teleop
+from acsar_gym.errors import CommandError
+from acsar_gym.protocol import ZERO, Decoder, encode
+
+pytestmark = pytest.mark.usefixtures("deadline")
+
+
+ARROW_UP = "\x1b[A"
+
+
+def on_the_wire(config: RobotConfig, linear: float, angular: float) -> Command:
+    """The command for a twist, as its two decimals say it."""
+    speeds = Robot(open_link("planar", config), config).wheel_speeds(linear, angular)
+    return Decoder().feed(encode(speeds))[0].speeds
+
+
+@pytest.mark.parametrize(
+    ("key", "before", "after"),
+    [
+        ("w", (0.0, 0.0), (0.1, 0.0)),
+        ("s", (0.0, 0.0), (-0.1, 0.0)),
+        ("a", (0.0, 0.0), (0.0, 0.1)),
+        ("d", (0.0, 0.0), (0.0, -0.1)),
+        ("KEY_UP", (0.2, 0.3), (0.3, 0.3)),
+        ("KEY_DOWN", (0.2, 0.3), (0.1, 0.3)),
+        ("KEY_LEFT", (0.2, 0.3), (0.2, 0.4)),
+        ("KEY_RIGHT", (0.2, 0.3), (0.2, 0.2)),
+        (" ", (0.7, -0.4), (0.0, 0.0)),
+        ("", (0.7, -0.4), (0.7, -0.4)),
+        ("x", (0.7, -0.4), (0.7, -0.4)),
+        ("w", (1.0, 0.0), (1.0, 0.0)),
+        ("d", (0.0, -1.0), (0.0, -1.0)),
+    ],
+)
+def test_keys(key: str, before: tuple[float, float], after: tuple[float, float]) -> None:
+    assert teleop.pressed(key, *before) == after
+
+
+def test_keys_there_and_back_end_at_zero() -> None:
+    twist = (0.0, 0.0)
+    for key in "wwwwwwwwwwwwaaas" + "s" * 9 + "ddd":
+        twist = teleop.pressed(key, *twist)
+    assert twist == (0.0, 0.0)
+
+
+def test_a_fixed_twist_is_held_and_then_stopped(
+    config: RobotConfig, emulator: Emulated, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot = Robot(open_link(emulator.device, config), config)
+    with no_leak():
+        teleop.fixed(robot, 0.2, 0.3, duration=0.5)
+    assert not robot.active
+    assert robot.odometry.pose[0] > 0.01
+    assert "feedback" in capsys.readouterr().out
+    wait_until(emulator.is_stopped, "zero as the last command")
+    commands = emulator.commands()
+    assert commands.count(on_the_wire(config, 0.2, 0.3)) == 50
+    assert set(commands) == {ZERO, on_the_wire(config, 0.2, 0.3)}
+
+
+@pytest.mark.parametrize(
+    ("linear", "angular", "duration"),
+    [
+        (float("nan"), 0.0, 0.1),
+        (0.1, float("inf"), 0.1),
+        (0.1, 0.0, float("nan")),
+        (0.1, 0.0, -1.0),
+        pytest.param(
+            0.1,
+            0.0,
+            float("inf"),
+            marks=pytest.mark.xfail(reason="an OverflowError", raises=OverflowError, strict=True),
+        ),
+    ],
+)
+def test_numbers_that_are_refused_before_anything_opens(
+    linear: float, angular: float, duration: float, config: RobotConfig
+) -> None:
+    robot = Robot(open_link("planar", config), config)
+    with pytest.raises(CommandError, match="finite"):
+        teleop.fixed(robot, linear, angular, duration)
+    assert not robot.active
+
+
+def test_ctrl_c_stops_a_fixed_twist(emulator: Emulated, robot_file: RobotFile) -> None:
+    options = ("--link", emulator.device, "--linear", "0.2", "--robot", str(robot_file()))
+    with program(HEEDING_CTRL_C, "drive", *options) as process:
+        wait_until(emulator.is_driven, "a command that turns the wheels")
+        process.send_signal(signal.SIGINT)
+        _, error = process.communicate(timeout=TIMEOUT)
+    assert process.returncode == 130
+    assert "interrupted" in error
+    assert "Traceback" not in error
+    wait_until(emulator.is_stopped, "zero as the last command")
+
+
+def test_without_a_keyboard_there_is_one_clear_error() -> None:
+    done = cli("drive", "--link", "planar")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.count("\n") == 1
+    assert "--linear" in done.stderr
+
+
+@dataclass
+class Screen:
+    """A person's terminal, in which `acsar-gym drive` runs."""
+
+    process: subprocess.Popen[bytes]
+    master: int
+    shown: str = ""
+
+    def press(self, keys: str) -> None:
+        os.write(self.master, keys.encode())
+
+    def look(self) -> str:
+        """All that has been shown so far."""
+        while select.select([self.master], [], [], 0.0)[0]:
+            self.shown += os.read(self.master, 4096).decode(errors="replace")
+        return self.shown
+
+    def wait(self) -> int:
+        deadline = time.monotonic() + TIMEOUT
+        while self.process.poll() is None and time.monotonic() < deadline:
+            self.look()
+            time.sleep(0.02)
+        return self.process.wait(0.0)
+
+
+@pytest.fixture
+def screen(emulator: Emulated, robot_file: RobotFile) -> Iterator[Screen]:
+    master, slave = pty.openpty()
+    command = [*CLI, "drive", "--link", emulator.device, "--robot", str(robot_file())]
+    # Blessed asks the terminal what it can do; nobody is here to answer.
+    env = {**os.environ, "TERM": "xterm", "BLESSED_QUERY_TIMEOUT_SECONDS": "0"}
+    process = subprocess.Popen(
+        command, stdin=slave, stdout=slave, stderr=slave, start_new_session=True, env=env
+    )
+    yield Screen(process, master)
+    process.kill()
+    process.wait(TIMEOUT)
+    os.close(master)
+    os.close(slave)
+
+
+def obeyed(emulator: Emulated, command: Command) -> bool:
+    return emulator.commands()[-1] == command
+
+
+def test_driving_with_the_keyboard(screen: Screen, emulator: Emulated, config: RobotConfig) -> None:
+    wait_until(lambda: "feedback" in screen.look(), "the status line")
+    assert "q quits" in screen.look()
+    assert not emulator.is_driven()
+    forward = on_the_wire(config, 0.1 * config.max_linear, 0.0)
+    turning = on_the_wire(config, 0.1 * config.max_linear, 0.1 * config.max_angular)
+    for key, command in (("w", forward), ("a", turning), (" ", ZERO), (ARROW_UP, forward)):
+        screen.press(key)
+        wait_until(partial(obeyed, emulator, command), f"what {key!r} commands")
+    screen.press("q")
+    assert screen.wait() == 0
+    assert "Traceback" not in screen.look()
+    wait_until(emulator.is_stopped, "zero as the last command")
+    assert set(emulator.commands()) == {ZERO, forward, turning}
