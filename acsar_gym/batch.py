@@ -93,7 +93,14 @@ class Batch:
     @property
     def bytes_per_robot(self) -> float:
         """Memory that a robot takes in all arrays."""
-        arrays = (self.state, self._counts, self._random, self.observations, self.rewards, self.ends)
+        arrays = (
+            self.state,
+            self._counts,
+            self._random,
+            self.observations,
+            self.rewards,
+            self.ends,
+        )
         return sum(array.nbytes for array in arrays) / len(self.rewards)
 
 
@@ -142,13 +149,11 @@ def _nominal(config: RobotConfig) -> NDArray[np.float64]:
     rows[kernel.BLEND : kernel.BLEND + 4] = params.blend
     rows[kernel.GAIN : kernel.GAIN + 4] = 1.0
     rows[kernel.COMMAND_LOOPS] = rows[kernel.DELAY_LOOPS] = delay
-    rows[kernel.FEEDBACK_LOOPS] = round(firmware.loop_rate / config.feedback_rate)
+    rows[kernel.FEEDBACK_LOOPS] = firmware.loop_rate / config.feedback_rate
     return rows
 
 
-def _slots(
-    setup: kernel.Setup, nominal: NDArray[np.float64], ranges: NDArray[np.float64]
-) -> int:
+def _slots(setup: kernel.Setup, nominal: NDArray[np.float64], ranges: NDArray[np.float64]) -> int:
     """Loops of encoder counts to keep: the window behind the oldest line still on its way."""
     (latency, rate) = ranges[6], ranges[7]
     extra = round(latency[1] / setup.dt) if latency[0] <= latency[1] else 0
@@ -158,4 +163,4 @@ def _slots(
         raise ConfigError(
             f"latency of {delay * setup.dt:g} s: must be shorter than a step of the policy"
         )
-    return setup.window + delay + math.ceil(slowest) + setup.loops + 1
+    return int(setup.window + delay + math.ceil(slowest) + setup.loops + 1)

@@ -43,6 +43,7 @@ def demo(
     from acsar_gym import demo as demos  # noqa: PLC0415
     from acsar_gym import report  # noqa: PLC0415
 
+    report.check_writable(json)
     rows = demos.run(steps, episodes, serial_episodes, out)
     report.show(report.summary_table(f"One policy file, {out / 'policy.onnx'}", rows))
     report.write_json(json, {name: summary.as_dict() for name, summary in rows})
@@ -58,6 +59,7 @@ def bench(json: Json = None) -> int:
     from acsar_gym import bench as benchmark  # noqa: PLC0415
     from acsar_gym import report  # noqa: PLC0415
 
+    report.check_writable(json)
     figures = benchmark.measure()
     report.show(benchmark.table(figures))
     report.write_json(json, {f"{f.name} [{f.unit}]": f.value for f in figures})
@@ -112,6 +114,7 @@ def doctor(
     if baud_rate is not None:
         config = config.with_(baud_rate=baud_rate)
     device = device or config.serial_port
+    report.check_writable(json)
     checks = [doctors.port_list()]
     if device is not None:
         checks += doctors.examine(device, config, spin=spin)
@@ -179,6 +182,7 @@ def evaluate(
     """
     from acsar_gym import evaluation, report, runs  # noqa: PLC0415
 
+    report.check_writable(json)
     results = runs.evaluate(policy, link, robot, episodes, seed)
     summary = evaluation.summarise(results)
     report.show(
@@ -208,6 +212,7 @@ def run(
     """
     from acsar_gym import evaluation, report, runs  # noqa: PLC0415
 
+    report.check_writable(json)
     result = runs.to_goal(policy, link, robot, goal, record)
     summary = evaluation.summarise([result])
     report.show(report.summary_table(f"{policy} to ({goal[0]:g}, {goal[1]:g})", [(link, summary)]))

@@ -30,6 +30,8 @@ from acsar_gym.errors import ConfigError, suggestion
 BAUD_RATES = (9600, 19200, 38400, 57600, 115200)
 LINE_BYTES = 33
 """Length of a full line with its line end, without the optional trailing comma."""
+USUAL_RATES = (200.0, 100.0, 50.0, 40.0, 25.0, 20.0, 10.0, 5.0, 2.0, 1.0)
+"""Rates that messages suggest [Hz]."""
 BITS_PER_BYTE = 10
 """8N1: a start bit, eight data bits, a stop bit."""
 
@@ -74,7 +76,7 @@ class EncoderConfig(_Section):
     section = "encoder"
     counts_per_revolution: Annotated[int, Field(gt=0)] = 1320
     """Counts per turn of the wheel."""
-    window: PositiveFloat = 0.05
+    window: Annotated[float, Field(gt=0.0, le=5.0)] = 0.05
     """Time over which the firmware averages before it sends [s]."""
 
 
@@ -163,7 +165,7 @@ class RobotConfig(_Section):
                 enough = [b for b in BAUD_RATES if b >= rate * BITS_PER_BYTE * line]
                 hint = f"baud_rate {enough[0]} or more, or " if enough else ""
                 loop = self.firmware.loop_rate
-                fits = loop / math.ceil(loop / lines)
+                fits = max((r for r in USUAL_RATES if r <= lines and loop % r == 0), default=1.0)
                 raise ConfigError(
                     f"baud_rate = {self.baud_rate}: carries {int(lines)} lines of {line} bytes a "
                     f"second, {field} needs {rate:g}; use {hint}{field} = {fits:g} or less"
@@ -174,7 +176,16 @@ class RobotConfig(_Section):
     def _rates_are_whole(self) -> Self:
         loop = self.firmware.loop_rate
         whole_ratio("firmware.loop_rate", loop, "control_rate", self.control_rate)
-        whole_ratio("firmware.loop_rate", loop, "firmware.feedback_rate", self.feedback_rate)
+        if self.feedback_rate > loop:
+            raise ConfigError(
+                f"firmware.feedback_rate = {self.feedback_rate:g} Hz: must be at most "
+                f"firmware.loop_rate = {loop:g} Hz"
+            )
+        if self.feedback_timeout < 1.5 / self.feedback_rate:
+            raise ConfigError(
+                f"feedback_timeout = {self.feedback_timeout:g} s: must be at least one and a half "
+                f"periods of the feedback at {self.feedback_rate:g} Hz"
+            )
         if self.encoder.window * loop < 1.0 - 1e-9:
             raise ConfigError(
                 f"encoder.window = {self.encoder.window:g} s: must be at least one period of "
@@ -209,6 +220,9 @@ class RobotConfig(_Section):
     def load(cls, path: str | Path) -> RobotConfig:
         """Read a `.yaml` file, or the `<ros2_control>` parameters of a `.urdf` file.
 
+        A URDF without a baud_rate means 9600 baud, as it does for the robot's own driver, and a
+        control_rate of 20 Hz unless it names one.
+
         Raises ConfigError where the file is missing, malformed, or holds a bad value.
         """
         from acsar_gym import config_files  # noqa: PLC0415 - only loading needs the parsers
@@ -238,7 +252,12 @@ class RobotConfig(_Section):
 
 def whole_ratio(fast_name: str, fast: float, slow_name: str, slow: float) -> int:
     """The ratio fast / slow as an int; ConfigError unless it is a whole number of at least 1."""
-    ratio = min(fast / slow, 1e9)
+    try:
+        ratio = min(fast / slow, 1e9)
+    except (TypeError, ZeroDivisionError):
+        ratio = math.nan
+    if not ratio > 0.0:
+        raise ConfigError(f"{slow_name} = {slow!r}: must be a positive number of Hz")
     whole = round(ratio)
     if not 1 <= whole < 1e9 or not math.isclose(ratio, whole, rel_tol=1e-9):
         raise ConfigError(

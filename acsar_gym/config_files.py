@@ -19,6 +19,8 @@ YAML_ERRORS = (yaml.YAMLError, ValueError, LookupError, AttributeError, Recursio
 """What the YAML library lets out for malformed scalars, besides its own errors."""
 DRIVER_BAUD_RATE = "9600"
 """What the robot's own driver assumes where its URDF has no baud_rate."""
+DRIVER_CONTROL_RATE = "20"
+"""A rate that this baud rate can carry, where the URDF has none either [Hz]."""
 
 
 def preset(name: str) -> RobotConfig:
@@ -52,6 +54,7 @@ def _from_yaml(text: str) -> dict[str, Any]:
         data = yaml.safe_load(text)
     except YAML_ERRORS as error:
         raise ConfigError(f"not valid YAML: {' '.join(str(error).split())}") from None
+    data = {} if data is None else data
     if not isinstance(data, dict) or not all(isinstance(key, str) for key in data):
         raise ConfigError("must be a mapping of parameter names to values")
     return data
@@ -67,7 +70,9 @@ def _from_urdf(text: str) -> dict[str, Any]:
     if not blocks:
         raise ConfigError("has no <ros2_control><hardware> block to take the parameters from")
     known: dict[str, Any] = max(blocks, key=len)
-    return {"baud_rate": DRIVER_BAUD_RATE, **known}
+    if "baud_rate" in known:
+        return known
+    return {"baud_rate": DRIVER_BAUD_RATE, "control_rate": DRIVER_CONTROL_RATE, **known}
 
 
 def _params(hardware: Element) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import pty
 import termios
@@ -63,6 +64,8 @@ class Emulator:
 
     def run(self, duration: float | None = None) -> None:
         """Emulate for `duration` [s], or until interrupted; deadlines are absolute."""
+        if duration is not None and not 0.0 <= duration < math.inf:
+            raise ConfigError(f"duration = {duration}: must be a finite number of seconds")
         period = 1.0 / self._config.firmware.loop_rate
         start = deadline = time.monotonic()
         while duration is None or deadline - start < duration:

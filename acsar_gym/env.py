@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from acsar_gym.bodies.base import Image
 from acsar_gym.config import RobotConfig, whole_ratio
-from acsar_gym.errors import AcsarError, CommandError, ConfigError, RenderError
+from acsar_gym.errors import AcsarError, CommandError, ConfigError, RenderError, suggestion
 from acsar_gym.links import Link, open_link
 from acsar_gym.robot import Robot
 from acsar_gym.tasks import (
@@ -30,6 +31,14 @@ from acsar_gym.worlds import Scene
 Info = dict[str, Any]
 IMAGE_SIZE = (640, 480)
 """Width and height of rgb_array [pixels]."""
+
+
+def _goal_option(options: dict[str, Any]) -> Any:
+    """The goal among the options of a reset; ConfigError for an unknown option."""
+    for name in options:
+        if name != "goal":
+            raise ConfigError(f"unknown reset option {name!r}{suggestion(name, ['goal'])}")
+    return options.get("goal")
 
 
 def point_goal_spaces() -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:
@@ -119,37 +128,43 @@ class PointGoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     ) -> None:
         config = RobotConfig.of(robot)
         self.render_mode = render_mode
-        self.task = PointGoal(*goal_distance, goal_tolerance, config.max_linear, config.max_angular)
+        self.task = PointGoal.of(goal_distance, goal_tolerance, config)
         self.ticks_per_step = whole_ratio(
             "control_rate", config.control_rate, "policy_rate", policy_rate
         )
         self.robot = Robot(self._link(link, config), config)
+        self.action_space: Any
+        self.observation_space: Any
         self.action_space, self.observation_space = point_goal_spaces()
         self._goal: Goal = (0.0, 0.0)
         self._last_action = (0.0, 0.0)
         self._distance = 0.0
+        self._steps = 0
 
-    def _link(self, link: str | Link, config: RobotConfig) -> Link:
+    def _link(self, link: Any, config: RobotConfig) -> Link:
         if self.render_mode not in (None, *self.metadata["render_modes"]):
             raise ConfigError(
                 f"render_mode = {self.render_mode!r}: must be None, human or rgb_array"
             )
         if self.render_mode is not None and isinstance(link, str) and link != "bullet":
             raise RenderError(f"link {link!r} has no camera; render_mode needs link='bullet'")
-        if not isinstance(link, str):
-            return link
+        if not isinstance(link, str | os.PathLike) and hasattr(link, "advance"):
+            ready: Link = link
+            return ready
         return open_link(link, config, window=self.render_mode == "human")
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, Info]:
         """Begin an episode; opens the link the first time. `options={"goal": (x, y)}` in m."""
+        self.robot.stop()
         super().reset(seed=seed)
-        goal = (options or {}).get("goal")
+        goal = _goal_option(options or {})
         self._goal = (
             self.task.sample_goal(self.np_random) if goal is None else self.task.check_goal(goal)
         )
         self.robot.reset(Scene(goal=self._goal))
+        self._steps = 0
         self._last_action = (0.0, 0.0)
         self._distance = goal_distance(self.robot.odometry.pose, self._goal)
         return self._observation(), self._info(Outcome.GOING)
@@ -163,7 +178,8 @@ class PointGoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         outcome = self.task.outcome(pose, self._goal)
         reward = point_goal_reward(before, self._distance, linear, outcome)
         terminated = outcome is not Outcome.GOING
-        if terminated:
+        self._steps += 1
+        if terminated or self._steps == (self.spec and self.spec.max_episode_steps):
             self.robot.stop()
         return self._observation(), reward, terminated, False, self._info(outcome)
 
@@ -175,10 +191,11 @@ class PointGoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     def _checked(self, action: NDArray[np.float32]) -> tuple[float, float]:
         """The action as two floats in [-1, 1]; stops the wheels and raises for anything else."""
         try:
-            linear, angular = (float(value) for value in action)
-        except (TypeError, ValueError):
-            linear = angular = math.nan
-        if not math.isfinite(linear + angular):
+            linear, angular = np.asarray(action, np.float64).tolist()
+            sound = math.isfinite(linear + angular)
+        except (TypeError, ValueError, OverflowError):
+            sound = False
+        if not sound:
             self.robot.stop()
             raise CommandError(
                 f"action = {action!r}: must be two finite numbers (linear, angular) in [-1, 1]"
@@ -212,6 +229,8 @@ class PointGoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         """PyBullet's camera as height x width x 3 uint8; the window draws itself."""
         if self.render_mode != "rgb_array":
             return None
+        if not self.robot.active:
+            raise RenderError("there is nothing to see before reset(): call it first")
         image = self.robot.link.image(*IMAGE_SIZE)
         if image is None:
             raise RenderError(

@@ -11,7 +11,7 @@ import math
 from collections import deque
 
 from acsar_gym.bodies import Body
-from acsar_gym.config import BITS_PER_BYTE, RobotConfig, whole_ratio
+from acsar_gym.config import BITS_PER_BYTE, RobotConfig
 from acsar_gym.dynamics import towards
 from acsar_gym.protocol import ZERO, Decoder, Speeds, encode
 
@@ -31,9 +31,7 @@ class Firmware:
         self._byte_time = BITS_PER_BYTE / config.baud_rate
         self._processing = config.firmware.processing_time
         self._timeout = config.firmware.command_timeout or math.inf
-        self._feedback_every = whole_ratio(
-            "firmware.loop_rate", config.firmware.loop_rate, "feedback_rate", config.feedback_rate
-        )
+        self._feedback_every = config.firmware.loop_rate / config.feedback_rate
         window = round(config.encoder.window * config.firmware.loop_rate)
         self._angles: deque[Speeds] = deque(maxlen=window + 1)
         self._per_radian = config.encoder.counts_per_revolution / (2.0 * math.pi)
@@ -44,6 +42,8 @@ class Firmware:
     def reset(self) -> None:
         """As after power-up: nothing on the wire, set points zero, encoder history at rest."""
         self._loops = 0
+        self._lines = 0
+        self._elapsed = 0.0
         self._received: deque[tuple[float, bytes]] = deque()
         self._sent: deque[tuple[float, bytes]] = deque()
         self._receive_free = 0.0
@@ -57,18 +57,19 @@ class Firmware:
 
     def receive(self, data: bytes) -> None:
         """Bytes that the host puts on the wire now; they arrive one after the other."""
-        start = max(self._receive_free, self._loops * self._dt)
+        start = max(self._receive_free, self._elapsed)
         self._receive_free = start + len(data) * self._byte_time
         self._received.append((self._receive_free + self._processing, data))
 
     def advance(self, period: float) -> bytes:
         """Let `period` [s] pass; return the feedback bytes that reach the host in it.
 
-        A period is rounded to whole loops of the firmware.
+        What is left of a period after whole loops of the firmware is added to the next one.
         """
-        for _ in range(round(period / self._dt)):
+        self._elapsed += period
+        while (self._loops + 1) * self._dt <= self._elapsed + EPSILON:
             self._loop()
-        now = self._loops * self._dt + EPSILON
+        now = self._elapsed + EPSILON
         arrived = b""
         while self._sent and self._sent[0][0] <= now:
             arrived += self._sent.popleft()[1]
@@ -85,7 +86,8 @@ class Firmware:
         self._body.step(self._set_points)
         self._angles.append(self._body.wheel_angles)
         self._loops += 1
-        if self._loops % self._feedback_every == 0:
+        if self._loops >= (self._lines + 1) * self._feedback_every - EPSILON:
+            self._lines += 1
             self._answer()
 
     def _obey(self, data: bytes, now: float) -> None:

@@ -133,18 +133,19 @@ def sincos(theta: float) -> tuple[float, float]:
         )
     )
     quarter = turns - 4.0 * np.floor(turns * 0.25)
-    swap = quarter == 1.0 or quarter == 3.0
+    swap = quarter in (1.0, 3.0)
     sine, cosine = (c if swap else s), (s if swap else c)
     return (
         -sine if quarter >= 2.0 else sine,
-        -cosine if quarter == 1.0 or quarter == 2.0 else cosine,
+        -cosine if quarter in (1.0, 2.0) else cosine,
     )
 
 
 @jit
 def on_the_wire(speed: float) -> float:
     """The speed [rad/s] after encoding and decoding: two decimals, saturated."""
-    return min(max(np.rint(speed * 100.0) / 100.0, -MAX_SPEED), MAX_SPEED)
+    rounded: float = np.rint(speed * 100.0) / 100.0
+    return min(max(rounded, -MAX_SPEED), MAX_SPEED)
 
 
 @jit
@@ -217,8 +218,16 @@ def motors(state: Floats, counts: Floats, first: int, last: int, slot: int, setu
 @loop
 def tyres(state: Floats, first: int, last: int, setup: Setup) -> None:
     """Tyre forces, then semi-implicit Euler, as the planar body does it."""
-    xs, ys, thetas = row(state, X, first, last), row(state, Y, first, last), row(state, THETA, first, last)
-    vxs, vys, rates = row(state, VX, first, last), row(state, VY, first, last), row(state, RATE, first, last)
+    xs, ys, thetas = (
+        row(state, X, first, last),
+        row(state, Y, first, last),
+        row(state, THETA, first, last),
+    )
+    vxs, vys, rates = (
+        row(state, VX, first, last),
+        row(state, VY, first, last),
+        row(state, RATE, first, last),
+    )
     a, b = row(state, WHEEL, first, last), row(state, WHEEL + 1, first, last)
     c, d = row(state, WHEEL + 2, first, last), row(state, WHEEL + 3, first, last)
     radii, grips = row(state, RADIUS, first, last), row(state, GRIP, first, last)
@@ -245,14 +254,13 @@ def tyres(state: Floats, first: int, last: int, setup: Setup) -> None:
 
 @jit
 def newest_line(loops: float, delay: float, every: float) -> float:
-    """The loop in which the newest line was made that has arrived by loop `loops`."""
-    return np.floor((loops - delay) / every) * every
+    """Number of the newest line that has arrived by loop `loops`; line n is made n * `every` on."""
+    line: float = np.floor((loops - delay) / every + 1e-9)
+    return line
 
 
 @loop
-def feedback(
-    state: Floats, counts: Floats, first: int, last: int, slot: int, setup: Setup
-) -> None:
+def feedback(state: Floats, counts: Floats, first: int, last: int, slot: int, setup: Setup) -> None:
     """The newest line that has arrived by the end of a tick, if it hasn't been read before."""
     slots = counts.shape[0]
     loops, ages = row(state, LOOPS, first, last), row(state, AGE, first, last)
@@ -265,7 +273,7 @@ def feedback(
         if line > lines[i]:
             lines[i] = line
             ages[i] = 0.0
-            new = slot - int(now - line)
+            new = slot - int(now - np.ceil(line * every[i] - 1e-9))
             new += slots if new < 0 else 0
             old = new - setup.window
             old += slots if old < 0 else 0
@@ -330,9 +338,9 @@ def drive(
     for tick in range(setup.ticks):
         if lossy:
             drop_lines(state, random, first, last, tick, setup)
-        for loop in range(tick * setup.loops, (tick + 1) * setup.loops):
+        for turn in range(tick * setup.loops, (tick + 1) * setup.loops):
             slot = (slot + 1) % slots
-            ramp(state, first, last, loop, setup)
+            ramp(state, first, last, turn, setup)
             motors(state, counts, first, last, slot, setup)
             tyres(state, first, last, setup)
         feedback(state, counts, first, last, slot, setup)
@@ -340,7 +348,9 @@ def drive(
 
 
 @loop
-def judge(state: Floats, rewards: Floats, ends: NDArray[np.bool_], first: int, last: int, setup: Setup) -> None:
+def judge(
+    state: Floats, rewards: Floats, ends: NDArray[np.bool_], first: int, last: int, setup: Setup
+) -> None:
     """Reward, success, bounds and time limit after an env step; ends is (terminated, truncated)."""
     for i in range(first, last):
         x, y = state[ODOM_X, i], state[ODOM_Y, i]
@@ -359,7 +369,9 @@ def judge(state: Floats, rewards: Floats, ends: NDArray[np.bool_], first: int, l
 
 
 @loop
-def observe(state: Floats, observations: NDArray[np.float32], first: int, last: int, setup: Setup) -> None:
+def observe(
+    state: Floats, observations: NDArray[np.float32], first: int, last: int, setup: Setup
+) -> None:
     """The task's observation of every robot."""
     scales = (setup.max_distance, setup.max_linear, setup.max_angular)
     for i in range(first, last):
@@ -381,12 +393,13 @@ def observe(state: Floats, observations: NDArray[np.float32], first: int, last: 
 @jit
 def settle_ticks(delay: float, every: float, loops: float) -> float:
     """Ticks that a reset takes until two fresh readings have come, as in `Robot.reset`."""
-    one = np.ceil((every + delay) / loops)
-    return max(one + 1.0, np.ceil((2.0 * every + delay) / loops))
+    one: float = np.ceil((np.ceil(every - 1e-9) + delay) / loops)
+    two: float = np.ceil((np.ceil(2.0 * every - 1e-9) + delay) / loops)
+    return max(one + 1.0, two)
 
 
 @loop
-def draw(
+def draw(  # noqa: C901 - nine keys, one condition each
     state: Floats,
     random: NDArray[np.uint64],
     i: int,
@@ -429,7 +442,9 @@ def draw(
 @jit
 def between(ranges: Floats, key: int, random: NDArray[np.uint64], i: int) -> float:
     """A number from the range of one key."""
-    return ranges[key, 0] + (ranges[key, 1] - ranges[key, 0]) * uniform(random, i)
+    low: float = ranges[key, 0]
+    high: float = ranges[key, 1]
+    return low + (high - low) * uniform(random, i)
 
 
 @loop

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from acsar_gym.errors import CommandError
+from acsar_gym.errors import CommandError, ConfigError
 from acsar_gym.protocol import Speeds
 
 
@@ -25,7 +25,7 @@ def forward(
     return twist(front_right, front_left, rear_left, rear_right, wheel_radius, wheel_separation)
 
 
-def twist(  # noqa: PLR0917 - a scalar function for compiled loops
+def twist(
     a: float, b: float, c: float, d: float, wheel_radius: float, wheel_separation: float
 ) -> tuple[float, float]:
     """Twist as `forward` gives it, from the speeds of wheels a to d one by one."""
@@ -46,6 +46,11 @@ def inverse(
     Beyond `max_speed` [rad/s] all four shrink by the same factor, which keeps the turn radius.
     Raises CommandError where a wheel speed would not be finite.
     """
+    if not (wheel_radius > 0.0 and wheel_separation > 0.0 and max_speed >= 0.0):
+        raise ConfigError(
+            f"wheel_radius = {wheel_radius}, wheel_separation = {wheel_separation}, max_speed = "
+            f"{max_speed}: must be positive"
+        )
     right, left = sides(linear, angular, wheel_radius, wheel_separation, max_speed)
     if not math.isfinite(right + left):
         raise CommandError(f"twist = ({linear}, {angular}): must be finite m/s and rad/s")

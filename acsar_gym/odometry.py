@@ -15,7 +15,7 @@ TWIST_COVARIANCE: tuple[float, ...] = tuple(0.01 if i in (0, 35) else 0.0 for i 
 """Row-major 6 x 6 covariance of the twist, as the robot's driver publishes it."""
 
 
-def integrate(  # noqa: PLR0917 - a scalar function for compiled loops
+def integrate(
     x: float,
     y: float,
     theta: float,
@@ -29,6 +29,17 @@ def integrate(  # noqa: PLR0917 - a scalar function for compiled loops
     x += linear * cos * dt
     y += linear * sin * dt
     return x, y, theta + angular * dt
+
+
+def _normalised(theta: float) -> float:
+    """Equation (10), by its own loop where that ends soon."""
+    if abs(theta) > 1e3:
+        theta = math.remainder(theta, 2.0 * math.pi)
+    while theta > math.pi:
+        theta -= 2.0 * math.pi
+    while theta < -math.pi:
+        theta += 2.0 * math.pi
+    return theta
 
 
 class Odometry:
@@ -87,7 +98,7 @@ class Odometry:
         if not (math.isfinite(x + y + theta) and 0.0 <= dt < math.inf):
             raise CommandError(f"odometry can't integrate speeds {tuple(speeds)} over dt = {dt} s")
         if not -math.pi <= theta <= math.pi:
-            theta = math.remainder(theta, 2.0 * math.pi)
+            theta = _normalised(theta)
         self.pose = (x, y, theta)
         self.twist = (linear, angular)
         a, b, c, d = self.wheel_positions

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,12 @@ def show(table: Table) -> None:
     if not console.is_terminal:
         console = Console(width=110)
     console.print(table)
+
+
+def check_writable(path: Path | None) -> None:
+    """ConfigError if `path` can't be written: better now than after a long run."""
+    if path is not None and not (path.parent.is_dir() and os.access(path.parent, os.W_OK)):
+        raise ConfigError(f"{path}: can't be written: is there such a folder, and is it yours?")
 
 
 def write_json(path: Path | None, data: Mapping[str, Any]) -> None:

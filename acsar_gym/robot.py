@@ -110,8 +110,13 @@ class Robot:
             raise
 
     def drive(self, linear: float, angular: float) -> None:
-        """One tick towards a twist (linear [m/s], angular [rad/s])."""
-        self.tick(self.wheel_speeds(linear, angular))
+        """One tick towards a twist (linear [m/s], angular [rad/s]); errors as `tick`."""
+        try:
+            speeds = self.wheel_speeds(linear, angular)
+        except BaseException:
+            self.deactivate()
+            raise
+        self.tick(speeds)
 
     def wheel_speeds(self, linear: float, angular: float) -> Speeds:
         """Wheel speeds [rad/s] for a twist, shrunk to `max_wheel_speed` at the same turn radius."""
@@ -148,11 +153,19 @@ class Robot:
         dt = stamp - self._stamp
         self._stamp = stamp
         self.feedback_age = 0.0 if readings else self.feedback_age + dt
-        for reading in readings:
-            self._take(reading)
-        self.odometry.update(self.speeds, dt)
+        self._integrate(readings, dt)
         if self.feedback_age > self._patience:
             raise self._silence()
+
+    def _integrate(self, readings: list[Reading], dt: float) -> None:
+        """The newest reading counts for the tick; after a pause each has its share of the time."""
+        paused = dt > 2.0 * self._period and len(readings) > 1
+        for reading in readings:
+            self._take(reading)
+            if paused:
+                self.odometry.update(self.speeds, dt / len(readings))
+        if not paused:
+            self.odometry.update(self.speeds, dt)
 
     def _take(self, reading: Reading) -> None:
         a, b, c, d = reading.speeds

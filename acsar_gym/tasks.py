@@ -12,6 +12,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.worlds import Pose
 
@@ -54,6 +55,21 @@ class PointGoal:
     """Scales the observed linear velocity."""
     max_angular: float = 1.5
     """Scales the observed angular velocity."""
+
+    @classmethod
+    def of(
+        cls, goal_distance: tuple[float, float], goal_tolerance: float, config: RobotConfig
+    ) -> PointGoal:
+        """From an env's arguments. Raises ConfigError where they make no sense."""
+        try:
+            nearest, farthest = (float(distance) for distance in goal_distance)
+            tolerance = float(goal_tolerance)
+        except (TypeError, ValueError):
+            raise ConfigError(
+                f"goal_distance = {goal_distance!r}, goal_tolerance = {goal_tolerance!r}: must be "
+                "(nearest, farthest) and one number [m]"
+            ) from None
+        return cls(nearest, farthest, tolerance, config.max_linear, config.max_angular)
 
     def __post_init__(self) -> None:
         if not 0.0 < self.tolerance < self.min_distance <= self.max_distance < math.inf:

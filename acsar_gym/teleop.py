@@ -30,7 +30,7 @@ KEYS = {
 
 def fixed(robot: Robot, linear: float, angular: float, duration: float | None) -> None:
     """Hold a twist for `duration` [s], or until interrupted. Raises CommandError for NaN."""
-    if not math.isfinite(linear + angular) or (duration is not None and not duration >= 0.0):
+    if not (math.isfinite(linear + angular) and 0.0 <= (duration or 0.0) < math.inf):
         raise CommandError("--linear, --angular and --duration must be finite numbers")
     speeds = robot.wheel_speeds(linear, angular)
     ticks = math.inf if duration is None else round(duration * robot.config.control_rate)

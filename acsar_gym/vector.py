@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -84,14 +85,14 @@ class PointGoalVectorEnv(VectorEnv[Array, Array, Array]):
             raise ConfigError("a batch of robots has no pictures: render a single env instead")
         if not dynamics.COMPILED:
             warnings.warn(
-                "numba isn't installed, so batches of robots are slow: pip install 'acsar_gym[fast]'",
+                "numba isn't installed, so batches are slow: pip install 'acsar_gym[fast]'",
                 RuntimeWarning,
                 stacklevel=2,
             )
         self.num_envs = _count("num_envs", num_envs)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
-        task = PointGoal(*goal_distance, goal_tolerance, config.max_linear, config.max_angular)
+        task = PointGoal.of(goal_distance, goal_tolerance, config)
         self.single_action_space, self.single_observation_space = point_goal_spaces()
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
@@ -143,7 +144,7 @@ class PointGoalVectorEnv(VectorEnv[Array, Array, Array]):
     def _each(self, work: Callable[[int, int], None]) -> None:
         """Do the work on contiguous shares of the robots, one a thread."""
         edges = np.linspace(0, self.num_envs, self._threads + 1).astype(int).tolist()
-        shares = list(zip(edges, edges[1:], strict=False))
+        shares = list(itertools.pairwise(edges))
         others = [self._pool.submit(work, *share) for share in shares[1:]] if self._pool else []
         work(*shares[0])
         for other in others:
@@ -197,7 +198,9 @@ def _count(name: str, value: int) -> int:
 
 def _threads(asked: int | None, robots: int) -> int:
     """Threads to use: as asked, or all cores where every thread gets a fair share."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = (
+        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    )
     if asked is None:
         return max(1, min(cores, robots // FAIR_SHARE))
     if not 1 <= _count("threads", asked) <= cores:
@@ -208,10 +211,10 @@ def _threads(asked: int | None, robots: int) -> int:
 def _mask(mask: Any, robots: int) -> Array:
     if mask is None:
         return np.ones(robots, np.bool_)
-    mask = np.asarray(mask)
-    if mask.shape != (robots,) or mask.dtype != np.bool_:
+    asked: Array = np.asarray(mask)
+    if asked.shape != (robots,) or asked.dtype != np.bool_:
         raise ConfigError(f"reset_mask: must be a boolean array of shape ({robots},)")
-    return mask
+    return asked
 
 
 def _seeds(seed: int | Sequence[int | None] | None, robots: int) -> list[int | None] | None:
@@ -224,4 +227,3 @@ def _seeds(seed: int | Sequence[int | None] | None, robots: int) -> list[int | N
     if len(seeds) != robots:
         raise ConfigError(f"{len(seeds)} seeds for {robots} robots: give one each")
     return seeds
-

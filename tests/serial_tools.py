@@ -30,12 +30,13 @@ main()
 """
 """The command line as in an interactive shell, however the tests were started."""
 DRIVER = """
-import signal, sys
+import os, resource, signal, sys
 from acsar_gym import Robot, RobotConfig, open_link
 
 # As in an interactive shell, however the tests were started.
+resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 signal.signal(signal.SIGINT, signal.default_int_handler)
-for number in (signal.SIGTERM, signal.SIGHUP):
+for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP):
     signal.signal(number, signal.SIG_DFL)
 
 config = RobotConfig.preset("acsar").with_(connect_timeout=20.0, feedback_timeout=5.0)

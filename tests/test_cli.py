@@ -131,17 +131,7 @@ def figures(path: Path) -> dict[str, Any]:
     return {key: data[key] for key in data if key not in ("odometry_error", "late_ticks")}
 
 
-@pytest.mark.parametrize(
-    "kind",
-    [
-        "planar",
-        "bullet",
-        pytest.param(
-            "serial",
-            marks=pytest.mark.xfail(reason="driver and recording read two clocks", strict=True),
-        ),
-    ],
-)
+@pytest.mark.parametrize("kind", ["planar", "bullet", "serial"])
 def test_a_recorded_run_replays_with_the_same_figures(
     kind: str, call: Call, request: pytest.FixtureRequest, robot_file: RobotFile, tmp_path: Path
 ) -> None:

@@ -185,9 +185,13 @@ def test_commands_must_fit_the_baud_rate(baud: int, lines: int) -> None:
     message = refusal(RobotConfig, too_fast)
     assert message.startswith(f"baud_rate = {baud}: carries {lines} lines of 33 bytes a second")
     assert f"control_rate needs {lines + 1}" in message
-    slower = (lines + 1) / 2
-    assert message.endswith(f"control_rate = {slower:g} or less")
-    assert config_of(**{**too_fast, "control_rate": slower}).control_rate == slower
+
+
+@pytest.mark.parametrize(("baud", "rate"), [(9600, 25), (19200, 50), (38400, 100)])
+def test_the_rate_that_is_suggested_works(baud: int, rate: int) -> None:
+    message = refusal(RobotConfig, {"baud_rate": baud, "control_rate": 200})
+    assert message.endswith(f"control_rate = {rate} or less")
+    assert config_of(baud_rate=baud, control_rate=rate).control_rate == rate
 
 
 @pytest.mark.parametrize(("baud", "lines"), LINES_PER_SECOND)
@@ -230,16 +234,26 @@ def test_the_trailing_comma_takes_its_time_on_the_wire() -> None:
     [
         ({"control_rate": 30}, "control_rate", "30"),
         ({"control_rate": 300, "firmware": {"loop_rate": 200}}, "control_rate", "300"),
-        ({"firmware": {"feedback_rate": 30}}, "firmware.feedback_rate", "30"),
-        ({"firmware": {"loop_rate": 100, "feedback_rate": 200}}, "firmware.feedback_rate", "200"),
     ],
 )
-def test_the_firmware_loop_is_a_whole_multiple_of_the_other_rates(
+def test_the_firmware_loop_is_a_whole_multiple_of_the_control_rate(
     values: dict[str, Any], slow: str, rate: str
 ) -> None:
     message = refusal(RobotConfig, values)
     assert message.startswith("firmware.loop_rate = ")
     assert f"must be a whole multiple of {slow} = {rate} Hz" in message
+
+
+def test_boards_may_send_at_any_rate_up_to_their_loop() -> None:
+    assert config_of(firmware={"feedback_rate": 30}).feedback_rate == 30
+    too_fast = {"firmware": {"loop_rate": 100, "feedback_rate": 200}}
+    assert "at most firmware.loop_rate = 100 Hz" in refusal(RobotConfig, too_fast)
+
+
+def test_feedback_must_not_be_given_up_between_two_lines() -> None:
+    slow = {"firmware": {"feedback_rate": 2}}
+    assert "one and a half periods" in refusal(RobotConfig, slow)
+    assert config_of(**slow, feedback_timeout=1.0).feedback_rate == 2
 
 
 @pytest.mark.parametrize(

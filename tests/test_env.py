@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import math
 import subprocess
@@ -16,6 +17,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
+from acsar_gym import open_link
 from acsar_gym.config import RobotConfig
 from acsar_gym.env import PointGoalEnv
 from acsar_gym.errors import CommandError, ConfigError, RenderError
@@ -229,3 +231,72 @@ def test_two_environments_do_not_disturb_each_other() -> None:
     assert observations(one, 9) == expected
     one.close()
     two.close()
+
+
+def test_a_reset_stops_the_wheels_before_anything_can_go_wrong() -> None:
+    env = inner(make())
+    env.reset(seed=0)
+    env.step(np.array([1.0, 0.0], np.float32))
+    with pytest.raises(ConfigError):
+        env.reset(options={"goal": (99.0, 0.0)})
+    env.robot.link.advance(1.0)
+    assert env.robot.link.truth is not None
+    assert env.robot.link.truth.twist == pytest.approx((0.0, 0.0), abs=1e-6)
+    env.close()
+
+
+def test_the_time_limit_stops_the_wheels() -> None:
+    env = make(max_episode_steps=5)
+    env.reset(seed=0)
+    truncated = False
+    while not truncated:
+        *_, truncated, _ = env.step(np.array([1.0, 0.0], np.float32))
+    link = inner(env).robot.link
+    link.advance(0.4)  # less than the board's own command time-out
+    assert link.truth is not None
+    assert abs(link.truth.twist[0]) < 0.1
+    env.close()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"policy_rate": 0},
+        {"policy_rate": math.nan},
+        {"policy_rate": "10"},
+        {"goal_distance": 3},
+        {"goal_distance": ("a", 2)},
+        {"goal_tolerance": None},
+        {"link": None},
+        {"link": 5},
+        {"robot": 5},
+    ],
+)
+def test_arguments_of_the_wrong_kind_are_config_errors(options: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError):
+        make(**options)
+
+
+def test_unknown_reset_options_are_refused() -> None:
+    env = make()
+    with pytest.raises(ConfigError, match="did you mean 'goal'"):
+        env.reset(options={"gaol": (1.0, 0.0)})
+    env.close()
+
+
+def test_there_is_no_picture_before_the_reset() -> None:
+    env = inner(make("bullet", render_mode="rgb_array"))
+    with pytest.raises(RenderError, match="reset"):
+        env.render()
+    env.close()
+
+
+def test_copies_of_a_spec_share_no_simulation() -> None:
+    link = open_link("bullet")
+    env = make(link)
+    env.reset(seed=0)
+    copied = copy.deepcopy(link)
+    copied.open()
+    copied.close()
+    env.step(np.zeros(2, np.float32))
+    env.close()

@@ -55,7 +55,7 @@ def test_it_speaks_without_being_asked() -> None:
     assert set(speeds_of(answer)) == {ZERO}
 
 
-@pytest.mark.parametrize("rate", [10.0, 20.0, 50.0, 100.0])
+@pytest.mark.parametrize("rate", [10.0, 20.0, 30.0, 50.0, 100.0])
 def test_feedback_comes_at_its_own_rate(rate: float) -> None:
     firmware, _ = board(RobotConfig(firmware=FirmwareConfig(feedback_rate=rate)))
     answer = b"".join(firmware.advance(TICK) for _ in range(1000))
@@ -190,3 +190,22 @@ def test_a_reset_forgets_everything() -> None:
     body.__init__(config)  # type: ignore[misc]
     firmware.reset()
     assert drive(firmware, encode(FORWARD), 50) == fresh
+
+
+@pytest.mark.parametrize("period", [0.001, 0.0125, 0.0033])
+def test_no_time_is_lost_between_periods(period: float) -> None:
+    """Periods that aren't whole loops of the firmware add up."""
+    firmware, body = board()
+    firmware.receive(encode(FORWARD))
+    for _ in range(round(0.4 / period)):
+        firmware.advance(period)
+    other, reference = board()
+    other.receive(encode(FORWARD))
+    other.advance(round(0.4 / period) * period)
+    assert body.wheel_angles == reference.wheel_angles
+
+
+def test_feedback_rates_need_not_divide_the_loop_rate() -> None:
+    firmware, _ = board(RobotConfig(firmware=FirmwareConfig(feedback_rate=30.0)))
+    answer = b"".join(firmware.advance(TICK) for _ in range(1000))
+    assert 299 <= answer.count(b"\r\n") <= 300

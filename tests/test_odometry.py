@@ -272,3 +272,16 @@ def test_what_cannot_be_integrated_leaves_the_pose_alone(speeds: tuple[float, ..
     with pytest.raises(CommandError):
         odometry.update(speeds, 1e300)
     assert odometry.pose == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("turns", [3, -3, 5, -7])
+def test_odd_half_turns_end_where_the_documents_loop_ends(turns: int) -> None:
+    odometry = Odometry(1.0, 2.0)
+    spin = turns * math.pi
+    odometry.update((spin, -spin, -spin, spin), 1.0)
+    theta = spin
+    while theta > math.pi:
+        theta -= 2 * math.pi
+    while theta < -math.pi:
+        theta += 2 * math.pi
+    assert odometry.pose[2] == theta

@@ -27,6 +27,7 @@ class ScriptedLink:
         self.then = then
         self.written: list[bytes] = []
         self.opened = self.closed = 0
+        self.pause = 0.0
         self._now = 0.0
 
     def open(self) -> None:
@@ -39,7 +40,8 @@ class ScriptedLink:
         self.written.append(data)
 
     def advance(self, period: float) -> bytes:
-        self._now += period
+        self._now += period + self.pause
+        self.pause = 0.0
         return self.answers.pop(0) if self.answers else self.then
 
     def now(self) -> float:
@@ -195,3 +197,20 @@ def test_a_twist_beyond_the_wheels_keeps_its_radius() -> None:
     assert max(map(abs, (a, b, c, d))) == pytest.approx(robot.config.max_wheel_speed)
     slow = robot.wheel_speeds(0.05, 0.03)
     assert a / b == pytest.approx(slow[0] / slow[1])
+
+
+@pytest.mark.parametrize("twist", [(math.nan, 0.0), (0.0, math.inf)])
+def test_a_twist_that_must_not_be_driven_stops_the_wheels(twist: tuple[float, float]) -> None:
+    robot, link = standing()
+    with pytest.raises(CommandError):
+        robot.drive(*twist)
+    assert link.last_command() == ZERO
+    assert link.closed == 1
+
+
+def test_after_a_pause_every_line_has_its_share_of_the_time() -> None:
+    robot, link = standing(LINE.replace(b"p0", b"p1") + 9 * LINE)
+    link.pause = 0.99
+    robot.tick(ZERO)
+    assert robot.odometry.wheel_positions == pytest.approx((2.0, 3.0, 4.0, 5.0))
+    assert robot.speeds == (1.0, 2.0, 3.0, 4.0)

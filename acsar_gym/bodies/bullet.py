@@ -10,8 +10,11 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import re
 import sys
+import weakref
 from collections.abc import Iterator
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -62,6 +65,7 @@ class BulletBody:
         self._params = dynamics.params(config)
         self._flat_params = tuple(self._params)
         self._client = _connect(window)
+        self._disconnect = weakref.finalize(self, pybullet.disconnect, self._client)
         self._push = self._params.mass / self._params.dt
         self._twist = self._params.yaw_inertia / self._params.dt
         self._goal = -1
@@ -171,19 +175,23 @@ class BulletBody:
 
     def close(self) -> None:
         """Disconnect the client; twice is once."""
-        if self._client >= 0:
-            pybullet.disconnect(self._client)
-            self._client = -1
+        self._disconnect()
 
 
 def _connect(window: bool) -> int:
     if not window:
         return int(pybullet.connect(pybullet.DIRECT))
-    if sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
+    if sys.platform.startswith("linux") and not _has_display(os.environ.get("DISPLAY", "")):
         raise RenderError("render_mode='human' needs a display; use render_mode='rgb_array'")
     client = int(pybullet.connect(pybullet.GUI))
     pybullet.configureDebugVisualizer(pybullet.COV_ENABLE_GUI, 0, physicsClientId=client)
     return client
+
+
+def _has_display(name: str) -> bool:
+    """Whether there is an X server; PyBullet would end the whole process without one."""
+    local = re.fullmatch(r"(?:unix)?:(\d+)(?:\.\d+)?", name)
+    return Path(f"/tmp/.X11-unix/X{local[1]}").exists() if local else bool(name)  # noqa: S108
 
 
 def _floor(client: int) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 
@@ -16,7 +17,7 @@ _DEVICE = re.compile(r"(/|\./|COM\d+$|(socket|rfc2217)://)", re.IGNORECASE)
 
 
 def open_link(
-    url: str,
+    url: str | os.PathLike[str],
     config: RobotConfig | str | Path | None = None,
     *,
     window: bool = False,
@@ -30,6 +31,11 @@ def open_link(
     "replay:FILE" plays a recording back. Raises ConfigError for anything else.
     """
     config = RobotConfig.of(config)
+    if not isinstance(url, str | os.PathLike):
+        raise ConfigError(f"link = {url!r}: must be a name, a device or a Link")
+    url = os.fspath(url)
+    if window and url != "bullet":
+        raise ConfigError(f"link {url!r} has no window; only 'bullet' has one")
     if url in ("bullet", "planar"):
         link = _simulated(url, config, window)
         return PacedLink(link) if realtime or window else link

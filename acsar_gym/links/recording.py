@@ -44,22 +44,24 @@ class RecordingLink:
         self._file: IO[str] | None = None
         self._mode = "w"
         self._sent = b""
+        self._now = 0.0
 
     def open(self) -> None:
         """Open the link and the file; what is recorded after a close is appended."""
+        self._link.open()
         if self._file is None:
             try:
-                self._file = self._path.open(self._mode, encoding="ascii")
+                self._file = self._path.open(self._mode, buffering=1, encoding="ascii")
             except OSError as error:
+                self._link.close()
                 raise ConfigError(f"{self._path}: can't be written: {error}") from None
             self._mode = "a"
-        self._link.open()
 
     def reset(self, scene: Scene) -> None:
-        """Begin an episode."""
+        """Begin an episode; what was written before belongs to its first period."""
         self._link.reset(scene)
-        self._sent = b""
-        self._note({"reset": self._link.now()})
+        self._now = self._link.now()
+        self._note({"reset": self._now})
 
     def write(self, data: bytes) -> None:
         """Pass on and remember."""
@@ -69,10 +71,9 @@ class RecordingLink:
     def advance(self, period: float) -> bytes:
         """Pass on, and write the period down."""
         got = self._link.advance(period)
-        sent, self._sent = self._sent, b""
-        self._note(
-            {"sent": sent.decode("latin-1"), "got": got.decode("latin-1"), "t": self._link.now()}
-        )
+        self._now = self._link.now()
+        sent, self._sent = self._sent.decode("latin-1"), b""
+        self._note({"sent": sent, "got": got.decode("latin-1"), "t": self._now})
         return got
 
     def _note(self, event: dict[str, object]) -> None:
@@ -80,8 +81,8 @@ class RecordingLink:
             self._file.write(json.dumps(event) + "\n")
 
     def now(self) -> float:
-        """The link's clock."""
-        return self._link.now()
+        """The link's clock at the last reset or period: the stamp that is written down."""
+        return self._now
 
     @property
     def truth(self) -> GroundTruth | None:
@@ -96,6 +97,10 @@ class RecordingLink:
     def image(self, width: int, height: int) -> Image | None:
         """The link's camera."""
         return self._link.image(width, height)
+
+    def __reduce__(self) -> tuple[type[RecordingLink], tuple[Link, Path]]:
+        """Copies record a link of their own."""
+        return RecordingLink, (self._link, self._path)
 
     def close(self) -> None:
         """Close the link, then the file."""

@@ -38,18 +38,21 @@ class ReplayLink:
         self._next_episode = 0
         self._next_period = 0
         self._now = 0.0
+        self._is_open = False
 
     def open(self) -> None:
         """Read the recording."""
         if not self._episodes:
             self._episodes = recording.read(self._path)
+        self._is_open = True
 
     def reset(self, scene: Scene) -> None:
         """Begin the next recorded episode. Raises LinkLostError after the last one."""
         self.open()
         if self._next_episode >= len(self._episodes):
             raise LinkLostError(
-                f"{self._path}: all {self._next_episode} episodes have been played", "open it again"
+                f"{self._path}: all {self._next_episode} episodes have been played",
+                "make a new link to play it again",
             )
         self._now = self._episodes[self._next_episode].start
         self._next_episode += 1
@@ -57,13 +60,13 @@ class ReplayLink:
 
     def write(self, data: bytes) -> None:
         """Commands change nothing about a recording; a port gets them all the same."""
+        self._check_open()
         if self._port is not None:
             self._port.write(data)
 
     def advance(self, period: float) -> bytes:
         """The bytes of the next recorded period. Raises LinkLostError at the episode's end."""
-        if self._next_episode == 0:
-            raise LinkLostError(f"{self._path}: nothing plays", "call reset() first")
+        self._check_open()
         periods = self._episodes[self._next_episode - 1].periods
         if self._next_period >= len(periods):
             raise LinkLostError(
@@ -80,6 +83,10 @@ class ReplayLink:
         self._now = entry.stamp
         return got
 
+    def _check_open(self) -> None:
+        if not self._is_open or self._next_episode == 0:
+            raise LinkLostError(f"{self._path}: nothing plays", "call reset() first")
+
     def now(self) -> float:
         """The recorded clock [s]."""
         return self._now
@@ -88,5 +95,10 @@ class ReplayLink:
         """A recording holds no pictures."""
         return None
 
+    def __reduce__(self) -> tuple[type[ReplayLink], tuple[Path, Port | None]]:
+        """Copies play from the beginning."""
+        return ReplayLink, (self._path, self._port)
+
     def close(self) -> None:
-        """Nothing to stop: the port belongs to whoever opened it."""
+        """Nothing to stop: the port belongs to whoever opened it. A reset opens the link again."""
+        self._is_open = False

@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
+from urllib.parse import urlsplit
 
 import serial
 from serial.tools import list_ports
@@ -17,13 +18,14 @@ from acsar_gym.config import BAUD_RATES, RobotConfig
 from acsar_gym.errors import (
     BoardGarbledError,
     BoardSilentError,
+    ConfigError,
     LinkError,
     LinkLostError,
     PortBusyError,
     PortNotFoundError,
     PortPermissionError,
 )
-from acsar_gym.links.guard import guard, unguard
+from acsar_gym.links.guard import guard, install, unguard
 from acsar_gym.protocol import ZERO, Decoder, encode
 from acsar_gym.worlds import Scene
 
@@ -33,8 +35,21 @@ POLL = 0.01
 """How often activation looks for the first valid line [s]."""
 CHUNK = 4096
 """Most bytes taken from the port at once."""
+MOST_CHUNKS = 256
+"""Chunks taken in one go, at most: what lies in any driver's buffer, and no endless stream."""
 WRITE_TIMEOUT = 0.2
 """A write that blocks this long means that nobody takes the bytes [s]."""
+
+PORT_ERRORS: tuple[type[Exception], ...] = (serial.SerialException, OSError, TypeError)
+"""What pyserial lets out where a port in use goes away."""
+with contextlib.suppress(ImportError):  # Windows has no termios
+    import termios
+
+    PORT_ERRORS += (termios.error,)
+
+
+_inherited: list[Any] = []
+"""A forked child's sockets that belong to its parent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +80,7 @@ class SerialLink:
         self._port: serial.SerialBase | None = None
         self._deadline = 0.0
         self._clear_statistics()
+        install()
 
     def _clear_statistics(self) -> None:
         self.ticks = 0
@@ -157,8 +173,14 @@ class SerialLink:
 
     def read_now(self) -> bytes:
         """What has arrived; waits for nothing."""
+        data = b""
         with _translated(self.device):
-            return bytes(self._require().read(CHUNK))
+            for _ in range(MOST_CHUNKS):
+                chunk = self._require().read(CHUNK)
+                data += chunk
+                if not chunk:
+                    break
+        return data
 
     def now(self) -> float:
         """The monotonic clock [s]."""
@@ -169,16 +191,55 @@ class SerialLink:
         return None
 
     def close(self) -> None:
-        """Command zero, let it leave the port, close; twice is once."""
-        port, self._port = self._port, None
+        """Command zero, let it leave the port, close; twice is once.
+
+        An interrupt while the zeros are on their way sends them again before it goes on.
+        """
+        port = self._port
         if port is None:
             return
-        unguard(self)
-        with contextlib.suppress(serial.SerialException, OSError):
+        try:
+            self._say_stop(port)
+        except BaseException:
+            self._say_stop(port)
+            raise
+        finally:
+            self._release(port)
+
+    def _say_stop(self, port: Any) -> None:
+        with contextlib.suppress(*PORT_ERRORS):
             port.write(self._stop_line())
             port.flush()
-        with contextlib.suppress(serial.SerialException, OSError):
+
+    def stop(self) -> None:
+        """Command zero and stay open; errors are no concern of whoever must stop now."""
+        if self._port is not None:
+            self._say_stop(self._port)
+
+    def _release(self, port: Any) -> None:
+        self._port = None
+        unguard(self)
+        with contextlib.suppress(*PORT_ERRORS):
             port.close()
+
+    def abandon(self) -> None:
+        """Let go without a word, as a forked child must do with its parent's port.
+
+        pyserial can't close a socket without ending the connection, so a child keeps that one.
+        """
+        if self._port is not None and "://" in self.device:
+            _inherited.append(self._port)
+            self._port = None
+        elif self._port is not None:
+            self._release(self._port)
+
+    def __del__(self) -> None:
+        if getattr(self, "_port", None) is not None:
+            self.close()
+
+    def __reduce__(self) -> tuple[type[SerialLink], tuple[str, RobotConfig]]:
+        """Copies and pickles are closed links to the same device; a port can't be shared."""
+        return SerialLink, (self.device, self._config)
 
     def _stop_motors(self) -> None:
         self.write(self._stop_line())
@@ -203,15 +264,30 @@ def _opened(device: str, config: RobotConfig) -> serial.SerialBase:
         "timeout": 0,
         "write_timeout": WRITE_TIMEOUT,
     }
-    if "://" not in device:
+    if "://" in device:
+        _check_url(device)
+    else:
         options["exclusive"] = True
     try:
         port = serial.serial_for_url(device, **options)
-    except (serial.SerialException, OSError, ValueError) as error:
+    except ValueError as error:
+        raise LinkError(f"{device}: can't be opened as a serial port", str(error)) from None
+    except PORT_ERRORS as error:
         raise _why_not_open(device, error) from None
     with contextlib.suppress(AttributeError, ValueError, NotImplementedError, OSError):
         port.set_low_latency_mode(True)
     return port
+
+
+def _check_url(url: str) -> None:
+    """ConfigError unless it names a host and a port."""
+    try:
+        parts = urlsplit(url)
+        complete = bool(parts.hostname and parts.port)
+    except ValueError:
+        complete = False
+    if not complete:
+        raise ConfigError(f"{url}: must be like socket://192.168.4.1:2000 (host and port)")
 
 
 def _why_not_open(device: str, error: Exception) -> LinkError:
@@ -238,7 +314,7 @@ def _translated(device: str) -> Iterator[None]:
     """Errors of a port in use become LinkLostError."""
     try:
         yield
-    except (serial.SerialException, OSError, TypeError) as error:
+    except PORT_ERRORS as error:
         raise LinkLostError(
             f"{device}: lost while in use ({error})", "check the cable, then reset"
         ) from None

@@ -70,6 +70,10 @@ class SimulatedLink:
         """The body's camera, if it has one."""
         return self._body.image(width, height) if self._body else None
 
+    def __reduce__(self) -> tuple[type[SimulatedLink], tuple[RobotConfig, Callable[[], Body]]]:
+        """Copies are closed links to a robot of their own."""
+        return SimulatedLink, (self._config, self._make_body)
+
     def close(self) -> None:
         """Free the body."""
         if self._body is not None:

@@ -167,17 +167,7 @@ def test_closing_twice_is_once(make_link: MakeLink) -> None:
         link.close()
 
 
-@pytest.mark.parametrize(
-    "make_link",
-    [
-        *LIVE,
-        pytest.param(
-            "replay",
-            marks=pytest.mark.xfail(reason="ReplayLink.close changes nothing", strict=True),
-        ),
-    ],
-    indirect=True,
-)
+@every_link
 @pytest.mark.parametrize("use", ["write", "advance"])
 def test_using_a_closed_link_is_an_error(make_link: MakeLink, use: str) -> None:
     link = make_link()

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import signal
 import subprocess
+from pathlib import Path
 
+import psutil
 import pytest
-from serial_tools import DRIVER, TIMEOUT, Emulated, program, wait_until
+from serial_tools import BRIDGE, DRIVER, TIMEOUT, Emulated, first_line, program, wait_until
+
+from acsar_gym.links import recording
+from acsar_gym.protocol import ZERO, encode
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
@@ -26,6 +31,11 @@ FOREVER = 10**9
 
 def drives(emulator: Emulated) -> None:
     wait_until(emulator.is_driven, "a command that turns the wheels")
+
+
+def hears_more(emulator: Emulated) -> None:
+    heard = len(emulator.commands())
+    wait_until(lambda: len(emulator.commands()) > heard + 20, "more commands")
 
 
 def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
@@ -61,7 +71,7 @@ def test_ends_of_a_program(
 
 
 @BLOCKS
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
 def test_signals_keep_their_effect(block: str, number: signal.Signals, emulator: Emulated) -> None:
     code = DRIVER + block.format(ticks=FOREVER, end="pass")
     with program(code, emulator.device) as process:
@@ -89,12 +99,79 @@ def test_an_ignored_signal_stays_ignored(emulator: Emulated) -> None:
     with program(code, emulator.device) as process:
         drives(emulator)
         process.send_signal(signal.SIGHUP)
-        heard = len(emulator.commands())
-        wait_until(lambda: len(emulator.commands()) > heard + 20, "more commands")
+        hears_more(emulator)
         assert emulator.is_driven()
         process.terminate()
         assert ended(process) == (-signal.SIGTERM, "")
     assert_stopped(emulator)
+
+
+def test_ctrl_z_stops_the_robot_until_the_program_goes_on(emulator: Emulated) -> None:
+    code = DRIVER + IN_BLOCK.format(ticks=FOREVER, end="pass")
+    with program(code, emulator.device) as process:
+        drives(emulator)
+        process.send_signal(signal.SIGTSTP)
+        assert_stopped(emulator)
+        state = psutil.Process(process.pid).status
+        wait_until(lambda: state() == psutil.STATUS_STOPPED, "a stopped process")
+        process.send_signal(signal.SIGCONT)
+        wait_until(emulator.is_driven, "a robot that drives on")
+        process.terminate()
+        assert ended(process) == (-signal.SIGTERM, "")
+    assert_stopped(emulator)
+
+
+FORK = """
+robot.activate()
+drive(30)
+child = os.fork()
+if child == 0:
+    {end}
+drive(30)
+os.waitpid(child, 0)
+drive(30)
+"""
+
+
+@pytest.mark.parametrize(
+    "end", ["sys.exit()", "os._exit(0)", "os.kill(os.getpid(), signal.SIGTERM)"]
+)
+def test_a_forked_child_ends_without_a_word(end: str, emulator: Emulated) -> None:
+    with program(DRIVER + FORK.format(end=end), emulator.device) as process:
+        assert ended(process) == (0, "")
+    assert_stopped(emulator)
+    driving = [command != ZERO for command in emulator.commands()]
+    first = driving.index(True)
+    assert all(driving[first : first + 90])
+
+
+@pytest.mark.parametrize("end", ["sys.exit()", "os._exit(0)"])
+def test_a_forked_child_leaves_the_socket_of_its_parent_alone(end: str, shared_device: str) -> None:
+    with program(BRIDGE, shared_device) as bridge:
+        url = f"socket://127.0.0.1:{first_line(bridge)}"
+        with program(DRIVER + FORK.format(end=end), url) as process:
+            assert ended(process) == (0, "")
+
+
+def test_a_recording_is_complete_when_a_signal_ends_the_program(
+    emulator: Emulated, tmp_path: Path
+) -> None:
+    tape = tmp_path / "tape.jsonl"
+    recorder = """
+from pathlib import Path
+from acsar_gym.links.recording import RecordingLink
+robot = Robot(RecordingLink(robot.link, Path(sys.argv[2])), config)
+"""
+    code = DRIVER + recorder + IN_BLOCK.format(ticks=FOREVER, end="pass")
+    with program(code, emulator.device, str(tape)) as process:
+        drives(emulator)
+        process.terminate()
+        assert ended(process) == (-signal.SIGTERM, "")
+    assert_stopped(emulator)
+    (episode,) = recording.read(tape)
+    driven = sum(command != ZERO for command in emulator.commands())
+    taped = sum(period.sent != encode(ZERO) for period in episode.periods)
+    assert driven - 1 <= taped <= driven
 
 
 def test_what_no_program_can_catch_is_left_to_the_boards_own_timeout(emulator: Emulated) -> None:

@@ -180,19 +180,7 @@ def test_unplugged_while_driving(config: RobotConfig, own_emulator: Emulated) ->
         robot.drive(0.2, 0.0)
 
 
-@pytest.mark.parametrize(
-    "use",
-    [
-        "reset",
-        "read_now",
-        pytest.param(
-            "reset_input",
-            marks=pytest.mark.xfail(
-                reason="termios.error isn't translated", raises=Exception, strict=True
-            ),
-        ),
-    ],
-)
+@pytest.mark.parametrize("use", ["reset", "reset_input", "read_now"])
 def test_unplugged_between_two_uses(use: str, config: RobotConfig, own_emulator: Emulated) -> None:
     link = SerialLink(own_emulator.device, config)
     with no_leak():
