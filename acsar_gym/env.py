@@ -139,7 +139,6 @@ class PointGoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._goal: Goal = (0.0, 0.0)
         self._last_action = (0.0, 0.0)
         self._distance = 0.0
-        self._steps = 0
 
     def _link(self, link: Any, config: RobotConfig) -> Link:
         if self.render_mode not in (None, *self.metadata["render_modes"]):
@@ -164,7 +163,6 @@ class PointGoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             self.task.sample_goal(self.np_random) if goal is None else self.task.check_goal(goal)
         )
         self.robot.reset(Scene(goal=self._goal))
-        self._steps = 0
         self._last_action = (0.0, 0.0)
         self._distance = goal_distance(self.robot.odometry.pose, self._goal)
         return self._observation(), self._info(Outcome.GOING)
@@ -178,8 +176,7 @@ class PointGoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         outcome = self.task.outcome(pose, self._goal)
         reward = point_goal_reward(before, self._distance, linear, outcome)
         terminated = outcome is not Outcome.GOING
-        self._steps += 1
-        if terminated or self._steps == (self.spec and self.spec.max_episode_steps):
+        if terminated:
             self.robot.stop()
         return self._observation(), reward, terminated, False, self._info(outcome)
 

@@ -84,6 +84,7 @@ def _episode(
         path += math.hypot(info["odom_x"] - x, info["odom_y"] - y)
         ticks += unwrapped.ticks_per_step
         done = terminated or truncated
+    unwrapped.robot.stop()  # a time limit is no concern of the env below it
     return EpisodeResult(
         success=info["is_success"] == 1.0,
         started=started,

@@ -245,19 +245,6 @@ def test_a_reset_stops_the_wheels_before_anything_can_go_wrong() -> None:
     env.close()
 
 
-def test_the_time_limit_stops_the_wheels() -> None:
-    env = make(max_episode_steps=5)
-    env.reset(seed=0)
-    truncated = False
-    while not truncated:
-        *_, truncated, _ = env.step(np.array([1.0, 0.0], np.float32))
-    link = inner(env).robot.link
-    link.advance(0.4)  # less than the board's own command time-out
-    assert link.truth is not None
-    assert abs(link.truth.twist[0]) < 0.1
-    env.close()
-
-
 @pytest.mark.parametrize(
     "options",
     [

@@ -6,10 +6,13 @@ import json
 import math
 from pathlib import Path
 
+import gymnasium
+import numpy as np
 import pytest
 
+from acsar_gym.env import PointGoalEnv
 from acsar_gym.errors import ConfigError
-from acsar_gym.evaluation import EpisodeResult, odometry_errors, summarise
+from acsar_gym.evaluation import EpisodeResult, episodes, odometry_errors, summarise
 from acsar_gym.report import write_json
 from acsar_gym.worlds import Pose
 
@@ -64,3 +67,15 @@ def test_a_log_without_poses_is_an_error(tmp_path: Path) -> None:
 def test_json_that_cannot_be_written_says_so(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="can't be written"):
         write_json(tmp_path / "no" / "folder.json", {})
+
+
+def test_an_episode_that_runs_out_of_time_leaves_the_robot_stopping() -> None:
+    env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar", max_episode_steps=5)
+    (episode,) = episodes(env, lambda _: np.array([1.0, 0.0], np.float32), 1, seed=0)
+    assert not episode.success
+    assert isinstance(env.unwrapped, PointGoalEnv)
+    link = env.unwrapped.robot.link
+    link.advance(0.4)  # less than the board's own command time-out
+    assert link.truth is not None
+    assert abs(link.truth.twist[0]) < 0.1
+    env.close()

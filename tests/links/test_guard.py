@@ -145,7 +145,16 @@ def test_a_forked_child_ends_without_a_word(end: str, emulator: Emulated) -> Non
     assert all(driving[first : first + 90])
 
 
-@pytest.mark.parametrize("end", ["sys.exit()", "os._exit(0)"])
+@pytest.mark.parametrize(
+    "end",
+    [
+        "os._exit(0)",
+        pytest.param(
+            "sys.exit()",
+            marks=pytest.mark.xfail(reason="its finaliser shuts the connection down", strict=True),
+        ),
+    ],
+)
 def test_a_forked_child_leaves_the_socket_of_its_parent_alone(end: str, shared_device: str) -> None:
     with program(BRIDGE, shared_device) as bridge:
         url = f"socket://127.0.0.1:{first_line(bridge)}"
