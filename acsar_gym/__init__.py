@@ -24,5 +24,6 @@ __all__ = [
 gymnasium.register(
     id="acsar_gym/PointGoal-v0",
     entry_point="acsar_gym.env:PointGoalEnv",
+    vector_entry_point="acsar_gym.vector:PointGoalVectorEnv",
     max_episode_steps=200,
 )

@@ -1,22 +1,148 @@
-"""From stable-baselines3 to the robot: a trained actor as one ONNX file."""
+"""stable-baselines3 and the robot: batches to train on, and a trained actor as one ONNX file."""
 
 from __future__ import annotations
 
 import logging
+import time
 import warnings
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from acsar_gym.errors import MissingExtraError
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+
+from acsar_gym.errors import ConfigError, MissingExtraError
 from acsar_gym.policy import ENV_ID, ENV_KEY, LAYOUT_KEY
 from acsar_gym.tasks import POINT_GOAL_LAYOUT
+from acsar_gym.vector import PointGoalVectorEnv
 
 try:
     import onnx
     import torch
+    from stable_baselines3.common.callbacks import BaseCallback
     from stable_baselines3.common.policies import ActorCriticPolicy
+    from stable_baselines3.common.utils import safe_mean
+    from stable_baselines3.common.vec_env import VecEnv
 except ImportError:
     raise MissingExtraError("exporting a stable-baselines3 model", "train") from None
+
+
+class BatchVecEnv(VecEnv):
+    """A PointGoalVectorEnv as stable-baselines3's VecEnv, with the episode statistics of Monitor.
+
+    The batch must use AutoresetMode.SAME_STEP. Robots whose episode goes on share one empty info;
+    those whose episode ends have `terminal_observation`, `episode` (r, l, t), `is_success` and
+    `TimeLimit.truncated`. There are no single envs behind it to call methods of.
+    """
+
+    def __init__(self, batch: PointGoalVectorEnv) -> None:
+        if batch.autoreset_mode is not AutoresetMode.SAME_STEP:
+            raise ConfigError("stable-baselines3 needs autoreset_mode='SameStep'")
+        self._batch = batch
+        super().__init__(batch.num_envs, batch.single_observation_space, batch.single_action_space)
+        self._actions: NDArray[np.float32] = np.zeros((batch.num_envs, 2), np.float32)
+        self._started = time.monotonic()
+
+    def reset(self) -> NDArray[np.float32]:
+        """Observations of new episodes, num_envs x 7."""
+        seeded = any(seed is not None for seed in self._seeds)
+        observations, _ = self._batch.reset(seed=self._seeds if seeded else None)
+        self._reset_seeds()
+        return observations
+
+    def step_async(self, actions: NDArray[np.float32]) -> None:
+        """Keep the actions for `step_wait`."""
+        self._actions = actions
+
+    def step_wait(self) -> tuple[Any, Any, Any, list[dict[str, Any]]]:
+        """Observations, rewards, dones and infos of one step of every robot."""
+        observations, rewards, terminated, truncated, info = self._batch.step(self._actions)
+        done = terminated | truncated
+        infos = [_GOES_ON] * self.num_envs
+        for index in np.flatnonzero(done):
+            infos[index] = self._ended(info, int(index))
+            infos[index]["TimeLimit.truncated"] = bool(truncated[index] and not terminated[index])
+        return observations, rewards.astype(np.float32), done, infos
+
+    def _ended(self, info: dict[str, Any], index: int) -> dict[str, Any]:
+        final = info["final_info"]
+        return {
+            "terminal_observation": info["final_obs"][index],
+            "is_success": bool(final["is_success"][index]),
+            "episode": {
+                "r": float(final["episode_return"][index]),
+                "l": int(final["episode_length"][index]),
+                "t": time.monotonic() - self._started,
+            },
+        }
+
+    def close(self) -> None:
+        """Close the batch."""
+        self._batch.close()
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """An attribute of the batch, once for each index."""
+        return [getattr(self._batch, attr_name)] * len(self._indices(indices))
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Robots have no attributes of their own."""
+        raise ConfigError(f"can't set {attr_name!r}: robots of a batch have no attributes")
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """Robots have no methods of their own."""
+        raise ConfigError(f"can't call {method_name!r}: robots of a batch have no methods")
+
+    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
+        """Nothing is wrapped, though episode statistics are there as with a Monitor."""
+        return [wrapper_class.__name__ == "Monitor"] * len(self._indices(indices))
+
+    def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
+        """A batch has no pictures."""
+        return [None] * self.num_envs
+
+    def _indices(self, indices: int | Iterable[int] | None) -> list[int]:
+        return list(self._get_indices(indices))
+
+
+_GOES_ON: dict[str, Any] = {}
+
+
+class TrainingProgress(BaseCallback):
+    """A progress bar with the success rate of the last 100 episodes and env steps a second."""
+
+    def __init__(self, steps: int) -> None:
+        super().__init__()
+        self._progress = Progress(
+            BarColumn(),
+            TextColumn("{task.completed:,.0f} of {task.total:,.0f} steps"),
+            TextColumn("{task.fields[speed]:,.0f} steps/s, success {task.fields[success]:.1%}"),
+            TimeElapsedColumn(),
+        )
+        self._task: TaskID = self._progress.add_task("train", total=steps, speed=0.0, success=0.0)
+        self._begin = 0.0
+
+    def _on_training_start(self) -> None:
+        self._begin = time.monotonic()
+        self._progress.start()
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_end(self) -> None:
+        successes: Any = self.model.ep_success_buffer or []
+        success = float(safe_mean(successes)) if successes else 0.0
+        speed = self.num_timesteps / (time.monotonic() - self._begin)
+        self._progress.update(
+            self._task, completed=self.num_timesteps, speed=speed, success=success
+        )
+
+    def _on_training_end(self) -> None:
+        self._progress.stop()
 
 
 class _Actor(torch.nn.Module):

@@ -28,15 +28,15 @@ FAIR_SHARE = 256
 
 Array = NDArray[Any]
 Info = dict[str, Any]
+INFO_FROM, INFO_TO = kernel.AGE, kernel.OUTCOME + 1
 INFO_ROWS = {
     "goal_distance": kernel.DISTANCE,
     "odom_x": kernel.ODOM_X,
     "odom_y": kernel.ODOM_Y,
     "odom_theta": kernel.ODOM_THETA,
     "feedback_age": kernel.AGE,
-    "true_x": kernel.X,
-    "true_y": kernel.Y,
 }
+"""Rows of the state that are info as they are."""
 
 
 class PointGoalVectorEnv(VectorEnv[Array, Array, Array]):
@@ -90,7 +90,7 @@ class PointGoalVectorEnv(VectorEnv[Array, Array, Array]):
                 stacklevel=2,
             )
         self.num_envs = _count("num_envs", num_envs)
-        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.autoreset_mode = _autoreset(autoreset_mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
         task = PointGoal.of(goal_distance, goal_tolerance, config)
         self.single_action_space, self.single_observation_space = point_goal_spaces()
@@ -172,15 +172,16 @@ class PointGoalVectorEnv(VectorEnv[Array, Array, Array]):
 
     def _info(self, mask: Array) -> Info:
         """The single env's info as arrays, each with its mask."""
-        state = self.batch.state
-        info: Info = {name: state[row].copy() for name, row in INFO_ROWS.items()}
-        info["is_success"] = (state[kernel.OUTCOME] == 1.0).astype(np.float64)
-        info["true_theta"] = np.remainder(state[kernel.THETA] + np.pi, 2.0 * np.pi) - np.pi
+        rows = self.batch.state[INFO_FROM:INFO_TO].copy()
+        info: Info = {name: rows[row - INFO_FROM] for name, row in INFO_ROWS.items()}
+        x, y, theta = self.batch.state[: kernel.VX].copy()
+        info["true_x"], info["true_y"] = x, y
+        info["true_theta"] = theta - kernel.TURN * np.floor(theta / kernel.TURN + 0.5)
         info["true_contact"] = np.zeros(self.num_envs)
-        x, y = info["true_x"], info["true_y"]
-        info["true_goal_distance"] = np.hypot(state[kernel.GOAL_X] - x, state[kernel.GOAL_Y] - y)
-        info["odometry_error"] = np.hypot(info["odom_x"] - x, info["odom_y"] - y)
-        return info | {f"_{name}": mask for name in list(info)}
+        info["true_goal_distance"] = _distance(rows, kernel.GOAL_X, kernel.GOAL_Y, x, y)
+        info["odometry_error"] = _distance(rows, kernel.ODOM_X, kernel.ODOM_Y, x, y)
+        info["is_success"] = (rows[kernel.OUTCOME - INFO_FROM] == 1.0).astype(np.float64)
+        return info | dict.fromkeys(map("_{}".format, info), mask)
 
     def close_extras(self, **_: Any) -> None:
         """End the threads."""
@@ -188,6 +189,20 @@ class PointGoalVectorEnv(VectorEnv[Array, Array, Array]):
             self._pool.shutdown()
             self._pool = None
             self._threads = 1
+
+
+def _distance(rows: Array, row_x: int, row_y: int, x: Array, y: Array) -> Array:
+    dx, dy = rows[row_x - INFO_FROM] - x, rows[row_y - INFO_FROM] - y
+    squares: Array = dx * dx + dy * dy
+    return np.sqrt(squares)
+
+
+def _autoreset(mode: AutoresetMode | str) -> AutoresetMode:
+    try:
+        return AutoresetMode(mode)
+    except ValueError:
+        known = ", ".join(repr(known.value) for known in AutoresetMode)
+        raise ConfigError(f"autoreset_mode = {mode!r}: must be one of {known}") from None
 
 
 def _count(name: str, value: int) -> int:

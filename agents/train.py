@@ -1,6 +1,6 @@
-"""Train PPO on PointGoal and export the actor as one ONNX file.
+"""Train PPO on thousands of planar robots and export the actor as one ONNX file.
 
-    python agents/train.py --steps 150000 --out runs/point_goal
+    python agents/train.py --steps 1500000 --out runs/point_goal
 
 writes policy.onnx (what drives the robot), model.zip (to train on), checkpoints and TensorBoard
 logs into the folder.
@@ -12,52 +12,61 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-import gymnasium
 import torch
 import tyro
 from stable_baselines3 import PPO
-from stable_baselines3.common.callbacks import CheckpointCallback
-from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.callbacks import BaseCallback, CheckpointCallback
 
-import acsar_gym  # noqa: F401 - registers the env
 from acsar_gym import sb3
 from acsar_gym.errors import AcsarError, ConfigError
+from acsar_gym.vector import PointGoalVectorEnv
+
+RANDOMIZATION = {
+    "friction": (0.7, 1.2),
+    "motor_gain": (0.95, 1.05),
+    "motor_lag": (0.6, 1.5),
+    "wheel_radius": (0.98, 1.02),
+    "latency": (0.0, 0.02),
+}
+"""What differs from robot to robot while training, so that the policy minds none of it."""
 
 
 @dataclass(frozen=True)
 class Options:
     """PPO on acsar_gym/PointGoal-v0."""
 
-    steps: int = 150_000
+    steps: int = 1_500_000
     """Env steps in all."""
     out: Path = Path("runs/point_goal")
     """Folder for the policy, checkpoints and logs."""
-    link: str = "planar"
-    """Simulated link to train on: planar or bullet."""
-    envs: int = 16
-    """Environments stepped in turn."""
+    robots: int = 512
+    """Robots stepped together."""
     seed: int = 0
     """Seed of everything random."""
+    randomize: bool = True
+    """Vary the robots' physics (see RANDOMIZATION)."""
     progress: bool = True
     """Show a progress bar."""
 
 
 def train(options: Options) -> Path:
     """Train, save, export; returns the path of the ONNX file."""
-    if min(options.steps, options.envs) < 1:
-        raise ConfigError("--steps and --envs must be at least 1")
-    torch.set_num_threads(1)  # the networks are too small to share out
-    env = make_vec_env(
-        lambda: gymnasium.make("acsar_gym/PointGoal-v0", link=options.link),
-        n_envs=options.envs,
-        seed=options.seed,
+    if min(options.steps, options.robots) < 1:
+        raise ConfigError("--steps and --robots must be at least 1")
+    env = sb3.BatchVecEnv(
+        PointGoalVectorEnv(
+            options.robots,
+            max_episode_steps=200,
+            autoreset_mode="SameStep",
+            randomization=RANDOMIZATION if options.randomize else None,
+        )
     )
     model = PPO(
         "MlpPolicy",
         env,
-        n_steps=256,
-        batch_size=1024,
-        n_epochs=10,
+        n_steps=64,
+        batch_size=4096,
+        n_epochs=6,
         learning_rate=1e-3,
         gamma=0.98,
         gae_lambda=0.95,
@@ -67,12 +76,16 @@ def train(options: Options) -> Path:
         device="cpu",
         tensorboard_log=str(options.out / "tensorboard"),
     )
-    checkpoints = CheckpointCallback(
-        save_freq=max(options.steps // (4 * options.envs), 1),
-        save_path=str(options.out / "checkpoints"),
-    )
+    callbacks: list[BaseCallback] = [
+        CheckpointCallback(
+            save_freq=max(options.steps // (4 * options.robots), 1),
+            save_path=str(options.out / "checkpoints"),
+        )
+    ]
+    if options.progress:
+        callbacks.append(sb3.TrainingProgress(options.steps))
     try:
-        model.learn(options.steps, callback=checkpoints, progress_bar=options.progress)
+        model.learn(options.steps, callback=callbacks)
     finally:
         env.close()
     model.save(options.out / "model.zip")
@@ -82,6 +95,7 @@ def train(options: Options) -> Path:
 
 
 if __name__ == "__main__":
+    torch.set_num_threads(2)
     try:
         print(f"policy written to {train(tyro.cli(Options))}")
     except AcsarError as error:

@@ -24,7 +24,7 @@ TRAIN = AGENTS / "train.py"
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder that the real training script leaves, on a tiny budget."""
     out = tmp_path_factory.mktemp("train")
-    options = ["--steps", "1024", "--envs", "4", "--no-progress", "--out", str(out)]
+    options = ["--steps", "1024", "--robots", "16", "--no-progress", "--out", str(out)]
     subprocess.run([sys.executable, str(TRAIN), *options], check=True, timeout=120)
     return out
 

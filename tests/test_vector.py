@@ -1,0 +1,257 @@
+"""The batch of planar robots against the single environment, and Gymnasium's rules for batches."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+from acsar_gym import dynamics, kernel
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import CommandError, ConfigError
+from acsar_gym.vector import PointGoalVectorEnv
+
+ENV_ID = "acsar_gym/PointGoal-v0"
+ACSAR = RobotConfig.preset("acsar")
+CONFIGS = {
+    "default": ACSAR,
+    "slow feedback": ACSAR.with_(firmware={"feedback_rate": 20.0}),
+    "odd feedback": ACSAR.with_(firmware={"feedback_rate": 30.0}),
+    "fast feedback": ACSAR.with_(firmware={"feedback_rate": 200.0}),
+    "slow wire": ACSAR.with_(baud_rate=38400),
+    "fine loop": ACSAR.with_(firmware={"loop_rate": 500.0}),
+    "coarse encoders": ACSAR.with_(encoder={"counts_per_revolution": 100, "window": 0.02}),
+    "weak motors": ACSAR.with_(motor={"max_speed": 5.0, "deadband": 1.0, "time_constant": 0.0}),
+    "fast robot": ACSAR.with_(max_linear=1.5, max_angular=4.0, max_wheel_speed=20.0),
+}
+
+
+def batch(num: int = 4, **options: Any) -> PointGoalVectorEnv:
+    return PointGoalVectorEnv(num, **{"max_episode_steps": 200, **options})
+
+
+def actions(rng: np.random.Generator, num: int, step: int) -> np.ndarray[Any, Any]:
+    """Random driving, with stretches straight ahead that reach goals and bounds."""
+    if step % 200 < 120:
+        return rng.uniform(-1.0, 1.0, (num, 2)).astype(np.float32)
+    return np.tile(np.array([1.0, 0.1], np.float32), (num, 1))
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_a_robot_of_the_batch_is_the_single_planar_env(name: str) -> None:
+    """Every number of a thousand steps, through the byte-level firmware twin on the single side."""
+    config = CONFIGS[name]
+    many = batch(3, robot=config)
+    one = gymnasium.make(ENV_ID, link="planar", robot=config)
+    many.reset(seed=40)
+    one.reset(seed=41)
+    rng, over, ends = np.random.default_rng(0), False, 0
+    for step in range(1000):
+        acts = actions(rng, 3, step)
+        obs, rewards, terminated, truncated, infos = many.step(acts)
+        if over:
+            (seen, info), reward, ended = one.reset(), 0.0, (False, False)
+        else:
+            seen, got, *rest, info = one.step(acts[1])
+            reward, ended = float(got), (bool(rest[0]), bool(rest[1]))
+        over = any(ended)
+        ends += over
+        assert (terminated[1], truncated[1]) == ended
+        assert obs[1] == pytest.approx(seen, abs=1e-6)  # float32
+        assert rewards[1] == pytest.approx(reward, abs=1e-9)
+        assert {key: infos[key][1] for key in info} == pytest.approx(info, abs=1e-9)
+    one.close()
+    many.close()
+    assert ends >= 3
+
+
+def test_make_vec_finds_the_batch() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env = gymnasium.make_vec(ENV_ID, 8, vectorization_mode="vector_entry_point")
+    assert isinstance(env.unwrapped, PointGoalVectorEnv)
+    assert env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
+    obs, infos = env.reset(seed=0)
+    assert env.observation_space.contains(obs)
+    assert infos["_goal_distance"].all()
+    obs, rewards, terminated, truncated, _ = env.step(env.action_space.sample())
+    assert env.observation_space.contains(obs)
+    assert (rewards.dtype, terminated.dtype, truncated.dtype) == (np.float64, np.bool_, np.bool_)
+    env.close()
+    env.close()
+
+
+def reference(mode: AutoresetMode) -> Any:
+    return gymnasium.make_vec(
+        ENV_ID,
+        4,
+        vectorization_mode="sync",
+        vector_kwargs={"autoreset_mode": mode},
+        link="planar",
+        goal_distance=(0.3, 0.6),
+        max_episode_steps=25,
+    )
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+def test_autoreset_is_gymnasiums_own(mode: AutoresetMode) -> None:
+    """Step for step what SyncVectorEnv makes of four single environments, infos included."""
+    ours = batch(goal_distance=(0.3, 0.6), max_episode_steps=25, autoreset_mode=mode)
+    theirs = reference(mode)
+    ours.reset(seed=7)
+    theirs.reset(seed=7)
+    rng, ended = np.random.default_rng(1), 0
+    for _ in range(120):
+        acts = rng.uniform(-1.0, 1.0, (4, 2)).astype(np.float32)
+        mine, expected = ours.step(acts), theirs.step(acts)
+        for have, want in zip(mine[:4], expected[:4], strict=True):
+            assert have == pytest.approx(want, abs=1e-6)
+        compare_infos(mine[4], expected[4])
+        ended += int((mine[2] | mine[3]).sum())
+    ours.close()
+    theirs.close()
+    assert ended > 10
+
+
+def compare_infos(mine: dict[str, Any], expected: dict[str, Any]) -> None:
+    """What Gymnasium reports we report, too, wherever its mask is set."""
+    for key, want in expected.items():
+        if key.startswith("_"):
+            continue
+        mask = expected[f"_{key}"]
+        assert (mine[f"_{key}"] == mask).all()
+        if isinstance(want, dict):
+            compare_infos(mine[key], want)
+        elif want.dtype == object:
+            for index in np.flatnonzero(mask):
+                assert mine[key][index] == pytest.approx(want[index], abs=1e-6)
+        else:
+            assert mine[key][mask] == pytest.approx(want[mask], abs=1e-6)
+
+
+def test_without_autoreset_the_user_resets_by_mask() -> None:
+    env = batch(max_episode_steps=5, autoreset_mode="Disabled")
+    env.reset(seed=0)
+    for _ in range(5):
+        env.step(np.zeros((4, 2)))
+    with pytest.raises(ConfigError, match="env 0 has ended"):
+        env.step(np.zeros((4, 2)))
+    before = env.batch.state.copy()
+    mask = np.array([True, False, True, False])
+    env.reset(options={"reset_mask": mask})
+    assert (env.batch.state[:, ~mask] == before[:, ~mask]).all()
+    with pytest.raises(ConfigError, match="env 1 has ended"):
+        env.step(np.zeros((4, 2)))
+    env.close()
+
+
+def rollout(env: PointGoalVectorEnv, seed: int = 3) -> np.ndarray[Any, Any]:
+    first = env.reset(seed=seed)[0]
+    rng = np.random.default_rng(9)
+    acts = rng.uniform(-1.0, 1.0, (50, env.num_envs, 2))
+    seen = [env.step(act)[0] for act in acts]
+    env.close()
+    return np.array([first, *seen])
+
+
+EVERYTHING = {
+    "mass": (0.7, 1.4),
+    "friction": (0.4, 1.2),
+    "motor_gain": (0.9, 1.1),
+    "motor_lag": (0.5, 2.0),
+    "deadband": (0.0, 0.5),
+    "wheel_radius": (0.95, 1.05),
+    "latency": (0.0, 0.04),
+    "feedback_rate": (15.0, 100.0),
+    "dropped_lines": (0.0, 0.2),
+}
+
+
+@pytest.mark.parametrize("randomization", [None, EVERYTHING], ids=["plain", "randomized"])
+def test_results_do_not_depend_on_threads_or_history(randomization: Any) -> None:
+    one = rollout(batch(300, threads=1, randomization=randomization))
+    two = rollout(batch(300, threads=2, randomization=randomization))
+    again = batch(300, threads=1, randomization=randomization)
+    rollout_twice = (rollout(again, seed=99), rollout(again))[1]
+    assert (one == two).all()
+    assert (one == rollout_twice).all()
+
+
+def test_a_robots_fate_does_not_depend_on_its_neighbours() -> None:
+    alone, crowd = batch(1), batch(200)
+    for env in (alone, crowd):
+        env.reset(seed=[17, *range(1000, 999 + env.num_envs)])
+    for step in range(60):
+        act = np.array([[np.sin(step), np.cos(step)]])
+        single = alone.step(act)[0][0]
+        assert (single == crowd.step(np.repeat(act, 200, axis=0))[0][0]).all()
+
+
+@pytest.mark.parametrize("key", EVERYTHING)
+def test_each_randomization_makes_robots_differ(key: str) -> None:
+    """Robots with one seed and one command differ only through what is randomized."""
+    env = batch(2, randomization={key: EVERYTHING[key]})
+    env.reset(seed=[1, 2])
+    for _ in range(20):
+        env.step(np.array([[0.6, 0.9]] * 2))
+    true, odometry = env.batch.state[kernel.X : kernel.VX], env.batch.state[kernel.ODOM_X :]
+    seen_by_odometry = key not in ("mass", "friction", "wheel_radius")
+    differs = np.ptp(odometry[:3], axis=1).max() if seen_by_odometry else np.ptp(true, axis=1).max()
+    if key == "mass":  # mass and grip cancel under Coulomb friction
+        differs = np.ptp(env.batch.state[kernel.MASS])
+    assert differs > 1e-7
+    env.close()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"num_envs": 0}, "num_envs = 0"),
+        ({"num_envs": 2.5}, "num_envs = 2.5"),
+        ({"threads": 0}, "threads = 0"),
+        ({"threads": 10_000}, "the cores of this machine"),
+        ({"randomization": {"frictoin": (0.5, 1.0)}}, "did you mean 'friction'"),
+        ({"randomization": {"mass": (2.0, 1.0)}}, "low <= high"),
+        ({"randomization": {"mass": 3}}, "must be \\(low, high\\)"),
+        ({"randomization": {"dropped_lines": (0.0, 0.9)}}, "<= 0.5"),
+        ({"randomization": {"latency": (0.0, 0.5)}}, "shorter than a step"),
+        ({"render_mode": "rgb_array"}, "no pictures"),
+        ({"autoreset_mode": "Sometimes"}, "autoreset_mode"),
+    ],
+)
+def test_bad_options_are_one_clear_error(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        PointGoalVectorEnv(**{"num_envs": 2, **options})
+
+
+def test_bad_actions_name_the_first_bad_env() -> None:
+    env = batch()
+    env.reset(seed=0)
+    with pytest.raises(CommandError, match=r"\(3, 2\): must be \(4, 2\)"):
+        env.step(np.zeros((3, 2)))
+    bad = np.zeros((4, 2))
+    bad[2, 1] = bad[3, 0] = np.nan
+    with pytest.raises(CommandError, match="env 2"):
+        env.step(bad)
+    env.close()
+
+
+@pytest.mark.parametrize("seed", [[1, 2], "abc"])
+def test_bad_seeds_are_one_clear_error(seed: Any) -> None:
+    with pytest.raises(ConfigError, match="seed"):
+        batch().reset(seed=seed)
+
+
+def test_a_robot_takes_less_than_two_kilobytes() -> None:
+    assert batch(64).batch.bytes_per_robot < 2048
+
+
+def test_without_numba_there_is_one_warning(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dynamics, "COMPILED", False)
+    with pytest.warns(RuntimeWarning, match=r"acsar_gym\[fast\]") as caught:
+        batch(2)
+    assert len(caught) == 1
