@@ -33,8 +33,10 @@ class Batch:
         self._ranges = randomization.table()
         self._slot = 0
         slots = _slots(self._setup, self._nominal, self._ranges)
-        self.state = np.zeros((kernel.ROWS, robots))
-        self._counts = np.zeros((slots, 4, robots))
+        columns = _columns(robots)
+        self._state = np.zeros((kernel.ROWS, columns))
+        self._counts = np.zeros((slots, 4, columns))
+        self.state = self._state[:, :robots]
         self._random = np.zeros((robots, 4), np.uint64)
         self.observations = np.zeros((robots, 7), np.float32)
         self.rewards = np.zeros(robots)
@@ -54,7 +56,7 @@ class Batch:
     def reset(self, mask: Mask, first: int, last: int) -> None:
         """New episodes for robots in the mask, among first to last."""
         kernel.reset(
-            self.state,
+            self._state,
             self._counts,
             self._random,
             self._nominal,
@@ -69,7 +71,7 @@ class Batch:
     def step(self, actions: NDArray[np.float64], over: Mask, first: int, last: int) -> None:
         """An env step of robots first to last; those in `over` begin a new episode instead."""
         kernel.step(
-            self.state,
+            self._state,
             self._counts,
             self._random,
             self._nominal,
@@ -94,7 +96,7 @@ class Batch:
     def bytes_per_robot(self) -> float:
         """Memory that a robot takes in all arrays."""
         arrays = (
-            self.state,
+            self._state,
             self._counts,
             self._random,
             self.observations,
@@ -102,6 +104,14 @@ class Batch:
             self.ends,
         )
         return sum(array.nbytes for array in arrays) / len(self.rewards)
+
+
+def _columns(robots: int) -> int:
+    """Columns for so many robots: an odd number of cache lines a row.
+
+    Rows a power of two apart would all fall into the same few sets of the cache.
+    """
+    return 8 * (math.ceil(robots / 8) | 1)
 
 
 def _setup(config: RobotConfig, task: PointGoal, ticks: int, max_steps: int | None) -> kernel.Setup:
