@@ -6,6 +6,7 @@ medians over the blocks; ratios are medians of the ratios of neighbouring blocks
 
 from __future__ import annotations
 
+import os
 import statistics
 import time
 from collections.abc import Callable
@@ -16,6 +17,7 @@ import gymnasium
 import numpy as np
 from rich.table import Table
 
+from acsar_gym import dynamics
 from acsar_gym.config import RobotConfig
 from acsar_gym.env import PointGoalEnv
 from acsar_gym.errors import AcsarError, MissingExtraError
@@ -23,8 +25,10 @@ from acsar_gym.links.simulated import SimulatedLink
 from acsar_gym.odometry import Odometry
 from acsar_gym.policy import OnnxPolicy
 from acsar_gym.protocol import Decoder, encode
+from acsar_gym.vector import PointGoalVectorEnv
 
 BLOCKS = 25
+ROBOTS = 1024
 STEPS = 100
 """Env steps in one block."""
 
@@ -40,7 +44,9 @@ class Figure:
 
 def measure(policy: str | None = None) -> list[Figure]:
     """All figures, in the order in which they are shown."""
-    return [*_bullet(), *_planar(), *_wire(), *_policy(policy)]
+    bullet = _bullet()
+    single = next(figure.value for figure in bullet if figure.unit == "steps/s")
+    return [*bullet, *_planar(), *_batch(single), *_wire(), *_policy(policy)]
 
 
 def _env(link: str) -> gymnasium.Env[Any, Any]:
@@ -118,6 +124,35 @@ def _planar() -> list[Figure]:
     ]
 
 
+def _batch(single: float) -> list[Figure]:
+    """Batches of planar robots against the PyBullet env, one core against all, few against many."""
+    if not dynamics.COMPILED:
+        return []
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
+    one, every = _stepper(ROBOTS, 1), _stepper(ROBOTS, cores)
+    alone, together = [], []
+    for _ in range(BLOCKS):
+        alone.append(_each(one, 10) / ROBOTS)
+        together.append(_each(every, 10) / ROBOTS)
+    speed = 1.0 / statistics.median(alone)
+    gain = statistics.median(a / t for a, t in zip(alone, together, strict=True))
+    return [
+        Figure(f"batch of {ROBOTS} planar robots, one core", speed, "steps/s"),
+        Figure("batch against the PyBullet env", speed / single, "x the steps"),
+        Figure(f"batch on {cores} cores against one", gain, "x the steps"),
+        Figure("batch of 16 robots: one step call", _median(_stepper(16, 1), 20) * 1e6, "us"),
+        Figure("batch of 16,384 robots, a robot", _each(_stepper(16384, 1), 5) / 16384 * 1e6, "us"),
+    ]
+
+
+def _stepper(robots: int, threads: int) -> Callable[[], object]:
+    """A call that steps so many robots with random actions."""
+    env = PointGoalVectorEnv(robots, max_episode_steps=200, threads=threads)
+    env.reset(seed=0)
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (robots, 2)).astype(np.float32)
+    return lambda: env.step(actions)
+
+
 def _wire() -> list[Figure]:
     """Codec and odometry on speeds that change with every line."""
     speeds = [tuple(row) for row in np.random.default_rng(0).uniform(-9, 9, (2000, 4)).tolist()]
@@ -167,7 +202,7 @@ def _over(call: Callable[[Any], object], items: list[Any]) -> float:
 
 def table(figures: list[Figure]) -> Table:
     """The figures for people."""
-    drawn = Table(title="acsar-gym bench: medians, one core", title_justify="left")
+    drawn = Table(title="acsar-gym bench: medians", title_justify="left")
     drawn.add_column("what")
     drawn.add_column("figure", justify="right")
     drawn.add_column("unit")

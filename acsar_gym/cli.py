@@ -25,9 +25,9 @@ RobotArg = Annotated[str | None, tyro.conf.arg(metavar="PRESET|FILE")]
 
 
 def demo(
-    steps: int = 150_000,
+    steps: int = 600_000,
     episodes: int = 100,
-    serial_episodes: int = 20,
+    serial_episodes: int = 16,
     out: Path = Path("runs/demo"),
     json: Json = None,
 ) -> int:

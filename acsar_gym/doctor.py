@@ -12,7 +12,7 @@ from rich.table import Table
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import BoardSilentError, LinkError
 from acsar_gym.links.serial import SerialLink, ports
-from acsar_gym.protocol import ZERO, Decoder, Speeds, encode
+from acsar_gym.protocol import MAX_LINE, ZERO, Decoder, Speeds, encode
 
 LISTEN = 2.0
 """How long feedback is counted [s]."""
@@ -80,6 +80,8 @@ def _failed_to_open(error: LinkError) -> Check:
 def _feedback(link: SerialLink, config: RobotConfig) -> Iterator[Check]:
     """Lines a second and refused parts while the robot stands."""
     decoder = Decoder()
+    decoder.feed(b"-" * (MAX_LINE + 1))  # whatever line is under way is cut: skip to its end
+    decoder.refused.clear()
     begin = time.monotonic()
     while time.monotonic() - begin < LISTEN:
         link.write(_line(ZERO, config))
@@ -110,10 +112,13 @@ def _standing() -> Iterator[Check]:
 def _moving(link: SerialLink, config: RobotConfig) -> Iterator[Check]:
     """Round trip of a command, then whether the firmware's own time-out stops the wheels."""
     line = _line((SPIN, SPIN, SPIN, SPIN), config)
-    round_trip = _until(link, line, lambda speed: speed > 0.0)
+    round_trip = _until(link, line, lambda speeds: min(speeds) > 0.0)
     if round_trip is None:
         yield Check(
-            "command to feedback", "fail", "the wheels don't turn", "check the motors' power"
+            "command to feedback",
+            "fail",
+            "not all wheels turn",
+            "check the motors' power and every encoder",
         )
         return
     fine = round_trip < 0.1
@@ -123,8 +128,8 @@ def _moving(link: SerialLink, config: RobotConfig) -> Iterator[Check]:
         f"{round_trip * 1000.0:.1f} ms from command to its first effect in feedback",
         "" if fine else "raise the baud rate; set the USB adapter's latency timer to 1 ms",
     )
-    _until(link, line, lambda speed: speed > 0.9 * SPIN)
-    stopped = _until(link, b"", lambda speed: speed == 0.0)
+    _until(link, line, lambda speeds: min(speeds) > 0.9 * SPIN)
+    stopped = _until(link, b"", lambda speeds: max(speeds) == 0.0)
     yield Check(
         "stops when commands stop",
         "fail" if stopped is None else "ok",
@@ -133,8 +138,8 @@ def _moving(link: SerialLink, config: RobotConfig) -> Iterator[Check]:
     )
 
 
-def _until(link: SerialLink, line: bytes, reached: Callable[[float], bool]) -> float | None:
-    """Seconds until the slowest wheel's feedback satisfies `reached`; None after PATIENCE.
+def _until(link: SerialLink, line: bytes, reached: Callable[[list[float]], bool]) -> float | None:
+    """Seconds until the four wheels' absolute speeds satisfy `reached`; None after PATIENCE.
 
     `line` is sent again every 50 ms, so that the firmware's time-out doesn't end the check.
     """
@@ -147,8 +152,7 @@ def _until(link: SerialLink, line: bytes, reached: Callable[[float], bool]) -> f
             link.write(line)
             sent = now
         for reading in decoder.feed(link.read_now()):
-            known = [abs(speed) for speed in reading.speeds if speed is not None]
-            if reached(max(known)):
+            if reached([abs(speed or 0.0) for speed in reading.speeds]):
                 return time.monotonic() - begin
         time.sleep(POLL)
     return None

@@ -1,8 +1,8 @@
 """The microcontroller's twin in real time on a pseudo-terminal, for every serial code path.
 
 Whoever opens the printed device talks to a simulated robot exactly as to a board. A wrong baud rate
-garbles both directions, as on a real UART. The log, one JSON line per event, holds what the board
-was told and where the robot really was, on the monotonic clock that all processes share.
+garbles both directions, as on a real UART. The log, one JSON line per event, holds what was sent
+to the board and where the robot really was, on the monotonic clock that all processes share.
 """
 
 from __future__ import annotations

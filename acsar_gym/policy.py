@@ -52,6 +52,10 @@ class OnnxPolicy:
         self._check()
 
     def _check(self) -> None:
+        names = [[put.name for put in self._session.get_inputs()]]
+        names.append([put.name for put in self._session.get_outputs()])
+        if names != [["observation"], ["action"]]:
+            raise PolicyError(f"{self.path}: must map 'observation' to 'action', maps {names}")
         metadata = self._session.get_modelmeta().custom_metadata_map
         layout = tuple(metadata.get(LAYOUT_KEY, "").split(","))
         if layout != POINT_GOAL_LAYOUT:

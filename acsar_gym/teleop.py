@@ -46,9 +46,9 @@ def fixed(robot: Robot, linear: float, angular: float, duration: float | None) -
 
 def keyboard(robot: Robot) -> None:
     """Teleoperation from the keyboard, until q or Ctrl-C."""
-    terminal = Terminal()
     if not sys.stdin.isatty():
         raise CommandError("no keyboard here: give a fixed twist with --linear and --angular")
+    terminal = Terminal(force_styling=None)  # keys only: no questions to the terminal
     linear = angular = 0.0
     print(HELP)
     with robot, terminal.cbreak():

@@ -1,6 +1,6 @@
 """Train PPO on thousands of planar robots and export the actor as one ONNX file.
 
-    python agents/train.py --steps 1500000 --out runs/point_goal
+    python agents/train.py --steps 600000 --out runs/point_goal
 
 writes policy.onnx (what drives the robot), model.zip (to train on), checkpoints and TensorBoard
 logs into the folder.
@@ -35,7 +35,7 @@ RANDOMIZATION = {
 class Options:
     """PPO on acsar_gym/PointGoal-v0."""
 
-    steps: int = 1_500_000
+    steps: int = 600_000
     """Env steps in all."""
     out: Path = Path("runs/point_goal")
     """Folder for the policy, checkpoints and logs."""

@@ -7,7 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from serial_tools import RobotFile, StartEmulator, cli, no_leak, wait_until
+from serial_tools import (
+    RobotFile,
+    StartEmulator,
+    cli,
+    first_line,
+    no_leak,
+    program,
+    wait_until,
+)
 
 from acsar_gym import RobotConfig, doctor
 from acsar_gym.doctor import Check
@@ -17,6 +25,33 @@ pytestmark = pytest.mark.usefixtures("deadline")
 MISSING = "/dev/acsar-missing"
 TIMED = {"feedback rate", "command to feedback"}
 """A busy machine may turn these to `warn`."""
+
+
+BOARD = """
+import os, pty, sys, time, tty
+from acsar_gym.protocol import Decoder, encode
+master, slave = pty.openpty()
+tty.setraw(slave)
+os.set_blocking(master, False)
+print(os.ttyname(slave), flush=True)
+decoder, speeds, heard = Decoder(), (0.0,) * 4, 0.0
+while True:
+    try:
+        for reading in decoder.feed(os.read(master, 4096)):
+            speeds, heard = reading.speeds, time.monotonic()
+    except BlockingIOError:
+        pass
+    if time.monotonic() - heard > 0.3:
+        speeds = (0.0,) * 4
+    line = encode((*speeds[:3], 0.0 if sys.argv[1] == "dead" else speeds[3]))
+    for half in (line[:20], line[20:]):
+        try:
+            os.write(master, half)
+        except BlockingIOError:
+            pass
+        time.sleep(0.005)
+"""
+"""A board that writes its lines in two halves, with or without a dead wheel d."""
 
 
 @pytest.fixture(autouse=True)
@@ -170,3 +205,11 @@ def test_the_table_holds_every_check() -> None:
     checks = [Check(status, status, "found", "fix") for status in doctor.MARKS]
     figures: dict[str, Any] = doctor.as_json(checks)
     assert doctor.table(checks).row_count == len(figures["checks"]) == 4
+
+
+@pytest.mark.parametrize(("wheel", "status"), [("dead", "fail"), ("sound", "ok")])
+def test_one_dead_wheel_is_found(config: RobotConfig, wheel: str, status: str) -> None:
+    with program(BOARD, wheel) as board:
+        checks = examined(first_line(board), config, spin=True)
+    assert checks["command to feedback"].status == status
+    assert checks["line quality"].status == "ok"

@@ -85,3 +85,14 @@ def test_a_policy_for_another_observation_is_refused(trained: Path, tmp_path: Pa
     onnx.save(model, path)
     with pytest.raises(PolicyError, match="range_0, range_1"):
         OnnxPolicy(path)
+
+
+def test_a_network_with_other_names_is_refused(trained: Path, tmp_path: Path) -> None:
+    model = onnx.load(trained / "policy.onnx")
+    for node in model.graph.node:
+        node.input[:] = ["obs" if name == "observation" else name for name in node.input]
+    model.graph.input[0].name = "obs"
+    path = tmp_path / "renamed.onnx"
+    onnx.save(model, path)
+    with pytest.raises(PolicyError, match="must map 'observation' to 'action'"):
+        OnnxPolicy(path)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import os
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -46,10 +47,6 @@ with contextlib.suppress(ImportError):  # Windows has no termios
     import termios
 
     PORT_ERRORS += (termios.error,)
-
-
-_inherited: list[Any] = []
-"""A forked child's sockets that belong to its parent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,13 +222,17 @@ class SerialLink:
     def abandon(self) -> None:
         """Let go without a word, as a forked child must do with its parent's port.
 
-        pyserial can't close a socket without ending the connection, so a child keeps that one.
+        pyserial ends a socket's connection when it closes it, so a child first puts another file
+        in its place.
         """
-        if self._port is not None and "://" in self.device:
-            _inherited.append(self._port)
-            self._port = None
-        elif self._port is not None:
-            self._release(self._port)
+        port = self._port
+        if port is None:
+            return
+        if "://" in self.device:
+            null = os.open(os.devnull, os.O_RDWR)
+            os.dup2(null, port.fileno())
+            os.close(null)
+        self._release(port)
 
     def __del__(self) -> None:
         if getattr(self, "_port", None) is not None:

@@ -149,10 +149,7 @@ def test_a_forked_child_ends_without_a_word(end: str, emulator: Emulated) -> Non
     "end",
     [
         "os._exit(0)",
-        pytest.param(
-            "sys.exit()",
-            marks=pytest.mark.xfail(reason="its finaliser shuts the connection down", strict=True),
-        ),
+        "sys.exit()",
     ],
 )
 def test_a_forked_child_leaves_the_socket_of_its_parent_alone(end: str, shared_device: str) -> None:
