@@ -50,19 +50,22 @@ def demo(
     return 0 if all(summary.success_rate >= 0.95 for _, summary in rows) else 1
 
 
-def bench(json: Json = None) -> int:
+def bench(json: Json = None, plots: File = None) -> int:
     """Measure env, wire and engine side by side.
 
     Args:
         json: write the figures here too.
+        plots: folder for plots of the planar robot against PyBullet's.
     """
     from acsar_gym import bench as benchmark  # noqa: PLC0415
-    from acsar_gym import report  # noqa: PLC0415
+    from acsar_gym import comparison, report  # noqa: PLC0415
 
     report.check_writable(json)
     figures = benchmark.measure()
     report.show(benchmark.table(figures))
     report.write_json(json, {f"{f.name} [{f.unit}]": f.value for f in figures})
+    for file in comparison.plot(plots, RobotConfig.of(None)) if plots else ():
+        print(f"drawn: {file}")
     return 0
 
 

@@ -1,0 +1,121 @@
+"""The planar robot against PyBullet's, under the same command lines through the same firmware."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import ConfigError, MissingExtraError
+from acsar_gym.links import open_link
+from acsar_gym.links.simulated import SimulatedLink
+from acsar_gym.protocol import ZERO, Speeds, encode
+from acsar_gym.worlds import Pose, Scene
+
+SECONDS = 10.0
+
+Drive = Callable[[float], Speeds]
+
+
+def _slalom(now: float) -> Speeds:
+    swing = 3.0 * math.sin(2.0 * now)
+    return (6.0 + swing, 6.0 - swing, 6.0 - swing, 6.0 + swing)
+
+
+DRIVES: dict[str, Drive] = {
+    "straight": lambda _: (8.0, 8.0, 8.0, 8.0),
+    "arc": lambda _: (8.0, 5.0, 5.0, 8.0),
+    "spin": lambda _: (4.0, -4.0, -4.0, 4.0),
+    "slalom": _slalom,
+    "stop": lambda now: (7.0, 4.0, 4.0, 7.0) if now < 5.0 else ZERO,
+    "saturated": lambda _: (99.0, 20.0, 20.0, 99.0),
+    "saturated spin": lambda _: (99.0, -99.0, -99.0, 99.0),
+}
+"""Wheel speeds [rad/s] that are commanded at a time [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trace:
+    """A drive, tick by tick."""
+
+    poses: list[Pose]
+    wheels: list[Speeds]
+    turned: float
+    """Angle turned in all, without regard to direction [rad]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """How far two traces of one drive come apart."""
+
+    position: float
+    """Greatest distance [m]."""
+    heading: float
+    """Greatest angle [rad]."""
+    wheels: float
+    """Greatest difference of wheel speeds [rad/s]."""
+    turned: float
+    """Angle turned in all [rad]."""
+
+
+def trace(link_name: str, drive: Drive, config: RobotConfig) -> Trace:
+    """What a simulated robot does in ten seconds of a drive."""
+    link = open_link(link_name, config)
+    if not isinstance(link, SimulatedLink):
+        raise ConfigError(f"link {link_name!r}: only simulated robots can be compared")
+    poses, wheels, turned = [], [], 0.0
+    link.reset(Scene())
+    for tick in range(round(SECONDS * config.control_rate)):
+        link.write(encode(drive(tick * config.period)))
+        link.advance(config.period)
+        poses.append(link.truth.pose)
+        wheels.append(link.body.wheel_speeds if link.body else ZERO)
+        turned += abs(link.truth.twist[1]) * config.period
+    link.close()
+    return Trace(poses, wheels, turned)
+
+
+def difference(one: Trace, other: Trace) -> Difference:
+    """The greatest differences over all ticks."""
+    pairs = list(zip(one.poses, other.poses, strict=True))
+    speeds = zip(one.wheels, other.wheels, strict=True)
+    return Difference(
+        position=max(math.dist(p[:2], q[:2]) for p, q in pairs),
+        heading=max(abs(math.remainder(p[2] - q[2], 2.0 * math.pi)) for p, q in pairs),
+        wheels=max(abs(a - b) for p, q in speeds for a, b in zip(p, q, strict=True)),
+        turned=one.turned,
+    )
+
+
+def plot(folder: Path, config: RobotConfig) -> list[Path]:
+    """One picture a drive, both robots' paths and headings, into `folder`; returns the files."""
+    try:
+        import matplotlib.pyplot as plt  # noqa: PLC0415 - optional
+    except ImportError:
+        raise MissingExtraError("drawing plots", "plot") from None
+    folder.mkdir(parents=True, exist_ok=True)
+    files = []
+    for name, drive in DRIVES.items():
+        figure, axes = plt.subplots(1, 2, figsize=(9.0, 4.0), layout="constrained")
+        for link, style in (("bullet", "-"), ("planar", "--")):
+            _draw(axes, trace(link, drive, config), link, style, config.period)
+        figure.suptitle(f"{name}: PyBullet against the planar robot, {SECONDS:g} s")
+        files.append(folder / f"{name.replace(' ', '_')}.png")
+        figure.savefig(files[-1], dpi=110)
+        plt.close(figure)
+    return files
+
+
+def _draw(axes: Any, drawn: Trace, label: str, style: str, period: float) -> None:
+    path, heading = axes
+    path.plot([p[0] for p in drawn.poses], [p[1] for p in drawn.poses], style, label=label)
+    path.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", adjustable="datalim")
+    times = [tick * period for tick in range(len(drawn.poses))]
+    heading.plot(times, [p[2] for p in drawn.poses], style, label=label)
+    heading.set(xlabel="time [s]", ylabel="heading [rad]")
+    for axis in axes:
+        axis.grid(visible=True, alpha=0.3)
+        axis.legend()
