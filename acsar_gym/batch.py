@@ -12,6 +12,7 @@ from acsar_gym.config import BITS_PER_BYTE, LINE_BYTES, RobotConfig, whole_ratio
 from acsar_gym.errors import ConfigError
 from acsar_gym.randomization import Randomization
 from acsar_gym.tasks import PointGoal
+from acsar_gym.worlds.geometry import Surroundings
 
 Mask = NDArray[np.bool_]
 
@@ -27,10 +28,12 @@ class Batch:
         ticks: int,
         max_steps: int | None,
         randomization: Randomization,
+        around: Surroundings,
     ) -> None:
         self._setup = _setup(config, task, ticks, max_steps)
         self._nominal = _nominal(config)
         self._ranges = randomization.table()
+        self._around = around
         self._slot = 0
         slots = _slots(self._setup, self._nominal, self._ranges)
         columns = _columns(robots)
@@ -38,7 +41,7 @@ class Batch:
         self._counts = np.zeros((slots, 4, columns))
         self.state = self._state[:, :robots]
         self._random = np.zeros((robots, 4), np.uint64)
-        self.observations = np.zeros((robots, 7), np.float32)
+        self.observations = np.zeros((robots, kernel.NUMBERS + len(around.directions)), np.float32)
         self.rewards = np.zeros(robots)
         self.ends = np.zeros((2, robots), np.bool_)
         self._seeded = False
@@ -66,6 +69,7 @@ class Batch:
             first,
             last,
             self._setup,
+            self._around,
         )
 
     def step(self, actions: NDArray[np.float64], over: Mask, first: int, last: int) -> None:
@@ -85,6 +89,7 @@ class Batch:
             last,
             self._slot,
             self._setup,
+            self._around,
         )
 
     def turn(self) -> None:

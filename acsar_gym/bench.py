@@ -26,6 +26,7 @@ from acsar_gym.odometry import Odometry
 from acsar_gym.policy import OnnxPolicy
 from acsar_gym.protocol import Decoder, encode
 from acsar_gym.vector import PointGoalVectorEnv
+from acsar_gym.worlds.geometry import Obstacles, RaySpec
 
 BLOCKS = 25
 ROBOTS = 1024
@@ -129,25 +130,45 @@ def _batch(single: float) -> list[Figure]:
     if not dynamics.COMPILED:
         return []
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
-    one, every = _stepper(ROBOTS, 1), _stepper(ROBOTS, cores)
-    alone, together = [], []
-    for _ in range(BLOCKS):
-        alone.append(_each(one, 10) / ROBOTS)
-        together.append(_each(every, 10) / ROBOTS)
-    speed = 1.0 / statistics.median(alone)
-    gain = statistics.median(a / t for a, t in zip(alone, together, strict=True))
+    speed, gain = _cores(_stepper(ROBOTS, 1), _stepper(ROBOTS, cores))
+    crowd = _crowd(ROBOTS)
+    seeing, gain_seeing = _cores(_stepper(ROBOTS, 1, **crowd), _stepper(ROBOTS, cores, **crowd))
     return [
         Figure(f"batch of {ROBOTS} planar robots, one core", speed, "steps/s"),
         Figure("batch against the PyBullet env", speed / single, "x the steps"),
         Figure(f"batch on {cores} cores against one", gain, "x the steps"),
+        Figure("batch with 64 rays and 60 obstacles, one core", seeing, "steps/s"),
+        Figure(f"that batch on {cores} cores against one", gain_seeing, "x the steps"),
         Figure("batch of 16 robots: one step call", _median(_stepper(16, 1), 20) * 1e6, "us"),
         Figure("batch of 16,384 robots, a robot", _each(_stepper(16384, 1), 5) / 16384 * 1e6, "us"),
     ]
 
 
-def _stepper(robots: int, threads: int) -> Callable[[], object]:
+def _cores(one: Callable[[], object], every: Callable[[], object]) -> tuple[float, float]:
+    """Env steps/s of one core, and how many times as many all cores make."""
+    alone, together = [], []
+    for _ in range(BLOCKS):
+        alone.append(_each(one, 10) / ROBOTS)
+        together.append(_each(every, 10) / ROBOTS)
+    gain = statistics.median(a / t for a, t in zip(alone, together, strict=True))
+    return 1.0 / statistics.median(alone), gain
+
+
+def _crowd(robots: int) -> dict[str, Any]:
+    """50 circles and 10 segments around each robot, and 64 rays to see them."""
+    rng = np.random.default_rng(0)
+    bearing = rng.uniform(-np.pi, np.pi, (2, robots, 60))
+    place = rng.uniform(1.0, 6.0, (robots, 60)) * np.array([np.cos(bearing[0]), np.sin(bearing[0])])
+    end = place + np.array([np.cos(bearing[1]), np.sin(bearing[1])])
+    size = rng.uniform(0.1, 0.3, (robots, 50))
+    circles = np.stack([*place[:, :, :50], size], axis=2)
+    segments = np.stack([*place[:, :, 50:], *end[:, :, 50:]], axis=2)
+    return {"obstacles": Obstacles(circles, segments), "rays": RaySpec(64)}
+
+
+def _stepper(robots: int, threads: int, **options: Any) -> Callable[[], object]:
     """A call that steps so many robots with random actions."""
-    env = PointGoalVectorEnv(robots, max_episode_steps=200, threads=threads)
+    env = PointGoalVectorEnv(robots, max_episode_steps=200, threads=threads, **options)
     env.reset(seed=0)
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (robots, 2)).astype(np.float32)
     return lambda: env.step(actions)

@@ -20,6 +20,7 @@ from acsar_gym import kinematics, odometry, tasks
 from acsar_gym.dynamics import Params, jit, loop, towards, tyre_step, wheel_speed
 from acsar_gym.pcg import uniform
 from acsar_gym.protocol import MAX_SPEED
+from acsar_gym.worlds.geometry import Surroundings, cast, collides
 
 Floats = NDArray[np.float64]
 
@@ -33,10 +34,13 @@ LOOPS, LAST_LINE, AGE, READ = 23, 24, 25, 26  # four readings
 ODOM_X, ODOM_Y, ODOM_THETA, LINEAR, ANGULAR = range(30, 35)
 # The task and the episode:
 GOAL_X, GOAL_Y, DISTANCE, LAST_LINEAR, LAST_ANGULAR, STEPS, RETURN, OUTCOME = range(35, 43)
+CONTACT = 43
 # The robot's own physics, drawn anew with every episode where it is randomized:
-MASS, INERTIA, GRIP, RADIUS, DEADBAND, BLEND, GAIN = 43, 44, 45, 46, 47, 48, 52
-COMMAND_LOOPS, DELAY_LOOPS, FEEDBACK_LOOPS, DROPPED = range(56, 60)
-ROWS = 60
+MASS, INERTIA, GRIP, RADIUS, DEADBAND, BLEND, GAIN = 44, 45, 46, 47, 48, 49, 53
+COMMAND_LOOPS, DELAY_LOOPS, FEEDBACK_LOOPS, DROPPED = range(57, 61)
+ROWS = 61
+NUMBERS = 7
+"""Numbers of the observation before the rays."""
 BLOCK = 128
 """Robots that go through a whole env step together, so that their state stays in the cache."""
 
@@ -323,6 +327,32 @@ def drop_lines(
 
 
 @loop
+def touch(state: Floats, first: int, last: int, around: Surroundings) -> None:
+    """Note which robots touch an obstacle now."""
+    many = around.circles.shape[0] > 1 or around.segments.shape[0] > 1
+    for i in range(first, last):
+        s, c = sincos(state[THETA, i])
+        if collides(state[X, i], state[Y, i], c, s, i if many else 0, around):
+            state[CONTACT, i] = 1.0
+
+
+@loop
+def look(
+    state: Floats, observations: NDArray[np.float32], first: int, last: int, around: Surroundings
+) -> None:
+    """The ranges of every robot's rays, as shares of the reach, behind its other numbers."""
+    if around.directions.shape[0] == 0:
+        return
+    many = around.circles.shape[0] > 1 or around.segments.shape[0] > 1
+    ranges = np.empty(around.directions.shape[0])
+    for i in range(first, last):
+        s, c = sincos(state[THETA, i])
+        cast(state[X, i], state[Y, i], c, s, i if many else 0, around, ranges)
+        for k in range(len(ranges)):
+            observations[i, NUMBERS + k] = ranges[k] / around.reach
+
+
+@loop
 def drive(
     state: Floats,
     counts: Floats,
@@ -332,9 +362,11 @@ def drive(
     slot: int,
     lossy: bool,
     setup: Setup,
+    around: Surroundings,
 ) -> None:
     """All ticks of an env step. `slot` is where the last loop wrote its counts."""
     slots = counts.shape[0]
+    crowded = around.circles.shape[1] + around.segments.shape[1] > 0
     for tick in range(setup.ticks):
         if lossy:
             drop_lines(state, random, first, last, tick, setup)
@@ -343,6 +375,8 @@ def drive(
             ramp(state, first, last, turn, setup)
             motors(state, counts, first, last, slot, setup)
             tyres(state, first, last, setup)
+        if crowded:
+            touch(state, first, last, around)
         feedback(state, counts, first, last, slot, setup)
         dead_reckoning(state, first, last, setup)
 
@@ -358,6 +392,7 @@ def judge(
         before, after = state[DISTANCE, i], math.sqrt(dx * dx + dy * dy)
         start = math.sqrt(x * x + y * y)
         outcome = outcome_of(after, start, setup.tolerance, setup.boundary)
+        outcome = 3 if state[CONTACT, i] > 0.0 else outcome
         reward = reward_of(before, after, state[LAST_LINEAR, i], outcome)
         state[DISTANCE, i] = after
         state[OUTCOME, i] = outcome
@@ -484,12 +519,14 @@ def reset(
     first: int,
     last: int,
     setup: Setup,
+    around: Surroundings,
 ) -> None:
     """New episodes for the robots in the mask."""
     for i in range(first, last):
         if mask[i]:
             begin(state, counts, random, i, nominal, ranges, setup)
             observe(state, observations, i, i + 1, setup)
+            look(state, observations, i, i + 1, around)
 
 
 @loop
@@ -508,13 +545,14 @@ def step(
     last: int,
     slot: int,
     setup: Setup,
+    around: Surroundings,
 ) -> None:
     """An env step of robots first to last; those that were over begin anew instead."""
     lossy = ranges[8, 0] <= ranges[8, 1]
     for low in range(first, last, BLOCK):
         high = min(low + BLOCK, last)
         command(state, actions, low, high, setup)
-        drive(state, counts, random, low, high, slot, lossy, setup)
+        drive(state, counts, random, low, high, slot, lossy, setup, around)
         judge(state, rewards, ends, low, high, setup)
         observe(state, observations, low, high, setup)
         for i in range(low, high):
@@ -523,3 +561,4 @@ def step(
                 observe(state, observations, i, i + 1, setup)
                 rewards[i] = 0.0
                 ends[0, i] = ends[1, i] = False
+        look(state, observations, low, high, around)

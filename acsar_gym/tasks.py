@@ -39,6 +39,7 @@ class Outcome(IntEnum):
     GOING = 0
     SUCCESS = 1
     OUT_OF_BOUNDS = 2
+    COLLISION = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,10 +171,11 @@ def point_goal_outcome(
 def point_goal_reward(before: float, after: float, linear: float, outcome: int) -> float:
     """Twice the metres gained on the goal, less 0.02 a step and up to 0.05 for driving backwards.
 
-    Plus 2 at the goal, or -2 beyond the boundary. `before` and `after` are goal distances [m],
-    `linear` is the action's linear part in [-1, 1]. Backwards costs, because sensors look ahead.
+    Plus 2 at the goal, or -2 beyond the boundary or for a collision. `before` and `after` are goal
+    distances [m], `linear` is the action's linear part in [-1, 1]. Backwards costs, because sensors
+    look ahead.
     """
-    end = 2.0 if outcome == 1 else (-2.0 if outcome == 2 else 0.0)
+    end = 2.0 if outcome == 1 else (-2.0 if outcome > 1 else 0.0)
     return 2.0 * (before - after) - 0.02 + 0.05 * min(linear, 0.0) + end
 
 

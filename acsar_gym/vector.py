@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from acsar_gym.env import point_goal_spaces
 from acsar_gym.errors import CommandError, ConfigError
 from acsar_gym.randomization import Randomization
 from acsar_gym.tasks import PointGoal
+from acsar_gym.worlds.geometry import Obstacles, RaySpec, surroundings
 
 FAIR_SHARE = 256
 """Robots for which another thread is worth its start."""
@@ -56,6 +58,10 @@ class PointGoalVectorEnv(VectorEnv[Array, Array, Array]):
     - `threads`: cores to use, at most; None uses all where there is enough to do. Results don't
       depend on it.
     - `randomization`: see `Randomization`; drawn anew for every robot with every episode.
+    - `obstacles`: circles and segments around the robots (see `Obstacles`). A footprint that
+      touches one at the end of a tick ends the episode, with the reward of leaving the bounds.
+    - `rays`: a range sensor (see `RaySpec`) mounted at the robot's lidar offsets. Its ranges, as
+      shares of its reach, follow the seven numbers of the observation.
 
     Seeds: `reset(seed=s)` seeds robot i with s + i, or a list names each one's. Every robot has its
     own generator, the same as the single env's.
@@ -78,6 +84,8 @@ class PointGoalVectorEnv(VectorEnv[Array, Array, Array]):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         threads: int | None = None,
         randomization: Mapping[str, tuple[float, float]] | None = None,
+        obstacles: Obstacles | None = None,
+        rays: RaySpec | None = None,
         render_mode: str | None = None,
     ) -> None:
         config = RobotConfig.of(robot)
@@ -93,12 +101,19 @@ class PointGoalVectorEnv(VectorEnv[Array, Array, Array]):
         self.autoreset_mode = _autoreset(autoreset_mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
         task = PointGoal.of(goal_distance, goal_tolerance, config)
-        self.single_action_space, self.single_observation_space = point_goal_spaces()
+        self.single_action_space, numbers = point_goal_spaces()
+        self.single_observation_space = _with_rays(numbers, rays.rays if rays else 0)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         ticks = whole_ratio("control_rate", config.control_rate, "policy_rate", policy_rate)
         self.batch = Batch(
-            self.num_envs, config, task, ticks, max_episode_steps, Randomization.of(randomization)
+            self.num_envs,
+            config,
+            task,
+            ticks,
+            max_episode_steps,
+            Randomization.of(randomization),
+            surroundings(obstacles or Obstacles(), rays, self.num_envs, config),
         )
         self._threads = _threads(threads, self.num_envs)
         self._pool = ThreadPoolExecutor(self._threads - 1) if self._threads > 1 else None
@@ -177,7 +192,7 @@ class PointGoalVectorEnv(VectorEnv[Array, Array, Array]):
         x, y, theta = self.batch.state[: kernel.VX].copy()
         info["true_x"], info["true_y"] = x, y
         info["true_theta"] = theta - kernel.TURN * np.floor(theta / kernel.TURN + 0.5)
-        info["true_contact"] = np.zeros(self.num_envs)
+        info["true_contact"] = self.batch.state[kernel.CONTACT].copy()
         info["true_goal_distance"] = _distance(rows, kernel.GOAL_X, kernel.GOAL_Y, x, y)
         info["odometry_error"] = _distance(rows, kernel.ODOM_X, kernel.ODOM_Y, x, y)
         info["is_success"] = (rows[kernel.OUTCOME - INFO_FROM] == 1.0).astype(np.float64)
@@ -189,6 +204,13 @@ class PointGoalVectorEnv(VectorEnv[Array, Array, Array]):
             self._pool.shutdown()
             self._pool = None
             self._threads = 1
+
+
+def _with_rays(numbers: Box, rays: int) -> Box:
+    """The observation space with so many ranges in [0, 1] behind its numbers."""
+    low = np.concatenate([numbers.low, np.zeros(rays, np.float32)])
+    high = np.concatenate([numbers.high, np.ones(rays, np.float32)])
+    return Box(low, high, dtype=np.float32)
 
 
 def _distance(rows: Array, row_x: int, row_y: int, x: Array, y: Array) -> Array:

@@ -12,8 +12,8 @@ def test_every_figure_is_a_positive_number(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(bench, "STEPS", 3)
     figures = bench.measure()
     assert all(figure.value > 0.0 for figure in figures)
-    assert len({figure.name for figure in figures}) == len(figures) == 17
-    assert bench.table(figures).row_count == 17
+    assert len({figure.name for figure in figures}) == len(figures) == 19
+    assert bench.table(figures).row_count == 19
 
 
 def test_the_bare_engine_makes_as_many_calls_as_the_env() -> None:

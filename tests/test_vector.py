@@ -14,6 +14,7 @@ from acsar_gym import dynamics, kernel
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import CommandError, ConfigError
 from acsar_gym.vector import PointGoalVectorEnv
+from acsar_gym.worlds.geometry import Obstacles, RaySpec
 
 ENV_ID = "acsar_gym/PointGoal-v0"
 ACSAR = RobotConfig.preset("acsar")
@@ -255,3 +256,48 @@ def test_without_numba_there_is_one_warning(monkeypatch: pytest.MonkeyPatch) -> 
     with pytest.warns(RuntimeWarning, match=r"acsar_gym\[fast\]") as caught:
         batch(2)
     assert len(caught) == 1
+
+
+WALL = Obstacles((), [[1.0, -9.0, 1.0, 9.0]])
+
+
+def test_driving_into_a_wall_ends_the_episode_where_it_stands() -> None:
+    env = batch(2, obstacles=WALL, autoreset_mode="Disabled")
+    env.reset(seed=0, options={})
+    env.batch.state[kernel.GOAL_X], env.batch.state[kernel.GOAL_Y] = 2.5, 0.0
+    terminated = np.zeros(2, np.bool_)
+    while not terminated.any():
+        _, rewards, terminated, _, infos = env.step(np.array([[1.0, 0.0], [0.0, 0.0]]))
+    assert terminated.tolist() == [True, False]
+    assert rewards[0] < -1.5
+    assert infos["true_contact"].tolist() == [1.0, 0.0]
+    assert infos["is_success"][0] == 0.0
+    front = infos["true_x"][0] + ACSAR.body.length / 2.0
+    assert 1.0 <= front < 1.0 + 0.1 * ACSAR.max_linear
+    env.close()
+
+
+def test_rays_follow_the_numbers_and_see_the_wall() -> None:
+    env = batch(3, obstacles=WALL, rays=RaySpec(4, 5.0))
+    obs, _ = env.reset(seed=0)
+    assert env.observation_space.contains(obs)
+    ahead = (1.0 - ACSAR.lidar_x_offset) / 5.0
+    assert obs[:, 7:] == pytest.approx(np.tile([1.0, 1.0, ahead, 1.0], (3, 1)))
+    for _ in range(5):
+        obs, *_, infos = env.step(np.tile([1.0, 0.0], (3, 1)))
+    assert obs[:, 9] == pytest.approx(ahead - infos["true_x"] / 5.0, abs=1e-6)
+    env.close()
+
+
+def test_every_robot_may_have_obstacles_of_its_own() -> None:
+    circles = np.array([[[1.0, 0.0, 0.1]], [[2.0, 0.0, 0.1]]])
+    env = batch(2, obstacles=Obstacles(circles), rays=RaySpec(4, 5.0))
+    obs, _ = env.reset(seed=0)
+    assert obs[:, 9] * 5.0 == pytest.approx(np.array([0.9, 1.9]) - ACSAR.lidar_x_offset)
+    env.close()
+
+
+def test_without_obstacles_rays_change_nothing_else() -> None:
+    plain, seeing = rollout(batch(20)), rollout(batch(20, rays=RaySpec(16)))
+    assert (seeing[:, :, :7] == plain).all()
+    assert (seeing[:, :, 7:] == 1.0).all()

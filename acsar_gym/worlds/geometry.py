@@ -1,0 +1,260 @@
+"""Circles and segments around a robot: exact footprint collisions and range rays.
+
+Scalar functions and loops over obstacles, compiled where numba is installed. Everything happens in
+a frame of the robot's or the sensor's own: x ahead, y to the left, lengths in m, angles in rad.
+Obstacles out of reach are culled, and an obstacle costs only the rays that it can meet.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.dynamics import jit, loop
+from acsar_gym.errors import ConfigError
+
+Floats = NDArray[np.float64]
+EDGE = 1e-9
+"""Slack at the ends of an obstacle's window of rays [rad]."""
+
+
+@dataclass(frozen=True)
+class Obstacles:
+    """Circles (x, y, radius) and segments (x1, y1, x2, y2) of the world frame [m].
+
+    Either one set for all robots, of shapes (C, 3) and (S, 4), or one for each robot, of shapes
+    (robots, C, 3) and (robots, S, 4). Unused places may be circles of radius zero far away.
+    """
+
+    circles: Floats | Sequence[Any] = ()
+    segments: Floats | Sequence[Any] = ()
+
+    def arrays(self, robots: int) -> tuple[Floats, Floats]:
+        """Circles (W, C, 3) and segments (W, S, 4), W being 1 or `robots`."""
+        circles = _stacked("circles", self.circles, 3, robots)
+        segments = _stacked("segments", self.segments, 4, robots)
+        if (circles[:, :, 2] < 0.0).any():
+            raise ConfigError("obstacles: the radius of a circle must not be negative")
+        return circles, segments
+
+
+@dataclass(frozen=True, slots=True)
+class RaySpec:
+    """A planar range sensor. Rays turn counter-clockwise, the first one at -field_of_view / 2."""
+
+    rays: int
+    reach: float = 5.0
+    """Longest range, which also scales the observation [m]."""
+    field_of_view: float = 2.0 * math.pi
+    """[rad]; a full turn has no ray twice."""
+
+    def __post_init__(self) -> None:
+        if not (1 <= self.rays <= 10_000 and 0.0 < self.reach < math.inf):
+            raise ConfigError(f"{self}: must have 1 to 10,000 rays and a positive reach [m]")
+        if not 0.0 < self.field_of_view <= 2.0 * math.pi + 1e-9:
+            raise ConfigError(f"{self}: field_of_view must be within (0, 2 pi] rad")
+
+    def angles(self) -> Floats:
+        """Angle of every ray in the sensor's frame [rad]."""
+        angles: Floats = -self.field_of_view / 2.0 + self.step * np.arange(self.rays, dtype=float)
+        return angles
+
+    @property
+    def step(self) -> float:
+        """Angle between two rays [rad]."""
+        full = self.field_of_view > 2.0 * math.pi - 1e-6
+        return self.field_of_view / max(self.rays if full else self.rays - 1, 1)
+
+
+class Surroundings(NamedTuple):
+    """What compiled loops need of obstacles, sensor and footprint."""
+
+    circles: Floats
+    segments: Floats
+    directions: Floats
+    """rays x 2: cosine and sine of each ray's angle."""
+    start: float
+    step: float
+    reach: float
+    mount_x: float
+    """The sensor in the base frame [m]."""
+    mount_y: float
+    half_length: float
+    half_width: float
+
+
+def surroundings(
+    obstacles: Obstacles, spec: RaySpec | None, robots: int, config: RobotConfig
+) -> Surroundings:
+    """Everything around a batch of robots, as arrays."""
+    circles, segments = obstacles.arrays(robots)
+    angles = spec.angles() if spec else np.zeros(0)
+    return Surroundings(
+        circles,
+        segments,
+        np.stack([np.cos(angles), np.sin(angles)], axis=1),
+        float(angles[0]) if spec else 0.0,
+        spec.step if spec else 1.0,
+        spec.reach if spec else 1.0,
+        config.lidar_x_offset,
+        config.lidar_y_offset,
+        config.body.length / 2.0,
+        config.body.width / 2.0,
+    )
+
+
+def _stacked(name: str, rows: Floats | Sequence[Any], width: int, robots: int) -> Floats:
+    try:
+        array = np.array(rows, np.float64)
+    except (TypeError, ValueError):
+        array = np.full(1, np.nan)
+    if array.size == 0:
+        return np.zeros((1, 0, width))
+    array = array[None] if array.ndim == 2 else array
+    if array.ndim != 3 or array.shape[2] != width or array.shape[0] not in (1, robots):
+        raise ConfigError(
+            f"obstacles: {name} must be of shape (n, {width}) or ({robots}, n, {width})"
+        )
+    if not np.isfinite(array).all():
+        raise ConfigError(f"obstacles: {name} must be finite numbers")
+    return np.ascontiguousarray(array)
+
+
+@jit
+def circle_meets_box(x: float, y: float, radius: float, half_x: float, half_y: float) -> bool:
+    """Whether a circle at (x, y) overlaps the box of half sizes around the origin."""
+    dx = x - min(max(x, -half_x), half_x)
+    dy = y - min(max(y, -half_y), half_y)
+    return dx * dx + dy * dy <= radius * radius
+
+
+@jit
+def segment_meets_box(
+    ax: float, ay: float, bx: float, by: float, half_x: float, half_y: float
+) -> bool:
+    """Whether a segment touches the box of half sizes around the origin (Liang and Barsky 1984)."""
+    near, far = 0.0, 1.0
+    for start, along, half in ((ax, bx - ax, half_x), (ay, by - ay, half_y)):
+        if abs(along) < 1e-15:
+            if abs(start) > half:
+                return False
+        else:
+            one, two = (-half - start) / along, (half - start) / along
+            near, far = max(near, min(one, two)), min(far, max(one, two))
+    return near <= far
+
+
+@loop
+def collides(x: float, y: float, cos: float, sin: float, which: int, around: Surroundings) -> bool:
+    """Whether the footprint at this pose touches an obstacle of set `which`."""
+    half_x, half_y = around.half_length, around.half_width
+    outer = math.sqrt(half_x * half_x + half_y * half_y)
+    circles, segments = around.circles, around.segments
+    for n in range(circles.shape[1]):
+        dx, dy, radius = circles[which, n, 0] - x, circles[which, n, 1] - y, circles[which, n, 2]
+        near = outer + radius
+        if dx * dx + dy * dy <= near * near:
+            ahead, left = dx * cos + dy * sin, dy * cos - dx * sin
+            if circle_meets_box(ahead, left, radius, half_x, half_y):
+                return True
+    for n in range(segments.shape[1]):
+        ax, ay = segments[which, n, 0] - x, segments[which, n, 1] - y
+        bx, by = segments[which, n, 2] - x, segments[which, n, 3] - y
+        if min(ax, bx) <= outer and max(ax, bx) >= -outer and min(ay, by) <= outer:
+            a_x, a_y = ax * cos + ay * sin, ay * cos - ax * sin
+            b_x, b_y = bx * cos + by * sin, by * cos - bx * sin
+            if segment_meets_box(a_x, a_y, b_x, b_y, half_x, half_y):
+                return True
+    return False
+
+
+@jit
+def shorten_by_circle(
+    ranges: Floats, x: float, y: float, radius: float, low: int, high: int, directions: Floats
+) -> None:
+    """Ranges of rays low to high that meet the circle at (x, y)."""
+    square = x * x + y * y - radius * radius
+    for k in range(low, high + 1):
+        along = x * directions[k, 0] + y * directions[k, 1]
+        inside = along * along - square
+        if inside >= 0.0 and along > 0.0:
+            ranges[k] = min(ranges[k], along - math.sqrt(inside))
+
+
+@jit
+def shorten_by_segment(
+    ranges: Floats,
+    ax: float,
+    ay: float,
+    bx: float,
+    by: float,
+    low: int,
+    high: int,
+    directions: Floats,
+) -> None:
+    """Ranges of rays low to high that meet the segment from a to b."""
+    ex, ey = bx - ax, by - ay
+    cross = ax * ey - ay * ex
+    for k in range(low, high + 1):
+        across = directions[k, 0] * ey - directions[k, 1] * ex
+        if abs(across) > 1e-12:
+            distance = cross / across
+            if distance >= 0.0:
+                ranges[k] = min(ranges[k], distance)
+
+
+@loop
+def cast(
+    x: float,
+    y: float,
+    cos: float,
+    sin: float,
+    which: int,
+    around: Surroundings,
+    ranges: Floats,
+) -> None:
+    """Distance [m] along every ray from a base at this pose to the obstacles of set `which`.
+
+    Rays that meet nothing within reach have the reach. From within a circle all ranges are zero.
+    """
+    turn = 2.0 * math.pi
+    x += cos * around.mount_x - sin * around.mount_y
+    y += sin * around.mount_x + cos * around.mount_y
+    last, directions = len(ranges) - 1, around.directions
+    circles, segments = around.circles, around.segments
+    ranges[:] = around.reach
+    for n in range(circles.shape[1]):
+        dx, dy, radius = circles[which, n, 0] - x, circles[which, n, 1] - y, circles[which, n, 2]
+        square, far = dx * dx + dy * dy, around.reach + radius
+        if square > far * far:
+            continue
+        if square <= radius * radius:
+            ranges[:] = 0.0
+            return
+        ahead, left = dx * cos + dy * sin, dy * cos - dx * sin
+        middle = math.atan2(left, ahead)
+        half = math.asin(radius / math.sqrt(square)) + EDGE
+        for shift in (-turn, 0.0, turn):
+            low = max(math.ceil((middle - half + shift - around.start) / around.step), 0)
+            high = min(math.floor((middle + half + shift - around.start) / around.step), last)
+            shorten_by_circle(ranges, ahead, left, radius, low, high, directions)
+    for n in range(segments.shape[1]):
+        px, py = segments[which, n, 0] - x, segments[which, n, 1] - y
+        qx, qy = segments[which, n, 2] - x, segments[which, n, 3] - y
+        ax, ay = px * cos + py * sin, py * cos - px * sin
+        bx, by = qx * cos + qy * sin, qy * cos - qx * sin
+        one, width = math.atan2(ay, ax), math.atan2(ax * by - ay * bx, ax * bx + ay * by)
+        first = min(one, one + width) - EDGE
+        for shift in (-turn, 0.0, turn):
+            low = max(math.ceil((first + shift - around.start) / around.step), 0)
+            top = first + abs(width) + 2.0 * EDGE
+            high = min(math.floor((top + shift - around.start) / around.step), last)
+            shorten_by_segment(ranges, ax, ay, bx, by, low, high, directions)
+    for k in range(last + 1):
+        ranges[k] = min(max(ranges[k], 0.0), around.reach)
