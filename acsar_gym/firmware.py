@@ -13,7 +13,7 @@ from collections import deque
 from acsar_gym.bodies import Body
 from acsar_gym.config import BITS_PER_BYTE, RobotConfig
 from acsar_gym.dynamics import towards
-from acsar_gym.protocol import ZERO, Decoder, Speeds, encode
+from acsar_gym.protocol import ZERO, Decoder, Speeds, line_of
 
 EPSILON = 1e-9
 """Slack for comparing times that are sums of periods [s]."""
@@ -24,7 +24,7 @@ class Firmware:
 
     def __init__(self, config: RobotConfig, body: Body) -> None:
         self._body = body
-        self._comma = config.trailing_comma
+        self._comma = "," if config.trailing_comma else ""
         self._dt = 1.0 / config.firmware.loop_rate
         self._ramp = config.motor.acceleration * self._dt
         self._top = config.motor.max_speed
@@ -115,7 +115,7 @@ class Firmware:
         )
 
     def _answer(self) -> None:
-        line = encode(self._encoder_speeds(), trailing_comma=self._comma)
+        line = line_of(*self._encoder_speeds(), self._comma)
         start = max(self._send_free, self._loops * self._dt + self._processing)
         self._send_free = start + len(line) * self._byte_time
         self._sent.append((self._send_free, line))

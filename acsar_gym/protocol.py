@@ -47,12 +47,11 @@ def encode(speeds: Sequence[float], *, trailing_comma: bool = False) -> bytes:
     a, b, c, d = map(float, speeds)
     if not math.isfinite(a + b + c + d):
         _refuse_not_finite((a, b, c, d))
-    return _encode(a, b, c, d, trailing_comma)
+    return line_of(a, b, c, d, "," if trailing_comma else "")
 
 
-@functools.lru_cache(maxsize=64)
-def _encode(a: float, b: float, c: float, d: float, trailing_comma: bool) -> bytes:
-    """A command is repeated on every tick of a step, so lines are cached."""
+def line_of(a: float, b: float, c: float, d: float, comma: str = "") -> bytes:
+    """`encode` for four speeds [rad/s] that are known to be finite floats."""
     line = _LINE % (
         "n" if a <= -SMALLEST else "p",
         min(abs(a), MAX_SPEED),
@@ -63,7 +62,7 @@ def _encode(a: float, b: float, c: float, d: float, trailing_comma: bool) -> byt
         "n" if d <= -SMALLEST else "p",
         min(abs(d), MAX_SPEED),
     )
-    return (line + (",\r\n" if trailing_comma else "\r\n")).encode("ascii")
+    return f"{line}{comma}\r\n".encode("ascii")
 
 
 def _refuse_not_finite(speeds: Sequence[float]) -> None:

@@ -48,6 +48,8 @@ class Robot:
         self._stamp = 0.0
         self._period = self.config.period
         self._comma = self.config.trailing_comma
+        self._encoded: Sequence[float] = ()
+        self._command = b""
         self._patience = self.config.feedback_timeout
 
     def activate(self) -> None:
@@ -147,7 +149,7 @@ class Robot:
 
     def _exchange(self, speeds: Sequence[float]) -> None:
         link = self.link
-        link.write(encode(speeds, trailing_comma=self._comma))
+        link.write(self._line(speeds))
         readings = self.decoder.feed(link.advance(self._period))
         stamp = link.now()
         dt = stamp - self._stamp
@@ -156,6 +158,12 @@ class Robot:
         self._integrate(readings, dt)
         if self.feedback_age > self._patience:
             raise self._silence()
+
+    def _line(self, speeds: Sequence[float]) -> bytes:
+        """The command line; on all ticks of a step it is the same, for the same tuple."""
+        if speeds is not self._encoded or type(speeds) is not tuple:
+            self._encoded, self._command = speeds, encode(speeds, trailing_comma=self._comma)
+        return self._command
 
     def _integrate(self, readings: list[Reading], dt: float) -> None:
         """The newest reading counts for the tick; after a pause each has its share of the time."""

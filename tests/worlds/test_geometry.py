@@ -114,14 +114,15 @@ def gap_to_segments(points: Any, segments: Any) -> float:
 def test_collisions_are_those_of_a_dense_grid_of_points(kind: str) -> None:
     """What meets a slightly smaller footprint is hit, what misses every point is not."""
     rng = np.random.default_rng(3)
+    gaps = {"circles": gap_to_circles, "segments": gap_to_segments}
     hits = misses = 0
     for seed in range(80):
         circles, segments = scene(seed)
         pose = (*rng.uniform(-4, 4, 2), rng.uniform(-7.0, 7.0))
         if kind == "circles":
-            around, shapes, gap = Obstacles(circles), circles, gap_to_circles
+            around, shapes, gap = Obstacles(circles), circles, gaps[kind]
         else:
-            around, shapes, gap = Obstacles((), segments), segments, gap_to_segments
+            around, shapes, gap = Obstacles((), segments), segments, gaps[kind]
         tools = surroundings(around, None, 1, CONFIG)
         found = collides(pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2]), 0, tools)
         if gap(footprint(pose, 0.96), shapes) <= SPACING:
