@@ -18,7 +18,7 @@ Mask = NDArray[np.bool_]
 
 
 class Batch:
-    """`state` (rows of `kernel` x robots), `observations`, `rewards`, `ends` (2 x robots)."""
+    """Robots are columns of `state`, `info` and `ends`, rows of `observations`."""
 
     def __init__(
         self,
@@ -42,6 +42,8 @@ class Batch:
         self.state = self._state[:, :robots]
         self._random = np.zeros((robots, 4), np.uint64)
         self.observations = np.zeros((robots, kernel.NUMBERS + len(around.directions)), np.float32)
+        self._info = np.zeros((len(kernel.INFO), columns))
+        self.info = self._info[:, :robots]
         self.rewards = np.zeros(robots)
         self.ends = np.zeros((2, robots), np.bool_)
         self._seeded = False
@@ -65,6 +67,7 @@ class Batch:
             self._nominal,
             self._ranges,
             self.observations,
+            self._info,
             mask,
             first,
             last,
@@ -83,6 +86,7 @@ class Batch:
             actions,
             over,
             self.observations,
+            self._info,
             self.rewards,
             self.ends,
             first,
@@ -105,6 +109,7 @@ class Batch:
             self._counts,
             self._random,
             self.observations,
+            self._info,
             self.rewards,
             self.ends,
         )

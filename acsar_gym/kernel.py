@@ -39,6 +39,23 @@ CONTACT = 43
 MASS, INERTIA, GRIP, RADIUS, DEADBAND, BLEND, GAIN = 44, 45, 46, 47, 48, 49, 53
 COMMAND_LOOPS, DELAY_LOOPS, FEEDBACK_LOOPS, DROPPED = range(57, 61)
 ROWS = 61
+INFO = (
+    "goal_distance",
+    "odom_x",
+    "odom_y",
+    "odom_theta",
+    "feedback_age",
+    "true_x",
+    "true_y",
+    "true_theta",
+    "true_goal_distance",
+    "true_contact",
+    "odometry_error",
+    "is_success",
+)
+"""Names of the rows of info."""
+KEPT = 5
+"""So many of them are in the state as they are."""
 NUMBERS = 7
 """Numbers of the observation before the rays."""
 BLOCK = 128
@@ -425,6 +442,35 @@ def observe(
         observations[i, 6] = state[LAST_ANGULAR, i]
 
 
+@loop
+def report(state: Floats, info: Floats, first: int, last: int) -> None:
+    """The info of every robot: one row for each name in INFO."""
+    for k in range(KEPT):
+        kept, told = row(state, DISTANCE, first, last), row(info, k, first, last)
+        if k > 0:
+            kept = row(state, AGE if k == KEPT - 1 else ODOM_X + k - 1, first, last)
+        for i in range(last - first):
+            told[i] = kept[i]
+    xs, ys, thetas = (
+        row(state, X, first, last),
+        row(state, Y, first, last),
+        row(state, THETA, first, last),
+    )
+    goal_xs, goal_ys = row(state, GOAL_X, first, last), row(state, GOAL_Y, first, last)
+    odom_xs, odom_ys = row(state, ODOM_X, first, last), row(state, ODOM_Y, first, last)
+    contacts, outcomes = row(state, CONTACT, first, last), row(state, OUTCOME, first, last)
+    for i in range(last - first):
+        x, y, theta = xs[i], ys[i], thetas[i]
+        gx, gy, ox, oy = goal_xs[i] - x, goal_ys[i] - y, odom_xs[i] - x, odom_ys[i] - y
+        info[KEPT, first + i] = x
+        info[KEPT + 1, first + i] = y
+        info[KEPT + 2, first + i] = theta - TURN * np.floor(theta / TURN + 0.5)
+        info[KEPT + 3, first + i] = math.sqrt(gx * gx + gy * gy)
+        info[KEPT + 4, first + i] = contacts[i]
+        info[KEPT + 5, first + i] = math.sqrt(ox * ox + oy * oy)
+        info[KEPT + 6, first + i] = 1.0 if outcomes[i] == 1.0 else 0.0
+
+
 @jit
 def settle_ticks(delay: float, every: float, loops: float) -> float:
     """Ticks that a reset takes until two fresh readings have come, as in `Robot.reset`."""
@@ -515,6 +561,7 @@ def reset(
     nominal: Floats,
     ranges: Floats,
     observations: NDArray[np.float32],
+    info: Floats,
     mask: NDArray[np.bool_],
     first: int,
     last: int,
@@ -527,6 +574,7 @@ def reset(
             begin(state, counts, random, i, nominal, ranges, setup)
             observe(state, observations, i, i + 1, setup)
             look(state, observations, i, i + 1, around)
+            report(state, info, i, i + 1)
 
 
 @loop
@@ -539,6 +587,7 @@ def step(
     actions: Floats,
     over: NDArray[np.bool_],
     observations: NDArray[np.float32],
+    info: Floats,
     rewards: Floats,
     ends: NDArray[np.bool_],
     first: int,
@@ -562,3 +611,4 @@ def step(
                 rewards[i] = 0.0
                 ends[0, i] = ends[1, i] = False
         look(state, observations, low, high, around)
+        report(state, info, low, high)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import warnings
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +17,7 @@ from numpy.typing import NDArray
 from acsar_gym import dynamics, kernel
 from acsar_gym.batch import Batch
 from acsar_gym.config import RobotConfig, whole_ratio
+from acsar_gym.crew import Crew
 from acsar_gym.env import point_goal_spaces
 from acsar_gym.errors import CommandError, ConfigError
 from acsar_gym.randomization import Randomization
@@ -30,15 +29,7 @@ FAIR_SHARE = 256
 
 Array = NDArray[Any]
 Info = dict[str, Any]
-INFO_FROM, INFO_TO = kernel.AGE, kernel.OUTCOME + 1
-INFO_ROWS = {
-    "goal_distance": kernel.DISTANCE,
-    "odom_x": kernel.ODOM_X,
-    "odom_y": kernel.ODOM_Y,
-    "odom_theta": kernel.ODOM_THETA,
-    "feedback_age": kernel.AGE,
-}
-"""Rows of the state that are info as they are."""
+_MASKS = tuple(f"_{name}" for name in kernel.INFO)
 
 
 class PointGoalVectorEnv(VectorEnv[Array, Array, Array]):
@@ -86,9 +77,15 @@ class PointGoalVectorEnv(VectorEnv[Array, Array, Array]):
         randomization: Mapping[str, tuple[float, float]] | None = None,
         obstacles: Obstacles | None = None,
         rays: RaySpec | None = None,
+        link: str = "planar",
         render_mode: str | None = None,
     ) -> None:
         config = RobotConfig.of(robot)
+        if link != "planar":
+            raise ConfigError(
+                f"link = {link!r}: a batch has planar robots; for others make_vec with "
+                "vectorization_mode='sync' or 'async'"
+            )
         if render_mode is not None:
             raise ConfigError("a batch of robots has no pictures: render a single env instead")
         if not dynamics.COMPILED:
@@ -115,8 +112,7 @@ class PointGoalVectorEnv(VectorEnv[Array, Array, Array]):
             Randomization.of(randomization),
             surroundings(obstacles or Obstacles(), rays, self.num_envs, config),
         )
-        self._threads = _threads(threads, self.num_envs)
-        self._pool = ThreadPoolExecutor(self._threads - 1) if self._threads > 1 else None
+        self._crew = Crew(_threads(threads, self.num_envs))
         self._done = np.zeros(self.num_envs, np.bool_)
 
     def reset(
@@ -128,7 +124,7 @@ class PointGoalVectorEnv(VectorEnv[Array, Array, Array]):
         """New episodes for all robots, or those in `options["reset_mask"]`."""
         mask = _mask((options or {}).get("reset_mask"), self.num_envs)
         self.batch.seed(_seeds(seed, self.num_envs), mask)
-        self._each(lambda first, last: self.batch.reset(mask, first, last))
+        self._crew.share(lambda first, last: self.batch.reset(mask, first, last), self.num_envs)
         self._done = self._done & ~mask
         return self.batch.observations.copy(), self._info(mask)
 
@@ -145,25 +141,18 @@ class PointGoalVectorEnv(VectorEnv[Array, Array, Array]):
         next_step = self.autoreset_mode is AutoresetMode.NEXT_STEP
         over = self._done if next_step else np.zeros(self.num_envs, np.bool_)
         batch = self.batch
-        self._each(lambda first, last: batch.step(actions, over, first, last))
+        self._crew.share(lambda first, last: batch.step(actions, over, first, last), self.num_envs)
         batch.turn()
         terminated, truncated = batch.ends.copy()
         self._done = terminated | truncated
         rewards, info = batch.rewards.copy(), {}
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._done.any():
             info = self._finals(self._done)
-            self._each(lambda first, last: batch.reset(self._done, first, last))
+            self._crew.share(
+                lambda first, last: batch.reset(self._done, first, last), self.num_envs
+            )
         info |= self._info(np.ones(self.num_envs, np.bool_))
         return batch.observations.copy(), rewards, terminated, truncated, info
-
-    def _each(self, work: Callable[[int, int], None]) -> None:
-        """Do the work on contiguous shares of the robots, one a thread."""
-        edges = np.linspace(0, self.num_envs, self._threads + 1).astype(int).tolist()
-        shares = list(itertools.pairwise(edges))
-        others = [self._pool.submit(work, *share) for share in shares[1:]] if self._pool else []
-        work(*shares[0])
-        for other in others:
-            other.result()
 
     def _checked(self, actions: Array) -> Array:
         actions = np.asarray(actions, np.float64)
@@ -187,23 +176,12 @@ class PointGoalVectorEnv(VectorEnv[Array, Array, Array]):
 
     def _info(self, mask: Array) -> Info:
         """The single env's info as arrays, each with its mask."""
-        rows = self.batch.state[INFO_FROM:INFO_TO].copy()
-        info: Info = {name: rows[row - INFO_FROM] for name, row in INFO_ROWS.items()}
-        x, y, theta = self.batch.state[: kernel.VX].copy()
-        info["true_x"], info["true_y"] = x, y
-        info["true_theta"] = theta - kernel.TURN * np.floor(theta / kernel.TURN + 0.5)
-        info["true_contact"] = self.batch.state[kernel.CONTACT].copy()
-        info["true_goal_distance"] = _distance(rows, kernel.GOAL_X, kernel.GOAL_Y, x, y)
-        info["odometry_error"] = _distance(rows, kernel.ODOM_X, kernel.ODOM_Y, x, y)
-        info["is_success"] = (rows[kernel.OUTCOME - INFO_FROM] == 1.0).astype(np.float64)
-        return info | dict.fromkeys(map("_{}".format, info), mask)
+        info: Info = dict(zip(kernel.INFO, self.batch.info.copy(), strict=True))
+        return info | dict.fromkeys(_MASKS, mask)
 
     def close_extras(self, **_: Any) -> None:
         """End the threads."""
-        if self._pool is not None:
-            self._pool.shutdown()
-            self._pool = None
-            self._threads = 1
+        self._crew.close()
 
 
 def _with_rays(numbers: Box, rays: int) -> Box:
@@ -211,12 +189,6 @@ def _with_rays(numbers: Box, rays: int) -> Box:
     low = np.concatenate([numbers.low, np.zeros(rays, np.float32)])
     high = np.concatenate([numbers.high, np.ones(rays, np.float32)])
     return Box(low, high, dtype=np.float32)
-
-
-def _distance(rows: Array, row_x: int, row_y: int, x: Array, y: Array) -> Array:
-    dx, dy = rows[row_x - INFO_FROM] - x, rows[row_y - INFO_FROM] - y
-    squares: Array = dx * dx + dy * dy
-    return np.sqrt(squares)
 
 
 def _autoreset(mode: AutoresetMode | str) -> AutoresetMode:
