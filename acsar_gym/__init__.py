@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gymnasium
 
-from acsar_gym import errors, kinematics, odometry, protocol
+from acsar_gym import env, errors, kinematics, odometry, protocol
 from acsar_gym.config import RobotConfig
 from acsar_gym.links import Link, open_link
 from acsar_gym.robot import Robot
@@ -14,6 +14,7 @@ __all__ = [
     "Link",
     "Robot",
     "RobotConfig",
+    "env",
     "errors",
     "kinematics",
     "odometry",

@@ -15,6 +15,7 @@ from typing import Annotated, Any
 
 import tyro
 
+import acsar_gym
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import AcsarError
 
@@ -162,7 +163,12 @@ def train() -> int:
     from acsar_gym.resources import AGENTS  # noqa: PLC0415
 
     command = [sys.executable, str(AGENTS / "train.py"), *sys.argv[2:]]
-    return subprocess.run(command, check=False).returncode
+    process = subprocess.Popen(command)
+    while True:
+        try:
+            return process.wait()
+        except KeyboardInterrupt:  # the script has got it, too, and saves what there is
+            continue
 
 
 def evaluate(
@@ -238,7 +244,10 @@ COMMANDS: dict[str, Callable[..., Any]] = {
 def main() -> None:
     """Entry point: errors of this package become one line and an exit code."""
     try:
-        if sys.argv[1:2] == ["train"]:
+        if sys.argv[1:] == ["--version"]:
+            print(f"acsar-gym {acsar_gym.__version__}")
+            code = 0
+        elif sys.argv[1:2] == ["train"]:
             code = train()
         else:
             code = tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="acsar-gym")
@@ -246,6 +255,8 @@ def main() -> None:
         print(f"acsar-gym: {error}", file=sys.stderr)
         code = error.exit_code
     except KeyboardInterrupt:
-        print("\nacsar-gym: interrupted, the wheels were commanded to stop", file=sys.stderr)
+        driving = sys.argv[1:2] in (["drive"], ["run"], ["evaluate"], ["doctor"])
+        stopped = ", the wheels were commanded to stop" if driving else ""
+        print(f"\nacsar-gym: interrupted{stopped}", file=sys.stderr)
         code = 130
     sys.exit(code)

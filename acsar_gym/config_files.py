@@ -42,11 +42,15 @@ def load(path: Path) -> RobotConfig:
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: can't be read: {error}") from None
+        raise ConfigError(f"{path}: can't be read: {_reason(error)}") from None
     try:
         return RobotConfig(**reader(text))
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
+
+
+def _reason(error: Exception) -> str:
+    return getattr(error, "strerror", None) or str(error)
 
 
 def _from_yaml(text: str) -> dict[str, Any]:

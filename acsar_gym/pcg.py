@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.dynamics import jit
+from acsar_gym.dynamics import COMPILED, jit
 
 Generators = NDArray[np.uint64]
 """n x 4: one generator a row."""
@@ -56,3 +56,12 @@ def uniform(generators: Generators, i: int) -> float:
     turn = high >> np.uint64(58)
     word = (word >> turn) | (word << ((np.uint64(64) - turn) & np.uint64(63)))
     return float(word >> np.uint64(11)) * (1.0 / 9007199254740992.0)
+
+
+if not COMPILED:
+    _wrapping = uniform
+
+    def uniform(generators: Generators, i: int) -> float:
+        """The same in plain NumPy, whose scalars warn where words wrap around, as they must."""
+        with np.errstate(over="ignore"):
+            return _wrapping(generators, i)

@@ -15,6 +15,9 @@ from rich.table import Table
 from acsar_gym.errors import ConfigError
 from acsar_gym.evaluation import Summary
 
+ALARM = 0.15
+"""Mean odometry error at which a table says so: the default tolerance of a goal [m]."""
+
 
 def show(table: Table) -> None:
     """Print a table; piped output gets enough columns to hold it."""
@@ -55,6 +58,14 @@ def summary_table(title: str, rows: Sequence[tuple[str, Summary]]) -> Table:
             _number(summary.path, "m"),
             _number(summary.odometry_error * 100.0, "cm"),
             f"{summary.late_ticks} of {summary.ticks}",
+        )
+    worst = max(
+        (s.odometry_error for _, s in rows if not math.isnan(s.odometry_error)), default=0.0
+    )
+    if worst > ALARM:
+        table.caption = (
+            f"Odometry is off by {worst:.2f} m, so success by odometry means little: "
+            "calibrate wheel_radius and wheel_separation_multiplier."
         )
     return table
 

@@ -115,15 +115,16 @@ _GOES_ON: dict[str, Any] = {}
 class TrainingProgress(BaseCallback):
     """A progress bar with the success rate of the last 100 episodes and env steps a second."""
 
-    def __init__(self, steps: int) -> None:
+    def __init__(self, steps: int, episode_steps: int) -> None:
         super().__init__()
+        self._steps, self._episode_steps = steps, episode_steps
         self._progress = Progress(
             BarColumn(),
             TextColumn("{task.completed:,.0f} of {task.total:,.0f} steps"),
-            TextColumn("{task.fields[speed]:,.0f} steps/s, success {task.fields[success]:.1%}"),
+            TextColumn("{task.fields[speed]:,.0f} steps/s, success {task.fields[success]}"),
             TimeElapsedColumn(),
         )
-        self._task: TaskID = self._progress.add_task("train", total=steps, speed=0.0, success=0.0)
+        self._task: TaskID = self._progress.add_task("train", total=steps, speed=0.0, success="-")
         self._begin = 0.0
 
     def _on_training_start(self) -> None:
@@ -134,11 +135,14 @@ class TrainingProgress(BaseCallback):
         return True
 
     def _on_rollout_end(self) -> None:
-        successes: Any = self.model.ep_success_buffer or []
-        success = float(safe_mean(successes)) if successes else 0.0
+        successes: Any = self.model.ep_success_buffer
+        # Until every robot has had a whole episode, only quick successes have ended.
+        early = self.num_timesteps < self._episode_steps * self.training_env.num_envs
+        success = "-" if early or not successes else f"{safe_mean(successes):.1%}"
         speed = self.num_timesteps / (time.monotonic() - self._begin)
+        total = max(self.num_timesteps, self._steps)
         self._progress.update(
-            self._task, completed=self.num_timesteps, speed=speed, success=success
+            self._task, completed=self.num_timesteps, total=total, speed=speed, success=success
         )
 
     def _on_training_end(self) -> None:

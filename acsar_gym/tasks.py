@@ -98,7 +98,7 @@ class PointGoal:
         if not self.min_distance <= math.hypot(x, y) <= self.max_distance:
             raise ConfigError(
                 f"goal = ({x:g}, {y:g}): must lie {self.min_distance:g} to {self.max_distance:g} m "
-                "from the start (set goal_distance to change that)"
+                "from the start (goal_distance of the env)"
             )
         return (x, y)
 

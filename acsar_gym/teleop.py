@@ -31,7 +31,9 @@ KEYS = {
 def fixed(robot: Robot, linear: float, angular: float, duration: float | None) -> None:
     """Hold a twist for `duration` [s], or until interrupted. Raises CommandError for NaN."""
     if not (math.isfinite(linear + angular) and 0.0 <= (duration or 0.0) < math.inf):
-        raise CommandError("--linear, --angular and --duration must be finite numbers")
+        raise CommandError(
+            "--linear and --angular must be finite numbers, --duration finite and not negative"
+        )
     speeds = robot.wheel_speeds(linear, angular)
     ticks = math.inf if duration is None else round(duration * robot.config.control_rate)
     done = 0
@@ -41,6 +43,7 @@ def fixed(robot: Robot, linear: float, angular: float, duration: float | None) -
             done += 1
             if done % SHOW_EVERY == 0:
                 _show(robot)
+        _print_status(robot)
     sys.stdout.write("\n")
 
 
@@ -77,6 +80,12 @@ def _share(value: float) -> float:
 
 
 def _show(robot: Robot) -> None:
+    if not sys.stdout.isatty():
+        return
+    _print_status(robot)
+
+
+def _print_status(robot: Robot) -> None:
     x, y, theta = robot.odometry.pose
     linear, angular = robot.odometry.twist
     age = robot.feedback_age * 1000.0

@@ -21,6 +21,8 @@ from acsar_gym import sb3
 from acsar_gym.errors import AcsarError, ConfigError
 from acsar_gym.vector import PointGoalVectorEnv
 
+EPISODE_STEPS = 200
+ROLLOUT_STEPS = 64
 RANDOMIZATION = {
     "friction": (0.7, 1.2),
     "motor_gain": (0.95, 1.05),
@@ -53,10 +55,14 @@ def train(options: Options) -> Path:
     """Train, save, export; returns the path of the ONNX file."""
     if min(options.steps, options.robots) < 1:
         raise ConfigError("--steps and --robots must be at least 1")
+    try:
+        options.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"--out {options.out}: can't be written: {error.strerror}") from None
     env = sb3.BatchVecEnv(
         PointGoalVectorEnv(
             options.robots,
-            max_episode_steps=200,
+            max_episode_steps=EPISODE_STEPS,
             autoreset_mode="SameStep",
             randomization=RANDOMIZATION if options.randomize else None,
         )
@@ -64,7 +70,7 @@ def train(options: Options) -> Path:
     model = PPO(
         "MlpPolicy",
         env,
-        n_steps=64,
+        n_steps=ROLLOUT_STEPS,
         batch_size=4096,
         n_epochs=6,
         learning_rate=1e-3,
@@ -78,14 +84,18 @@ def train(options: Options) -> Path:
     )
     callbacks: list[BaseCallback] = [
         CheckpointCallback(
-            save_freq=max(options.steps // (4 * options.robots), 1),
+            save_freq=max(options.steps // (4 * options.robots), ROLLOUT_STEPS),
             save_path=str(options.out / "checkpoints"),
         )
     ]
     if options.progress:
-        callbacks.append(sb3.TrainingProgress(options.steps))
+        callbacks.append(sb3.TrainingProgress(options.steps, EPISODE_STEPS))
     try:
         model.learn(options.steps, callback=callbacks)
+    except KeyboardInterrupt:
+        for callback in callbacks:
+            callback.on_training_end()
+        print(f"interrupted at {model.num_timesteps:,} steps: saving what there is")
     finally:
         env.close()
     model.save(options.out / "model.zip")
@@ -97,7 +107,7 @@ def train(options: Options) -> Path:
 if __name__ == "__main__":
     torch.set_num_threads(2)
     try:
-        print(f"policy written to {train(tyro.cli(Options))}")
+        print(f"policy written to {train(tyro.cli(Options, prog='acsar-gym train'))}")
     except AcsarError as error:
-        print(f"train.py: {error}", file=sys.stderr)
+        print(f"acsar-gym train: {error}", file=sys.stderr)
         sys.exit(error.exit_code)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import warnings
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -10,7 +13,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
-from acsar_gym import dynamics, kernel
+from acsar_gym import kernel
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import CommandError, ConfigError
 from acsar_gym.vector import PointGoalVectorEnv
@@ -221,6 +224,7 @@ def test_each_randomization_makes_robots_differ(key: str) -> None:
         ({"randomization": {"dropped_lines": (0.0, 0.9)}}, "<= 0.5"),
         ({"randomization": {"latency": (0.0, 0.5)}}, "shorter than a step"),
         ({"render_mode": "rgb_array"}, "no pictures"),
+        ({"link": "bullet"}, "vectorization_mode='sync'"),
         ({"autoreset_mode": "Sometimes"}, "autoreset_mode"),
     ],
 )
@@ -251,11 +255,39 @@ def test_a_robot_takes_less_than_two_kilobytes() -> None:
     assert batch(64).batch.bytes_per_robot < 2048
 
 
-def test_without_numba_there_is_one_warning(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(dynamics, "COMPILED", False)
-    with pytest.warns(RuntimeWarning, match=r"acsar_gym\[fast\]") as caught:
-        batch(2)
-    assert len(caught) == 1
+ROLLOUT = """
+import sys, warnings
+if sys.argv[1] == "plain":
+    sys.modules["numba"] = None
+import numpy as np
+from acsar_gym.vector import PointGoalVectorEnv
+from acsar_gym.worlds.geometry import Obstacles, RaySpec
+with warnings.catch_warnings(record=True) as caught:
+    warnings.simplefilter("always")
+    env = PointGoalVectorEnv(
+        3,
+        max_episode_steps=15,
+        obstacles=Obstacles([[2.0, 2.0, 0.3]], [[5.0, 5.0, 6.0, 6.0]]),
+        rays=RaySpec(8),
+        randomization={"dropped_lines": (0.0, 0.2), "mass": (0.9, 1.1)},
+    )
+    seen = [env.reset(seed=1)[0]]
+    seen += [env.step(np.full((3, 2), 0.5))[0] for _ in range(30)]
+print(len(caught), *{str(warning.message) for warning in caught})
+np.save(sys.argv[2], np.array(seen))
+"""
+
+
+def test_without_numba_everything_is_the_same_with_one_warning(tmp_path: Path) -> None:
+    said = {}
+    for kind in ("plain", "compiled"):
+        command = [sys.executable, "-c", ROLLOUT, kind, str(tmp_path / f"{kind}.npy")]
+        done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+        said[kind] = done.stdout.strip()
+    assert said["compiled"] == "0"
+    assert said["plain"].startswith("1 numba isn't installed")
+    plain, compiled = (np.load(tmp_path / f"{kind}.npy") for kind in said)
+    assert plain == pytest.approx(compiled, abs=1e-6)
 
 
 WALL = Obstacles((), [[1.0, -9.0, 1.0, 9.0]])

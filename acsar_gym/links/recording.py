@@ -129,8 +129,10 @@ def read(path: Path) -> list[Episode]:
 def _events(path: Path) -> Iterator[tuple[int, dict[str, str]]]:
     try:
         lines = path.read_text(encoding="ascii").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: can't be read as a recording: {error}") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: can't be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise ConfigError(f"{path}: isn't a recording") from None
     for number, line in enumerate(lines, start=1):
         try:
             event = json.loads(line)

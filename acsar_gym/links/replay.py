@@ -70,7 +70,8 @@ class ReplayLink:
         periods = self._episodes[self._next_episode - 1].periods
         if self._next_period >= len(periods):
             raise LinkLostError(
-                f"{self._path}: the recorded episode ends here", "reset for the next one"
+                f"{self._path}: the recorded episode ends here",
+                "was it made with this goal and policy?",
             )
         entry = periods[self._next_period]
         self._next_period += 1

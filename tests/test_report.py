@@ -1,0 +1,22 @@
+"""What the tables say."""
+
+from __future__ import annotations
+
+from acsar_gym import demo, evaluation, report
+from acsar_gym.env import PointGoalEnv
+from acsar_gym.policy import OnnxPolicy
+
+
+def caption(robot: str | None, multiplier: float) -> str:
+    env = PointGoalEnv("planar", robot=robot)
+    config = env.robot.config.with_(wheel_separation_multiplier=multiplier)
+    env = PointGoalEnv("planar", robot=config)
+    results = demo.track("test", evaluation.episodes(env, OnnxPolicy("point_goal"), 3, 0), 3)
+    env.close()
+    table = report.summary_table("test", [("planar", evaluation.summarise(results))])
+    return str(table.caption or "")
+
+
+def test_a_robot_whose_odometry_is_far_off_is_pointed_out() -> None:
+    assert "calibrate" in caption(None, 1.0)
+    assert caption(None, 1.5378) == ""
