@@ -51,8 +51,8 @@ class Options:
     """Show a progress bar."""
 
 
-def train(options: Options) -> Path:
-    """Train, save, export; returns the path of the ONNX file."""
+def train(options: Options) -> int:
+    """Train, save, export; returns the exit code: 130 where Ctrl-C ended it early."""
     if min(options.steps, options.robots) < 1:
         raise ConfigError("--steps and --robots must be at least 1")
     try:
@@ -90,9 +90,11 @@ def train(options: Options) -> Path:
     ]
     if options.progress:
         callbacks.append(sb3.TrainingProgress(options.steps, EPISODE_STEPS))
+    interrupted = False
     try:
         model.learn(options.steps, callback=callbacks)
     except KeyboardInterrupt:
+        interrupted = True
         for callback in callbacks:
             callback.on_training_end()
         print(f"interrupted at {model.num_timesteps:,} steps: saving what there is")
@@ -101,13 +103,14 @@ def train(options: Options) -> Path:
     model.save(options.out / "model.zip")
     policy = options.out / "policy.onnx"
     sb3.export(model.policy, policy)
-    return policy
+    print(f"policy written to {policy}")
+    return 130 if interrupted else 0
 
 
 if __name__ == "__main__":
     torch.set_num_threads(2)
     try:
-        print(f"policy written to {train(tyro.cli(Options, prog='acsar-gym train'))}")
+        sys.exit(train(tyro.cli(Options, prog="acsar-gym train")))
     except AcsarError as error:
         print(f"acsar-gym train: {error}", file=sys.stderr)
         sys.exit(error.exit_code)
