@@ -7,9 +7,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym import dynamics, kernel, pcg
+from acsar_gym import dynamics, pcg
 from acsar_gym.config import BITS_PER_BYTE, LINE_BYTES, RobotConfig, whole_ratio
 from acsar_gym.errors import ConfigError
+from acsar_gym.kernel import episode, layout
 from acsar_gym.randomization import Randomization
 from acsar_gym.tasks import PointGoal
 from acsar_gym.worlds.geometry import Surroundings
@@ -37,12 +38,12 @@ class Batch:
         self._slot = 0
         slots = _slots(self._setup, self._nominal, self._ranges)
         columns = _columns(robots)
-        self._state = np.zeros((kernel.ROWS, columns))
+        self._state = np.zeros((layout.ROWS, columns))
         self._counts = np.zeros((slots, 4, columns))
         self.state = self._state[:, :robots]
         self._random = np.zeros((robots, 4), np.uint64)
-        self.observations = np.zeros((robots, kernel.NUMBERS + len(around.directions)), np.float32)
-        self._info = np.zeros((len(kernel.INFO), columns))
+        self.observations = np.zeros((robots, layout.NUMBERS + len(around.directions)), np.float32)
+        self._info = np.zeros((len(layout.INFO), columns))
         self.info = self._info[:, :robots]
         self.rewards = np.zeros(robots)
         self.ends = np.zeros((2, robots), np.bool_)
@@ -60,7 +61,7 @@ class Batch:
 
     def reset(self, mask: Mask, first: int, last: int) -> None:
         """New episodes for robots in the mask, among first to last."""
-        kernel.reset(
+        episode.reset(
             self._state,
             self._counts,
             self._random,
@@ -77,7 +78,7 @@ class Batch:
 
     def step(self, actions: NDArray[np.float64], over: Mask, first: int, last: int) -> None:
         """An env step of robots first to last; those in `over` begin a new episode instead."""
-        kernel.step(
+        episode.step(
             self._state,
             self._counts,
             self._random,
@@ -124,12 +125,12 @@ def _columns(robots: int) -> int:
     return 8 * (math.ceil(robots / 8) | 1)
 
 
-def _setup(config: RobotConfig, task: PointGoal, ticks: int, max_steps: int | None) -> kernel.Setup:
+def _setup(config: RobotConfig, task: PointGoal, ticks: int, max_steps: int | None) -> layout.Setup:
     params = dynamics.params(config)
     firmware, encoder = config.firmware, config.encoder
     window = round(encoder.window * firmware.loop_rate)
     per_radian = encoder.counts_per_revolution / (2.0 * math.pi)
-    return kernel.Setup(
+    return layout.Setup(
         dt=params.dt,
         period=config.period,
         half_wheelbase=params.half_wheelbase,
@@ -160,25 +161,25 @@ def _nominal(config: RobotConfig) -> NDArray[np.float64]:
     params, firmware = dynamics.params(config), config.firmware
     line = (LINE_BYTES + config.trailing_comma) * BITS_PER_BYTE / config.baud_rate
     delay = math.ceil((line + firmware.processing_time) / params.dt - 1e-6)
-    rows = np.zeros(kernel.ROWS)
-    rows[kernel.MASS] = params.mass
-    rows[kernel.INERTIA] = params.yaw_inertia
-    rows[kernel.GRIP] = params.grip
-    rows[kernel.RADIUS] = params.radius
-    rows[kernel.DEADBAND] = params.deadband
-    rows[kernel.BLEND : kernel.BLEND + 4] = params.blend
-    rows[kernel.GAIN : kernel.GAIN + 4] = 1.0
-    rows[kernel.COMMAND_LOOPS] = rows[kernel.DELAY_LOOPS] = delay
-    rows[kernel.FEEDBACK_LOOPS] = firmware.loop_rate / config.feedback_rate
+    rows = np.zeros(layout.ROWS)
+    rows[layout.MASS] = params.mass
+    rows[layout.INERTIA] = params.yaw_inertia
+    rows[layout.GRIP] = params.grip
+    rows[layout.RADIUS] = params.radius
+    rows[layout.DEADBAND] = params.deadband
+    rows[layout.BLEND : layout.BLEND + 4] = params.blend
+    rows[layout.GAIN : layout.GAIN + 4] = 1.0
+    rows[layout.COMMAND_LOOPS] = rows[layout.DELAY_LOOPS] = delay
+    rows[layout.FEEDBACK_LOOPS] = firmware.loop_rate / config.feedback_rate
     return rows
 
 
-def _slots(setup: kernel.Setup, nominal: NDArray[np.float64], ranges: NDArray[np.float64]) -> int:
+def _slots(setup: layout.Setup, nominal: NDArray[np.float64], ranges: NDArray[np.float64]) -> int:
     """Loops of encoder counts to keep: the window behind the oldest line still on its way."""
     (latency, rate) = ranges[6], ranges[7]
     extra = round(latency[1] / setup.dt) if latency[0] <= latency[1] else 0
-    delay = round(nominal[kernel.DELAY_LOOPS]) + extra
-    slowest = 1.0 / (rate[0] * setup.dt) if rate[0] <= rate[1] else nominal[kernel.FEEDBACK_LOOPS]
+    delay = round(nominal[layout.DELAY_LOOPS]) + extra
+    slowest = 1.0 / (rate[0] * setup.dt) if rate[0] <= rate[1] else nominal[layout.FEEDBACK_LOOPS]
     if delay >= setup.ticks * setup.loops:
         raise ConfigError(
             f"latency of {delay * setup.dt:g} s: must be shorter than a step of the policy"

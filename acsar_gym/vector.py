@@ -14,12 +14,13 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from acsar_gym import dynamics, kernel
+from acsar_gym import dynamics
 from acsar_gym.batch import Batch
 from acsar_gym.config import RobotConfig, whole_ratio
 from acsar_gym.crew import Crew
 from acsar_gym.env import point_goal_spaces
 from acsar_gym.errors import CommandError, ConfigError
+from acsar_gym.kernel import layout
 from acsar_gym.randomization import Randomization
 from acsar_gym.tasks import PointGoal
 from acsar_gym.worlds.geometry import Obstacles, RaySpec, surroundings
@@ -29,7 +30,7 @@ FAIR_SHARE = 256
 
 Array = NDArray[Any]
 Info = dict[str, Any]
-_MASKS = tuple(f"_{name}" for name in kernel.INFO)
+_MASKS = tuple(f"_{name}" for name in layout.INFO)
 
 
 class PointGoalVectorEnv(VectorEnv[Array, Array, Array]):
@@ -170,13 +171,13 @@ class PointGoalVectorEnv(VectorEnv[Array, Array, Array]):
             final[index] = self.batch.observations[index].copy()
         info = self._info(done)
         state = self.batch.state
-        info |= {"episode_return": state[kernel.RETURN].copy(), "_episode_return": done}
-        info |= {"episode_length": state[kernel.STEPS].copy(), "_episode_length": done}
+        info |= {"episode_return": state[layout.RETURN].copy(), "_episode_return": done}
+        info |= {"episode_length": state[layout.STEPS].copy(), "_episode_length": done}
         return {"final_obs": final, "_final_obs": done, "final_info": info, "_final_info": done}
 
     def _info(self, mask: Array) -> Info:
         """The single env's info as arrays, each with its mask."""
-        info: Info = dict(zip(kernel.INFO, self.batch.info.copy(), strict=True))
+        info: Info = dict(zip(layout.INFO, self.batch.info.copy(), strict=True))
         return info | dict.fromkeys(_MASKS, mask)
 
     def close_extras(self, **_: Any) -> None:

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
-from acsar_gym import kernel
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import CommandError, ConfigError
+from acsar_gym.kernel import layout
 from acsar_gym.vector import PointGoalVectorEnv
 from acsar_gym.worlds.geometry import Obstacles, RaySpec
 
@@ -202,11 +202,11 @@ def test_each_randomization_makes_robots_differ(key: str) -> None:
     env.reset(seed=[1, 2])
     for _ in range(20):
         env.step(np.array([[0.6, 0.9]] * 2))
-    true, odometry = env.batch.state[kernel.X : kernel.VX], env.batch.state[kernel.ODOM_X :]
+    true, odometry = env.batch.state[layout.X : layout.VX], env.batch.state[layout.ODOM_X :]
     seen_by_odometry = key not in ("mass", "friction", "wheel_radius")
     differs = np.ptp(odometry[:3], axis=1).max() if seen_by_odometry else np.ptp(true, axis=1).max()
     if key == "mass":  # mass and grip cancel under Coulomb friction
-        differs = np.ptp(env.batch.state[kernel.MASS])
+        differs = np.ptp(env.batch.state[layout.MASS])
     assert differs > 1e-7
     env.close()
 
@@ -296,7 +296,7 @@ WALL = Obstacles((), [[1.0, -9.0, 1.0, 9.0]])
 def test_driving_into_a_wall_ends_the_episode_where_it_stands() -> None:
     env = batch(2, obstacles=WALL, autoreset_mode="Disabled")
     env.reset(seed=0, options={})
-    env.batch.state[kernel.GOAL_X], env.batch.state[kernel.GOAL_Y] = 2.5, 0.0
+    env.batch.state[layout.GOAL_X], env.batch.state[layout.GOAL_Y] = 2.5, 0.0
     terminated = np.zeros(2, np.bool_)
     while not terminated.any():
         _, rewards, terminated, _, infos = env.step(np.array([[1.0, 0.0], [0.0, 0.0]]))
