@@ -47,17 +47,17 @@ class Batch:
         self.info = self._info[:, :robots]
         self.rewards = np.zeros(robots)
         self.ends = np.zeros((2, robots), np.bool_)
-        self._seeded = False
+        self.seeded = False
 
     def seed(self, seeds: list[int | None] | None, mask: Mask) -> None:
         """New generators for the robots in the mask; the first time also without seeds."""
-        if seeds is None and self._seeded:
+        if seeds is None and self.seeded:
             return
         for robot in np.flatnonzero(mask):
             seed = None if seeds is None else seeds[robot]
-            if seed is not None or not self._seeded:
+            if seed is not None or not self.seeded:
                 self._random[robot] = pcg.seeded(seed)
-        self._seeded = True
+        self.seeded = True
 
     def reset(self, mask: Mask, first: int, last: int) -> None:
         """New episodes for robots in the mask, among first to last."""

@@ -7,6 +7,7 @@ tenth of a step of a thousand robots; bare queues take 20.
 from __future__ import annotations
 
 import itertools
+import os
 import threading
 from collections.abc import Callable
 from queue import SimpleQueue
@@ -20,18 +21,24 @@ HEAD_START = 48
 
 
 class Crew:
-    """The calling thread and `threads` - 1 others, which end with `close` or with the process."""
+    """The calling thread and `threads` - 1 others, which end with `close` or with the crew."""
 
     def __init__(self, threads: int) -> None:
+        self._hire(threads - 1)
+
+    def _hire(self, others: int) -> None:
+        self._process = os.getpid()
         self._orders: list[SimpleQueue[tuple[Work, int, int] | None]] = []
         self._reports: SimpleQueue[BaseException | None] = SimpleQueue()
-        for _ in range(threads - 1):
+        for _ in range(others):
             orders: SimpleQueue[tuple[Work, int, int] | None] = SimpleQueue()
             self._orders.append(orders)
             threading.Thread(target=_serve, args=(orders, self._reports), daemon=True).start()
 
     def share(self, work: Work, items: int) -> None:
         """Do the work on contiguous shares of so many items; raises what any share raised."""
+        if self._process != os.getpid():  # a forked child has none of its parent's threads
+            self._hire(len(self._orders))
         threads = len(self._orders) + 1
         lead = min(HEAD_START, items // 8) if threads > 1 else 0
         edges = [0, *(lead + (items - lead) * n // threads for n in range(1, threads + 1))]
@@ -51,6 +58,9 @@ class Crew:
         for orders in self._orders:
             orders.put(None)
         self._orders = []
+
+    def __del__(self) -> None:
+        self.close()
 
 
 def _serve(

@@ -135,6 +135,8 @@ class PointGoalVectorEnv(VectorEnv[Array, Array, Array]):
         Raises CommandError for another shape, and for NaN or infinity, naming the first bad env.
         """
         actions = self._checked(actions)
+        if not self.batch.seeded:
+            raise ConfigError("step() before reset(): call reset() first")
         if self.autoreset_mode is AutoresetMode.DISABLED and self._done.any():
             raise ConfigError(
                 f"env {int(self._done.argmax())} has ended: reset it with options['reset_mask']"

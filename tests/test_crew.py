@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import threading
 
 import pytest
@@ -50,3 +52,35 @@ def test_a_closed_crew_leaves_no_thread_and_works_on_alone() -> None:
     seen: list[tuple[int, int]] = []
     crew.share(lambda first, last: seen.append((first, last)), 9)
     assert seen == [(0, 9)]
+
+
+def test_a_crew_that_is_dropped_leaves_no_thread() -> None:
+    before = set(threading.enumerate())
+    crew = Crew(3)
+    new = [thread for thread in threading.enumerate() if thread not in before]
+    assert len(new) == 2
+    del crew
+    for thread in new:
+        thread.join(5.0)
+    assert not any(thread.is_alive() for thread in new)
+
+
+FORK = """
+import os, sys
+from acsar_gym.crew import Crew
+crew = Crew(3)
+def total(first, last):
+    done.append(last - first)
+done = []
+crew.share(total, 90)
+if os.fork() == 0:
+    done = []
+    crew.share(total, 90)
+    os._exit(0 if sum(done) == 90 else 1)
+sys.exit(os.waitstatus_to_exitcode(os.wait()[1]))
+"""
+
+
+def test_a_forked_child_hires_its_own() -> None:
+    done = subprocess.run([sys.executable, "-c", FORK], check=False, timeout=60)
+    assert done.returncode == 0

@@ -333,3 +333,8 @@ def test_without_obstacles_rays_change_nothing_else() -> None:
     plain, seeing = rollout(batch(20)), rollout(batch(20, rays=RaySpec(16)))
     assert (seeing[:, :, :7] == plain).all()
     assert (seeing[:, :, 7:] == 1.0).all()
+
+
+def test_a_step_before_the_reset_is_one_clear_error() -> None:
+    with pytest.raises(ConfigError, match="call reset"):
+        batch().step(np.zeros((4, 2)))
