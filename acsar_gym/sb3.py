@@ -162,6 +162,15 @@ class _Actor(torch.nn.Module):
         return torch.clamp(mean, -1.0, 1.0)
 
 
+def _forget_sources(model: Any) -> None:
+    """Drop the stack traces that torch keeps in the file: paths of the machine that trained."""
+    graph = model.graph
+    for part in (model, graph, *graph.node, *graph.input, *graph.output, *graph.value_info):
+        del part.metadata_props[:]
+    for weight in graph.initializer:
+        del weight.metadata_props[:]
+
+
 def export(policy: ActorCriticPolicy, path: Path) -> None:
     """Write the deterministic actor of a trained policy to one ONNX file at `path`.
 
@@ -183,6 +192,7 @@ def export(policy: ActorCriticPolicy, path: Path) -> None:
             verbose=False,
         )
     model = program.model_proto
+    _forget_sources(model)
     onnx.helper.set_model_props(model, {ENV_KEY: ENV_ID, LAYOUT_KEY: ",".join(POINT_GOAL_LAYOUT)})
     path.parent.mkdir(parents=True, exist_ok=True)
     onnx.save(model, path)

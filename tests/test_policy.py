@@ -96,3 +96,10 @@ def test_a_network_with_other_names_is_refused(trained: Path, tmp_path: Path) ->
     onnx.save(model, path)
     with pytest.raises(PolicyError, match="must map 'observation' to 'action'"):
         OnnxPolicy(path)
+
+
+def test_the_file_names_no_path_of_the_machine_that_trained(trained: Path) -> None:
+    for path in (trained / "policy.onnx", AGENTS / "policies" / "point_goal.onnx"):
+        content = path.read_bytes()
+        assert b".py" not in content
+        assert str(Path.home()).encode() not in content
