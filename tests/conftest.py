@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from collections.abc import Iterator
@@ -9,12 +10,17 @@ from pathlib import Path
 
 import pytest
 import yaml
+from hypothesis import settings
 
 sys.path.insert(0, str(Path(__file__).parent))  # --import-mode=importlib leaves it out
 
 from serial_tools import TIMEOUT, Emulated, RobotFile, StartEmulator, start
 
 from acsar_gym import RobotConfig
+
+# Examples aren't timed: the first one may compile. Where CI is set, they are the same every time.
+settings.register_profile("ours", deadline=None, derandomize="CI" in os.environ)
+settings.load_profile("ours")
 
 
 @pytest.fixture
