@@ -17,7 +17,7 @@ import gymnasium
 import numpy as np
 from rich.table import Table
 
-from acsar_gym import dynamics
+from acsar_gym import compiled
 from acsar_gym.config import RobotConfig
 from acsar_gym.env import PointGoalEnv
 from acsar_gym.errors import AcsarError, MissingExtraError
@@ -127,7 +127,7 @@ def _planar() -> list[Figure]:
 
 def _batch(single: float) -> list[Figure]:
     """Batches of planar robots against the PyBullet env, one core against all, few against many."""
-    if not dynamics.COMPILED:
+    if not compiled.COMPILED:
         return []
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
     speed, gain = _cores(_stepper(ROBOTS, 1), _stepper(ROBOTS, cores))

@@ -6,17 +6,14 @@ loads, smoothed below a small slip speed. That law is stiff, so it is solved imp
 Euler with secant friction, a symmetric 3 x 3 system per fixed-point round. In a steady turn the
 exact solution turns 1 + (wheelbase / wheel_separation)^2 times slower than the differential-drive
 formula says.
-
-Where numba is installed the functions are compiled and cached on disk; without it they run as
-plain Python with the same results to rounding.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import NamedTuple, ParamSpec, TypeVar
+from typing import NamedTuple
 
+from acsar_gym.compiled import jit
 from acsar_gym.config import RobotConfig
 from acsar_gym.protocol import Speeds
 
@@ -27,34 +24,6 @@ ROUNDS = 3
 
 Velocity = tuple[float, float, float]
 """vx, vy [m/s] and yaw rate [rad/s]."""
-
-P = ParamSpec("P")
-R = TypeVar("R")
-
-try:
-    import numba
-except ImportError:
-    COMPILED = False
-    """Whether numba compiles the functions below."""
-
-    def jit(function: Callable[P, R]) -> Callable[P, R]:
-        """The function as it is: numba isn't installed."""
-        return function
-
-    loop = jit
-else:
-    COMPILED = True
-
-    def jit(function: Callable[P, R]) -> Callable[P, R]:
-        """A scalar function, compiled into whatever calls it, so that loops over it vectorise."""
-        options = {"cache": True, "error_model": "numpy", "nogil": True}
-        compiled: Callable[P, R] = numba.njit(forceinline=True, **options)(function)
-        return compiled
-
-    def loop(function: Callable[P, R]) -> Callable[P, R]:
-        """A loop over scalar functions, compiled on its own; it runs without the GIL."""
-        compiled: Callable[P, R] = numba.njit(cache=True, error_model="numpy", nogil=True)(function)
-        return compiled
 
 
 class Params(NamedTuple):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.dynamics import COMPILED, jit
+from acsar_gym.compiled import COMPILED, jit
 
 Generators = NDArray[np.uint64]
 """n x 4: one generator a row."""

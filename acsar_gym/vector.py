@@ -14,7 +14,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from acsar_gym import dynamics
+from acsar_gym import compiled
 from acsar_gym.batch import Batch
 from acsar_gym.config import RobotConfig, whole_ratio
 from acsar_gym.crew import Crew
@@ -89,7 +89,7 @@ class PointGoalVectorEnv(VectorEnv[Array, Array, Array]):
             )
         if render_mode is not None:
             raise ConfigError("a batch of robots has no pictures: render a single env instead")
-        if not dynamics.COMPILED:
+        if not compiled.COMPILED:
             warnings.warn(
                 "numba isn't installed, so batches are slow: pip install 'acsar_gym[fast]'",
                 RuntimeWarning,

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.dynamics import jit
+from acsar_gym.compiled import jit
 
 Floats = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym import tasks
-from acsar_gym.dynamics import jit, loop
+from acsar_gym.compiled import jit, loop
 from acsar_gym.kernel.layout import (
     AGE,
     ANGULAR,

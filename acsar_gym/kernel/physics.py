@@ -7,7 +7,8 @@ import math
 import numpy as np
 
 from acsar_gym import kinematics
-from acsar_gym.dynamics import Params, jit, loop, towards, tyre_step, wheel_speed
+from acsar_gym.compiled import jit, loop
+from acsar_gym.dynamics import Params, towards, tyre_step, wheel_speed
 from acsar_gym.kernel.layout import (
     ANGLE,
     BLEND,

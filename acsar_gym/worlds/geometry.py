@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from acsar_gym.compiled import jit, loop
 from acsar_gym.config import RobotConfig
-from acsar_gym.dynamics import jit, loop
 from acsar_gym.errors import ConfigError
 
 Floats = NDArray[np.float64]
