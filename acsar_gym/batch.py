@@ -1,4 +1,4 @@
-"""The arrays of many robots, and the calls of `kernel.py` on shares of them."""
+"""The arrays of many robots, and the calls of `kernel/` on shares of them."""
 
 from __future__ import annotations
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import subprocess
 import sys
 import tempfile
@@ -11,11 +10,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import gymnasium
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from acsar_gym import evaluation
+from acsar_gym import evaluation, runs
 from acsar_gym.errors import AcsarError, LinkError
 from acsar_gym.evaluation import EpisodeResult, Summary
 from acsar_gym.policy import OnnxPolicy
@@ -32,10 +29,10 @@ def run(steps: int, episodes: int, serial_episodes: int, out: Path) -> list[tupl
     policy_file = train(steps, out)
     policy = OnnxPolicy(policy_file)
     console.rule(f"2. drive {policy_file.name} in PyBullet", align="left")
-    simulated = _in_simulation(policy, episodes)
+    simulated = runs.drive(policy, "bullet", None, episodes, seed=10_000)
     console.rule(f"3. drive {policy_file.name} over a serial device", align="left")
     serial = _over_serial(policy, serial_episodes)
-    return [("PyBullet", simulated), ("serial device (emulator)", serial)]
+    return [("PyBullet", evaluation.summarise(simulated)), ("serial device (emulator)", serial)]
 
 
 def train(steps: int, out: Path) -> Path:
@@ -46,25 +43,12 @@ def train(steps: int, out: Path) -> Path:
     return out / "policy.onnx"
 
 
-def _in_simulation(policy: OnnxPolicy, count: int) -> Summary:
-    env = gymnasium.make("acsar_gym/PointGoal-v0", link="bullet")
-    try:
-        results = track("PyBullet", evaluation.episodes(env, policy, count, seed=10_000), count)
-    finally:
-        env.close()
-    return evaluation.summarise(results)
-
-
 def _over_serial(policy: OnnxPolicy, count: int) -> Summary:
     """The emulator runs in another process; its log tells how far odometry was off."""
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "emulator.jsonl"
         with emulator("--body", "bullet", "--log", str(log)) as device:
-            env = gymnasium.make("acsar_gym/PointGoal-v0", link=device)
-            try:
-                results = track(device, evaluation.episodes(env, policy, count, seed=20_000), count)
-            finally:
-                env.close()
+            results = runs.drive(policy, device, None, count, seed=20_000)
         return evaluation.summarise(with_truth(results, log))
 
 
@@ -90,22 +74,3 @@ def emulator(*arguments: str) -> Iterator[str]:
         process.wait(START_TIMEOUT)
         if process.stdout:
             process.stdout.close()
-
-
-def track(name: str, running: Iterator[EpisodeResult], count: int) -> list[EpisodeResult]:
-    """Collect episodes behind a progress bar that shows the success rate."""
-    results: list[EpisodeResult] = []
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("episodes, success {task.fields[rate]}"),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns) as progress:
-        task = progress.add_task(name, total=count, rate="-")
-        for result in running:
-            results.append(result)
-            rate = evaluation.summarise(results).success_rate
-            progress.update(task, advance=1, rate="-" if math.isnan(rate) else f"{rate:.0%}")
-    return results

@@ -16,11 +16,11 @@ import termios
 import time
 import tty
 from pathlib import Path
-from typing import IO, Self
+from typing import Self
 
 from acsar_gym.config import BAUD_RATES, RobotConfig
 from acsar_gym.errors import ConfigError
-from acsar_gym.links import Link, open_link
+from acsar_gym.links import Link, open_link, recording
 from acsar_gym.worlds import Scene
 
 CHUNK = 4096
@@ -30,7 +30,8 @@ BAUD_CODES = {getattr(termios, f"B{rate}"): rate for rate in BAUD_RATES}
 class Emulator:
     """A simulated robot on a pseudo-terminal; `device` is what a SerialLink opens.
 
-    `silent` never answers; `log` appends one JSON line per command line and per `truth_period`.
+    `silent` never answers; `log` gets one JSON line per piece of input and, every loop, the true
+    pose.
     """
 
     def __init__(
@@ -48,7 +49,7 @@ class Emulator:
         self._link: Link = open_link(body, config)
         self._link.open()
         self._link.reset(Scene())
-        self._log = _opened(log)
+        self._log = recording.opened(log) if log else None
         self._descriptors: tuple[int, ...]
         self._master, self._slave = self._descriptors = pty.openpty()
         self._configure_terminal()
@@ -95,7 +96,6 @@ class Emulator:
     def _note(self, event: dict[str, object]) -> None:
         if self._log is not None:
             self._log.write(json.dumps({"t": time.monotonic(), **event}) + "\n")
-            self._log.flush()
 
     def close(self) -> None:
         """Close the terminal and the log; twice is once."""
@@ -112,12 +112,3 @@ class Emulator:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-def _opened(log: Path | None) -> IO[str] | None:
-    if log is None:
-        return None
-    try:
-        return log.open("w", encoding="ascii")
-    except OSError as error:
-        raise ConfigError(f"{log}: can't be written: {error}") from None

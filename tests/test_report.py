@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from acsar_gym import demo, evaluation, report
+from acsar_gym import evaluation, report, runs
 from acsar_gym.env import PointGoalEnv
 from acsar_gym.policy import OnnxPolicy
 
@@ -11,7 +11,7 @@ def caption(robot: str | None, multiplier: float) -> str:
     env = PointGoalEnv("planar", robot=robot)
     config = env.robot.config.with_(wheel_separation_multiplier=multiplier)
     env = PointGoalEnv("planar", robot=config)
-    results = demo.track("test", evaluation.episodes(env, OnnxPolicy("point_goal"), 3, 0), 3)
+    results = runs.track("test", evaluation.episodes(env, OnnxPolicy("point_goal"), 3, 0), 3)
     env.close()
     table = report.summary_table("test", [("planar", evaluation.summarise(results))])
     return str(table.caption or "")

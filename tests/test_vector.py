@@ -338,3 +338,13 @@ def test_without_obstacles_rays_change_nothing_else() -> None:
 def test_a_step_before_the_reset_is_one_clear_error() -> None:
     with pytest.raises(ConfigError, match="call reset"):
         batch().step(np.zeros((4, 2)))
+
+
+def test_own_obstacles_and_common_ones_may_be_mixed() -> None:
+    circles = np.array([[[1.0, 0.0, 0.1]], [[2.0, 0.0, 0.1]], [[3.0, 0.0, 0.1]]])
+    wall = [[-1.5, -9.0, -1.5, 9.0]]
+    env = batch(3, obstacles=Obstacles(circles, wall), rays=RaySpec(4, 5.0))
+    obs, _ = env.reset(seed=0)
+    assert obs[:, 9] * 5.0 == pytest.approx(np.array([0.9, 1.9, 2.9]) - ACSAR.lidar_x_offset)
+    assert obs[:, 7] * 5.0 == pytest.approx([1.5 + ACSAR.lidar_x_offset] * 3)
+    env.close()

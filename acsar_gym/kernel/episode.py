@@ -70,7 +70,7 @@ def draw(  # noqa: C901 - nine keys, one condition each
     for k in range(4):
         if ranges[2, 0] <= ranges[2, 1]:
             state[GAIN + k, i] *= between(ranges, 2, random, i)
-        if ranges[3, 0] <= ranges[3, 1]:
+        if ranges[3, 0] <= ranges[3, 1] and nominal[BLEND + k] < 1.0:
             lag = -setup.dt / math.log(1.0 - nominal[BLEND + k])
             lag *= between(ranges, 3, random, i)
             state[BLEND + k, i] = 1.0 - math.exp(-setup.dt / lag)
@@ -172,12 +172,11 @@ def step(
         command(state, actions, low, high, setup)
         drive(state, counts, random, low, high, slot, lossy, setup, around)
         judge(state, rewards, ends, low, high, setup)
-        observe(state, observations, low, high, setup)
         for i in range(low, high):
             if over[i]:
                 begin(state, counts, random, i, nominal, ranges, setup)
-                observe(state, observations, i, i + 1, setup)
                 rewards[i] = 0.0
                 ends[0, i] = ends[1, i] = False
+        observe(state, observations, low, high, setup)
         look(state, observations, low, high, around)
         report(state, info, low, high)

@@ -51,10 +51,10 @@ class RecordingLink:
         self._link.open()
         if self._file is None:
             try:
-                self._file = self._path.open(self._mode, buffering=1, encoding="ascii")
-            except OSError as error:
+                self._file = opened(self._path, self._mode)
+            except ConfigError:
                 self._link.close()
-                raise ConfigError(f"{self._path}: can't be written: {error}") from None
+                raise
             self._mode = "a"
 
     def reset(self, scene: Scene) -> None:
@@ -108,6 +108,14 @@ class RecordingLink:
         if self._file is not None:
             self._file.close()
             self._file = None
+
+
+def opened(path: Path, mode: str = "w") -> IO[str]:
+    """A text file that is written line by line. Raises ConfigError where it can't be."""
+    try:
+        return path.open(mode, buffering=1, encoding="ascii")
+    except OSError as error:
+        raise ConfigError(f"{path}: can't be written: {error}") from None
 
 
 def read(path: Path) -> list[Episode]:

@@ -104,8 +104,8 @@ class SerialLink:
         self._deadline = self.now()
 
     def _flush(self) -> None:
+        self.reset_input()
         with _translated(self.device):
-            self._require().reset_input_buffer()
             self._require().reset_output_buffer()
 
     def _wait_for_board(self) -> None:

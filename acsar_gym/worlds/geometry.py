@@ -41,7 +41,8 @@ class Obstacles:
         segments = _stacked("segments", self.segments, 4, robots)
         if (circles[:, :, 2] < 0.0).any():
             raise ConfigError("obstacles: the radius of a circle must not be negative")
-        return circles, segments
+        sets = max(len(circles), len(segments))
+        return _repeated(circles, sets), _repeated(segments, sets)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +108,11 @@ def surroundings(
         config.body.length / 2.0,
         config.body.width / 2.0,
     )
+
+
+def _repeated(array: Floats, sets: int) -> Floats:
+    """The same obstacles in every set, where there is one set for all."""
+    return np.ascontiguousarray(np.broadcast_to(array, (sets, *array.shape[1:])))
 
 
 def _stacked(name: str, rows: Floats | Sequence[Any], width: int, robots: int) -> Floats:
