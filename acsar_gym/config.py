@@ -2,7 +2,7 @@
 
 The first block of `RobotConfig` is what the robot's own driver reads from its URDF; the sections
 (`motor`, `encoder`, `firmware`, `body`) describe what stands on the other side of the wire and are
-used by simulated links only. Every bad value is one `ConfigError` that names field, value and what
+used by simulated links only; `lidar` is the range sensor, simulated or real. Every bad value is one `ConfigError` that names field, value and what
 is allowed.
 """
 
@@ -112,6 +112,42 @@ class BodyConfig(_Section):
     """Slip below which friction falls off linearly [m/s]."""
 
 
+class LidarConfig(_Section):
+    """The LiDAR and how its scans are used; its place is lidar_x/y/z_offset of the robot."""
+
+    section = "lidar"
+    rays: Annotated[int, Field(gt=0, le=10_000)] = 64
+    """Directions of an observation. Of all measurements in a direction the nearest counts."""
+    field_of_view: Annotated[float, Field(gt=0.0, le=2.0 * math.pi + 1e-9)] = 2.0 * math.pi
+    """Centred on the robot's x axis [rad]; a full turn has no direction twice."""
+    min_range: NonNegativeFloat = 0.1
+    """Nearer measurements are taken for this range [m]."""
+    max_range: PositiveFloat = 5.0
+    """What is farther, or not measured at all, has this range [m]."""
+    rate: PositiveFloat = 10.0
+    """Scans per second [Hz]."""
+    noise: NonNegativeFloat = 0.0
+    """Standard deviation of a simulated range [m]."""
+    dropouts: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+    """Share of simulated rays that come back without a range."""
+    timeout: PositiveFloat = 1.0
+    """A scan older than this is an error that stops the robot [s]."""
+
+    @model_validator(mode="after")
+    def _ranges_and_times_fit(self) -> Self:
+        if self.min_range >= self.max_range:
+            raise ConfigError(
+                f"lidar.min_range = {self.min_range:g}: must be less than lidar.max_range = "
+                f"{self.max_range:g} m"
+            )
+        if self.timeout < 1.5 / self.rate:
+            raise ConfigError(
+                f"lidar.timeout = {self.timeout:g} s: must be at least one and a half periods of "
+                f"lidar.rate = {self.rate:g} Hz"
+            )
+        return self
+
+
 class RobotConfig(_Section):
     """One robot: geometry, wire, limits, and its twin. Lengths in m, speeds in rad/s or m/s."""
 
@@ -152,6 +188,7 @@ class RobotConfig(_Section):
     encoder: EncoderConfig = EncoderConfig()
     firmware: FirmwareConfig = FirmwareConfig()
     body: BodyConfig = BodyConfig()
+    lidar: LidarConfig = LidarConfig()
 
     @model_validator(mode="after")
     def _wire_is_fast_enough(self) -> Self:

@@ -21,6 +21,10 @@ class ConfigError(AcsarError):
     exit_code = 2
 
 
+class WorldError(ConfigError):
+    """A world that is broken, can't be crossed, or has its start inside an obstacle."""
+
+
 class CommandError(AcsarError):
     """A wheel speed, twist or action that must not be sent to a robot, such as NaN."""
 
@@ -84,6 +88,10 @@ class BoardGarbledError(BoardSilentError):
 
 class LinkLostError(LinkError):
     """The device went away while it was in use."""
+
+
+class LidarError(LinkError):
+    """The LiDAR can't be opened, isn't one, or has fallen silent."""
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:

@@ -1,5 +1,6 @@
-"""Where a robot drives: scenes, in the world frame of REP 105 (x, y [m], theta [rad])."""
+"""Where a robot drives: worlds and scenes, in frames of REP 105 (x, y [m], theta [rad])."""
 
 from acsar_gym.worlds.scene import Pose, Scene
+from acsar_gym.worlds.world import Region, World
 
-__all__ = ["Pose", "Scene"]
+__all__ = ["Pose", "Region", "Scene", "World"]

@@ -1,0 +1,141 @@
+"""A world: circles and segments around a robot, with a start and a goal region."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym.errors import WorldError
+from acsar_gym.worlds.scene import Pose
+
+Floats = NDArray[np.float64]
+MOST_OBSTACLES = 20_000
+"""A world with more circles and segments than this is refused."""
+FARTHEST = 1e4
+"""Coordinates beyond this are refused [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """A disc from which a start or a goal is drawn; a point where its radius is zero."""
+
+    x: float
+    """[m]"""
+    y: float
+    """[m]"""
+    radius: float = 0.0
+    """[m]"""
+    theta: float | None = None
+    """Heading of a start [rad]; None is any. A goal has none."""
+
+    def __post_init__(self) -> None:
+        numbers = (self.x, self.y, self.radius, self.theta or 0.0)
+        try:
+            sound = all(abs(number) <= FARTHEST for number in numbers) and self.radius >= 0.0
+        except TypeError:
+            sound = False
+        if not sound:
+            raise WorldError(
+                f"region {numbers}: x, y, radius [m] and theta [rad] must be numbers of at most "
+                f"{FARTHEST:g}, the radius not negative"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """Obstacles, start and goal in the world frame (x, y [m], theta [rad]). Worlds never change.
+
+    Raises WorldError for shapes, NaN, negative radii, or more than 20,000 obstacles.
+    """
+
+    circles: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    """C x 3: x, y, radius [m]."""
+    segments: Floats = field(default_factory=lambda: np.zeros((0, 4)))
+    """S x 4: x1, y1, x2, y2 [m]."""
+    start: Region = Region(0.0, 0.0, 0.0, 0.0)
+    goal: Region = Region(1.0, 0.0)
+    path: Floats | None = None
+    """P x 2: a way from the start to the goal: the shortest one for the footprint that the world
+    was made for, the published one, or the one to follow [m]."""
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "circles", _rows("circles", self.circles, 3))
+        object.__setattr__(self, "segments", _rows("segments", self.segments, 4))
+        if self.path is not None:
+            object.__setattr__(self, "path", _rows("path", self.path, 2))
+        if (self.circles[:, 2] < 0.0).any():
+            raise WorldError("circles: a radius must not be negative")
+
+    @property
+    def obstacles(self) -> int:
+        """How many circles and segments there are."""
+        return len(self.circles) + len(self.segments)
+
+    @cached_property
+    def length(self) -> float:
+        """Length of `path` [m]; NaN where there is none."""
+        if self.path is None:
+            return math.nan
+        return float(np.hypot(*np.diff(self.path, axis=0).T).sum())
+
+    @cached_property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """Least x and y, largest x and y of everything in the world [m]."""
+        circles, segments = self.circles, self.segments
+        points = [circles[:, :2] - circles[:, 2:], circles[:, :2] + circles[:, 2:]]
+        points += [segments[:, :2], segments[:, 2:]]
+        points += [] if self.path is None else [self.path]
+        for region in (self.start, self.goal):
+            points += [np.array([[region.x, region.y]]) + s * region.radius for s in (-1.0, 1.0)]
+        every = np.concatenate(points)
+        (left, low), (right, high) = every.min(axis=0), every.max(axis=0)
+        return float(left), float(low), float(right), float(high)
+
+    def seen_from(self, pose: Pose) -> World:
+        """The same world in the frame of a pose: a robot standing there is at the origin."""
+        x, y, theta = pose
+        cos, sin = math.cos(theta), math.sin(theta)
+        turn = np.array([[cos, -sin], [sin, cos]])
+
+        def moved(points: Floats) -> Floats:
+            shifted: Floats = (points - (x, y)) @ turn
+            return shifted
+
+        def region(old: Region) -> Region:
+            new_x, new_y = moved(np.array([[old.x, old.y]]))[0].tolist()
+            heading = None if old.theta is None else math.remainder(old.theta - theta, math.tau)
+            return Region(new_x, new_y, old.radius, heading)
+
+        return World(
+            np.column_stack([moved(self.circles[:, :2]), self.circles[:, 2]]),
+            np.column_stack([moved(self.segments[:, :2]), moved(self.segments[:, 2:])]),
+            region(self.start),
+            region(self.goal),
+            None if self.path is None else moved(self.path),
+            self.name,
+        )
+
+
+def _rows(name: str, rows: Floats | Sequence[Any], width: int) -> Floats:
+    """An own, read-only copy of n x `width` finite numbers."""
+    try:
+        array = np.array(rows, np.float64)
+    except (TypeError, ValueError):
+        array = np.full(1, np.nan)
+    if array.size == 0:
+        array = np.zeros((0, width))
+    if array.ndim != 2 or array.shape[1] != width:
+        raise WorldError(f"{name}: must be rows of {width} numbers, have shape {array.shape}")
+    if len(array) > MOST_OBSTACLES:
+        raise WorldError(f"{name}: {len(array):,} are too many, at most {MOST_OBSTACLES:,}")
+    if not (np.abs(array) <= FARTHEST).all():
+        raise WorldError(f"{name}: must be finite numbers of at most {FARTHEST:g} m")
+    array.setflags(write=False)
+    return array
