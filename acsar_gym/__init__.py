@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import gymnasium
 
-from acsar_gym import env, errors, kinematics, odometry, protocol
+from acsar_gym import envs, errors, kinematics, odometry, protocol
 from acsar_gym.config import RobotConfig
 from acsar_gym.links import Link, open_link
 from acsar_gym.robot import Robot
+from acsar_gym.worlds import World
 
 __version__ = "0.1.0"
 __all__ = [
     "Link",
     "Robot",
     "RobotConfig",
-    "env",
+    "World",
+    "envs",
     "errors",
     "kinematics",
     "odometry",
@@ -22,9 +24,15 @@ __all__ = [
     "protocol",
 ]
 
-gymnasium.register(
-    id="acsar_gym/PointGoal-v0",
-    entry_point="acsar_gym.env:PointGoalEnv",
-    vector_entry_point="acsar_gym.vector:PointGoalVectorEnv",
-    max_episode_steps=200,
-)
+for _name, _steps in (
+    ("PointGoal", 200),
+    ("ObstacleGoal", 400),
+    ("Barn", 1000),
+    ("PathFollow", 400),
+):
+    gymnasium.register(
+        id=f"acsar_gym/{_name}-v0",
+        entry_point=f"acsar_gym.envs:{_name}Env",
+        vector_entry_point=f"acsar_gym.vectors:{_name}VectorEnv",
+        max_episode_steps=_steps,
+    )

@@ -11,27 +11,30 @@ from acsar_gym import dynamics, pcg
 from acsar_gym.config import BITS_PER_BYTE, LINE_BYTES, RobotConfig, whole_ratio
 from acsar_gym.errors import ConfigError
 from acsar_gym.kernel import episode, layout
+from acsar_gym.lidar import draws, stale_after
+from acsar_gym.places import BatchTask, job, surroundings, told, worlds_of
 from acsar_gym.randomization import Randomization
-from acsar_gym.tasks import PointGoal
-from acsar_gym.worlds.geometry import Surroundings
 
 Mask = NDArray[np.bool_]
 
 
 class Batch:
-    """Robots are columns of `state`, `info` and `ends`, rows of `observations`."""
+    """Robots are columns of `state` and `ends`, rows of `observations`."""
 
     def __init__(
         self,
         robots: int,
         config: RobotConfig,
-        task: PointGoal,
+        task: BatchTask,
         ticks: int,
         max_steps: int | None,
         randomization: Randomization,
-        around: Surroundings,
     ) -> None:
-        self._setup = _setup(config, task, ticks, max_steps)
+        self._setup = _setup(config, ticks, max_steps, task.sees)
+        worlds = worlds_of(task)
+        self._job = job(task, worlds)
+        around = surroundings(worlds, config, sees=task.sees)
+        self.told = told(task)
         self._nominal = _nominal(config)
         self._ranges = randomization.table()
         self._around = around
@@ -42,9 +45,8 @@ class Batch:
         self._counts = np.zeros((slots, 4, columns))
         self.state = self._state[:, :robots]
         self._random = np.zeros((robots, 4), np.uint64)
-        self.observations = np.zeros((robots, layout.NUMBERS + len(around.directions)), np.float32)
-        self._info = np.zeros((len(layout.INFO), columns))
-        self.info = self._info[:, :robots]
+        numbers = len(task.layout) + len(around.directions)
+        self.observations = np.zeros((robots, numbers), np.float32)
         self.rewards = np.zeros(robots)
         self.ends = np.zeros((2, robots), np.bool_)
         self.seeded = False
@@ -68,11 +70,11 @@ class Batch:
             self._nominal,
             self._ranges,
             self.observations,
-            self._info,
             mask,
             first,
             last,
             self._setup,
+            self._job,
             self._around,
         )
 
@@ -87,15 +89,20 @@ class Batch:
             actions,
             over,
             self.observations,
-            self._info,
             self.rewards,
             self.ends,
             first,
             last,
             self._slot,
             self._setup,
+            self._job,
             self._around,
         )
+
+    def info(self) -> dict[str, NDArray[np.float64]]:
+        """What the single env's info says, an array for each of its keys."""
+        rows = self.state[list(self.told.values())]
+        return dict(zip(self.told, rows, strict=True))
 
     def turn(self) -> None:
         """All robots have done their step: move on in the ring of encoder counts."""
@@ -110,7 +117,6 @@ class Batch:
             self._counts,
             self._random,
             self.observations,
-            self._info,
             self.rewards,
             self.ends,
         )
@@ -125,7 +131,7 @@ def _columns(robots: int) -> int:
     return 8 * (math.ceil(robots / 8) | 1)
 
 
-def _setup(config: RobotConfig, task: PointGoal, ticks: int, max_steps: int | None) -> layout.Setup:
+def _setup(config: RobotConfig, ticks: int, max_steps: int | None, sees: bool) -> layout.Setup:
     params = dynamics.params(config)
     firmware, encoder = config.firmware, config.encoder
     window = round(encoder.window * firmware.loop_rate)
@@ -146,13 +152,15 @@ def _setup(config: RobotConfig, task: PointGoal, ticks: int, max_steps: int | No
         radius=config.wheel_radius,
         separation=config.effective_separation,
         max_wheel_speed=config.max_wheel_speed,
-        max_linear=task.max_linear,
-        max_angular=task.max_angular,
-        min_distance=task.min_distance,
-        max_distance=task.max_distance,
-        tolerance=task.tolerance,
-        boundary=task.boundary,
+        max_linear=config.max_linear,
+        max_angular=config.max_angular,
         max_steps=math.inf if max_steps is None else float(max_steps),
+        lidar_rate=config.lidar.rate if sees else 0.0,
+        stale=stale_after(config),
+        noise=config.lidar.noise,
+        dropouts=config.lidar.dropouts,
+        min_range=config.lidar.min_range,
+        draws=draws(config.lidar),
     )
 
 

@@ -19,17 +19,20 @@ from rich.table import Table
 
 from acsar_gym import compiled
 from acsar_gym.config import RobotConfig
-from acsar_gym.env import PointGoalEnv
+from acsar_gym.env import RobotEnv
 from acsar_gym.errors import AcsarError, MissingExtraError
 from acsar_gym.links.simulated import SimulatedLink
 from acsar_gym.odometry import Odometry
 from acsar_gym.policy import OnnxPolicy
 from acsar_gym.protocol import Decoder, encode
-from acsar_gym.vector import PointGoalVectorEnv
-from acsar_gym.worlds.geometry import Obstacles, RaySpec
+from acsar_gym.vector import RobotVectorEnv
+from acsar_gym.vectors import ObstacleGoalVectorEnv, PointGoalVectorEnv
+from acsar_gym.worlds import Region, World
 
 BLOCKS = 25
 ROBOTS = 1024
+CROWDS = 64
+"""Worlds that the robots of a batch are among."""
 STEPS = 100
 """Env steps in one block."""
 
@@ -69,7 +72,7 @@ def _steps(env: gymnasium.Env[Any, Any], actions: np.ndarray[Any, Any]) -> float
 
 def _ticks_per_step(env: gymnasium.Env[Any, Any]) -> int:
     inner = env.unwrapped
-    return inner.ticks_per_step if isinstance(inner, PointGoalEnv) else 1
+    return inner.ticks_per_step if isinstance(inner, RobotEnv) else 1
 
 
 def _bullet() -> list[Figure]:
@@ -102,7 +105,7 @@ def _engine(env: gymnasium.Env[Any, Any]) -> Callable[[], None]:
     from acsar_gym.bodies.bullet import BulletBody  # noqa: PLC0415 - optional
 
     inner = env.unwrapped
-    link = inner.robot.link if isinstance(inner, PointGoalEnv) else None
+    link = inner.robot.link if isinstance(inner, RobotEnv) else None
     if not (isinstance(link, SimulatedLink) and isinstance(link.body, BulletBody)):
         raise AcsarError("the bare engine can only be measured behind link='bullet'")
     return link.body.engine_step
@@ -130,17 +133,21 @@ def _batch(single: float) -> list[Figure]:
     if not compiled.COMPILED:
         return []
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
-    speed, gain = _cores(_stepper(ROBOTS, 1), _stepper(ROBOTS, cores))
-    crowd = _crowd(ROBOTS)
-    seeing, gain_seeing = _cores(_stepper(ROBOTS, 1, **crowd), _stepper(ROBOTS, cores, **crowd))
+    blind, seeing = PointGoalVectorEnv, ObstacleGoalVectorEnv
+    crowd = {"worlds": _crowd(), "robot": RobotConfig.of(None).with_(lidar={"noise": 0.0})}
+    speed, gain = _cores(_stepper(blind, ROBOTS, 1), _stepper(blind, ROBOTS, cores))
+    rays, gain_rays = _cores(
+        _stepper(seeing, ROBOTS, 1, **crowd), _stepper(seeing, ROBOTS, cores, **crowd)
+    )
+    few, many = _stepper(blind, 16, 1), _stepper(blind, 16384, 1)
     return [
         Figure(f"batch of {ROBOTS} planar robots, one core", speed, "steps/s"),
         Figure("batch against the PyBullet env", speed / single, "x the steps"),
         Figure(f"batch on {cores} cores against one", gain, "x the steps"),
-        Figure("batch with 64 rays and 60 obstacles, one core", seeing, "steps/s"),
-        Figure(f"that batch on {cores} cores against one", gain_seeing, "x the steps"),
-        Figure("batch of 16 robots: one step call", _median(_stepper(16, 1), 20) * 1e6, "us"),
-        Figure("batch of 16,384 robots, a robot", _each(_stepper(16384, 1), 5) / 16384 * 1e6, "us"),
+        Figure("batch with 64 rays and 60 obstacles, one core", rays, "steps/s"),
+        Figure(f"that batch on {cores} cores against one", gain_rays, "x the steps"),
+        Figure("batch of 16 robots: one step call", _median(few, 20) * 1e6, "us"),
+        Figure("batch of 16,384 robots, a robot", _each(many, 5) / 16384 * 1e6, "us"),
     ]
 
 
@@ -154,21 +161,25 @@ def _cores(one: Callable[[], object], every: Callable[[], object]) -> tuple[floa
     return 1.0 / statistics.median(alone), gain
 
 
-def _crowd(robots: int) -> dict[str, Any]:
-    """50 circles and 10 segments around each robot, and 64 rays to see them."""
-    rng = np.random.default_rng(0)
-    bearing = rng.uniform(-np.pi, np.pi, (2, robots, 60))
-    place = rng.uniform(1.0, 6.0, (robots, 60)) * np.array([np.cos(bearing[0]), np.sin(bearing[0])])
-    end = place + np.array([np.cos(bearing[1]), np.sin(bearing[1])])
-    size = rng.uniform(0.1, 0.3, (robots, 50))
-    circles = np.stack([*place[:, :, :50], size], axis=2)
-    segments = np.stack([*place[:, :, 50:], *end[:, :, 50:]], axis=2)
-    return {"obstacles": Obstacles(circles, segments), "rays": RaySpec(64)}
+def _crowd() -> list[World]:
+    """Worlds of 50 circles and 10 segments around the start."""
+    rng, way = np.random.default_rng(0), np.array([[0.0, 0.0], [0.5, 0.0]])
+    worlds = []
+    for _ in range(CROWDS):
+        bearing = rng.uniform(-np.pi, np.pi, (2, 60))
+        place = rng.uniform(1.0, 6.0, 60) * np.array([np.cos(bearing[0]), np.sin(bearing[0])])
+        end = place + np.array([np.cos(bearing[1]), np.sin(bearing[1])])
+        circles = np.column_stack([*place[:, :50], rng.uniform(0.1, 0.3, 50)])
+        segments = np.column_stack([*place[:, 50:], *end[:, 50:]])
+        worlds.append(
+            World(circles, segments, goal=Region(0.5, 0.0), path=np.array([[0.0, 0.0], [0.5, 0.0]]))
+        )
+    return worlds
 
 
-def _stepper(robots: int, threads: int, **options: Any) -> Callable[[], object]:
+def _stepper(kind: Callable[..., RobotVectorEnv], robots: int, threads: int, **options: Any) -> Any:
     """A call that steps so many robots with random actions."""
-    env = PointGoalVectorEnv(robots, max_episode_steps=200, threads=threads, **options)
+    env = kind(robots, max_episode_steps=200, threads=threads, **options)
     env.reset(seed=0)
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (robots, 2)).astype(np.float32)
     return lambda: env.step(actions)

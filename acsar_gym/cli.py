@@ -22,6 +22,8 @@ from acsar_gym.errors import AcsarError
 Json = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
 File = Json
 Seconds = Annotated[float | None, tyro.conf.arg(metavar="SECONDS")]
+Worlds = Annotated[str | None, tyro.conf.arg(metavar="KIND|PATH")]
+LidarArg = Annotated[str | None, tyro.conf.arg(metavar="URL")]
 RobotArg = Annotated[str | None, tyro.conf.arg(metavar="PRESET|FILE")]
 
 
@@ -177,26 +179,32 @@ def evaluate(
     robot: RobotArg = None,
     episodes: int = 100,
     seed: int = 0,
+    worlds: Worlds = None,
+    difficulty: float | None = None,
+    lidar: LidarArg = None,
     json: Json = None,
 ) -> int:
     """Run a policy for some episodes behind any link and print what it reached.
 
     Args:
-        policy: ONNX file, or the name of a policy that comes along.
+        policy: ONNX file, or the name of a policy that comes along. It knows its environment.
         link: bullet, planar, or a serial device.
         robot: preset or config file.
         episodes: how many.
         seed: of the first episode; the next ones count up.
+        worlds: kind of generated worlds (clutter, barn:1000-1099, ...), a file, or a folder.
+        difficulty: of generated worlds, 0 to 1.
+        lidar: rplidar:///dev/ttyUSB1 on hardware.
         json: write the figures here too.
     """
-    from acsar_gym import evaluation, report, runs  # noqa: PLC0415
+    from acsar_gym import metrics, report, runs  # noqa: PLC0415
 
     report.check_writable(json)
-    results = runs.evaluate(policy, link, robot, episodes, seed)
-    summary = evaluation.summarise(results)
-    report.show(
-        report.summary_table(f"{policy}, seeds {seed} to {seed + episodes - 1}", [(link, summary)])
-    )
+    options = {"worlds": worlds, "difficulty": difficulty, "lidar": lidar}
+    summary = metrics.summarise(runs.evaluate(policy, link, robot, episodes, seed, **options))
+    title = f"{policy}, seeds {seed} to {seed + episodes - 1}"
+    report.show(report.summary_table(title, [(link, summary)]))
+    report.show(report.interval_table(summary))
     report.write_json(json, summary.as_dict())
     return 0
 
@@ -206,6 +214,7 @@ def run(
     policy: str = "point_goal",
     link: str = "bullet",
     robot: RobotArg = None,
+    lidar: LidarArg = None,
     record: File = None,
     json: Json = None,
 ) -> int:
@@ -216,14 +225,15 @@ def run(
         policy: ONNX file, or the name of a policy that comes along.
         link: bullet, planar, or a serial device.
         robot: preset or config file.
+        lidar: rplidar:///dev/ttyUSB1 on hardware, for a policy that needs one.
         record: write everything on the wire here; replay it with --link replay:FILE.
         json: write the figures here too.
     """
-    from acsar_gym import evaluation, report, runs  # noqa: PLC0415
+    from acsar_gym import metrics, report, runs  # noqa: PLC0415
 
     report.check_writable(json)
-    result = runs.to_goal(policy, link, robot, goal, record)
-    summary = evaluation.summarise([result])
+    result = runs.to_goal(policy, link, robot, goal, record, lidar=lidar)
+    summary = metrics.summarise([result])
     report.show(report.summary_table(f"{policy} to ({goal[0]:g}, {goal[1]:g})", [(link, summary)]))
     report.write_json(json, summary.as_dict())
     return 0 if result.success else 1

@@ -2,8 +2,8 @@
 
 The first block of `RobotConfig` is what the robot's own driver reads from its URDF; the sections
 (`motor`, `encoder`, `firmware`, `body`) describe what stands on the other side of the wire and are
-used by simulated links only; `lidar` is the range sensor, simulated or real. Every bad value is one `ConfigError` that names field, value and what
-is allowed.
+used by simulated links only; `lidar` is the range sensor, simulated or real. Every bad value is one
+`ConfigError` that names field, value and what is allowed.
 """
 
 from __future__ import annotations

@@ -12,9 +12,10 @@ from pathlib import Path
 
 from rich.console import Console
 
-from acsar_gym import evaluation, runs
+from acsar_gym import evaluation, metrics, runs
 from acsar_gym.errors import AcsarError, LinkError
-from acsar_gym.evaluation import EpisodeResult, Summary
+from acsar_gym.evaluation import EpisodeResult
+from acsar_gym.metrics import Summary
 from acsar_gym.policy import OnnxPolicy
 from acsar_gym.resources import AGENTS
 
@@ -32,7 +33,7 @@ def run(steps: int, episodes: int, serial_episodes: int, out: Path) -> list[tupl
     simulated = runs.drive(policy, "bullet", None, episodes, seed=10_000)
     console.rule(f"3. drive {policy_file.name} over a serial device", align="left")
     serial = _over_serial(policy, serial_episodes)
-    return [("PyBullet", evaluation.summarise(simulated)), ("serial device (emulator)", serial)]
+    return [("PyBullet", metrics.summarise(simulated)), ("serial device (emulator)", serial)]
 
 
 def train(steps: int, out: Path) -> Path:
@@ -49,7 +50,7 @@ def _over_serial(policy: OnnxPolicy, count: int) -> Summary:
         log = Path(folder) / "emulator.jsonl"
         with emulator("--body", "bullet", "--log", str(log)) as device:
             results = runs.drive(policy, device, None, count, seed=20_000)
-        return evaluation.summarise(with_truth(results, log))
+        return metrics.summarise(with_truth(results, log))
 
 
 def with_truth(results: Sequence[EpisodeResult], log: Path) -> list[EpisodeResult]:

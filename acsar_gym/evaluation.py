@@ -1,28 +1,34 @@
-"""Episodes of a policy, and what they add up to."""
+"""Episodes of a policy, one by one."""
 
 from __future__ import annotations
 
 import json
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
 
-from acsar_gym.env import PointGoalEnv
+from acsar_gym.env import RobotEnv
 from acsar_gym.errors import ConfigError
 from acsar_gym.policy import Policy
-from acsar_gym.worlds import Pose
+from acsar_gym.tasks.barn import SCORES
+from acsar_gym.worlds import Pose, Region, World
+from acsar_gym.worlds.search import footprint_radius, path_length, way_left
+
+Way = list[tuple[float, float]]
 
 
 @dataclass(frozen=True, slots=True)
 class EpisodeResult:
-    """One episode, as odometry and the link's clock saw it."""
+    """One episode, as odometry, the link's clock and, in simulation, the truth saw it."""
 
     success: bool
+    collision: bool
+    """Whether a simulated robot touched an obstacle; never on hardware."""
     started: float
     """The link's clock at the reset [s]."""
     ended: float
@@ -36,29 +42,18 @@ class EpisodeResult:
     ticks: int
     late_ticks: int
     """Ticks that ended over a millisecond late; 0 in simulation."""
-
-
-@dataclass(frozen=True, slots=True)
-class Summary:
-    """Means over episodes; NaN where there is nothing to average."""
-
-    episodes: int
-    success_rate: float
-    time_to_goal: float
-    """Over successes [s]."""
-    path: float
-    """Over successes [m]."""
-    odometry_error: float
-    """At the end of an episode [m]."""
-    ticks: int
-    late_ticks: int
-
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON: NaN becomes None."""
-        return {
-            key: None if isinstance(value, float) and math.isnan(value) else value
-            for key, value in asdict(self).items()
-        }
+    shortest: float = math.nan
+    """Length of the shortest way from start to goal for the footprint [m]."""
+    left: float = math.nan
+    """Length of the shortest way from the end of the episode to the goal [m]."""
+    driven: float = math.nan
+    """Length of the path driven, in truth where there is one [m]."""
+    turning: float = math.nan
+    """Heading changes of the path, by odometry [rad]."""
+    scores: tuple[float, ...] = ()
+    """BARN's, as `tasks.barn.SCORES` names them; empty for other tasks."""
+    cross_track: float = math.nan
+    """Mean distance beside the path to follow [m]; NaN for other tasks."""
 
 
 def episodes(
@@ -73,42 +68,53 @@ def _episode(
     env: gymnasium.Env[Any, Any], policy: Policy, seed: int, options: dict[str, Any]
 ) -> EpisodeResult:
     unwrapped = env.unwrapped
-    if not isinstance(unwrapped, PointGoalEnv):
+    if not isinstance(unwrapped, RobotEnv):
         raise ConfigError(f"{env}: only environments of acsar_gym can be evaluated")
     observation, info = env.reset(seed=seed, options=options)
-    link, done, path, ticks = unwrapped.robot.link, False, 0.0, 0
-    started, late = link.now(), link.late_ticks
+    link, steps = unwrapped.robot.link, [info]
+    started, late, done = link.now(), link.late_ticks, False
     while not done:
-        x, y = info["odom_x"], info["odom_y"]
         observation, _, terminated, truncated, info = env.step(policy(observation))
-        path += math.hypot(info["odom_x"] - x, info["odom_y"] - y)
-        ticks += unwrapped.ticks_per_step
+        steps.append(info)
         done = terminated or truncated
     unwrapped.robot.stop()  # a time limit is no concern of the env below it
     return EpisodeResult(
         success=info["is_success"] == 1.0,
+        collision=info["is_success"] != 1.0 and info["true_contact"] == 1.0,
         started=started,
         ended=link.now(),
-        path=path,
+        path=_length(steps, "odom"),
         pose=(info["odom_x"], info["odom_y"], info["odom_theta"]),
         odometry_error=info["odometry_error"],
-        ticks=ticks,
+        ticks=(len(steps) - 1) * unwrapped.ticks_per_step,
         late_ticks=link.late_ticks - late,
+        **_ways(unwrapped, steps),
+        turning=_turning([step["odom_theta"] for step in steps]),
+        scores=tuple(info[name] for name in SCORES if name in info),
+        cross_track=info.get("mean_cross_track_error", math.nan),
     )
 
 
-def summarise(results: Sequence[EpisodeResult]) -> Summary:
-    """Rates and means of a list of episodes."""
-    wins = [result for result in results if result.success]
-    return Summary(
-        episodes=len(results),
-        success_rate=_mean([float(result.success) for result in results]),
-        time_to_goal=_mean([result.ended - result.started for result in wins]),
-        path=_mean([result.path for result in wins]),
-        odometry_error=_mean([result.odometry_error for result in results]),
-        ticks=sum(result.ticks for result in results),
-        late_ticks=sum(result.late_ticks for result in results),
-    )
+def _length(steps: Sequence[dict[str, float]], frame: str) -> float:
+    return path_length(np.array([(step[f"{frame}_x"], step[f"{frame}_y"]) for step in steps]))
+
+
+def _turning(headings: Sequence[float]) -> float:
+    turns = np.diff(np.unwrap(np.array(headings)))
+    return float(np.abs(turns).sum())
+
+
+def _ways(env: RobotEnv, steps: Sequence[dict[str, float]]) -> dict[str, float]:
+    """Shortest way, way that is left, and way driven, all in truth where there is one [m]."""
+    frame = "odom" if math.isnan(steps[-1]["true_x"]) else "true"
+    assignment = env.course.assignment
+    if assignment.path is not None:
+        return {"driven": _length(steps, frame)}
+    radius, goal = footprint_radius(env.robot.config), Region(*assignment.goal)
+    world = assignment.world or World()
+    ends = [Region(step[f"{frame}_x"], step[f"{frame}_y"]) for step in (steps[0], steps[-1])]
+    shortest, left = (way_left(world, radius, end, goal) for end in ends)
+    return {"shortest": shortest, "left": left, "driven": _length(steps, frame)}
 
 
 def odometry_errors(results: Sequence[EpisodeResult], log: Path) -> list[float]:
@@ -144,7 +150,3 @@ def _relative(start: Pose, end: Pose) -> tuple[float, float]:
     dx, dy = end[0] - start[0], end[1] - start[1]
     c, s = math.cos(start[2]), math.sin(start[2])
     return c * dx + s * dy, c * dy - s * dx
-
-
-def _mean(values: Sequence[float]) -> float:
-    return sum(values) / len(values) if values else math.nan

@@ -8,14 +8,14 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from acsar_gym.config import RobotConfig
 from acsar_gym.errors import MissingExtraError, PolicyError
 from acsar_gym.resources import AGENTS
-from acsar_gym.tasks import POINT_GOAL_LAYOUT, Observation
+from acsar_gym.tasks import Observation, Task, signature
 
 ENV_KEY = "acsar_gym.env"
 LAYOUT_KEY = "acsar_gym.observation"
 """Keys of the file's metadata: the env's id, and the names of the observation's numbers."""
-ENV_ID = "acsar_gym/PointGoal-v0"
 
 
 class Policy(Protocol):
@@ -28,8 +28,8 @@ class Policy(Protocol):
 class OnnxPolicy:
     """A policy read from an ONNX file; loading runs no code from the file.
 
-    Raises PolicyError where the file is missing, isn't a policy, or was made for an observation
-    with another layout, and MissingExtraError without onnxruntime.
+    `env_id` is the environment that it was trained for. Raises PolicyError where the file is
+    missing or isn't a policy of this package, and MissingExtraError without onnxruntime.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -57,15 +57,24 @@ class OnnxPolicy:
         if names != [["observation"], ["action"]]:
             raise PolicyError(f"{self.path}: must map 'observation' to 'action', maps {names}")
         metadata = self._session.get_modelmeta().custom_metadata_map
-        layout = tuple(metadata.get(LAYOUT_KEY, "").split(","))
-        if layout != POINT_GOAL_LAYOUT:
+        self.env_id = metadata.get(ENV_KEY, "")
+        self._signature = metadata.get(LAYOUT_KEY, "")
+        if not self.env_id or not self._signature:
             raise PolicyError(
-                f"{self.path}: made for the observation ({', '.join(layout)}), but {ENV_ID} gives "
-                f"({', '.join(POINT_GOAL_LAYOUT)}): train it again"
+                f"{self.path}: doesn't say which environment it is for: export it with sb3.export"
+            )
+
+    def check(self, task: Task, config: RobotConfig) -> None:
+        """PolicyError where the policy was made for another observation than this env gives."""
+        wanted = signature(task, config)
+        if self._signature != wanted:
+            raise PolicyError(
+                f"{self.path}: made for {self.env_id} and the observation ({self._signature}), but "
+                f"{task.id} gives ({wanted}): train it again"
             )
 
     def __call__(self, observation: Observation) -> NDArray[np.float32]:
-        """The deterministic action in [-1, 1], shape (2,), for an observation of shape (7,)."""
+        """The deterministic action in [-1, 1], shape (2,), for one observation."""
         action: NDArray[np.float32] = self._session.run(None, {"observation": observation[None]})[
             0
         ][0]

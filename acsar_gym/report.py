@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from acsar_gym.errors import ConfigError
-from acsar_gym.evaluation import Summary
+from acsar_gym.metrics import Summary
 
 ALARM = 0.15
 """Mean odometry error at which a table says so: the default tolerance of a goal [m]."""
@@ -44,21 +45,15 @@ def write_json(path: Path | None, data: Mapping[str, Any]) -> None:
 
 
 def summary_table(title: str, rows: Sequence[tuple[str, Summary]]) -> Table:
-    """One row for each way in which the same policy was run."""
+    """One row for each way in which the same policy was run; only columns that say something."""
     table = Table(title=title, title_justify="left")
+    columns = {name: [cell(summary) for _, summary in rows] for name, cell in COLUMNS.items()}
+    told = {name: cells for name, cells in columns.items() if any(cells)}
     table.add_column("behind the wire")
-    for column in ("success", "time to goal", "path", "odometry error", "late ticks"):
-        table.add_column(column, justify="right")
-    for name, summary in rows:
-        wins = round(summary.success_rate * summary.episodes)
-        table.add_row(
-            name,
-            f"{wins}/{summary.episodes} ({summary.success_rate:.1%})",
-            _number(summary.time_to_goal, "s"),
-            _number(summary.path, "m"),
-            _number(summary.odometry_error * 100.0, "cm"),
-            f"{summary.late_ticks} of {summary.ticks}",
-        )
+    for name in told:
+        table.add_column(name, justify="right")
+    for number, (wire, _) in enumerate(rows):
+        table.add_row(wire, *(cells[number] or "not known" for cells in told.values()))
     worst = max(
         (s.odometry_error for _, s in rows if not math.isnan(s.odometry_error)), default=0.0
     )
@@ -70,5 +65,46 @@ def summary_table(title: str, rows: Sequence[tuple[str, Summary]]) -> Table:
     return table
 
 
-def _number(value: float, unit: str) -> str:
-    return "not known" if math.isnan(value) else f"{value:.2f} {unit}"
+def interval_table(summary: Summary) -> Table:
+    """Every figure of one run with its 95 % interval."""
+    table = Table(title="95 % intervals", title_justify="left")
+    for column in ("figure", "value", "low", "high"):
+        table.add_column(column, justify="left" if column == "figure" else "right")
+    values = {**asdict(summary), **summary.scores}
+    for name, interval in summary.intervals.items():
+        figures = (values[name], *interval)
+        if math.isfinite(values[name]):
+            table.add_row(name, *("-" if math.isnan(f) else f"{f:.4g}" for f in figures))
+    return table
+
+
+def _success(summary: Summary) -> str:
+    wins = round(summary.success_rate * summary.episodes)
+    return f"{wins}/{summary.episodes} ({summary.success_rate:.1%})"
+
+
+def _rate(share: float) -> str:
+    return f"{share:.1%}" if share > 0.0 else ""
+
+
+def _number(value: float, unit: str = "") -> str:
+    return "" if math.isnan(value) else f"{value:.2f} {unit}".strip()
+
+
+def _score(summary: Summary) -> str:
+    return f"{summary.scores['barn_score']:.3f}" if summary.scores else ""
+
+
+COLUMNS: dict[str, Callable[[Summary], str]] = {
+    "success": _success,
+    "collision": lambda summary: _rate(summary.collision_rate),
+    "time-out": lambda summary: _rate(summary.timeout_rate),
+    "SPL": lambda summary: _number(summary.spl),
+    "BARN score": _score,
+    "time to goal": lambda summary: _number(summary.time_to_goal, "s"),
+    "path": lambda summary: _number(summary.path, "m"),
+    "beside path": lambda summary: _number(summary.cross_track * 100.0, "cm"),
+    "odometry error": lambda summary: _number(summary.odometry_error * 100.0, "cm"),
+    "late ticks": lambda summary: f"{summary.late_ticks} of {summary.ticks}",
+}
+"""What a table says of a run; an empty text is nothing to say."""

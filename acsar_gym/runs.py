@@ -2,36 +2,58 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from acsar_gym import evaluation
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError
+from acsar_gym.env import RobotEnv
+from acsar_gym.errors import ConfigError, PolicyError
 from acsar_gym.evaluation import EpisodeResult
 from acsar_gym.links import Link, open_link
 from acsar_gym.links.recording import RecordingLink
-from acsar_gym.policy import ENV_ID, OnnxPolicy
+from acsar_gym.policy import OnnxPolicy
+
+Env = gymnasium.Env[Any, Any]
+
+
+def made(policy: OnnxPolicy, link: str | Link, robot: Any, options: Mapping[str, Any]) -> Env:
+    """The environment that a policy was trained for; PolicyError where it is another one now.
+
+    Options whose value is None are left to the environment.
+    """
+    given = {name: value for name, value in options.items() if value is not None}
+    try:
+        env = gymnasium.make(policy.env_id, link=link, robot=robot, **given)
+    except gymnasium.error.Error as error:
+        raise PolicyError(f"{policy.path}: made for {policy.env_id}: {error}") from None
+    except TypeError:
+        names = ", ".join(given)
+        raise ConfigError(f"{policy.env_id} doesn't take all of: {names}") from None
+    inner = env.unwrapped
+    if isinstance(inner, RobotEnv):
+        policy.check(inner.task, inner.robot.config)
+    return env
 
 
 def evaluate(
-    policy: str, link: str, robot: str | None, episodes: int, seed: int
+    policy: str, link: str, robot: str | None, episodes: int, seed: int, **options: Any
 ) -> list[EpisodeResult]:
-    """Episodes with random goals, behind a progress bar."""
+    """Episodes with random goals, behind a progress bar; options go to the environment."""
     if episodes < 1 or seed < 0:
         raise ConfigError("--episodes must be at least 1 and --seed at least 0")
-    return drive(OnnxPolicy(policy), link, robot, episodes, seed)
+    return drive(OnnxPolicy(policy), link, robot, episodes, seed, **options)
 
 
 def drive(
-    policy: OnnxPolicy, link: str, robot: str | None, count: int, seed: int
+    policy: OnnxPolicy, link: str, robot: str | None, count: int, seed: int, **options: Any
 ) -> list[EpisodeResult]:
     """Episodes of a loaded policy behind a link, which is closed whatever happens."""
-    env = gymnasium.make(ENV_ID, link=link, robot=robot)
+    env = made(policy, link, robot, options)
     try:
         return track(link, evaluation.episodes(env, policy, count, seed), count)
     finally:
@@ -39,7 +61,12 @@ def drive(
 
 
 def to_goal(
-    policy: str, link: str, robot: str | None, goal: tuple[float, float], record: Path | None
+    policy: str,
+    link: str,
+    robot: str | None,
+    goal: tuple[float, float],
+    record: Path | None,
+    **options: Any,
 ) -> EpisodeResult:
     """One episode to a given goal, recorded to a file on request."""
     config = RobotConfig.of(robot)
@@ -47,7 +74,7 @@ def to_goal(
     wire: Link = open_link(link, config)
     if record is not None:
         wire = RecordingLink(wire, record)
-    env = gymnasium.make(ENV_ID, link=wire, robot=config)
+    env = made(actor, wire, config, options)
     try:
         return next(evaluation.episodes(env, actor, 1, seed=0, goal=goal))
     finally:
@@ -68,6 +95,6 @@ def track(name: str, running: Iterator[EpisodeResult], count: int) -> list[Episo
         task = progress.add_task(name, total=count, rate="-")
         for result in running:
             results.append(result)
-            rate = evaluation.summarise(results).success_rate
-            progress.update(task, advance=1, rate="-" if math.isnan(rate) else f"{rate:.0%}")
+            rate = sum(r.success for r in results) / len(results)
+            progress.update(task, advance=1, rate=f"{rate:.0%}")
     return results

@@ -14,10 +14,11 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
+from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, MissingExtraError
-from acsar_gym.policy import ENV_ID, ENV_KEY, LAYOUT_KEY
-from acsar_gym.tasks import POINT_GOAL_LAYOUT
-from acsar_gym.vector import PointGoalVectorEnv
+from acsar_gym.policy import ENV_KEY, LAYOUT_KEY
+from acsar_gym.tasks import Task, signature
+from acsar_gym.vector import RobotVectorEnv
 
 try:
     import onnx
@@ -31,14 +32,14 @@ except ImportError:
 
 
 class BatchVecEnv(VecEnv):
-    """A PointGoalVectorEnv as stable-baselines3's VecEnv, with the episode statistics of Monitor.
+    """A RobotVectorEnv as stable-baselines3's VecEnv, with the episode statistics of Monitor.
 
     The batch must use AutoresetMode.SAME_STEP. Robots whose episode goes on share one empty info;
     those whose episode ends have `terminal_observation`, `episode` (r, l, t), `is_success` and
     `TimeLimit.truncated`. There are no single envs behind it to call methods of.
     """
 
-    def __init__(self, batch: PointGoalVectorEnv) -> None:
+    def __init__(self, batch: RobotVectorEnv) -> None:
         if batch.autoreset_mode is not AutoresetMode.SAME_STEP:
             raise ConfigError("stable-baselines3 needs autoreset_mode='SameStep'")
         self._batch = batch
@@ -47,7 +48,7 @@ class BatchVecEnv(VecEnv):
         self._started = time.monotonic()
 
     def reset(self) -> NDArray[np.float32]:
-        """Observations of new episodes, num_envs x 7."""
+        """Observations of new episodes, one row a robot."""
         seeded = any(seed is not None for seed in self._seeds)
         observations, _ = self._batch.reset(seed=self._seeds if seeded else None)
         self._reset_seeds()
@@ -171,14 +172,14 @@ def _forget_sources(model: Any) -> None:
         del weight.metadata_props[:]
 
 
-def export(policy: ActorCriticPolicy, path: Path) -> None:
+def export(policy: ActorCriticPolicy, path: Path, task: Task, config: RobotConfig) -> None:
     """Write the deterministic actor of a trained policy to one ONNX file at `path`.
 
-    The file maps `observation` (batch, 7) to `action` (batch, 2), float32, and carries the env's id
-    and the observation's layout, which `OnnxPolicy` checks.
+    The file maps `observation` (batch, n) to `action` (batch, 2), float32, and carries the env's id
+    and the observation's signature, which `OnnxPolicy` checks.
     """
     actor = _Actor(policy).eval().cpu()
-    example = (torch.zeros(1, len(POINT_GOAL_LAYOUT)),)
+    example = (torch.zeros(1, *(policy.observation_space.shape or ())),)
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it misses torchvision, we don't
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # deprecations inside torch's own exporter
@@ -193,6 +194,6 @@ def export(policy: ActorCriticPolicy, path: Path) -> None:
         )
     model = program.model_proto
     _forget_sources(model)
-    onnx.helper.set_model_props(model, {ENV_KEY: ENV_ID, LAYOUT_KEY: ",".join(POINT_GOAL_LAYOUT)})
+    onnx.helper.set_model_props(model, {ENV_KEY: task.id, LAYOUT_KEY: signature(task, config)})
     path.parent.mkdir(parents=True, exist_ok=True)
     onnx.save(model, path)

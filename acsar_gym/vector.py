@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
@@ -18,45 +17,39 @@ from acsar_gym import compiled
 from acsar_gym.batch import Batch
 from acsar_gym.config import RobotConfig, whole_ratio
 from acsar_gym.crew import Crew
-from acsar_gym.env import point_goal_spaces
+from acsar_gym.env import task_spaces
 from acsar_gym.errors import CommandError, ConfigError
 from acsar_gym.kernel import layout
+from acsar_gym.places import BatchTask
 from acsar_gym.randomization import Randomization
-from acsar_gym.tasks import PointGoal
-from acsar_gym.worlds.geometry import Obstacles, RaySpec, surroundings
 
 FAIR_SHARE = 256
 """Robots for which another thread is worth its start."""
 
 Array = NDArray[Any]
 Info = dict[str, Any]
-_MASKS = tuple(f"_{name}" for name in layout.INFO)
 
 
-class PointGoalVectorEnv(VectorEnv[Array, Array, Array]):
-    """Many robots of `acsar_gym/PointGoal-v0` on a flat floor, stepped in compiled loops.
+class RobotVectorEnv(VectorEnv[Array, Array, Array]):
+    """Many planar robots with one task; `acsar_gym.vectors` has the ids' classes.
 
-    Spaces, reward, end and info are those of `PointGoalEnv`, one row a robot, and so are commands,
-    latency, motors, tyres, encoders and odometry: with the same seed and actions a robot does what
-    `link="planar"` does, to 1e-9. Make it with
+    Spaces, reward, end and info are those of the single env, one row a robot, and so are commands,
+    latency, motors, tyres, encoders, odometry, LiDAR and worlds: with the same seed and actions a
+    robot does what `link="planar"` does, to 1e-9. Make it with
 
-        gymnasium.make_vec("acsar_gym/PointGoal-v0", 1024, vectorization_mode="vector_entry_point")
+        gymnasium.make_vec("acsar_gym/Barn-v0", 1024, vectorization_mode="vector_entry_point")
 
-    Arguments besides those of `PointGoalEnv`:
+    Arguments besides those of the single env:
 
     - `num_envs`: robots.
-    - `max_episode_steps`: time limit; registration gives 200.
+    - `max_episode_steps`: time limit; registration gives that of the id.
     - `autoreset_mode`: an AutoresetMode or its value, "NextStep" (default), "SameStep", "Disabled".
     - `threads`: cores to use, at most; None uses all where there is enough to do. Results don't
       depend on it.
     - `randomization`: see `Randomization`; drawn anew for every robot with every episode.
-    - `obstacles`: circles and segments around the robots (see `Obstacles`). A footprint that
-      touches one at the end of a tick ends the episode, with the reward of leaving the bounds.
-    - `rays`: a range sensor (see `RaySpec`) mounted at the robot's lidar offsets. Its ranges, as
-      shares of its reach, follow the seven numbers of the observation.
 
-    Seeds: `reset(seed=s)` seeds robot i with s + i, or a list names each one's. Every robot has its
-    own generator, the same as the single env's.
+    All worlds are made when the batch is. Seeds: `reset(seed=s)` seeds robot i with s + i, or a
+    list names each one's. Every robot has its own generator, the same as the single env's.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - as VectorEnv declares it
@@ -66,53 +59,32 @@ class PointGoalVectorEnv(VectorEnv[Array, Array, Array]):
 
     def __init__(
         self,
-        num_envs: int = 1,
-        robot: RobotConfig | str | Path | None = None,
+        task: Callable[[RobotConfig], BatchTask],
+        num_envs: int,
+        robot: RobotConfig | str | Path | None,
         *,
-        goal_distance: tuple[float, float] = (0.5, 3.0),
-        goal_tolerance: float = 0.15,
         policy_rate: float = 10.0,
         max_episode_steps: int | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         threads: int | None = None,
         randomization: Mapping[str, tuple[float, float]] | None = None,
-        obstacles: Obstacles | None = None,
-        rays: RaySpec | None = None,
         link: str = "planar",
         render_mode: str | None = None,
     ) -> None:
         config = RobotConfig.of(robot)
-        if link != "planar":
-            raise ConfigError(
-                f"link = {link!r}: a batch has planar robots; for others make_vec with "
-                "vectorization_mode='sync' or 'async'"
-            )
-        if render_mode is not None:
-            raise ConfigError("a batch of robots has no pictures: render a single env instead")
-        if not compiled.COMPILED:
-            warnings.warn(
-                "numba isn't installed, so batches are slow: pip install 'acsar_gym[fast]'",
-                RuntimeWarning,
-                stacklevel=2,
-            )
+        _check(link, render_mode)
         self.num_envs = _count("num_envs", num_envs)
         self.autoreset_mode = _autoreset(autoreset_mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
-        task = PointGoal.of(goal_distance, goal_tolerance, config)
-        self.single_action_space, numbers = point_goal_spaces()
-        self.single_observation_space = _with_rays(numbers, rays.rays if rays else 0)
+        self.task = task(config)
+        self.config = config
+        self.single_action_space, self.single_observation_space = task_spaces(self.task, config)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         ticks = whole_ratio("control_rate", config.control_rate, "policy_rate", policy_rate)
-        self.batch = Batch(
-            self.num_envs,
-            config,
-            task,
-            ticks,
-            max_episode_steps,
-            Randomization.of(randomization),
-            surroundings(obstacles or Obstacles(), rays, self.num_envs, config),
-        )
+        randomized = Randomization.of(randomization)
+        self.batch = Batch(self.num_envs, config, self.task, ticks, max_episode_steps, randomized)
+        self._masks = tuple(f"_{name}" for name in self.batch.told)
         self._crew = Crew(_threads(threads, self.num_envs))
         self._done = np.zeros(self.num_envs, np.bool_)
 
@@ -179,19 +151,27 @@ class PointGoalVectorEnv(VectorEnv[Array, Array, Array]):
 
     def _info(self, mask: Array) -> Info:
         """The single env's info as arrays, each with its mask."""
-        info: Info = dict(zip(layout.INFO, self.batch.info.copy(), strict=True))
-        return info | dict.fromkeys(_MASKS, mask)
+        return self.batch.info() | dict.fromkeys(self._masks, mask)
 
     def close_extras(self, **_: Any) -> None:
         """End the threads."""
         self._crew.close()
 
 
-def _with_rays(numbers: Box, rays: int) -> Box:
-    """The observation space with so many ranges in [0, 1] behind its numbers."""
-    low = np.concatenate([numbers.low, np.zeros(rays, np.float32)])
-    high = np.concatenate([numbers.high, np.ones(rays, np.float32)])
-    return Box(low, high, dtype=np.float32)
+def _check(link: str, render_mode: str | None) -> None:
+    if link != "planar":
+        raise ConfigError(
+            f"link = {link!r}: a batch has planar robots; for others make_vec with "
+            "vectorization_mode='sync' or 'async'"
+        )
+    if render_mode is not None:
+        raise ConfigError("a batch of robots has no pictures: render a single env instead")
+    if not compiled.COMPILED:
+        warnings.warn(
+            "numba isn't installed, so batches are slow: pip install 'acsar_gym[fast]'",
+            RuntimeWarning,
+            stacklevel=4,
+        )
 
 
 def _autoreset(mode: AutoresetMode | str) -> AutoresetMode:

@@ -1,6 +1,6 @@
 """Train PPO on thousands of planar robots and export the actor as one ONNX file.
 
-    python agents/train.py --steps 600000 --out runs/point_goal
+    python agents/train.py --env obstacle_goal --out runs/obstacle_goal
 
 writes policy.onnx (what drives the robot), model.zip (to train on), checkpoints and TensorBoard
 logs into the folder.
@@ -9,20 +9,20 @@ logs into the folder.
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, Literal
 
 import torch
 import tyro
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback, CheckpointCallback
 
-from acsar_gym import sb3
+from acsar_gym import sb3, vectors
 from acsar_gym.errors import AcsarError, ConfigError
-from acsar_gym.vector import PointGoalVectorEnv
+from acsar_gym.vector import RobotVectorEnv
 
-EPISODE_STEPS = 200
-ROLLOUT_STEPS = 64
 RANDOMIZATION = {
     "friction": (0.7, 1.2),
     "motor_gain": (0.95, 1.05),
@@ -34,17 +34,69 @@ RANDOMIZATION = {
 
 
 @dataclass(frozen=True)
-class Options:
-    """PPO on acsar_gym/PointGoal-v0."""
+class Recipe:
+    """What works for one environment."""
 
-    steps: int = 600_000
-    """Env steps in all."""
-    out: Path = Path("runs/point_goal")
-    """Folder for the policy, checkpoints and logs."""
+    env: Callable[..., RobotVectorEnv]
+    steps: int
+    episode_steps: int
+    net: tuple[int, ...] = (64, 64)
+    gamma: float = 0.98
+    rollout_steps: int = 64
+    batch_size: int = 4096
+    epochs: int = 6
+    learning_rate: float = 1e-3
+    options: dict[str, Any] = field(default_factory=dict)
+    """Arguments of the env."""
+
+
+RECIPES = {
+    "point_goal": Recipe(vectors.PointGoalVectorEnv, 600_000, 200),
+    "path_follow": Recipe(vectors.PathFollowVectorEnv, 1_000_000, 400),
+    "obstacle_goal": Recipe(
+        vectors.ObstacleGoalVectorEnv,
+        6_000_000,
+        400,
+        net=(128, 128),
+        gamma=0.99,
+        batch_size=8192,
+        epochs=5,
+        learning_rate=7e-4,
+        options={"worlds": "clutter:1000-1399"},
+    ),
+    "barn": Recipe(
+        vectors.BarnVectorEnv,
+        15_000_000,
+        1000,
+        net=(256, 128),
+        gamma=0.99,
+        batch_size=8192,
+        epochs=5,
+        learning_rate=5e-4,
+        options={"worlds": "barn:1000-1399"},
+    ),
+}
+"""Worlds to train in begin at number 1000, so that the first ones are left to be evaluated in."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """PPO on one of the environments."""
+
+    env: Literal["point_goal", "path_follow", "obstacle_goal", "barn"] = "point_goal"
+    """What to learn; each has its own hyperparameters (see RECIPES)."""
+    steps: int | None = None
+    """Env steps in all; the recipe's where it isn't given."""
+    out: Path | None = None
+    """Folder for the policy, checkpoints and logs; runs/ENV where it isn't given."""
     robots: int = 512
     """Robots stepped together."""
     seed: int = 0
     """Seed of everything random."""
+    worlds: str | None = None
+    """Kind, file or folder of worlds, instead of the recipe's."""
+    robot: str | None = None
+    """Preset or config file."""
     randomize: bool = True
     """Vary the robots' physics (see RANDOMIZATION)."""
     progress: bool = True
@@ -53,46 +105,38 @@ class Options:
 
 def train(options: Options) -> int:
     """Train, save, export; returns the exit code: 130 where Ctrl-C ended it early."""
-    if min(options.steps, options.robots) < 1:
+    recipe = RECIPES[options.env]
+    steps = recipe.steps if options.steps is None else options.steps
+    if min(steps, options.robots) < 1:
         raise ConfigError("--steps and --robots must be at least 1")
-    try:
-        options.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"--out {options.out}: can't be written: {error.strerror}") from None
-    env = sb3.BatchVecEnv(
-        PointGoalVectorEnv(
-            options.robots,
-            max_episode_steps=EPISODE_STEPS,
-            autoreset_mode="SameStep",
-            randomization=RANDOMIZATION if options.randomize else None,
-        )
-    )
+    out = _folder(options)
+    env = _env(recipe, options)
     model = PPO(
         "MlpPolicy",
-        env,
-        n_steps=ROLLOUT_STEPS,
-        batch_size=4096,
-        n_epochs=6,
-        learning_rate=1e-3,
-        gamma=0.98,
+        sb3.BatchVecEnv(env),
+        n_steps=recipe.rollout_steps,
+        batch_size=recipe.batch_size,
+        n_epochs=recipe.epochs,
+        learning_rate=recipe.learning_rate,
+        gamma=recipe.gamma,
         gae_lambda=0.95,
         ent_coef=0.0,
-        policy_kwargs={"net_arch": [64, 64], "log_std_init": -0.5},
+        policy_kwargs={"net_arch": list(recipe.net), "log_std_init": -0.5},
         seed=options.seed,
         device="cpu",
-        tensorboard_log=str(options.out / "tensorboard"),
+        tensorboard_log=str(out / "tensorboard"),
     )
     callbacks: list[BaseCallback] = [
         CheckpointCallback(
-            save_freq=max(options.steps // (4 * options.robots), ROLLOUT_STEPS),
-            save_path=str(options.out / "checkpoints"),
+            save_freq=max(steps // (4 * options.robots), recipe.rollout_steps),
+            save_path=str(out / "checkpoints"),
         )
     ]
     if options.progress:
-        callbacks.append(sb3.TrainingProgress(options.steps, EPISODE_STEPS))
+        callbacks.append(sb3.TrainingProgress(steps, recipe.episode_steps))
     interrupted = False
     try:
-        model.learn(options.steps, callback=callbacks)
+        model.learn(steps, callback=callbacks)
     except KeyboardInterrupt:
         interrupted = True
         for callback in callbacks:
@@ -100,11 +144,36 @@ def train(options: Options) -> int:
         print(f"interrupted at {model.num_timesteps:,} steps: saving what there is")
     finally:
         env.close()
-    model.save(options.out / "model.zip")
-    policy = options.out / "policy.onnx"
-    sb3.export(model.policy, policy)
+    model.save(out / "model.zip")
+    policy = out / "policy.onnx"
+    sb3.export(model.policy, policy, env.task, env.config)
     print(f"policy written to {policy}")
     return 130 if interrupted else 0
+
+
+def _folder(options: Options) -> Path:
+    out = options.out or Path("runs") / options.env
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"--out {out}: can't be written: {error.strerror}") from None
+    return out
+
+
+def _env(recipe: Recipe, options: Options) -> RobotVectorEnv:
+    arguments = dict(recipe.options)
+    if options.worlds is not None:
+        arguments["paths" if options.env == "path_follow" else "worlds"] = options.worlds
+    if options.env == "point_goal" and options.worlds is not None:
+        raise ConfigError("--worlds: point_goal has none")
+    return recipe.env(
+        options.robots,
+        options.robot,
+        max_episode_steps=recipe.episode_steps,
+        autoreset_mode="SameStep",
+        randomization=RANDOMIZATION if options.randomize else None,
+        **arguments,
+    )
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 from acsar_gym import open_link
 from acsar_gym.config import RobotConfig
-from acsar_gym.env import PointGoalEnv
+from acsar_gym.envs import PointGoalEnv
 from acsar_gym.errors import CommandError, ConfigError, RenderError
 
 ENV_ID = "acsar_gym/PointGoal-v0"

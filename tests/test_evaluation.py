@@ -10,7 +10,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from acsar_gym.env import PointGoalEnv
+from acsar_gym.envs import PointGoalEnv
 from acsar_gym.errors import ConfigError
 from acsar_gym.evaluation import EpisodeResult, episodes, odometry_errors, summarise
 from acsar_gym.report import write_json

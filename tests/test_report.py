@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from acsar_gym import evaluation, report, runs
-from acsar_gym.env import PointGoalEnv
+from acsar_gym.envs import PointGoalEnv
 from acsar_gym.policy import OnnxPolicy
 
 

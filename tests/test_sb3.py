@@ -11,7 +11,7 @@ from stable_baselines3.common.vec_env import VecMonitor
 
 from acsar_gym.errors import ConfigError
 from acsar_gym.sb3 import BatchVecEnv
-from acsar_gym.vector import PointGoalVectorEnv
+from acsar_gym.vectors import PointGoalVectorEnv
 
 
 def vec_env(num: int = 6, **options: Any) -> BatchVecEnv:

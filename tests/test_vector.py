@@ -16,7 +16,7 @@ from gymnasium.vector import AutoresetMode
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import CommandError, ConfigError
 from acsar_gym.kernel import layout
-from acsar_gym.vector import PointGoalVectorEnv
+from acsar_gym.vectors import PointGoalVectorEnv
 from acsar_gym.worlds.geometry import Obstacles, RaySpec
 
 ENV_ID = "acsar_gym/PointGoal-v0"
@@ -260,7 +260,7 @@ import sys, warnings
 if sys.argv[1] == "plain":
     sys.modules["numba"] = None
 import numpy as np
-from acsar_gym.vector import PointGoalVectorEnv
+from acsar_gym.vectors import PointGoalVectorEnv
 from acsar_gym.worlds.geometry import Obstacles, RaySpec
 with warnings.catch_warnings(record=True) as caught:
     warnings.simplefilter("always")

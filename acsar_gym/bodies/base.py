@@ -25,7 +25,7 @@ class GroundTruth:
     twist: tuple[float, float] = (0.0, 0.0)
     """forward speed [m/s], yaw rate [rad/s]"""
     contact: bool = False
-    """whether the robot touches anything but the floor"""
+    """whether the robot has touched an obstacle since the reset, at the end of any period"""
 
 
 class Body(Protocol):
@@ -41,6 +41,9 @@ class Body(Protocol):
 
     def step(self, set_points: Speeds) -> None:
         """Let one loop period pass with these wheel speed set points [rad/s]."""
+
+    def feel(self) -> None:
+        """Note whether the robot touches an obstacle now, for `truth`."""
 
     @property
     def truth(self) -> GroundTruth:

@@ -9,12 +9,14 @@ from acsar_gym.bodies.base import GroundTruth, Image, wrapped
 from acsar_gym.config import RobotConfig
 from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.worlds import Scene
+from acsar_gym.worlds.geometry import Obstacles, collides, surroundings
 
 
 class PlanarBody:
     """Semi-implicit Euler on x, y and theta, as PyBullet integrates."""
 
     def __init__(self, config: RobotConfig) -> None:
+        self._config = config
         self._params = dynamics.params(config)
         self._flat_params = tuple(self._params)
         self.reset(Scene())
@@ -25,6 +27,11 @@ class PlanarBody:
         self.wheel_speeds: Speeds = ZERO
         self._velocity = (0.0, 0.0, 0.0)  # vx, vy in the world frame, yaw rate
         self._pose = scene.start
+        self._touched = False
+        world = scene.world
+        self._crowded = world is not None and world.obstacles > 0
+        obstacles = Obstacles() if world is None else Obstacles(world.circles, world.segments)
+        self._around = surroundings(obstacles, None, 1, self._config)
 
     def step(self, set_points: Speeds) -> None:
         """One loop period."""
@@ -42,13 +49,19 @@ class PlanarBody:
         dt = self._params.dt
         self._pose = (x + vx * dt, y + vy * dt, theta + rate * dt)
 
+    def feel(self) -> None:
+        """Note whether the footprint touches an obstacle now; the robot drives on through it."""
+        if self._crowded and not self._touched:
+            x, y, theta = self._pose
+            self._touched = collides(x, y, math.cos(theta), math.sin(theta), 0, self._around)
+
     @property
     def truth(self) -> GroundTruth:
-        """Pose and twist; there is nothing here to touch."""
+        """Pose, twist, and whether the footprint has touched an obstacle."""
         x, y, theta = self._pose
         vx, vy, rate = self._velocity
         forward = vx * math.cos(theta) + vy * math.sin(theta)
-        return GroundTruth((x, y, wrapped(theta)), (forward, rate))
+        return GroundTruth((x, y, wrapped(theta)), (forward, rate), self._touched)
 
     def image(self, width: int, height: int) -> Image | None:
         """The planar robot has no camera."""

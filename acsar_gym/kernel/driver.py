@@ -27,7 +27,8 @@ from acsar_gym.kernel.layout import (
     Setup,
     row,
 )
-from acsar_gym.kernel.physics import motors, on_the_wire, ramp, sincos, touch, tyres
+from acsar_gym.kernel.physics import motors, on_the_wire, ramp, sincos, tyres
+from acsar_gym.kernel.sight import look, touch
 from acsar_gym.pcg import uniform
 from acsar_gym.worlds.geometry import Surroundings
 
@@ -110,6 +111,8 @@ def drive(
     state: Floats,
     counts: Floats,
     random: NDArray[np.uint64],
+    observations: NDArray[np.float32],
+    over: NDArray[np.bool_],
     first: int,
     last: int,
     slot: int,
@@ -132,3 +135,5 @@ def drive(
             touch(state, first, last, around)
         feedback(state, counts, first, last, slot, setup)
         dead_reckoning(state, first, last, setup)
+        if setup.lidar_rate > 0.0:
+            look(state, random, observations, over, first, last, tick, setup, around)

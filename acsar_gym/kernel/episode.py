@@ -7,7 +7,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym import tasks
 from acsar_gym.compiled import jit, loop
 from acsar_gym.kernel.driver import drive, newest_line
 from acsar_gym.kernel.layout import (
@@ -29,15 +28,24 @@ from acsar_gym.kernel.layout import (
     MASS,
     RADIUS,
     ROWS,
+    START_COS,
+    START_SIN,
+    START_THETA,
+    START_X,
+    START_Y,
+    WORLD,
     Floats,
+    Job,
     Setup,
 )
-from acsar_gym.kernel.outcome import judge, look, observe, report
+from acsar_gym.kernel.outcome import judge, observe, report
+from acsar_gym.kernel.path import progress
 from acsar_gym.kernel.physics import command
+from acsar_gym.kernel.sight import look
 from acsar_gym.pcg import uniform
+from acsar_gym.tasks.base import relative, within
+from acsar_gym.tasks.goal import goal_at
 from acsar_gym.worlds.geometry import Surroundings
-
-goal_at = jit(tasks.goal_at)
 
 
 @jit
@@ -97,6 +105,34 @@ def between(ranges: Floats, key: int, random: NDArray[np.uint64], i: int) -> flo
     return low + (high - low) * uniform(random, i)
 
 
+@jit
+def aim(state: Floats, random: NDArray[np.uint64], i: int, job: Job) -> None:
+    """Robot i's goal on an open floor, in any direction."""
+    distance = job.min_distance + (job.max_distance - job.min_distance) * uniform(random, i)
+    bearing = -math.pi + (math.pi - -math.pi) * uniform(random, i)
+    state[GOAL_X, i], state[GOAL_Y, i] = goal_at(distance, bearing)
+    state[START_COS, i] = 1.0
+
+
+@jit
+def settle(state: Floats, random: NDArray[np.uint64], i: int, job: Job) -> None:
+    """Robot i's world, and its start and goal there, as `tasks.place.drawn` does it."""
+    u0, u1, u2 = uniform(random, i), uniform(random, i), uniform(random, i)
+    u3, u4, u5 = uniform(random, i), uniform(random, i), uniform(random, i)
+    worlds = len(job.starts)
+    world = min(int(u0 * worlds), worlds - 1)
+    start, goal = job.starts[world], job.goals[world]
+    x, y = within(start[0], start[1], start[2], u1, u2)
+    theta = (2.0 * u3 - 1.0) * math.pi if np.isnan(start[3]) else start[3]
+    goal_x, goal_y = within(goal[0], goal[1], goal[2], u4, u5)
+    cos, sin = math.cos(theta), math.sin(theta)
+    state[WORLD, i] = world
+    state[START_X, i], state[START_Y, i], state[START_THETA, i] = x, y, theta
+    state[START_COS, i], state[START_SIN, i] = cos, sin
+    ahead, left = relative(x, y, cos, sin, goal_x, goal_y)
+    state[GOAL_X, i], state[GOAL_Y, i] = ahead, left
+
+
 @loop
 def begin(
     state: Floats,
@@ -106,20 +142,24 @@ def begin(
     nominal: Floats,
     ranges: Floats,
     setup: Setup,
+    job: Job,
 ) -> None:
-    """A new episode of robot i: at rest at the origin, a goal of its own generator's making."""
+    """A new episode of robot i: at rest, in a place of its own generator's making."""
     for row in range(MASS):
         state[row, i] = 0.0
     counts[:, :, i] = 0.0
-    distance = setup.min_distance + (setup.max_distance - setup.min_distance) * uniform(random, i)
-    bearing = -math.pi + (math.pi - -math.pi) * uniform(random, i)
-    state[GOAL_X, i], state[GOAL_Y, i] = goal_at(distance, bearing)
+    if len(job.starts) == 0:
+        aim(state, random, i, job)
+    else:
+        settle(state, random, i, job)
     draw(state, random, i, nominal, ranges, setup)
     state[DISTANCE, i] = math.sqrt(state[GOAL_X, i] ** 2 + state[GOAL_Y, i] ** 2)
     settled = settle_ticks(state[DELAY_LOOPS, i], state[FEEDBACK_LOOPS, i], setup.loops)
     state[LOOPS, i] = settled * setup.loops
     every = state[FEEDBACK_LOOPS, i]
     state[LAST_LINE, i] = newest_line(state[LOOPS, i], state[DELAY_LOOPS, i], every)
+    if job.follows:
+        progress(state, i, job)
 
 
 @loop
@@ -130,20 +170,23 @@ def reset(
     nominal: Floats,
     ranges: Floats,
     observations: NDArray[np.float32],
-    info: Floats,
     mask: NDArray[np.bool_],
     first: int,
     last: int,
     setup: Setup,
+    job: Job,
     around: Surroundings,
 ) -> None:
     """New episodes for the robots in the mask."""
     for i in range(first, last):
         if mask[i]:
-            begin(state, counts, random, i, nominal, ranges, setup)
-            observe(state, observations, i, i + 1, setup)
-            look(state, observations, i, i + 1, around)
-            report(state, info, i, i + 1)
+            begin(state, counts, random, i, nominal, ranges, setup, job)
+    if setup.lidar_rate > 0.0:
+        look(state, random, observations, ~mask, first, last, -1, setup, around)
+    for i in range(first, last):
+        if mask[i]:
+            observe(state, observations, i, i + 1, setup, job)
+            report(state, i, i + 1, setup, job)
 
 
 @loop
@@ -156,13 +199,13 @@ def step(
     actions: Floats,
     over: NDArray[np.bool_],
     observations: NDArray[np.float32],
-    info: Floats,
     rewards: Floats,
     ends: NDArray[np.bool_],
     first: int,
     last: int,
     slot: int,
     setup: Setup,
+    job: Job,
     around: Surroundings,
 ) -> None:
     """An env step of robots first to last; those that were over begin anew instead."""
@@ -170,13 +213,16 @@ def step(
     for low in range(first, last, BLOCK):
         high = min(low + BLOCK, last)
         command(state, actions, low, high, setup)
-        drive(state, counts, random, low, high, slot, lossy, setup, around)
-        judge(state, rewards, ends, low, high, setup)
+        drive(state, counts, random, observations, over, low, high, slot, lossy, setup, around)
+        judge(state, rewards, ends, low, high, setup, job)
+        anew = False
         for i in range(low, high):
             if over[i]:
-                begin(state, counts, random, i, nominal, ranges, setup)
+                begin(state, counts, random, i, nominal, ranges, setup, job)
                 rewards[i] = 0.0
                 ends[0, i] = ends[1, i] = False
-        observe(state, observations, low, high, setup)
-        look(state, observations, low, high, around)
-        report(state, info, low, high)
+                anew = True
+        if anew and setup.lidar_rate > 0.0:
+            look(state, random, observations, ~over, low, high, -1, setup, around)
+        observe(state, observations, low, high, setup, job)
+        report(state, low, high, setup, job)

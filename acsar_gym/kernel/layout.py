@@ -15,7 +15,7 @@ from acsar_gym.compiled import jit
 
 Floats = NDArray[np.float64]
 
-# Rows of the state. The body, in the world frame:
+# Rows of the state. The body, in the odometry frame:
 X, Y, THETA, VX, VY, RATE = range(6)
 WHEEL, POINT, ANGLE = 6, 10, 14  # four each: speeds, set points, angles
 # The commands: targets of the right and left side, before and after the newest line.
@@ -25,30 +25,39 @@ LOOPS, LAST_LINE, AGE, READ = 23, 24, 25, 26  # four readings
 ODOM_X, ODOM_Y, ODOM_THETA, LINEAR, ANGULAR = range(30, 35)
 # The task and the episode:
 GOAL_X, GOAL_Y, DISTANCE, LAST_LINEAR, LAST_ANGULAR, STEPS, RETURN, OUTCOME = range(35, 43)
-CONTACT = 43
+CONTACT, WORLD, START_X, START_Y, START_THETA, START_COS, START_SIN = range(43, 50)
+SCANS, SCAN_TICK = 50, 51
+PROGRESS, CROSS, BEARING, CROSS_SUM, HEADING_SUM = range(52, 57)
+# What is only told:
+TRUE_THETA, TRUE_DISTANCE, ERROR, SUCCESS, SCAN_AGE, STALE = range(57, 63)
+HEADING, SHARE, MEAN_CROSS, MEAN_HEADING, SCORE = 63, 64, 65, 66, 67  # four scores
 # The robot's own physics, drawn anew with every episode where it is randomized:
-MASS, INERTIA, GRIP, RADIUS, DEADBAND, BLEND, GAIN = 44, 45, 46, 47, 48, 49, 53
-COMMAND_LOOPS, DELAY_LOOPS, FEEDBACK_LOOPS, DROPPED = range(57, 61)
-ROWS = 61
-INFO = (
-    "goal_distance",
-    "odom_x",
-    "odom_y",
-    "odom_theta",
-    "feedback_age",
-    "true_x",
-    "true_y",
-    "true_theta",
-    "true_goal_distance",
-    "true_contact",
-    "odometry_error",
-    "is_success",
-)
-"""Names of the rows of info."""
-KEPT = 5
-"""So many of them are in the state as they are."""
-NUMBERS = 7
-"""Numbers of the observation before the rays."""
+MASS, INERTIA, GRIP, RADIUS, DEADBAND, BLEND, GAIN = 71, 72, 73, 74, 75, 76, 80
+COMMAND_LOOPS, DELAY_LOOPS, FEEDBACK_LOOPS, DROPPED = range(84, 88)
+ROWS = 88
+INFO = {
+    "is_success": SUCCESS,
+    "odom_x": ODOM_X,
+    "odom_y": ODOM_Y,
+    "odom_theta": ODOM_THETA,
+    "feedback_age": AGE,
+    "true_x": X,
+    "true_y": Y,
+    "true_theta": TRUE_THETA,
+    "true_contact": CONTACT,
+    "odometry_error": ERROR,
+}
+"""Rows of info that every task has."""
+GOAL_INFO = {"goal_distance": DISTANCE, "true_goal_distance": TRUE_DISTANCE}
+PATH_INFO = {
+    "cross_track_error": CROSS,
+    "heading_error": HEADING,
+    "path_progress": SHARE,
+    "mean_cross_track_error": MEAN_CROSS,
+    "mean_heading_error": MEAN_HEADING,
+}
+WORLD_INFO = {"world": WORLD}
+SCAN_INFO = {"scan_age": SCAN_AGE, "scan_stale": STALE}
 BLOCK = 128
 """Robots that go through a whole env step together, so that their state stays in the cache."""
 
@@ -80,14 +89,56 @@ class Setup(NamedTuple):
     max_wheel_speed: float
     max_linear: float
     max_angular: float
+    max_steps: float
+    lidar_rate: float
+    """Scans per second; 0 where the task has no LiDAR [Hz]."""
+    stale: float
+    """Age of a stale scan [s]."""
+    noise: float
+    dropouts: float
+    min_range: float
+    draws: int
+    """Numbers that the noise of a scan takes."""
+
+
+class Job(NamedTuple):
+    """The task's figures, and the worlds it takes place in."""
+
+    follows: bool
+    """A path, instead of driving to a goal."""
+    scored: bool
+    """By the rules of BARN."""
     min_distance: float
     max_distance: float
+    """Of goals drawn on an open floor, where there are no worlds [m]."""
+    scale: float
     tolerance: float
     boundary: float
-    max_steps: float
+    end: float
+    max_cross_track: float
+    starts: Floats
+    """W x 4: x, y, radius [m] and theta [rad], NaN for any."""
+    goals: Floats
+    """W x 3: x, y, radius [m]."""
+    lengths: Floats
+    """W: lengths of the worlds' paths [m]."""
+    paths: Floats
+    """W x N x 3: samples of the paths to follow."""
+    lasts: NDArray[np.int64]
+    """W: number of the last sample of each path."""
 
 
 @jit
 def row(state: Floats, number: int, first: int, last: int) -> Floats:
     """One number of robots first to last, contiguous."""
     return state[number, first:last]
+
+
+@jit
+def to_world(state: Floats, i: int, x: float, y: float) -> tuple[float, float]:
+    """A point of robot i's odometry frame in the frame of its world."""
+    cos, sin = state[START_COS, i], state[START_SIN, i]
+    return (
+        state[START_X, i] + cos * x - sin * y,
+        state[START_Y, i] + sin * x + cos * y,
+    )

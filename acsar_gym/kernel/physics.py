@@ -13,7 +13,6 @@ from acsar_gym.kernel.layout import (
     ANGLE,
     BLEND,
     COMMAND_LOOPS,
-    CONTACT,
     DEADBAND,
     GAIN,
     GRIP,
@@ -40,7 +39,6 @@ from acsar_gym.kernel.layout import (
     row,
 )
 from acsar_gym.protocol import MAX_SPEED
-from acsar_gym.worlds.geometry import Surroundings, collides
 
 sides = jit(kinematics.sides)
 
@@ -204,13 +202,3 @@ def tyres(state: Floats, first: int, last: int, setup: Setup) -> None:
         xs[i] += vx * dt
         ys[i] += vy * dt
         thetas[i] += rate * dt
-
-
-@loop
-def touch(state: Floats, first: int, last: int, around: Surroundings) -> None:
-    """Note which robots touch an obstacle now."""
-    many = around.circles.shape[0] > 1 or around.segments.shape[0] > 1
-    for i in range(first, last):
-        s, c = sincos(state[THETA, i])
-        if collides(state[X, i], state[Y, i], c, s, i if many else 0, around):
-            state[CONTACT, i] = 1.0

@@ -92,7 +92,7 @@ class SerialLink:
         """
         if self._port is not None:
             return
-        self._port = _opened(self.device, self._config)
+        self._port = opened(self.device, self._config)
         guard(self)
         try:
             self._flush()
@@ -255,8 +255,8 @@ class SerialLink:
         return self._port
 
 
-def _opened(device: str, config: RobotConfig) -> serial.SerialBase:
-    """The open port; errors of pyserial and the system become ours."""
+def opened(device: str, config: RobotConfig) -> serial.SerialBase:
+    """The open port, held exclusively. Raises LinkError, which says what to do."""
     options: dict[str, Any] = {
         "baudrate": config.baud_rate,
         "bytesize": serial.EIGHTBITS,

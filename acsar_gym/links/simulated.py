@@ -47,10 +47,12 @@ class SimulatedLink:
 
     def advance(self, period: float) -> bytes:
         """Simulate one period [s]."""
-        if self._firmware is None:
+        if self._body is None or self._firmware is None:
             raise _closed()
         self._now += period
-        return self._firmware.advance(period)
+        got = self._firmware.advance(period)
+        self._body.feel()
+        return got
 
     def now(self) -> float:
         """Simulated seconds since the reset."""

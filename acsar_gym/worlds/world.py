@@ -72,6 +72,10 @@ class World:
             object.__setattr__(self, "path", _rows("path", self.path, 2))
         if (self.circles[:, 2] < 0.0).any():
             raise WorldError("circles: a radius must not be negative")
+        if self.obstacles > MOST_OBSTACLES:
+            raise WorldError(
+                f"{self.obstacles:,} obstacles are too many, at most {MOST_OBSTACLES:,}"
+            )
 
     @property
     def obstacles(self) -> int:
@@ -127,7 +131,7 @@ def _rows(name: str, rows: Floats | Sequence[Any], width: int) -> Floats:
     """An own, read-only copy of n x `width` finite numbers."""
     try:
         array = np.array(rows, np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         array = np.full(1, np.nan)
     if array.size == 0:
         array = np.zeros((0, width))

@@ -1,0 +1,156 @@
+"""The skid-steer robot in PyBullet: one rigid body, pushed by the tyre forces of `dynamics.py`.
+
+PyBullet's own contact friction can't skid-steer (its friction axes are fixed in the world), so all
+contacts with the floor are frictionless and the four tyre forces are applied as one force and one
+torque on the chassis.
+"""
+
+from __future__ import annotations
+
+import math
+import weakref
+
+import numpy as np
+
+from acsar_gym import dynamics
+from acsar_gym.bodies.base import GroundTruth, Image
+from acsar_gym.bodies.bullet import model
+from acsar_gym.bodies.bullet.engine import connected, pybullet
+from acsar_gym.bodies.bullet.statics import Statics
+from acsar_gym.config import RobotConfig
+from acsar_gym.protocol import ZERO, Speeds
+from acsar_gym.worlds import Scene
+
+GOAL_COLOUR = (0.15, 0.68, 0.38, 0.85)
+
+
+class BulletBody:
+    """One PyBullet client with a floor and a robot.
+
+    `window` opens PyBullet's own window; RenderError where there is no display.
+    """
+
+    def __init__(self, config: RobotConfig, *, window: bool = False) -> None:
+        self._config = config
+        self._params = dynamics.params(config)
+        self._flat_params = tuple(self._params)
+        self._client = connected(window)
+        self._disconnect = weakref.finalize(self, pybullet.disconnect, self._client)
+        self._push = self._params.mass / self._params.dt
+        self._twist = self._params.yaw_inertia / self._params.dt
+        self._goal = -1
+        self._build()
+        self.reset(Scene())
+
+    def _build(self) -> None:
+        client = self._client
+        pybullet.setGravity(0.0, 0.0, -dynamics.GRAVITY, physicsClientId=client)
+        pybullet.setPhysicsEngineParameter(
+            fixedTimeStep=self._params.dt, deterministicOverlappingPairs=1, physicsClientId=client
+        )
+        self._floor = model.floor(client)
+        self._robot = model.robot(self._config, client)
+        self._statics = Statics(client)
+        self._touched = False
+
+    def reset(self, scene: Scene) -> None:
+        """At rest at the scene's start, obstacles and the goal's marker in place."""
+        client, (x, y, theta) = self._client, scene.start
+        height = self._config.wheel_radius
+        upright = (0.0, 0.0, math.sin(theta / 2.0), math.cos(theta / 2.0))
+        pybullet.resetBasePositionAndOrientation(
+            self._robot, (x, y, height), upright, physicsClientId=client
+        )
+        pybullet.resetBaseVelocity(
+            self._robot, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), physicsClientId=client
+        )
+        self._statics.build(scene.world)
+        self._touched = False
+        self._mark(scene.goal)
+        self.wheel_angles: Speeds = ZERO
+        self.wheel_speeds: Speeds = ZERO
+
+    def _mark(self, goal: tuple[float, float] | None) -> None:
+        if goal is None:
+            return
+        if self._goal < 0:
+            disc = pybullet.createVisualShape(
+                pybullet.GEOM_CYLINDER,
+                radius=0.15,
+                length=0.01,
+                rgbaColor=GOAL_COLOUR,
+                physicsClientId=self._client,
+            )
+            self._goal = pybullet.createMultiBody(0.0, -1, disc, physicsClientId=self._client)
+        pybullet.resetBasePositionAndOrientation(
+            self._goal, (*goal, 0.006), (0.0, 0.0, 0.0, 1.0), physicsClientId=self._client
+        )
+
+    def step(self, set_points: Speeds) -> None:
+        """One loop period: tyre force and torque, then one engine step."""
+        robot, client = self._robot, self._client
+        position, (qx, qy, qz, qw) = pybullet.getBasePositionAndOrientation(robot, client)
+        (vx, vy, _), (_, _, rate) = pybullet.getBaseVelocity(robot, client)
+        (nx, ny, new_rate), self.wheel_speeds, self.wheel_angles = dynamics.robot_step(
+            1.0 - 2.0 * (qy * qy + qz * qz),
+            2.0 * (qw * qz + qx * qy),
+            (vx, vy, rate),
+            self.wheel_speeds,
+            self.wheel_angles,
+            set_points,
+            self._flat_params,
+        )
+        force = (self._push * (nx - vx), self._push * (ny - vy), 0.0)
+        torque = (0.0, 0.0, self._twist * (new_rate - rate))
+        pybullet.applyExternalForce(robot, -1, force, position, pybullet.WORLD_FRAME, client)
+        pybullet.applyExternalTorque(robot, -1, torque, pybullet.WORLD_FRAME, client)
+        pybullet.stepSimulation(client)
+
+    def feel(self) -> None:
+        """Note whether the robot touches an obstacle now."""
+        if self._statics and not self._touched:
+            points = pybullet.getContactPoints(bodyA=self._robot, physicsClientId=self._client)
+            self._touched = any(p[2] in self._statics and p[8] <= 0.0 for p in points)
+
+    def engine_step(self) -> None:
+        """PyBullet's stepSimulation alone, which benchmarks compare with."""
+        pybullet.stepSimulation(self._client)
+
+    @property
+    def truth(self) -> GroundTruth:
+        """Pose, twist, and whether the robot has been felt to touch an obstacle."""
+        robot, client = self._robot, self._client
+        (x, y, _), orientation = pybullet.getBasePositionAndOrientation(robot, client)
+        (vx, vy, _), (_, _, rate) = pybullet.getBaseVelocity(robot, client)
+        theta = pybullet.getEulerFromQuaternion(orientation)[2]
+        forward = vx * math.cos(theta) + vy * math.sin(theta)
+        return GroundTruth((x, y, theta), (forward, rate), self._touched)
+
+    def image(self, width: int, height: int) -> Image | None:
+        """PyBullet's camera, behind and above the robot."""
+        x, y, theta = self.truth.pose
+        view = pybullet.computeViewMatrixFromYawPitchRoll(
+            cameraTargetPosition=(x, y, 0.0),
+            distance=2.2,
+            yaw=math.degrees(theta) - 90.0,
+            pitch=-38.0,
+            roll=0.0,
+            upAxisIndex=2,
+        )
+        lens = pybullet.computeProjectionMatrixFOV(50.0, width / height, 0.05, 30.0)
+        _, _, pixels, _, _ = pybullet.getCameraImage(
+            width,
+            height,
+            view,
+            lens,
+            lightDirection=(1.0, -1.0, 4.0),
+            lightDistance=12.0,
+            shadow=1,
+            renderer=pybullet.ER_TINY_RENDERER,
+            physicsClientId=self._client,
+        )
+        return np.ascontiguousarray(np.reshape(pixels, (height, width, 4))[:, :, :3], np.uint8)
+
+    def close(self) -> None:
+        """Disconnect the client; twice is once."""
+        self._disconnect()

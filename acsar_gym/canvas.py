@@ -1,0 +1,297 @@
+"""Drawing in metres with Pillow: a view maps metres to pixels, a canvas draws smooth shapes."""
+
+from __future__ import annotations
+
+import functools
+import io
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym.errors import ConfigError, MissingExtraError
+
+if TYPE_CHECKING:
+    from PIL.Image import Image as Picture
+
+Floats = NDArray[np.float64]
+Colour = tuple[int, ...]
+"""Red, green, blue, and how opaque, each 0-255; opaque where that is left out."""
+Bounds = tuple[float, float, float, float]
+"""Least x and y, largest x and y [m]."""
+Up = Literal["x", "y"]
+"""The axis that points up: x where a robot starts ahead, y on a map."""
+FINE = 2
+"""Canvases are so many times as fine as their picture in each direction, which smooths edges."""
+FARTHEST = 1e4
+"""Lines end so far from the picture's corner at most [fine pixels]; Pillow walks along them."""
+SMALLEST, LARGEST = 64, 4096
+"""Allowed width and height of a picture [pixels]."""
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """Which part of a plane a picture shows. Pixels are (column, row) from the upper left."""
+
+    centre: tuple[float, float]
+    """What the picture's middle shows [m]."""
+    scale: float
+    """[pixels/m]"""
+    size: tuple[int, int]
+    """Width and height [pixels]."""
+    up: Up = "x"
+
+    @classmethod
+    def fitted(cls, bounds: Bounds, size: tuple[int, int], up: Up, inset: float) -> View:
+        """The largest view that shows all of `bounds` at least `inset` pixels from every edge."""
+        left, low, right, high = bounds
+        across, along = (high - low, right - left) if up == "x" else (right - left, high - low)
+        room = [max(1.0, side - 2.0 * inset) for side in size]
+        scale = min(room[0] / max(across, 1e-3), room[1] / max(along, 1e-3))
+        return cls(((left + right) / 2.0, (low + high) / 2.0), scale, size, up)
+
+    def pixels(self, points: Floats) -> Floats:
+        """Where points (N, 2) [m] are in the picture: columns and rows (N, 2)."""
+        across, along = points[:, 0] - self.centre[0], points[:, 1] - self.centre[1]
+        if self.up == "x":
+            across, along = -along, across
+        result = np.empty((len(points), 2))
+        result[:, 0] = self.size[0] / 2.0 + self.scale * across
+        result[:, 1] = self.size[1] / 2.0 - self.scale * along
+        return result
+
+    def shows(self, x: float, y: float, inset: float) -> bool:
+        """Whether a point [m] is at least `inset` pixels from every edge."""
+        column, row = self.pixels(np.array([[x, y]]))[0]
+        width, height = self.size
+        return bool(inset <= column <= width - inset and inset <= row <= height - inset)
+
+    @property
+    def bounds(self) -> Bounds:
+        """What the whole picture shows [m]."""
+        width, height = self.size if self.up == "y" else self.size[::-1]
+        x, y = width / 2.0 / self.scale, height / 2.0 / self.scale
+        return self.centre[0] - x, self.centre[1] - y, self.centre[0] + x, self.centre[1] + y
+
+
+class Canvas:
+    """A picture being drawn. Places and radii are in m, widths of lines in pixels.
+
+    Raises MissingExtraError without Pillow.
+    """
+
+    def __init__(self, view: View, ground: Picture | Colour) -> None:
+        """`ground` is a colour, or the `layer` of a canvas of the same size to go on from."""
+        pillow = _pillow()
+        width, height = view.size
+        size = (FINE * width, FINE * height)
+        self.view = view
+        self.layer = (
+            pillow.Image.new("RGB", size, ground) if isinstance(ground, tuple) else ground.copy()
+        )
+        """The picture, FINE times as wide and high."""
+        self._draw = pillow.ImageDraw.Draw(self.layer, "RGBA")
+        self._fine = replace(view, scale=FINE * view.scale, size=size)
+
+    def _places(self, points: Floats, *, apart: float = 0.0) -> list[float]:
+        """Columns and rows in turn [fine pixels], without those that aren't finite.
+
+        Of points that follow each other within less than `apart` one is enough.
+        """
+        places = self._fine.pixels(points)
+        if not np.isfinite(places).all():
+            places = places[np.isfinite(places).all(axis=1)]
+        places = places.clip(-FARTHEST, FARTHEST)
+        if apart and len(places) > 2:
+            places = _spaced(places, apart)
+        flat: list[float] = places.ravel().tolist()
+        return flat
+
+    def line(self, points: Floats, colour: Colour, width: float) -> None:
+        """A line through points (N, 2); nothing for fewer than two."""
+        places = self._places(points, apart=1.5 * FINE)
+        if len(places) >= 4:
+            self._draw.line(places, fill=colour, width=round(FINE * width))
+
+    def rays(self, start: Floats, ends: Floats, colour: Colour) -> None:
+        """Hair lines from one point (1, 2) to many (N, 2)."""
+        places, ends_flat = self._places(start), self._places(ends)
+        for at in range(0, len(ends_flat) if places else 0, 2):
+            self._draw.line([*places, *ends_flat[at : at + 2]], fill=colour)
+
+    def dashes(self, points: Floats, colour: Colour, width: float, dash: float) -> None:
+        """A line with gaps as long as its dashes [pixels]."""
+        if len(points) < 2:
+            return
+        length = np.concatenate([[0.0], np.hypot(*np.diff(points, axis=0).T).cumsum()])
+        stops = np.arange(0.0, length[-1], dash / self.view.scale)
+        for start, end in zip(stops[::2], [*stops[1::2], length[-1]], strict=False):
+            inner = length[(length > start) & (length < end)]
+            at = np.array([start, *inner, end])
+            self.line(
+                np.column_stack([np.interp(at, length, axis) for axis in points.T]), colour, width
+            )
+
+    def shape(
+        self,
+        points: Floats,
+        fill: Colour | None,
+        edge: Colour | None = None,
+        width: float = 1.0,
+    ) -> None:
+        """A polygon of corners (N, 2)."""
+        places = self._places(points)
+        if len(places) >= 6:
+            self._draw.polygon(places, fill=fill, outline=edge, width=round(FINE * width))
+
+    def reveal(self, layer: Picture, points: Floats) -> None:
+        """Take the inside of a polygon of corners (N, 2) from a layer of the same size."""
+        places = self._places(points)
+        if len(places) >= 6:
+            pillow = _pillow()
+            mask = pillow.Image.new("1", self.layer.size)
+            pillow.ImageDraw.Draw(mask).polygon(places, fill=1)
+            self.layer.paste(layer, (0, 0), mask)
+
+    def disc(
+        self,
+        place: tuple[float, float],
+        radius: float,
+        fill: Colour | None,
+        edge: Colour | None = None,
+        *,
+        width: float = 1.0,
+        least: float = 0.5,
+    ) -> None:
+        """A disc of a radius in m, but of at least `least` pixels."""
+        size = max(radius * self._fine.scale, FINE * least)
+        for column, row in _pairs(self._places(np.array([place]))):
+            box = (column - size, row - size, column + size, row + size)
+            self._draw.ellipse(box, fill=fill, outline=edge, width=round(FINE * width))
+
+    def dots(self, points: Floats, radius: float, fill: Colour) -> None:
+        """Discs of a radius in pixels around points (N, 2)."""
+        size = FINE * radius
+        for column, row in _pairs(self._places(points)):
+            self._draw.ellipse((column - size, row - size, column + size, row + size), fill=fill)
+
+    def bar(
+        self,
+        column: float,
+        row: float,
+        length: float,
+        words: str,
+        size: float,
+        colour: Colour,
+        box: Colour,
+    ) -> None:
+        """A scale bar of `length` m to the right of a pixel, with words above."""
+        left, low, tick = FINE * column, FINE * row, FINE * 4.0
+        right = left + length * self._fine.scale
+        top, pad = low - FINE * (size + 6.0), FINE * 4.0
+        self._draw.rounded_rectangle((left - pad, top, right + pad, low + pad), pad, fill=box)
+        self._draw.line((left, low - tick, left, low, right, low, right, low - tick), colour, FINE)
+        self.text(
+            (column + (right - left) / FINE / 2.0, row - 4.0), words, size, colour, anchor="ms"
+        )
+
+    def band(self, height: float, fill: Colour, edge: Colour) -> None:
+        """A strip along the top, with lines below it and around the picture."""
+        right, low = self.layer.width - 1, self.layer.height - 1
+        self._draw.rectangle((0, 0, right, FINE * height), fill=fill)
+        self._draw.line((0, FINE * height, right, FINE * height), edge, FINE)
+        self._draw.rectangle((0, 0, right, low), outline=edge, width=FINE)
+
+    def text(
+        self,
+        place: tuple[float, float],
+        words: str,
+        size: float,
+        colour: Colour,
+        *,
+        anchor: str = "ls",
+        box: Colour | None = None,
+    ) -> None:
+        """Words at a pixel, on a box where it has a colour; `anchor` as Pillow names them."""
+        at = (FINE * place[0], FINE * place[1])
+        font = _font(FINE * size)
+        if box is not None:
+            left, top, right, low = self._draw.textbbox(at, words, font, anchor)
+            pad = FINE * 4.0
+            edges = (left - pad, top - pad, right + pad, low + pad)
+            self._draw.rounded_rectangle(edges, radius=pad, fill=box)
+        self._draw.text(at, words, colour, font, anchor)
+
+    def picture(self) -> NDArray[np.uint8]:
+        """What was drawn, height x width x 3."""
+        return np.array(self.layer.reduce(FINE))
+
+
+def shortened(words: str, size: float, room: float) -> str:
+    """As many words, of a height in pixels, as `room` pixels hold; an ellipsis for the others."""
+    font = _font(FINE * size)
+    kept = words
+    while kept and font.getlength(kept + "…" * (kept != words)) > FINE * room:
+        kept = kept[:-1]
+    return kept if kept == words else kept + "…"
+
+
+def round_length(most: float) -> float:
+    """The largest of 1, 2, 5 times a power of ten that is at most `most`."""
+    power = 10.0 ** math.floor(math.log10(most))
+    return next(step * power for step in (5.0, 2.0, 1.0) if step * power <= most * (1.0 + 1e-9))
+
+
+def encode(image: NDArray[np.uint8]) -> bytes:
+    """A picture as a PNG file."""
+    file = io.BytesIO()
+    _pillow().Image.fromarray(image).save(file, "PNG")
+    return file.getvalue()
+
+
+def check_size(name: str, size: tuple[int, int]) -> None:
+    """ConfigError unless width and height are whole numbers of pixels that fit into memory."""
+    try:
+        sound = len(size) == 2 and all(
+            SMALLEST <= side <= LARGEST and side == int(side) for side in size
+        )
+    except (TypeError, ValueError):
+        sound = False
+    if not sound:
+        raise ConfigError(
+            f"{name} = {size!r}: must be width and height, whole numbers of {SMALLEST} to "
+            f"{LARGEST} pixels"
+        )
+
+
+def _spaced(places: Floats, apart: float) -> Floats:
+    """The first, the last, and between them a point for every `apart` of the way."""
+    steps = np.diff(places, axis=0)
+    mark = (np.hypot(steps[:, 0], steps[:, 1]).cumsum() / apart).astype(np.int64)
+    kept = np.ones(len(places), np.bool_)
+    kept[1:-1] = np.diff(mark, prepend=0)[:-1] > 0
+    spaced: Floats = places[kept]
+    return spaced
+
+
+def _pairs(flat: list[float]) -> zip[tuple[float, float]]:
+    return zip(flat[::2], flat[1::2], strict=True)
+
+
+@functools.cache
+def _font(size: float) -> Any:
+    return _pillow().ImageFont.load_default(size)
+
+
+def _pillow() -> Any:
+    """The package PIL with the modules used here."""
+    try:
+        import PIL  # noqa: PLC0415 - optional
+        import PIL.Image  # noqa: PLC0415
+        import PIL.ImageDraw  # noqa: PLC0415
+        import PIL.ImageFont  # noqa: PLC0415
+    except ImportError:
+        raise MissingExtraError("pictures", "pictures") from None
+    return PIL

@@ -1,0 +1,72 @@
+"""Which world an episode takes place in, and where in it the robot stands."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import ConfigError
+from acsar_gym.tasks.base import Assignment, Goal, point, relative, within
+from acsar_gym.worlds import Pose, World
+from acsar_gym.worlds.paths import sampled
+from acsar_gym.worlds.pool import Pool, Source
+from acsar_gym.worlds.search import footprint_radius
+from acsar_gym.worlds.world import Floats
+
+DRAWS = 6
+"""Numbers of [0, 1) that a place takes: world, start (2), heading, goal (2)."""
+
+
+def pool(source: Source, difficulty: float | None, config: RobotConfig) -> Pool:
+    """An env's worlds, made for its robot's footprint. Raises WorldError for a bad source."""
+    return Pool.of(source, difficulty, footprint_radius(config))
+
+
+def chosen(worlds: Pool, share: float, options: Mapping[str, Any]) -> tuple[int, World]:
+    """Number and world: as the options say, or for a number of [0, 1)."""
+    asked = options.get("world")
+    if asked is None:
+        number = min(int(share * len(worlds)), len(worlds) - 1)
+        return number, worlds[number]
+    if isinstance(asked, World):
+        return -1, asked
+    if not isinstance(asked, int | np.integer):
+        raise ConfigError(f"world = {asked!r}: must be a number of the env's worlds, or a World")
+    return int(asked), worlds[int(asked)]
+
+
+def drawn(
+    worlds: Pool, rng: np.random.Generator, options: Mapping[str, Any], *, follow: bool = False
+) -> Assignment:
+    """A world of the pool with a start and a goal in it, in the frame of the start.
+
+    `follow` asks for the world's path, sampled; ConfigError where it has none.
+
+    Options: "world", a number or a World; "goal", (x, y) in the odometry frame [m].
+    """
+    u = rng.random(DRAWS).tolist()
+    number, world = chosen(worlds, u[0], options)
+    x, y = within(world.start.x, world.start.y, world.start.radius, u[1], u[2])
+    theta = world.start.theta
+    theta = (2.0 * u[3] - 1.0) * math.pi if theta is None else theta
+    goal_x, goal_y = within(world.goal.x, world.goal.y, world.goal.radius, u[4], u[5])
+    goal: Goal = relative(x, y, math.cos(theta), math.sin(theta), goal_x, goal_y)
+    if options.get("goal") is not None:
+        goal = point("goal", options["goal"])
+    pose: Pose = (x, y, theta)
+    path = _followed(world, pose) if follow else None
+    return Assignment(goal, world.seen_from(pose), path, world.length, number)
+
+
+def _followed(world: World, pose: Pose) -> Floats:
+    """N x 3: the samples of the world's path, in the frame of the pose."""
+    if world.path is None:
+        raise ConfigError(f"world {world.name!r} has no path to follow")
+    samples = sampled(world.path)
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    points = (samples[:, :2] - pose[:2]) @ np.array([[cos, -sin], [sin, cos]])
+    return np.column_stack([points, samples[:, 2] - pose[2]])

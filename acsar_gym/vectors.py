@@ -1,0 +1,96 @@
+"""The registered environments as batches: each class chooses the task of its id."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.tasks import Barn, ObstacleGoal, PathFollow, PointGoal
+from acsar_gym.tasks.place import pool
+from acsar_gym.vector import RobotVectorEnv
+from acsar_gym.worlds.pool import Source
+
+
+class PointGoalVectorEnv(RobotVectorEnv):
+    """Many robots of `acsar_gym/PointGoal-v0`; see `RobotVectorEnv` for the other arguments."""
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        robot: RobotConfig | str | Path | None = None,
+        *,
+        goal_distance: tuple[float, float] = (0.5, 3.0),
+        goal_tolerance: float = 0.15,
+        **options: Any,
+    ) -> None:
+        super().__init__(
+            lambda config: PointGoal.of(goal_distance, goal_tolerance, config),
+            num_envs,
+            robot,
+            **options,
+        )
+
+
+class ObstacleGoalVectorEnv(RobotVectorEnv):
+    """Many robots of `acsar_gym/ObstacleGoal-v0`; see `RobotVectorEnv` for the other arguments."""
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        robot: RobotConfig | str | Path | None = None,
+        *,
+        worlds: Source = "clutter",
+        difficulty: float | None = None,
+        goal_tolerance: float = 0.3,
+        **options: Any,
+    ) -> None:
+        super().__init__(
+            lambda c: ObstacleGoal.of(pool(worlds, difficulty, c), goal_tolerance, c),
+            num_envs,
+            robot,
+            **options,
+        )
+
+
+class BarnVectorEnv(RobotVectorEnv):
+    """Many robots of `acsar_gym/Barn-v0`; see `RobotVectorEnv` for the other arguments."""
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        robot: RobotConfig | str | Path | None = None,
+        *,
+        worlds: Source = "barn:300",
+        difficulty: float | None = None,
+        policy_rate: float = 10.0,
+        **options: Any,
+    ) -> None:
+        super().__init__(
+            lambda c: Barn.of(pool(worlds, difficulty, c), policy_rate, c),
+            num_envs,
+            robot,
+            policy_rate=policy_rate,
+            **options,
+        )
+
+
+class PathFollowVectorEnv(RobotVectorEnv):
+    """Many robots of `acsar_gym/PathFollow-v0`; see `RobotVectorEnv` for the other arguments."""
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        robot: RobotConfig | str | Path | None = None,
+        *,
+        paths: Source = "smooth_path",
+        difficulty: float | None = None,
+        max_cross_track: float = 0.5,
+        **options: Any,
+    ) -> None:
+        super().__init__(
+            lambda c: PathFollow.of(pool(paths, difficulty, c), max_cross_track, c),
+            num_envs,
+            robot,
+            **options,
+        )

@@ -1,0 +1,325 @@
+"""Worlds from files and to files: Gazebo's SDF, ROS maps, and a JSON or YAML of this project.
+
+The project's own format holds the fields of `World` [m, rad]:
+
+    name: three pillars
+    circles: [[2.0, 0.3, 0.1], [3.0, -0.4, 0.1]]    # x, y, radius
+    segments: [[0.0, 1.0, 4.0, 1.0]]                # x1, y1, x2, y2
+    start: {x: 0.0, y: 0.0, theta: 0.0}             # and radius; without theta any heading
+    goal: {x: 4.0, y: 0.0}                          # and radius
+    path: [[0.0, 0.0], [4.0, 0.0]]                  # optional
+
+A YAML with an `image` is a ROS map; `start` and `goal` must be added to it, the others may be. A
+Gazebo world is taken for one of BARN's: it gets their start and goal, and the path in `path_N.npy`
+beside `world_N.world`. Every file that can't be used is one WorldError of one line.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import tokenize
+import warnings
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from acsar_gym.config_files import YAML_ERRORS
+from acsar_gym.errors import WorldError, suggestion
+from acsar_gym.worlds import maps, sdf
+from acsar_gym.worlds.maps import shown
+from acsar_gym.worlds.world import FARTHEST, MOST_OBSTACLES, Region, World
+
+Floats = NDArray[np.float64]
+MOST_BYTES = 64_000_000
+"""Of an SDF file or a picture."""
+MOST_TEXT = 8_000_000
+"""Bytes of a JSON or YAML; 20,000 circles and as many segments are 3 MB."""
+MOST_NODES = 1_000_000
+"""Values in a YAML."""
+KEYS = ("name", "circles", "segments", "start", "goal", "path")
+REGION_KEYS = {"start": ("x", "y", "theta", "radius"), "goal": ("x", "y", "radius")}
+BARN_START = Region(-2.0, 3.0, 0.0, math.pi / 2.0)
+BARN_GOAL = Region(-2.0, 13.0)
+BARN_CELL = 0.15
+"""[m]"""
+BARN_CORNER = (-4.575, 5.075)
+"""Where cell (0, 0) of a published path is [m]."""
+NPY_ERRORS = (
+    *(OSError, ValueError, TypeError, LookupError, ArithmeticError, SyntaxError, EOFError),
+    *(MemoryError, RecursionError, tokenize.TokenError),
+)
+"""What NumPy lets out for broken files."""
+
+
+def load(path: Path) -> World:
+    """The world in a `.world`, `.sdf`, `.yaml`, `.yml` or `.json` file.
+
+    Raises WorldError for what can't be read, and MissingExtraError for a map without Pillow.
+    """
+    reader = READERS.get(path.suffix.lower())
+    if reader is None:
+        if path.suffix.lower() in maps.PICTURES:
+            raise WorldError(f"{path}: is a map's picture: pass the YAML that names it")
+        raise WorldError(f"{path}: a world is read from {', '.join(READERS)}")
+    try:
+        return reader(path)
+    except WorldError as error:
+        raise WorldError(f"{path}: {error}") from None
+
+
+def load_folder(folder: Path) -> list[World]:
+    """All worlds of a folder in natural order: world_2 comes before world_10.
+
+    Raises WorldError for a folder that is missing or without worlds, and for the first bad file.
+    """
+    try:
+        if not folder.is_dir():
+            raise WorldError(f"{folder}: there is no such folder")
+        paths = [path for path in folder.iterdir() if _is_world(path)]
+    except OSError as error:
+        raise WorldError(f"{folder}: can't be read: {_reason(error)}") from None
+    if not paths:
+        raise WorldError(f"{folder}: holds no worlds ({', '.join(READERS)})")
+    return [load(path) for path in sorted(paths, key=_natural)]
+
+
+def save(world: World, path: Path) -> None:
+    """Write the project's own format, `.json`, `.yaml` or `.yml`; `load` gives the same world.
+
+    Raises WorldError for other suffixes, and where the file can't be written.
+    """
+    if path.suffix.lower() not in (".json", ".yaml", ".yml"):
+        raise WorldError(f"{path}: a world is saved as .json, .yaml or .yml")
+    write = _as_json if path.suffix.lower() == ".json" else _as_yaml
+    try:
+        path.write_text(write(_fields(world)), encoding="utf-8")
+    except (OSError, ValueError) as error:
+        raise WorldError(f"{path}: can't be written: {_reason(error)}") from None
+
+
+def _is_world(path: Path) -> bool:
+    return path.suffix.lower() in READERS and not path.name.startswith(".")
+
+
+def _natural(path: Path) -> tuple[list[str | int], str]:
+    parts = re.split(r"(\d+)", path.name)
+    return [int(part) if part.isdecimal() else part for part in parts], path.name
+
+
+def _reason(error: Exception) -> str:
+    return getattr(error, "strerror", None) or " ".join(str(error).split())[:200]
+
+
+def _bytes(path: Path, most: int) -> bytes:
+    """The content of a regular file, so nothing here waits for a pipe or reads a device."""
+    try:
+        if not path.is_file():
+            raise WorldError("isn't a file" if path.exists() else "there is no such file")
+        with path.open("rb") as file:
+            data = file.read(most + 1)
+    except (OSError, ValueError) as error:
+        raise WorldError(f"can't be read: {_reason(error)}") from None
+    if len(data) > most:
+        raise WorldError(f"is larger than {most // 1_000_000} MB: cut out a part of it")
+    return data
+
+
+def _text(path: Path) -> str:
+    try:
+        return _bytes(path, MOST_TEXT).decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise WorldError("isn't UTF-8 text: save it as UTF-8") from None
+
+
+def _from_sdf(path: Path) -> World:
+    circles, segments = sdf.obstacles(_bytes(path, MOST_BYTES))
+    return World(circles, segments, BARN_START, BARN_GOAL, _published_path(path), path.stem)
+
+
+def _published_path(path: Path) -> Floats | None:
+    """The way from start to goal of a published world, from its cells (row, column)."""
+    cells_file = path.with_name(path.stem.replace("world_", "path_", 1) + ".npy")
+    if not path.stem.startswith("world_") or not cells_file.is_file():
+        return None
+    cells = _cells(cells_file) * BARN_CELL + BARN_CORNER
+    ends = ((region.x, region.y) for region in (BARN_START, BARN_GOAL))
+    start, goal = map(np.array, ends)
+    return np.concatenate([start[None], cells, goal[None]])
+
+
+def _cells(path: Path) -> Floats:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of Python 2, which may have written it
+            # Mapped, for a header may promise more than there is.
+            cells = np.lib.format.open_memmap(path, mode="r")
+    except NPY_ERRORS:
+        raise WorldError(f"{path.name}: isn't a sound .npy file: remove or replace it") from None
+    if cells.ndim != 2 or cells.shape[1] != 2 or cells.dtype.kind not in "iuf":
+        raise WorldError(f"{path.name}: must hold cells (row, column), has shape {cells.shape}")
+    if len(cells) > MOST_OBSTACLES or not (np.abs(cells) <= FARTHEST).all():
+        raise WorldError(f"{path.name}: holds too many cells or cells too far away")
+    return cells.astype(np.float64)
+
+
+def _from_json(path: Path) -> World:
+    text = _text(path)
+    try:
+        data = json.loads(text, parse_constant=_no_number)
+    except (ValueError, RecursionError) as error:
+        raise WorldError(f"not valid JSON: {_reason(error)}") from None
+    return _from_data(data, path)
+
+
+def _no_number(constant: str) -> float:
+    raise ValueError(f"{constant} is no number")
+
+
+def _from_yaml(path: Path) -> World:
+    text = _text(path)
+    try:
+        _guard(yaml.parse(text, Loader=_Loader))
+        data = yaml.load(text, Loader=_Loader)  # noqa: S506 -- a safe one
+    except YAML_ERRORS as error:
+        raise WorldError(f"not valid YAML: {_reason(error)}") from None
+    return _from_data(data, path)
+
+
+class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+    """Safe, fast where it can be, and 1e-3 is a number as it is in JSON and YAML 1.2."""
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)[eE][-+]?[0-9]+$"),
+    list("-+.0123456789"),
+)
+
+
+def _guard(events: Iterable[yaml.Event]) -> None:
+    """Refuse what would grow or nest without end, before anything is built of it."""
+    depth = 0
+    for count, event in enumerate(events):
+        depth += isinstance(event, yaml.CollectionStartEvent)
+        depth -= isinstance(event, yaml.CollectionEndEvent)
+        if isinstance(event, yaml.AliasEvent):
+            raise WorldError("has an alias (*), which is refused: write the value out")
+        if depth > 20 or count > MOST_NODES:
+            raise WorldError("is nested too deeply or has too many values to be a world")
+
+
+def _from_data(data: object, path: Path) -> World:
+    if not isinstance(data, dict):
+        raise WorldError(f"must be a mapping with {', '.join(KEYS)}")
+    name = data.get("name", path.stem)
+    if not isinstance(name, str):
+        raise WorldError(f"name: must be text, is {shown(name)}")
+    start, goal = (_region(key, data.get(key)) for key in REGION_KEYS)
+    circles, segments = _rows(data, "circles", 3), _rows(data, "segments", 4)
+    way = None if data.get("path") is None else _rows(data, "path", 2)
+    if "image" in data:
+        segments = np.concatenate([segments, _outlines(data, path)])
+    else:
+        _known(data, KEYS)
+    return World(circles, segments, start, goal, way, name)
+
+
+def _outlines(data: Mapping[str, Any], path: Path) -> Floats:
+    """Segments of a ROS map."""
+    config = maps.settings(data)
+    try:
+        return maps.segments(_bytes(path.parent / config.image, MOST_BYTES), config)
+    except WorldError as error:
+        raise WorldError(f"image {shown(config.image)}: {error}") from None
+
+
+def _known(data: Mapping[Any, Any], keys: Iterable[str], where: str = "") -> None:
+    for key in data:
+        if key not in keys:
+            near = key[:40] if isinstance(key, str) else ""
+            raise WorldError(f"{where}unknown key {shown(key)}{suggestion(near, keys)}")
+
+
+def _region(name: str, data: object) -> Region:
+    """A start or goal: x, y, and maybe radius and theta."""
+    keys = REGION_KEYS[name]
+    if data is None:
+        raise WorldError(f"has no {name}: add a line like '{name}: {{x: 0.0, y: 0.0}}' [m]")
+    if not isinstance(data, dict):
+        raise WorldError(f"{name}: must be a mapping with {', '.join(keys)}")
+    _known(data, keys, f"{name}: ")
+    given = {key: value for key, value in data.items() if value is not None}
+    for key in ("x", "y", *given):
+        if not _is_number(given.get(key)):
+            raise WorldError(f"{name}: {key} must be a number, is {shown(given.get(key))}")
+    return Region(**given)
+
+
+def _is_number(value: object) -> bool:
+    """Whether it is finite and not too large; true and false are no numbers."""
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return False
+    return abs(value) <= FARTHEST
+
+
+def _rows(data: Mapping[str, Any], name: str, width: int) -> Floats:
+    rows = data.get(name, [])
+    if not isinstance(rows, list) or len(rows) > MOST_OBSTACLES:
+        raise WorldError(f"{name}: must be a list of at most {MOST_OBSTACLES:,} rows")
+    for number, row in enumerate(rows):
+        if not isinstance(row, list) or len(row) != width or not all(map(_is_number, row)):
+            raise WorldError(
+                f"{name}: row {number} must be {width} finite numbers of at most {FARTHEST:g}, "
+                f"is {shown(row)}"
+            )
+    return np.array(rows, np.float64).reshape(-1, width)
+
+
+def _fields(world: World) -> dict[str, Any]:
+    """The world in numbers and text alone."""
+    start, goal = ({"x": r.x, "y": r.y, "radius": r.radius} for r in (world.start, world.goal))
+    if world.start.theta is not None:
+        start["theta"] = world.start.theta
+    fields: dict[str, Any] = {
+        "name": world.name,
+        "start": {key: float(value) for key, value in start.items()},
+        "goal": {key: float(value) for key, value in goal.items()},
+        "circles": world.circles.tolist(),
+        "segments": world.segments.tolist(),
+    }
+    return fields if world.path is None else {**fields, "path": world.path.tolist()}
+
+
+def _as_json(fields: Mapping[str, Any]) -> str:
+    """One line for each field, and for each row of numbers."""
+    lines = (f"  {json.dumps(key)}: {_json_value(value)}" for key, value in fields.items())
+    return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
+def _json_value(value: object) -> str:
+    if not isinstance(value, list) or not value:
+        return json.dumps(value)
+    return "[\n    " + ",\n    ".join(map(json.dumps, value)) + "\n  ]"
+
+
+def _as_yaml(fields: Mapping[str, Any]) -> str:
+    dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+    text: str = yaml.dump(
+        dict(fields), Dumper=dumper, default_flow_style=None, sort_keys=False, width=200
+    )
+    return text
+
+
+READERS: dict[str, Callable[[Path], World]] = {
+    ".world": _from_sdf,
+    ".sdf": _from_sdf,
+    ".yaml": _from_yaml,
+    ".yml": _from_yaml,
+    ".json": _from_json,
+}

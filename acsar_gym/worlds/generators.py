@@ -1,0 +1,117 @@
+"""Numbered worlds: each generator makes the same world from the same number and difficulty.
+
+`generate("clutter", 17)` is the same world on every machine, so a benchmark can name its worlds.
+Every world is solvable: a shortest way for the footprint, with a margin, is part of it.
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from acsar_gym.errors import WorldError, suggestion
+from acsar_gym.worlds import barn, paths, rooms
+from acsar_gym.worlds.search import shortest_path
+from acsar_gym.worlds.shapes import box, outline
+from acsar_gym.worlds.world import Region, World
+
+MARGIN = 0.05
+"""Room that every way leaves on both sides of the footprint [m]."""
+DEFAULT_RADIUS = 0.25
+"""Disc around the footprint of a small robot, where none is given [m]."""
+ATTEMPTS = 200
+"""Worlds that are tried before a footprint counts as too large."""
+ARENA = 4.0
+"""Half the side of the open and the cluttered floor [m]."""
+
+Maker = Callable[[np.random.Generator, float, float], World]
+"""(rng, difficulty, footprint radius [m]) to a world that may not be solvable yet."""
+
+
+def generate(
+    kind: str, number: int, difficulty: float | None = None, radius: float = DEFAULT_RADIUS
+) -> World:
+    """World `number` of a kind: open, clutter, rooms, barn, smooth_path or waypoint_path.
+
+    `difficulty` is from 0 to 1; None varies it from world to world. `radius` is that of the disc
+    around the robot's footprint [m]. Raises WorldError for an unknown kind, a bad number, or a
+    footprint that no such world lets through.
+    """
+    maker = _MAKERS.get(kind)
+    if maker is None:
+        raise WorldError(f"unknown kind of world {kind!r}{suggestion(kind, _MAKERS)}")
+    if not isinstance(number, int | np.integer) or number < 0:
+        raise WorldError(f"world number {number!r}: must be a whole number from 0")
+    if difficulty is not None and not 0.0 <= difficulty <= 1.0:
+        raise WorldError(f"difficulty = {difficulty!r}: must be from 0 to 1")
+    rng = np.random.default_rng([zlib.crc32(kind.encode()), int(number)])
+    level = rng.uniform() if difficulty is None else float(difficulty)
+    return replace(_solvable(maker, rng, level, radius), name=f"{kind} {number}")
+
+
+def kinds() -> tuple[str, ...]:
+    """Names that `generate` knows."""
+    return tuple(_MAKERS)
+
+
+def _solvable(maker: Maker, rng: np.random.Generator, level: float, radius: float) -> World:
+    for _ in range(ATTEMPTS):
+        world = maker(rng, level, radius)
+        if world.path is not None:
+            return world
+        try:
+            return replace(world, path=shortest_path(world, radius + MARGIN))
+        except WorldError:
+            continue
+    raise WorldError(
+        f"no world of this kind and difficulty lets a footprint of radius {radius:g} m through; "
+        "use a lower difficulty"
+    )
+
+
+def open_floor(rng: np.random.Generator, difficulty: float, radius: float) -> World:
+    """Nothing but a floor; goals are 1 to 2 m away, or up to 5 m with difficulty."""
+    distance = rng.uniform(1.0, 2.0 + 3.0 * difficulty)
+    bearing = rng.uniform(-math.pi, math.pi)
+    goal = Region(distance * math.cos(bearing), distance * math.sin(bearing))
+    return World(start=Region(0.0, 0.0, 0.0, 0.0), goal=goal)
+
+
+def clutter(rng: np.random.Generator, difficulty: float, radius: float) -> World:
+    """Cylinders and boxes, 10 to 45 of them, on a walled floor of 8 x 8 m."""
+    count = round(10 + 35 * difficulty)
+    round_ones = int(rng.binomial(count, 0.6))
+    places = rng.uniform(-ARENA, ARENA, (count, 2))
+    circles = np.column_stack([places[:round_ones], rng.uniform(0.08, 0.3, round_ones)])
+    boxes = [
+        box(x, y, rng.uniform(0.15, 0.7), rng.uniform(0.15, 0.7), rng.uniform(0.0, math.pi))
+        for x, y in places[round_ones:].tolist()
+    ]
+    walls = outline(-ARENA, -ARENA, ARENA, ARENA)
+    start, goal = _far_apart(rng, radius)
+    return World(circles, np.concatenate([walls, *boxes]), start, goal)
+
+
+def _far_apart(rng: np.random.Generator, radius: float) -> tuple[Region, Region]:
+    """Start, in any heading, and goal, at least half the arena's side apart."""
+    inside = ARENA - radius - 2.0 * MARGIN
+    while True:
+        ends = rng.uniform(-inside, inside, (2, 2))
+        if math.dist(ends[0], ends[1]) >= ARENA:
+            break
+    (x, y), (goal_x, goal_y) = ends.tolist()
+    return Region(x, y, 0.0, rng.uniform(-math.pi, math.pi)), Region(goal_x, goal_y)
+
+
+_MAKERS: dict[str, Maker] = {
+    "open": open_floor,
+    "clutter": clutter,
+    "rooms": rooms.rooms,
+    "barn": barn.barn,
+    "smooth_path": paths.smooth,
+    "waypoint_path": paths.waypoints,
+}

@@ -1,0 +1,177 @@
+"""ROS maps, as map_server writes them: a YAML of settings and a picture of what is occupied.
+
+The outlines of all occupied pixels become segments along the pixels' edges. Unknown pixels count as
+free. Lengths in m, in the frame of the map, whose `origin` is the lower left corner of the picture.
+"""
+
+from __future__ import annotations
+
+import difflib
+import io
+import math
+import reprlib
+import struct
+import warnings
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from acsar_gym.errors import MissingExtraError, WorldError
+from acsar_gym.worlds.world import FARTHEST, MOST_OBSTACLES
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+PICTURES = (".pgm", ".png", ".pbm", ".ppm", ".bmp", ".jpg", ".jpeg")
+FORMATS = ("PPM", "PNG", "BMP", "JPEG")
+"""What Pillow may take a picture for; PGM is a PPM to it."""
+MOST_PIXELS = 4096 * 4096
+PICTURE_ERRORS = (
+    *(OSError, ValueError, TypeError, LookupError, ArithmeticError, SyntaxError, EOFError),
+    *(struct.error, MemoryError, NotImplementedError),
+)
+"""What Pillow lets out for broken pictures."""
+Share = Annotated[float, Field(strict=True, ge=0.0, le=1.0)]
+Coordinate = Annotated[float, Field(strict=True, ge=-FARTHEST, le=FARTHEST)]
+Size = Annotated[float, Field(strict=True, gt=0.0, le=100.0)]
+Angle = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+
+
+class MapSettings(BaseModel):
+    """The YAML of a map; http://wiki.ros.org/map_server describes it."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    image: Annotated[str, Field(min_length=1, max_length=1000)]
+    """The picture; a relative path starts at the YAML's folder."""
+    resolution: Size
+    """Size of a pixel [m]."""
+    origin: tuple[Coordinate, Coordinate, Angle]
+    """x, y [m] and yaw [rad] of the lower left corner of the lower left pixel."""
+    negate: bool = False
+    """Whether white is occupied, not black."""
+    occupied_thresh: Share = 0.65
+    """A pixel is occupied where it is more so than this."""
+    free_thresh: Share = 0.196
+    """Between this and `occupied_thresh` a pixel is unknown or, in mode scale, partly occupied;
+    neither is an obstacle here."""
+    mode: Literal["trinary", "scale", "raw"] = "trinary"
+    """Raw pixels are percentages themselves; those above 100 are unknown."""
+
+
+def settings(data: Mapping[str, Any]) -> MapSettings:
+    """The settings in a map's YAML. WorldError says what is missing or wrong.
+
+    Keys that belong to others are ignored, as map_server does, but not those that are misspelt.
+    """
+    fields = MapSettings.model_fields
+    for key in (key for key in data if isinstance(key, str) and key not in fields):
+        if near := difflib.get_close_matches(key[:40], fields, n=1, cutoff=0.8):
+            raise WorldError(f"unknown key {shown(key)}; did you mean {near[0]!r}?")
+    try:
+        return MapSettings.model_validate({key: data[key] for key in fields if key in data})
+    except ValidationError as error:
+        parts = [_problem(item) for item in error.errors(include_url=False)]
+        raise WorldError("; ".join(parts)) from None
+
+
+def _problem(item: Mapping[str, Any]) -> str:
+    name = ".".join(map(str, item["loc"]))
+    if item["type"] == "missing":
+        return f"{name}: is missing: add it"
+    return f"{name} = {shown(item['input'])}: {item['msg'].replace('Input should', 'must')}"
+
+
+def shown(value: object) -> str:
+    """The value as in source code: on one line, and shortened where it is long."""
+    try:
+        return reprlib.repr(value)
+    except ValueError:  # Python refuses to print integers of thousands of digits
+        return "a very long number"
+
+
+def segments(picture: bytes, config: MapSettings) -> Floats:
+    """Outlines S x 4 of what is occupied in a picture file's content.
+
+    Raises WorldError for a picture that is broken, too large or too detailed, and
+    MissingExtraError without Pillow.
+    """
+    x, y, yaw = config.origin
+    lines = outlines(occupied(_shades(picture), config)) * config.resolution
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    turned = lines.reshape(-1, 2) @ np.array([[cos, sin], [-sin, cos]])
+    moved: Floats = (turned + np.array([x, y])).reshape(-1, 4)
+    return moved
+
+
+def occupied(shades: Floats, config: MapSettings) -> Mask:
+    """Which pixels are obstacles; `shades` are 0 (black) to 1 (white), NaN where transparent."""
+    bright = 1.0 - shades if config.negate else shades
+    if config.mode == "raw":
+        percent = np.round(bright * 255.0)
+        raw: Mask = (percent > 100.0 * config.occupied_thresh) & (percent <= 100.0)
+        return raw
+    dark: Mask = 1.0 - bright > config.occupied_thresh
+    return dark
+
+
+def outlines(mask: Mask) -> Floats:
+    """Edges S x 4 between occupied pixels and others, in pixels from the lower left corner.
+
+    Edges in a row are one segment. WorldError for more than 20,000.
+    """
+    filled = np.pad(mask[::-1], 1).astype(np.int8)  # from now on the first row is the lowest
+    level, left, right = _runs(np.diff(filled, axis=0)[:, 1:-1] != 0)
+    upright, low, high = _runs(np.diff(filled, axis=1)[1:-1].T != 0)
+    if len(level) + len(upright) > MOST_OBSTACLES:
+        raise WorldError(
+            f"its outlines are {len(level) + len(upright):,} segments, at most {MOST_OBSTACLES:,} "
+            "can be used: crop it, remove speckles, or lower its resolution"
+        )
+    rows = np.column_stack([left, level, right, level])
+    columns = np.column_stack([upright, low, upright, high])
+    return np.concatenate([rows, columns]).astype(np.float64)
+
+
+def _runs(edges: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+    """Line, first and one past the last place of every run of true values along lines."""
+    steps = np.diff(np.pad(edges, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+    lines, firsts = np.nonzero(steps == 1)
+    return lines, firsts, np.nonzero(steps == -1)[1]
+
+
+def _shades(picture: bytes) -> Floats:
+    """Brightness of every pixel from 0 to 1, the mean of its colours; NaN where transparent."""
+    try:
+        from PIL import Image  # noqa: PLC0415
+    except ImportError:
+        raise MissingExtraError("reading a map's picture", "pictures") from None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with Image.open(io.BytesIO(picture), formats=FORMATS) as image:
+                _check_size(*image.size)
+                return _brightness(image)
+    except Image.DecompressionBombError:
+        raise WorldError(f"has more than {MOST_PIXELS:,} pixels: crop or shrink it") from None
+    except PICTURE_ERRORS:
+        raise WorldError("isn't a sound PGM, PNG, BMP or JPEG picture: save it again") from None
+
+
+def _check_size(width: int, height: int) -> None:
+    if width * height > MOST_PIXELS:
+        raise WorldError(
+            f"is {width:,} x {height:,} pixels, more than {MOST_PIXELS:,}: crop or shrink it"
+        )
+
+
+def _brightness(image: Any) -> Floats:
+    if image.mode.startswith("I"):  # 16 bits, which Pillow would cut off and not scale
+        return np.asarray(image, np.float64) / 65535.0
+    if image.mode in ("1", "L"):
+        return np.asarray(image.convert("L"), np.float64) / 255.0
+    pixels = np.asarray(image.convert("RGBA"))
+    shades = pixels[:, :, :3].mean(axis=2) / 255.0
+    return np.where(pixels[:, :, 3] == 255, shades, np.nan)

@@ -1,0 +1,271 @@
+"""Obstacles of a Gazebo world: the collision geometry of its models, seen from above.
+
+Cylinders and spheres become circles, boxes four segments. Lengths in m and angles in rad, as in SDF
+1.4 to 1.9. Poses of models, links and collisions are composed; where the world has a `<state>`,
+its model poses go before the models' own, as in Gazebo. The ground plane is left out, and so is
+what ends below STEP or hangs higher than HEADROOM. Lights, actors and visuals are no obstacles.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+from xml.etree.ElementTree import Element, ParseError, TreeBuilder
+
+import numpy as np
+from defusedxml.common import DefusedXmlException
+from defusedxml.ElementTree import XMLParser
+from numpy.typing import NDArray
+
+from acsar_gym.errors import WorldError
+from acsar_gym.worlds.world import FARTHEST, MOST_OBSTACLES
+
+Floats = NDArray[np.float64]
+Shape = tuple[list[list[float]], list[list[float]]]
+"""Circles and segments."""
+HEADROOM = 0.5
+"""A body that begins above this height is out of the robot's and the LiDAR's way [m]."""
+STEP = 0.01
+"""A body no higher than this is driven over [m]."""
+MOST_TILT = 0.01
+"""A body that leans further than this is refused [rad]."""
+MOST_ELEMENTS = 2_000_000
+"""XML elements of a file; a world of 20,000 cylinders as in BARN has half as many."""
+MOST_KEPT = 20 * MOST_OBSTACLES
+"""Elements that matter here, and so are held in memory."""
+PLACES = frozenset({"sdf", "world", "state", "model", "link", "collision", "geometry", "pose"})
+SIZES = frozenset({"radius", "length", "size", "normal"})
+ELSEWHERE = frozenset({"include", "uri", "population"})
+KEPT = PLACES | SIZES | ELSEWHERE
+"""These and every kind of geometry are read, others are skipped with everything in them."""
+HARMLESS = ("sun", "ground_plane")
+"""Models that nearly every world includes, and that are no obstacles."""
+
+
+class Placed(NamedTuple):
+    """A frame in the world."""
+
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+    yaw: float = 0.0
+    tilted: bool = False
+
+    def __matmul__(self, inner: Placed) -> Placed:
+        """A frame that is given in this one."""
+        cos, sin = math.cos(self.yaw), math.sin(self.yaw)
+        x = self.x + cos * inner.x - sin * inner.y
+        y = self.y + sin * inner.x + cos * inner.y
+        tilted = self.tilted or inner.tilted
+        return Placed(x, y, self.z + inner.z, self.yaw + inner.yaw, tilted)
+
+
+def obstacles(data: bytes) -> tuple[Floats, Floats]:
+    """Circles C x 3 and segments S x 4 of an SDF file's content.
+
+    Raises WorldError, which names the model, for what isn't SDF, is malicious, holds more than
+    20,000 bodies, or can't be drawn from above.
+    """
+    root = _parsed(data)
+    worlds = root.findall("world")
+    if root.tag != "sdf" or len(worlds) > 1:
+        raise WorldError("not an SDF file of one <world>")
+    circles: list[list[float]] = []
+    segments: list[list[float]] = []
+    for some_circles, some_segments in _shapes(worlds[0] if worlds else root):
+        circles += some_circles
+        segments += some_segments
+    return np.array(circles).reshape(-1, 3), np.array(segments).reshape(-1, 4)
+
+
+class _Builder(TreeBuilder):
+    """Keeps the elements that matter, and stops early where there are too many."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._open: list[str] = []
+        self._skipped = 0
+        self._seen = self._kept = self._bodies = 0
+
+    def start(self, tag: Any, attrs: Any, /) -> Any:
+        self._count(tag)
+        wanted = tag in KEPT or self._open[-1:] == ["geometry"]
+        if self._skipped or not wanted:
+            self._skipped += 1
+            return None
+        self._kept += 1
+        self._open.append(tag)
+        return super().start(tag, attrs)
+
+    def end(self, tag: Any, /) -> Any:
+        if self._skipped:
+            self._skipped -= 1
+            return None
+        self._open.pop()
+        return super().end(tag)
+
+    def data(self, data: Any, /) -> None:
+        if not self._skipped:
+            super().data(data)
+
+    def _count(self, tag: str) -> None:
+        self._seen += 1
+        self._bodies += tag == "collision"
+        if self._bodies > MOST_OBSTACLES:
+            raise WorldError(f"holds more than {MOST_OBSTACLES:,} bodies: cut out a part of it")
+        if self._seen > MOST_ELEMENTS or self._kept > MOST_KEPT:
+            raise WorldError("holds too many XML elements: cut out a part of it")
+
+
+def _parsed(data: bytes) -> Element:
+    parser = XMLParser(target=_Builder(), forbid_dtd=True)
+    try:
+        parser.feed(data)
+        root: Element | None = parser.close()
+    except DefusedXmlException:
+        raise WorldError(
+            "has a document type or entities, which are refused: remove them"
+        ) from None
+    except (ParseError, ValueError, LookupError, AssertionError) as error:
+        raise WorldError(f"not valid XML: {' '.join(str(error).split())}") from None
+    if not isinstance(root, Element):
+        raise WorldError("not an SDF file of one <world>")
+    return root
+
+
+def _shapes(world: Element) -> Iterator[Shape]:
+    moved = {model.get("name"): model for model in world.iterfind("state/model")}
+    _refuse_includes(world)
+    for model in world.iterfind("model"):
+        now = moved.get(model.get("name"), model)
+        placed = _pose(now if now.find("pose") is not None else model, "model", _name(model))
+        yield from _of_model(model, placed, 0)
+
+
+def _of_model(model: Element, placed: Placed, depth: int) -> Iterator[Shape]:
+    name = _name(model)
+    if depth > 10:
+        raise WorldError(f"model {name}: models are nested too deeply")
+    if model.get("placement_frame"):
+        raise WorldError(f"model {name}: has a placement_frame, which can't be read: remove it")
+    _refuse_includes(model)
+    for link in model.iterfind("link"):
+        link_frame = placed @ _pose(link, "link", name)
+        for body in link.iterfind("collision"):
+            yield _shape(body, link_frame @ _pose(body, "collision", name), name)
+    for inner in model.iterfind("model"):
+        yield from _of_model(inner, placed @ _pose(inner, "model", name), depth + 1)
+
+
+def _refuse_includes(parent: Element) -> None:
+    """Better no world than one with obstacles missing."""
+    if parent.find("population") is not None:
+        raise WorldError("has a <population>, which can't be read: place its models one by one")
+    for uri in parent.iterfind("include/uri"):
+        name = (uri.text or "").strip().rstrip("/")
+        if name.rsplit("/", 1)[-1] not in HARMLESS:
+            raise WorldError(f"includes {_brief(name)}, which lies in another file: write it out")
+
+
+def _name(element: Element) -> str:
+    return _brief(element.get("name", ""))
+
+
+def _brief(text: str) -> str:
+    """As in source code, so on one line, and never long."""
+    return repr(text if len(text) <= 40 else f"{text[:40]}...")
+
+
+def _pose(element: Element, kind: str, model: str) -> Placed:
+    """The frame of a model, link or collision in its parent's."""
+    pose = element.find("pose")
+    if pose is None or not (pose.text or "").strip():
+        return Placed()
+    base = pose.get("relative_to") or pose.get("frame") or ""
+    if base not in ("", {"model": "world", "link": "__model__"}.get(kind, "")):
+        raise WorldError(f"model {model}: a pose is relative to {_brief(base)}, not to its parent")
+    if pose.get("rotation_format", "euler_rpy") != "euler_rpy":
+        raise WorldError(f"model {model}: a rotation isn't roll, pitch and yaw")
+    x, y, z, *angles = _numbers(pose, "pose", 6, model)
+    if pose.get("degrees", "").strip() in ("true", "1"):
+        angles = list(map(math.radians, angles))
+    roll, pitch = (abs(math.remainder(angle, math.tau)) for angle in angles[:2])
+    return Placed(x, y, z, angles[2], max(roll, pitch) > MOST_TILT)
+
+
+def _numbers(element: Element, what: str, count: int, model: str) -> list[float]:
+    text = element.text or ""
+    try:
+        numbers = [float(word) for word in text.split(None, count)]
+    except ValueError:
+        numbers = []
+    if len(numbers) != count or not all(abs(number) <= FARTHEST for number in numbers):
+        raise WorldError(
+            f"model {model}: {what} must be {count} finite number{'s' if count > 1 else ''} of at "
+            f"most {FARTHEST:g}, is {_brief(text.strip())}"
+        )
+    return numbers
+
+
+def _sizes(shape: Element, what: str, count: int, model: str) -> list[float]:
+    element = shape.find(what)
+    if element is None:
+        raise WorldError(f"model {model}: its {shape.tag} has no <{what}>")
+    numbers = _numbers(element, what, count, model)
+    if min(numbers) < 0.0:
+        raise WorldError(f"model {model}: {what} must not be negative, is {min(numbers):g}")
+    return numbers
+
+
+def _shape(body: Element, placed: Placed, model: str) -> Shape:
+    """What a collision body looks like from above; nothing where it is out of the way."""
+    shape = next(iter(body.find("geometry") or ()), None)
+    if shape is None or shape.tag == "empty":
+        return [], []
+    reader = READERS.get(shape.tag)
+    if reader is None:
+        raise WorldError(
+            f"model {model}: a {shape.tag} can't be read: replace it by cylinders and boxes"
+        )
+    drawn, half_height = reader(shape, placed, model)
+    if placed.tilted:
+        raise WorldError(f"model {model}: is tilted: only bodies that stand upright can be read")
+    out_of_the_way = placed.z - half_height > HEADROOM or placed.z + half_height <= STEP
+    return ([], []) if out_of_the_way else drawn
+
+
+def _cylinder(shape: Element, placed: Placed, model: str) -> tuple[Shape, float]:
+    radius, length = (_sizes(shape, what, 1, model)[0] for what in ("radius", "length"))
+    return ([[placed.x, placed.y, radius]], []), length / 2.0
+
+
+def _sphere(shape: Element, placed: Placed, model: str) -> tuple[Shape, float]:
+    """As wide as at its widest."""
+    radius = _sizes(shape, "radius", 1, model)[0]
+    return ([[placed.x, placed.y, radius]], []), radius
+
+
+def _box(shape: Element, placed: Placed, model: str) -> tuple[Shape, float]:
+    length, width, height = _sizes(shape, "size", 3, model)
+    signs = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
+    corners = [placed @ Placed(sx * length / 2.0, sy * width / 2.0) for sx, sy in signs]
+    pairs = zip(corners, corners[1:] + corners[:1], strict=True)
+    return ([], [[one.x, one.y, two.x, two.y] for one, two in pairs]), height / 2.0
+
+
+def _plane(shape: Element, placed: Placed, model: str) -> tuple[Shape, float]:
+    """The ground, which is no obstacle."""
+    normal = shape.find("normal")
+    x, y, z = (0.0, 0.0, 1.0) if normal is None else _numbers(normal, "normal", 3, model)
+    if placed.tilted or math.hypot(x, y) > MOST_TILT * abs(z):
+        raise WorldError(f"model {model}: a plane must be level: replace it by a box")
+    return ([], []), 0.0
+
+
+READERS: dict[str, Callable[[Element, Placed, str], tuple[Shape, float]]] = {
+    "cylinder": _cylinder,
+    "sphere": _sphere,
+    "box": _box,
+    "plane": _plane,
+}

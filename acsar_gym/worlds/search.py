@@ -1,0 +1,210 @@
+"""Shortest ways for a footprint through a world: its configuration space, searched by scipy.
+
+The footprint counts as the disc around it: a skid-steer robot turns on the spot, so it can follow
+any path that the disc can.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import WorldError
+from acsar_gym.worlds.clearance import clearance, segment_clearance
+from acsar_gym.worlds.world import Floats, Region, World
+
+RESOLUTION = 0.05
+"""Side of a cell of the search [m]."""
+MOST_CELLS = 4_000_000
+"""Worlds larger than this many cells are searched more coarsely."""
+SLACK = 1e-3
+"""How far a path may cut into the clearance between two cells [m]."""
+BLOCK = 64
+"""Points of a path that are tried at once for a straight way."""
+
+
+def footprint_radius(config: RobotConfig) -> float:
+    """Radius of the disc around a robot's footprint [m]."""
+    return math.hypot(config.body.length, config.body.width) / 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """Cells of a world in which a disc's centre may be."""
+
+    free: NDArray[np.bool_]
+    """nx x ny."""
+    x: float
+    """Centre of cell (0, 0) [m]."""
+    y: float
+    side: float
+
+    def cell(self, x: float, y: float) -> int:
+        """Number of the cell that holds a point."""
+        i, j = round((x - self.x) / self.side), round((y - self.y) / self.side)
+        return i * int(self.free.shape[1]) + j
+
+    def centres(self, cells: NDArray[np.int64]) -> Floats:
+        """N x 2: centres of cells."""
+        i, j = np.divmod(cells, self.free.shape[1])
+        return np.column_stack([self.x + i * self.side, self.y + j * self.side])
+
+
+def shortest_path(
+    world: World, radius: float, start: Region | None = None, goal: Region | None = None
+) -> Floats:
+    """P x 2: a shortest way of a disc of this radius [m] from start to goal, as straight pieces.
+
+    A shortest way over eight-connected cells, pulled straight where obstacles allow it. Start and
+    goal are the centres of the world's regions unless others are given. Raises WorldError where
+    one of the regions isn't free for the disc, or there is no way.
+    """
+    start, goal = start or world.start, goal or world.goal
+    for name, region in (("start", start), ("goal", goal)):
+        check_region(world, name, region, radius)
+    ends = np.array([[start.x, start.y], [goal.x, goal.y]])
+    if segment_clearance(ends[:1], ends[1:], world)[0] >= radius:
+        return ends
+    grid = free_cells(world, radius)
+    first, last = grid.cell(start.x, start.y), grid.cell(goal.x, goal.y)
+    grid.free.flat[[first, last]] = True  # their centres may be a little nearer than the ends
+    cells = search(grid, first, last)
+    if cells is None:
+        raise WorldError(
+            f"{_named(world)}no way from start to goal for a footprint of radius {radius:.2f} m"
+        )
+    way = np.concatenate([ends[:1], grid.centres(cells), ends[1:]])
+    return _pulled(_pulled(way, world, radius)[::-1], world, radius)[::-1]
+
+
+def check_region(world: World, name: str, region: Region, radius: float) -> None:
+    """WorldError unless a disc of this radius is free wherever it stands in the region."""
+    free = clearance(np.array([[region.x, region.y]]), world)[0]
+    if free < radius + region.radius - SLACK:
+        raise WorldError(
+            f"{_named(world)}the {name} ({region.x:g}, {region.y:g}) lies {max(free, 0.0):.2f} m "
+            f"from an obstacle, a footprint of radius {radius:.2f} m needs "
+            f"{radius + region.radius:.2f} m"
+        )
+
+
+def _named(world: World) -> str:
+    return f"{world.name}: " if world.name else ""
+
+
+def free_cells(world: World, radius: float) -> Grid:
+    """Cells whose centre is at least `radius` [m] away from every obstacle."""
+    left, low, right, high = world.bounds
+    margin = 2.0 * radius + 4.0 * RESOLUTION
+    width, height = right - left + 2.0 * margin, high - low + 2.0 * margin
+    side = RESOLUTION * max(1.0, math.sqrt(width * height / MOST_CELLS) / RESOLUTION)
+    x = (math.floor((left - margin) / side) + 0.5) * side
+    y = (math.floor((low - margin) / side) + 0.5) * side
+    free = np.ones((math.ceil(width / side) + 1, math.ceil(height / side) + 1), np.bool_)
+    grid = Grid(free, x, y, side)
+    for cx, cy, r in world.circles.tolist():
+        _block(grid, (cx, cy, cx, cy), r + radius)
+    for ends in world.segments.tolist():
+        _block(grid, (ends[0], ends[1], ends[2], ends[3]), radius)
+    return grid
+
+
+def _block(grid: Grid, ends: tuple[float, float, float, float], radius: float) -> None:
+    """Cells nearer than `radius` to a straight piece aren't free."""
+    x1, y1, x2, y2 = ends
+    reach = radius - SLACK / 2.0
+    low_i = max(math.ceil((min(x1, x2) - reach - grid.x) / grid.side), 0)
+    low_j = max(math.ceil((min(y1, y2) - reach - grid.y) / grid.side), 0)
+    high_i = math.floor((max(x1, x2) + reach - grid.x) / grid.side) + 1
+    high_j = math.floor((max(y1, y2) + reach - grid.y) / grid.side) + 1
+    dx = grid.x + grid.side * np.arange(low_i, max(high_i, low_i))[:, None] - x1
+    dy = grid.y + grid.side * np.arange(low_j, max(high_j, low_j))[None, :] - y1
+    ex, ey = x2 - x1, y2 - y1
+    square = ex * ex + ey * ey
+    share = np.clip((dx * ex + dy * ey) / square, 0.0, 1.0) if square > 0.0 else 0.0
+    near = (dx - share * ex) ** 2 + (dy - share * ey) ** 2 < reach * reach
+    grid.free[low_i:high_i, low_j:high_j] &= ~near
+
+
+def search(grid: Grid, start: int, goal: int) -> NDArray[np.int64] | None:
+    """Cells of a shortest way between two cells; None where there is none."""
+    from scipy.sparse import csr_array  # noqa: PLC0415 - slow to import
+    from scipy.sparse.csgraph import dijkstra  # noqa: PLC0415
+
+    rows, columns, costs = _edges(grid)
+    graph: Any = csr_array((costs, (rows, columns)), shape=(grid.free.size, grid.free.size))
+    search_from: Any = dijkstra  # its stubs know no single start
+    _, before = search_from(graph, directed=False, indices=start, return_predecessors=True)
+    if start != goal and before[goal] < 0:
+        return None
+    way = [goal]
+    while way[-1] != start:
+        way.append(int(before[way[-1]]))
+    return np.array(way[::-1])
+
+
+def _edges(grid: Grid) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
+    """Pairs of neighbouring free cells and their distances; no diagonal cuts a corner."""
+    free = grid.free
+    number = np.arange(free.size).reshape(free.shape)
+    ahead, side = free[:-1] & free[1:], free[:, :-1] & free[:, 1:]
+    square = ahead[:, :-1] & ahead[:, 1:]
+    kinds = (
+        (number[:-1][ahead], number[1:][ahead], 1.0),
+        (number[:, :-1][side], number[:, 1:][side], 1.0),
+        (number[:-1, :-1][square], number[1:, 1:][square], math.sqrt(2.0)),
+        (number[1:, :-1][square], number[:-1, 1:][square], math.sqrt(2.0)),
+    )
+    costs = [np.full(len(one), cost * grid.side) for one, _, cost in kinds]
+    return (
+        np.concatenate([one for one, _, _ in kinds]),
+        np.concatenate([other for _, other, _ in kinds]),
+        np.concatenate(costs),
+    )
+
+
+def _pulled(way: Floats, world: World, radius: float) -> Floats:
+    """The way without the points that a straight piece can leave out."""
+    kept, here = [0], 0
+    while here < len(way) - 1:
+        here = _farthest(way, here, world, radius)
+        kept.append(here)
+    return way[kept]
+
+
+def _farthest(way: Floats, here: int, world: World, radius: float) -> int:
+    """The point before the first one on the way that can't be reached straight."""
+    last = here + 1
+    for first in range(here + 2, len(way), BLOCK):
+        ends = way[first : first + BLOCK]
+        starts = np.broadcast_to(way[here], ends.shape)
+        blocked = segment_clearance(starts, ends, world) < radius - SLACK
+        if blocked.any():
+            return max(last, first + int(blocked.argmax()) - 1)
+        last = first + len(ends) - 1
+    return last
+
+
+def path_length(path: Floats) -> float:
+    """Length of a polyline [m]."""
+    return sum(math.dist(a, b) for a, b in pairwise(path.tolist()))
+
+
+def way_left(world: World, radius: float, place: Region, goal: Region) -> float:
+    """Length of a shortest way from a place to the goal [m], for a robot that may have collided.
+
+    For the disc of this radius [m], or the largest one that is free where the robot stands; inf
+    where there is no way.
+    """
+    ends = np.array([[place.x, place.y], [goal.x, goal.y]])
+    fitting = min(radius, *(clearance(ends, world) - SLACK).tolist())
+    try:
+        return path_length(shortest_path(world, max(fitting, 0.0), place, goal))
+    except WorldError:
+        return math.inf

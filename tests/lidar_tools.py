@@ -1,0 +1,112 @@
+"""An RPLIDAR in a room of known size, in a process of its own: `python lidar_tools.py --help`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from serial_tools import Emulated, first_line
+
+from acsar_gym.rplidar_emulator import RplidarEmulator, RplidarTwin
+
+Floats = NDArray[np.float64]
+
+AHEAD, LEFT, BEHIND, RIGHT = 2.7, 2.1, 1.3, 0.9
+"""Distances of the walls of a room of 4 m x 3 m: no two directions are alike [m]."""
+PERIOD = 0.005
+LATE = 0.1
+"""After a pause this long the emulator goes on from now [s]."""
+
+
+def room(bearings: Floats) -> Floats:
+    """Ranges [m] at bearings [rad], counter-clockwise from the sensor's zero."""
+    cos, sin = np.cos(bearings), np.sin(bearings)
+    with np.errstate(divide="ignore"):
+        along_x = np.where(cos > 0.0, AHEAD, -BEHIND) / cos
+        along_y = np.where(sin > 0.0, LEFT, -RIGHT) / sin
+    return np.minimum(np.abs(along_x), np.abs(along_y))
+
+
+def nothing(bearings: Floats) -> Floats:
+    """An empty plain."""
+    return np.full(len(bearings), np.inf)
+
+
+def start_lidar(log: Path, *arguments: str) -> Emulated:
+    """A sensor that serves; `log` gets a line each time it begins a turn or changes its state."""
+    command = [sys.executable, __file__, "--log", str(log), *arguments]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    emulated = Emulated(process, first_line(process), log)
+    if not emulated.device.startswith("/dev/"):
+        emulated.end()
+        raise AssertionError(f"no device from {command}")
+    return emulated
+
+
+def state(emulated: Emulated) -> tuple[bool, int]:
+    """Whether it scans, and its motor's PWM."""
+    newest = [event for event in emulated.events() if "pwm" in event][-1]
+    return bool(newest["scanning"]), int(newest["pwm"])
+
+
+def turns(emulated: Emulated) -> list[float]:
+    """When it began its turns, on the monotonic clock [s]."""
+    return [event["t"] for event in emulated.events() if "turn" in event]
+
+
+def main() -> None:
+    """Print the device, and serve until killed."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--log", type=Path, required=True)
+    parser.add_argument("--rate", type=float, default=20.0)
+    parser.add_argument("--samples", type=int, default=360)
+    parser.add_argument("--spin-up", type=float, default=0.0)
+    parser.add_argument("--broken", action="store_true")
+    parser.add_argument("--baud", type=int, default=115200)
+    parser.add_argument("--fault", default=None)
+    options = parser.parse_args()
+    with options.log.open("w", encoding="ascii", buffering=1) as log:
+
+        def note(**event: object) -> None:
+            log.write(json.dumps({"t": time.monotonic(), **event}) + "\n")
+
+        def look(bearings: Floats) -> Floats:
+            if (bearings == 0.0).any():
+                note(turn=True)
+            return room(bearings)
+
+        twin = RplidarTwin(
+            look,
+            rate=options.rate,
+            samples=options.samples,
+            spin_up=options.spin_up,
+            broken=options.broken,
+        )
+        with RplidarEmulator(twin, baud=options.baud, fault=options.fault) as emulator:
+            print(emulator.device, flush=True)
+            serve(emulator, note)
+
+
+def serve(emulator: RplidarEmulator, note: Callable[..., None]) -> None:
+    """In real time; what changes is noted."""
+    before = None
+    deadline = time.monotonic()
+    while True:
+        emulator.serve_once(PERIOD)
+        now = emulator.twin.scanning, emulator.twin.pwm
+        if now != before:
+            note(scanning=now[0], pwm=now[1])
+            before = now
+        deadline = max(deadline + PERIOD, time.monotonic() - LATE)
+        time.sleep(max(0.0, deadline - time.monotonic()))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,131 @@
+"""BARN's five measures on worlds that can be measured by hand, and on the published ones."""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import WorldError
+from acsar_gym.worlds import difficulty, files
+from acsar_gym.worlds.difficulty import RAYS, REACH, Difficulty, measure
+from acsar_gym.worlds.geometry import Obstacles, RaySpec, cast, surroundings
+from acsar_gym.worlds.world import World
+
+BARN = Path(__file__).parents[2].parent / "shared" / "barn"
+ANGLES = 2.0 * math.pi * np.arange(RAYS) / RAYS
+
+
+def array(*rows: Any) -> Any:
+    return np.array(rows, np.float64)
+
+
+def corridor(width: float) -> World:
+    half = width / 2.0
+    walls = array([-50.0, -half, 50.0, -half], [-50.0, half, 50.0, half])
+    return World(segments=walls, path=array([0.0, 0.0], [3.0, 0.0], [7.0, 0.0]))
+
+
+@pytest.mark.parametrize("width", [0.5, 1.0, 1.4])
+def test_a_straight_corridor(width: float) -> None:
+    found = measure(corridor(width))
+    away = np.abs(np.sin(ANGLES))
+    rays = np.where(away > 1e-9, width / 2.0 / np.maximum(away, 1e-9), np.inf)
+    assert found.closest_obstacle == pytest.approx(width / 2.0)
+    assert found.characteristic_dimension == pytest.approx(width)
+    assert found.visibility == pytest.approx(np.minimum(rays, REACH).mean())
+    assert found.dispersion == 4.0  # wall, free ahead, wall, free behind
+    assert found.tortuosity == pytest.approx(1.0)
+
+
+def test_a_wide_corridor_has_no_dispersion() -> None:
+    assert measure(corridor(1.6)).dispersion == 0.0
+    assert measure(corridor(1.6), radius=0.9).dispersion == 4.0
+
+
+def test_an_empty_world_is_as_wide_as_the_robot_looks() -> None:
+    found = measure(World(), path=array([0.0, 0.0], [1.0, 0.0]))
+    assert found == Difficulty(REACH, REACH, 0.0, 2.0 * REACH, 1.0)
+
+
+def test_a_pillar_in_the_open() -> None:
+    world = World(circles=array([1.0, 0.0, 0.5]), path=array([0.0, 0.0], [0.0, 1e-9]))
+    found = measure(world)
+    assert found.closest_obstacle == pytest.approx(0.5)
+    assert found.dispersion == 2.0
+    assert found.characteristic_dimension == pytest.approx(REACH + 0.5)
+
+
+def test_nothing_is_seen_from_inside_a_pillar() -> None:
+    world = World(circles=array([0.0, 0.0, 2.0]), path=array([0.0, 0.0], [0.0, 1.0]))
+    assert measure(world) == Difficulty(0.0, 0.0, 0.0, 0.0, 1.0)
+
+
+def test_tortuosity_is_arc_by_chord() -> None:
+    assert measure(World(), array([0, 0], [3, 0], [3, 4])).tortuosity == pytest.approx(7.0 / 5.0)
+    assert measure(World(), array([0, 0], [3, 0], [0, 0])).tortuosity == math.inf
+
+
+def test_more_points_on_a_path_change_nothing() -> None:
+    world = World(circles=array([1.0, 0.3, 0.2], [2.0, -0.5, 0.1]))
+    few = measure(world, array([0.0, 0.0], [3.0, 0.0]))
+    many = measure(world, np.column_stack([np.linspace(0.0, 3.0, 50) ** 2 / 3.0, np.zeros(50)]))
+    for name in Difficulty.__slots__:
+        assert getattr(few, name) == pytest.approx(getattr(many, name))
+
+
+def test_rays_are_those_of_the_range_sensor(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(3)
+    circles = np.column_stack([rng.uniform(-4, 4, (30, 2)), rng.uniform(0.0, 0.4, 30)])
+    starts = rng.uniform(-4, 4, (30, 2))
+    segments = np.column_stack([starts, starts + rng.uniform(-2, 2, (30, 2))])
+    config = RobotConfig.preset("acsar").with_(lidar_x_offset=0.0, lidar_y_offset=0.0)
+    around = surroundings(Obstacles(circles, segments), RaySpec(RAYS, REACH), 1, config)
+    monkeypatch.setattr(difficulty, "CHUNK", 5000)
+    places = rng.uniform(-4, 4, (20, 2))
+    found = difficulty._ranges(places, World(circles, segments))
+    for place, ranges in zip(places, found, strict=True):
+        expected = np.empty(RAYS)
+        cast(place[0], place[1], -1.0, 0.0, 0, around, expected)  # the first ray to the back
+        np.testing.assert_allclose(ranges, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("path", "message"),
+    [
+        (None, "has no path"),
+        (array([0.0, 0.0]), "two points"),
+        (array([1.0, 1.0], [1.0, 1.0]), "two points"),
+        (np.zeros((0, 2)), "two points"),
+        (array([0.0, math.nan], [1.0, 1.0]), "finite"),
+        (array([0.0, 0.0, 0.0]), "rows of 2"),
+        (array([0.0, 0.0], [9000.0, 0.0]), "too long"),
+    ],
+)
+def test_bad_paths_are_refused(path: Any, message: str) -> None:
+    with pytest.raises(WorldError, match=message):
+        measure(World(), path)
+
+
+@pytest.mark.parametrize("radius", [0.0, -1.0, math.nan, math.inf, REACH + 1.0])
+def test_bad_radii_are_refused(radius: float) -> None:
+    with pytest.raises(WorldError, match="radius"):
+        measure(corridor(1.0), radius=radius)
+
+
+@pytest.mark.skipif(not BARN.is_dir(), reason="the published worlds aren't here")
+def test_published_worlds_are_measured_in_no_time() -> None:
+    worlds = files.load_folder(BARN)
+    begin = time.process_time()
+    found = [measure(world) for world in worlds]
+    assert time.process_time() - begin < 0.1 * len(worlds)
+    for world, one in zip(worlds, found, strict=True):
+        assert 0.3 < one.closest_obstacle < one.visibility < REACH
+        assert one.characteristic_dimension < 2.0 * one.visibility
+        assert 0.0 < one.dispersion < 8.0
+        assert one.tortuosity == pytest.approx(world.length / 10.0)

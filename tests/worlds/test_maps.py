@@ -1,0 +1,291 @@
+"""ROS maps: exact outlines, where they lie, and pictures that mean harm."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import math
+import sys
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import array_shapes, arrays
+from PIL import Image
+
+from acsar_gym.errors import MissingExtraError, WorldError
+from acsar_gym.worlds import files, maps
+from acsar_gym.worlds.maps import MapSettings, occupied, outlines
+from acsar_gym.worlds.world import Region, World
+
+SETTINGS: dict[str, Any] = {"image": "map.pgm", "resolution": 0.5, "origin": [0.0, 0.0, 0.0]}
+ENDS = {"start": {"x": 0.0, "y": 0.0, "theta": 0.0}, "goal": {"x": 3.0, "y": 1.0}}
+BLACK, GREY, WHITE = 0, 205, 254
+
+
+def pgm(rows: Any) -> bytes:
+    pixels = np.array(rows, np.uint8)
+    height, width = pixels.shape
+    return f"P5\n# by a test\n{width} {height}\n255\n".encode() + pixels.tobytes()
+
+
+def picture(image: Image.Image, kind: str = "PNG") -> bytes:
+    stream = io.BytesIO()
+    image.save(stream, kind)
+    return stream.getvalue()
+
+
+def write(folder: Path, data: bytes, image: str = "map.pgm", **changes: Any) -> Path:
+    (folder / image).write_bytes(data)
+    path = folder / "map.yaml"
+    fields = {**SETTINGS, "image": image, **ENDS, **changes}
+    given = {key: value for key, value in fields.items() if value is not None}
+    path.write_text(yaml.safe_dump(given), encoding="utf-8")
+    return path
+
+
+def loaded(folder: Path, data: bytes, image: str = "map.pgm", **changes: Any) -> World:
+    return files.load(write(folder, data, image, **changes))
+
+
+def as_set(segments: Any) -> set[tuple[float, ...]]:
+    """Segments without order and direction."""
+    return {min(tuple(row), (*row[2:], *row[:2])) for row in np.round(segments, 9).tolist()}
+
+
+def square(left: float, low: float, right: float, high: float) -> set[tuple[float, ...]]:
+    return {
+        (left, low, right, low),
+        (left, high, right, high),
+        (left, low, left, high),
+        (right, low, right, high),
+    }
+
+
+def test_a_pixel_is_a_square_and_the_first_row_is_the_top(tmp_path: Path) -> None:
+    world = loaded(tmp_path, pgm([[WHITE, BLACK, WHITE], [WHITE, GREY, WHITE]]))
+    assert as_set(world.segments) == square(0.5, 0.5, 1.0, 1.0)
+    assert (world.start, world.goal) == (Region(0.0, 0.0, 0.0, 0.0), Region(3.0, 1.0))
+    assert (world.name, len(world.circles)) == ("map", 0)
+
+
+def test_edges_in_a_row_are_one_segment() -> None:
+    assert as_set(outlines(np.ones((3, 5), bool))) == square(0.0, 0.0, 5.0, 3.0)
+    assert outlines(np.zeros((3, 5), bool)).shape == (0, 4)
+
+
+def test_the_origin_moves_and_turns_the_map(tmp_path: Path) -> None:
+    world = loaded(tmp_path, pgm([[BLACK]]), origin=[10.0, -2.0, math.pi / 2.0])
+    assert as_set(world.segments) == square(9.5, -2.0, 10.0, -1.5)
+
+
+@given(arrays(np.bool_, array_shapes(min_dims=2, max_dims=2, max_side=8)))
+def test_outlines_are_exactly_the_edges_of_pixels(mask: Any) -> None:
+    found: list[tuple[int, ...]] = []
+    for x1, y1, x2, y2 in outlines(mask).astype(int).tolist():
+        steps = x2 - x1 + y2 - y1
+        dx, dy = int(x2 > x1), int(y2 > y1)
+        found += [(x1 + k * dx, y1 + k * dy, dx, dy) for k in range(steps)]
+    filled = np.pad(mask[::-1], 1).astype(int)
+    expected = {(x - 1, y, 1, 0) for y, x in np.argwhere(np.diff(filled, axis=0))}
+    expected |= {(x, y - 1, 0, 1) for y, x in np.argwhere(np.diff(filled, axis=1))}
+    assert len(found) == len(set(found))  # each edge once
+    assert set(found) == expected
+
+
+@given(arrays(np.bool_, array_shapes(min_dims=2, max_dims=2, max_side=8)))
+def test_no_two_outlines_could_be_one(mask: Any) -> None:
+    ends = [(y1, x) for x1, y1, x2, y2 in outlines(mask) if y1 == y2 for x in (x1, x2)]
+    assert len(ends) == len(set(ends))
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({}, [True, True, False, False, False]),
+        ({"negate": 1}, [False, False, True, True, True]),
+        ({"occupied_thresh": 0.2}, [True, True, True, False, False]),
+        ({"mode": "scale"}, [True, True, False, False, False]),
+        ({"mode": "raw"}, [False, True, False, False, False]),
+    ],
+)
+def test_which_pixels_are_obstacles(changes: dict[str, Any], expected: list[bool]) -> None:
+    shades = np.array([[0.0, 70.0, 200.0, 254.0, 255.0]]) / 255.0
+    config = maps.settings({**SETTINGS, **changes})
+    assert occupied(shades, config)[0].tolist() == expected
+
+
+def test_transparent_pixels_are_unknown(tmp_path: Path) -> None:
+    colours = np.array([[[0, 0, 0, 255], [0, 0, 0, 0]]], np.uint8)
+    world = loaded(tmp_path, picture(Image.fromarray(colours)), "map.png")
+    assert as_set(world.segments) == square(0.0, 0.0, 0.5, 0.5)
+
+
+@pytest.mark.parametrize("mode", ["1", "L", "P", "RGB", "RGBA", "LA", "I;16"])
+def test_every_kind_of_png_is_read(mode: str, tmp_path: Path) -> None:
+    if mode == "I;16":
+        image = Image.fromarray(np.array([[0, 65535]], np.uint16))
+    else:
+        image = Image.fromarray(np.array([[0, 255]], np.uint8)).convert(mode)
+    world = loaded(tmp_path, picture(image), "map.png")
+    assert as_set(world.segments) == square(0.0, 0.0, 0.5, 0.5)
+
+
+@pytest.mark.parametrize("data", [b"P2 2 1 9 0 9", b"P1 2 1 1 0", b"P5 2 1 65535 \0\0\xff\xff"])
+def test_every_kind_of_pgm_is_read(data: bytes, tmp_path: Path) -> None:
+    assert as_set(loaded(tmp_path, data).segments) == square(0.0, 0.0, 0.5, 0.5)
+
+
+def test_the_picture_may_lie_elsewhere(tmp_path: Path) -> None:
+    (tmp_path / "maps").mkdir()
+    (tmp_path / "other.pgm").write_bytes(pgm([[BLACK]]))
+    for image in ("../other.pgm", str(tmp_path / "other.pgm")):
+        path = write(tmp_path / "maps", b"")
+        path.write_text(yaml.safe_dump({**SETTINGS, **ENDS, "image": image}), encoding="utf-8")
+        assert len(files.load(path).segments) == 4
+
+
+def test_obstacles_and_a_path_may_be_added_to_a_map(tmp_path: Path) -> None:
+    extra: dict[str, Any] = {
+        "circles": [[1.0, 1.0, 0.1]],
+        "path": [[0.0, 0.0], [3.0, 1.0]],
+        "name": "hall",
+    }
+    world = loaded(tmp_path, pgm([[BLACK]]), **extra)
+    assert (len(world.circles), len(world.segments), world.name) == (1, 4, "hall")
+    assert world.length == pytest.approx(math.sqrt(10.0))
+
+
+def test_keys_of_others_are_ignored(tmp_path: Path) -> None:
+    assert len(loaded(tmp_path, pgm([[BLACK]]), cost_map="x").segments) == 4
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"resolution": None}, "resolution: is missing: add it"),
+        ({"origin": None}, "origin: is missing: add it"),
+        ({"origin": [0.0, 0.0]}, "origin.2: is missing: add it"),
+        ({"resolution": 0.0}, "resolution = 0.0: must be greater than 0"),
+        ({"resolution": -0.05}, "resolution = -0.05: must"),
+        ({"resolution": math.nan}, "resolution = nan: must"),
+        ({"resolution": math.inf}, "resolution = inf: must"),
+        ({"resolution": True}, "resolution = True: must"),
+        ({"resolution": "fine"}, "resolution = 'fine': must"),
+        ({"origin": [0.0, 0.0, math.nan]}, "origin.2 = nan: must"),
+        ({"origin": [1e9, 0.0, 0.0]}, "origin.0 = 1000000000.0: must"),
+        ({"origin": "here"}, "origin = 'here': must"),
+        ({"image": 7}, "image = 7: must be a valid string"),
+        ({"image": "nowhere.pgm"}, "image 'nowhere.pgm': there is no such file"),
+        ({"image": "."}, "image '.': isn't a file"),
+        ({"image": "x" * 999}, "image 'xxx"),
+        ({"occupied_thresh": 2.0}, "occupied_thresh = 2.0: must"),
+        ({"free_thresh": -1}, "free_thresh = -1: must"),
+        ({"negate": "perhaps"}, "negate = 'perhaps': must"),
+        ({"mode": "triangle"}, "mode = 'triangle': must be 'trinary', 'scale' or 'raw'"),
+        ({"ocupied_thresh": 0.5}, "unknown key 'ocupied_thresh'; did you mean 'occupied_thresh'?"),
+        ({"start": None}, "has no start: add a line like 'start: {x: 0.0, y: 0.0}'"),
+        ({"goal": None}, "has no goal: add a line like 'goal: {x: 0.0, y: 0.0}'"),
+    ],
+)
+def test_bad_settings_are_refused(changes: dict[str, Any], message: str, tmp_path: Path) -> None:
+    path = write(tmp_path, pgm([[BLACK]]))
+    fields = {**SETTINGS, **ENDS, **changes}
+    given = {key: value for key, value in fields.items() if value is not None}
+    path.write_text(yaml.safe_dump(given), encoding="utf-8")
+    with pytest.raises(WorldError) as caught:
+        files.load(path)
+    assert str(caught.value).startswith(f"{path}: {message}")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("suffix", [".pgm", ".png", ".PGM"])
+def test_a_picture_without_its_yaml_is_refused(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"map{suffix}"
+    path.write_bytes(pgm([[BLACK]]))
+    with pytest.raises(WorldError, match="pass the YAML that names it"):
+        files.load(path)
+
+
+def chunk(kind: bytes, data: bytes) -> bytes:
+    return len(data).to_bytes(4) + kind + data + zlib.crc32(kind + data).to_bytes(4)
+
+
+def png(width: int, height: int, data: bytes = b"") -> bytes:
+    """A grey PNG that promises a size."""
+    header = width.to_bytes(4) + height.to_bytes(4) + b"\x08\x00\x00\x00\x00"
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(data))
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"P5 5000 5000 255\n",
+        b"P5 10000 10000 255\n",
+        b"P5 99999999 99999999 255\n",
+        png(5_000, 5_000),
+        png(60_000, 60_000),
+    ],
+)
+def test_bombs_are_refused_before_they_are_unpacked(data: bytes, tmp_path: Path) -> None:
+    with pytest.raises(WorldError, match=r"pixels.*: crop or shrink it"):
+        loaded(tmp_path, data)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"\x00" * 100,
+        b"P5",
+        b"P5 2 2 255\n\x00",
+        b"P5 0 0 255\n",
+        b"P5 -1 2 255\n\0\0",
+        b"P5 2 2 0\n1234",
+        b"P2 1 1 255 nan",
+        b"GIF89a\x01\x00\x01\x00\x00\x00\x00;",
+        b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 1 1\n",
+        png(2, 2),
+        png(2, 2, b"\x00\x01\x02\x00"),
+    ],
+)
+def test_broken_pictures_are_refused(data: bytes, tmp_path: Path) -> None:
+    with pytest.raises(WorldError, match=r"image 'map\.pgm': isn't a sound PGM") as caught:
+        loaded(tmp_path, data)
+    assert "\n" not in str(caught.value)
+
+
+@given(kind=st.sampled_from(["PNG", "PPM", "BMP", "JPEG"]), data=st.data())
+def test_any_damage_to_a_picture_is_a_world_error(kind: str, data: st.DataObject) -> None:
+    good = bytearray(picture(Image.new("L", (9, 7), 40), kind))
+    for place in data.draw(st.lists(st.integers(0, len(good) - 1), max_size=4)):
+        good[place] = data.draw(st.integers(0, 255))
+    cut = data.draw(st.integers(0, len(good)))
+    with contextlib.suppress(WorldError):
+        maps.segments(bytes(good[:cut]), MapSettings(**SETTINGS))
+
+
+def test_too_detailed_a_picture_is_refused(tmp_path: Path) -> None:
+    board = np.indices((300, 300)).sum(axis=0) % 2 * 255
+    board[::2, ::4] = 0  # a chess board alone would be straight lines
+    speckled = np.where(np.random.default_rng(0).random((300, 300)) < 0.5, board, 255)
+    with pytest.raises(WorldError, match=r"outlines are [\d,]+ segments, at most 20,000"):
+        loaded(tmp_path, pgm(speckled))
+
+
+def test_a_map_too_far_away_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(WorldError, match="segments: must be finite numbers of at most"):
+        loaded(tmp_path, pgm([[BLACK]]), origin=[10_000.0, 0.0, 0.0])
+
+
+def test_without_pillow_it_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "PIL", None)
+    with pytest.raises(MissingExtraError, match=r"acsar_gym\[pictures\]"):
+        loaded(tmp_path, pgm([[BLACK]]))
