@@ -167,8 +167,8 @@ def _crowd() -> list[World]:
     worlds = []
     for _ in range(CROWDS):
         bearing = rng.uniform(-np.pi, np.pi, (2, 60))
-        place = rng.uniform(1.0, 6.0, 60) * np.array([np.cos(bearing[0]), np.sin(bearing[0])])
-        end = place + np.array([np.cos(bearing[1]), np.sin(bearing[1])])
+        place = rng.uniform(1.5, 6.0, 60) * np.array([np.cos(bearing[0]), np.sin(bearing[0])])
+        end = place + 0.5 * np.array([np.cos(bearing[1]), np.sin(bearing[1])])
         circles = np.column_stack([*place[:, :50], rng.uniform(0.1, 0.3, 50)])
         segments = np.column_stack([*place[:, 50:], *end[:, 50:]])
         worlds.append(

@@ -126,8 +126,8 @@ class LidarConfig(_Section):
     """What is farther, or not measured at all, has this range [m]."""
     rate: PositiveFloat = 10.0
     """Scans per second [Hz]."""
-    noise: NonNegativeFloat = 0.0
-    """Standard deviation of a simulated range [m]."""
+    noise: NonNegativeFloat = 0.01
+    """Standard deviation of a simulated range [m]; that of a hobby LiDAR at a few metres."""
     dropouts: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
     """Share of simulated rays that come back without a range."""
     timeout: PositiveFloat = 1.0

@@ -26,7 +26,7 @@ RAY: Colour = (216, 60, 80)
 CHASSIS: Colour = (41, 89, 148)
 DECK: Colour = (217, 224, 233)
 TYRE: Colour = (30, 31, 34)
-SMALL = 14.0
+SMALL = 10.0
 """Shorter robots are ringed, or nobody would find them [pixels]."""
 MOST_POINTS = 1000
 """Longer paths are thinned out."""
@@ -161,7 +161,7 @@ class TopView:
     def _ring(self, canvas: Canvas, pose: Pose, colour: Colour) -> None:
         """A ring around a robot that would be hard to find."""
         if canvas.view.scale * self._config.body.length < SMALL:
-            canvas.disc(pose[:2], 0.0, (*colour, 40), colour, least=SMALL / 1.5)
+            canvas.disc(pose[:2], 0.0, (*colour, 40), colour, width=1.5, least=SMALL)
 
 
 def sheet(worlds: Sequence[World], columns: int, size: int) -> Image:

@@ -198,19 +198,31 @@ def test_bad_goals_are_one_clear_error(goal: Any) -> None:
     env.close()
 
 
-def test_pictures_are_pictures() -> None:
-    env = make("bullet", render_mode="rgb_array")
+@pytest.mark.parametrize(
+    ("link", "view", "shape"),
+    [
+        ("bullet", "top", (480, 480, 3)),
+        ("planar", "top", (480, 480, 3)),
+        ("bullet", "camera", (480, 640, 3)),
+    ],
+)
+def test_pictures_are_pictures(link: str, view: str, shape: tuple[int, int, int]) -> None:
+    env = make(link, render_mode="rgb_array", view=view)
     env.reset(seed=0)
-    picture: Any = env.render()
+    before: Any = env.render()
+    for _ in range(10):
+        env.step(np.array([1.0, 1.0], np.float32))
+    after: Any = env.render()
     env.close()
-    assert picture.shape == (480, 640, 3)
-    assert picture.dtype == np.uint8
+    assert before.shape == after.shape == shape
+    assert after.dtype == np.uint8
+    assert (before != after).any()
 
 
 @pytest.mark.parametrize("link", ["planar", "/dev/ttyUSB0"])
 def test_links_without_a_camera_say_so(link: str) -> None:
     with pytest.raises(RenderError, match="bullet"):
-        make(link, render_mode="rgb_array")
+        make(link, render_mode="rgb_array", view="camera")
 
 
 def test_closing_twice_is_silent() -> None:

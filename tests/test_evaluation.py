@@ -12,7 +12,8 @@ import pytest
 
 from acsar_gym.envs import PointGoalEnv
 from acsar_gym.errors import ConfigError
-from acsar_gym.evaluation import EpisodeResult, episodes, odometry_errors, summarise
+from acsar_gym.evaluation import EpisodeResult, episodes, odometry_errors
+from acsar_gym.metrics import summarise
 from acsar_gym.report import write_json
 from acsar_gym.worlds import Pose
 
@@ -20,6 +21,7 @@ from acsar_gym.worlds import Pose
 def result(*, success: bool = True, pose: Pose = (1.0, 0.0, 0.0), late: int = 0) -> EpisodeResult:
     return EpisodeResult(
         success=success,
+        collision=False,
         started=10.0,
         ended=14.0 if success else 30.0,
         path=1.5 if success else 9.0,

@@ -12,11 +12,14 @@ import onnx
 import pytest
 from stable_baselines3 import PPO
 
-from acsar_gym.errors import PolicyError
-from acsar_gym.evaluation import episodes, summarise
-from acsar_gym.policy import LAYOUT_KEY, OnnxPolicy
+from acsar_gym import RobotConfig, runs
+from acsar_gym.errors import ConfigError, PolicyError
+from acsar_gym.evaluation import episodes
+from acsar_gym.metrics import summarise
+from acsar_gym.policy import ENV_KEY, LAYOUT_KEY, OnnxPolicy
 from acsar_gym.resources import AGENTS
 
+ENV_ID = "acsar_gym/PointGoal-v0"
 TRAIN = AGENTS / "train.py"
 
 
@@ -80,11 +83,31 @@ def test_a_broken_file_says_so(tmp_path: Path, content: bytes) -> None:
 
 def test_a_policy_for_another_observation_is_refused(trained: Path, tmp_path: Path) -> None:
     model = onnx.load(trained / "policy.onnx")
-    onnx.helper.set_model_props(model, {LAYOUT_KEY: "range_0,range_1"})
+    onnx.helper.set_model_props(model, {ENV_KEY: ENV_ID, LAYOUT_KEY: "range_0,range_1"})
     path = tmp_path / "lidar.onnx"
     onnx.save(model, path)
-    with pytest.raises(PolicyError, match="range_0, range_1"):
-        OnnxPolicy(path)
+    with pytest.raises(PolicyError, match="range_0,range_1"):
+        runs.made(OnnxPolicy(path), "planar", None, {})
+
+
+def test_a_policy_for_another_lidar_is_refused() -> None:
+    wide = RobotConfig.preset("acsar").with_(lidar={"field_of_view": 3.0})
+    with pytest.raises(PolicyError, match="64 ranges over 3 rad to 5 m"):
+        runs.made(OnnxPolicy("obstacle_goal"), "planar", wide, {})
+
+
+def test_a_policy_of_no_known_environment_is_refused(trained: Path, tmp_path: Path) -> None:
+    model = onnx.load(trained / "policy.onnx")
+    onnx.helper.set_model_props(model, {ENV_KEY: "acsar_gym/Maze-v0", LAYOUT_KEY: "walls"})
+    path = tmp_path / "maze.onnx"
+    onnx.save(model, path)
+    with pytest.raises(PolicyError, match="Maze"):
+        runs.made(OnnxPolicy(path), "planar", None, {})
+
+
+def test_options_that_the_environment_lacks_are_named() -> None:
+    with pytest.raises(ConfigError, match="worlds"):
+        runs.made(OnnxPolicy("point_goal"), "planar", None, {"worlds": "clutter"})
 
 
 def test_a_network_with_other_names_is_refused(trained: Path, tmp_path: Path) -> None:

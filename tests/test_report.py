@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from acsar_gym import evaluation, report, runs
+from acsar_gym import evaluation, metrics, report, runs
 from acsar_gym.envs import PointGoalEnv
 from acsar_gym.policy import OnnxPolicy
 
@@ -13,7 +13,7 @@ def caption(robot: str | None, multiplier: float) -> str:
     env = PointGoalEnv("planar", robot=config)
     results = runs.track("test", evaluation.episodes(env, OnnxPolicy("point_goal"), 3, 0), 3)
     env.close()
-    table = report.summary_table("test", [("planar", evaluation.summarise(results))])
+    table = report.summary_table("test", [("planar", metrics.summarise(results))])
     return str(table.caption or "")
 
 

@@ -17,7 +17,6 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import CommandError, ConfigError
 from acsar_gym.kernel import layout
 from acsar_gym.vectors import PointGoalVectorEnv
-from acsar_gym.worlds.geometry import Obstacles, RaySpec
 
 ENV_ID = "acsar_gym/PointGoal-v0"
 ACSAR = RobotConfig.preset("acsar")
@@ -260,15 +259,14 @@ import sys, warnings
 if sys.argv[1] == "plain":
     sys.modules["numba"] = None
 import numpy as np
-from acsar_gym.vectors import PointGoalVectorEnv
-from acsar_gym.worlds.geometry import Obstacles, RaySpec
+from acsar_gym.kernel import layout
+from acsar_gym.vectors import ObstacleGoalVectorEnv
 with warnings.catch_warnings(record=True) as caught:
     warnings.simplefilter("always")
-    env = PointGoalVectorEnv(
+    env = ObstacleGoalVectorEnv(
         3,
         max_episode_steps=15,
-        obstacles=Obstacles([[2.0, 2.0, 0.3]], [[5.0, 5.0, 6.0, 6.0]]),
-        rays=RaySpec(8),
+        worlds="clutter:2",
         randomization={"dropped_lines": (0.0, 0.2), "mass": (0.9, 1.1)},
     )
     seen = [env.reset(seed=1)[0]]
@@ -290,61 +288,6 @@ def test_without_numba_everything_is_the_same_with_one_warning(tmp_path: Path) -
     assert plain == pytest.approx(compiled, abs=1e-6)
 
 
-WALL = Obstacles((), [[1.0, -9.0, 1.0, 9.0]])
-
-
-def test_driving_into_a_wall_ends_the_episode_where_it_stands() -> None:
-    env = batch(2, obstacles=WALL, autoreset_mode="Disabled")
-    env.reset(seed=0, options={})
-    env.batch.state[layout.GOAL_X], env.batch.state[layout.GOAL_Y] = 2.5, 0.0
-    terminated = np.zeros(2, np.bool_)
-    while not terminated.any():
-        _, rewards, terminated, _, infos = env.step(np.array([[1.0, 0.0], [0.0, 0.0]]))
-    assert terminated.tolist() == [True, False]
-    assert rewards[0] < -1.5
-    assert infos["true_contact"].tolist() == [1.0, 0.0]
-    assert infos["is_success"][0] == 0.0
-    front = infos["true_x"][0] + ACSAR.body.length / 2.0
-    assert 1.0 <= front < 1.0 + 0.1 * ACSAR.max_linear
-    env.close()
-
-
-def test_rays_follow_the_numbers_and_see_the_wall() -> None:
-    env = batch(3, obstacles=WALL, rays=RaySpec(4, 5.0))
-    obs, _ = env.reset(seed=0)
-    assert env.observation_space.contains(obs)
-    ahead = (1.0 - ACSAR.lidar_x_offset) / 5.0
-    assert obs[:, 7:] == pytest.approx(np.tile([1.0, 1.0, ahead, 1.0], (3, 1)))
-    for _ in range(5):
-        obs, *_, infos = env.step(np.tile([1.0, 0.0], (3, 1)))
-    assert obs[:, 9] == pytest.approx(ahead - infos["true_x"] / 5.0, abs=1e-6)
-    env.close()
-
-
-def test_every_robot_may_have_obstacles_of_its_own() -> None:
-    circles = np.array([[[1.0, 0.0, 0.1]], [[2.0, 0.0, 0.1]]])
-    env = batch(2, obstacles=Obstacles(circles), rays=RaySpec(4, 5.0))
-    obs, _ = env.reset(seed=0)
-    assert obs[:, 9] * 5.0 == pytest.approx(np.array([0.9, 1.9]) - ACSAR.lidar_x_offset)
-    env.close()
-
-
-def test_without_obstacles_rays_change_nothing_else() -> None:
-    plain, seeing = rollout(batch(20)), rollout(batch(20, rays=RaySpec(16)))
-    assert (seeing[:, :, :7] == plain).all()
-    assert (seeing[:, :, 7:] == 1.0).all()
-
-
 def test_a_step_before_the_reset_is_one_clear_error() -> None:
     with pytest.raises(ConfigError, match="call reset"):
         batch().step(np.zeros((4, 2)))
-
-
-def test_own_obstacles_and_common_ones_may_be_mixed() -> None:
-    circles = np.array([[[1.0, 0.0, 0.1]], [[2.0, 0.0, 0.1]], [[3.0, 0.0, 0.1]]])
-    wall = [[-1.5, -9.0, -1.5, 9.0]]
-    env = batch(3, obstacles=Obstacles(circles, wall), rays=RaySpec(4, 5.0))
-    obs, _ = env.reset(seed=0)
-    assert obs[:, 9] * 5.0 == pytest.approx(np.array([0.9, 1.9, 2.9]) - ACSAR.lidar_x_offset)
-    assert obs[:, 7] * 5.0 == pytest.approx([1.5 + ACSAR.lidar_x_offset] * 3)
-    env.close()

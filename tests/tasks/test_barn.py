@@ -1,0 +1,51 @@
+"""BARN's score against its definition."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.tasks import Barn, State
+from acsar_gym.tasks.barn import SCORES, score, scores
+from acsar_gym.worlds.pool import Pool
+
+ACSAR = RobotConfig.preset("acsar")
+
+
+@pytest.mark.parametrize(
+    ("time", "k", "expected"),
+    [
+        (1.0, 2.0, 0.5),  # faster than k * OT counts as k * OT
+        (10.0, 2.0, 0.5),
+        (20.0, 2.0, 0.25),
+        (40.0, 2.0, 0.125),
+        (99.0, 2.0, 0.125),  # slower than 8 * OT as that
+        (10.0, 4.0, 0.25),
+        (30.0, 4.0, 5.0 / 30.0),
+    ],
+)
+def test_the_score_of_ten_metres(time: float, k: float, expected: float) -> None:
+    assert score(1.0, time, 10.0, 2.0, k) == pytest.approx(expected)
+    assert score(0.0, time, 10.0, 2.0, k) == 0.0
+
+
+def test_a_slower_robot_is_measured_by_its_own_speed() -> None:
+    assert scores(1.0, 25.0, 10.0, 0.5) == pytest.approx((0.2, 0.2, 0.5, 0.25))
+
+
+def test_an_episode_scores_when_it_reaches_the_goal() -> None:
+    task = Barn.of(Pool.of("barn:2"), 10.0, ACSAR)
+    course = task.begin(np.random.default_rng(0), {"world": 1})
+    nowhere = (math.nan,) * 3
+    for _ in range(200):
+        state = State((5.0, 0.0, 0.0), (0.5, 0.0), (1.0, 0.0))
+        course.judge(state)
+    assert [course.info(state, nowhere)[name] for name in SCORES] == [0.0] * 4
+    state = State((9.1, 0.0, 0.0), (0.5, 0.0), (1.0, 0.0))  # within BARN's metre
+    course.judge(state)
+    expected = scores(1.0, 20.1, course.assignment.length, ACSAR.max_linear)
+    assert [course.info(state, nowhere)[name] for name in SCORES] == pytest.approx(expected)
+    assert 10.0 <= course.assignment.length <= 13.9
