@@ -171,9 +171,7 @@ def _crowd() -> list[World]:
         end = place + 0.5 * np.array([np.cos(bearing[1]), np.sin(bearing[1])])
         circles = np.column_stack([*place[:, :50], rng.uniform(0.1, 0.3, 50)])
         segments = np.column_stack([*place[:, 50:], *end[:, 50:]])
-        worlds.append(
-            World(circles, segments, goal=Region(0.5, 0.0), path=np.array([[0.0, 0.0], [0.5, 0.0]]))
-        )
+        worlds.append(World(circles, segments, goal=Region(0.5, 0.0), path=way))
     return worlds
 
 

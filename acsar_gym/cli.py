@@ -22,6 +22,8 @@ from acsar_gym.errors import AcsarError
 Json = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
 File = Json
 Seconds = Annotated[float | None, tyro.conf.arg(metavar="SECONDS")]
+Source = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="KIND|PATH")]
+OutFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
 Worlds = Annotated[str | None, tyro.conf.arg(metavar="KIND|PATH")]
 LidarArg = Annotated[str | None, tyro.conf.arg(metavar="URL")]
 RobotArg = Annotated[str | None, tyro.conf.arg(metavar="PRESET|FILE")]
@@ -78,6 +80,8 @@ def emulate(
     log: File = None,
     duration: Seconds = None,
     silent: bool = False,
+    world: Worlds = None,
+    lidar: bool = False,
 ) -> int:
     """Run the microcontroller's twin on a pseudo-terminal and print its device path.
 
@@ -87,12 +91,20 @@ def emulate(
         log: write commands and true poses here, one JSON line each.
         duration: seconds to run; without it, until Ctrl-C.
         silent: never answer, as a board without power.
+        world: where the robot stands: a file, or a generated world like clutter:7-7.
+        lidar: emulate an RPLIDAR on a pseudo-terminal of its own, too.
     """
     from acsar_gym.emulator import Emulator  # noqa: PLC0415
+    from acsar_gym.worlds.pool import Pool  # noqa: PLC0415
+    from acsar_gym.worlds.search import footprint_radius  # noqa: PLC0415
 
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
-    with Emulator(RobotConfig.of(robot), body=body, log=log, silent=silent) as emulator:
+    config = RobotConfig.of(robot)
+    place = None if world is None else Pool.of(world, None, footprint_radius(config), 1)[0]
+    with Emulator(config, body=body, log=log, silent=silent, world=place, sees=lidar) as emulator:
         print(f"serving a robot on {emulator.device}", flush=True)
+        if lidar:
+            print(f"serving a LiDAR on {emulator.lidar_device}", flush=True)
         emulator.run(duration)
     return 0
 
@@ -239,6 +251,79 @@ def run(
     return 0 if result.success else 1
 
 
+def show(
+    source: Source,
+    out: Path = Path("worlds.png"),
+    columns: int = 4,
+    size: int = 320,
+    difficulty: float | None = None,
+    robot: RobotArg = None,
+) -> int:
+    """Draw a world, or a sheet of several, as a PNG file.
+
+    Args:
+        source: kind of generated worlds (clutter:12, barn:0-11, ...), a file, or a folder.
+        out: the picture.
+        columns: worlds side by side.
+        size: side of each [pixels].
+        difficulty: of generated worlds, 0 to 1.
+        robot: preset or config file; generated worlds fit its footprint.
+    """
+    from acsar_gym import atlas  # noqa: PLC0415
+
+    atlas.draw(atlas.raw(source, difficulty, robot, 12), columns, size, out)
+    print(f"drawn: {out}")
+    return 0
+
+
+def check(
+    source: Source, difficulty: float | None = None, robot: RobotArg = None, json: Json = None
+) -> int:
+    """Say whether the robot can cross worlds, how far it is, and how hard by BARN's measures.
+
+    Args:
+        source: kind of generated worlds (clutter:12, barn:0-11, ...), a file, or a folder.
+        difficulty: of generated worlds, 0 to 1.
+        robot: preset or config file, for its footprint.
+        json: write the findings here too.
+    """
+    from acsar_gym import atlas, report  # noqa: PLC0415
+
+    report.check_writable(json)
+    findings = atlas.check(atlas.raw(source, difficulty, robot, 12), robot)
+    report.show(atlas.table(findings))
+    report.write_json(json, {"worlds": [finding.as_dict() for finding in findings]})
+    return int(any(finding.fault for finding in findings))
+
+
+def convert(
+    source: Source, out: OutFile, difficulty: float | None = None, robot: RobotArg = None
+) -> int:
+    """Write a world to the project's own .json or .yaml.
+
+    Args:
+        source: a .world file, a ROS map's YAML, or a generated one like barn:7-7.
+        out: .json or .yaml file.
+        difficulty: of generated worlds, 0 to 1.
+        robot: preset or config file; generated worlds fit its footprint.
+    """
+    from acsar_gym import atlas  # noqa: PLC0415
+
+    atlas.convert(source, out, difficulty, robot)
+    print(f"written: {out}")
+    return 0
+
+
+WORLDS: dict[str, Callable[..., Any]] = {"show": show, "check": check, "convert": convert}
+
+
+def worlds() -> int:
+    """Draw, check or convert worlds: acsar-gym worlds show|check|convert SOURCE."""
+    return int(
+        tyro.extras.subcommand_cli_from_dict(WORLDS, prog="acsar-gym worlds", args=sys.argv[2:])
+    )
+
+
 COMMANDS: dict[str, Callable[..., Any]] = {
     "demo": demo,
     "bench": bench,
@@ -248,6 +333,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "train": train,
     "evaluate": evaluate,
     "run": run,
+    "worlds": worlds,
 }
 
 
@@ -259,6 +345,8 @@ def main() -> None:
             code = 0
         elif sys.argv[1:2] == ["train"]:
             code = train()
+        elif sys.argv[1:2] == ["worlds"]:
+            code = worlds()
         else:
             code = tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="acsar-gym")
     except AcsarError as error:

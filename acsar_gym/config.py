@@ -117,7 +117,7 @@ class LidarConfig(_Section):
 
     section = "lidar"
     rays: Annotated[int, Field(gt=0, le=10_000)] = 64
-    """Directions of an observation. Of all measurements in a direction the nearest counts."""
+    """Directions of an observation; each takes the measurement next to it."""
     field_of_view: Annotated[float, Field(gt=0.0, le=2.0 * math.pi + 1e-9)] = 2.0 * math.pi
     """Centred on the robot's x axis [rad]; a full turn has no direction twice."""
     min_range: NonNegativeFloat = 0.1

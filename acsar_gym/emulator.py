@@ -18,12 +18,20 @@ import tty
 from pathlib import Path
 from typing import Self
 
+import numpy as np
+from numpy.typing import NDArray
+
 from acsar_gym.config import BAUD_RATES, RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.links import Link, open_link, recording
-from acsar_gym.worlds import Scene
+from acsar_gym.rplidar_emulator import RplidarEmulator, RplidarTwin
+from acsar_gym.worlds import Pose, Scene, World
+from acsar_gym.worlds.geometry import look
 
 CHUNK = 4096
+Floats = NDArray[np.float64]
+SAMPLES = 200
+"""Measurements of the LiDAR in a turn: 2000 a second at 10 Hz, as an RPLIDAR A1 makes them."""
 BAUD_CODES = {getattr(termios, f"B{rate}"): rate for rate in BAUD_RATES}
 
 
@@ -31,7 +39,8 @@ class Emulator:
     """A simulated robot on a pseudo-terminal; `device` is what a SerialLink opens.
 
     `silent` never answers; `log` gets one JSON line per piece of input and, every loop, the true
-    pose.
+    pose. The robot stands at the start of `world`, or on an open floor; with `sees`, an RPLIDAR's
+    twin looks around in it, and `lidar_device` is what its driver opens.
     """
 
     def __init__(
@@ -41,6 +50,8 @@ class Emulator:
         body: str = "planar",
         log: Path | None = None,
         silent: bool = False,
+        world: World | None = None,
+        sees: bool = False,
     ) -> None:
         if body not in ("planar", "bullet"):
             raise ConfigError(f"body = {body!r}: must be planar or bullet")
@@ -48,7 +59,10 @@ class Emulator:
         self._silent = silent
         self._link: Link = open_link(body, config)
         self._link.open()
-        self._link.reset(Scene())
+        around = world and world.seen_from(_start(world))
+        self._link.reset(Scene(world=around))
+        self._lidar = _lidar(self._link, around, config) if sees else None
+        self.lidar_device = self._lidar.device if self._lidar else None
         self._log = recording.opened(log) if log else None
         self._descriptors: tuple[int, ...]
         self._master, self._slave = self._descriptors = pty.openpty()
@@ -81,6 +95,8 @@ class Emulator:
             self._note({"rx": data.decode("latin-1")})
             self._link.write(self._over_uart(data))
         answer = self._link.advance(period)
+        if self._lidar is not None:
+            self._lidar.serve_once(period)
         if self._log is not None:
             self._note({"pose": self._link.truth.pose if self._link.truth else None})
         if answer and not self._silent:
@@ -103,6 +119,8 @@ class Emulator:
         for descriptor in descriptors:
             os.close(descriptor)
         self._link.close()
+        if self._lidar is not None:
+            self._lidar.close()
         if self._log is not None:
             self._log.close()
             self._log = None
@@ -112,3 +130,20 @@ class Emulator:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def _start(world: World) -> Pose:
+    return world.start.x, world.start.y, world.start.theta or 0.0
+
+
+def _lidar(link: Link, world: World | None, config: RobotConfig) -> RplidarEmulator:
+    """A sensor that turns at the configured rate, where the robot carries it."""
+
+    def ranges(bearings: Floats) -> Floats:
+        x, y, theta = link.truth.pose if link.truth else (0.0, 0.0, 0.0)
+        cos, sin = math.cos(theta), math.sin(theta)
+        x += cos * config.lidar_x_offset - sin * config.lidar_y_offset
+        y += sin * config.lidar_x_offset + cos * config.lidar_y_offset
+        return look((x, y), bearings + theta, world)
+
+    return RplidarEmulator(RplidarTwin(ranges, rate=config.lidar.rate, samples=SAMPLES))

@@ -22,7 +22,7 @@ UNEVEN = 15.0
 SURE = 8
 """Measurements in a row that prove a start flag: what a lost byte has shifted fails sooner."""
 NEIGHBOUR = 0.75
-"""A direction without a measurement takes one this near, in parts of the sensor's own step."""
+"""A direction takes a measurement this near, in parts of the sensor's own step."""
 
 Turn = tuple[Floats, Floats]
 """Bearings [rad], counter-clockwise from the sensor's zero, and distances [m], 0: not measured."""
@@ -97,24 +97,15 @@ def _even(angles: Floats, measured: NDArray[np.bool_]) -> bool:
 def binned(bearings: Floats, distances: Floats, lidar: LidarConfig) -> Floats:
     """Ranges (rays,) [m] of one turn: bearings [rad], counter-clockwise, and distances [m].
 
-    Each measurement belongs to the direction nearest to it, and the nearest one in a direction
-    counts. Directions between two measurements take the one next to them.
+    Each direction takes the measurement next to it, as a simulated ray sees what is exactly there.
     """
     spec = RaySpec(lidar.rays, lidar.max_range, lidar.field_of_view)
-    directions = spec.angles()
     spacing = 2.0 * math.pi / max(len(bearings), 1)
     measured = distances > 0.0
-    bearings, distances = _wrapped(bearings[measured]), distances[measured]
-    places = np.rint((bearings - directions[0]) / spec.step).astype(np.int64)
     ranges = np.full(spec.rays, np.inf)
-    if spec.field_of_view > 2.0 * math.pi - 1e-6:
-        np.minimum.at(ranges, places % spec.rays, distances)
-    else:
-        inside = np.abs(bearings) <= spec.field_of_view / 2.0 + 1e-9
-        np.minimum.at(ranges, np.minimum(places, spec.rays - 1)[inside], distances[inside])
-    empty = np.isinf(ranges)
-    if empty.any() and len(bearings):
-        ranges[empty] = _next_to(directions[empty], bearings, distances, NEIGHBOUR * spacing)
+    if measured.any():
+        seen, found = _wrapped(bearings[measured]), distances[measured]
+        ranges = _next_to(spec.angles(), seen, found, NEIGHBOUR * spacing)
     clamped: Floats = np.clip(ranges, lidar.min_range, lidar.max_range)
     return clamped
 

@@ -114,7 +114,9 @@ def test_info_holds_the_same_floats_at_every_step(env_id: str) -> None:
 def test_a_wall_is_seen_and_a_collision_ends_the_episode(link: str) -> None:
     env = make("acsar_gym/ObstacleGoal-v0", link, worlds=WALL, robot=quiet())
     observation, _ = env.reset(seed=0)
-    config, terminated, info = inner(env).robot.config, False, {}
+    config, terminated = inner(env).robot.config, False
+    info: dict[str, Any] = {}
+    reward: Any = 0.0
     ahead = 7 + config.lidar.rays // 2
     assert observation[ahead] * config.lidar.max_range == pytest.approx(1.15, abs=1e-6)
     while not terminated:
@@ -265,7 +267,8 @@ def test_videos_can_be_recorded(tmp_path: Path) -> None:
         recorder.reset(seed=0)
         for _ in range(10):
             recorder.step(np.array([1.0, 0.5], np.float32))
-        recorder.close()
+        env.close()
+        recorder.close()  # type: ignore[no-untyped-call]
     (video,) = tmp_path.glob("*.mp4")
     assert video.stat().st_size > 1000
 

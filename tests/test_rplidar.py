@@ -197,9 +197,9 @@ def measured(degrees: list[float], distances: list[float], **lidar: float) -> li
     return found
 
 
-def test_the_nearest_of_a_direction_counts_and_zero_is_no_measurement() -> None:
-    assert measured([0.0, 10.0, 350.0, 90.0], [3.0, 2.0, 0.0, 0.0]) == [MAX, MAX, 2.0, MAX]
-    assert measured([180.0, -180.0, 540.0], [3.0, 2.0, 4.0]) == [2.0, MAX, MAX, MAX]
+def test_the_measurement_next_to_a_direction_counts_and_zero_is_none() -> None:
+    assert measured([1.0, 10.0, 350.0, 90.0], [3.0, 2.0, 2.0, 0.0]) == [MAX, MAX, 3.0, MAX]
+    assert measured([-178.0, 170.0, 91.0], [3.0, 2.0, 4.0]) == [3.0, MAX, MAX, 4.0]
     assert measured([], []) == [MAX] * 4
 
 
@@ -212,10 +212,10 @@ def test_only_neighbours_within_the_sensors_step_fill_a_gap() -> None:
     assert ranges[280:] + ranges[:179] == [MAX] * 259
 
 
-def test_one_direction_sees_the_whole_field() -> None:
+def test_one_direction_is_the_first_of_its_field() -> None:
     field = math.radians(90.0)
-    assert measured([40.0, 60.0], [2.0, 1.0], rays=1, field_of_view=field) == [2.0]
-    assert measured([-50.0, 60.0], [2.0, 1.0], rays=1, field_of_view=field) == [MAX]
+    assert measured([-45.0, 60.0], [2.0, 1.0], rays=1, field_of_view=field) == [2.0]
+    assert measured([-30.0, 60.0], [2.0, 1.0], rays=1, field_of_view=field) == [MAX]
 
 
 def stream(look: Callable[[Floats], Floats] = room, samples: int = 100) -> bytes:

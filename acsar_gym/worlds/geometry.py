@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from acsar_gym.compiled import jit, loop
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
+from acsar_gym.worlds.world import World
 
 Floats = NDArray[np.float64]
 EDGE = 1e-9
@@ -264,3 +265,27 @@ def cast(
             shorten_by_segment(ranges, ax, ay, bx, by, low, high, directions)
     for k in range(last + 1):
         ranges[k] = min(max(ranges[k], 0.0), around.reach)
+
+
+def look(place: tuple[float, float], bearings: Floats, world: World | None) -> Floats:
+    """Range [m] at each bearing [rad] of the world from a place (x, y); inf where nothing is.
+
+    Plain NumPy, for any bearings; `cast` is for evenly spaced rays, many times.
+    """
+    ranges: Floats = np.full(len(bearings), np.inf)
+    if world is None:
+        return ranges
+    cos, sin = np.cos(bearings)[:, None], np.sin(bearings)[:, None]
+    x, y, radius = (world.circles - (*place, 0.0)).T
+    along = cos * x + sin * y
+    inside = along * along - (x * x + y * y - radius * radius)
+    near = np.where(inside >= 0.0, along - np.sqrt(np.abs(inside)), np.inf)
+    ax, ay, bx, by = (world.segments - (*place, *place)).T
+    ex, ey = bx - ax, by - ay
+    with np.errstate(divide="ignore", invalid="ignore"):
+        across = cos * ey - sin * ex
+        far, share = (ax * ey - ay * ex) / across, (ax * sin - ay * cos) / across
+        far = np.where((share >= 0.0) & (share <= 1.0), far, np.inf)
+    hits = np.concatenate([near, far], axis=1)
+    ranges[:] = np.min(np.where(hits >= 0.0, hits, np.inf), axis=1, initial=np.inf)
+    return ranges

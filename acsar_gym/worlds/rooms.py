@@ -71,7 +71,7 @@ def _furniture(
 ) -> tuple[Floats, Floats]:
     """Circles and segments of a room's tables and pillars."""
     pieces = int(rng.binomial(4, difficulty))
-    low, high = np.array(place[:2]) + 0.2, np.array(place[2:]) - 0.2
+    low, high = np.array(place[:2]) + 0.45, np.array(place[2:]) - 0.45
     spots = rng.uniform(low, high, (pieces, 2)).tolist()
     as_box = rng.random(pieces) < 0.5
     sizes = rng.uniform(0.2, 0.8, (pieces, 2)).tolist()
