@@ -1,8 +1,4 @@
-"""How fast the parts are, measured side by side in one run.
-
-The machine's speed drifts, so whatever is compared runs in alternating blocks and the figures are
-medians over the blocks; ratios are medians of the ratios of neighbouring blocks.
-"""
+"""How fast the parts are, measured side by side in one run; see `figures` for how."""
 
 from __future__ import annotations
 
@@ -10,24 +6,24 @@ import os
 import statistics
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import gymnasium
 import numpy as np
 from rich.table import Table
 
-from acsar_gym import compiled
+from acsar_gym import bench_worlds, compiled
+from acsar_gym.bench_worlds import crowd
 from acsar_gym.config import RobotConfig
 from acsar_gym.env import RobotEnv
 from acsar_gym.errors import AcsarError, MissingExtraError
+from acsar_gym.figures import Figure, each
 from acsar_gym.links.simulated import SimulatedLink
 from acsar_gym.odometry import Odometry
 from acsar_gym.policy import OnnxPolicy
 from acsar_gym.protocol import Decoder, encode
 from acsar_gym.vector import RobotVectorEnv
 from acsar_gym.vectors import ObstacleGoalVectorEnv, PointGoalVectorEnv
-from acsar_gym.worlds import Region, World
 
 BLOCKS = 25
 ROBOTS = 1024
@@ -37,20 +33,18 @@ STEPS = 100
 """Env steps in one block."""
 
 
-@dataclass(frozen=True, slots=True)
-class Figure:
-    """One measured number."""
-
-    name: str
-    value: float
-    unit: str
-
-
 def measure(policy: str | None = None) -> list[Figure]:
     """All figures, in the order in which they are shown."""
     bullet = _bullet()
     single = next(figure.value for figure in bullet if figure.unit == "steps/s")
-    return [*bullet, *_planar(), *_batch(single), *_wire(), *_policy(policy)]
+    return [
+        *bullet,
+        *_planar(),
+        *bench_worlds.measure(),
+        *_batch(single),
+        *_wire(),
+        *_policy(policy),
+    ]
 
 
 def _env(link: str) -> gymnasium.Env[Any, Any]:
@@ -87,7 +81,7 @@ def _bullet() -> list[Figure]:
         other.reset()
         other.step(np.array([1.0, 0.3], np.float32))  # the bare robot rolls on, too
         whole.append(_steps(env, rng.uniform(-1.0, 1.0, (STEPS, 2)).astype(np.float32)))
-        alone.append(calls * _each(bare, 10 * STEPS))
+        alone.append(calls * each(bare, 10 * STEPS))
     env.close()
     other.close()
     tick, engine = statistics.median(whole), statistics.median(alone)
@@ -134,10 +128,11 @@ def _batch(single: float) -> list[Figure]:
         return []
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
     blind, seeing = PointGoalVectorEnv, ObstacleGoalVectorEnv
-    crowd = {"worlds": _crowd(), "robot": RobotConfig.of(None).with_(lidar={"noise": 0.0})}
+    worlds = [crowd(50, 10, seed) for seed in range(CROWDS)]
+    among = {"worlds": worlds, "robot": RobotConfig.of(None).with_(lidar={"noise": 0.0})}
     speed, gain = _cores(_stepper(blind, ROBOTS, 1), _stepper(blind, ROBOTS, cores))
     rays, gain_rays = _cores(
-        _stepper(seeing, ROBOTS, 1, **crowd), _stepper(seeing, ROBOTS, cores, **crowd)
+        _stepper(seeing, ROBOTS, 1, **among), _stepper(seeing, ROBOTS, cores, **among)
     )
     few, many = _stepper(blind, 16, 1), _stepper(blind, 16384, 1)
     return [
@@ -147,7 +142,7 @@ def _batch(single: float) -> list[Figure]:
         Figure("batch with 64 rays and 60 obstacles, one core", rays, "steps/s"),
         Figure(f"that batch on {cores} cores against one", gain_rays, "x the steps"),
         Figure("batch of 16 robots: one step call", _median(few, 20) * 1e6, "us"),
-        Figure("batch of 16,384 robots, a robot", _each(many, 5) / 16384 * 1e6, "us"),
+        Figure("batch of 16,384 robots, a robot", each(many, 5) / 16384 * 1e6, "us"),
     ]
 
 
@@ -155,24 +150,10 @@ def _cores(one: Callable[[], object], every: Callable[[], object]) -> tuple[floa
     """Env steps/s of one core, and how many times as many all cores make."""
     alone, together = [], []
     for _ in range(BLOCKS):
-        alone.append(_each(one, 10) / ROBOTS)
-        together.append(_each(every, 10) / ROBOTS)
+        alone.append(each(one, 10) / ROBOTS)
+        together.append(each(every, 10) / ROBOTS)
     gain = statistics.median(a / t for a, t in zip(alone, together, strict=True))
     return 1.0 / statistics.median(alone), gain
-
-
-def _crowd() -> list[World]:
-    """Worlds of 50 circles and 10 segments around the start."""
-    rng, way = np.random.default_rng(0), np.array([[0.0, 0.0], [0.5, 0.0]])
-    worlds = []
-    for _ in range(CROWDS):
-        bearing = rng.uniform(-np.pi, np.pi, (2, 60))
-        place = rng.uniform(1.5, 6.0, 60) * np.array([np.cos(bearing[0]), np.sin(bearing[0])])
-        end = place + 0.5 * np.array([np.cos(bearing[1]), np.sin(bearing[1])])
-        circles = np.column_stack([*place[:, :50], rng.uniform(0.1, 0.3, 50)])
-        segments = np.column_stack([*place[:, 50:], *end[:, 50:]])
-        worlds.append(World(circles, segments, goal=Region(0.5, 0.0), path=way))
-    return worlds
 
 
 def _stepper(kind: Callable[..., RobotVectorEnv], robots: int, threads: int, **options: Any) -> Any:
@@ -208,16 +189,8 @@ def _policy(policy: str | None) -> list[Figure]:
     ]
 
 
-def _each(call: Callable[[], object], times: int) -> float:
-    """Mean seconds of a call."""
-    begin = time.perf_counter()
-    for _ in range(times):
-        call()
-    return (time.perf_counter() - begin) / times
-
-
 def _median(call: Callable[[], object], times: int) -> float:
-    return statistics.median(_each(call, times) for _ in range(BLOCKS))
+    return statistics.median(each(call, times) for _ in range(BLOCKS))
 
 
 def _over(call: Callable[[Any], object], items: list[Any]) -> float:

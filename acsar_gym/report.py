@@ -24,7 +24,7 @@ def show(table: Table) -> None:
     """Print a table; piped output gets enough columns to hold it."""
     console = Console()
     if not console.is_terminal:
-        console = Console(width=110)
+        console = Console(width=120)
     console.print(table)
 
 

@@ -111,19 +111,15 @@ def directions(rays: int, field: float = 2.0 * math.pi) -> Floats:
 
 
 def shows_the_room(ranges: Floats, field: float = 2.0 * math.pi) -> bool:
-    """Whether each direction has the nearest of the walls seen nearer to it than to others.
+    """Whether each direction has the wall where the measurement next to it met it.
 
-    What is seen just between two directions may belong to either.
+    Of two measurements just as near either will do.
     """
     bearings = wrapped(-np.radians(np.arange(360.0)))
-    bearings = bearings[np.abs(bearings) <= field / 2.0 + 1e-9]
-    centres = directions(len(ranges), field)
-    off = np.abs(wrapped(centres[:, None] - bearings))
-    half = np.diff(centres).mean() / 2.0 if len(centres) > 1 else math.pi
-    nearest = off <= off.min(axis=0) + 1e-6
-    surely = nearest & (off <= half - 1e-6)
-    low = np.where(nearest, room(bearings), np.inf).min(axis=1)
-    high = np.where(surely, room(bearings), np.inf).min(axis=1)
+    off = np.abs(wrapped(directions(len(ranges), field)[:, None] - bearings))
+    next_to_it = off <= off.min(axis=1, keepdims=True) + 1e-6
+    low = np.where(next_to_it, room(bearings), np.inf).min(axis=1)
+    high = np.where(next_to_it, room(bearings), -np.inf).max(axis=1)
     return bool(((ranges >= low - MILLIMETRES) & (ranges <= high + MILLIMETRES)).all())
 
 
@@ -156,7 +152,7 @@ def newer(lidar: RplidarLidar, than: float) -> Scan:
 
 
 @pytest.mark.parametrize("rays", [1, 2, 5, 63, 64, 180])
-def test_every_direction_has_its_nearest_wall(sensor: Emulated, make: Open, rays: int) -> None:
+def test_every_direction_has_its_own_wall(sensor: Emulated, make: Open, rays: int) -> None:
     ranges = measure(make(sensor, rays=rays))
     assert ranges.shape == (rays,)
     assert shows_the_room(ranges)

@@ -11,6 +11,7 @@ import math
 import weakref
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acsar_gym import dynamics
 from acsar_gym.bodies.base import GroundTruth, Image
@@ -21,6 +22,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.worlds import Scene
 
+Floats = NDArray[np.float64]
 GOAL_COLOUR = (0.15, 0.68, 0.38, 0.85)
 
 
@@ -115,6 +117,19 @@ class BulletBody:
     def engine_step(self) -> None:
         """PyBullet's stepSimulation alone, which benchmarks compare with."""
         pybullet.stepSimulation(self._client)
+
+    def rays(self, place: tuple[float, float], bearings: Floats, reach: float) -> Floats:
+        """PyBullet's own ranges from a place at each bearing [rad], for tests and benchmarks.
+
+        It stops a ray up to a millimetre beside a cylinder's surface; environments don't use it.
+        """
+        (x, y), height = place, self._config.lidar_z_offset
+        ends = np.column_stack([x + reach * np.cos(bearings), y + reach * np.sin(bearings)])
+        starts = [(x, y, height)] * len(ends)
+        found = pybullet.rayTestBatch(
+            starts, [(*end, height) for end in ends.tolist()], physicsClientId=self._client
+        )
+        return np.array([hit[2] * reach for hit in found])
 
     @property
     def truth(self) -> GroundTruth:
