@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import pytest
 
-from acsar_gym import bench
+from acsar_gym import bench, bench_worlds
 
 
 def test_every_figure_is_a_positive_number(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bench, "BLOCKS", 2)
-    monkeypatch.setattr(bench, "STEPS", 3)
+    for module in (bench, bench_worlds):
+        monkeypatch.setattr(module, "BLOCKS", 2)
+        monkeypatch.setattr(module, "STEPS", 3)
     figures = bench.measure()
     assert all(figure.value > 0.0 for figure in figures)
-    assert len({figure.name for figure in figures}) == len(figures) == 19
-    assert bench.table(figures).row_count == 19
+    assert len({figure.name for figure in figures}) == len(figures) == 26
+    assert bench.table(figures).row_count == 26
 
 
 def test_the_bare_engine_makes_as_many_calls_as_the_env() -> None:

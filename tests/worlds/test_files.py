@@ -84,7 +84,7 @@ def test_what_is_saved_is_loaded_bit_for_bit(
 
 def test_a_full_world_is_saved_and_loaded_in_seconds(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
-    circles, segments = rng.uniform(0, 9, (20_000, 3)), rng.uniform(-9, 9, (20_000, 4))
+    circles, segments = rng.uniform(0, 9, (10_000, 3)), rng.uniform(-9, 9, (10_000, 4))
     world = World(circles, segments, path=rng.uniform(-9, 9, (20_000, 2)))
     for suffix in SUFFIXES[:2]:
         begin = time.process_time()

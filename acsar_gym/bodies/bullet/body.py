@@ -20,7 +20,7 @@ from acsar_gym.bodies.bullet.engine import connected, pybullet
 from acsar_gym.bodies.bullet.statics import Statics
 from acsar_gym.config import RobotConfig
 from acsar_gym.protocol import ZERO, Speeds
-from acsar_gym.worlds import Scene
+from acsar_gym.worlds import Scene, World
 
 Floats = NDArray[np.float64]
 GOAL_COLOUR = (0.15, 0.68, 0.38, 0.85)
@@ -40,23 +40,30 @@ class BulletBody:
         self._disconnect = weakref.finalize(self, pybullet.disconnect, self._client)
         self._push = self._params.mass / self._params.dt
         self._twist = self._params.yaw_inertia / self._params.dt
-        self._goal = -1
-        self._build()
+        self._seen = window
+        self._build(None)
         self.reset(Scene())
 
-    def _build(self) -> None:
+    def _build(self, world: World | None) -> None:
+        """An empty simulation with a floor, a robot and the obstacles of a world."""
         client = self._client
+        pybullet.resetSimulation(physicsClientId=client)
         pybullet.setGravity(0.0, 0.0, -dynamics.GRAVITY, physicsClientId=client)
         pybullet.setPhysicsEngineParameter(
             fixedTimeStep=self._params.dt, deterministicOverlappingPairs=1, physicsClientId=client
         )
         self._floor = model.floor(client)
         self._robot = model.robot(self._config, client)
-        self._statics = Statics(client)
+        self._statics = Statics(client, world)
+        self._goal = -1
+        if self._seen:
+            self._statics.paint()
         self._touched = False
 
     def reset(self, scene: Scene) -> None:
         """At rest at the scene's start, obstacles and the goal's marker in place."""
+        if scene.world is not self._statics.world:
+            self._build(scene.world)
         client, (x, y, theta) = self._client, scene.start
         height = self._config.wheel_radius
         upright = (0.0, 0.0, math.sin(theta / 2.0), math.cos(theta / 2.0))
@@ -66,7 +73,6 @@ class BulletBody:
         pybullet.resetBaseVelocity(
             self._robot, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), physicsClientId=client
         )
-        self._statics.build(scene.world)
         self._touched = False
         self._mark(scene.goal)
         self.wheel_angles: Speeds = ZERO
@@ -143,6 +149,8 @@ class BulletBody:
 
     def image(self, width: int, height: int) -> Image | None:
         """PyBullet's camera, behind and above the robot."""
+        self._seen = True
+        self._statics.paint()
         x, y, theta = self.truth.pose
         view = pybullet.computeViewMatrixFromYawPitchRoll(
             cameraTargetPosition=(x, y, 0.0),

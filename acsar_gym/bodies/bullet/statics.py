@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,55 +22,77 @@ HEIGHT = 0.6
 """Of every obstacle [m]."""
 THICKNESS = 0.002
 """Of a segment's wall [m]."""
+FRAME = ("Positions", "Orientations")
+"""Keys that PyBullet names differently for what is touched and what is seen."""
 COLOUR = (0.42, 0.45, 0.5, 1.0)
 
 Rows = NDArray[np.float64]
 
 
 class Statics:
-    """The obstacles of one world; empty where there is none."""
+    """The obstacles of one world, empty where there is none, built once and for all.
 
-    def __init__(self, client: int) -> None:
+    PyBullet leaks the shapes of bodies that are removed, but not those of a simulation that is
+    reset, so another world means another simulation. What is only seen costs ten times as much to
+    build as what is touched, so that comes with `paint`.
+    """
+
+    def __init__(self, client: int, world: World | None) -> None:
         self._client = client
-        self._world: World | None = None
-        self._bodies: set[int] = set()
+        self.world = world
+        self._compounds = [] if world is None else list(_compounds(world))
+        self._painted = False
+        hidden = self._hidden() if self._compounds else -1
+        self._bodies = {self._touchable(options, hidden) for options in self._compounds}
 
-    def build(self, world: World | None) -> None:
-        """Replace the obstacles, unless they stand already."""
-        if world is self._world:
-            return
-        for body in self._bodies:
-            pybullet.removeBody(body, physicsClientId=self._client)
-        self._world = world
-        self._bodies = set() if world is None else set(self._built(world))
-
-    def _built(self, world: World) -> Iterator[int]:
-        for circles in _neighbours(world.circles, world.circles[:, :2]):
-            yield self._compound(*_cylinders(circles))
-        middles = (world.segments[:, :2] + world.segments[:, 2:]) / 2.0
-        for segments in _neighbours(world.segments, middles):
-            yield self._compound(*_walls(segments))
-
-    def _compound(self, options: dict[str, object], visual: dict[str, object]) -> int:
-        """Rigid bodies in maximal coordinates cost a third of what PyBullet's multibodies do."""
-        client, count = self._client, len(options["shapeTypes"])  # type: ignore[arg-type]
+    def _hidden(self) -> int:
+        """A speck below the floor: PyBullet would make a costly picture of a body without one."""
         return int(
-            pybullet.createMultiBody(
-                0.0,
-                pybullet.createCollisionShapeArray(**options, physicsClientId=client),
-                pybullet.createVisualShapeArray(
-                    **visual, rgbaColors=[COLOUR] * count, physicsClientId=client
-                ),
-                useMaximalCoordinates=1,
-                physicsClientId=client,
+            pybullet.createVisualShape(
+                pybullet.GEOM_BOX,
+                halfExtents=(1e-3, 1e-3, 1e-3),
+                visualFramePosition=(0.0, 0.0, -1.0),
+                physicsClientId=self._client,
             )
         )
+
+    def _touchable(self, options: dict[str, Any], visual: int) -> int:
+        """Rigid bodies in maximal coordinates cost a third of what PyBullet's multibodies do."""
+        named = {f"collisionFrame{key}" if key in FRAME else key: options[key] for key in options}
+        shape = pybullet.createCollisionShapeArray(**named, physicsClientId=self._client)
+        return int(
+            pybullet.createMultiBody(
+                0.0, shape, visual, useMaximalCoordinates=1, physicsClientId=self._client
+            )
+        )
+
+    def paint(self) -> None:
+        """Make the obstacles visible to PyBullet's camera and window; twice is once."""
+        if self._painted:
+            return
+        self._painted = True
+        for options in self._compounds:
+            named = {f"visualFrame{key}" if key in FRAME else key: options[key] for key in options}
+            colours = [COLOUR] * len(options["shapeTypes"])
+            shape = pybullet.createVisualShapeArray(
+                **named, rgbaColors=colours, physicsClientId=self._client
+            )
+            pybullet.createMultiBody(0.0, -1, shape, physicsClientId=self._client)
 
     def __contains__(self, body: int) -> bool:
         return body in self._bodies
 
     def __len__(self) -> int:
         return len(self._bodies)
+
+
+def _compounds(world: World) -> Iterator[dict[str, Any]]:
+    """Shapes of every compound, as PyBullet's arrays take them."""
+    for circles in _neighbours(world.circles, world.circles[:, :2]):
+        yield _cylinders(circles)
+    middles = (world.segments[:, :2] + world.segments[:, 2:]) / 2.0
+    for segments in _neighbours(world.segments, middles):
+        yield _walls(segments)
 
 
 def _neighbours(rows: Rows, places: Rows) -> Iterator[Rows]:
@@ -84,27 +107,28 @@ def _neighbours(rows: Rows, places: Rows) -> Iterator[Rows]:
         yield rows
 
 
-def _cylinders(circles: Rows) -> tuple[dict[str, object], dict[str, object]]:
-    """Collision and visual shapes of upright cylinders."""
-    kinds, radii = [pybullet.GEOM_CYLINDER] * len(circles), np.maximum(circles[:, 2], 1e-3).tolist()
-    places = [(x, y, HEIGHT / 2.0) for x, y, _ in circles.tolist()]
-    shapes = {"shapeTypes": kinds, "radii": radii, "lengths": [HEIGHT] * len(circles)}
-    return (
-        {**shapes, "collisionFramePositions": places},
-        {**shapes, "visualFramePositions": places},
-    )
+def _cylinders(circles: Rows) -> dict[str, Any]:
+    """Upright cylinders."""
+    return {
+        "shapeTypes": [pybullet.GEOM_CYLINDER] * len(circles),
+        "radii": np.maximum(circles[:, 2], 1e-3).tolist(),
+        "lengths": [HEIGHT] * len(circles),
+        "Positions": [(x, y, HEIGHT / 2.0) for x, y, _ in circles.tolist()],
+    }
 
 
-def _walls(segments: Rows) -> tuple[dict[str, object], dict[str, object]]:
-    """Collision and visual shapes of thin upright boxes."""
+def _walls(segments: Rows) -> dict[str, Any]:
+    """Thin upright boxes."""
     along = segments[:, 2:] - segments[:, :2]
     lengths, angles = np.hypot(along[:, 0], along[:, 1]), np.arctan2(along[:, 1], along[:, 0])
     middles = ((segments[:, :2] + segments[:, 2:]) / 2.0).tolist()
-    places = [(x, y, HEIGHT / 2.0) for x, y in middles]
-    turns = [(0.0, 0.0, math.sin(a / 2.0), math.cos(a / 2.0)) for a in angles.tolist()]
-    halves = [(max(n / 2.0, 1e-3), THICKNESS / 2.0, HEIGHT / 2.0) for n in lengths.tolist()]
-    shapes = {"shapeTypes": [pybullet.GEOM_BOX] * len(segments), "halfExtents": halves}
-    return (
-        {**shapes, "collisionFramePositions": places, "collisionFrameOrientations": turns},
-        {**shapes, "visualFramePositions": places, "visualFrameOrientations": turns},
-    )
+    return {
+        "shapeTypes": [pybullet.GEOM_BOX] * len(segments),
+        "halfExtents": [
+            (max(n / 2.0, 1e-3), THICKNESS / 2.0, HEIGHT / 2.0) for n in lengths.tolist()
+        ],
+        "Positions": [(x, y, HEIGHT / 2.0) for x, y in middles],
+        "Orientations": [
+            (0.0, 0.0, math.sin(angle / 2.0), math.cos(angle / 2.0)) for angle in angles.tolist()
+        ],
+    }
