@@ -10,9 +10,10 @@ import pytest
 from PIL import Image
 from serial_tools import cli
 
-from acsar_gym import atlas
+from acsar_gym import RobotConfig, atlas
 from acsar_gym.errors import WorldError
 from acsar_gym.worlds import World, files, generators
+from acsar_gym.worlds.search import footprint_radius
 
 BARN = Path(__file__).parents[2] / "shared" / "barn"
 
@@ -52,10 +53,12 @@ def test_a_world_that_cannot_be_crossed_fails_the_check(tmp_path: Path) -> None:
 
 
 def test_a_world_becomes_json_and_back(tmp_path: Path) -> None:
+    radius = footprint_radius(RobotConfig.preset("acsar"))
+    expected = generators.generate("clutter", 7, None, radius)
     for name in ("w.json", "w.yaml"):
         done = cli("worlds", "convert", "clutter:7-7", tmp_path / name)
         assert (done.returncode, done.stderr) == (0, "")
-        world, expected = files.load(tmp_path / name), generators.generate("clutter", 7)
+        world = files.load(tmp_path / name)
         assert (world.segments == expected.segments).all()
         assert world.length == expected.length
 
