@@ -161,7 +161,11 @@ class RobotEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def _told(self, course: Course, state: State, outcome: Outcome) -> tuple[Observation, Info]:
         """What the agent gets, and what the screen shows."""
-        self._screen.show(state, self._scan)
+        try:
+            self._screen.show(state, self._scan)
+        except BaseException:
+            self.robot.deactivate()
+            raise
         return self._observation(course, state), self._info(course, state, outcome)
 
     def _observation(self, course: Course, state: State) -> Observation:

@@ -19,7 +19,7 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 from acsar_gym import Robot, RobotConfig, World
 from acsar_gym.env import RobotEnv
-from acsar_gym.errors import AcsarError, ConfigError, LidarError
+from acsar_gym.errors import AcsarError, ConfigError, LidarError, RenderError
 from acsar_gym.lidar import Scan
 from acsar_gym.links import open_link
 from acsar_gym.worlds import Region, Scene
@@ -311,3 +311,15 @@ def test_the_robot_drives_the_same_in_a_world_as_on_an_open_floor() -> None:
         rows.append(robot.odometry.pose)
         robot.deactivate()
     assert rows[0] == rows[1]
+
+
+@pytest.mark.parametrize("link", LINKS)
+def test_a_window_that_cannot_open_leaves_no_robot_driving(
+    link: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    env = make("acsar_gym/PointGoal-v0", link, render_mode="human")
+    with pytest.raises(RenderError, match="rgb_array"):
+        env.reset(seed=0)
+    assert not inner(env).robot.active
+    env.close()
