@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym import dynamics, pcg
-from acsar_gym.config import BITS_PER_BYTE, LINE_BYTES, RobotConfig, whole_ratio
+from acsar_gym import dynamics, limiter, pcg
+from acsar_gym.config import BITS_PER_BYTE, LINE_BYTES, Geofence, RobotConfig, whole_ratio
 from acsar_gym.errors import ConfigError
 from acsar_gym.kernel import episode, layout
 from acsar_gym.lidar import draws, stale_after
@@ -43,6 +43,9 @@ class Batch:
         columns = _columns(robots)
         self._state = np.zeros((layout.ROWS, columns))
         self._counts = np.zeros((slots, 4, columns))
+        lines = _lines(self._setup, self._nominal, self._ranges)
+        self._commands = np.zeros((lines, 2, columns if self._setup.guarded else 0))
+        self._line = 0
         self.state = self._state[:, :robots]
         self._random = np.zeros((robots, 4), np.uint64)
         numbers = len(task.layout) + len(around.directions)
@@ -66,6 +69,7 @@ class Batch:
         episode.reset(
             self._state,
             self._counts,
+            self._commands,
             self._random,
             self._nominal,
             self._ranges,
@@ -83,6 +87,7 @@ class Batch:
         episode.step(
             self._state,
             self._counts,
+            self._commands,
             self._random,
             self._nominal,
             self._ranges,
@@ -94,6 +99,7 @@ class Batch:
             first,
             last,
             self._slot,
+            self._line,
             self._setup,
             self._job,
             self._around,
@@ -108,6 +114,7 @@ class Batch:
         """All robots have done their step: move on in the ring of encoder counts."""
         loops = self._setup.ticks * self._setup.loops
         self._slot = (self._slot + loops) % self._counts.shape[0]
+        self._line = (self._line + self._setup.ticks) % self._commands.shape[0]
 
     @property
     def bytes_per_robot(self) -> float:
@@ -115,6 +122,7 @@ class Batch:
         arrays = (
             self._state,
             self._counts,
+            self._commands,
             self._random,
             self.observations,
             self.rewards,
@@ -135,6 +143,8 @@ def _setup(config: RobotConfig, ticks: int, max_steps: int | None, sees: bool) -
     params = dynamics.params(config)
     firmware, encoder = config.firmware, config.encoder
     window = round(encoder.window * firmware.loop_rate)
+    linear, angular = limiter.both(config)
+    fence = config.geofence or Geofence()
     per_radian = encoder.counts_per_revolution / (2.0 * math.pi)
     return layout.Setup(
         dt=params.dt,
@@ -155,6 +165,10 @@ def _setup(config: RobotConfig, ticks: int, max_steps: int | None, sees: bool) -
         max_linear=config.max_linear,
         max_angular=config.max_angular,
         max_steps=math.inf if max_steps is None else float(max_steps),
+        guarded=config.geofence is not None or not (linear.free and angular.free),
+        linear=linear,
+        angular=angular,
+        fence=(fence.min_x, fence.max_x, fence.min_y, fence.max_y),
         lidar_rate=config.lidar.rate if sees else 0.0,
         stale=stale_after(config),
         noise=config.lidar.noise,
@@ -180,6 +194,12 @@ def _nominal(config: RobotConfig) -> NDArray[np.float64]:
     rows[layout.COMMAND_LOOPS] = rows[layout.DELAY_LOOPS] = delay
     rows[layout.FEEDBACK_LOOPS] = firmware.loop_rate / config.feedback_rate
     return rows
+
+
+def _lines(setup: layout.Setup, nominal: NDArray[np.float64], ranges: NDArray[np.float64]) -> int:
+    """Command lines to keep: as many ticks as the slowest one is on its way."""
+    extra = round(ranges[6, 1] / setup.dt) if ranges[6, 0] <= ranges[6, 1] else 0
+    return 2 + math.ceil((float(nominal[layout.COMMAND_LOOPS]) + extra) / setup.loops)
 
 
 def _slots(setup: layout.Setup, nominal: NDArray[np.float64], ranges: NDArray[np.float64]) -> int:

@@ -19,7 +19,9 @@ from pydantic import (
     ConfigDict,
     Field,
     ModelWrapValidatorHandler,
+    NegativeFloat,
     NonNegativeFloat,
+    NonPositiveFloat,
     PositiveFloat,
     ValidationError,
     model_validator,
@@ -112,6 +114,41 @@ class BodyConfig(_Section):
     """Slip below which friction falls off linearly [m/s]."""
 
 
+class SpeedLimits(_Section):
+    """Limits of one axis, named and behaving as in ROS diff_drive_controller; None is no limit.
+
+    m/s or rad/s, and their derivatives. A minimum that is None is minus the maximum.
+    """
+
+    section = "limits"
+    max_velocity: NonNegativeFloat | None = None
+    min_velocity: NonPositiveFloat | None = None
+    max_acceleration: PositiveFloat | None = None
+    min_acceleration: NegativeFloat | None = None
+    max_jerk: PositiveFloat | None = None
+    min_jerk: NegativeFloat | None = None
+
+
+class Geofence(_Section):
+    """A rectangle of the odometry frame [m]; outside of it the robot is commanded to stop."""
+
+    section = "geofence"
+    min_x: float = -math.inf
+    max_x: float = math.inf
+    min_y: float = -math.inf
+    max_y: float = math.inf
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=True)
+
+    @model_validator(mode="after")
+    def _holds_the_start(self) -> Self:
+        if not (self.min_x < 0.0 < self.max_x and self.min_y < 0.0 < self.max_y):
+            raise ConfigError(
+                f"geofence = {self.min_x:g} to {self.max_x:g}, {self.min_y:g} to {self.max_y:g} m: "
+                "must have the start (0, 0) inside"
+            )
+        return self
+
+
 class LidarConfig(_Section):
     """The LiDAR and how its scans are used; its place is lidar_x/y/z_offset of the robot."""
 
@@ -177,6 +214,12 @@ class RobotConfig(_Section):
     """Angular speed of a full action [rad/s]."""
     max_wheel_speed: PositiveFloat = 30.0
     """Wheel speeds of a twist shrink to this, keeping the turn radius [rad/s]."""
+    linear_limits: SpeedLimits = SpeedLimits()
+    """Of the linear velocity that is commanded, in simulation and on hardware."""
+    angular_limits: SpeedLimits = SpeedLimits()
+    """Of the angular velocity that is commanded."""
+    geofence: Geofence | None = None
+    """Where the robot may go, by odometry."""
     odom_frame: str = "odom"
     base_frame: str = "base_link"
     lidar_frame: str = "lidar_link"

@@ -117,15 +117,14 @@ class RobotEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             raise ConfigError("step() before reset(): call reset() first")
         reward, outcome = self._course.judge(state)
         terminated = outcome is not Outcome.GOING
+        observation, info = self._told(self._course, state, outcome)
         if terminated:
             self.robot.stop()
-        observation, info = self._told(self._course, state, outcome)
         return observation, reward, terminated, False, info
 
     def _drive(self, linear: float, angular: float) -> None:
-        speeds = self.robot.wheel_speeds(linear, angular)
         for _ in range(self.ticks_per_step):
-            self.robot.tick(speeds)
+            self.robot.drive(linear, angular)
             if self.lidar is not None:
                 self._see(self._look)
 
@@ -184,6 +183,9 @@ class RobotEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             "odom_y": y,
             "odom_theta": theta,
             "feedback_age": self.robot.feedback_age,
+            "sent_linear": self.robot.safety.sent[0],
+            "sent_angular": self.robot.safety.sent[1],
+            "sent_reason": float(self.robot.safety.reason),
             "true_x": true_pose[0],
             "true_y": true_pose[1],
             "true_theta": true_pose[2],

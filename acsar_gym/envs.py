@@ -66,10 +66,12 @@ class PointGoalEnv(RobotEnv):
     ## Info
 
     The same floats at every step: `goal_distance` [m] and `is_success` by odometry, `odom_x`,
-    `odom_y`, `odom_theta`, `feedback_age` [s], and what only a simulator knows: `true_x`, `true_y`,
-    `true_theta`, `true_goal_distance`, `true_contact` (whether the robot has touched something),
-    and `odometry_error` [m], the distance between odometry and truth. Those are NaN on hardware.
-    Everything is in the odometry frame.
+    `odom_y`, `odom_theta`, `feedback_age` [s]; `sent_linear` [m/s] and `sent_angular` [rad/s], the
+    twist that was really sent in the last tick, and `sent_reason`, why it isn't the one asked for
+    (0 it is, 1 limits, 2 geofence, 3 stale feedback, 4 emergency stop); and what only a simulator
+    knows: `true_x`, `true_y`, `true_theta`, `true_goal_distance`, `true_contact` (whether the robot
+    has touched something), and `odometry_error` [m], the distance between odometry and truth. Those
+    are NaN on hardware. Everything is in the odometry frame.
 
     ## Version history
 

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import Self
 
-from acsar_gym import kinematics
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import BoardGarbledError, BoardSilentError, LinkError
 from acsar_gym.links.base import Link
 from acsar_gym.odometry import Odometry
 from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds, encode
+from acsar_gym.safety import Safety
 from acsar_gym.worlds import Scene
 
 STANDSTILL = 0.1
@@ -28,7 +28,8 @@ class Robot:
 
     Attributes: `link`, `config`, `odometry`; `speeds`, the newest wheel speeds [rad/s], of which a
     motor keeps its last one where a line doesn't name it; `feedback_age`, seconds since the last
-    valid line; `decoder`, with the counters of refused input.
+    valid line; `decoder`, with the counters of refused input; `safety`, with the twist that was
+    really sent and the reason where it isn't the one that was asked for.
 
     As a context manager it is active inside the block and stopped on any way out of it.
     """
@@ -45,6 +46,7 @@ class Robot:
         self.speeds: Speeds = ZERO
         self.feedback_age = 0.0
         self.active = False
+        self.safety = Safety(self.config)
         self._stamp = 0.0
         self._period = self.config.period
         self._comma = self.config.trailing_comma
@@ -72,6 +74,7 @@ class Robot:
         try:
             self.link.reset(scene)
             self.decoder.reset()
+            self.safety.reset()
             self.speeds = ZERO
             self.feedback_age = 0.0
             self._stamp = self.link.now()
@@ -99,6 +102,7 @@ class Robot:
     def tick(self, speeds: Sequence[float]) -> None:
         """One control period: send four wheel speeds [rad/s], let it pass, read, integrate.
 
+        Zeros are sent instead while `safety` holds the robot; limits are those of `drive`.
         Raises CommandError for speeds that aren't four finite numbers, and LinkError where the
         robot isn't active or the link is lost or silent for longer than `feedback_timeout`. On any
         error the wheels are commanded to stop and the link is closed.
@@ -106,15 +110,19 @@ class Robot:
         if not self.active:
             raise LinkError("the robot isn't active", "call activate() or env.reset() first")
         try:
-            self._exchange(speeds)
+            reason = self.safety.hold(self.odometry.pose, self.feedback_age)
+            self._exchange(self.safety.halt(reason) if reason else speeds)
         except BaseException:
             self.deactivate()
             raise
 
     def drive(self, linear: float, angular: float) -> None:
-        """One tick towards a twist (linear [m/s], angular [rad/s]); errors as `tick`."""
+        """One tick towards a twist (linear [m/s], angular [rad/s]) within the limits.
+
+        Errors as `tick`.
+        """
         try:
-            speeds = self.wheel_speeds(linear, angular)
+            speeds = self.safety.speeds(linear, angular)
         except BaseException:
             self.deactivate()
             raise
@@ -122,17 +130,16 @@ class Robot:
 
     def wheel_speeds(self, linear: float, angular: float) -> Speeds:
         """Wheel speeds [rad/s] for a twist, shrunk to `max_wheel_speed` at the same turn radius."""
-        config = self.config
-        return kinematics.inverse(
-            linear,
-            angular,
-            config.wheel_radius,
-            config.effective_separation,
-            config.max_wheel_speed,
-        )
+        return self.safety.wheels(linear, angular)
+
+    def estop(self) -> None:
+        """Emergency stop: zero now, and whatever is commanded until the next reset."""
+        self.safety.estop()
+        self.stop()
 
     def stop(self) -> None:
         """Put a zero command on the wire; no time passes."""
+        self.safety.halt(self.safety.reason)
         if self.active:
             self.link.write(encode(ZERO, trailing_comma=self._comma))
 

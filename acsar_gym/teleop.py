@@ -34,12 +34,11 @@ def fixed(robot: Robot, linear: float, angular: float, duration: float | None) -
         raise CommandError(
             "--linear and --angular must be finite numbers, --duration finite and not negative"
         )
-    speeds = robot.wheel_speeds(linear, angular)
     ticks = math.inf if duration is None else round(duration * robot.config.control_rate)
     done = 0
     with robot:
         while done < ticks:
-            robot.tick(speeds)
+            robot.drive(linear, angular)
             done += 1
             if done % SHOW_EVERY == 0:
                 _show(robot)

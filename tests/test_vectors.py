@@ -21,6 +21,14 @@ REGIONS = World(
     Region(3.0, 0.0, 1.0),
     np.array([[-3.0, 0.0], [3.0, 0.0]]),
 )
+LIMITED = ACSAR.with_(
+    linear_limits={"max_velocity": 0.4, "max_acceleration": 1.0},
+    angular_limits={"max_acceleration": 3.0, "max_jerk": 60.0},
+)
+FENCED = ACSAR.with_(geofence={"max_x": 0.6, "min_y": -0.3, "max_y": 0.3})
+LATE = ACSAR.with_(
+    baud_rate=38400, firmware={"processing_time": 0.02}, linear_limits={"max_jerk": 20.0}
+)
 CASES: dict[str, tuple[str, dict[str, Any], dict[str, Any]]] = {
     "obstacles": ("ObstacleGoal", {"worlds": "clutter:6"}, {}),
     "rooms": ("ObstacleGoal", {"worlds": "rooms:4"}, {"noise": 0.0}),
@@ -29,17 +37,19 @@ CASES: dict[str, tuple[str, dict[str, Any], dict[str, Any]]] = {
     "BARN": ("Barn", {"worlds": "barn:4"}, {"noise": 0.02, "min_range": 0.3}),
     "smooth path": ("PathFollow", {"paths": "smooth_path:6"}, {}),
     "waypoints": ("PathFollow", {"paths": "waypoint_path:6"}, {}),
+    "limits": ("PointGoal", {"robot": LIMITED}, {}),
+    "geofence": ("ObstacleGoal", {"robot": FENCED, "worlds": "open:4"}, {}),
+    "limits on a slow wire": ("PathFollow", {"robot": LATE}, {}),
 }
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_a_robot_of_the_batch_is_the_single_planar_env(name: str) -> None:
     kind, options, lidar = CASES[name]
-    env_id, config = f"acsar_gym/{kind}-v0", ACSAR.with_(lidar=lidar)
-    many: Any = gymnasium.make_vec(
-        env_id, 3, vectorization_mode="vector_entry_point", robot=config, **options
-    )
-    one = gymnasium.make(env_id, link="planar", robot=config, **options)
+    env_id = f"acsar_gym/{kind}-v0"
+    options = {**options, "robot": options.get("robot", ACSAR).with_(lidar=lidar)}
+    many: Any = gymnasium.make_vec(env_id, 3, vectorization_mode="vector_entry_point", **options)
+    one = gymnasium.make(env_id, link="planar", **options)
     expected, _ = one.reset(seed=41)
     seen, _ = many.reset(seed=40)
     assert seen[1] == pytest.approx(expected, abs=1e-6)

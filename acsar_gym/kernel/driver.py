@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from acsar_gym import kinematics, odometry
 from acsar_gym.compiled import jit, loop
+from acsar_gym.kernel.guard import follow, guard, lose
 from acsar_gym.kernel.layout import (
     AGE,
     ANGULAR,
@@ -116,19 +117,32 @@ def drive(
     first: int,
     last: int,
     slot: int,
+    commands: Floats,
+    line: int,
     lossy: bool,
     setup: Setup,
     around: Surroundings,
 ) -> None:
-    """All ticks of an env step. `slot` is where the last loop wrote its counts."""
+    """All ticks of an env step.
+
+    `slot` is where the last loop wrote its counts, and `line` where the last tick its command.
+    """
     slots = counts.shape[0]
     crowded = around.circles.shape[1] + around.segments.shape[1] > 0
     for tick in range(setup.ticks):
+        if setup.guarded:
+            line = (line + 1) % commands.shape[0]
+            guard(state, commands, first, last, line, setup)
+            if lossy:
+                lose(state, commands, random, first, last, line)
         if lossy:
             drop_lines(state, random, first, last, tick, setup)
         for turn in range(tick * setup.loops, (tick + 1) * setup.loops):
             slot = (slot + 1) % slots
-            ramp(state, first, last, turn, setup)
+            if setup.guarded:
+                follow(state, commands, first, last, line, turn - tick * setup.loops, setup)
+            else:
+                ramp(state, first, last, turn, setup)
             motors(state, counts, first, last, slot, setup)
             tyres(state, first, last, setup)
         if crowded:

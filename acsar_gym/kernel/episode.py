@@ -137,6 +137,7 @@ def settle(state: Floats, random: NDArray[np.uint64], i: int, job: Job) -> None:
 def begin(
     state: Floats,
     counts: Floats,
+    commands: Floats,
     random: NDArray[np.uint64],
     i: int,
     nominal: Floats,
@@ -148,6 +149,8 @@ def begin(
     for row in range(MASS):
         state[row, i] = 0.0
     counts[:, :, i] = 0.0
+    if setup.guarded:
+        commands[:, :, i] = 0.0
     if len(job.starts) == 0:
         aim(state, random, i, job)
     else:
@@ -166,6 +169,7 @@ def begin(
 def reset(
     state: Floats,
     counts: Floats,
+    commands: Floats,
     random: NDArray[np.uint64],
     nominal: Floats,
     ranges: Floats,
@@ -180,7 +184,7 @@ def reset(
     """New episodes for the robots in the mask."""
     for i in range(first, last):
         if mask[i]:
-            begin(state, counts, random, i, nominal, ranges, setup, job)
+            begin(state, counts, commands, random, i, nominal, ranges, setup, job)
     if setup.lidar_rate > 0.0:
         look(state, random, observations, ~mask, first, last, -1, setup, around)
     for i in range(first, last):
@@ -193,6 +197,7 @@ def reset(
 def step(
     state: Floats,
     counts: Floats,
+    commands: Floats,
     random: NDArray[np.uint64],
     nominal: Floats,
     ranges: Floats,
@@ -204,6 +209,7 @@ def step(
     first: int,
     last: int,
     slot: int,
+    line: int,
     setup: Setup,
     job: Job,
     around: Surroundings,
@@ -213,12 +219,26 @@ def step(
     for low in range(first, last, BLOCK):
         high = min(low + BLOCK, last)
         command(state, actions, low, high, setup)
-        drive(state, counts, random, observations, over, low, high, slot, lossy, setup, around)
+        drive(
+            state,
+            counts,
+            random,
+            observations,
+            over,
+            low,
+            high,
+            slot,
+            commands,
+            line,
+            lossy,
+            setup,
+            around,
+        )
         judge(state, rewards, ends, low, high, setup, job)
         anew = False
         for i in range(low, high):
             if over[i]:
-                begin(state, counts, random, i, nominal, ranges, setup, job)
+                begin(state, counts, commands, random, i, nominal, ranges, setup, job)
                 rewards[i] = 0.0
                 ends[0, i] = ends[1, i] = False
                 anew = True

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.compiled import jit
+from acsar_gym.limiter import Limits
 
 Floats = NDArray[np.float64]
 
@@ -28,19 +29,25 @@ GOAL_X, GOAL_Y, DISTANCE, LAST_LINEAR, LAST_ANGULAR, STEPS, RETURN, OUTCOME = ra
 CONTACT, WORLD, START_X, START_Y, START_THETA, START_COS, START_SIN = range(43, 50)
 SCANS, SCAN_TICK = 50, 51
 PROGRESS, CROSS, BEARING, CROSS_SUM, HEADING_SUM = range(52, 57)
+# The safety layer: the twists sent last and before that, and why they aren't those asked for.
+SENT_LINEAR, SENT_ANGULAR, REASON, PAST_LINEAR, PAST_ANGULAR, FENCED = range(57, 63)
+NEW_LINEAR, NEW_ANGULAR = 63, 64
 # What is only told:
-TRUE_THETA, TRUE_DISTANCE, ERROR, SUCCESS, SCAN_AGE, STALE = range(57, 63)
-HEADING, SHARE, MEAN_CROSS, MEAN_HEADING, SCORE = 63, 64, 65, 66, 67  # four scores
+TRUE_THETA, TRUE_DISTANCE, ERROR, SUCCESS, SCAN_AGE, STALE = range(65, 71)
+HEADING, SHARE, MEAN_CROSS, MEAN_HEADING, SCORE = 71, 72, 73, 74, 75  # four scores
 # The robot's own physics, drawn anew with every episode where it is randomized:
-MASS, INERTIA, GRIP, RADIUS, DEADBAND, BLEND, GAIN = 71, 72, 73, 74, 75, 76, 80
-COMMAND_LOOPS, DELAY_LOOPS, FEEDBACK_LOOPS, DROPPED = range(84, 88)
-ROWS = 88
+MASS, INERTIA, GRIP, RADIUS, DEADBAND, BLEND, GAIN = 79, 80, 81, 82, 83, 84, 88
+COMMAND_LOOPS, DELAY_LOOPS, FEEDBACK_LOOPS, DROPPED = range(92, 96)
+ROWS = 96
 INFO = {
     "is_success": SUCCESS,
     "odom_x": ODOM_X,
     "odom_y": ODOM_Y,
     "odom_theta": ODOM_THETA,
     "feedback_age": AGE,
+    "sent_linear": SENT_LINEAR,
+    "sent_angular": SENT_ANGULAR,
+    "sent_reason": REASON,
     "true_x": X,
     "true_y": Y,
     "true_theta": TRUE_THETA,
@@ -90,6 +97,12 @@ class Setup(NamedTuple):
     max_linear: float
     max_angular: float
     max_steps: float
+    guarded: bool
+    """Whether commands change from tick to tick: there are limits, or a geofence."""
+    linear: Limits
+    angular: Limits
+    fence: tuple[float, float, float, float]
+    """Least and largest x, least and largest y [m]."""
     lidar_rate: float
     """Scans per second; 0 where the task has no LiDAR [Hz]."""
     stale: float

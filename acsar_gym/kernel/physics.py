@@ -28,6 +28,9 @@ from acsar_gym.kernel.layout import (
     POINT,
     RADIUS,
     RATE,
+    REASON,
+    SENT_ANGULAR,
+    SENT_LINEAR,
     THETA,
     VX,
     VY,
@@ -39,8 +42,10 @@ from acsar_gym.kernel.layout import (
     row,
 )
 from acsar_gym.protocol import MAX_SPEED
+from acsar_gym.safety import TELLABLE
 
 sides = jit(kinematics.sides)
+forward = jit(kinematics.twist)
 
 
 @jit
@@ -106,6 +111,18 @@ def on_the_wire(speed: float) -> float:
     return min(max(rounded, -MAX_SPEED), MAX_SPEED)
 
 
+@jit
+def tell(
+    state: Floats, i: int, linear: float, angular: float, right: float, left: float, setup: Setup
+) -> None:
+    """The twist that robot i is really sent, and whether it is the one asked for."""
+    sent_linear, sent_angular = forward(right, left, left, right, setup.radius, setup.separation)
+    off = max(abs(sent_linear - linear), abs(sent_angular - angular))
+    state[SENT_LINEAR, i] = sent_linear
+    state[SENT_ANGULAR, i] = sent_angular
+    state[REASON, i] = 0.0 if off < TELLABLE else 1.0
+
+
 @loop
 def command(state: Floats, actions: Floats, first: int, last: int, setup: Setup) -> None:
     """Actions to the targets that the board will hear of in this step."""
@@ -117,13 +134,11 @@ def command(state: Floats, actions: Floats, first: int, last: int, setup: Setup)
         angular = min(max(actions[first + i, 1], -1.0), 1.0)
         state[LAST_LINEAR, first + i] = linear
         state[LAST_ANGULAR, first + i] = angular
+        wanted_linear, wanted_angular = linear * setup.max_linear, angular * setup.max_angular
         right, left = sides(
-            linear * setup.max_linear,
-            angular * setup.max_angular,
-            setup.radius,
-            setup.separation,
-            setup.max_wheel_speed,
+            wanted_linear, wanted_angular, setup.radius, setup.separation, setup.max_wheel_speed
         )
+        tell(state, first + i, wanted_linear, wanted_angular, right, left, setup)
         if heard[i] < setup.ticks * setup.loops:  # else the last command was lost
             old_right[i] = new_right[i]
             old_left[i] = new_left[i]
