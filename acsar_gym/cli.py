@@ -324,12 +324,26 @@ def worlds() -> int:
     )
 
 
+def estop() -> int:
+    """Stop every real robot that you are driving from this computer, whatever drives it."""
+    from acsar_gym import estop as stops  # noqa: PLC0415
+
+    found = stops.stop_all()
+    for each in found:
+        said = "stopped" if each.answered else "doesn't answer: its watchdog stops it"
+        print(f"process {each.process}: {said}")
+    if not found:
+        print("no robot is being driven from this computer")
+    return 0 if found and all(each.answered for each in found) else 1
+
+
 COMMANDS: dict[str, Callable[..., Any]] = {
     "demo": demo,
     "bench": bench,
     "emulate": emulate,
     "doctor": doctor,
     "drive": drive,
+    "estop": estop,
     "train": train,
     "evaluate": evaluate,
     "run": run,

@@ -13,8 +13,9 @@ import gymnasium
 import numpy as np
 
 from acsar_gym.env import RobotEnv
-from acsar_gym.errors import ConfigError
+from acsar_gym.errors import ConfigError, LinkError
 from acsar_gym.policy import Policy
+from acsar_gym.safety import Reason
 from acsar_gym.tasks.barn import SCORES
 from acsar_gym.worlds import Pose, Region, World
 from acsar_gym.worlds.search import footprint_radius, path_length, way_left
@@ -76,6 +77,8 @@ def _episode(
     while not done:
         observation, _, terminated, truncated, info = env.step(policy(observation))
         steps.append(info)
+        if unwrapped.robot.safety.reason is Reason.EMERGENCY_STOP:
+            raise LinkError("emergency stop", "look after the robot, then start again")
         done = terminated or truncated
     unwrapped.robot.stop()  # a time limit is no concern of the env below it
     return EpisodeResult(

@@ -9,6 +9,7 @@ from typing import Self
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import BoardGarbledError, BoardSilentError, LinkError
+from acsar_gym.estop import Ears
 from acsar_gym.links.base import Link
 from acsar_gym.odometry import Odometry
 from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds, encode
@@ -47,6 +48,7 @@ class Robot:
         self.feedback_age = 0.0
         self.active = False
         self.safety = Safety(self.config)
+        self._ears: Ears | None = None
         self._stamp = 0.0
         self._period = self.config.period
         self._comma = self.config.trailing_comma
@@ -71,6 +73,8 @@ class Robot:
         if not self.active:
             self.link.open()
             self.active = True
+            if self.link.truth is None and self._ears is None:
+                self._ears = Ears()
         try:
             self.link.reset(scene)
             self.decoder.reset()
@@ -110,6 +114,9 @@ class Robot:
         if not self.active:
             raise LinkError("the robot isn't active", "call activate() or env.reset() first")
         try:
+            if self._ears is not None and self._ears.heard():
+                self.estop()
+                self._ears.answer()
             reason = self.safety.hold(self.odometry.pose, self.feedback_age)
             self._exchange(self.safety.halt(reason) if reason else speeds)
         except BaseException:
@@ -152,6 +159,9 @@ class Robot:
                 self.stop()
         finally:
             self.active = False
+            if self._ears is not None:
+                self._ears.close()
+                self._ears = None
             self.link.close()
 
     def _exchange(self, speeds: Sequence[float]) -> None:

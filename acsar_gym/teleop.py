@@ -10,12 +10,16 @@ from blessed import Terminal
 
 from acsar_gym.errors import CommandError
 from acsar_gym.robot import Robot
+from acsar_gym.worlds import Scene
 
 STEP = 0.1
 """Share of the full speed that one key press adds."""
 SHOW_EVERY = 10
 """Ticks between two updates of the status line."""
-HELP = "w/s faster/slower, a/d turn left/right, space stops, q quits (arrows work too)"
+HELP = (
+    "w/s faster/slower, a/d turn left/right, space stops, q quits (arrows work too),\n"
+    "e emergency stop, r re-arms after it and sets the odometry to zero"
+)
 KEYS = {
     "w": (1, 0),
     "KEY_UP": (1, 0),
@@ -58,6 +62,11 @@ def keyboard(robot: Robot) -> None:
             key = terminal.inkey(timeout=0)
             if key == "q":
                 break
+            if key == "e":
+                robot.estop()
+            elif key == "r" and robot.safety.stopped:
+                robot.reset(Scene())
+                linear = angular = 0.0
             linear, angular = pressed(str(key.name or key), linear, angular)
             config = robot.config
             robot.drive(linear * config.max_linear, angular * config.max_angular)
@@ -88,8 +97,9 @@ def _print_status(robot: Robot) -> None:
     x, y, theta = robot.odometry.pose
     linear, angular = robot.odometry.twist
     age = robot.feedback_age * 1000.0
+    stopped = f"{robot.safety.reason.name} " if robot.safety.stopped else ""
     sys.stdout.write(
-        f"\rx {x:7.3f} m  y {y:7.3f} m  theta {math.degrees(theta):7.1f} deg  "
+        f"\r{stopped}x {x:7.3f} m  y {y:7.3f} m  theta {math.degrees(theta):7.1f} deg  "
         f"v {linear:6.3f} m/s  w {angular:6.3f} rad/s  feedback {age:4.0f} ms old "
     )
     sys.stdout.flush()
