@@ -285,7 +285,7 @@ class PathFollowEnv(RobotEnv):
     ## Arguments
 
     - `link`, `robot`, `policy_rate`, `render_mode`, `view` as in `acsar_gym/PointGoal-v0`.
-    - `paths`: "smooth_path" or "waypoint_path", of which 200 are used ("smooth_path:50" uses 50);
+    - `worlds`: "smooth_path" or "waypoint_path", of which 200 are used ("smooth_path:50" uses 50);
       or a file, a folder or a list of worlds that have a path.
     - `difficulty` of generated paths, 0 to 1: how tight they turn; None varies it.
     - `max_cross_track` [m].
@@ -307,7 +307,7 @@ class PathFollowEnv(RobotEnv):
         link: str | Link = "bullet",
         robot: RobotConfig | str | Path | None = None,
         *,
-        paths: Source = "smooth_path",
+        worlds: Source = "smooth_path",
         difficulty: float | None = None,
         max_cross_track: float = 0.5,
         policy_rate: float = 10.0,
@@ -315,7 +315,7 @@ class PathFollowEnv(RobotEnv):
         view: str = "top",
     ) -> None:
         super().__init__(
-            lambda c: PathFollow.of(pool(paths, difficulty, c), max_cross_track, c),
+            lambda c: PathFollow.of(pool(worlds, difficulty, c), max_cross_track, c),
             link,
             robot,
             policy_rate=policy_rate,

@@ -83,13 +83,13 @@ class PathFollowVectorEnv(RobotVectorEnv):
         num_envs: int = 1,
         robot: RobotConfig | str | Path | None = None,
         *,
-        paths: Source = "smooth_path",
+        worlds: Source = "smooth_path",
         difficulty: float | None = None,
         max_cross_track: float = 0.5,
         **options: Any,
     ) -> None:
         super().__init__(
-            lambda c: PathFollow.of(pool(paths, difficulty, c), max_cross_track, c),
+            lambda c: PathFollow.of(pool(worlds, difficulty, c), max_cross_track, c),
             num_envs,
             robot,
             **options,

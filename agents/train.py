@@ -163,7 +163,7 @@ def _folder(options: Options) -> Path:
 def _env(recipe: Recipe, options: Options) -> RobotVectorEnv:
     arguments = dict(recipe.options)
     if options.worlds is not None:
-        arguments["paths" if options.env == "path_follow" else "worlds"] = options.worlds
+        arguments["worlds"] = options.worlds
     if options.env == "point_goal" and options.worlds is not None:
         raise ConfigError("--worlds: point_goal has none")
     return recipe.env(

@@ -28,7 +28,7 @@ IDS = {
     "acsar_gym/PointGoal-v0": {},
     "acsar_gym/ObstacleGoal-v0": {"worlds": "clutter:5"},
     "acsar_gym/Barn-v0": {"worlds": "barn:5"},
-    "acsar_gym/PathFollow-v0": {"paths": "waypoint_path:5"},
+    "acsar_gym/PathFollow-v0": {"worlds": "waypoint_path:5"},
 }
 SEEING = ["acsar_gym/ObstacleGoal-v0", "acsar_gym/Barn-v0"]
 LINKS = ["bullet", "planar"]
@@ -150,7 +150,7 @@ def test_hardware_without_a_lidar_says_so_in_one_line(env_id: str) -> None:
         (SEEING[0], {"lidar": "lidar"}, "rplidar:///dev/ttyUSB1"),
         (SEEING[0], {"goal_tolerance": -1.0}, "goal_tolerance"),
         (SEEING[0], {"view": "side"}, "top or camera"),
-        ("acsar_gym/PathFollow-v0", {"paths": "clutter:1", "max_cross_track": 0}, "max_cross"),
+        ("acsar_gym/PathFollow-v0", {"worlds": "clutter:1", "max_cross_track": 0}, "max_cross"),
     ],
 )
 def test_bad_options_are_one_clear_error(
