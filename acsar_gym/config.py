@@ -208,6 +208,9 @@ class RobotConfig(_Section):
     """How long activation waits for the board's first valid line [s]; AVR boards reset on open."""
     feedback_timeout: PositiveFloat = 0.5
     """Feedback older than this stops the robot with an error [s]."""
+    watchdog_timeout: PositiveFloat | None = 0.15
+    """Commands that stop coming for so long mean that the program hangs: a process of its own
+    commands zero [s]; None: no watchdog."""
     max_linear: PositiveFloat = 0.5
     """Linear speed of a full action [m/s]."""
     max_angular: PositiveFloat = 1.5

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import math
 import os
 import time
 from collections.abc import Iterator
@@ -26,6 +27,7 @@ from acsar_gym.errors import (
     PortNotFoundError,
     PortPermissionError,
 )
+from acsar_gym.links import watchdog
 from acsar_gym.links.guard import guard, install, unguard
 from acsar_gym.protocol import ZERO, Decoder, encode
 from acsar_gym.worlds import Scene
@@ -38,6 +40,10 @@ CHUNK = 4096
 """Most bytes taken from the port at once."""
 MOST_CHUNKS = 256
 """Chunks taken in one go, at most: what lies in any driver's buffer, and no endless stream."""
+BUSY_PATIENCE = 0.7
+"""A program that was killed leaves its port to its watchdog for so long, at most [s]."""
+BUSY_POLL = 0.02
+"""How often to try again [s]."""
 WRITE_TIMEOUT = 0.2
 """A write that blocks this long means that nobody takes the bytes [s]."""
 
@@ -67,6 +73,9 @@ class SerialLink:
 
     `late_ticks` counts periods that ended more than a millisecond after their deadline, `ticks`
     all of them since the last reset, and `worst_lateness` is in seconds.
+
+    While it is open, a process of its own commands zero where this one dies, or hangs for longer
+    than the config's `watchdog_timeout` while wheels turn; `watched` tells whether there is one.
     """
 
     truth = None
@@ -75,6 +84,9 @@ class SerialLink:
         self.device = device
         self._config = config
         self._port: serial.SerialBase | None = None
+        self._watchdog: watchdog.Watchdog | None = None
+        self._zeros = encode(ZERO, trailing_comma=config.trailing_comma)
+        self._nap = math.inf
         self._deadline = 0.0
         self._clear_statistics()
         install()
@@ -88,20 +100,51 @@ class SerialLink:
         """Open the device, flush it, and wait for the board's first valid line.
 
         Raises PortNotFoundError, PortPermissionError, PortBusyError, BoardSilentError or
-        BoardGarbledError; the device is closed again then.
+        BoardGarbledError, or LinkError where no watchdog can be started; the device is closed again
+        then.
         """
         if self._port is not None:
             return
-        self._port = opened(self.device, self._config)
+        self._port = self._patiently_opened()
         guard(self)
         try:
+            self._watch()
             self._flush()
             self._stop_motors()
             self._wait_for_board()
+            if self._watchdog is not None:
+                self._watchdog.wait()
         except BaseException:
             self.close()
             raise
         self._deadline = self.now()
+
+    def _patiently_opened(self) -> serial.SerialBase:
+        deadline = self.now() + BUSY_PATIENCE
+        while True:
+            try:
+                return opened(self.device, self._config)
+            except PortBusyError:
+                if self.now() > deadline:
+                    raise
+            time.sleep(BUSY_POLL)
+
+    def _watch(self) -> None:
+        """Start the watchdog, where the config wants one and the port is a file to share."""
+        timeout = self._config.watchdog_timeout
+        if timeout is None or not watchdog.AVAILABLE:
+            return
+        try:
+            descriptor = self._require().fileno()
+        except OSError:  # rfc2217 has none
+            return
+        self._watchdog = watchdog.Watchdog(descriptor, self._stop_line(), timeout)
+        self._nap = timeout / 3.0
+
+    @property
+    def watched(self) -> bool:
+        """Whether a process of its own would stop the robot now, did this one die or hang."""
+        return self._watchdog is not None and self._watchdog.alive
 
     def _flush(self) -> None:
         self.reset_input()
@@ -134,14 +177,47 @@ class SerialLink:
         )
 
     def reset(self, scene: Scene) -> None:
-        """Command zero, drop what lies in the buffer, and start the deadlines anew."""
+        """Command zero, drop what lies in the buffer, and start the deadlines anew.
+
+        A watchdog that stopped the robot lets it drive again.
+        """
         self._stop_motors()
+        self._watch_anew()
         self.reset_input()
         self._deadline = self.now()
         self._clear_statistics()
 
+    def _watch_anew(self) -> None:
+        dog = self._watchdog
+        if dog is None:
+            return
+        if dog.alive:
+            dog.rearm()
+            return
+        self._watchdog = None
+        dog.close()
+        self._watch()
+        if self._watchdog is not None:
+            self._watchdog.wait()
+
     def write(self, data: bytes) -> None:
-        """Send bytes to the board."""
+        """Send bytes to the board.
+
+        Raises LinkError where they turn wheels and the watchdog has stopped the robot; zeros always
+        go out.
+        """
+        dog = self._watchdog
+        if dog is None or not data:
+            self._put(data)
+        elif data.endswith(self._zeros):
+            self._put(data)
+            dog.stand()
+        else:
+            dog.drive()
+            self._put(data)
+            dog.drive()
+
+    def _put(self, data: bytes) -> None:
         with _translated(self.device):
             self._require().write(data)
 
@@ -151,9 +227,9 @@ class SerialLink:
         After a delay of more than a period the deadlines start anew from now.
         """
         self._deadline += period
-        remaining = self._deadline - self.now()
-        if remaining > 0.0:
-            time.sleep(remaining)
+        while (remaining := self._deadline - self.now()) > 0.0:
+            time.sleep(min(remaining, self._nap))
+            self._beat()
         lateness = self.now() - self._deadline
         self.ticks += 1
         self.worst_lateness = max(self.worst_lateness, lateness)
@@ -163,6 +239,10 @@ class SerialLink:
             self._deadline = self.now()
         return self.read_now()
 
+    def _beat(self) -> None:
+        if self._watchdog is not None:
+            self._watchdog.beat()
+
     def reset_input(self) -> None:
         """Drop what has arrived and wasn't read."""
         with _translated(self.device):
@@ -170,6 +250,7 @@ class SerialLink:
 
     def read_now(self) -> bytes:
         """What has arrived; waits for nothing."""
+        self._beat()
         data = b""
         with _translated(self.device):
             for _ in range(MOST_CHUNKS):
@@ -206,6 +287,8 @@ class SerialLink:
     def _say_stop(self, port: Any) -> None:
         with contextlib.suppress(*PORT_ERRORS):
             port.write(self._stop_line())
+            if self._watchdog is not None:
+                self._watchdog.stand()
             port.flush()
 
     def stop(self) -> None:
@@ -214,10 +297,16 @@ class SerialLink:
             self._say_stop(self._port)
 
     def _release(self, port: Any) -> None:
-        self._port = None
-        unguard(self)
-        with contextlib.suppress(*PORT_ERRORS):
-            port.close()
+        """The watchdog first: it shares the port's lock."""
+        dog, self._watchdog = self._watchdog, None
+        try:
+            if dog is not None:
+                dog.close()
+        finally:
+            self._port = None
+            unguard(self)
+            with contextlib.suppress(*PORT_ERRORS):
+                port.close()
 
     def abandon(self) -> None:
         """Let go without a word, as a forked child must do with its parent's port.
@@ -228,6 +317,9 @@ class SerialLink:
         port = self._port
         if port is None:
             return
+        dog, self._watchdog = self._watchdog, None
+        if dog is not None:
+            dog.abandon()
         if "://" in self.device:
             null = os.open(os.devnull, os.O_RDWR)
             os.dup2(null, port.fileno())
@@ -247,7 +339,7 @@ class SerialLink:
 
     def _stop_line(self) -> bytes:
         """The line end first, so that a command cut short can't swallow the zeros."""
-        return b"\r\n" + encode(ZERO, trailing_comma=self._config.trailing_comma)
+        return b"\r\n" + self._zeros
 
     def _require(self) -> Any:
         if self._port is None:

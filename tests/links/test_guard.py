@@ -26,6 +26,7 @@ drive({ticks})
 {end}
 """
 BLOCKS = pytest.mark.parametrize("block", [IN_BLOCK, WITHOUT_BLOCK], ids=["with", "without"])
+UNWATCHED = "robot = Robot(open_link(sys.argv[1], config.with_(watchdog_timeout=None)), config)"
 FOREVER = 10**9
 
 
@@ -128,7 +129,8 @@ child = os.fork()
 if child == 0:
     {end}
 drive(30)
-os.waitpid(child, 0)
+while os.waitpid(child, os.WNOHANG) == (0, 0):
+    drive(1)
 drive(30)
 """
 
@@ -180,9 +182,9 @@ robot = Robot(RecordingLink(robot.link, Path(sys.argv[2])), config)
     assert driven - 1 <= taped <= driven
 
 
-def test_what_no_program_can_catch_is_left_to_the_boards_own_timeout(emulator: Emulated) -> None:
+def test_without_a_watchdog_the_boards_own_timeout_is_left(emulator: Emulated) -> None:
     """SIGKILL leaves no time for a zero command; it shows that the tests above can fail."""
-    code = DRIVER + IN_BLOCK.format(ticks=FOREVER, end="pass")
+    code = DRIVER + UNWATCHED + IN_BLOCK.format(ticks=FOREVER, end="pass")
     with program(code, emulator.device) as process:
         drives(emulator)
         process.kill()

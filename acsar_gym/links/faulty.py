@@ -1,0 +1,307 @@
+"""A link on which things go wrong: lines, encoders, wheels, the board, its supply and the cable.
+
+Between driver and board a byte passes these, and back in the opposite order:
+
+    driver -> cable (plugged in?) -> wire (lines, garbage) -> board (running?) -> wheels -> link
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from acsar_gym.bodies.base import GroundTruth, Image
+from acsar_gym.errors import ConfigError, LinkLostError, PortNotFoundError
+from acsar_gym.links.base import Link
+from acsar_gym.links.faults import EPSILON, LINE_FAULTS, Faults, Lines, WheelEditor, WheelFaults
+from acsar_gym.protocol import ZERO, encode
+from acsar_gym.worlds import Scene
+
+BUFFER = 65536
+"""Most bytes that wait behind a late line; what comes then is lost, as in any driver's buffer."""
+WAIT = 0.01
+"""Steps in which `open` waits for a cable to be plugged in again [s]."""
+MOST_BURSTS = 16
+"""Bursts of garbage in one period, at most."""
+STOP = b"\r\n" + encode(ZERO)
+"""What a board that isn't running does to its motors; a half command before it can't swallow it."""
+Seed = int | np.integer[Any] | np.random.Generator | None
+
+
+class FaultyLink:
+    """Passes everything on to another link, with faults; without any, byte by byte as it comes.
+
+    `faults` is a mapping, Faults or None; `reset` draws from them what goes wrong in the episode,
+    and before the first reset nothing does. The same seed, resets and input give the same bytes.
+    Times are those of the link's own clock, so that a simulation goes as fast as it can.
+
+    While the cable is out, `write` and `advance` raise LinkLostError until the link is opened
+    again: `open` lets the rest of `replug_time` pass, or raises PortNotFoundError where the cable
+    stays out. The device then has another name. Where it really has (two emulators, two boards),
+    `relink` makes the link to it.
+
+    Attributes: `faults`; `injected`, how often each fault has happened since the last reset, by
+    name; `wheels`, the wheels that fail in this episode; `device`; `link`, the link behind it.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        faults: Mapping[str, Any] | Faults | None,
+        seed: Seed = None,
+        relink: Callable[[], Link] | None = None,
+    ) -> None:
+        self.link = link
+        self.faults = Faults.of(faults)
+        self.injected: Counter[str] = Counter()
+        self.wheels = WheelFaults()
+        self._relink = relink
+        self._first_seed = seed
+        self._replugs = 0
+        self._back_at: float | None = None
+        self._episode: _Episode | None = None
+        self.seed(seed)
+
+    def seed(self, seed: Seed) -> None:
+        """What the next resets draw from; of a generator one number is taken, and no more."""
+        if isinstance(seed, np.random.Generator):
+            seed = int(seed.integers(2**63))
+        if seed is not None and (not isinstance(seed, int | np.integer) or seed < 0):
+            raise ConfigError(f"seed = {seed!r}: must be a whole number, 0 or more")
+        self._rng = np.random.default_rng(seed)
+
+    @property
+    def device(self) -> str:
+        """The name of the device; links without one are robot0, and after a replug robot1."""
+        return str(getattr(self.link, "device", f"robot{self._replugs}"))
+
+    def open(self) -> None:
+        """Open the link; where the cable was pulled, wait until it is plugged in again."""
+        if self._back_at is None:
+            self.link.open()
+            return
+        wait = self._back_at - self.link.now()
+        if wait == math.inf:
+            raise PortNotFoundError(f"{self.device}: no such device", "plug the cable in again")
+        if self._relink is not None:
+            self.link = self._relink()
+        try:
+            self.link.open()
+            for _ in range(math.ceil(wait / WAIT - EPSILON)):
+                self.link.advance(WAIT)
+        except BaseException:
+            self.link.close()
+            raise
+        self._back_at = None
+        self._replugs += 1
+
+    def reset(self, scene: Scene) -> None:
+        """Reset the link; what went wrong is over, and the new episode's faults are drawn."""
+        self._check_cable()
+        self.link.reset(scene)
+        self.injected.clear()
+        self.wheels, self._episode = WheelFaults(), None
+        generators = self._rng.spawn(3)
+        if self.faults.possible and generators[-1].random() < self.faults.episodes:
+            self.wheels = WheelFaults.drawn(self.faults, generators[-1])
+            self._episode = _Episode(self, generators)
+
+    def write(self, data: bytes) -> None:
+        """Send bytes; what arrives of them is a matter of luck."""
+        self._check_cable()
+        if self._episode is not None:
+            data = self._episode.sent(data, self.link.now())
+        if data or self._episode is None:
+            self.link.write(data)
+
+    def advance(self, period: float) -> bytes:
+        """Let one period [s] pass; what the wire lets through of what arrived in it."""
+        self._check_cable()
+        episode = self._episode
+        if episode is None:
+            return self.link.advance(period)
+        due = episode.due(self.link.now(), period)
+        if due:
+            self.link.write(due)
+        data = self.link.advance(period)
+        return episode.heard(data, self.link.now(), period)
+
+    def _check_cable(self) -> None:
+        """Raise LinkLostError where the cable is out; pulling it closes the link behind."""
+        if self._episode is not None and self._episode.unplugged(self.link.now()):
+            self._back_at = self.link.now() + self.faults.replug_time
+            self.close()
+        if self._back_at is not None:
+            raise LinkLostError(
+                f"{self.device}: lost while in use (unplugged)",
+                "check the cable, then open the link again, or reset",
+            )
+
+    def now(self) -> float:
+        """The link's clock."""
+        return self.link.now()
+
+    @property
+    def truth(self) -> GroundTruth | None:
+        """The link's truth."""
+        return self.link.truth
+
+    @property
+    def late_ticks(self) -> int:
+        """The link's late ticks; late lines are another matter."""
+        return self.link.late_ticks
+
+    def image(self, width: int, height: int) -> Image | None:
+        """The link's camera."""
+        return self.link.image(width, height)
+
+    def __reduce__(self) -> tuple[type[FaultyLink], tuple[object, ...]]:
+        """Copies have a link of their own and begin with the first seed."""
+        return FaultyLink, (self.link, self.faults, self._first_seed, self._relink)
+
+    def close(self) -> None:
+        """Close the link; nothing goes wrong until the next reset, but a cable stays out."""
+        self._episode = None
+        self.link.close()
+
+
+class _Episode:
+    """What goes wrong between two resets; feedback, commands and all else have own generators."""
+
+    def __init__(self, link: FaultyLink, generators: list[np.random.Generator]) -> None:
+        faults, count = link.faults, link.injected
+        feedback, commands, events = generators
+        self._feedback = _Wire(faults, "feedback", feedback, count)
+        self._commands = _Wire(faults, "commands", commands, count)
+        self._wheels = WheelEditor(link.wheels, link.now() + faults.wheel_faults_at)
+        self._outages = (
+            _Event("board_reset", faults.reset_time, link, events),
+            _Event("brown_out", faults.brown_out_time, link, events),
+        )
+        self._unplug = _Event("unplug", math.inf, link, events)
+
+    def unplugged(self, now: float) -> bool:
+        return self._unplug.going(now)
+
+    def _down(self, now: float) -> bool:
+        """Whether the board isn't running; half a line that it knew or said is forgotten then."""
+        reset, brown_out = (outage.going(now) for outage in self._outages)
+        if reset or brown_out:
+            for stream in (self._feedback, self._commands, self._wheels):
+                stream.cut_off()
+        return reset or brown_out
+
+    def sent(self, data: bytes, now: float) -> bytes:
+        """What reaches the motors now of what the driver writes now."""
+        arrived = self._commands.carry(data, now)
+        return b"" if self._down(now) else self._wheels.commanded(arrived, now)
+
+    def due(self, now: float, period: float) -> bytes:
+        """What reaches the motors in a period besides."""
+        arrived = self._commands.noisy(self._commands.carry(b"", now), period)
+        return STOP if self._down(now) else self._wheels.commanded(arrived, now)
+
+    def heard(self, data: bytes, now: float, period: float) -> bytes:
+        """What reaches the driver of what the board said in the period that ends now."""
+        said = b"" if self._down(now) else self._wheels.felt(data, now)
+        return self._feedback.noisy(self._feedback.carry(said, now), period)
+
+
+class _Event:
+    """Something that begins at a set time or at times drawn at a rate [1/s], and lasts a while."""
+
+    def __init__(
+        self, name: str, lasting: float, link: FaultyLink, rng: np.random.Generator
+    ) -> None:
+        self._name, self._lasting, self._rng, self._count = name, lasting, rng, link.injected
+        self._rate: float = getattr(link.faults, f"{name}_rate")
+        after: float | None = getattr(link.faults, f"{name}_at")
+        self._next = link.now() + (self._pause() if after is None else after)
+        self._until = -math.inf
+
+    def _pause(self) -> float:
+        return float(self._rng.exponential(1.0 / self._rate)) if self._rate else math.inf
+
+    def going(self, now: float) -> bool:
+        if now + EPSILON >= max(self._next, self._until):
+            self._count[self._name] += 1
+            self._until = now + self._lasting
+            self._next = self._until + self._pause()
+        return now + EPSILON < self._until
+
+
+class _Wire:
+    """One direction of the cable. Lines keep their order, however late one of them is."""
+
+    def __init__(
+        self, faults: Faults, direction: str, rng: np.random.Generator, count: Counter[str]
+    ) -> None:
+        here = faults.direction in (direction, "both")
+        self._suffers = here and faults.lines_suffer
+        self._shares = [getattr(faults, name) for name in LINE_FAULTS]
+        self._lateness = faults.lateness
+        self._burst_rate = faults.garbage_rate if here else 0.0
+        self._burst = faults.garbage_bytes
+        self._rng = rng
+        self._count = count
+        self._lines = Lines()
+        self._queue: deque[tuple[float, bytes]] = deque()
+        self._waiting = 0
+
+    def cut_off(self) -> None:
+        self._lines.partial = b""
+
+    def carry(self, data: bytes, now: float) -> bytes:
+        """What comes out at the other end now, when `data` goes in."""
+        if not self._suffers:
+            return data
+        for line in self._lines.feed(data):
+            self._send(line, now)
+        out = b""
+        while self._queue and self._queue[0][0] <= now + EPSILON:
+            out += self._queue.popleft()[1]
+        self._waiting -= len(out)
+        return out
+
+    def _send(self, line: bytes, now: float) -> None:
+        hits: set[str] = set()
+        if line.strip():  # the second half of a line end that was torn apart is no line
+            chances = self._rng.random(len(LINE_FAULTS)).tolist()
+            rows = zip(LINE_FAULTS, chances, self._shares, strict=True)
+            hits = {name for name, chance, share in rows if chance < share}
+        if "dropped_lines" in hits:
+            hits = {"dropped_lines"}
+        self._count.update(hits)
+        line = self._damaged(line, hits)
+        if line and (not self._queue or self._waiting + len(line) <= BUFFER):
+            self._queue.append((now + self._lateness * ("late_lines" in hits), line))
+            self._waiting += len(line)
+
+    def _damaged(self, line: bytes, hits: set[str]) -> bytes:
+        if "dropped_lines" in hits:
+            return b""
+        if "cut_lines" in hits:
+            line = line[: self._rng.integers(len(line))]
+        if "corrupted_lines" in hits and line:
+            bent = bytearray(line)
+            most = min(3, len(line))
+            places = self._rng.choice(len(line), self._rng.integers(1, most + 1), replace=False)
+            for place in places:
+                bent[place] ^= 1 << int(self._rng.integers(8))
+            line = bytes(bent)
+        return line * (1 + ("duplicated_lines" in hits))
+
+    def noisy(self, data: bytes, period: float) -> bytes:
+        """The bytes of a period with the garbage that falls into it."""
+        if not self._burst_rate:
+            return data
+        bursts = min(int(self._rng.poisson(self._burst_rate * period)), MOST_BURSTS)
+        for _ in range(bursts):
+            place = self._rng.integers(len(data) + 1)
+            data = data[:place] + self._rng.bytes(self._burst) + data[place:]
+            self._count["garbage"] += 1
+        return data

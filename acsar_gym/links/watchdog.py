@@ -1,0 +1,197 @@
+"""A process of our own that commands zero where the program hangs, is suspended, starved or killed.
+
+Nothing inside a process can stop a robot whose process doesn't run. So `SerialLink.open` starts
+`watchdog_child.py`, which shares the open port, is deaf to the terminal's signals, and
+
+- commands zero as soon as the program is dead, whatever killed it, and then lets the port go;
+- commands zero where the newest command turns wheels and the program gave no sign of life for the
+  time-out, and again every 50 ms for a second. The link then refuses to drive until it is reset.
+
+While the newest command is zero it does nothing: whoever thinks between reset and the first step
+isn't interrupted. Its zeros begin with a line end, so that a command cut short can't swallow them.
+
+POSIX only: Windows processes can't share an open port in this way. `AVAILABLE` tells.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import mmap
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from acsar_gym.errors import LinkError
+
+AVAILABLE = os.name == "posix"
+"""Whether this operating system can have one."""
+PATIENCE = 5.0
+"""Longest wait for its start and for its end [s]; 20 ms and 1 ms are usual."""
+POLL = 0.001
+"""How often to look whether it has started [s]."""
+PROGRAM = Path(__file__).resolve().with_name("watchdog_child.py")
+STANDING = 0.0
+
+if AVAILABLE:
+    from acsar_gym.links.watchdog_child import BEAT, LEAVE, PAGE, READY, TRIPPED
+
+
+class Watchdog:
+    """Watches this process from the moment it is made, and commands zero through `port`.
+
+    `port` is the open port's descriptor, `zeros` the bytes that stop the robot, and `timeout` how
+    long no sign of life may come [s] while the newest command turns wheels. Raises LinkError where
+    no process can be started.
+
+    `close` it before the port: the two processes share the port's lock.
+    """
+
+    def __init__(self, port: int, zeros: bytes, timeout: float) -> None:
+        self.timeout = timeout
+        self._driving = False
+        page = _memory()
+        try:
+            self._map = mmap.mmap(page, PAGE)
+            self._page = memoryview(self._map).cast("d")
+            ear, self._lifeline = os.pipe()
+            try:
+                self._process = _started(port, page, ear, timeout, zeros)
+            except BaseException:
+                os.close(self._lifeline)
+                self._free()
+                raise
+            finally:
+                os.close(ear)
+        finally:
+            os.close(page)
+        self._open = True
+
+    def wait(self) -> None:
+        """Return when it watches; LinkError where it doesn't come to that."""
+        deadline = time.monotonic() + PATIENCE
+        while not self._page[READY]:
+            if not self.alive or time.monotonic() > deadline:
+                raise _failed("it ended at once" if not self.alive else "it doesn't answer")
+            time.sleep(POLL)
+
+    @property
+    def pid(self) -> int:
+        """Its process."""
+        return self._process.pid
+
+    @property
+    def alive(self) -> bool:
+        """Whether its process runs."""
+        return self._open and self._process.poll() is None
+
+    @property
+    def tripped(self) -> bool:
+        """Whether it stopped the robot since the last `rearm`."""
+        return self._open and self._page[TRIPPED] != 0.0
+
+    def beat(self) -> None:
+        """The program is alive; 0.2 us, and never waits. Changes nothing once it has tripped."""
+        if self._driving and not self._page[TRIPPED]:
+            self._page[BEAT] = time.monotonic()
+
+    def drive(self) -> None:
+        """A command that turns wheels goes out: call it before and after.
+
+        Raises LinkError where the robot was stopped, or where nobody watches any more.
+        """
+        if self._page[TRIPPED]:
+            raise self._stopped()
+        if not self.alive:
+            raise LinkError("the watchdog process has ended", "reset to start another one")
+        self._driving = True
+        self._page[BEAT] = time.monotonic()
+
+    def stand(self) -> None:
+        """A zero command went out: nothing has to be stopped."""
+        self._driving = False
+        if not self._page[TRIPPED]:
+            self._page[BEAT] = STANDING
+
+    def rearm(self) -> None:
+        """Forget that it tripped; a zero command went out."""
+        self._page[TRIPPED] = 0.0
+        self.stand()
+
+    def _stopped(self) -> LinkError:
+        # A stop between the trip and this error has left the last beat as it was.
+        silent = max(self._page[TRIPPED], time.monotonic() - self._page[BEAT])
+        return LinkError(
+            f"the watchdog stopped the robot: nothing was commanded for {silent * 1000.0:.0f} ms",
+            "find what held the program up, then reset",
+        )
+
+    def close(self) -> None:
+        """End its process, without a word on the wire, and wait for that; twice is once."""
+        if not self._open:
+            return
+        self._page[LEAVE] = 1.0
+        self._let_go()
+        try:
+            self._process.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(PATIENCE)
+
+    def abandon(self) -> None:
+        """Let go without a word, as a forked child must do with its parent's watchdog."""
+        if self._open:
+            self._let_go()
+            self._process.returncode = 0  # it isn't this process's to wait for
+
+    def _let_go(self) -> None:
+        self._open = False
+        os.close(self._lifeline)
+        self._free()
+
+    def _free(self) -> None:
+        self._page.release()
+        self._map.close()
+
+
+def _memory() -> int:
+    """A descriptor of one page of memory, all zero, that two processes can share."""
+    if sys.platform == "linux":
+        page = os.memfd_create("acsar-watchdog")
+    else:
+        with tempfile.TemporaryFile() as file:
+            page = os.dup(file.fileno())
+    os.ftruncate(page, PAGE)
+    return page
+
+
+def _started(
+    port: int, page: int, ear: int, timeout: float, zeros: bytes
+) -> subprocess.Popen[bytes]:
+    """The watchdog's process: a session of its own, and no file but those that it needs."""
+    numbers = map(str, (port, page, ear, os.getpid(), timeout))
+    # TTYs and pipes of this program must not stay open with its watchdog.
+    nowhere = subprocess.DEVNULL
+    try:
+        return subprocess.Popen(
+            [sys.executable, "-I", "-S", str(PROGRAM), *numbers, zeros.hex()],
+            stdin=nowhere,
+            stdout=nowhere,
+            stderr=nowhere,
+            cwd="/",
+            pass_fds=(port, page, ear),
+            start_new_session=True,
+        )
+    except (OSError, subprocess.SubprocessError) as error:
+        raise _failed(str(error)) from None
+
+
+def _failed(reason: str) -> LinkError:
+    return LinkError(
+        f"the watchdog can't be started ({reason})",
+        f"check that {sys.executable or 'a Python'} can run {PROGRAM}; "
+        "watchdog_timeout=None drives without one",
+    )

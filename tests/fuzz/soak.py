@@ -1,0 +1,67 @@
+"""Half an hour at 100 Hz over a pseudo-terminal: memory, descriptors and lines must stay flat.
+
+    python tests/fuzz/soak.py --minutes 30
+
+drives a robot in circles behind `acsar-gym emulate` in another process, resets every minute, and
+fails where memory or descriptors grow or a line is lost.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import os
+import sys
+import time
+
+import gymnasium
+import numpy as np
+import psutil
+
+from acsar_gym.demo import emulator
+from acsar_gym.env import RobotEnv
+
+MOST_GROWTH = 4_000_000
+"""Of memory after the first minute [bytes]."""
+STEPS_A_MINUTE = 600
+
+
+def main() -> int:
+    """Exit code 0 where everything stayed flat."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--minutes", type=int, default=30)
+    minutes = parser.parse_args().minutes
+    process, faults = psutil.Process(), 0
+    with emulator() as device:
+        env = gymnasium.make("acsar_gym/PointGoal-v0", link=device, max_episode_steps=10**9)
+        inner = env.unwrapped
+        if not isinstance(inner, RobotEnv):
+            raise TypeError(f"{inner} is no robot")
+        first: tuple[int, int] | None = None
+        for minute in range(minutes):
+            env.reset(seed=minute)
+            lines = inner.robot.decoder.lines
+            begin = time.monotonic()
+            for _ in range(STEPS_A_MINUTE):
+                *_, done, _, _ = env.step(np.array([0.2, 1.0], np.float32))
+                if done:
+                    env.reset()
+                    lines = inner.robot.decoder.lines
+            gc.collect()
+            now = (process.memory_info().rss, len(os.listdir("/proc/self/fd")))  # noqa: PTH208
+            first = first or now
+            heard = inner.robot.decoder.lines - lines
+            refused = sum(inner.robot.decoder.refused.values())
+            print(
+                f"minute {minute + 1}: {time.monotonic() - begin:.1f} s, {heard} lines, "
+                f"{refused} refused, {now[0] / 1e6:.1f} MB, {now[1]} descriptors",
+                flush=True,
+            )
+            faults += refused > 0 or now[0] - first[0] > MOST_GROWTH or now[1] != first[1]
+        env.close()
+    print("flat" if faults == 0 else f"{faults} minutes weren't flat")
+    return int(faults > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,269 @@
+"""Worlds like BARN's: their figures against the published ones, their rules against slow ones."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from acsar_gym.errors import WorldError
+from acsar_gym.worlds import barn, files
+from acsar_gym.worlds.clearance import segment_clearance
+from acsar_gym.worlds.generators import generate
+from acsar_gym.worlds.search import shortest_path
+from acsar_gym.worlds.world import Region, World
+
+PUBLISHED = Path(__file__).parents[2].parent / "shared" / "barn"
+CORRIDOR = 96
+"""Cylinders of the corridor's three walls."""
+WALLS = 60
+"""Cells of the first and the last row."""
+INNER = 28 * 30
+LATTICE = np.array([-4.425, 5.175])
+
+
+@pytest.fixture(scope="module")
+def worlds() -> list[World]:
+    return [generate("barn", number) for number in range(300)]
+
+
+def way(world: World) -> Any:
+    assert world.path is not None
+    return world.path
+
+
+def cells_of(points: Any) -> Any:
+    """N x 2: row and column of points, which must lie on the lattice."""
+    exact = (points - LATTICE) / 0.15
+    cells = np.rint(exact).astype(int)
+    assert exact == pytest.approx(cells, abs=1e-6)
+    return cells
+
+
+def field_of(world: World) -> Any:
+    """30 x 30: which cells hold a cylinder; those of the corridor left out."""
+    cells = cells_of(world.circles[:, :2])
+    inside = cells[cells[:, 1] >= 0]
+    field = np.zeros((30, 30), np.bool_)
+    field[inside[:, 0], inside[:, 1]] = True
+    assert field.sum() == len(inside)  # none twice
+    return field
+
+
+def fill(world: World) -> float:
+    return (len(world.circles) - CORRIDOR - WALLS) / INNER
+
+
+def slowly_smoothed(cells: Any) -> Any:
+    """The published rule, a cell at a time: 5 or more of 8 fill, 1 or fewer clear, else keep."""
+    result = cells.copy()
+    for row in range(30):
+        for column in range(30):
+            near = 0
+            for i in (row - 1, row, row + 1):
+                for j in (column - 1, column, column + 1):
+                    if (i, j) != (row, column) and 0 <= i < 30 and 0 <= j < 30:
+                        near += int(cells[i, j])
+            if near >= 5:
+                result[row, column] = True
+            elif near <= 1:
+                result[row, column] = False
+    return result
+
+
+def fits(field: Any, row: int, column: int) -> bool:
+    """Whether the 5 x 5-cell robot may stand there; it may reach over the field's ends."""
+    low, left = max(row - 2, 0), max(column - 2, 0)
+    return not field[low : row + 3, left : column + 3].any()
+
+
+def test_as_full_as_the_published_ones(worlds: list[World]) -> None:
+    fills = [fill(world) for world in worlds]
+    assert min(fills) >= 25 / INNER > 0.029
+    assert max(fills) <= 0.25
+    assert np.mean(fills) == pytest.approx(0.127, abs=0.025)
+    assert min(fills) < 0.05
+    assert max(fills) > 0.22
+
+
+def test_as_many_cylinders_as_in_the_published_ones(worlds: list[World]) -> None:
+    counts = [len(world.circles) for world in worlds]
+    assert min(counts) >= 181
+    assert max(counts) <= 365
+    assert all(len(world.segments) == 0 for world in worlds)
+    assert all((world.circles[:, 2] == 0.075).all() for world in worlds)
+
+
+def test_ways_as_long_as_in_the_published_ones(worlds: list[World]) -> None:
+    lengths = [world.length for world in worlds]
+    assert min(lengths) >= 10.0
+    assert max(lengths) <= 13.9
+    assert np.mean(lengths) == pytest.approx(11.45, abs=0.4)
+    assert np.std(lengths) > 0.3
+
+
+def test_laid_out_as_the_published_ones(worlds: list[World]) -> None:
+    """The same frame, start and goal, a corridor of 5 m, and two full rows at the sides."""
+    expected = {(-4.425 + 0.15 * k, 0.075) for k in range(30)}
+    expected |= {(x, 0.225 + 0.15 * k) for x in (-4.425, -0.075) for k in range(33)}
+    corridor = np.array(sorted(expected))
+    for world in worlds:
+        assert world.start == Region(-2.0, 3.0, 0.0, math.pi / 2.0)
+        assert world.goal == Region(-2.0, 13.0)
+        centres = world.circles[:, :2]
+        behind = centres[centres[:, 1] < 5.1]
+        assert len(behind) == CORRIDOR
+        order = np.lexsort(np.rint(behind.T[::-1] * 1e3))
+        assert behind[order] == pytest.approx(corridor, abs=1e-9)
+        field = field_of(world)
+        assert field[[0, -1]].all()
+        assert np.ptp(centres[:, 0]) == pytest.approx(4.35)
+
+
+@pytest.mark.skipif(not PUBLISHED.is_dir(), reason="the published worlds aren't here")
+def test_the_published_worlds_might_be_ours(worlds: list[World]) -> None:
+    ours = worlds[0].circles
+    for world in files.load_folder(PUBLISHED):
+        assert (world.start, world.goal) == (barn.START, barn.GOAL)
+        field = field_of(world)
+        made = barn._cylinders(field)
+        assert len(made) == len(world.circles)
+        both = [rows[np.lexsort(np.rint(rows.T * 1e3))] for rows in (made, world.circles)]
+        assert both[0] == pytest.approx(both[1], abs=1e-6)
+        assert made[:CORRIDOR] == pytest.approx(ours[:CORRIDOR])
+        assert len(list(barn._crossable(field[None]))) == 1
+
+
+def test_cells_are_smoothed_by_the_published_rule() -> None:
+    rng = np.random.default_rng(0)
+    for share in (0.15, 0.3, 0.5):
+        cells = rng.random((4, 30, 30)) < share
+        smoothed = barn._smoothed(cells)
+        for one, result in zip(cells, smoothed, strict=True):
+            assert np.array_equal(result, slowly_smoothed(one))
+        assert not np.array_equal(smoothed, cells)
+
+
+@pytest.mark.parametrize("passes", [2, 3, 4])
+def test_fields_are_random_cells_smoothed_between_two_walls(passes: int) -> None:
+    made = barn._fields(np.random.default_rng(4), 0.25, passes)
+    assert made.shape == (barn.AT_ONCE, 30, 30)
+    raw = np.random.default_rng(4).random(made.shape) < 0.25
+    assert raw.mean() == pytest.approx(0.25, abs=0.01)
+    for cells, field in zip(raw[:8], made[:8], strict=True):
+        cells[[0, -1]] = True
+        for _ in range(passes):
+            cells = slowly_smoothed(cells)  # noqa: PLW2901
+        cells[[0, -1]] = True
+        assert np.array_equal(cells, field)
+
+
+def test_room_is_where_the_robot_fits() -> None:
+    fields = barn._fields(np.random.default_rng(5), 0.2, 3)[:8]
+    for field, room in zip(fields, barn._room(fields), strict=True):
+        slow = [[fits(field, row, column) for column in range(30)] for row in range(30)]
+        assert np.array_equal(room, slow)
+        assert room.any()
+
+
+def test_ways_over_cells_are_the_robots(worlds: list[World]) -> None:
+    for world in worlds[:100]:
+        path, field = way(world), field_of(world)
+        assert path[0].tolist() == [-2.0, 3.0]
+        assert path[-1].tolist() == [-2.0, 13.0]
+        cells = cells_of(path[1:-1])
+        assert (cells[0, 1], cells[-1, 1]) == (0, 29)
+        steps = np.abs(np.diff(cells, axis=0))
+        assert (steps.max(axis=1) == 1).all()
+        assert all(fits(field, row, column) for row, column in cells.tolist())
+        centre_line = path[1:-1]
+        nearest = segment_clearance(centre_line[:-1], centre_line[1:], world).min()
+        assert nearest >= barn.ROBOT_RADIUS - 1e-9
+
+
+def test_entries_and_exits_are_anywhere(worlds: list[World]) -> None:
+    for end in (1, -2):
+        rows = {int(cells_of(way(world)[end][None])[0, 0]) for world in worlds}
+        assert len(rows) >= 20
+
+
+def test_barns_robot_crosses_every_world(worlds: list[World]) -> None:
+    for world in worlds[:60]:
+        path = shortest_path(world, barn.ROBOT_RADIUS)
+        assert segment_clearance(path[:-1], path[1:], world).min() >= 0.375 - 2e-3
+
+
+def test_a_wider_footprint_gets_worlds_that_it_can_cross() -> None:
+    for number in range(10):
+        world = generate("barn", number, 0.3, 0.55)
+        assert len(shortest_path(world, 0.55)) >= 2
+    narrow = [generate("barn", number, 0.3) for number in range(10)]
+    blocked = 0
+    for world in narrow:
+        try:
+            shortest_path(world, 0.55)
+        except WorldError:
+            blocked += 1
+    assert blocked > 0
+
+
+def test_worlds_fill_with_difficulty() -> None:
+    fills = [
+        np.mean([fill(generate("barn", number, level)) for number in range(20)])
+        for level in (0.1, 0.3, 0.6, 0.9)
+    ]
+    assert fills == sorted(fills)
+    assert fills[-1] > 2.0 * fills[0]
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "same"), [(0.0, 0.24, True), (0.24, 0.26, False), (0.76, 1.0, True)]
+)
+def test_difficulty_is_one_of_four_shares(low: float, high: float, same: bool) -> None:
+    one, other = (generate("barn", 1, level) for level in (low, high))
+    assert np.array_equal(one.circles, other.circles) == same
+
+
+@pytest.mark.parametrize(
+    ("door", "count"),
+    [(5, 1), (4, 0)],
+    ids=["a door of 5 cells", "a door of 4 cells"],
+)
+def test_a_field_is_crossable_where_five_cells_are_free(door: int, count: int) -> None:
+    field = np.zeros((30, 30), np.bool_)
+    field[[0, -1]] = True
+    field[:, 15:17] = True
+    field[10 : 10 + door, 15:17] = False
+    found = list(barn._crossable(field[None]))
+    assert len(found) == count
+    for cells, room in found:
+        assert np.array_equal(cells, field)
+        assert room[:, 15].sum() == 1
+        assert room[12, 15]
+
+
+def test_the_room_is_connected_with_both_ends() -> None:
+    """A chamber of its own and the other half behind a wall don't count."""
+    field = np.zeros((30, 30), np.bool_)
+    field[[0, -1]] = True
+    field[15, :] = True
+    field[20, 10:] = field[20:, 10] = True
+    found = list(barn._crossable(field[None]))
+    assert len(found) == 1
+    room = found[0][1]
+    assert not room[15:].any()
+    assert room[3:13].all()
+
+
+@pytest.mark.parametrize(("filled", "count"), [(24, 0), (25, 1), (209, 1), (210, 0)])
+def test_fields_emptier_or_fuller_than_the_published_ones_are_left_out(
+    filled: int, count: int
+) -> None:
+    field = np.zeros((30, 30), np.bool_)
+    field[[0, -1]] = True
+    rows, columns = np.divmod(np.arange(filled), 30)
+    field[1 + rows, columns] = True
+    assert len(list(barn._crossable(field[None]))) == count

@@ -1,0 +1,177 @@
+"""Paths to follow: samples by hand, points that repeat, and what is no path."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from acsar_gym.errors import WorldError
+from acsar_gym.worlds.paths import SPACING, along, distinct, sampled, smooth, waypoints
+from acsar_gym.worlds.search import path_length
+
+coordinates = st.floats(-10.0, 10.0).map(lambda value: round(value, 3))
+polylines = st.integers(2, 7).flatmap(
+    lambda count: arrays(np.float64, (count, 2), elements=coordinates)
+)
+
+
+def array(*rows: Any) -> Any:
+    return np.array(rows, np.float64)
+
+
+CORNER = array([0, 0], [1, 0], [1, 0], [1, 0.5])
+
+
+def test_samples_by_hand() -> None:
+    found = sampled(CORNER, 0.25)
+    assert found[:, :2].tolist() == [
+        [0.0, 0.0],
+        [0.25, 0.0],
+        [0.5, 0.0],
+        [0.75, 0.0],
+        [1.0, 0.0],
+        [1.0, 0.25],
+        [1.0, 0.5],
+    ]
+    up = math.pi / 2.0
+    assert found[:, 2].tolist() == [0.0, 0.0, 0.0, 0.0, up, up, up]  # at the corner, the way on
+
+
+@pytest.mark.parametrize(
+    ("length", "spacing", "count"),
+    [
+        (1.0, 0.05, 21),
+        (1.0, 0.3, 5),  # 0.25 m apart, never more than asked
+        (0.3, 0.1, 4),  # 0.3 / 0.1 is a little more than 3
+        (1.0, 1.0, 2),
+        (1.0, 50.0, 2),
+        (1e-6, 0.05, 2),
+        (100.0, 0.05, 2001),
+    ],
+)
+def test_samples_are_evenly_spaced_and_at_most_as_far_apart_as_asked(
+    length: float, spacing: float, count: int
+) -> None:
+    found = sampled(array([2.0, 1.0], [2.0, 1.0 - length]), spacing)
+    assert found.shape == (count, 3)
+    assert np.diff(found[:, 1]) == pytest.approx(-length / (count - 1))
+    assert found[[0, -1], :2].tolist() == [[2.0, 1.0], [2.0, 1.0 - length]]
+    assert (found[:, 2] == -math.pi / 2.0).all()
+
+
+def test_5_cm_are_the_usual_spacing() -> None:
+    assert np.array_equal(sampled(CORNER), sampled(CORNER, 0.05))
+    assert SPACING == 0.05
+
+
+@given(path=polylines, spacing=st.floats(0.02, 3.0))
+def test_samples_lie_on_the_path_at_equal_steps_along_it(path: Any, spacing: float) -> None:
+    assume(path_length(path) > 0.0)
+    found = sampled(path, spacing)
+    kept = distinct(path)
+    pieces = np.diff(kept, axis=0)
+    at = np.concatenate([[0.0], np.cumsum(np.hypot(*pieces.T))])
+    assert found[0, :2].tolist() == kept[0].tolist()
+    assert found[-1, :2] == pytest.approx(kept[-1], abs=1e-9)
+    step = at[-1] / (len(found) - 1)
+    assert step <= spacing * (1.0 + 1e-6)
+    assert len(found) == 2 or at[-1] / (len(found) - 2) > spacing * (1.0 - 1e-6)
+    for k, (x, y, theta) in enumerate(found.tolist()):
+        s = k * step
+        assert (x, y) == pytest.approx(
+            [np.interp(s, at, kept[:, axis]) for axis in (0, 1)], abs=1e-9
+        )
+        near = [
+            piece
+            for piece, low, high in zip(pieces.tolist(), at[:-1], at[1:], strict=True)
+            if low - 1e-9 <= s <= high + 1e-9
+        ]
+        heading = (math.cos(theta), math.sin(theta))
+        apart = [math.dist(heading, np.divide(p, math.hypot(*p)).tolist()) for p in near]
+        assert min(apart) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("path", "kept"),
+    [
+        ([[0, 0], [1, 0]], [[0, 0], [1, 0]]),
+        ([[0, 0], [0, 0], [1, 0], [1, 0], [1, 0]], [[0, 0], [1, 0]]),
+        ([[0, 0], [1, 0], [0, 0]], [[0, 0], [1, 0], [0, 0]]),  # there and back
+        ([[0, 0], [0, 1e-12]], [[0, 0], [0, 1e-12]]),
+        ([[1, -1], [2, -2], [2, -2], [3, -1]], [[1, -1], [2, -2], [3, -1]]),
+        ([[5, 5]], [[5, 5]]),
+    ],
+)
+def test_points_that_repeat_the_one_before_are_left_out(path: Any, kept: Any) -> None:
+    assert distinct(array(*path)).tolist() == kept
+
+
+@given(path=polylines)
+def test_without_repeated_points_a_path_is_as_long(path: Any) -> None:
+    repeated = np.repeat(path, 2, axis=0)
+    assert distinct(repeated).tolist() == distinct(path).tolist()
+    assert path_length(distinct(path)) == pytest.approx(path_length(path))
+
+
+@pytest.mark.parametrize(
+    ("path", "theta"),
+    [
+        (array([1, 2], [3, 2]), 0.0),
+        (array([1, 2], [1, 2], [1, 5], [9, 9]), math.pi / 2.0),
+        (array([1, 2], [0, 1], [1, 2]), -3.0 * math.pi / 4.0),
+        (array([1, 2], [1.0 + 1e-9, 2.0], [1, 5]), 0.0),
+    ],
+)
+def test_along_a_path_the_robot_starts_on_it(path: Any, theta: float) -> None:
+    world = along(path)
+    assert world.obstacles == 0
+    assert (world.start.x, world.start.y, world.start.radius) == (1.0, 2.0, 0.0)
+    assert world.start.theta == pytest.approx(theta)
+    assert (world.goal.x, world.goal.y) == tuple(path[-1])
+    assert world.path is not None
+    assert world.path.tolist() == distinct(path).tolist()
+    assert world.length == pytest.approx(path_length(path))
+    assert not world.path.flags.writeable
+
+
+@pytest.mark.parametrize(
+    ("path", "message"),
+    [
+        (array([1, 2]), "at least two points"),
+        (array([1, 2], [1, 2], [1, 2]), "not all the same"),
+        (np.zeros((0, 2)), "at least two points"),
+        ([], "at least two points"),
+        (None, "at least two points"),
+        (array([1, 2, 3], [4, 5, 6]), r"path: must be rows of 2 numbers, have shape \(2, 3\)"),
+        (array([0, 0], [math.nan, 1]), "path: must be finite"),
+        (array([0, 0], [math.inf, 1]), "path: must be finite"),
+        ("straight on", "path: must be rows of 2"),
+        (np.zeros((20_001, 2)), "path: 20,001 are too many"),
+    ],
+)
+def test_what_is_no_path_is_one_clear_error(path: Any, message: str) -> None:
+    with pytest.raises(WorldError, match=message):
+        along(path)
+
+
+@pytest.mark.parametrize("make", [smooth, waypoints])
+def test_made_paths_are_along_themselves(make: Any) -> None:
+    for seed in range(10):
+        world = make(np.random.default_rng(seed), 0.5, 0.25)
+        again = along(world.path)
+        assert (again.start, again.goal) == (world.start, world.goal)
+        samples = sampled(world.path)
+        assert np.hypot(*np.diff(samples[:, :2], axis=0).T).max() <= SPACING + 1e-9
+        assert samples[0].tolist() == pytest.approx([0.0, 0.0, world.start.theta])
+
+
+@pytest.mark.parametrize("make", [smooth, waypoints])
+def test_the_footprint_makes_no_difference_to_a_path(make: Any) -> None:
+    one, other = (make(np.random.default_rng(1), 0.5, radius).path for radius in (0.1, 5.0))
+    assert np.array_equal(one, other)

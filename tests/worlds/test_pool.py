@@ -1,0 +1,337 @@
+"""Pools: every form of `worlds=`, made when needed, and what is refused."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from acsar_gym.errors import WorldError
+from acsar_gym.worlds import files, generators, pool
+from acsar_gym.worlds.pool import Pool, checked
+from acsar_gym.worlds.shapes import outline
+from acsar_gym.worlds.world import Region, World
+
+KINDS = ("open", "clutter", "rooms", "barn", "smooth_path", "waypoint_path")
+PILLAR = np.array([[0.0, 0.0, 0.5]])
+SOUND = World(PILLAR, start=Region(-2.0, 0.0), goal=Region(2.0, 0.0), name="pillar")
+CELL = World(
+    segments=outline(-1.0, -1.0, 1.0, 1.0),
+    start=Region(0.0, 0.0),
+    goal=Region(4.0, 0.0),
+    name="cell",
+)
+WAY = np.array([[-2.0, 0.0], [0.0, 1.0], [2.0, 0.0]])
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty working directory, so that no name here is that of a file."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def calls(monkeypatch: pytest.MonkeyPatch) -> Counter[tuple[Any, ...]]:
+    """How often each world was made."""
+    counter: Counter[tuple[Any, ...]] = Counter()
+    real = generators.generate
+
+    def counted(*arguments: Any) -> World:
+        counter[arguments] += 1
+        return real(*arguments)
+
+    monkeypatch.setattr(generators, "generate", counted)
+    return counter
+
+
+@pytest.mark.parametrize(
+    ("source", "kind", "numbers"),
+    [
+        *((kind, kind, range(200)) for kind in KINDS),
+        ("open:5", "open", range(5)),
+        ("open:1", "open", range(1)),
+        ("open:100-104", "open", range(100, 105)),
+        ("open:7-7", "open", range(7, 8)),
+        ("open:0-2", "open", range(3)),
+        ("open:007", "open", range(7)),
+        ("waypoint_path:3", "waypoint_path", range(3)),
+        ("smooth_path:1000000-1000001", "smooth_path", range(1_000_000, 1_000_002)),
+    ],
+)
+def test_names_and_numbers(source: str, kind: str, numbers: range) -> None:
+    found = Pool.of(source)
+    assert (found.kind, len(found)) == (kind, len(numbers))
+    for index in (0, len(numbers) - 1):
+        assert found[index].name == f"{kind} {numbers[index]}"
+
+
+def test_a_pool_holds_the_generators_worlds() -> None:
+    found = Pool.of("clutter:3-5", 0.3, 0.4)
+    for index, number in enumerate((3, 4, 5)):
+        expected = generators.generate("clutter", number, 0.3, 0.4)
+        world = found[index]
+        assert world.path is not None
+        assert expected.path is not None
+        assert np.array_equal(world.circles, expected.circles)
+        assert np.array_equal(world.segments, expected.segments)
+        assert np.array_equal(world.path, expected.path)
+
+
+def test_the_usual_count_may_be_changed() -> None:
+    assert len(Pool.of("open", count=7)) == 7
+    assert len(Pool.of("open:3", count=7)) == 3
+    assert len(Pool.of("open:3-9", count=2)) == 7
+    with pytest.raises(WorldError, match=r"worlds = 'open': holds no world"):
+        Pool.of("open", count=0)
+
+
+def test_worlds_are_made_when_they_are_needed_and_once(calls: Counter[tuple[Any, ...]]) -> None:
+    found = Pool.of("clutter:100-149", 0.2, 0.3)
+    assert len(found) == 50
+    assert not calls
+    first = found[7]
+    assert calls == {("clutter", 107, 0.2, 0.3): 1}
+    assert found[7] is first
+    found[8]
+    assert calls.total() == 2
+    for index in (-1, 50):
+        with pytest.raises(WorldError):
+            found[index]
+    assert calls.total() == 2
+
+
+def test_pools_remember_their_own_worlds(calls: Counter[tuple[Any, ...]]) -> None:
+    one, other = Pool.of("open:5"), Pool.of("open:5", 1.0)
+    assert one[0] is not other[0]
+    assert one[0].goal != other[0].goal
+    assert calls.total() == 2
+
+
+def test_a_pool_forgets_what_was_not_asked_for_lately(
+    calls: Counter[tuple[Any, ...]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pool, "KEPT", 2)
+    found = Pool.of("open:10")
+    before = found[0]
+    for index in (1, 2, 0):
+        found[index]
+    assert calls["open", 0, None, 0.25] == 2
+    assert found[0].goal == before.goal
+
+
+@pytest.mark.parametrize("index", [-1, -5, 3, 4, 10**30])
+@pytest.mark.parametrize("source", ["open:3", [SOUND] * 3], ids=["name", "list"])
+def test_an_index_out_of_range_is_one_clear_error(source: Any, index: int) -> None:
+    kind = "open" if isinstance(source, str) else "given"
+    with pytest.raises(WorldError) as caught:
+        Pool.of(source)[index]
+    assert str(caught.value) == f"world {index}: there are only 3 ({kind}), from 0"
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        ("cluter", "unknown kind of world 'cluter'; did you mean 'clutter'?"),
+        ("cluter:5", "unknown kind of world 'cluter'; did you mean 'clutter'?"),
+        ("barm:1-2", "unknown kind of world 'barm'; did you mean 'barn'?"),
+        ("xyzzy", "unknown kind of world 'xyzzy'; known: barn, clutter, open, rooms"),
+        ("Clutter", "worlds = 'Clutter': must be like 'clutter', 'clutter:50' or a path"),
+        ("clutter:", "worlds = 'clutter:': must be like"),
+        ("clutter:-5", "worlds = 'clutter:-5': must be like"),
+        ("clutter:5-", "worlds = 'clutter:5-': must be like"),
+        ("clutter:five", "worlds = 'clutter:five': must be like"),
+        ("clutter:1-2-3", "worlds = 'clutter:1-2-3': must be like"),
+        ("clutter 5", "worlds = 'clutter 5': must be like"),
+        (" clutter", "worlds = ' clutter': must be like"),
+        ("clutter:0", "worlds = 'clutter:0': holds no world"),
+        ("clutter:5-3", "worlds = 'clutter:5-3': holds no world"),
+        ("a\0b", "worlds = 'a\\x00b': must be like"),
+    ],
+)
+def test_bad_names_are_refused_at_once(source: str, message: str) -> None:
+    with pytest.raises(WorldError) as caught:
+        Pool.of(source)
+    assert str(caught.value).startswith(message)
+
+
+@pytest.mark.parametrize(
+    "source",
+    [None, 5, 1.5, True, [], (), {}, {SOUND}, [1], ["open"], [SOUND, None], World, b"open", PILLAR],
+    ids=lambda source: str(source)[:20],
+)
+def test_other_types_are_refused(source: Any) -> None:
+    with pytest.raises(WorldError) as caught:
+        Pool.of(source)
+    assert str(caught.value).startswith("worlds = ")
+    expected = "must be a file, a folder, a list of World, or a kind of world (open, clutter, rooms"
+    assert expected in str(caught.value)
+
+
+def test_a_bad_difficulty_is_refused() -> None:
+    with pytest.raises(WorldError, match="difficulty = 2"):
+        Pool.of("open", 2.0)[0]
+
+
+LONG = pytest.mark.xfail(reason="OSError: File name too long", strict=True)
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        pytest.param("x" * 300, marks=LONG),
+        pytest.param("clutter:" + "9" * 300, marks=LONG),
+        pytest.param("", marks=pytest.mark.xfail(reason="is the working directory", strict=True)),
+        pytest.param(
+            "clutter:" + "9" * 20,
+            marks=pytest.mark.xfail(reason="OverflowError of len()", strict=True),
+        ),
+        pytest.param("clutter\n", marks=pytest.mark.xfail(reason="$ is before \\n", strict=True)),
+    ],
+    ids=lambda source: repr(source)[:20],
+)
+def test_names_that_mean_harm_are_refused(source: str) -> None:
+    try:
+        len(Pool.of(source))
+    except WorldError as error:
+        assert "worlds = " in str(error)  # noqa: PT017
+    except (OSError, OverflowError) as error:
+        pytest.fail(repr(error))
+    else:
+        pytest.fail("taken")
+
+
+@pytest.mark.xfail(reason="iter() ends with an IndexError, a pool with a WorldError", strict=True)
+def test_a_pool_can_be_walked_through() -> None:
+    try:
+        names = [world.name for world in Pool.of("open:3")]  # type: ignore[attr-defined]
+    except WorldError as error:
+        pytest.fail(str(error))
+    assert names == ["open 0", "open 1", "open 2"]
+
+
+@pytest.mark.parametrize("source", [SOUND, [SOUND], (SOUND,)], ids=["a world", "a list", "a tuple"])
+def test_a_given_world_without_a_path_gets_one(source: Any) -> None:
+    found = Pool.of(source, radius=0.3)
+    assert (found.kind, len(found)) == ("given", 1)
+    world = found[0]
+    assert world.path is not None
+    assert world.length == pytest.approx(4.4, abs=0.2)
+    assert world.name == "pillar"
+    assert np.array_equal(world.circles, PILLAR)
+    assert SOUND.path is None
+    assert found[0] is world
+
+
+def test_a_given_path_is_kept() -> None:
+    given = World(PILLAR, start=Region(-2.0, 0.0), goal=Region(2.0, 0.0), path=WAY)
+    assert Pool.of(given)[0] is given
+    assert checked(given, 0.25) is given
+
+
+def test_given_worlds_are_looked_at_when_they_are_needed() -> None:
+    found = Pool.of([SOUND, CELL, SOUND])
+    assert len(found) == 3
+    found[0], found[2]
+    with pytest.raises(WorldError, match="cell: no way from start to goal"):
+        found[1]
+
+
+@pytest.mark.parametrize("path", [None, WAY], ids=["without a path", "with a path"])
+@pytest.mark.parametrize(
+    ("start", "goal", "message"),
+    [
+        (Region(0.1, 0.0), Region(2.0, 0.0), r"the start \(0\.1, 0\) lies 0\.00 m"),
+        (Region(-2.0, 0.0), Region(0.7, 0.0), r"the goal \(0\.7, 0\) lies 0\.20 m"),
+        (Region(-2.0, 0.0, 1.3), Region(2.0, 0.0), r"the start .* needs 1\.55 m"),
+        (Region(-2.0, 0.0), Region(2.0, 0.0, 1.3), r"the goal .* needs 1\.55 m"),
+    ],
+)
+def test_given_worlds_whose_ends_are_not_free_are_refused(
+    start: Region, goal: Region, message: str, path: Any
+) -> None:
+    world = World(PILLAR, start=start, goal=goal, path=path, name="mine")
+    with pytest.raises(WorldError, match=f"^mine: {message}"):
+        Pool.of(world)[0]
+
+
+def test_the_footprint_decides_whether_a_given_world_can_be_used() -> None:
+    gap = World(
+        segments=np.array([[0.0, 0.3, 0.0, 5.0], [0.0, -0.3, 0.0, -5.0]]),
+        start=Region(-1.0, 1.0),
+        goal=Region(1.0, 1.0),
+    )
+    assert Pool.of(gap, radius=0.2)[0].length < 3.0
+    assert Pool.of(gap, radius=0.4)[0].length > 8.0
+
+
+def test_files(folder: Path) -> None:
+    path = folder / "mine.json"
+    files.save(SOUND, path)
+    for source in ("mine.json", str(path), path, Path("mine.json"), "./mine.json"):
+        found = Pool.of(source)
+        assert (found.kind, len(found)) == (str(source), 1)
+        assert (found[0].name, found[0].goal) == ("pillar", SOUND.goal)
+        assert found[0].path is not None
+
+
+def test_folders(folder: Path) -> None:
+    (folder / "mine").mkdir()
+    for number in (1, 2, 10):
+        files.save(World(name=f"number {number}"), folder / "mine" / f"world_{number}.yaml")
+    for source in ("mine", "mine/", folder / "mine", Path("mine")):
+        found = Pool.of(source)
+        assert (found.kind, len(found)) == (str(source), 3)
+        names = [found[index].name for index in range(3)]
+        assert names == ["number 1", "number 2", "number 10"]
+
+
+def test_a_file_without_a_suffix_is_refused_as_a_file(folder: Path) -> None:
+    (folder / "notes").write_text("no world", encoding="utf-8")
+    with pytest.raises(WorldError, match=r"^notes: a world is read from \.world"):
+        Pool.of("notes")
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        ("nowhere.world", r"^nowhere\.world: there is no such file"),
+        ("nowhere/mine.json", r"^nowhere/mine\.json: there is no such file"),
+        (Path("nowhere.json"), r"^nowhere\.json: there is no such file"),
+        ("nowhere/", "^nowhere: a world is read from"),
+        (Path("clutter"), "^clutter: a world is read from"),
+        ("mine.txt", r"^mine\.txt: a world is read from"),
+        ("empty", r"^empty: holds no worlds"),
+        (Path("empty"), r"^empty: holds no worlds"),
+    ],
+    ids=str,
+)
+def test_bad_paths_are_refused_at_once(source: Any, message: str, folder: Path) -> None:
+    (folder / "empty").mkdir()
+    with pytest.raises(WorldError, match=message):
+        Pool.of(source)
+
+
+def test_a_broken_file_is_refused_at_once(folder: Path) -> None:
+    (folder / "bad.json").write_text("{", encoding="utf-8")
+    with pytest.raises(WorldError, match=r"bad\.json: not valid JSON"):
+        Pool.of("bad.json")
+    with pytest.raises(WorldError, match=r"bad\.json: not valid JSON"):
+        Pool.of(folder)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
+def test_a_folder_that_may_not_be_read_is_refused(folder: Path) -> None:
+    (folder / "secret").mkdir(mode=0o000)
+    with pytest.raises(WorldError, match="secret"):
+        Pool.of("secret")
+
+
+def test_an_unsolvable_file_is_named(folder: Path) -> None:
+    files.save(CELL, folder / "cell.yaml")
+    with pytest.raises(WorldError, match=r"^cell: no way from start to goal"):
+        Pool.of("cell.yaml")[0]
