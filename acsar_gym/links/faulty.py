@@ -246,7 +246,7 @@ class _Wire:
         self._lateness = faults.lateness
         self._burst_rate = faults.garbage_rate if here else 0.0
         self._burst = faults.garbage_bytes
-        self._rng = rng
+        self._lots, self._rng = rng.spawn(2)  # which lines suffer doesn't hang on how they do
         self._count = count
         self._lines = Lines()
         self._queue: deque[tuple[float, bytes]] = deque()
@@ -270,7 +270,7 @@ class _Wire:
     def _send(self, line: bytes, now: float) -> None:
         hits: set[str] = set()
         if line.strip():  # the second half of a line end that was torn apart is no line
-            chances = self._rng.random(len(LINE_FAULTS)).tolist()
+            chances = self._lots.random(len(LINE_FAULTS)).tolist()
             rows = zip(LINE_FAULTS, chances, self._shares, strict=True)
             hits = {name for name, chance, share in rows if chance < share}
         if "dropped_lines" in hits:

@@ -1,0 +1,360 @@
+"""How soon the wheels are commanded to stop, whatever befalls the program that drives them.
+
+Three processes, as in earnest: the emulator, whose log tells when a command arrived; the program,
+which drives at 100 Hz; and whoever does something to it. All share one monotonic clock. A time is
+from the fault to the first zero command at the emulator, which looks every 5 ms.
+
+`python -m acsar_gym.stopping --trials 100` measures all kinds of faults.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import math
+import os
+import pty
+import random
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+from rich.console import Console
+from rich.table import Table
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import AcsarError, ConfigError, suggestion
+from acsar_gym.links import open_link
+from acsar_gym.protocol import ZERO, Decoder
+from acsar_gym.robot import Robot
+
+KINDS = {
+    "kill": "SIGKILL",
+    "fork": "SIGKILL while a forked child lives on",
+    "stop": "SIGSTOP",
+    "hang": "the policy sleeps for 5 s",
+    "busy": "the policy never returns",
+    "exception": "the policy raises an exception",
+    "exit": "os._exit in the policy",
+    "terminal": "the terminal is closed",
+}
+LIMIT = 0.25
+"""So soon the zero command shall be there [s]."""
+TICKS = 30
+"""How long the robot drives before the fault, at least."""
+JITTER = 0.02
+"""The fault comes at any time within two ticks [s]."""
+PATIENCE = 3.0
+"""A zero command that isn't there after so long won't come [s]."""
+SURE = 0.1
+"""For so long no other command may follow the zeros [s]."""
+POLL = 0.005
+HANG = 5.0
+
+Progress = Callable[[str, float], None]
+"""Told of each trial's kind and time [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stops:
+    """The times from one kind of fault to the zero command [s]; inf where none came."""
+
+    kind: str
+    times: tuple[float, ...]
+
+    @property
+    def in_time(self) -> int:
+        """How many were within LIMIT."""
+        return sum(time <= LIMIT for time in self.times)
+
+
+def measure(
+    trials: int = 100,
+    kinds: Sequence[str] = tuple(KINDS),
+    config: RobotConfig | None = None,
+    progress: Progress | None = None,
+) -> list[Stops]:
+    """So many trials of each kind of fault, each in a program of its own, on an emulated robot.
+
+    Raises ConfigError for an unknown kind and AcsarError where a program can't drive at all.
+    """
+    for kind in kinds:
+        if kind not in KINDS:
+            raise ConfigError(f"kind {kind!r} of fault is unknown{suggestion(kind, KINDS)}")
+    config = config or RobotConfig.of(None)
+    with _emulator(config) as (device, log), _programs(device, config) as programs:
+        return [
+            Stops(kind, tuple(_trial(kind, programs, log, progress) for _ in range(trials)))
+            for kind in kinds
+        ]
+
+
+def _trial(kind: str, programs: _Programs, log: _Log, progress: Progress | None) -> float:
+    log.forget()
+    took = log.zero_after(programs.fault(kind))
+    programs.bury()
+    if progress is not None:
+        progress(kind, took)
+    return took
+
+
+class _Log:
+    """The end of the emulator's log."""
+
+    def __init__(self, file: IO[str]) -> None:
+        self._file = file
+        self._line = ""
+        self._decoder = Decoder()
+
+    def forget(self) -> None:
+        """What has been written is of no concern."""
+        self._line = ""
+        self._file.seek(0, os.SEEK_END)
+
+    def zero_after(self, fault: float) -> float:
+        """Time from the fault to the zero command that no other command follows; inf for none."""
+        self._decoder.reset()
+        zero = math.inf
+        while time.monotonic() - min(zero, fault + PATIENCE) < SURE:
+            for stamp, stopped in self._commands():
+                if stamp >= fault:
+                    zero = min(zero, stamp) if stopped else math.inf
+            time.sleep(POLL)
+        return zero - fault
+
+    def _commands(self) -> Iterator[tuple[float, bool]]:
+        """When commands arrived, and whether they were zero."""
+        for event in self._events():
+            for reading in self._decoder.feed(str(event.get("rx", "")).encode("latin-1")):
+                yield float(event["t"]), reading.speeds == ZERO
+
+    def _events(self) -> Iterator[dict[str, Any]]:
+        for piece in self._file:
+            self._line += piece
+            if self._line.endswith("\n"):
+                line, self._line = self._line, ""
+                with contextlib.suppress(ValueError):  # the first one may be cut
+                    yield json.loads(line)
+
+
+@contextlib.contextmanager
+def _emulator(config: RobotConfig) -> Iterator[tuple[str, _Log]]:
+    """`acsar-gym emulate` in another process: its device and its log."""
+    with tempfile.TemporaryDirectory(prefix="acsar-stopping-") as folder:
+        log, robot = Path(folder, "log.jsonl"), Path(folder, "robot.yaml")
+        robot.write_text(config.model_dump_json(), encoding="utf-8")  # YAML contains JSON
+        options = ["-m", "acsar_gym", "emulate", "--log", str(log), "--robot", str(robot)]
+        with _process(options) as process:
+            device = _line(process).split(" ")[-1]
+            with log.open(encoding="ascii") as file:
+                yield device, _Log(file)
+
+
+@contextlib.contextmanager
+def _process(options: list[str]) -> Iterator[subprocess.Popen[str]]:
+    """This Python in another process; ended with the block."""
+    with subprocess.Popen(
+        [sys.executable, *options],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def _line(process: subprocess.Popen[str]) -> str:
+    """What it says next."""
+    assert process.stdout is not None  # noqa: S101 - for the type checker
+    line = process.stdout.readline().strip()
+    if not line:
+        raise AcsarError(f"{process.args!r} ended: its own message says why")
+    return line
+
+
+class _Programs:
+    """Starts programs that drive, and harms them: see `serve`, which is its other half."""
+
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        self._process = process
+
+    def fault(self, kind: str) -> float:
+        """When a new program, which drove, was harmed [s, monotonic clock]."""
+        self._say(kind)
+        answer = _line(self._process)
+        try:
+            return float(answer)
+        except ValueError:
+            raise AcsarError(f"{kind}: the program didn't drive: {answer}") from None
+
+    def bury(self) -> None:
+        """End what is left of the program."""
+        self._say("")
+        _line(self._process)
+
+    def _say(self, line: str) -> None:
+        assert self._process.stdin is not None  # noqa: S101 - for the type checker
+        self._process.stdin.write(f"{line}\n")
+        self._process.stdin.flush()
+
+
+@contextlib.contextmanager
+def _programs(device: str, config: RobotConfig) -> Iterator[_Programs]:
+    code = "import sys; from acsar_gym import stopping; stopping.serve(*sys.argv[1:])"
+    with _process(["-c", code, device, config.model_dump_json()]) as process:
+        yield _Programs(process)
+
+
+def serve(device: str, config: str) -> None:
+    """Fork a program for each kind that standard input names, and answer when it was harmed.
+
+    A fork has all imports behind it. What it does afterwards is what a program of its own would do,
+    down to the interpreter's end, which is why `_drive` may return or raise from here.
+    """
+    robot = RobotConfig.model_validate_json(config)
+    for line in sys.stdin:
+        kind = line.strip()
+        ear, mouth = os.pipe()
+        program, terminal = pty.fork() if kind == "terminal" else (os.fork(), -1)
+        if program == 0:
+            os.close(ear)
+            _drive(device, robot, kind, mouth)
+            return
+        os.close(mouth)
+        with open(ear, encoding="ascii") as report:
+            print(_harm(kind, program, terminal, report), flush=True)
+            sys.stdin.readline()
+            _end(program)
+        print("ended", flush=True)
+
+
+def _harm(kind: str, program: int, terminal: int, report: IO[str]) -> str:
+    """Wait until it drives, do something to it, and say when."""
+    first = report.readline().strip()
+    if first != "drives":
+        return first or "it ended"
+    if kind in FAULTS:
+        return report.readline().strip() or "it ended"
+    time.sleep(random.uniform(0.0, JITTER))
+    now = time.monotonic()
+    if kind == "terminal":
+        os.close(terminal)
+    else:
+        os.kill(program, signal.SIGSTOP if kind == "stop" else signal.SIGKILL)
+    return repr(now)
+
+
+def _end(program: int) -> None:
+    """Kill it and its children, which share its session."""
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(program, signal.SIGKILL)
+    os.waitpid(program, 0)
+
+
+def _drive(device: str, config: RobotConfig, kind: str, mouth: int) -> None:
+    """The program: it drives until it is harmed, or harms itself as `kind` says."""
+    if kind != "terminal":
+        os.setsid()
+    for number in (signal.SIGHUP, signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_DFL)
+    nowhere = os.open(os.devnull, os.O_RDWR)
+    os.dup2(nowhere, 2)
+    with open(mouth, "w", buffering=1, encoding="ascii") as report:
+        try:
+            _drive_until_harmed(Robot(open_link(device, config), config), kind, report)
+        except AcsarError as error:
+            print(error, file=report)
+
+
+def _drive_until_harmed(robot: Robot, kind: str, report: IO[str]) -> None:
+    robot.activate()
+    if kind == "fork" and os.fork() == 0:
+        time.sleep(10.0 * PATIENCE)
+        os._exit(0)
+    _go(robot, TICKS)
+    print("drives", file=report)
+    _go(robot, random.randrange(3))
+    if kind in FAULTS:
+        print(repr(time.monotonic()), file=report)
+        FAULTS[kind]()
+    while True:
+        _go(robot, 1)
+
+
+def _go(robot: Robot, ticks: int) -> None:
+    for _ in range(ticks):
+        robot.drive(0.2, 0.0)
+
+
+def _never_return() -> None:
+    while True:
+        pass
+
+
+def _raise() -> None:
+    raise RuntimeError("a policy's mistake")
+
+
+FAULTS: dict[str, Callable[[], None]] = {
+    "hang": lambda: time.sleep(HANG),
+    "busy": _never_return,
+    "exception": _raise,
+    "exit": lambda: os._exit(1),
+}
+"""What a policy can do to its own program."""
+
+
+def as_json(stops: Sequence[Stops]) -> dict[str, Any]:
+    """The times [s] for programs; null where no zero command came."""
+    return {
+        "limit": LIMIT,
+        "stops": {
+            one.kind: {
+                "fault": KINDS[one.kind],
+                "in_time": one.in_time,
+                "times": [took if math.isfinite(took) else None for took in one.times],
+            }
+            for one in stops
+        },
+    }
+
+
+def table(stops: Sequence[Stops]) -> Table:
+    """The times for people [ms]."""
+    drawn = Table(title="from fault to zero command [ms]", title_justify="left")
+    drawn.add_column("fault")
+    for column in ("min", "median", "max", f"within {LIMIT * 1000.0:.0f}"):
+        drawn.add_column(column, justify="right")
+    for one in stops:
+        if one.times:
+            figures = (min(one.times), statistics.median(one.times), max(one.times))
+            shown = (f"{figure * 1000.0:.1f}" for figure in figures)
+            drawn.add_row(KINDS[one.kind], *shown, f"{one.in_time} of {len(one.times)}")
+    return drawn
+
+
+def main() -> None:
+    """`python -m acsar_gym.stopping [--trials N] [--kinds KIND ...] [--json FILE]`."""
+    parser = argparse.ArgumentParser(prog="acsar_gym.stopping", description=__doc__)
+    parser.add_argument("--trials", type=int, default=100)
+    parser.add_argument("--kinds", nargs="+", default=list(KINDS), metavar="KIND")
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    stops = measure(options.trials, options.kinds)
+    Console().print(table(stops))
+    if options.json:
+        options.json.write_text(json.dumps(as_json(stops), indent=2) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
