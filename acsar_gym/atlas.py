@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from rich.markup import escape
 from rich.table import Table
 
 from acsar_gym import pictures
@@ -109,11 +110,13 @@ def table(findings: Sequence[Finding]) -> Table:
         drawn.add_column(column, justify="right")
     for f in findings:
         if f.fault:
-            drawn.add_row(f.name, str(f.obstacles), _short(f.path), f"[red]{f.fault}")
+            drawn.add_row(
+                escape(f.name), str(f.obstacles), _short(f.path), f"[red]{escape(f.fault)}"
+            )
             continue
         numbers = (f.path, f.shortest, f.closest_obstacle, f.visibility, f.dispersion)
         drawn.add_row(
-            f.name,
+            escape(f.name),
             str(f.obstacles),
             *map(_short, (*numbers, f.characteristic_dimension, f.tortuosity)),
         )

@@ -192,6 +192,7 @@ def evaluate(
     episodes: int = 100,
     seed: int = 0,
     worlds: Worlds = None,
+    in_order: bool = False,
     difficulty: float | None = None,
     lidar: LidarArg = None,
     json: Json = None,
@@ -205,6 +206,7 @@ def evaluate(
         episodes: how many.
         seed: of the first episode; the next ones count up.
         worlds: kind of generated worlds (clutter, barn:1000-1099, ...), a file, or a folder.
+        in_order: every world once, instead of drawing them: a benchmark on a folder of worlds.
         difficulty: of generated worlds, 0 to 1.
         lidar: rplidar:///dev/ttyUSB1 on hardware.
         json: write the figures here too.
@@ -213,7 +215,8 @@ def evaluate(
 
     report.check_writable(json)
     options = {"worlds": worlds, "difficulty": difficulty, "lidar": lidar}
-    summary = metrics.summarise(runs.evaluate(policy, link, robot, episodes, seed, **options))
+    results = runs.evaluate(policy, link, robot, episodes, seed, in_order=in_order, **options)
+    summary = metrics.summarise(results)
     title = f"{policy}, seeds {seed} to {seed + episodes - 1}"
     report.show(report.summary_table(title, [(link, summary)]))
     report.show(report.interval_table(summary))

@@ -30,6 +30,8 @@ from pydantic import (
 from acsar_gym.errors import ConfigError, suggestion
 
 BAUD_RATES = (9600, 19200, 38400, 57600, 115200)
+FOOT = 0.01
+"""What a wheel takes of the footprint where it stands beyond the body [m]."""
 LINE_BYTES = 33
 """Length of a full line with its line end, without the optional trailing comma."""
 USUAL_RATES = (200.0, 100.0, 50.0, 40.0, 25.0, 20.0, 10.0, 5.0, 2.0, 1.0)
@@ -285,6 +287,14 @@ class RobotConfig(_Section):
     def period(self) -> float:
         """Length of a tick [s]."""
         return 1.0 / self.control_rate
+
+    @property
+    def footprint(self) -> tuple[float, float]:
+        """Length and width of what must not touch anything: the body, and wheels beyond it [m]."""
+        return (
+            max(self.body.length, self.wheelbase + FOOT),
+            max(self.body.width, self.wheel_separation + FOOT),
+        )
 
     @property
     def effective_separation(self) -> float:

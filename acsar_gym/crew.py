@@ -59,8 +59,13 @@ class Crew:
             orders.put(None)
         self._orders = []
 
+    def __reduce__(self) -> tuple[type[Crew], tuple[int]]:
+        """Copies have threads of their own."""
+        return Crew, (len(self._orders) + 1,)
+
     def __del__(self) -> None:
-        self.close()
+        if hasattr(self, "_orders"):
+            self.close()
 
 
 def _serve(

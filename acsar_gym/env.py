@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +16,21 @@ from numpy.typing import NDArray
 
 from acsar_gym.bodies.base import GroundTruth, Image
 from acsar_gym.config import RobotConfig, whole_ratio
-from acsar_gym.errors import AcsarError, CommandError, ConfigError, RenderError
+from acsar_gym.errors import (
+    AcsarError,
+    BoardGarbledError,
+    BoardSilentError,
+    CommandError,
+    ConfigError,
+    LidarError,
+    LinkError,
+    LinkLostError,
+    RenderError,
+)
 from acsar_gym.lidar import Lidar, Scan, open_lidar, stale_after
 from acsar_gym.links import Link, open_link
+from acsar_gym.links.faults import Faults
+from acsar_gym.links.faulty import FaultyLink
 from acsar_gym.robot import Robot
 from acsar_gym.screen import Screen
 from acsar_gym.tasks import Course, Observation, Outcome, State, Task
@@ -35,6 +47,23 @@ def task_spaces(task: Task, config: RobotConfig) -> tuple[Box, Box]:
     low = np.array([*task.low(), *([0.0] * rays)], np.float32)
     high = np.array([*task.high(), *([1.0] * rays)], np.float32)
     return Box(-1.0, 1.0, (2,), np.float32), Box(low, high, dtype=np.float32)
+
+
+def _faulty(link: Link, faults: Faults) -> FaultyLink | None:
+    """The link with faults of its own; None where nothing can go wrong."""
+    return FaultyLink(link, faults) if faults.possible else None
+
+
+def _truncates(on_fault: str | None, faulty: FaultyLink | None) -> bool:
+    if on_fault not in (None, "raise", "truncate"):
+        raise ConfigError(f"on_fault = {on_fault!r}: must be raise or truncate")
+    return on_fault == "truncate" or (on_fault is None and faulty is not None)
+
+
+def fault_code(error: LinkError) -> int:
+    """A number for what went wrong: 1 silent, 2 garbled, 3 link lost, 4 LiDAR, 5 anything else."""
+    kinds = (BoardGarbledError, 2), (BoardSilentError, 1), (LinkLostError, 3), (LidarError, 4)
+    return next((code for kind, code in kinds if isinstance(error, kind)), 5)
 
 
 class RobotEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
@@ -55,6 +84,8 @@ class RobotEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         policy_rate: float = 10.0,
         render_mode: str | None = None,
         view: str = "top",
+        faults: Mapping[str, Any] | Faults | None = None,
+        on_fault: str | None = None,
     ) -> None:
         config = RobotConfig.of(robot)
         self.render_mode = render_mode
@@ -63,7 +94,10 @@ class RobotEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             "control_rate", config.control_rate, "policy_rate", policy_rate
         )
         self._check_rendering(link, view)
-        self.robot = Robot(self._link(link, config), config)
+        wire = self._link(link, config)
+        self._faulty = _faulty(wire, Faults.of(faults))
+        self._truncates = _truncates(on_fault, self._faulty)
+        self.robot = Robot(self._faulty or wire, config)
         if lidar is not None and not self.task.sees:
             raise ConfigError(f"lidar = {lidar!r}: {self.task.id} uses none")
         self.lidar = open_lidar(lidar, self.robot.link, config) if self.task.sees else None
@@ -74,6 +108,7 @@ class RobotEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._screen = Screen(config, None if own_window else render_mode, view)
         self._course: Course | None = None
         self._scan: Scan | None = None
+        self._told_last: tuple[Observation, Info] | None = None
 
     def _check_rendering(self, link: Any, view: str) -> None:
         if self.render_mode not in (None, *self.metadata["render_modes"]):
@@ -98,6 +133,8 @@ class RobotEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         """Begin an episode; opens link and LiDAR the first time. See the class for `options`."""
         self.robot.stop()
         super().reset(seed=seed)
+        if self._faulty is not None:
+            self._faulty.seed(self.np_random)
         self._course = course = self.task.begin(self.np_random, options or {})
         scene = Scene(goal=course.assignment.goal, world=course.assignment.world)
         self.robot.reset(scene)
@@ -111,7 +148,13 @@ class RobotEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, Info]:
         """Drive for one step of the policy; see the class for spaces, reward and end."""
         linear, angular = self._checked(action)
-        self._drive(linear * self.task.max_linear, angular * self.task.max_angular)
+        try:
+            self._drive(linear * self.task.max_linear, angular * self.task.max_angular)
+        except LinkError as error:
+            if self._told_last is None or not self._truncates:
+                raise
+            observation, info = self._told_last
+            return observation, 0.0, False, True, info | {"fault": float(fault_code(error))}
         state = self._state((linear, angular), self.robot.link.truth)
         if self._course is None:
             raise ConfigError("step() before reset(): call reset() first")
@@ -165,7 +208,9 @@ class RobotEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         except BaseException:
             self.robot.deactivate()
             raise
-        return self._observation(course, state), self._info(course, state, outcome)
+        told = self._observation(course, state), self._info(course, state, outcome)
+        self._told_last = told if self._truncates else None
+        return told
 
     def _observation(self, course: Course, state: State) -> Observation:
         numbers = course.observe(state)
@@ -192,6 +237,8 @@ class RobotEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             "true_contact": float(truth.contact) if truth else math.nan,
             "odometry_error": math.hypot(true_pose[0] - x, true_pose[1] - y),
         } | course.info(state, true_pose)
+        if self._truncates:
+            info["fault"] = 0.0
         if self._scan is not None:
             age = self.robot.link.now() - self._scan.stamp
             info["scan_age"] = age

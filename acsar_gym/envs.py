@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.env import RobotEnv
 from acsar_gym.lidar import Lidar
 from acsar_gym.links import Link
+from acsar_gym.links.faults import Faults
 from acsar_gym.tasks import Barn, ObstacleGoal, PathFollow, PointGoal
 from acsar_gym.tasks.place import pool
 from acsar_gym.worlds.pool import Source
@@ -62,6 +65,11 @@ class PointGoalEnv(RobotEnv):
     - `policy_rate`: steps per second [Hz]; the robot's control rate must be a whole multiple.
     - `render_mode`: "rgb_array", or "human" for a live window, in real time.
     - `view`: "top", drawn from above for every link, or "camera", PyBullet's behind the robot.
+    - `faults`: what goes wrong on the wire and the board, such as {"dropped_lines": 0.1,
+      "unplug_rate": 0.01}; see `acsar_gym.links.faults.Faults`. Drawn from the env's generator.
+    - `on_fault`: "raise" the LinkError that ends an episode, or "truncate" it, with a number in
+      info's `fault` (0 none, 1 silent, 2 garbled, 3 link lost, 4 LiDAR, 5 other; 0 or that at every
+      step). The next reset opens the link again. None truncates where there are `faults`.
 
     ## Info
 
@@ -88,6 +96,8 @@ class PointGoalEnv(RobotEnv):
         policy_rate: float = 10.0,
         render_mode: str | None = None,
         view: str = "top",
+        faults: Mapping[str, Any] | Faults | None = None,
+        on_fault: str | None = None,
     ) -> None:
         super().__init__(
             lambda config: PointGoal.of(goal_distance, goal_tolerance, config),
@@ -96,6 +106,8 @@ class PointGoalEnv(RobotEnv):
             policy_rate=policy_rate,
             render_mode=render_mode,
             view=view,
+            faults=faults,
+            on_fault=on_fault,
         )
 
 
@@ -141,8 +153,8 @@ class ObstacleGoalEnv(RobotEnv):
 
     ## Arguments
 
-    - `link`, `robot`, `goal_tolerance`, `policy_rate`, `render_mode`, `view` as in
-      `acsar_gym/PointGoal-v0`.
+    - `link`, `robot`, `goal_tolerance`, `policy_rate`, `render_mode`, `view`, `faults`, `on_fault`
+      as in `acsar_gym/PointGoal-v0`.
     - `worlds`: a kind of generated world ("open", "clutter", "rooms", "barn"), of which the first
       200 are used; "clutter:50" uses 50 and "clutter:100-149" those with these numbers. Or a file
       (.world, ROS map, .json, .yaml), a folder of them, a World, or a list of World.
@@ -172,6 +184,8 @@ class ObstacleGoalEnv(RobotEnv):
         policy_rate: float = 10.0,
         render_mode: str | None = None,
         view: str = "top",
+        faults: Mapping[str, Any] | Faults | None = None,
+        on_fault: str | None = None,
     ) -> None:
         super().__init__(
             lambda c: ObstacleGoal.of(pool(worlds, difficulty, c), goal_tolerance, c),
@@ -181,6 +195,8 @@ class ObstacleGoalEnv(RobotEnv):
             policy_rate=policy_rate,
             render_mode=render_mode,
             view=view,
+            faults=faults,
+            on_fault=on_fault,
         )
 
 
@@ -202,15 +218,15 @@ class BarnEnv(RobotEnv):
     ## Start and end
 
     BARN's rules: start at (-2, 3) of the world heading along +y, goal 10 m ahead, success within
-    1 m of it by odometry, a collision ends the episode, and so do 100 s (1000 steps of 0.1 s, as
-    truncation). `reset(options={"world": 17})` chooses the world.
+    1 m of it by odometry, a collision ends the episode, and so do BARN's 100 s, as truncation after
+    1000 steps (at 10 Hz). `reset(options={"world": 17})` chooses the world.
 
     ## Arguments
 
-    - `link`, `robot`, `policy_rate`, `render_mode`, `view` as in `acsar_gym/PointGoal-v0`,
-      `difficulty` and `lidar` as in `acsar_gym/ObstacleGoal-v0`.
+    - `link`, `robot`, `policy_rate`, `render_mode`, `view`, `faults`, `on_fault` as in
+      `acsar_gym/PointGoal-v0`, `difficulty` and `lidar` as in `acsar_gym/ObstacleGoal-v0`.
     - `worlds`: "barn:300", generated like the published ones ("barn:1000-1099" are others), or a
-      folder of published worlds, `world_N.world` with `path_N.npy` beside them.
+      folder of published worlds, `world_N.world` with `path_N.npy` beside them or in `path_files`.
 
     ## Info
 
@@ -218,7 +234,8 @@ class BarnEnv(RobotEnv):
     reached: success * OT / clip(AT, k * OT, 8 * OT), where AT is the time it took and OT the length
     of the world's path over a speed. `barn_score` has k = 2 (the challenge since 2024) and
     `barn_score_k4` k = 4 (2022), both with the challenge's 2 m/s; `barn_score_own` and
-    `barn_score_own_k4` have the robot's own `max_linear` instead.
+    `barn_score_own_k4` have the robot's own `max_linear` instead. They are NaN where a goal is
+    given, for the world's path doesn't lead there.
 
     ## Version history
 
@@ -236,6 +253,8 @@ class BarnEnv(RobotEnv):
         policy_rate: float = 10.0,
         render_mode: str | None = None,
         view: str = "top",
+        faults: Mapping[str, Any] | Faults | None = None,
+        on_fault: str | None = None,
     ) -> None:
         super().__init__(
             lambda c: Barn.of(pool(worlds, difficulty, c), policy_rate, c),
@@ -245,6 +264,8 @@ class BarnEnv(RobotEnv):
             policy_rate=policy_rate,
             render_mode=render_mode,
             view=view,
+            faults=faults,
+            on_fault=on_fault,
         )
 
 
@@ -284,7 +305,8 @@ class PathFollowEnv(RobotEnv):
 
     ## Arguments
 
-    - `link`, `robot`, `policy_rate`, `render_mode`, `view` as in `acsar_gym/PointGoal-v0`.
+    - `link`, `robot`, `policy_rate`, `render_mode`, `view`, `faults`, `on_fault` as in
+      `acsar_gym/PointGoal-v0`.
     - `worlds`: "smooth_path" or "waypoint_path", of which 200 are used ("smooth_path:50" uses 50);
       or a file, a folder or a list of worlds that have a path.
     - `difficulty` of generated paths, 0 to 1: how tight they turn; None varies it.
@@ -313,6 +335,8 @@ class PathFollowEnv(RobotEnv):
         policy_rate: float = 10.0,
         render_mode: str | None = None,
         view: str = "top",
+        faults: Mapping[str, Any] | Faults | None = None,
+        on_fault: str | None = None,
     ) -> None:
         super().__init__(
             lambda c: PathFollow.of(pool(worlds, difficulty, c), max_cross_track, c),
@@ -321,4 +345,6 @@ class PathFollowEnv(RobotEnv):
             policy_rate=policy_rate,
             render_mode=render_mode,
             view=view,
+            faults=faults,
+            on_fault=on_fault,
         )

@@ -13,7 +13,7 @@ from acsar_gym.lidar import ray_spec
 from acsar_gym.tasks import Barn, ObstacleGoal, PathFollow, PointGoal
 from acsar_gym.tasks.barn import SCORES
 from acsar_gym.worlds import World, geometry
-from acsar_gym.worlds.paths import sampled
+from acsar_gym.worlds.paths import sampled, to_follow
 from acsar_gym.worlds.world import Floats
 
 BatchTask = PointGoal | ObstacleGoal | Barn | PathFollow
@@ -26,7 +26,8 @@ def worlds_of(task: BatchTask) -> list[World]:
     """All worlds of a task; none for goals on an open floor."""
     if isinstance(task, PointGoal):
         return []
-    return [task.pool[number] for number in range(len(task.pool))]
+    worlds = [task.pool[number] for number in range(len(task.pool))]
+    return [to_follow(world) for world in worlds] if isinstance(task, PathFollow) else worlds
 
 
 def told(task: BatchTask) -> dict[str, int]:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from acsar_gym.errors import ConfigError
@@ -30,8 +31,10 @@ def show(table: Table) -> None:
 
 def check_writable(path: Path | None) -> None:
     """ConfigError if `path` can't be written: better now than after a long run."""
-    if path is not None and not (path.parent.is_dir() and os.access(path.parent, os.W_OK)):
-        raise ConfigError(f"{path}: can't be written: is there such a folder, and is it yours?")
+    if path is None:
+        return
+    if path.is_dir() or not (path.parent.is_dir() and os.access(path.parent, os.W_OK)):
+        raise ConfigError(f"{path}: can't be written: must be a file in a folder of yours")
 
 
 def write_json(path: Path | None, data: Mapping[str, Any]) -> None:
@@ -46,14 +49,14 @@ def write_json(path: Path | None, data: Mapping[str, Any]) -> None:
 
 def summary_table(title: str, rows: Sequence[tuple[str, Summary]]) -> Table:
     """One row for each way in which the same policy was run; only columns that say something."""
-    table = Table(title=title, title_justify="left")
+    table = Table(title=escape(title), title_justify="left")
     columns = {name: [cell(summary) for _, summary in rows] for name, cell in COLUMNS.items()}
     told = {name: cells for name, cells in columns.items() if any(cells)}
     table.add_column("behind the wire")
     for name in told:
         table.add_column(name, justify="right")
     for number, (wire, _) in enumerate(rows):
-        table.add_row(wire, *(cells[number] or "not known" for cells in told.values()))
+        table.add_row(escape(wire), *(cells[number] or "not known" for cells in told.values()))
     worst = max(
         (s.odometry_error for _, s in rows if not math.isnan(s.odometry_error)), default=0.0
     )

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from acsar_gym import evaluation
@@ -41,21 +42,36 @@ def made(policy: OnnxPolicy, link: str | Link, robot: Any, options: Mapping[str,
 
 
 def evaluate(
-    policy: str, link: str, robot: str | None, episodes: int, seed: int, **options: Any
+    policy: str,
+    link: str,
+    robot: str | None,
+    episodes: int,
+    seed: int,
+    *,
+    in_order: bool = False,
+    **options: Any,
 ) -> list[EpisodeResult]:
     """Episodes with random goals, behind a progress bar; options go to the environment."""
     if episodes < 1 or seed < 0:
         raise ConfigError("--episodes must be at least 1 and --seed at least 0")
-    return drive(OnnxPolicy(policy), link, robot, episodes, seed, **options)
+    return drive(OnnxPolicy(policy), link, robot, episodes, seed, in_order=in_order, **options)
 
 
 def drive(
-    policy: OnnxPolicy, link: str, robot: str | None, count: int, seed: int, **options: Any
+    policy: OnnxPolicy,
+    link: str,
+    robot: str | None,
+    count: int,
+    seed: int,
+    *,
+    in_order: bool = False,
+    **options: Any,
 ) -> list[EpisodeResult]:
     """Episodes of a loaded policy behind a link, which is closed whatever happens."""
     env = made(policy, link, robot, options)
     try:
-        return track(link, evaluation.episodes(env, policy, count, seed), count)
+        running = evaluation.episodes(env, policy, count, seed, in_order=in_order)
+        return track(link, running, count)
     finally:
         env.close()
 
@@ -92,7 +108,7 @@ def track(name: str, running: Iterator[EpisodeResult], count: int) -> list[Episo
         TimeElapsedColumn(),
     )
     with Progress(*columns) as progress:
-        task = progress.add_task(name, total=count, rate="-")
+        task = progress.add_task(escape(name), total=count, rate="-")
         for result in running:
             results.append(result)
             rate = sum(r.success for r in results) / len(results)

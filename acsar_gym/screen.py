@@ -34,6 +34,10 @@ class Screen:
         self._state: State | None = None
         self._scan: Scan | None = None
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copies have a screen of their own, and nothing on it yet."""
+        return Screen, (self._config, self._mode, self._view)
+
     def begin(self, assignment: Assignment, tolerance: float) -> None:
         """A new episode."""
         self._assignment, self._tolerance = assignment, tolerance

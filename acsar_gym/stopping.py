@@ -160,12 +160,13 @@ def _emulator(config: RobotConfig) -> Iterator[tuple[str, _Log]]:
 
 @contextlib.contextmanager
 def _process(options: list[str]) -> Iterator[subprocess.Popen[str]]:
-    """This Python in another process; ended with the block."""
+    """This Python in another process, safe from Ctrl-C; ended with the block."""
     with subprocess.Popen(
         [sys.executable, *options],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
+        start_new_session=True,
     ) as process:
         try:
             yield process
@@ -212,7 +213,11 @@ class _Programs:
 def _programs(device: str, config: RobotConfig) -> Iterator[_Programs]:
     code = "import sys; from acsar_gym import stopping; stopping.serve(*sys.argv[1:])"
     with _process(["-c", code, device, config.model_dump_json()]) as process:
-        yield _Programs(process)
+        try:
+            yield _Programs(process)
+        finally:  # it ends its program first
+            with contextlib.suppress(OSError, subprocess.TimeoutExpired):
+                process.communicate(timeout=PATIENCE)
 
 
 def serve(device: str, config: str) -> None:
@@ -231,9 +236,11 @@ def serve(device: str, config: str) -> None:
             _drive(device, robot, kind, mouth)
             return
         os.close(mouth)
-        with open(ear, encoding="ascii") as report:
-            print(_harm(kind, program, terminal, report), flush=True)
-            sys.stdin.readline()
+        try:
+            with open(ear, encoding="ascii") as report:
+                print(_harm(kind, program, terminal, report), flush=True)
+                sys.stdin.readline()
+        finally:
             _end(program)
         print("ended", flush=True)
 

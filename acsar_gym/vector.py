@@ -22,6 +22,7 @@ from acsar_gym.errors import CommandError, ConfigError
 from acsar_gym.kernel import layout
 from acsar_gym.places import BatchTask
 from acsar_gym.randomization import Randomization
+from acsar_gym.tasks.base import known
 
 FAIR_SHARE = 256
 """Robots for which another thread is worth its start."""
@@ -95,7 +96,10 @@ class RobotVectorEnv(VectorEnv[Array, Array, Array]):
         options: Mapping[str, Any] | None = None,
     ) -> tuple[Array, Info]:
         """New episodes for all robots, or those in `options["reset_mask"]`."""
+        known(options or {}, ("reset_mask",))
         mask = _mask((options or {}).get("reset_mask"), self.num_envs)
+        if not (self.batch.seeded or mask.all()):
+            raise ConfigError("reset_mask: the first reset must be of all robots")
         self.batch.seed(_seeds(seed, self.num_envs), mask)
         self._crew.share(lambda first, last: self.batch.reset(mask, first, last), self.num_envs)
         self._done = self._done & ~mask

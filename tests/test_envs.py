@@ -19,7 +19,7 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 from acsar_gym import Robot, RobotConfig, World
 from acsar_gym.env import RobotEnv
-from acsar_gym.errors import AcsarError, ConfigError, LidarError, RenderError
+from acsar_gym.errors import AcsarError, ConfigError, LidarError, LinkError, RenderError
 from acsar_gym.lidar import Scan
 from acsar_gym.links import open_link
 from acsar_gym.worlds import Region, Scene
@@ -323,3 +323,65 @@ def test_a_window_that_cannot_open_leaves_no_robot_driving(
         env.reset(seed=0)
     assert not inner(env).robot.active
     env.close()
+
+
+FAULTS: list[tuple[dict[str, Any], float]] = [
+    ({"unplug_at": 1.0, "replug_time": 0.5}, 3.0),
+    ({"board_reset_at": 1.0}, 1.0),
+]
+
+
+@pytest.mark.parametrize(("faults", "code"), FAULTS)
+@pytest.mark.parametrize("link", LINKS)
+def test_a_fault_truncates_the_episode_and_the_next_reset_recovers(
+    link: str, faults: dict[str, Any], code: float
+) -> None:
+    env = make("acsar_gym/PointGoal-v0", link, faults=faults)
+    for _ in range(2):
+        _, info = env.reset(seed=0)
+        assert info["fault"] == 0.0
+        truncated, steps = False, 0
+        while not truncated:
+            *_, terminated, truncated, info = env.step(np.array([0.0, 0.2], np.float32))
+            assert not terminated
+            steps += 1
+        assert info["fault"] == code
+        assert steps < 20
+        assert not inner(env).robot.active
+    env.close()
+
+
+def test_faults_can_be_raised_instead() -> None:
+    env = make("acsar_gym/PointGoal-v0", faults={"unplug_at": 0.3}, on_fault="raise")
+    env.reset(seed=0)
+    with pytest.raises(LinkError):
+        for _ in range(20):
+            env.step(np.zeros(2, np.float32))
+    env.close()
+
+
+def test_faulty_episodes_repeat_with_the_seed() -> None:
+    seen = []
+    for _ in range(2):
+        env = make(SEEING[0], faults={"dropped_lines": 0.4, "corrupted_lines": 0.2})
+        rows = [env.reset(seed=3)[0]]
+        rows += [env.step(np.array([0.5, 0.3], np.float32))[0] for _ in range(30)]
+        seen.append(np.array(rows))
+        env.close()
+    plain = make(SEEING[0])
+    plain.reset(seed=3)
+    clean = [plain.step(np.array([0.5, 0.3], np.float32))[0] for _ in range(30)]
+    assert (seen[0] == seen[1]).all()
+    assert (seen[0][1:] != np.array(clean)).any()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"faults": {"droped_lines": 0.1}}, "did you mean 'dropped_lines'"),
+        ({"on_fault": "ignore"}, "raise or truncate"),
+    ],
+)
+def test_bad_faults_are_one_clear_error(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        make(SEEING[0], **options)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from functools import partial
 from pathlib import Path
 
 from acsar_gym.bodies import Body
@@ -53,16 +54,17 @@ def open_link(
 def _simulated(name: str, config: RobotConfig, window: bool) -> Link:
     from acsar_gym.links.simulated import SimulatedLink  # noqa: PLC0415
 
-    def body() -> Body:
-        if name == "planar":
-            from acsar_gym.bodies.planar import PlanarBody  # noqa: PLC0415
+    return SimulatedLink(config, partial(_body, name, config, window))
 
-            return PlanarBody(config)
-        from acsar_gym.bodies.bullet import BulletBody  # noqa: PLC0415
 
-        return BulletBody(config, window=window)
+def _body(name: str, config: RobotConfig, window: bool) -> Body:
+    if name == "planar":
+        from acsar_gym.bodies.planar import PlanarBody  # noqa: PLC0415
 
-    return SimulatedLink(config, body)
+        return PlanarBody(config)
+    from acsar_gym.bodies.bullet import BulletBody  # noqa: PLC0415
+
+    return BulletBody(config, window=window)
 
 
 def _device(url: str, config: RobotConfig) -> str:

@@ -132,10 +132,23 @@ def signature(task: Task, config: RobotConfig) -> str:
 
 def known(options: Mapping[str, Any], names: tuple[str, ...]) -> Mapping[str, Any]:
     """The options of a reset; ConfigError for one that the task doesn't know."""
+    if not isinstance(options, Mapping):
+        raise ConfigError(f"options = {options!r}: must be a mapping of names to values")
     for name in options:
         if name not in names:
-            raise ConfigError(f"unknown reset option {name!r}{suggestion(name, names)}")
+            raise ConfigError(f"unknown reset option {name!r}{suggestion(str(name), names)}")
     return options
+
+
+def positive(name: str, value: Any) -> float:
+    """A positive number; ConfigError for anything else."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not 0.0 < number < math.inf:
+        raise ConfigError(f"{name} = {value!r}: must be a positive number")
+    return number
 
 
 def point(name: str, value: Any) -> Goal:

@@ -27,6 +27,7 @@ from acsar_gym.tasks.base import (
     clipped,
     known,
     point,
+    positive,
     relative,
     world_info,
 )
@@ -161,7 +162,7 @@ class Barn(_GoalTask):
     @classmethod
     def of(cls, pool: Pool, policy_rate: float, config: RobotConfig) -> Barn:
         """From an env's arguments."""
-        period = 1.0 / _positive("policy_rate", policy_rate)
+        period = 1.0 / positive("policy_rate", policy_rate)
         return cls(**_among_obstacles(barn.TOLERANCE, config), pool=pool, period=period)
 
     def begin(self, rng: np.random.Generator, options: Mapping[str, Any]) -> GoalCourse:
@@ -171,23 +172,13 @@ class Barn(_GoalTask):
 
 def _among_obstacles(tolerance: float, config: RobotConfig) -> dict[str, float]:
     return {
-        "tolerance": _positive("goal_tolerance", tolerance),
+        "tolerance": positive("goal_tolerance", tolerance),
         "scale": 10.0,
         "max_linear": config.max_linear,
         "max_angular": config.max_angular,
         "boundary": math.inf,
         "end": COLLISION_PENALTY,
     }
-
-
-def _positive(name: str, value: Any) -> float:
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        number = math.nan
-    if not 0.0 < number < math.inf:
-        raise ConfigError(f"{name} = {value!r}: must be a positive number")
-    return number
 
 
 class GoalCourse:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from acsar_gym.compiled import jit, loop
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError
 from acsar_gym.tasks import place
 from acsar_gym.tasks.base import (
     OBSERVATION_LIMIT,
@@ -21,11 +20,11 @@ from acsar_gym.tasks.base import (
     State,
     clipped,
     known,
+    positive,
     relative,
     world_info,
 )
-from acsar_gym.worlds import Pose, World
-from acsar_gym.worlds.paths import along
+from acsar_gym.worlds import Pose
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.world import Floats
 
@@ -70,9 +69,8 @@ class PathFollow:
     @classmethod
     def of(cls, pool: Pool, max_cross_track: float, config: RobotConfig) -> PathFollow:
         """From an env's arguments. Raises ConfigError for a bad distance."""
-        if not 0.0 < max_cross_track < math.inf:
-            raise ConfigError(f"max_cross_track = {max_cross_track!r}: must be positive [m]")
-        return cls(max_cross_track, config.max_linear, config.max_angular, pool)
+        most = positive("max_cross_track", max_cross_track)
+        return cls(most, config.max_linear, config.max_angular, pool)
 
     def low(self) -> tuple[float, ...]:
         """Least value of each of the observation's numbers."""
@@ -87,16 +85,10 @@ class PathFollow:
 
     def begin(self, rng: np.random.Generator, options: Mapping[str, Any]) -> PathCourse:
         """A path of the pool; option "world", or "path": points (x, y) in the odometry frame."""
-        options = dict(known(options, ("world", "path")))
+        options = known(options, ("world", "path"))
         if options.get("path") is not None:
-            options["world"] = _given(options["path"])
+            return PathCourse(self, place.given(options["path"]))
         return PathCourse(self, place.drawn(self.pool, rng, options, follow=True))
-
-
-def _given(path: Any) -> World:
-    """A world with this path, in the odometry frame: the robot starts at its origin."""
-    world = along(path)
-    return replace(world, start=replace(world.start, x=0.0, y=0.0, theta=0.0), name="given")
 
 
 class PathCourse:

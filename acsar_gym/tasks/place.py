@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,9 +12,9 @@ import numpy as np
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.tasks.base import Assignment, Goal, point, relative, within
-from acsar_gym.worlds import Pose, World
-from acsar_gym.worlds.paths import sampled
-from acsar_gym.worlds.pool import Pool, Source
+from acsar_gym.worlds import Pose, Region, World
+from acsar_gym.worlds.paths import along, sampled, to_follow
+from acsar_gym.worlds.pool import Pool, Source, checked
 from acsar_gym.worlds.search import footprint_radius
 from acsar_gym.worlds.world import Floats
 
@@ -33,7 +34,7 @@ def chosen(worlds: Pool, share: float, options: Mapping[str, Any]) -> tuple[int,
         number = min(int(share * len(worlds)), len(worlds) - 1)
         return number, worlds[number]
     if isinstance(asked, World):
-        return -1, asked
+        return -1, checked(asked, worlds.radius)
     if not isinstance(asked, int | np.integer):
         raise ConfigError(f"world = {asked!r}: must be a number of the env's worlds, or a World")
     return int(asked), worlds[int(asked)]
@@ -50,23 +51,32 @@ def drawn(
     """
     u = rng.random(DRAWS).tolist()
     number, world = chosen(worlds, u[0], options)
+    world = to_follow(world) if follow else world
     x, y = within(world.start.x, world.start.y, world.start.radius, u[1], u[2])
     theta = world.start.theta
     theta = (2.0 * u[3] - 1.0) * math.pi if theta is None else theta
     goal_x, goal_y = within(world.goal.x, world.goal.y, world.goal.radius, u[4], u[5])
-    goal: Goal = relative(x, y, math.cos(theta), math.sin(theta), goal_x, goal_y)
-    if options.get("goal") is not None:
-        goal = point("goal", options["goal"])
     pose: Pose = (x, y, theta)
-    path = _followed(world, pose) if follow else None
+    if options.get("goal") is not None:  # the world's own path leads elsewhere
+        return Assignment(point("goal", options["goal"]), world.seen_from(pose), number=number)
+    goal: Goal = relative(x, y, math.cos(theta), math.sin(theta), goal_x, goal_y)
+    path = _followed(world.path, pose) if follow and world.path is not None else None
     return Assignment(goal, world.seen_from(pose), path, world.length, number)
 
 
-def _followed(world: World, pose: Pose) -> Floats:
-    """N x 3: the samples of the world's path, in the frame of the pose."""
-    if world.path is None:
-        raise ConfigError(f"world {world.name!r} has no path to follow")
-    samples = sampled(world.path)
+def given(path: Any) -> Assignment:
+    """A path in the odometry frame: the robot starts at its origin, wherever the path begins."""
+    world = along(path)
+    goal = (world.goal.x, world.goal.y)
+    start = Region(0.0, 0.0, 0.0, 0.0)
+    world = replace(world, start=start, name="given")
+    followed = None if world.path is None else _followed(world.path, (0.0, 0.0, 0.0))
+    return Assignment(goal, world, followed, world.length)
+
+
+def _followed(path: Floats, pose: Pose) -> Floats:
+    """N x 3: the samples of a path, in the frame of the pose."""
+    samples = sampled(path)
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     points = (samples[:, :2] - pose[:2]) @ np.array([[cos, -sin], [sin, cos]])
     return np.column_stack([points, samples[:, 2] - pose[2]])

@@ -36,6 +36,8 @@ GOAL = Region(-2.0, 13.0)
 AT_ONCE = 64
 """Fields that are made and looked at together."""
 MOST_ROUNDS = 2000
+MOST_TRIED = 100
+"""Fields that BARN's robot can cross, and a larger footprint can't, before it is too large."""
 
 
 def barn(rng: np.random.Generator, difficulty: float, radius: float) -> World:
@@ -47,12 +49,16 @@ def barn(rng: np.random.Generator, difficulty: float, radius: float) -> World:
     """
     fill = 0.15 + 0.05 * min(int(4.0 * difficulty), 3)
     passes = int(rng.integers(2, 5))
+    tried = 0
     for _ in range(MOST_ROUNDS):
         for cells, room in _crossable(_fields(rng, fill, passes)):
+            tried += 1
             path = _path(rng, room)
             world = World(_cylinders(cells), start=START, goal=GOAL, path=path)
             if LENGTHS[0] <= world.length <= LENGTHS[1] and _lets_through(world, radius):
                 return world
+        if tried > MOST_TRIED:
+            break
     raise WorldError(
         f"no BARN world lets a footprint of radius {radius:g} m through; use another kind of world"
     )

@@ -11,7 +11,8 @@ The project's own format holds the fields of `World` [m, rad]:
 
 A YAML with an `image` is a ROS map; `start` and `goal` must be added to it, the others may be. A
 Gazebo world is taken for one of BARN's: it gets their start and goal, and the path in `path_N.npy`
-beside `world_N.world`. Every file that can't be used is one WorldError of one line.
+beside `world_N.world`, or in a folder `path_files` there or above, as in BARN's own repository.
+Every file that can't be used is one WorldError of one line.
 """
 
 from __future__ import annotations
@@ -144,9 +145,12 @@ def _from_sdf(path: Path) -> World:
 
 def _published_path(path: Path) -> Floats | None:
     """The way from start to goal of a published world, from its cells (row, column)."""
-    cells_file = path.with_name(path.stem.replace("world_", "path_", 1) + ".npy")
-    if not path.stem.startswith("world_") or not cells_file.is_file():
+    name = path.stem.replace("world_", "path_", 1) + ".npy"
+    folders = (path.parent, path.parent / "path_files", path.parent.parent / "path_files")
+    found = [folder / name for folder in folders if (folder / name).is_file()]
+    if not path.stem.startswith("world_") or not found:
         return None
+    cells_file = found[0]
     cells = _cells(cells_file) * BARN_CELL + BARN_CORNER
     ends = ((region.x, region.y) for region in (BARN_START, BARN_GOAL))
     start, goal = map(np.array, ends)

@@ -23,6 +23,8 @@ MARGIN = 0.05
 """Room that every way leaves on both sides of the footprint [m]."""
 DEFAULT_RADIUS = 0.25
 """Disc around the footprint of a small robot, where none is given [m]."""
+EASE = 0.97
+"""Where no difficulty is asked for, every attempt that fails makes the next one easier."""
 ATTEMPTS = 200
 """Worlds that are tried before a footprint counts as too large."""
 ARENA = 4.0
@@ -41,16 +43,27 @@ def generate(
     around the robot's footprint [m]. Raises WorldError for an unknown kind, a bad number, or a
     footprint that no such world lets through.
     """
-    maker = _MAKERS.get(kind)
-    if maker is None:
-        raise WorldError(f"unknown kind of world {kind!r}{suggestion(kind, _MAKERS)}")
+    check(kind, difficulty)
     if not isinstance(number, int | np.integer) or number < 0:
         raise WorldError(f"world number {number!r}: must be a whole number from 0")
-    if difficulty is not None and not 0.0 <= difficulty <= 1.0:
-        raise WorldError(f"difficulty = {difficulty!r}: must be from 0 to 1")
     rng = np.random.default_rng([zlib.crc32(kind.encode()), int(number)])
-    level = rng.uniform() if difficulty is None else float(difficulty)
-    return replace(_solvable(maker, rng, level, radius), name=f"{kind} {number}")
+    if difficulty is None:
+        level, ease = rng.uniform(), EASE
+    else:
+        level, ease = float(difficulty), 1.0
+    return replace(_solvable(_MAKERS[kind], rng, level, ease, radius), name=f"{kind} {number}")
+
+
+def check(kind: str, difficulty: float | None) -> None:
+    """WorldError for an unknown kind, or a difficulty that isn't from 0 to 1."""
+    if kind not in _MAKERS:
+        raise WorldError(f"unknown kind of world {kind!r}{suggestion(kind, _MAKERS)}")
+    try:
+        sound = difficulty is None or 0.0 <= float(difficulty) <= 1.0
+    except (TypeError, ValueError):
+        sound = False
+    if not sound:
+        raise WorldError(f"difficulty = {difficulty!r}: must be from 0 to 1")
 
 
 def kinds() -> tuple[str, ...]:
@@ -58,12 +71,15 @@ def kinds() -> tuple[str, ...]:
     return tuple(_MAKERS)
 
 
-def _solvable(maker: Maker, rng: np.random.Generator, level: float, radius: float) -> World:
-    for _ in range(ATTEMPTS):
-        world = maker(rng, level, radius)
-        if world.path is not None:
-            return world
+def _solvable(
+    maker: Maker, rng: np.random.Generator, level: float, ease: float, radius: float
+) -> World:
+    """A world that can be crossed; each attempt that fails multiplies the difficulty by `ease`."""
+    for attempt in range(ATTEMPTS):
         try:
+            world = maker(rng, level * ease**attempt, radius)
+            if world.path is not None:
+                return world
             return replace(world, path=shortest_path(world, radius + MARGIN))
         except WorldError:
             continue
@@ -99,6 +115,8 @@ def clutter(rng: np.random.Generator, difficulty: float, radius: float) -> World
 def _far_apart(rng: np.random.Generator, radius: float) -> tuple[Region, Region]:
     """Start, in any heading, and goal, at least half the arena's side apart."""
     inside = ARENA - radius - 2.0 * MARGIN
+    if inside < 0.6 * ARENA:
+        raise WorldError(f"a footprint of radius {radius:g} m is too large for this floor")
     while True:
         ends = rng.uniform(-inside, inside, (2, 2))
         if math.dist(ends[0], ends[1]) >= ARENA:

@@ -106,8 +106,8 @@ def surroundings(
         spec.reach if spec else 1.0,
         config.lidar_x_offset,
         config.lidar_y_offset,
-        config.body.length / 2.0,
-        config.body.width / 2.0,
+        config.footprint[0] / 2.0,
+        config.footprint[1] / 2.0,
     )
 
 

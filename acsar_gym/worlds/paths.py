@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -51,6 +52,17 @@ def along(path: Floats) -> World:
     end_x, end_y = points[-1].tolist()
     start = Region(x, y, 0.0, math.atan2(dy, dx))
     return World(start=start, goal=Region(end_x, end_y), path=points)
+
+
+def to_follow(world: World) -> World:
+    """The same world with its start and goal at the ends of its path, looking along it.
+
+    Raises WorldError where it has no path.
+    """
+    if world.path is None:
+        raise WorldError(f"{world.name or 'the world'}: has no path to follow")
+    ends = along(world.path)
+    return replace(world, start=ends.start, goal=ends.goal, path=ends.path)
 
 
 def distinct(path: Floats) -> Floats:

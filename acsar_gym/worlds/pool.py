@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +25,13 @@ Source = str | Path | World | Sequence[World]
 class Pool:
     """Worlds by index, 0 to len - 1. `kind` is the generator's name, or where they come from."""
 
-    def __init__(self, kind: str, count: int, make: Callable[[int], World]) -> None:
+    def __init__(
+        self, kind: str, count: int, make: Callable[[int], World], radius: float = 0.25
+    ) -> None:
         self.kind = kind
+        self.radius = radius
         self._count = count
+        self._made_by = make
         self._make = lru_cache(KEPT)(make)
 
     @classmethod
@@ -42,11 +46,16 @@ class Pool:
         worlds = _given(source)
         if worlds is not None:
             name = str(source) if isinstance(source, str | Path) else "given"
-            return cls(name, len(worlds), lambda k: checked(worlds[k], radius))
+            ready = [checked(world, radius) for world in worlds]
+            return cls(name, len(ready), ready.__getitem__, radius)
         kind, first, number = _numbers(str(source), count)
-        if kind not in generators.kinds():
-            generators.generate(kind, 0)  # raises with a suggestion
-        return cls(kind, number, lambda k: generators.generate(kind, first + k, difficulty, radius))
+        generators.check(kind, difficulty)
+        make = partial(_generated, kind, first, difficulty, radius)
+        return cls(kind, number, make, radius)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copies make their worlds anew."""
+        return Pool, (self.kind, self._count, self._made_by, self.radius)
 
     def __len__(self) -> int:
         return self._count
@@ -55,6 +64,10 @@ class Pool:
         if not 0 <= index < self._count:
             raise WorldError(f"world {index}: there are only {self._count} ({self.kind}), from 0")
         return self._make(index)
+
+
+def _generated(kind: str, first: int, difficulty: float | None, radius: float, index: int) -> World:
+    return generators.generate(kind, first + index, difficulty, radius)
 
 
 def checked(world: World, radius: float) -> World:
@@ -75,11 +88,7 @@ def _given(source: Any) -> list[World] | None:
     if isinstance(source, World):
         return [source]
     if isinstance(source, str | Path):
-        path = Path(source)
-        if path.is_dir():
-            return files.load_folder(path)
-        named = isinstance(source, Path) or path.suffix != "" or "/" in source
-        return [files.load(path)] if named or path.exists() else None
+        return _read(source)
     worlds = list(source) if isinstance(source, Sequence) else []
     if not worlds or not all(isinstance(world, World) for world in worlds):
         raise WorldError(
@@ -87,6 +96,22 @@ def _given(source: Any) -> list[World] | None:
             f"({', '.join(generators.kinds())})"
         )
     return worlds
+
+
+def _read(source: str | Path) -> list[World] | None:
+    """Worlds of a file or a folder; None for the name of a generator."""
+    if isinstance(source, str):
+        kind = _KINDS.match(source)
+        if not source or (kind and kind[1] in generators.kinds()):
+            return None
+    path = Path(source)
+    named = isinstance(source, Path) or path.suffix != "" or "/" in source
+    try:
+        if path.is_dir():
+            return files.load_folder(path)
+        return [files.load(path)] if named or path.exists() else None
+    except (OSError, ValueError) as error:
+        raise WorldError(f"worlds = {str(source)[:60]!r}: can't be read: {error}") from None
 
 
 def _numbers(text: str, count: int) -> tuple[str, int, int]:

@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from acsar_gym.errors import WorldError
 from acsar_gym.worlds.shapes import box, outline, wall
 from acsar_gym.worlds.world import Floats, Region, World
 
@@ -56,6 +57,9 @@ def _walls(
     rng: np.random.Generator, edges: list[float], side: float, half: float, door: float
 ) -> list[Floats]:
     """The wall to the corridor, a door for each room, and walls with a door now and then."""
+    narrowest = min(right - left for left, right in pairwise(edges))
+    if door > min(narrowest - 0.4, DEPTH - 0.6):
+        raise WorldError(f"doors of {door:.2f} m are too wide for these rooms")
     begin = [rng.uniform(left + 0.2, right - 0.2 - door) for left, right in pairwise(edges)]
     doors = np.array([[left, left + door] for left in begin])
     found = [wall((0.0, side * half), (LENGTH, side * half), doors)]
@@ -88,5 +92,7 @@ def _somewhere(
 ) -> Region:
     """A point of a room, away from its walls."""
     low, high = np.array(place[:2]) + radius + 0.1, np.array(place[2:]) - radius - 0.1
+    if (high <= low).any():
+        raise WorldError(f"a footprint of radius {radius:g} m is too large for these rooms")
     x, y = rng.uniform(low, high).tolist()
     return Region(x, y, 0.0, theta)

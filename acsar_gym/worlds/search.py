@@ -31,7 +31,7 @@ BLOCK = 64
 
 def footprint_radius(config: RobotConfig) -> float:
     """Radius of the disc around a robot's footprint [m]."""
-    return math.hypot(config.body.length, config.body.width) / 2.0
+    return math.hypot(*config.footprint) / 2.0
 
 
 @dataclass(frozen=True, slots=True)

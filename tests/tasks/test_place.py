@@ -72,5 +72,16 @@ def test_the_path_to_follow_begins_at_the_robot() -> None:
 
 
 def test_a_world_without_a_path_cannot_be_followed() -> None:
-    with pytest.raises(ConfigError, match="wide"):
-        drawn(Pool.of("open:5"), np.random.default_rng(0), {"world": WIDE}, follow=True)
+    world = World(goal=Region(1.0, 0.0), name="pathless")
+    pool = Pool("given", 1, lambda _: world)
+    with pytest.raises(WorldError, match="pathless: has no path to follow"):
+        drawn(pool, np.random.default_rng(0), {}, follow=True)
+
+
+def test_a_path_is_followed_from_its_own_start_to_its_own_end() -> None:
+    path = np.array([[1.0, 1.0], [2.0, 1.0], [2.0, 2.0]])
+    world = World(start=Region(0.0, 0.0), goal=Region(5.0, 5.0, 0.5), path=path)
+    assignment = drawn(Pool.of(world), np.random.default_rng(0), {}, follow=True)
+    assert assignment.goal == pytest.approx((1.0, 1.0))
+    assert assignment.path is not None
+    assert assignment.path[0] == pytest.approx([0.0, 0.0, 0.0])

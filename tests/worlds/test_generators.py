@@ -279,18 +279,18 @@ def test_waypoints_turn_as_sharply_as_the_difficulty_says(level: float) -> None:
         every.append(np.abs(turns(path)))
     assert counts == {3, 4, 5, 6}
     angles = np.concatenate(every)
-    assert 0.93 * most < angles.max() <= most + 1e-9
+    assert 0.97 * most < angles.max() <= most + 1e-9
     assert angles.mean() == pytest.approx(most / 2.0, rel=0.2)
 
 
 @pytest.mark.parametrize("kind", ["smooth_path", "waypoint_path"])
-def test_paths_start_at_the_origin_looking_along_them(kind: str) -> None:
+def test_paths_start_at_the_origin_along_the_x_axis(kind: str) -> None:
     for number in range(10):
         world = generate(kind, number)
         dx, dy = way(world)[1] - way(world)[0]
         assert world.obstacles == 0
         assert (world.start.x, world.start.y) == (0.0, 0.0)
-        assert world.start.theta == pytest.approx(math.atan2(dy, dx), abs=1e-12)
+        assert (world.start.theta, math.atan2(dy, dx)) == (0.0, 0.0)
 
 
 TOO_LARGE = r"^no .* lets a footprint of radius .* m through; use "

@@ -336,6 +336,22 @@ def test_a_start_that_just_fits_is_left_without_coming_nearer() -> None:
     assert closest(shortest_path(world, 0.16), world) >= 0.16 - CUT
 
 
+def test_a_start_that_just_fits_has_a_way_though_its_cell_does_not() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(40):
+        angle, near = rng.uniform(0.0, math.tau), rng.uniform(-0.05, 0.05, 2)
+        ahead = near + polar(0.2501, angle)
+        across = polar(1.0, angle + math.pi / 2.0)
+        line = array([*(ahead - across), *(ahead + across)])
+        for world in (
+            between(near, near + polar(1.0, angle), (), line),
+            between(near + polar(1.0, angle), near, (), line),
+        ):
+            path = shortest_path(world, 0.25)
+            assert closest(path, world) > 0.25 - RESOLVED
+            assert 2.0 < path_length(path) < 3.0
+
+
 @pytest.mark.parametrize(
     "radius",
     [
@@ -442,6 +458,38 @@ def test_ways_over_cells_are_those_by_hand(
     assert (cells[0], cells[-1]) == (first, last)
     assert grid.free.ravel()[cells].all()
     assert path_length(grid.centres(cells)) == pytest.approx(length)
+
+
+def slowly(free: Any, start: int, goal: int) -> float:
+    """Dijkstra's algorithm without a heap."""
+    count, width = free.size, free.shape[1]
+    lengths = {start: 0.0}
+    done: set[int] = set()
+    while open_cells := set(lengths) - done:
+        here = min(open_cells, key=lambda cell: lengths[cell])
+        done.add(here)
+        i, j = divmod(here, width)
+        for k in range(count):
+            di, dj = k // width - i, k % width - j
+            square = free[min(i, i + di) : max(i, i + di) + 1, min(j, j + dj) : max(j, j + dj) + 1]
+            if max(abs(di), abs(dj)) == 1 and square.all():
+                length = lengths[here] + math.hypot(di, dj)
+                lengths[k] = min(lengths.get(k, math.inf), length)
+    return lengths.get(goal, math.inf)
+
+
+def test_ways_over_cells_are_those_of_a_slow_search() -> None:
+    rng = np.random.default_rng(2)
+    blocked = 0
+    for _ in range(60):
+        free = rng.random((7, 8)) < 0.75
+        first, last = rng.choice(np.flatnonzero(free), 2, replace=False).tolist()
+        grid = Grid(free, 0.3, -0.7, 0.05)
+        cells = search.search(grid, first, last)
+        length = math.inf if cells is None else path_length(grid.centres(cells)) / grid.side
+        assert length == pytest.approx(slowly(free, first, last))
+        blocked += cells is None
+    assert 3 < blocked < 50
 
 
 def test_the_length_of_a_path() -> None:

@@ -115,10 +115,12 @@ class BulletBody:
         pybullet.stepSimulation(client)
 
     def feel(self) -> None:
-        """Note whether the robot touches an obstacle now."""
+        """Note whether the robot touches an obstacle now: overlaps it, or is pushed by it."""
         if self._statics and not self._touched:
             points = pybullet.getContactPoints(bodyA=self._robot, physicsClientId=self._client)
-            self._touched = any(p[2] in self._statics and p[8] <= 0.0 for p in points)
+            self._touched = any(
+                p[2] in self._statics and (p[8] <= 0.0 or p[9] > 0.0) for p in points
+            )
 
     def engine_step(self) -> None:
         """PyBullet's stepSimulation alone, which benchmarks compare with."""

@@ -34,7 +34,8 @@ def robot(config: RobotConfig, client: int) -> int:
     bottom = min(CLEARANCE, radius) - radius
     top = max(body.height - radius, bottom + 0.01)
     foot = _foot(config)
-    half = (body.length / 2.0, body.width / 2.0, (top - bottom) / 2.0)
+    length, width = config.footprint
+    half = (length / 2.0, width / 2.0, (top - bottom) / 2.0)
     collision = pybullet.createCollisionShapeArray(
         shapeTypes=[pybullet.GEOM_BOX] + [pybullet.GEOM_SPHERE] * 4,
         halfExtents=[half] + [(0.0, 0.0, 0.0)] * 4,
@@ -69,9 +70,9 @@ def robot(config: RobotConfig, client: int) -> int:
 
 def _foot(config: RobotConfig) -> float:
     """Radius of the spheres below the hubs, so that none sticks out of the footprint [m]."""
-    beside = (config.body.width - config.wheel_separation) / 2.0
-    ahead = (config.body.length - config.wheelbase) / 2.0
-    return min(config.wheel_radius, max(min(beside, ahead), 0.005))
+    length, width = config.footprint
+    beside, ahead = (width - config.wheel_separation) / 2.0, (length - config.wheelbase) / 2.0
+    return min(config.wheel_radius, beside, ahead)
 
 
 def _hubs(config: RobotConfig, z: float = 0.0) -> list[tuple[float, float, float]]:
