@@ -35,9 +35,13 @@ START = Region(-2.0, 3.0, 0.0, math.pi / 2.0)
 GOAL = Region(-2.0, 13.0)
 AT_ONCE = 64
 """Fields that are made and looked at together."""
-MOST_ROUNDS = 2000
-MOST_TRIED = 100
+MOST_ROUNDS = 1000
+MOST_TRIED = 50
 """Fields that BARN's robot can cross, and a larger footprint can't, before it is too large."""
+
+
+class NoWayThroughError(WorldError):
+    """Many fields have been looked at: another attempt won't find one, either."""
 
 
 def barn(rng: np.random.Generator, difficulty: float, radius: float) -> World:
@@ -59,7 +63,7 @@ def barn(rng: np.random.Generator, difficulty: float, radius: float) -> World:
                 return world
         if tried > MOST_TRIED:
             break
-    raise WorldError(
+    raise NoWayThroughError(
         f"no BARN world lets a footprint of radius {radius:g} m through; use another kind of world"
     )
 

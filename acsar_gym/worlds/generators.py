@@ -44,6 +44,12 @@ def generate(
     footprint that no such world lets through.
     """
     check(kind, difficulty)
+    try:
+        sound = 0.0 < float(radius) < math.inf
+    except (TypeError, ValueError, OverflowError):
+        sound = False
+    if not sound:
+        raise WorldError(f"radius = {radius!r}: must be a positive number of metres")
     if not isinstance(number, int | np.integer) or number < 0:
         raise WorldError(f"world number {number!r}: must be a whole number from 0")
     rng = np.random.default_rng([zlib.crc32(kind.encode()), int(number)])
@@ -60,7 +66,7 @@ def check(kind: str, difficulty: float | None) -> None:
         raise WorldError(f"unknown kind of world {kind!r}{suggestion(kind, _MAKERS)}")
     try:
         sound = difficulty is None or 0.0 <= float(difficulty) <= 1.0
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         sound = False
     if not sound:
         raise WorldError(f"difficulty = {difficulty!r}: must be from 0 to 1")
@@ -80,7 +86,9 @@ def _solvable(
             world = maker(rng, level * ease**attempt, radius)
             if world.path is not None:
                 return world
-            return replace(world, path=shortest_path(world, radius + MARGIN))
+            return replace(world, path=shortest_path(world, radius + MARGIN, cuts=0))
+        except barn.NoWayThroughError:
+            raise
         except WorldError:
             continue
     raise WorldError(

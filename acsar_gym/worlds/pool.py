@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -14,9 +14,10 @@ from acsar_gym.worlds import files, generators
 from acsar_gym.worlds.search import check_region, shortest_path
 from acsar_gym.worlds.world import World
 
+MOST = 10**9
 KEPT = 512
 """Generated worlds that a pool remembers."""
-_KINDS = re.compile(r"([a-z_]+)(?::(\d+)(?:-(\d+))?)?$")
+_KINDS = re.compile(r"([a-z_]+)(?::(\d+)(?:-(\d+))?)?")
 
 Source = str | Path | World | Sequence[World]
 """What users may pass as `worlds=`."""
@@ -60,6 +61,9 @@ class Pool:
     def __len__(self) -> int:
         return self._count
 
+    def __iter__(self) -> Iterator[World]:
+        return (self[index] for index in range(self._count))
+
     def __getitem__(self, index: int) -> World:
         if not 0 <= index < self._count:
             raise WorldError(f"world {index}: there are only {self._count} ({self.kind}), from 0")
@@ -101,7 +105,7 @@ def _given(source: Any) -> list[World] | None:
 def _read(source: str | Path) -> list[World] | None:
     """Worlds of a file or a folder; None for the name of a generator."""
     if isinstance(source, str):
-        kind = _KINDS.match(source)
+        kind = _KINDS.fullmatch(source)
         if not source or (kind and kind[1] in generators.kinds()):
             return None
     path = Path(source)
@@ -116,7 +120,7 @@ def _read(source: str | Path) -> list[World] | None:
 
 def _numbers(text: str, count: int) -> tuple[str, int, int]:
     """Kind, first number, and how many."""
-    match = _KINDS.match(text)
+    match = _KINDS.fullmatch(text)
     if match is None:
         raise WorldError(f"worlds = {text!r}: must be like 'clutter', 'clutter:50' or a path")
     kind, one, other = match.groups()
@@ -126,4 +130,6 @@ def _numbers(text: str, count: int) -> tuple[str, int, int]:
         first, number = 0, count if one is None else int(one)
     if number < 1:
         raise WorldError(f"worlds = {text!r}: holds no world")
+    if number > MOST:
+        raise WorldError(f"worlds = {text[:60]!r}: must hold at most {MOST:,} worlds")
     return kind, first, number

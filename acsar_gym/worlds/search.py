@@ -25,6 +25,14 @@ MOST_CELLS = 4_000_000
 """Worlds larger than this many cells are searched more coarsely."""
 SLACK = 1e-3
 """How far a path may cut into the clearance between two cells [m]."""
+WALL = 0.75
+"""Cells nearer to an obstacle than this share of their side are never free."""
+NEAR = 4
+"""Cells around an end of a way in which it may enter the grid."""
+CUTS = 4
+"""How often corners are cut off."""
+BISECTIONS = 6
+"""Of each cut."""
 BLOCK = 64
 """Points of a path that are tried at once for a straight way."""
 
@@ -57,12 +65,18 @@ class Grid:
 
 
 def shortest_path(
-    world: World, radius: float, start: Region | None = None, goal: Region | None = None
+    world: World,
+    radius: float,
+    start: Region | None = None,
+    goal: Region | None = None,
+    *,
+    cuts: int = CUTS,
 ) -> Floats:
     """P x 2: a shortest way of a disc of this radius [m] from start to goal, as straight pieces.
 
-    A shortest way over eight-connected cells, pulled straight where obstacles allow it. Start and
-    goal are the centres of the world's regions unless others are given. Raises WorldError where
+    A shortest way over eight-connected cells, pulled straight where obstacles allow it, its corners
+    cut off `cuts` times: within 1 % of the shortest one; without cuts it is a little longer. Start
+    and goal are the centres of the world's regions unless others are given. Raises WorldError where
     one of the regions isn't free for the disc, or there is no way.
     """
     start, goal = start or world.start, goal or world.goal
@@ -71,16 +85,18 @@ def shortest_path(
     ends = np.array([[start.x, start.y], [goal.x, goal.y]])
     if segment_clearance(ends[:1], ends[1:], world)[0] >= radius:
         return ends
-    grid = free_cells(world, radius)
-    first, last = grid.cell(start.x, start.y), grid.cell(goal.x, goal.y)
-    grid.free.flat[[first, last]] = True  # their centres may be a little nearer than the ends
+    grid = free_cells(world, radius, ends)
+    first, last = (_entry(grid, end, world, radius) for end in ends)
     cells = search(grid, first, last)
     if cells is None:
         raise WorldError(
             f"{_named(world)}no way from start to goal for a footprint of radius {radius:.2f} m"
         )
     way = np.concatenate([ends[:1], grid.centres(cells), ends[1:]])
-    return _pulled(_pulled(way, world, radius)[::-1], world, radius)[::-1]
+    way = _pulled(_pulled(way, world, radius)[::-1], world, radius)[::-1]
+    for _ in range(cuts):
+        way = _pulled(_cut(way, world, radius), world, radius)
+    return way
 
 
 def check_region(world: World, name: str, region: Region, radius: float) -> None:
@@ -98,9 +114,54 @@ def _named(world: World) -> str:
     return f"{world.name}: " if world.name else ""
 
 
-def free_cells(world: World, radius: float) -> Grid:
-    """Cells whose centre is at least `radius` [m] away from every obstacle."""
+def _entry(grid: Grid, end: Floats, world: World, radius: float) -> int:
+    """The free cell next to an end of the way that can be reached straight from there.
+
+    The end's own cell where there is none: the way may come a little nearer to an obstacle then.
+    """
+    own = grid.cell(float(end[0]), float(end[1]))
+    i, j = divmod(own, grid.free.shape[1])
+    low_i, low_j = max(i - NEAR, 0), max(j - NEAR, 0)
+    near = np.argwhere(grid.free[low_i : i + NEAR + 1, low_j : j + NEAR + 1])
+    cells = (near[:, 0] + low_i) * grid.free.shape[1] + near[:, 1] + low_j
+    centres = grid.centres(cells)
+    open_ways = segment_clearance(np.broadcast_to(end, centres.shape), centres, world) >= (
+        radius - SLACK
+    )
+    if not open_ways.any():
+        grid.free.flat[own] = True
+        return own
+    away = np.hypot(*(centres - end).T)
+    return int(cells[np.where(open_ways, away, np.inf).argmin()])
+
+
+def _cut(way: Floats, world: World, radius: float) -> Floats:
+    """The way with its corners cut off as far as obstacles allow it."""
+    if len(way) < 3:
+        return way
+    before, corner, behind = way[:-2], way[1:-1], way[2:]
+    share, step = np.zeros(len(corner)), 0.25
+    for _ in range(BISECTIONS):
+        more = (share + step)[:, None]
+        ends = corner + more * (before - corner), corner + more * (behind - corner)
+        share += np.where(segment_clearance(*ends, world) >= radius - SLACK / 2.0, step, 0.0)
+        step /= 2.0
+    one = corner + share[:, None] * (before - corner)
+    other = corner + share[:, None] * (behind - corner)
+    return np.concatenate([way[:1], np.stack([one, other], axis=1).reshape(-1, 2), way[-1:]])
+
+
+def free_cells(world: World, radius: float, ends: Floats | None = None) -> Grid:
+    """Cells whose centre is at least `radius` [m] away from every obstacle.
+
+    They cover the world and the `ends` (n, 2) of a way. No wall fits between two cells.
+    """
     left, low, right, high = world.bounds
+    if ends is not None:
+        (left, low), (right, high) = (
+            np.minimum((left, low), ends.min(axis=0)).tolist(),
+            np.maximum((right, high), ends.max(axis=0)).tolist(),
+        )
     margin = 2.0 * radius + 4.0 * RESOLUTION
     width, height = right - left + 2.0 * margin, high - low + 2.0 * margin
     side = RESOLUTION * max(1.0, math.sqrt(width * height / MOST_CELLS) / RESOLUTION)
@@ -108,10 +169,11 @@ def free_cells(world: World, radius: float) -> Grid:
     y = (math.floor((low - margin) / side) + 0.5) * side
     free = np.ones((math.ceil(width / side) + 1, math.ceil(height / side) + 1), np.bool_)
     grid = Grid(free, x, y, side)
+    radius = max(radius, WALL * side)
     for cx, cy, r in world.circles.tolist():
         _block(grid, (cx, cy, cx, cy), r + radius)
-    for ends in world.segments.tolist():
-        _block(grid, (ends[0], ends[1], ends[2], ends[3]), radius)
+    for x1, y1, x2, y2 in world.segments.tolist():
+        _block(grid, (x1, y1, x2, y2), radius)
     return grid
 
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, SupportsFloat
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,8 @@ from acsar_gym.worlds.scene import Pose
 Floats = NDArray[np.float64]
 MOST_OBSTACLES = 20_000
 """A world with more circles and segments than this is refused."""
+TURNED = 3.0
+"""Of a world that is seen from elsewhere, coordinates may be so many times as large."""
 FARTHEST = 1e4
 """Coordinates beyond this are refused [m]."""
 
@@ -35,12 +37,13 @@ class Region:
     """Heading of a start [rad]; None is any. A goal has none."""
 
     def __post_init__(self) -> None:
-        numbers = (self.x, self.y, self.radius, self.theta or 0.0)
+        numbers = (self.x, self.y, self.radius, 0.0 if self.theta is None else self.theta)
+        real = all(isinstance(number, SupportsFloat) for number in numbers)
         try:
-            sound = all(abs(number) <= FARTHEST for number in numbers) and self.radius >= 0.0
-        except TypeError:
+            sound = real and all(abs(float(number)) <= FARTHEST for number in numbers)
+        except (TypeError, ValueError, OverflowError):
             sound = False
-        if not sound:
+        if not sound or self.radius < 0.0:
             raise WorldError(
                 f"region {numbers}: x, y, radius [m] and theta [rad] must be numbers of at most "
                 f"{FARTHEST:g}, the radius not negative"
@@ -64,12 +67,15 @@ class World:
     """P x 2: a way from the start to the goal: the shortest one for the footprint that the world
     was made for, the published one, or the one to follow [m]."""
     name: str = ""
+    turned: bool = field(default=False, kw_only=True, repr=False)
+    """Whether this is a world as seen from elsewhere."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "circles", _rows("circles", self.circles, 3))
-        object.__setattr__(self, "segments", _rows("segments", self.segments, 4))
+        far = FARTHEST * (TURNED if self.turned else 1.0)
+        object.__setattr__(self, "circles", _rows("circles", self.circles, 3, far))
+        object.__setattr__(self, "segments", _rows("segments", self.segments, 4, far))
         if self.path is not None:
-            object.__setattr__(self, "path", _rows("path", self.path, 2))
+            object.__setattr__(self, "path", _rows("path", self.path, 2, far))
         if (self.circles[:, 2] < 0.0).any():
             raise WorldError("circles: a radius must not be negative")
         if self.obstacles > MOST_OBSTACLES:
@@ -115,7 +121,12 @@ class World:
         def region(old: Region) -> Region:
             new_x, new_y = moved(np.array([[old.x, old.y]]))[0].tolist()
             heading = None if old.theta is None else math.remainder(old.theta - theta, math.tau)
-            return Region(new_x, new_y, old.radius, heading)
+            seen: Region = object.__new__(Region)  # it may lie farther away than a given one
+            for name, value in zip(
+                Region.__slots__, (new_x, new_y, old.radius, heading), strict=True
+            ):
+                object.__setattr__(seen, name, value)
+            return seen
 
         return World(
             np.column_stack([moved(self.circles[:, :2]), self.circles[:, 2]]),
@@ -124,13 +135,14 @@ class World:
             region(self.goal),
             None if self.path is None else moved(self.path),
             self.name,
+            turned=True,
         )
 
 
-def _rows(name: str, rows: Floats | Sequence[Any], width: int) -> Floats:
+def _rows(name: str, rows: Floats | Sequence[Any], width: int, farthest: float) -> Floats:
     """An own, read-only copy of n x `width` finite numbers."""
     try:
-        array = np.array(rows, np.float64)
+        array = np.full(1, np.nan) if np.iscomplexobj(rows) else np.array(rows, np.float64)
     except (TypeError, ValueError, OverflowError):
         array = np.full(1, np.nan)
     if array.size == 0:
@@ -139,7 +151,7 @@ def _rows(name: str, rows: Floats | Sequence[Any], width: int) -> Floats:
         raise WorldError(f"{name}: must be rows of {width} numbers, have shape {array.shape}")
     if len(array) > MOST_OBSTACLES:
         raise WorldError(f"{name}: {len(array):,} are too many, at most {MOST_OBSTACLES:,}")
-    if not (np.abs(array) <= FARTHEST).all():
-        raise WorldError(f"{name}: must be finite numbers of at most {FARTHEST:g} m")
+    if not (np.abs(array) <= farthest).all():
+        raise WorldError(f"{name}: must be finite numbers of at most {farthest:g} m")
     array.setflags(write=False)
     return array
