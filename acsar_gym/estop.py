@@ -97,6 +97,10 @@ class Ears:
             if self._path is not None and self._process == os.getpid():
                 self._path.unlink(missing_ok=True)
 
+    def __del__(self) -> None:
+        if hasattr(self, "_socket"):
+            self.close()
+
 
 def stop_all() -> list[Stopped]:
     """Ask every process of this user that drives a robot to stop, and wait for its answer."""

@@ -47,8 +47,8 @@ def wait_for_log(emulator: Emulated, until: float) -> None:
 
 
 def drive_and_fall_silent(device: str, config: RobotConfig) -> SerialLink:
-    """A client that sent a command and then nothing more; its port is still open."""
-    link = SerialLink(device, config)
+    """A client without a watchdog that sent a command and then nothing more, its port open."""
+    link = SerialLink(device, config.with_(watchdog_timeout=None))
     link.open()
     for _ in range(30):
         link.write(FORWARD)

@@ -18,6 +18,7 @@ from __future__ import annotations
 import contextlib
 import mmap
 import os
+import select
 import subprocess
 import sys
 import tempfile
@@ -30,13 +31,11 @@ AVAILABLE = os.name == "posix"
 """Whether this operating system can have one."""
 PATIENCE = 5.0
 """Longest wait for its start and for its end [s]; 20 ms and 1 ms are usual."""
-POLL = 0.001
-"""How often to look whether it has started [s]."""
 PROGRAM = Path(__file__).resolve().with_name("watchdog_child.py")
 STANDING = 0.0
 
 if AVAILABLE:
-    from acsar_gym.links.watchdog_child import BEAT, LEAVE, PAGE, READY, TRIPPED
+    from acsar_gym.links.watchdog_child import BEAT, LEAVE, PAGE, TRIPPED
 
 
 class Watchdog:
@@ -50,32 +49,33 @@ class Watchdog:
     """
 
     def __init__(self, port: int, zeros: bytes, timeout: float) -> None:
-        self.timeout = timeout
         self._driving = False
-        page = _memory()
-        try:
-            self._map = mmap.mmap(page, PAGE)
-            self._page = memoryview(self._map).cast("d")
+        self._open = False
+        with contextlib.ExitStack() as inherited, contextlib.ExitStack() as ours:
+            page = _memory()
+            inherited.callback(os.close, page)
             ear, self._lifeline = os.pipe()
-            try:
-                self._process = _started(port, page, ear, timeout, zeros)
-            except BaseException:
-                os.close(self._lifeline)
-                self._free()
-                raise
-            finally:
-                os.close(ear)
-        finally:
-            os.close(page)
-        self._open = True
+            inherited.callback(os.close, ear)
+            ours.callback(os.close, self._lifeline)
+            self._ready, mouth = os.pipe()
+            inherited.callback(os.close, mouth)
+            ours.callback(os.close, self._ready)
+            self._map = mmap.mmap(page, PAGE)
+            ours.callback(self._map.close)
+            self._page = memoryview(self._map).cast("d")
+            ours.callback(self._page.release)
+            self._process = _started((port, page, ear, mouth), timeout, zeros)
+            self._ours = ours.pop_all()
+            self._open = True
 
     def wait(self) -> None:
         """Return when it watches; LinkError where it doesn't come to that."""
-        deadline = time.monotonic() + PATIENCE
-        while not self._page[READY]:
-            if not self.alive or time.monotonic() > deadline:
-                raise _failed("it ended at once" if not self.alive else "it doesn't answer")
-            time.sleep(POLL)
+        pipe = select.poll()
+        pipe.register(self._ready, select.POLLIN)
+        if not pipe.poll(1000.0 * PATIENCE):
+            raise _failed("it doesn't answer")
+        if not os.read(self._ready, 1):
+            raise _failed("it ended at once")
 
     @property
     def pid(self) -> int:
@@ -149,12 +149,7 @@ class Watchdog:
 
     def _let_go(self) -> None:
         self._open = False
-        os.close(self._lifeline)
-        self._free()
-
-    def _free(self) -> None:
-        self._page.release()
-        self._map.close()
+        self._ours.close()
 
 
 def _memory() -> int:
@@ -169,20 +164,20 @@ def _memory() -> int:
 
 
 def _started(
-    port: int, page: int, ear: int, timeout: float, zeros: bytes
+    shared: tuple[int, int, int, int], timeout: float, zeros: bytes
 ) -> subprocess.Popen[bytes]:
     """The watchdog's process: a session of its own, and no file but those that it needs."""
-    numbers = map(str, (port, page, ear, os.getpid(), timeout))
+    options = map(str, (*shared, os.getpid(), timeout))
     # TTYs and pipes of this program must not stay open with its watchdog.
     nowhere = subprocess.DEVNULL
     try:
         return subprocess.Popen(
-            [sys.executable, "-I", "-S", str(PROGRAM), *numbers, zeros.hex()],
+            [sys.executable, "-I", "-S", str(PROGRAM), *options, zeros.hex()],
             stdin=nowhere,
             stdout=nowhere,
             stderr=nowhere,
             cwd="/",
-            pass_fds=(port, page, ear),
+            pass_fds=shared,
             start_new_session=True,
         )
     except (OSError, subprocess.SubprocessError) as error:

@@ -20,13 +20,13 @@ import termios
 import time
 from collections.abc import Callable
 
-SLOTS = 4
-BEAT, TRIPPED, READY, LEAVE = range(SLOTS)
+SLOTS = 3
+BEAT, TRIPPED, LEAVE = range(SLOTS)
 """What the page holds, doubles of 8 bytes each, which are stored at once.
 
 BEAT: when the program last gave a sign of life [s, monotonic clock]; 0 while the newest command is
-zero. TRIPPED: how old that was when the robot was stopped [s]; 0 where it wasn't. READY: 1 as soon
-as the watchdog watches. LEAVE: 1 where it shall end, for the program closes the port in order.
+zero. TRIPPED: how old that was when the robot was stopped [s]; 0 where it wasn't. LEAVE: 1 where
+the watchdog shall end, for the program closes the port in order.
 """
 PAGE = 8 * SLOTS
 
@@ -69,7 +69,6 @@ class Watch:
         """Until the program closes the port; until it is dead and the zeros are on the wire."""
         pipe = select.poll()
         pipe.register(self._lifeline, select.POLLIN)
-        self._page[READY] = 1.0
         while not self._page[LEAVE]:
             wait = math.ceil(1000.0 * max(0.0, self._due - time.monotonic()))
             if pipe.poll(wait) or os.getppid() != self._parent:
@@ -137,14 +136,21 @@ def be_urgent() -> None:
 
 
 def main() -> None:
-    """Arguments: port, page and lifeline (descriptors), parent (pid), time-out [s], zeros (hex)."""
+    """Arguments: port, page, lifeline, mouth (descriptors), parent (pid), time-out [s], zeros.
+
+    One byte goes into the mouth as soon as it watches.
+    """
     for name in DEAF_TO:
         signal.signal(getattr(signal, name), signal.SIG_IGN)
-    port, page, lifeline, parent = map(int, sys.argv[1:5])
+    port, page, lifeline, mouth, parent = map(int, sys.argv[1:6])
     be_urgent()
     memory = memoryview(mmap.mmap(page, PAGE)).cast("d")
-    send = sender(port, bytes.fromhex(sys.argv[6]))
-    Watch(memory, lifeline, parent, float(sys.argv[5]), send).run()
+    send = sender(port, bytes.fromhex(sys.argv[7]))
+    watch = Watch(memory, lifeline, parent, float(sys.argv[6]), send)
+    with contextlib.suppress(OSError):
+        os.write(mouth, b".")
+    os.close(mouth)
+    watch.run()
     os._exit(0)
 
 

@@ -26,7 +26,7 @@ from acsar_gym.errors import AcsarError, ConfigError, LinkError
 from acsar_gym.links import watchdog
 from acsar_gym.links.serial import SerialLink
 from acsar_gym.links.watchdog import Watchdog
-from acsar_gym.links.watchdog_child import BEAT, REPEATS, SURE, TRIPPED, Watch
+from acsar_gym.links.watchdog_child import BEAT, PAGE, REPEATS, SURE, TRIPPED, Watch
 from acsar_gym.protocol import ZERO, Decoder, encode
 from acsar_gym.worlds import Scene
 
@@ -482,7 +482,7 @@ class Clock:
     """A watch over a page of its own, asked at chosen times."""
 
     def __init__(self) -> None:
-        self.page = memoryview(bytearray(32)).cast("d")
+        self.page = memoryview(bytearray(PAGE)).cast("d")
         self.zeros = 0
         self.watch = Watch(self.page, -1, os.getpid(), TIMEOUT_OF_DOG, self.send)
 
