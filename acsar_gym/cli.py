@@ -82,8 +82,11 @@ def emulate(
     silent: bool = False,
     world: Worlds = None,
     lidar: bool = False,
+    name: File = None,
 ) -> int:
     """Run the microcontroller's twin on a pseudo-terminal and print its device path.
+
+    SIGUSR1 pulls the cable, SIGUSR2 plugs it in again as another device.
 
     Args:
         robot: preset or config file of the emulated robot.
@@ -93,6 +96,7 @@ def emulate(
         silent: never answer, as a board without power.
         world: where the robot stands: a file, or a generated world like clutter:7-7.
         lidar: emulate an RPLIDAR on a pseudo-terminal of its own, too.
+        name: symbolic link to the device, wherever it is plugged in.
     """
     from acsar_gym.emulator import Emulator  # noqa: PLC0415
     from acsar_gym.worlds.pool import Pool  # noqa: PLC0415
@@ -101,7 +105,11 @@ def emulate(
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     config = RobotConfig.of(robot)
     place = None if world is None else Pool.of(world, None, footprint_radius(config), 1)[0]
-    with Emulator(config, body=body, log=log, silent=silent, world=place, sees=lidar) as emulator:
+    with Emulator(
+        config, body=body, log=log, silent=silent, world=place, sees=lidar, name=name
+    ) as emulator:
+        for number, plugged in ((signal.SIGUSR1, False), (signal.SIGUSR2, True)):
+            signal.signal(number, lambda *_, to=plugged: setattr(emulator, "plugged", to))
         print(f"serving a robot on {emulator.device}", flush=True)
         if lidar:
             print(f"serving a LiDAR on {emulator.lidar_device}", flush=True)
@@ -195,6 +203,7 @@ def evaluate(
     in_order: bool = False,
     difficulty: float | None = None,
     lidar: LidarArg = None,
+    trust: bool = False,
     json: Json = None,
 ) -> int:
     """Run a policy for some episodes behind any link and print what it reached.
@@ -209,13 +218,16 @@ def evaluate(
         in_order: every world once, instead of drawing them: a benchmark on a folder of worlds.
         difficulty: of generated worlds, 0 to 1.
         lidar: rplidar:///dev/ttyUSB1 on hardware.
+        trust: let a stable-baselines3 zip as policy run its code: your own, or whose you trust.
         json: write the figures here too.
     """
     from acsar_gym import metrics, report, runs  # noqa: PLC0415
 
     report.check_writable(json)
     options = {"worlds": worlds, "difficulty": difficulty, "lidar": lidar}
-    results = runs.evaluate(policy, link, robot, episodes, seed, in_order=in_order, **options)
+    results = runs.evaluate(
+        policy, link, robot, episodes, seed, in_order=in_order, trust=trust, **options
+    )
     summary = metrics.summarise(results)
     title = f"{policy}, seeds {seed} to {seed + episodes - 1}"
     report.show(report.summary_table(title, [(link, summary)]))
@@ -231,6 +243,7 @@ def run(
     robot: RobotArg = None,
     lidar: LidarArg = None,
     record: File = None,
+    trust: bool = False,
     json: Json = None,
 ) -> int:
     """Drive a policy to one goal (x y, in m, from where the robot stands).
@@ -242,16 +255,41 @@ def run(
         robot: preset or config file.
         lidar: rplidar:///dev/ttyUSB1 on hardware, for a policy that needs one.
         record: write everything on the wire here; replay it with --link replay:FILE.
+        trust: let a stable-baselines3 zip as policy run its code: your own, or whose you trust.
         json: write the figures here too.
     """
     from acsar_gym import metrics, report, runs  # noqa: PLC0415
 
     report.check_writable(json)
-    result = runs.to_goal(policy, link, robot, goal, record, lidar=lidar)
+    result = runs.to_goal(policy, link, robot, goal, record, trust=trust, lidar=lidar)
     summary = metrics.summarise([result])
     report.show(report.summary_table(f"{policy} to ({goal[0]:g}, {goal[1]:g})", [(link, summary)]))
     report.write_json(json, summary.as_dict())
     return 0 if result.success else 1
+
+
+def export(
+    model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")],
+    out: OutFile,
+    trust: bool = False,
+    env: Annotated[str, tyro.conf.arg(metavar="KIND|ID")] = "",
+    robot: RobotArg = None,
+) -> int:
+    """Convert a stable-baselines3 zip to an ONNX policy, which runs no code when it's loaded.
+
+    Args:
+        model: zip of PPO, A2C, SAC, TD3 or DDPG.
+        out: the ONNX file.
+        trust: let the zip run its code: only your own, or whose you trust.
+        env: what it was trained for, such as point_goal; models of 'acsar-gym train' know it.
+        robot: preset or config file of the robot that it was trained on.
+    """
+    from acsar_gym import report, runs  # noqa: PLC0415
+
+    report.check_writable(out)
+    runs.export(model, out, env, robot, trust=trust)
+    print(f"written: {out}")
+    return 0
 
 
 def show(
@@ -350,6 +388,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "train": train,
     "evaluate": evaluate,
     "run": run,
+    "export": export,
     "worlds": worlds,
 }
 

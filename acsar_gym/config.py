@@ -208,6 +208,8 @@ class RobotConfig(_Section):
     """Ticks per second: one command line each [Hz]."""
     connect_timeout: PositiveFloat = 5.0
     """How long activation waits for the board's first valid line [s]; AVR boards reset on open."""
+    reconnect_timeout: NonNegativeFloat = 10.0
+    """A port that was lost has so long to come back at the next activation [s]."""
     feedback_timeout: PositiveFloat = 0.5
     """Feedback older than this stops the robot with an error [s]."""
     watchdog_timeout: PositiveFloat | None = 0.15

@@ -11,7 +11,8 @@ from rich.table import Table
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import BoardSilentError, LinkError
-from acsar_gym.links.serial import SerialLink, ports
+from acsar_gym.links.ports import ports
+from acsar_gym.links.serial import SerialLink
 from acsar_gym.protocol import MAX_LINE, ZERO, Decoder, Speeds, encode
 
 LISTEN = 2.0

@@ -7,32 +7,26 @@ to the board and where the robot really was, on the monotonic clock that all pro
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
-import os
-import pty
-import termios
 import time
-import tty
 from pathlib import Path
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.config import BAUD_RATES, RobotConfig
+from acsar_gym.cable import Cable
+from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.links import Link, open_link, recording
 from acsar_gym.rplidar_emulator import RplidarEmulator, RplidarTwin
 from acsar_gym.worlds import Pose, Scene, World
 from acsar_gym.worlds.geometry import look
 
-CHUNK = 4096
 Floats = NDArray[np.float64]
 SAMPLES = 200
 """Measurements of the LiDAR in a turn: 2000 a second at 10 Hz, as an RPLIDAR A1 makes them."""
-BAUD_CODES = {getattr(termios, f"B{rate}"): rate for rate in BAUD_RATES}
 
 
 class Emulator:
@@ -41,6 +35,9 @@ class Emulator:
     `silent` never answers; `log` gets one JSON line per piece of input and, every loop, the true
     pose. The robot stands at the start of `world`, or on an open floor; with `sees`, an RPLIDAR's
     twin looks around in it, and `lidar_device` is what its driver opens.
+
+    `plugged` may be set to False and True at any time, from signal handlers too: the cable is
+    pulled, and plugged in again as another device, which `name`, a symbolic link, follows.
     """
 
     def __init__(
@@ -52,6 +49,7 @@ class Emulator:
         silent: bool = False,
         world: World | None = None,
         sees: bool = False,
+        name: Path | None = None,
     ) -> None:
         if body not in ("planar", "bullet"):
             raise ConfigError(f"body = {body!r}: must be planar or bullet")
@@ -64,18 +62,13 @@ class Emulator:
         self._lidar = _lidar(self._link, around, config) if sees else None
         self.lidar_device = self._lidar.device if self._lidar else None
         self._log = recording.opened(log) if log else None
-        self._descriptors: tuple[int, ...]
-        self._master, self._slave = self._descriptors = pty.openpty()
-        self._configure_terminal()
-        os.set_blocking(self._master, False)
-        self.device = os.ttyname(self._slave)
+        self.plugged = True
+        self._cable = Cable(config.baud_rate, name)
 
-    def _configure_terminal(self) -> None:
-        """Raw, and at the board's own baud rate until a client sets another one."""
-        tty.setraw(self._slave)
-        attributes = termios.tcgetattr(self._slave)
-        attributes[4] = attributes[5] = getattr(termios, f"B{self._config.baud_rate}")
-        termios.tcsetattr(self._slave, termios.TCSANOW, attributes)
+    @property
+    def device(self) -> str:
+        """What a SerialLink opens; "" while the cable is out."""
+        return self._cable.device
 
     def run(self, duration: float | None = None) -> None:
         """Emulate for `duration` [s], or until interrupted; deadlines are absolute."""
@@ -90,8 +83,10 @@ class Emulator:
 
     def _turn(self, period: float) -> None:
         """One loop of the firmware: bytes in, physics, bytes out."""
-        with contextlib.suppress(BlockingIOError):
-            data = os.read(self._master, CHUNK)
+        if self.plugged != bool(self.device):
+            self._replug()
+        data = self._cable.read()
+        if data:
             self._note({"rx": data.decode("latin-1")})
             self._link.write(self._over_uart(data))
         answer = self._link.advance(period)
@@ -99,13 +94,19 @@ class Emulator:
             self._lidar.serve_once(period)
         if self._log is not None:
             self._note({"pose": self._link.truth.pose if self._link.truth else None})
-        if answer and not self._silent:
-            with contextlib.suppress(BlockingIOError):  # nobody reads: a UART drops it too
-                os.write(self._master, self._over_uart(answer))
+        if answer and self.device and not self._silent:
+            self._cable.write(self._over_uart(answer))
+
+    def _replug(self) -> None:
+        if self.plugged:
+            self._cable.plug()
+        else:
+            self._cable.pull()
+        self._note({"device": self.device})
 
     def _over_uart(self, data: bytes) -> bytes:
         """The bytes as the other side sees them: garbage where the baud rates differ."""
-        if BAUD_CODES.get(termios.tcgetattr(self._slave)[4]) == self._config.baud_rate:
+        if self._cable.sound:
             return data
         return bytes((byte * 7 + 0x80) & 0xFF | 0x80 for byte in data)
 
@@ -115,9 +116,7 @@ class Emulator:
 
     def close(self) -> None:
         """Close the terminal and the log; twice is once."""
-        descriptors, self._descriptors = self._descriptors, ()
-        for descriptor in descriptors:
-            os.close(descriptor)
+        self._cable.pull()
         self._link.close()
         if self._lidar is not None:
             self._lidar.close()

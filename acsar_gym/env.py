@@ -54,10 +54,10 @@ def _faulty(link: Link, faults: Faults) -> FaultyLink | None:
     return FaultyLink(link, faults) if faults.possible else None
 
 
-def _truncates(on_fault: str | None, faulty: FaultyLink | None) -> bool:
-    if on_fault not in (None, "raise", "truncate"):
+def _truncates(on_fault: str) -> bool:
+    if on_fault not in ("raise", "truncate"):
         raise ConfigError(f"on_fault = {on_fault!r}: must be raise or truncate")
-    return on_fault == "truncate" or (on_fault is None and faulty is not None)
+    return on_fault == "truncate"
 
 
 def fault_code(error: LinkError) -> int:
@@ -85,7 +85,7 @@ class RobotEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         render_mode: str | None = None,
         view: str = "top",
         faults: Mapping[str, Any] | Faults | None = None,
-        on_fault: str | None = None,
+        on_fault: str = "truncate",
     ) -> None:
         config = RobotConfig.of(robot)
         self.render_mode = render_mode
@@ -96,7 +96,7 @@ class RobotEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._check_rendering(link, view)
         wire = self._link(link, config)
         self._faulty = _faulty(wire, Faults.of(faults))
-        self._truncates = _truncates(on_fault, self._faulty)
+        self._truncates = _truncates(on_fault)
         self.robot = Robot(self._faulty or wire, config)
         if lidar is not None and not self.task.sees:
             raise ConfigError(f"lidar = {lidar!r}: {self.task.id} uses none")
@@ -153,8 +153,7 @@ class RobotEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         except LinkError as error:
             if self._told_last is None or not self._truncates:
                 raise
-            observation, info = self._told_last
-            return observation, 0.0, False, True, info | {"fault": float(fault_code(error))}
+            return self._cut_short(error)
         state = self._state((linear, angular), self.robot.link.truth)
         if self._course is None:
             raise ConfigError("step() before reset(): call reset() first")
@@ -164,6 +163,14 @@ class RobotEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         if terminated:
             self.robot.stop()
         return observation, reward, terminated, False, info
+
+    def _cut_short(self, error: LinkError) -> tuple[Observation, float, bool, bool, Info]:
+        """The end of an episode by a fault: what was seen last, and why; nothing drives now."""
+        self.robot.deactivate()
+        assert self._told_last is not None  # noqa: S101 - for the type checker
+        (observation, info), self._told_last = self._told_last, None
+        reason = {"fault": float(fault_code(error)), "fault_reason": str(error)}
+        return observation.copy(), 0.0, False, True, info | {"is_success": 0.0} | reason
 
     def _drive(self, linear: float, angular: float) -> None:
         for _ in range(self.ticks_per_step):
@@ -209,7 +216,7 @@ class RobotEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             self.robot.deactivate()
             raise
         told = self._observation(course, state), self._info(course, state, outcome)
-        self._told_last = told if self._truncates else None
+        self._told_last = told
         return told
 
     def _observation(self, course: Course, state: State) -> Observation:
@@ -237,7 +244,7 @@ class RobotEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             "true_contact": float(truth.contact) if truth else math.nan,
             "odometry_error": math.hypot(true_pose[0] - x, true_pose[1] - y),
         } | course.info(state, true_pose)
-        if self._truncates:
+        if self._faulty is not None or truth is None:
             info["fault"] = 0.0
         if self._scan is not None:
             age = self.robot.link.now() - self._scan.stamp

@@ -67,9 +67,10 @@ class PointGoalEnv(RobotEnv):
     - `view`: "top", drawn from above for every link, or "camera", PyBullet's behind the robot.
     - `faults`: what goes wrong on the wire and the board, such as {"dropped_lines": 0.1,
       "unplug_rate": 0.01}; see `acsar_gym.links.faults.Faults`. Drawn from the env's generator.
-    - `on_fault`: "raise" the LinkError that ends an episode, or "truncate" it, with a number in
-      info's `fault` (0 none, 1 silent, 2 garbled, 3 link lost, 4 LiDAR, 5 other; 0 or that at every
-      step). The next reset opens the link again. None truncates where there are `faults`.
+    - `on_fault`: "truncate" ends an episode in which the link or the board fails, with a number in
+      info's `fault` (0 none, 1 silent, 2 garbled, 3 link lost, 4 LiDAR, 5 other; told at every step
+      on hardware and where there are `faults`) and the whole message in `fault_reason`. The next
+      reset opens the link again. "raise" raises the LinkError.
 
     ## Info
 
@@ -97,7 +98,7 @@ class PointGoalEnv(RobotEnv):
         render_mode: str | None = None,
         view: str = "top",
         faults: Mapping[str, Any] | Faults | None = None,
-        on_fault: str | None = None,
+        on_fault: str = "truncate",
     ) -> None:
         super().__init__(
             lambda config: PointGoal.of(goal_distance, goal_tolerance, config),
@@ -185,7 +186,7 @@ class ObstacleGoalEnv(RobotEnv):
         render_mode: str | None = None,
         view: str = "top",
         faults: Mapping[str, Any] | Faults | None = None,
-        on_fault: str | None = None,
+        on_fault: str = "truncate",
     ) -> None:
         super().__init__(
             lambda c: ObstacleGoal.of(pool(worlds, difficulty, c), goal_tolerance, c),
@@ -254,7 +255,7 @@ class BarnEnv(RobotEnv):
         render_mode: str | None = None,
         view: str = "top",
         faults: Mapping[str, Any] | Faults | None = None,
-        on_fault: str | None = None,
+        on_fault: str = "truncate",
     ) -> None:
         super().__init__(
             lambda c: Barn.of(pool(worlds, difficulty, c), policy_rate, c),
@@ -336,7 +337,7 @@ class PathFollowEnv(RobotEnv):
         render_mode: str | None = None,
         view: str = "top",
         faults: Mapping[str, Any] | Faults | None = None,
-        on_fault: str | None = None,
+        on_fault: str = "truncate",
     ) -> None:
         super().__init__(
             lambda c: PathFollow.of(pool(worlds, difficulty, c), max_cross_track, c),

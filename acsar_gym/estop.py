@@ -17,7 +17,7 @@ from pathlib import Path
 
 from acsar_gym.errors import LinkError
 
-ANSWER = 0.5
+ANSWER = 2.0
 """How long a stop waits for each process [s]; a control loop answers within a tick."""
 STOP = b"stop"
 

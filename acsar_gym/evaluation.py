@@ -14,6 +14,7 @@ import numpy as np
 
 from acsar_gym.env import RobotEnv
 from acsar_gym.errors import ConfigError, LinkError
+from acsar_gym.links.timing import EpisodeTiming
 from acsar_gym.policy import Policy
 from acsar_gym.safety import Reason
 from acsar_gym.tasks.barn import SCORES
@@ -21,6 +22,8 @@ from acsar_gym.worlds import Pose, Region, World
 from acsar_gym.worlds.search import footprint_radius, path_length, way_left
 
 Way = list[tuple[float, float]]
+LATE_SHARE = 0.01
+"""An episode of which more ticks were late doesn't say much about its policy."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +58,12 @@ class EpisodeResult:
     """BARN's, as `tasks.barn.SCORES` names them; empty for other tasks."""
     cross_track: float = math.nan
     """Mean distance beside the path to follow [m]; NaN for other tasks."""
+    timing: EpisodeTiming | None = None
+    """How good the timing was; None in simulation, where it is perfect."""
+    fault: str = ""
+    """What ended the episode, where link or board failed."""
+    valid: bool = True
+    """Whether nothing failed, and no more ticks were late than allowed."""
 
 
 def episodes(
@@ -64,26 +73,35 @@ def episodes(
     seed: int,
     *,
     in_order: bool = False,
+    late_share: float = LATE_SHARE,
     **options: Any,
 ) -> Iterator[EpisodeResult]:
     """Run `count` episodes, seeds `seed`, `seed + 1`, ...; `options` go to every reset.
 
-    `in_order` takes the env's worlds one after the other, instead of drawing them.
+    `in_order` takes the env's worlds one after the other, instead of drawing them. Episodes that a
+    fault ends, or of which more than `late_share` of the ticks are late, are marked as not valid;
+    after a fault the next reset connects again, or raises LinkError.
     """
+    if not 0.0 <= late_share <= 1.0:
+        raise ConfigError(f"late_share = {late_share!r}: must be a share, 0 to 1")
     for number in range(count):
         place = {"world": number} if in_order else {}
-        yield _episode(env, policy, seed + number, options | place)
+        yield _episode(env, policy, seed + number, options | place, late_share)
 
 
 def _episode(
-    env: gymnasium.Env[Any, Any], policy: Policy, seed: int, options: dict[str, Any]
+    env: gymnasium.Env[Any, Any],
+    policy: Policy,
+    seed: int,
+    options: dict[str, Any],
+    late_share: float,
 ) -> EpisodeResult:
     unwrapped = env.unwrapped
     if not isinstance(unwrapped, RobotEnv):
         raise ConfigError(f"{env}: only environments of acsar_gym can be evaluated")
     observation, info = env.reset(seed=seed, options=options)
     link, steps = unwrapped.robot.link, [info]
-    started, late, done = link.now(), link.late_ticks, False
+    started, done = link.now(), False
     while not done:
         observation, _, terminated, truncated, info = env.step(policy(observation))
         steps.append(info)
@@ -91,6 +109,8 @@ def _episode(
             raise LinkError("emergency stop", "look after the robot, then start again")
         done = terminated or truncated
     unwrapped.robot.stop()  # a time limit is no concern of the env below it
+    timing, fault = unwrapped.robot.timing, info.get("fault_reason", "")
+    late = timing.lateness.late_share if timing else 0.0
     return EpisodeResult(
         success=info["is_success"] == 1.0,
         collision=info["is_success"] != 1.0 and info["true_contact"] == 1.0,
@@ -100,11 +120,14 @@ def _episode(
         pose=(info["odom_x"], info["odom_y"], info["odom_theta"]),
         odometry_error=info["odometry_error"],
         ticks=(len(steps) - 1) * unwrapped.ticks_per_step,
-        late_ticks=link.late_ticks - late,
+        late_ticks=timing.lateness.late_ticks if timing else 0,
         **_ways(unwrapped, steps),
         turning=_turning([step["odom_theta"] for step in steps]),
         scores=tuple(info[name] for name in SCORES if name in info),
         cross_track=info.get("mean_cross_track_error", math.nan),
+        timing=timing,
+        fault=fault,
+        valid=not fault and late <= late_share,
     )
 
 

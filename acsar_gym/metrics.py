@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from acsar_gym.evaluation import EpisodeResult
+from acsar_gym.links.timing import EpisodeTiming
 from acsar_gym.tasks.barn import SCORES
 
 CONFIDENCE = 0.95
@@ -49,6 +50,18 @@ class Summary:
     """Mean distance beside the path to follow [m]."""
     ticks: int
     late_ticks: int
+    missed_ticks: int
+    """Whole periods without a tick."""
+    lateness_p99: float
+    """Of all episodes' 99th percentiles of lateness the largest [s]; NaN in simulation."""
+    worst_lateness: float
+    """[s]"""
+    worst_feedback_age: float
+    """[s]"""
+    round_trip: float
+    """From a command to its first effect in feedback, the mean of medians [s]."""
+    invalid: int
+    """Episodes that a fault ended, or of which too many ticks were late."""
     scores: dict[str, float] = field(default_factory=dict)
     """BARN's, by name; empty for other tasks."""
     intervals: dict[str, Interval] = field(default_factory=dict)
@@ -58,6 +71,11 @@ class Summary:
         """For JSON: NaN and infinity become None."""
         cleaned: dict[str, Any] = _finite(asdict(self))
         return cleaned
+
+
+def per_episode(results: Sequence[EpisodeResult]) -> list[dict[str, Any]]:
+    """Every episode for JSON, its timing included."""
+    return [_finite(asdict(result)) for result in results]
 
 
 def _finite(value: Any) -> Any:
@@ -79,13 +97,15 @@ def summarise(results: Sequence[EpisodeResult]) -> Summary:
     intervals = {name: wilson(sum(hits), len(hits)) for name, hits in rates.items()}
     intervals |= {name: bootstrap(values) for name, values in samples.items()}
     names = [name for name in SCORES if name in samples]
-    means = {name: _mean(values) for name, values in samples.items() if name not in names}
+    means: dict[str, Any] = {name: _mean([float(hit) for hit in rates[name]]) for name in rates}
+    means |= {name: _mean(values) for name, values in samples.items() if name not in names}
     return Summary(
         episodes=len(results),
-        **{name: _mean([float(hit) for hit in hits]) for name, hits in rates.items()},
         **means,
         ticks=sum(result.ticks for result in results),
         late_ticks=sum(result.late_ticks for result in results),
+        **_timing([result.timing for result in results if result.timing]),
+        invalid=sum(not result.valid for result in results),
         scores={name: _mean(samples[name]) for name in names},
         intervals=intervals,
     )
@@ -109,6 +129,21 @@ def _samples(results: Sequence[EpisodeResult]) -> dict[str, list[float]]:
         for number, name in enumerate(SCORES):
             samples[name] = [result.scores[number] for result in results]
     return samples
+
+
+def _timing(timings: Sequence[EpisodeTiming]) -> dict[str, Any]:
+    latest = [timing.lateness for timing in timings]
+    return {
+        "missed_ticks": sum(lateness.missed_ticks for lateness in latest),
+        "lateness_p99": _largest([lateness.p99 for lateness in latest]),
+        "worst_lateness": _largest([lateness.worst for lateness in latest]),
+        "worst_feedback_age": _largest([timing.feedback_age.worst for timing in timings]),
+        "round_trip": _mean([timing.round_trip.p50 for timing in timings]),
+    }
+
+
+def _largest(values: Sequence[float]) -> float:
+    return max((value for value in values if math.isfinite(value)), default=math.nan)
 
 
 def _driven(result: EpisodeResult) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -25,11 +26,34 @@ class Policy(Protocol):
         """The action for one observation; shapes as the env's spaces."""
 
 
-class OnnxPolicy:
+class FilePolicy(ABC):
+    """A policy that was read from a file."""
+
+    path: Path
+    env_id: str
+    """The environment that it was trained for; empty where the file doesn't say."""
+    layout: str
+    """What its observation consists of (see `tasks.signature`); empty where it doesn't say."""
+
+    def check(self, task: Task, config: RobotConfig) -> None:
+        """PolicyError where the policy was made for another observation than this env gives."""
+        wanted = signature(task, config)
+        if self.layout and self.layout != wanted:
+            raise PolicyError(
+                f"{self.path}: made for {self.env_id} and the observation ({self.layout}), but "
+                f"{task.id} gives ({wanted}): train it again, or choose its robot with --robot"
+            )
+
+    @abstractmethod
+    def __call__(self, observation: Observation) -> NDArray[np.float32]:
+        """The deterministic action in [-1, 1], shape (2,), for one observation."""
+
+
+class OnnxPolicy(FilePolicy):
     """A policy read from an ONNX file; loading runs no code from the file.
 
-    `env_id` is the environment that it was trained for. Raises PolicyError where the file is
-    missing or isn't a policy of this package, and MissingExtraError without onnxruntime.
+    Raises PolicyError where the file is missing or isn't a policy of this package, and
+    MissingExtraError without onnxruntime.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -58,19 +82,11 @@ class OnnxPolicy:
             raise PolicyError(f"{self.path}: must map 'observation' to 'action', maps {names}")
         metadata = self._session.get_modelmeta().custom_metadata_map
         self.env_id = metadata.get(ENV_KEY, "")
-        self._signature = metadata.get(LAYOUT_KEY, "")
-        if not self.env_id or not self._signature:
+        self.layout = metadata.get(LAYOUT_KEY, "")
+        # "module:id" would have Gymnasium import a module because the file says so.
+        if not self.env_id or ":" in self.env_id or not self.layout:
             raise PolicyError(
                 f"{self.path}: doesn't say which environment it is for: export it with sb3.export"
-            )
-
-    def check(self, task: Task, config: RobotConfig) -> None:
-        """PolicyError where the policy was made for another observation than this env gives."""
-        wanted = signature(task, config)
-        if self._signature != wanted:
-            raise PolicyError(
-                f"{self.path}: made for {self.env_id} and the observation ({self._signature}), but "
-                f"{task.id} gives ({wanted}): train it again"
             )
 
     def __call__(self, observation: Observation) -> NDArray[np.float32]:

@@ -56,15 +56,21 @@ def summary_table(title: str, rows: Sequence[tuple[str, Summary]]) -> Table:
     for name in told:
         table.add_column(name, justify="right")
     for number, (wire, _) in enumerate(rows):
-        table.add_row(escape(wire), *(cells[number] or "not known" for cells in told.values()))
+        table.add_row(escape(wire), *(cells[number] or "-" for cells in told.values()))
     worst = max(
         (s.odometry_error for _, s in rows if not math.isnan(s.odometry_error)), default=0.0
     )
+    captions = []
     if worst > ALARM:
-        table.caption = (
+        captions.append(
             f"Odometry is off by {worst:.2f} m, so success by odometry means little: "
             "calibrate wheel_radius and wheel_separation_multiplier."
         )
+    if any(summary.invalid for _, summary in rows):
+        captions.append(
+            "Invalid: ended by a fault, or with too many late ticks; --json tells each."
+        )
+    table.caption = "\n".join(captions) or None
     return table
 
 
@@ -109,5 +115,8 @@ COLUMNS: dict[str, Callable[[Summary], str]] = {
     "beside path": lambda summary: _number(summary.cross_track * 100.0, "cm"),
     "odometry error": lambda summary: _number(summary.odometry_error * 100.0, "cm"),
     "late ticks": lambda summary: f"{summary.late_ticks} of {summary.ticks}",
+    "latest": lambda summary: _number(summary.worst_lateness * 1000.0, "ms"),
+    "round trip": lambda summary: _number(summary.round_trip * 1000.0, "ms"),
+    "invalid": lambda summary: f"{summary.invalid}" if summary.invalid else "",
 }
 """What a table says of a run; an empty text is nothing to say."""

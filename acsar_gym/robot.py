@@ -11,6 +11,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import BoardGarbledError, BoardSilentError, LinkError
 from acsar_gym.estop import Ears
 from acsar_gym.links.base import Link
+from acsar_gym.links.timing import EpisodeTiming, Stopwatch
 from acsar_gym.odometry import Odometry
 from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds, encode
 from acsar_gym.safety import Safety
@@ -49,6 +50,7 @@ class Robot:
         self.active = False
         self.safety = Safety(self.config)
         self._ears: Ears | None = None
+        self._stopwatch: Stopwatch | None = None
         self._stamp = 0.0
         self._period = self.config.period
         self._comma = self.config.trailing_comma
@@ -82,11 +84,14 @@ class Robot:
             self.speeds = ZERO
             self.feedback_age = 0.0
             self._stamp = self.link.now()
+            self._stopwatch = None
             self._settle()
         except BaseException:
             self.deactivate()
             raise
         self.odometry.reset()
+        if hasattr(self.link, "lateness"):
+            self._stopwatch = Stopwatch(self._period)
 
     def _settle(self) -> None:
         standing = 0
@@ -135,6 +140,11 @@ class Robot:
             raise
         self.tick(speeds)
 
+    @property
+    def timing(self) -> EpisodeTiming | None:
+        """How good the timing has been since the reset; None where it is always perfect."""
+        return self._stopwatch.summary() if self._stopwatch else None
+
     def wheel_speeds(self, linear: float, angular: float) -> Speeds:
         """Wheel speeds [rad/s] for a twist, shrunk to `max_wheel_speed` at the same turn radius."""
         return self.safety.wheels(linear, angular)
@@ -166,6 +176,9 @@ class Robot:
 
     def _exchange(self, speeds: Sequence[float]) -> None:
         link = self.link
+        if self._stopwatch is not None:
+            turns = max(map(abs, self.speeds)) > STANDSTILL
+            self._stopwatch.asked(self._stamp, drives=any(speeds), turns=turns)
         link.write(self._line(speeds))
         readings = self.decoder.feed(link.advance(self._period))
         stamp = link.now()
@@ -173,6 +186,8 @@ class Robot:
         self._stamp = stamp
         self.feedback_age = 0.0 if readings else self.feedback_age + dt
         self._integrate(readings, dt)
+        if self._stopwatch is not None:
+            self._stopwatch.tick(getattr(link, "lateness", 0.0), self.feedback_age)
         if self.feedback_age > self._patience:
             raise self._silence()
 

@@ -21,7 +21,7 @@ from acsar_gym.config import LidarConfig, RobotConfig
 from acsar_gym.errors import LidarError, LinkError, MissingExtraError
 from acsar_gym.lidar import Scan
 from acsar_gym.links.guard import guard, install, unguard
-from acsar_gym.links.serial import PORT_ERRORS, opened
+from acsar_gym.links.ports import PORT_ERRORS, opened
 from acsar_gym.turns import Turn, Turns, binned
 from acsar_gym.worlds import Scene
 

@@ -1,4 +1,4 @@
-"""What `evaluate` and `run` do: a policy file driving behind any link."""
+"""What `evaluate`, `run` and `export` do: a policy file driving behind any link."""
 
 from __future__ import annotations
 
@@ -17,16 +17,31 @@ from acsar_gym.errors import ConfigError, PolicyError
 from acsar_gym.evaluation import EpisodeResult
 from acsar_gym.links import Link, open_link
 from acsar_gym.links.recording import RecordingLink
-from acsar_gym.policy import OnnxPolicy
+from acsar_gym.policy import FilePolicy, OnnxPolicy, resolve
+from acsar_gym.zip_policy import ZipPolicy
 
 Env = gymnasium.Env[Any, Any]
 
 
-def made(policy: OnnxPolicy, link: str | Link, robot: Any, options: Mapping[str, Any]) -> Env:
+def load(policy: str, *, trust: bool) -> FilePolicy:
+    """The policy of a file or of a name: ONNX, or with `trust` a stable-baselines3 zip.
+
+    Raises PolicyError where there is none, and for a zip without `trust`.
+    """
+    path = resolve(policy)
+    return ZipPolicy(path, trust=trust) if path.suffix == ".zip" else OnnxPolicy(path)
+
+
+def made(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[str, Any]) -> Env:
     """The environment that a policy was trained for; PolicyError where it is another one now.
 
     Options whose value is None are left to the environment.
     """
+    if not policy.env_id:
+        raise PolicyError(
+            f"{policy.path}: doesn't say which environment it is for: convert it with "
+            f"'acsar-gym export {policy.path} policy.onnx --trust --env point_goal' or another env"
+        )
     given = {name: value for name, value in options.items() if value is not None}
     try:
         env = gymnasium.make(policy.env_id, link=link, robot=robot, **given)
@@ -49,16 +64,18 @@ def evaluate(
     seed: int,
     *,
     in_order: bool = False,
+    trust: bool = False,
     **options: Any,
 ) -> list[EpisodeResult]:
     """Episodes with random goals, behind a progress bar; options go to the environment."""
     if episodes < 1 or seed < 0:
         raise ConfigError("--episodes must be at least 1 and --seed at least 0")
-    return drive(OnnxPolicy(policy), link, robot, episodes, seed, in_order=in_order, **options)
+    actor = load(policy, trust=trust)
+    return drive(actor, link, robot, episodes, seed, in_order=in_order, **options)
 
 
 def drive(
-    policy: OnnxPolicy,
+    policy: FilePolicy,
     link: str,
     robot: str | None,
     count: int,
@@ -82,17 +99,37 @@ def to_goal(
     robot: str | None,
     goal: tuple[float, float],
     record: Path | None,
+    *,
+    trust: bool = False,
     **options: Any,
 ) -> EpisodeResult:
     """One episode to a given goal, recorded to a file on request."""
     config = RobotConfig.of(robot)
-    actor = OnnxPolicy(policy)
+    actor = load(policy, trust=trust)
     wire: Link = open_link(link, config)
     if record is not None:
         wire = RecordingLink(wire, record)
-    env = made(actor, wire, config, options)
+    env = made(actor, wire, config, options | {"on_fault": "raise"})
     try:
         return next(evaluation.episodes(env, actor, 1, seed=0, goal=goal))
+    finally:
+        env.close()
+
+
+def export(model: Path, out: Path, env_id: str, robot: str | None, *, trust: bool) -> None:
+    """Convert a stable-baselines3 zip to an ONNX policy for an env and a robot.
+
+    An empty `env_id` is the zip's own; "point_goal" is short for "acsar_gym/PointGoal-v0".
+    """
+    if env_id and "/" not in env_id:
+        env_id = f"acsar_gym/{env_id.title().replace('_', '')}-v0"
+    policy = ZipPolicy(model, trust=trust, env_id=env_id)
+    env = made(policy, "planar", robot, {})
+    from acsar_gym import sb3  # noqa: PLC0415 - optional
+
+    inner: Any = env.unwrapped
+    try:
+        sb3.export(policy.network, out, inner.task, inner.robot.config)
     finally:
         env.close()
 

@@ -23,10 +23,12 @@ from acsar_gym.vector import RobotVectorEnv
 try:
     import onnx
     import torch
+    from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.callbacks import BaseCallback
-    from stable_baselines3.common.policies import ActorCriticPolicy
+    from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
     from stable_baselines3.common.utils import safe_mean
     from stable_baselines3.common.vec_env import VecEnv
+    from stable_baselines3.sac.policies import SACPolicy
 except ImportError:
     raise MissingExtraError("exporting a stable-baselines3 model", "train") from None
 
@@ -127,9 +129,11 @@ class TrainingProgress(BaseCallback):
         )
         self._task: TaskID = self._progress.add_task("train", total=steps, speed=0.0, success="-")
         self._begin = 0.0
+        self._before = 0
 
     def _on_training_start(self) -> None:
         self._begin = time.monotonic()
+        self._before = self.num_timesteps
         self._progress.start()
 
     def _on_step(self) -> bool:
@@ -138,29 +142,34 @@ class TrainingProgress(BaseCallback):
     def _on_rollout_end(self) -> None:
         successes: Any = self.model.ep_success_buffer
         # Until every robot has had a whole episode, only quick successes have ended.
-        early = self.num_timesteps < self._episode_steps * self.training_env.num_envs
+        done = self.num_timesteps - self._before
+        early = done < self._episode_steps * self.training_env.num_envs
         success = "-" if early or not successes else f"{safe_mean(successes):.1%}"
-        speed = self.num_timesteps / (time.monotonic() - self._begin)
-        total = max(self.num_timesteps, self._steps)
-        self._progress.update(
-            self._task, completed=self.num_timesteps, total=total, speed=speed, success=success
-        )
+        speed = done / (time.monotonic() - self._begin)
+        total = max(done, self._steps)
+        self._progress.update(self._task, completed=done, total=total, speed=speed, success=success)
 
     def _on_training_end(self) -> None:
         self._progress.stop()
 
 
 class _Actor(torch.nn.Module):
-    """The deterministic actor of an actor-critic policy: observation in, clipped mean out."""
+    """The deterministic actor of a policy: observation in, mean action out, in [-1, 1]."""
 
-    def __init__(self, policy: ActorCriticPolicy) -> None:
+    def __init__(self, policy: BasePolicy) -> None:
         super().__init__()
         self.policy = policy
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
-        features: Any = self.policy.extract_features(observation, self.policy.pi_features_extractor)
-        mean = self.policy.action_net(self.policy.mlp_extractor.forward_actor(features))
-        return torch.clamp(mean, -1.0, 1.0)
+        policy: Any = self.policy
+        if isinstance(policy, ActorCriticPolicy):
+            features: Any = policy.extract_features(observation, policy.pi_features_extractor)
+            mean = policy.action_net(policy.mlp_extractor.forward_actor(features))
+            return torch.tanh(mean) if policy.squash_output else torch.clamp(mean, -1.0, 1.0)
+        if isinstance(policy, SACPolicy):
+            return torch.tanh(policy.actor.get_action_dist_params(observation)[0])
+        action: torch.Tensor = policy.actor(observation)  # TD3's is deterministic
+        return action
 
 
 def _forget_sources(model: Any) -> None:
@@ -172,9 +181,16 @@ def _forget_sources(model: Any) -> None:
         del weight.metadata_props[:]
 
 
-def export(policy: ActorCriticPolicy, path: Path, task: Task, config: RobotConfig) -> None:
+def label(model: BaseAlgorithm, task: Task, config: RobotConfig) -> None:
+    """Note in a model which env and observation it is for; `model.save` keeps the note."""
+    setattr(model, ENV_KEY, task.id)
+    setattr(model, LAYOUT_KEY, signature(task, config))
+
+
+def export(policy: BasePolicy, path: Path, task: Task, config: RobotConfig) -> None:
     """Write the deterministic actor of a trained policy to one ONNX file at `path`.
 
+    The policy is one of PPO, A2C, SAC, TD3 or DDPG.
     The file maps `observation` (batch, n) to `action` (batch, 2), float32, and carries the env's id
     and the observation's signature, which `OnnxPolicy` checks.
     """

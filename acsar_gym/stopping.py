@@ -2,7 +2,8 @@
 
 Three processes, as in earnest: the emulator, whose log tells when a command arrived; the program,
 which drives at 100 Hz; and whoever does something to it. All share one monotonic clock. A time is
-from the fault to the first zero command at the emulator, which looks every 5 ms.
+from the fault to the first zero command at the emulator, which looks every 5 ms. Through a cable
+that is out no command can come, so there it is from the moment at which it is plugged in again.
 
 `python -m acsar_gym.stopping --trials 100` measures all kinds of faults.
 """
@@ -28,6 +29,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from acsar_gym.config import RobotConfig
@@ -45,7 +47,10 @@ KINDS = {
     "exception": "the policy raises an exception",
     "exit": "os._exit in the policy",
     "terminal": "the terminal is closed",
+    "unplug": "unplug-replug; the program has ended",
+    "reset": "unplug-replug; the program resets",
 }
+REPLUGGED = ("unplug", "reset")
 LIMIT = 0.25
 """So soon the zero command shall be there [s]."""
 TICKS = 30
@@ -58,6 +63,8 @@ SURE = 0.1
 """For so long no other command may follow the zeros [s]."""
 POLL = 0.005
 HANG = 5.0
+PULLED = (0.05, 0.5)
+"""A cable is out for a time drawn from this range [s]."""
 
 Progress = Callable[[str, float], None]
 """Told of each trial's kind and time [s]."""
@@ -90,16 +97,19 @@ def measure(
         if kind not in KINDS:
             raise ConfigError(f"kind {kind!r} of fault is unknown{suggestion(kind, KINDS)}")
     config = config or RobotConfig.of(None)
-    with _emulator(config) as (device, log), _programs(device, config) as programs:
+    with _emulator(config) as board, _programs(board.device, config) as programs:
         return [
-            Stops(kind, tuple(_trial(kind, programs, log, progress) for _ in range(trials)))
+            Stops(kind, tuple(_trial(kind, programs, board, progress) for _ in range(trials)))
             for kind in kinds
         ]
 
 
-def _trial(kind: str, programs: _Programs, log: _Log, progress: Progress | None) -> float:
-    log.forget()
-    took = log.zero_after(programs.fault(kind))
+def _trial(kind: str, programs: _Programs, board: _Board, progress: Progress | None) -> float:
+    board.log.forget()
+    fault = programs.fault(kind)
+    if kind in REPLUGGED:
+        fault = board.replug()
+    took = board.log.zero_after(fault)
     programs.bury()
     if progress is not None:
         progress(kind, took)
@@ -145,17 +155,35 @@ class _Log:
                     yield json.loads(line)
 
 
+@dataclass(frozen=True, slots=True)
+class _Board:
+    """An emulator in another process."""
+
+    process: subprocess.Popen[str]
+    device: str
+    log: _Log
+
+    def replug(self) -> float:
+        """Pull the cable and plug it in again; when that was [s, monotonic clock]."""
+        self.process.send_signal(signal.SIGUSR1)
+        time.sleep(random.uniform(*PULLED))
+        now = time.monotonic()
+        self.process.send_signal(signal.SIGUSR2)
+        return now
+
+
 @contextlib.contextmanager
-def _emulator(config: RobotConfig) -> Iterator[tuple[str, _Log]]:
-    """`acsar-gym emulate` in another process: its device and its log."""
+def _emulator(config: RobotConfig) -> Iterator[_Board]:
+    """`acsar-gym emulate`, whose device keeps its name."""
     with tempfile.TemporaryDirectory(prefix="acsar-stopping-") as folder:
         log, robot = Path(folder, "log.jsonl"), Path(folder, "robot.yaml")
         robot.write_text(config.model_dump_json(), encoding="utf-8")  # YAML contains JSON
-        options = ["-m", "acsar_gym", "emulate", "--log", str(log), "--robot", str(robot)]
-        with _process(options) as process:
-            device = _line(process).split(" ")[-1]
+        name = Path(folder, "robot")
+        options = ["--log", str(log), "--robot", str(robot), "--name", str(name)]
+        with _process(["-m", "acsar_gym", "emulate", *options]) as process:
+            _line(process)
             with log.open(encoding="ascii") as file:
-                yield device, _Log(file)
+                yield _Board(process, str(name), _Log(file))
 
 
 @contextlib.contextmanager
@@ -256,7 +284,7 @@ def _harm(kind: str, program: int, terminal: int, report: IO[str]) -> str:
     now = time.monotonic()
     if kind == "terminal":
         os.close(terminal)
-    else:
+    elif kind not in REPLUGGED:
         os.kill(program, signal.SIGSTOP if kind == "stop" else signal.SIGKILL)
     return repr(now)
 
@@ -277,10 +305,15 @@ def _drive(device: str, config: RobotConfig, kind: str, mouth: int) -> None:
     nowhere = os.open(os.devnull, os.O_RDWR)
     os.dup2(nowhere, 2)
     with open(mouth, "w", buffering=1, encoding="ascii") as report:
+        robot = Robot(open_link(device, config), config)
         try:
-            _drive_until_harmed(Robot(open_link(device, config), config), kind, report)
+            _drive_until_harmed(robot, kind, report)
         except AcsarError as error:
             print(error, file=report)
+        if kind == "reset":
+            robot.activate()
+            while True:
+                robot.drive(0.0, 0.0)
 
 
 def _drive_until_harmed(robot: Robot, kind: str, report: IO[str]) -> None:
@@ -338,7 +371,7 @@ def as_json(stops: Sequence[Stops]) -> dict[str, Any]:
 
 def table(stops: Sequence[Stops]) -> Table:
     """The times for people [ms]."""
-    drawn = Table(title="from fault to zero command [ms]", title_justify="left")
+    drawn = Table(title=escape("from fault to zero command [ms]"), title_justify="left")
     drawn.add_column("fault")
     for column in ("min", "median", "max", f"within {LIMIT * 1000.0:.0f}"):
         drawn.add_column(column, justify="right")

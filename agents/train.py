@@ -3,7 +3,7 @@
     python agents/train.py --env obstacle_goal --out runs/obstacle_goal
 
 writes policy.onnx (what drives the robot), model.zip (to train on), checkpoints and TensorBoard
-logs into the folder.
+logs into the folder. --resume model.zip --trust trains one of those zips on.
 """
 
 from __future__ import annotations
@@ -18,10 +18,12 @@ import torch
 import tyro
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback, CheckpointCallback
+from stable_baselines3.common.policies import ActorCriticPolicy
 
 from acsar_gym import sb3, vectors
-from acsar_gym.errors import AcsarError, ConfigError
+from acsar_gym.errors import AcsarError, ConfigError, PolicyError
 from acsar_gym.vector import RobotVectorEnv
+from acsar_gym.zip_policy import ZipPolicy
 
 RANDOMIZATION = {
     "friction": (0.7, 1.2),
@@ -86,7 +88,7 @@ class Options:
     env: Literal["point_goal", "path_follow", "obstacle_goal", "barn"] = "point_goal"
     """What to learn; each has its own hyperparameters (see RECIPES)."""
     steps: int | None = None
-    """Env steps in all; the recipe's where it isn't given."""
+    """Env steps to train; the recipe's where it isn't given."""
     out: Path | None = None
     """Folder for the policy, checkpoints and logs; runs/ENV where it isn't given."""
     robots: int = 512
@@ -101,6 +103,10 @@ class Options:
     """Vary the robots' physics (see RANDOMIZATION)."""
     progress: bool = True
     """Show a progress bar."""
+    resume: Path | None = None
+    """PPO's model.zip to train on, with the hyperparameters that are in it; needs --trust."""
+    trust: bool = False
+    """Let the zip of --resume run its code: only your own, or whose you trust."""
 
 
 def train(options: Options) -> int:
@@ -109,23 +115,12 @@ def train(options: Options) -> int:
     steps = recipe.steps if options.steps is None else options.steps
     if min(steps, options.robots) < 1:
         raise ConfigError("--steps and --robots must be at least 1")
+    saved = ZipPolicy(options.resume, trust=options.trust) if options.resume else None
     out = _folder(options)
     env = _env(recipe, options)
-    model = PPO(
-        "MlpPolicy",
-        sb3.BatchVecEnv(env),
-        n_steps=recipe.rollout_steps,
-        batch_size=recipe.batch_size,
-        n_epochs=recipe.epochs,
-        learning_rate=recipe.learning_rate,
-        gamma=recipe.gamma,
-        gae_lambda=0.95,
-        ent_coef=0.0,
-        policy_kwargs={"net_arch": list(recipe.net), "log_std_init": -0.5},
-        seed=options.seed,
-        device="cpu",
-        tensorboard_log=str(out / "tensorboard"),
-    )
+    logs = str(out / "tensorboard")
+    model = _resumed(saved, env, options, logs) if saved else _new(recipe, env, options, logs)
+    sb3.label(model, env.task, env.config)
     callbacks: list[BaseCallback] = [
         CheckpointCallback(
             save_freq=max(steps // (4 * options.robots), recipe.rollout_steps),
@@ -136,7 +131,7 @@ def train(options: Options) -> int:
         callbacks.append(sb3.TrainingProgress(steps, recipe.episode_steps))
     interrupted = False
     try:
-        model.learn(steps, callback=callbacks)
+        model.learn(steps, callback=callbacks, reset_num_timesteps=saved is None)
     except KeyboardInterrupt:
         interrupted = True
         for callback in callbacks:
@@ -149,6 +144,32 @@ def train(options: Options) -> int:
     sb3.export(model.policy, policy, env.task, env.config)
     print(f"policy written to {policy}")
     return 130 if interrupted else 0
+
+
+def _new(recipe: Recipe, env: RobotVectorEnv, options: Options, logs: str) -> PPO:
+    return PPO(
+        "MlpPolicy",
+        sb3.BatchVecEnv(env),
+        n_steps=recipe.rollout_steps,
+        batch_size=recipe.batch_size,
+        n_epochs=recipe.epochs,
+        learning_rate=recipe.learning_rate,
+        gamma=recipe.gamma,
+        gae_lambda=0.95,
+        ent_coef=0.0,
+        policy_kwargs={"net_arch": list(recipe.net), "log_std_init": -0.5},
+        seed=options.seed,
+        device="cpu",
+        tensorboard_log=logs,
+    )
+
+
+def _resumed(saved: ZipPolicy, env: RobotVectorEnv, options: Options, logs: str) -> PPO:
+    saved.check(env.task, env.config)
+    if not isinstance(saved.network, ActorCriticPolicy):
+        raise PolicyError(f"{saved.path}: only PPO's models can be trained on")
+    batch = sb3.BatchVecEnv(env)
+    return PPO.load(saved.path, batch, device="cpu", seed=options.seed, tensorboard_log=logs)
 
 
 def _folder(options: Options) -> Path:

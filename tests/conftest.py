@@ -17,6 +17,7 @@ sys.path.insert(0, str(Path(__file__).parent))  # --import-mode=importlib leaves
 from serial_tools import TIMEOUT, Emulated, RobotFile, StartEmulator, start
 
 from acsar_gym import RobotConfig
+from acsar_gym.links import watchdog
 
 # Examples aren't timed: the first one may compile. Where CI is set, they are the same every time.
 settings.register_profile("ours", deadline=None, derandomize="CI" in os.environ)
@@ -65,6 +66,7 @@ def start_emulator(tmp_path: Path) -> Iterator[StartEmulator]:
         return running[-1]
 
     yield begin
+    watchdog.call_back()
     for emulated in running:
         emulated.end()
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from serial_tools import RobotFile, cli
+from zip_tools import PLACES, poison, save
 
 from acsar_gym.cli import COMMANDS, main
 
@@ -95,6 +96,66 @@ def test_a_broken_policy_file_is_one_line(content: bytes, tmp_path: Path, call: 
     code, _, error = call(*RUN, "--policy", policy)
     assert code == 2
     assert_one_line(error, f"{policy}: ")
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A stable-baselines3 zip for PointGoal."""
+    return save(tmp_path_factory.mktemp("model") / "model.zip")
+
+
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize(
+    "command", [(*RUN, "--policy"), ("evaluate", "--policy"), ("export",)], ids=lambda c: c[0]
+)
+def test_an_untrusted_zip_runs_nothing_and_is_one_line(
+    command: tuple[str, ...], place: str, model: Path, tmp_path: Path, call: Call
+) -> None:
+    marker, out = tmp_path / "marker", tmp_path / "policy.onnx"
+    bad = poison(model, place, marker, tmp_path / "model.zip")
+    code, _, error = call(*command, bad, *([out] if command == ("export",) else []))
+    assert code == 2
+    assert_one_line(error, f"{bad}: a stable-baselines3 zip can run any code")
+    assert "--trust" in error
+    assert not marker.exists()
+    assert not out.exists()
+
+
+def test_a_trusted_zip_is_evaluated_run_and_exported(
+    model: Path, tmp_path: Path, call: Call
+) -> None:
+    out, by_zip, by_onnx = (tmp_path / name for name in ("policy.onnx", "zip.json", "onnx.json"))
+    code, said, error = call("export", model, out, "--trust")
+    assert (code, said, error) == (0, f"written: {out}\n", "")
+    assert call(*RUN, "--policy", model, "--trust")[2] == ""
+    drive = ("evaluate", "--link", "planar", "--episodes", "2", "--policy")
+    assert call(*drive, model, "--trust", "--json", by_zip)[::2] == (0, "")
+    assert call(*drive, out, "--json", by_onnx)[::2] == (0, "")
+    path_of = [json.loads(file.read_text())["path"] for file in (by_zip, by_onnx)]
+    assert path_of[0] == pytest.approx(path_of[1], abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--env", "maze"), "Maze"),
+        (("--env", "path_follow"), "PathFollow-v0 gives"),
+        (("--robot", "acsr"), "did you mean 'acsar'?"),
+    ],
+    ids=["environment", "observation", "robot"],
+)
+def test_a_zip_that_cannot_be_exported_is_one_line(
+    arguments: tuple[str, ...], said: str, model: Path, tmp_path: Path, call: Call
+) -> None:
+    code, _, error = call("export", model, tmp_path / "policy.onnx", "--trust", *arguments)
+    assert code == 2
+    assert_one_line(error, said)
+
+
+def test_export_says_where_it_cannot_write(model: Path, call: Call) -> None:
+    code, _, error = call("export", model, "/missing/policy.onnx", "--trust")
+    assert code == 2
+    assert_one_line(error, "can't be written")
 
 
 @pytest.mark.parametrize(

@@ -219,9 +219,12 @@ def test_a_silent_lidar_stops_the_robot() -> None:
     env = make(SEEING[0], lidar=lidar)
     env.reset(seed=0)
     env.step(np.array([1.0, 0.0], np.float32))
-    with pytest.raises(LidarError):
-        env.step(np.array([1.0, 0.0], np.float32))
+    _, reward, terminated, truncated, info = env.step(np.array([1.0, 0.0], np.float32))
+    assert (reward, terminated, truncated, info["fault"]) == (0.0, False, True, 4.0)
+    assert "LiDAR" in info["fault_reason"]
     assert not inner(env).robot.active
+    with pytest.raises(LinkError, match="reset"):
+        env.step(np.array([1.0, 0.0], np.float32))
     env.close()
     assert lidar.closed
 

@@ -105,6 +105,15 @@ def test_a_policy_of_no_known_environment_is_refused(trained: Path, tmp_path: Pa
         runs.made(OnnxPolicy(path), "planar", None, {})
 
 
+def test_a_file_cannot_have_a_module_imported(trained: Path, tmp_path: Path) -> None:
+    model = onnx.load(trained / "policy.onnx")
+    onnx.helper.set_model_props(model, {ENV_KEY: f"some_module:{ENV_ID}", LAYOUT_KEY: "x"})
+    path = tmp_path / "module.onnx"
+    onnx.save(model, path)
+    with pytest.raises(PolicyError, match="doesn't say which environment"):
+        OnnxPolicy(path)
+
+
 def test_options_that_the_environment_lacks_are_named() -> None:
     with pytest.raises(ConfigError, match="worlds"):
         runs.made(OnnxPolicy("point_goal"), "planar", None, {"worlds": "clutter"})

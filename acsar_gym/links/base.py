@@ -9,7 +9,11 @@ from acsar_gym.worlds import Scene
 
 
 class Link(Protocol):
-    """A wire to a robot, real or simulated. `advance` is the only place in which time passes."""
+    """A wire to a robot, real or simulated. `advance` is the only place in which time passes.
+
+    A link on which that is the wall clock's time also has `lateness`: how long after its deadline
+    the newest period ended [s].
+    """
 
     @property
     def late_ticks(self) -> int:

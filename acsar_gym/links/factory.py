@@ -13,8 +13,8 @@ from acsar_gym.errors import ConfigError, suggestion
 from acsar_gym.links.base import Link
 from acsar_gym.links.paced import PacedLink
 
-NAMES = ("bullet", "planar", "serial", "replay:FILE", "/dev/ttyUSB0", "COM3", "socket://host:port")
-_DEVICE = re.compile(r"(/|\./|COM\d+$|(socket|rfc2217)://)", re.IGNORECASE)
+NAMES = ("bullet", "planar", "serial", "replay:FILE", "/dev/ttyUSB0", "COM3", "usb:SERIAL_NUMBER")
+_DEVICE = re.compile(r"(/|\./|COM\d+$|usb:.|(socket|rfc2217)://)", re.IGNORECASE)
 
 
 def open_link(
@@ -27,9 +27,10 @@ def open_link(
     """The link that `url` names; it opens nothing before `open()` or `Robot.activate()`.
 
     "bullet" and "planar" are simulations, as fast as they go; `realtime` holds them to the wall
-    clock, and so does `window`, which opens PyBullet's own window. "/dev/ttyUSB0", "COM3" and
-    "socket://host:port" are serial devices, "serial" is the one that the config names, and
-    "replay:FILE" plays a recording back. Raises ConfigError for anything else.
+    clock, and so does `window`, which opens PyBullet's own window. "/dev/ttyUSB0", "COM3",
+    "usb:A50285BI" (an adapter by its USB serial number) and "socket://host:port" are serial
+    devices, "serial" is the one that the config names, and "replay:FILE" plays a recording back.
+    Raises ConfigError for anything else.
     """
     config = RobotConfig.of(config)
     if not isinstance(url, str | os.PathLike):

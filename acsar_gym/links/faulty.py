@@ -151,8 +151,14 @@ class FaultyLink:
         return self.link.truth
 
     @property
+    def lateness(self) -> float:
+        """The link's lateness, where it has one."""
+        lateness: float = getattr(self.link, "lateness")  # noqa: B009 - not every link has one
+        return lateness
+
+    @property
     def late_ticks(self) -> int:
-        """The link's late ticks; late lines are another matter."""
+        """The link's late ticks."""
         return self.link.late_ticks
 
     def image(self, width: int, height: int) -> Image | None:

@@ -61,10 +61,12 @@ def unguard(link: Closable) -> None:
 
 
 def close_all() -> None:
-    """Close every guarded link, whatever goes wrong with one of them."""
+    """Stop every guarded link, then close them, whatever goes wrong with one of them."""
     with contextlib.ExitStack() as stack:
         for link in list(_open):
             stack.callback(link.close)
+        for link in list(_open):
+            link.stop()
 
 
 def _on_end(number: int, frame: FrameType | None) -> None:

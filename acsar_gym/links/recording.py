@@ -90,6 +90,12 @@ class RecordingLink:
         return self._link.truth
 
     @property
+    def lateness(self) -> float:
+        """The link's lateness, where it has one."""
+        lateness: float = getattr(self._link, "lateness")  # noqa: B009 - not every link has one
+        return lateness
+
+    @property
     def late_ticks(self) -> int:
         """The link's late ticks."""
         return self._link.late_ticks

@@ -1,39 +1,30 @@
-"""The real wire: pyserial, with absolute deadlines. The only file that imports pyserial."""
+"""The real wire: a serial port, absolute deadlines, and a watchdog beside them."""
 
 from __future__ import annotations
 
 import contextlib
-import errno
 import math
 import os
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
-
-import serial
-from serial.tools import list_ports
 
 from acsar_gym.bodies.base import Image
 from acsar_gym.config import BAUD_RATES, RobotConfig
 from acsar_gym.errors import (
     BoardGarbledError,
     BoardSilentError,
-    ConfigError,
     LinkError,
     LinkLostError,
     PortBusyError,
-    PortNotFoundError,
-    PortPermissionError,
 )
 from acsar_gym.links import watchdog
 from acsar_gym.links.guard import guard, install, unguard
+from acsar_gym.links.ports import PORT_ERRORS, Port, lasting, located, opened, translated
+from acsar_gym.links.timing import LATE
 from acsar_gym.protocol import ZERO, Decoder, encode
 from acsar_gym.worlds import Scene
 
-LATE = 0.001
-"""A tick that ends this long after its deadline is late [s]."""
 POLL = 0.01
 """How often activation looks for the first valid line [s]."""
 CHUNK = 4096
@@ -42,37 +33,20 @@ MOST_CHUNKS = 256
 """Chunks taken in one go, at most: what lies in any driver's buffer, and no endless stream."""
 BUSY_PATIENCE = 0.7
 """A program that was killed leaves its port to its watchdog for so long, at most [s]."""
-BUSY_POLL = 0.02
-"""How often to try again [s]."""
-WRITE_TIMEOUT = 0.2
-"""A write that blocks this long means that nobody takes the bytes [s]."""
-
-PORT_ERRORS: tuple[type[Exception], ...] = (serial.SerialException, OSError, TypeError)
-"""What pyserial lets out where a port in use goes away."""
-with contextlib.suppress(ImportError):  # Windows has no termios
-    import termios
-
-    PORT_ERRORS += (termios.error,)
-
-
-@dataclass(frozen=True, slots=True)
-class PortInfo:
-    """A serial device of this computer."""
-
-    device: str
-    description: str
-
-
-def ports() -> list[PortInfo]:
-    """The serial devices that the operating system knows."""
-    return [PortInfo(port.device, port.description) for port in sorted(list_ports.comports())]
+BACK_OFF = (0.02, 0.1)
+"""Pause before the second try to open a port, and the longest one; each is twice the last [s]."""
+DRAIN = 0.05
+"""Zeros have so long to leave the port when it is closed [s]."""
 
 
 class SerialLink:
     """A board on a serial device: 8N1, no flow control, opened exclusively.
 
-    `late_ticks` counts periods that ended more than a millisecond after their deadline, `ticks`
-    all of them since the last reset, and `worst_lateness` is in seconds.
+    `device` is a device, a URL, or "usb:" and the serial number of a USB adapter. A port that was
+    lost is looked for under the same adapter's name, wherever it was plugged in again.
+    `lateness` is how long after its deadline the newest period ended [s], and `late_ticks` how many
+    did so by more than a millisecond since the last reset. While it is driven, no call takes longer
+    than a period.
 
     While it is open, a process of its own commands zero where this one dies, or hangs for longer
     than the config's `watchdog_timeout` while wheels turn; `watched` tells whether there is one.
@@ -83,21 +57,21 @@ class SerialLink:
     def __init__(self, device: str, config: RobotConfig) -> None:
         self.device = device
         self._config = config
-        self._port: serial.SerialBase | None = None
+        self._port: Port | None = None
         self._watchdog: watchdog.Watchdog | None = None
+        self._path: str | None = None
+        self._lost = False
         self._zeros = encode(ZERO, trailing_comma=config.trailing_comma)
         self._nap = math.inf
         self._deadline = 0.0
-        self._clear_statistics()
+        self.late_ticks = 0
+        self.lateness = 0.0
         install()
 
-    def _clear_statistics(self) -> None:
-        self.ticks = 0
-        self.late_ticks = 0
-        self.worst_lateness = 0.0
-
     def open(self) -> None:
-        """Open the device, flush it, and wait for the board's first valid line.
+        """Open the device, command zero, and wait for the board's first valid line.
+
+        Where the port was lost before, it has the config's `reconnect_timeout` to come back.
 
         Raises PortNotFoundError, PortPermissionError, PortBusyError, BoardSilentError or
         BoardGarbledError, or LinkError where no watchdog can be started; the device is closed again
@@ -105,9 +79,11 @@ class SerialLink:
         """
         if self._port is not None:
             return
+        watchdog.call_back(self._path or self.device)
         self._port = self._patiently_opened()
         guard(self)
         try:
+            self._stop_motors()
             self._watch()
             self._flush()
             self._stop_motors()
@@ -119,15 +95,29 @@ class SerialLink:
             raise
         self._deadline = self.now()
 
-    def _patiently_opened(self) -> serial.SerialBase:
-        deadline = self.now() + BUSY_PATIENCE
+    def _patiently_opened(self) -> Port:
+        start, (pause, longest) = self.now(), BACK_OFF
         while True:
             try:
-                return opened(self.device, self._config)
-            except PortBusyError:
-                if self.now() > deadline:
+                return self._opened_now()
+            except LinkError as error:
+                if self.now() + pause > start + self._patience(error):
                     raise
-            time.sleep(BUSY_POLL)
+            time.sleep(pause)
+            pause = min(2.0 * pause, longest)
+
+    def _opened_now(self) -> Port:
+        device = located(self.device)
+        if device == self.device and self._path is not None:
+            device = self._path
+        port = opened(device, self._config)
+        self._path, self._lost = lasting(device), False
+        return port
+
+    def _patience(self, error: LinkError) -> float:
+        if self._lost:
+            return self._config.reconnect_timeout
+        return BUSY_PATIENCE if isinstance(error, PortBusyError) else 0.0
 
     def _watch(self) -> None:
         """Start the watchdog, where the config wants one and the port is a file to share."""
@@ -138,7 +128,8 @@ class SerialLink:
             descriptor = self._require().fileno()
         except OSError:  # rfc2217 has none
             return
-        self._watchdog = watchdog.Watchdog(descriptor, self._stop_line(), timeout)
+        place = self._path if self._path and Path(self._path).is_symlink() else ""
+        self._watchdog = watchdog.Watchdog(descriptor, self._stop_line(), timeout, place)
         self._nap = timeout / 3.0
 
     @property
@@ -148,7 +139,7 @@ class SerialLink:
 
     def _flush(self) -> None:
         self.reset_input()
-        with _translated(self.device):
+        with translated(self.device):
             self._require().reset_output_buffer()
 
     def _wait_for_board(self) -> None:
@@ -185,7 +176,7 @@ class SerialLink:
         self._watch_anew()
         self.reset_input()
         self._deadline = self.now()
-        self._clear_statistics()
+        self.late_ticks = 0
 
     def _watch_anew(self) -> None:
         dog = self._watchdog
@@ -218,7 +209,7 @@ class SerialLink:
             dog.drive()
 
     def _put(self, data: bytes) -> None:
-        with _translated(self.device):
+        with translated(self.device):
             self._require().write(data)
 
     def advance(self, period: float) -> bytes:
@@ -230,12 +221,10 @@ class SerialLink:
         while (remaining := self._deadline - self.now()) > 0.0:
             time.sleep(min(remaining, self._nap))
             self._beat()
-        lateness = self.now() - self._deadline
-        self.ticks += 1
-        self.worst_lateness = max(self.worst_lateness, lateness)
-        if lateness > LATE:
+        self.lateness = self.now() - self._deadline
+        if self.lateness > LATE:
             self.late_ticks += 1
-        if lateness > period:
+        if self.lateness > period:
             self._deadline = self.now()
         return self.read_now()
 
@@ -245,14 +234,14 @@ class SerialLink:
 
     def reset_input(self) -> None:
         """Drop what has arrived and wasn't read."""
-        with _translated(self.device):
+        with translated(self.device):
             self._require().reset_input_buffer()
 
     def read_now(self) -> bytes:
         """What has arrived; waits for nothing."""
         self._beat()
         data = b""
-        with _translated(self.device):
+        with translated(self.device):
             for _ in range(MOST_CHUNKS):
                 chunk = self._require().read(CHUNK)
                 data += chunk
@@ -271,39 +260,48 @@ class SerialLink:
     def close(self) -> None:
         """Command zero, let it leave the port, close; twice is once.
 
-        An interrupt while the zeros are on their way sends them again before it goes on.
+        An interrupt while the zeros are on their way sends them again before it goes on. Where the
+        port is lost, the watchdog may look for it for a minute, to command zero when it is back.
         """
         port = self._port
         if port is None:
             return
+        said = False
         try:
-            self._say_stop(port)
+            said = self._say_stop(port)
         except BaseException:
-            self._say_stop(port)
+            said = self._say_stop(port)
             raise
         finally:
-            self._release(port)
+            self._release(port, lost=not said)
 
-    def _say_stop(self, port: Any) -> None:
+    def _say_stop(self, port: Any) -> bool:
+        """Whether the port took the zeros."""
         with contextlib.suppress(*PORT_ERRORS):
             port.write(self._stop_line())
             if self._watchdog is not None:
                 self._watchdog.stand()
-            port.flush()
+            _drain(port)
+            return True
+        return False
 
     def stop(self) -> None:
         """Command zero and stay open; errors are no concern of whoever must stop now."""
         if self._port is not None:
             self._say_stop(self._port)
 
-    def _release(self, port: Any) -> None:
+    def _release(self, port: Any, *, lost: bool) -> None:
         """The watchdog first: it shares the port's lock."""
         dog, self._watchdog = self._watchdog, None
+        self._lost = lost
         try:
-            if dog is not None:
+            if dog is not None and lost:
+                dog.search()
+            elif dog is not None:
                 dog.close()
         finally:
             self._port = None
+            self._path = self._path if lost else None
             unguard(self)
             with contextlib.suppress(*PORT_ERRORS):
                 port.close()
@@ -324,7 +322,7 @@ class SerialLink:
             null = os.open(os.devnull, os.O_RDWR)
             os.dup2(null, port.fileno())
             os.close(null)
-        self._release(port)
+        self._release(port, lost=False)
 
     def __del__(self) -> None:
         if getattr(self, "_port", None) is not None:
@@ -347,67 +345,11 @@ class SerialLink:
         return self._port
 
 
-def opened(device: str, config: RobotConfig) -> serial.SerialBase:
-    """The open port, held exclusively. Raises LinkError, which says what to do."""
-    options: dict[str, Any] = {
-        "baudrate": config.baud_rate,
-        "bytesize": serial.EIGHTBITS,
-        "parity": serial.PARITY_NONE,
-        "stopbits": serial.STOPBITS_ONE,
-        "timeout": 0,
-        "write_timeout": WRITE_TIMEOUT,
-    }
-    if "://" in device:
-        _check_url(device)
-    else:
-        options["exclusive"] = True
-    try:
-        port = serial.serial_for_url(device, **options)
-    except ValueError as error:
-        raise LinkError(f"{device}: can't be opened as a serial port", str(error)) from None
-    except PORT_ERRORS as error:
-        raise _why_not_open(device, error) from None
-    with contextlib.suppress(AttributeError, ValueError, NotImplementedError, OSError):
-        port.set_low_latency_mode(True)
-    return port
-
-
-def _check_url(url: str) -> None:
-    """ConfigError unless it names a host and a port."""
-    try:
-        parts = urlsplit(url)
-        complete = bool(parts.hostname and parts.port)
-    except ValueError:
-        complete = False
-    if not complete:
-        raise ConfigError(f"{url}: must be like socket://192.168.4.1:2000 (host and port)")
-
-
-def _why_not_open(device: str, error: Exception) -> LinkError:
-    code = getattr(error, "errno", None)
-    text = str(error)
-    if code in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or isinstance(error, FileNotFoundError):
-        known = ", ".join(port.device for port in ports()) or "none"
-        return PortNotFoundError(f"{device}: no such device", f"serial ports here: {known}")
-    if code in (errno.EACCES, errno.EPERM):
-        return PortPermissionError(
-            f"{device}: permission denied",
-            "add yourself to the group that owns it, usually 'sudo usermod -aG dialout $USER', and "
-            "log in again",
-        )
-    if code in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in text:
-        return PortBusyError(
-            f"{device}: in use by another process", f"close it first; find it with 'fuser {device}'"
-        )
-    return LinkError(f"{device}: can't be opened as a serial port", text)
-
-
-@contextlib.contextmanager
-def _translated(device: str) -> Iterator[None]:
-    """Errors of a port in use become LinkLostError."""
-    try:
-        yield
-    except PORT_ERRORS as error:
-        raise LinkLostError(
-            f"{device}: lost while in use ({error})", "check the cable, then reset"
-        ) from None
+def _drain(port: Any) -> None:
+    """Wait until a port has sent everything; what a dead board doesn't take mustn't hold it up."""
+    deadline = time.monotonic() + DRAIN
+    while getattr(port, "out_waiting", 0):
+        if time.monotonic() > deadline:
+            port.reset_output_buffer()
+            return
+        time.sleep(0.001)

@@ -1,4 +1,6 @@
-"""How late ticks are, and how old feedback is: counted in bounded memory, however long it goes on.
+"""How late ticks are, how old feedback is, and how long it takes to answer a command.
+
+All in bounded memory, however long it goes on.
 
 Durations are counted in buckets that are linear within each octave, so a percentile is at most 3 %
 too large, and adding one costs less than a microsecond. Extremes and counts are exact.
@@ -50,6 +52,17 @@ class Timing:
     def late_share(self) -> float:
         """Late ticks among all; 0 where there were none."""
         return self.late_ticks / self.ticks if self.ticks else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class EpisodeTiming:
+    """How good the timing of an episode was, from the end of its first tick on."""
+
+    lateness: Timing
+    feedback_age: Spread
+    """Time since the newest valid line, after every tick; 0 where one came in it [s]."""
+    round_trip: Spread
+    """From a command that sets standing wheels in motion to feedback that says so [s]."""
 
 
 class Durations:
@@ -127,6 +140,36 @@ class Lateness(Durations):
         """What an episode keeps of them."""
         p50, p99 = self.percentile(50.0), self.percentile(99.0)
         return Timing(self.count, self.late, self.missed, p50, p99, self.worst)
+
+
+class Stopwatch:
+    """Measures one episode."""
+
+    def __init__(self, period: float) -> None:
+        self._lateness = Lateness(period)
+        self._ages, self._trips = Durations(), Durations()
+        self._begun = False
+        self._asked: float | None = None
+
+    def tick(self, lateness: float, age: float) -> None:
+        """A tick ended so late, with feedback of that age [s]."""
+        if self._begun:  # before the first one somebody may have thought for long
+            self._lateness.add(lateness)
+            self._ages.add(age)
+        self._begun = True
+
+    def asked(self, stamp: float, *, drives: bool, turns: bool) -> None:
+        """A command goes out at `stamp`; whether it drives, and whether the wheels turn by now."""
+        if turns or not drives:
+            if turns and self._asked is not None:
+                self._trips.add(stamp - self._asked)
+            self._asked = None
+        elif self._asked is None:
+            self._asked = stamp
+
+    def summary(self) -> EpisodeTiming:
+        """What an episode keeps of it."""
+        return EpisodeTiming(self._lateness.summary(), self._ages.spread(), self._trips.spread())
 
 
 def _upper_edge(bucket: int) -> float:

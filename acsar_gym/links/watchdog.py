@@ -4,6 +4,9 @@ Nothing inside a process can stop a robot whose process doesn't run. So `SerialL
 `watchdog_child.py`, which shares the open port, is deaf to the terminal's signals, and
 
 - commands zero as soon as the program is dead, whatever killed it, and then lets the port go;
+- looks for a port that was lost, as where a cable comes loose, and commands zero as soon as it is
+  there again, whether the program still runs or not; but only under a name that no other device
+  can get, as in /dev/serial/by-id;
 - commands zero where the newest command turns wheels and the program gave no sign of life for the
   time-out, and again every 50 ms for a second. The link then refuses to drive until it is reset.
 
@@ -19,6 +22,7 @@ import contextlib
 import mmap
 import os
 import select
+import signal
 import subprocess
 import sys
 import tempfile
@@ -41,14 +45,15 @@ if AVAILABLE:
 class Watchdog:
     """Watches this process from the moment it is made, and commands zero through `port`.
 
-    `port` is the open port's descriptor, `zeros` the bytes that stop the robot, and `timeout` how
-    long no sign of life may come [s] while the newest command turns wheels. Raises LinkError where
-    no process can be started.
+    `port` is the open port's descriptor, `zeros` the bytes that stop the robot, `timeout` how long
+    no sign of life may come [s] while the newest command turns wheels, and `place` the name under
+    which a lost port comes back, "" for none. Raises LinkError where no process can be started.
 
     `close` it before the port: the two processes share the port's lock.
     """
 
-    def __init__(self, port: int, zeros: bytes, timeout: float) -> None:
+    def __init__(self, port: int, zeros: bytes, timeout: float, place: str = "") -> None:
+        self._place = place
         self._driving = False
         self._open = False
         with contextlib.ExitStack() as inherited, contextlib.ExitStack() as ours:
@@ -64,7 +69,7 @@ class Watchdog:
             ours.callback(self._map.close)
             self._page = memoryview(self._map).cast("d")
             ours.callback(self._page.release)
-            self._process = _started((port, page, ear, mouth), timeout, zeros)
+            self._process = _started((port, page, ear, mouth), timeout, zeros, place)
             self._ours = ours.pop_all()
             self._open = True
 
@@ -128,6 +133,14 @@ class Watchdog:
             "find what held the program up, then reset",
         )
 
+    def search(self) -> None:
+        """The port is lost: look for it, and command zero when it is back. See `call_back`."""
+        if self._open:
+            self._let_go()
+            self._process.returncode = 0  # it may outlive this program
+            call_back(self._place)
+            _searching[self._place] = self._process.pid
+
     def close(self) -> None:
         """End its process, without a word on the wire, and wait for that; twice is once."""
         if not self._open:
@@ -152,6 +165,20 @@ class Watchdog:
         self._ours.close()
 
 
+_searching: dict[str, int] = {}
+"""Processes that look for a port, by its name."""
+
+
+def call_back(place: str | None = None) -> None:
+    """End whatever looks for the port with this name, or for any: the program takes over."""
+    for name in [place] if place is not None else list(_searching):
+        process = _searching.pop(name, None)
+        if process is not None:
+            with contextlib.suppress(ProcessLookupError, ChildProcessError):
+                os.kill(process, signal.SIGKILL)
+                os.waitpid(process, 0)
+
+
 def _memory() -> int:
     """A descriptor of one page of memory, all zero, that two processes can share."""
     if sys.platform == "linux":
@@ -164,7 +191,7 @@ def _memory() -> int:
 
 
 def _started(
-    shared: tuple[int, int, int, int], timeout: float, zeros: bytes
+    shared: tuple[int, int, int, int], timeout: float, zeros: bytes, place: str
 ) -> subprocess.Popen[bytes]:
     """The watchdog's process: a session of its own, and no file but those that it needs."""
     options = map(str, (*shared, os.getpid(), timeout))
@@ -172,7 +199,7 @@ def _started(
     nowhere = subprocess.DEVNULL
     try:
         return subprocess.Popen(
-            [sys.executable, "-I", "-S", str(PROGRAM), *options, zeros.hex()],
+            [sys.executable, "-I", "-S", str(PROGRAM), *options, zeros.hex(), place],
             stdin=nowhere,
             stdout=nowhere,
             stderr=nowhere,

@@ -10,6 +10,7 @@ program's death at once.
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import math
 import mmap
 import os
@@ -18,7 +19,7 @@ import signal
 import sys
 import termios
 import time
-from collections.abc import Callable
+from typing import Protocol
 
 SLOTS = 3
 BEAT, TRIPPED, LEAVE = range(SLOTS)
@@ -36,6 +37,10 @@ REPEATS = 20
 """So often while the program hangs."""
 LAST_WORDS = 7
 """Zero commands for a program that is dead; then the port is free."""
+SEARCH = 60.0
+"""How long to look for a port that is lost [s]."""
+SEARCH_EVERY = 0.02
+"""[s]"""
 LATE = 0.01
 """Whoever wakes up later than this was held up himself [s]: perhaps the whole machine stood."""
 SURE = 0.02
@@ -43,22 +48,31 @@ SURE = 0.02
 DEAF_TO = ("SIGHUP", "SIGINT", "SIGQUIT", "SIGTERM", "SIGTSTP", "SIGTTIN", "SIGTTOU")
 
 
+class Board(Protocol):
+    """Where zero commands go."""
+
+    def stop(self) -> bool:
+        """Command zero; whether the port took it."""
+
+    def find(self) -> bool:
+        """Open a port that was lost, where it is back; whether there is one."""
+
+    @property
+    def taken(self) -> bool:
+        """Whether the port is back, and another program has it."""
+
+
 class Watch:
     """Watches one program, `parent`, until it closes the port or dies."""
 
     def __init__(
-        self,
-        page: memoryview[float],
-        lifeline: int,
-        parent: int,
-        timeout: float,
-        send: Callable[[], None],
+        self, page: memoryview[float], lifeline: int, parent: int, timeout: float, board: Board
     ) -> None:
         self._page = page
         self._lifeline = lifeline
         self._parent = parent
         self._timeout = timeout
-        self._send = send
+        self._board = board
         self._due = time.monotonic() + timeout
         self._seen = 0.0
         self._since = 0.0
@@ -77,12 +91,17 @@ class Watch:
             self._due = self._look(time.monotonic())
 
     def _bury(self) -> None:
-        for words in range(LAST_WORDS):
-            if self._page[LEAVE]:
+        """The program is dead, or has lost the port, which is looked for then."""
+        deadline = time.monotonic() + SEARCH
+        words = 0
+        while words < LAST_WORDS and not self._page[LEAVE]:
+            if self._board.stop():
+                words += 1
+                time.sleep(REPEAT * (words < LAST_WORDS))
+            elif self._board.taken or time.monotonic() > deadline:
                 return
-            if words:
-                time.sleep(REPEAT)
-            self._send()
+            elif not self._board.find():
+                time.sleep(SEARCH_EVERY)
 
     def _look(self, now: float) -> float:
         """Command zero where that is due; when to look again."""
@@ -95,7 +114,7 @@ class Watch:
         if now < due:
             return due
         self._page[TRIPPED] = now - beat  # first, so that no command can follow the zeros unnoticed
-        self._send()
+        self._board.stop()
         self._repeats = REPEATS
         return now + REPEAT
 
@@ -111,22 +130,53 @@ class Watch:
         if not self._repeats:
             return now + self._timeout
         self._repeats -= 1
-        self._send()
+        self._board.stop()
         return now + REPEAT
 
 
-def sender(port: int, zeros: bytes) -> Callable[[], None]:
-    """Puts the zero command on the wire, ahead of whatever is stuck there; a lost port is none."""
+class Port:
+    """The open port that the program shares, and where it comes back under its `place`."""
 
-    def send() -> None:
+    taken = False
+
+    def __init__(self, descriptor: int, zeros: bytes, place: str) -> None:
+        self._descriptor = descriptor
+        self._zeros = zeros
+        self._place = place
+        self._settings = None
+        with contextlib.suppress(termios.error):  # a socket has none
+            self._settings = termios.tcgetattr(descriptor)
+
+    def stop(self) -> bool:
+        """Put the zero command on the wire, ahead of whatever is stuck there."""
         with contextlib.suppress(OSError, termios.error):
             try:
-                os.write(port, zeros)
+                os.write(self._descriptor, self._zeros)
             except BlockingIOError:
-                termios.tcflush(port, termios.TCOFLUSH)
-                os.write(port, zeros)
+                termios.tcflush(self._descriptor, termios.TCOFLUSH)
+                os.write(self._descriptor, self._zeros)
+            return True
+        return False
 
-    return send
+    def find(self) -> bool:
+        """Open the port anew, with the settings it had; it is held exclusively."""
+        if not self._place or self._settings is None:
+            self.taken = True  # nowhere to look
+            return False
+        try:
+            found = os.open(self._place, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
+        except OSError:
+            return False
+        try:
+            fcntl.flock(found, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            termios.tcsetattr(found, termios.TCSANOW, self._settings)
+        except (OSError, termios.error) as error:
+            self.taken = isinstance(error, BlockingIOError)
+            os.close(found)
+            return False
+        os.dup2(found, self._descriptor, inheritable=False)
+        os.close(found)
+        return True
 
 
 def be_urgent() -> None:
@@ -136,17 +186,18 @@ def be_urgent() -> None:
 
 
 def main() -> None:
-    """Arguments: port, page, lifeline, mouth (descriptors), parent (pid), time-out [s], zeros.
+    """One byte goes into the mouth as soon as it watches.
 
-    One byte goes into the mouth as soon as it watches.
+    Arguments: port, page, lifeline, mouth (descriptors), parent (pid), time-out [s], zeros (hex),
+    place.
     """
     for name in DEAF_TO:
         signal.signal(getattr(signal, name), signal.SIG_IGN)
     port, page, lifeline, mouth, parent = map(int, sys.argv[1:6])
     be_urgent()
     memory = memoryview(mmap.mmap(page, PAGE)).cast("d")
-    send = sender(port, bytes.fromhex(sys.argv[7]))
-    watch = Watch(memory, lifeline, parent, float(sys.argv[6]), send)
+    board = Port(port, bytes.fromhex(sys.argv[7]), sys.argv[8])
+    watch = Watch(memory, lifeline, parent, float(sys.argv[6]), board)
     with contextlib.suppress(OSError):
         os.write(mouth, b".")
     os.close(mouth)

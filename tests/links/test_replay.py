@@ -102,7 +102,7 @@ def test_another_recording_gives_other_observations(
 
 def test_the_end_of_a_recording_is_an_error(taped: tuple[Path, list[bytes]]) -> None:
     link = ReplayLink(taped[0])
-    env = gymnasium.make(ENV_ID, link=link)
+    env = gymnasium.make(ENV_ID, link=link, on_fault="raise")
     env.reset(seed=0)
     with pytest.raises(LinkLostError, match="episode ends here"):
         for _ in range(STEPS + 1):

@@ -484,10 +484,15 @@ class Clock:
     def __init__(self) -> None:
         self.page = memoryview(bytearray(PAGE)).cast("d")
         self.zeros = 0
-        self.watch = Watch(self.page, -1, os.getpid(), TIMEOUT_OF_DOG, self.send)
+        self.taken = False
+        self.watch = Watch(self.page, -1, os.getpid(), TIMEOUT_OF_DOG, self)
 
-    def send(self) -> None:
+    def stop(self) -> bool:
         self.zeros += 1
+        return True
+
+    def find(self) -> bool:
+        raise AssertionError("nothing is lost")
 
     def look(self, now: float) -> float:
         due = self.watch._look(now)

@@ -1,0 +1,84 @@
+"""A pseudo-terminal that can be pulled like a cable, and plugged in again under another name."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pty
+import termios
+import tty
+from pathlib import Path
+
+from acsar_gym.config import BAUD_RATES
+from acsar_gym.errors import ConfigError
+
+CHUNK = 4096
+BAUD_CODES = {getattr(termios, f"B{rate}"): rate for rate in BAUD_RATES}
+
+
+class Cable:
+    """What a board with this baud rate is plugged in with; `device` is its name, "" while pulled.
+
+    `name` becomes a symbolic link to the device wherever that is, as udev keeps one for each USB
+    adapter in /dev/serial/by-id. Raises ConfigError where it can't be made.
+    """
+
+    def __init__(self, baud_rate: int, name: Path | None = None) -> None:
+        self.device = ""
+        self._baud_rate = baud_rate
+        self._name = name
+        self._descriptors: tuple[int, ...] = ()
+        self.plug()
+
+    def plug(self) -> None:
+        """Appear under a new name: raw, and at the board's baud rate until a client sets another.
+
+        Twice is once.
+        """
+        if self._descriptors:
+            return
+        self._master, self._slave = self._descriptors = pty.openpty()
+        tty.setraw(self._slave)
+        attributes = termios.tcgetattr(self._slave)
+        attributes[4] = attributes[5] = getattr(termios, f"B{self._baud_rate}")
+        termios.tcsetattr(self._slave, termios.TCSANOW, attributes)
+        os.set_blocking(self._master, False)
+        self.device = os.ttyname(self._slave)
+        self._link()
+
+    def _link(self) -> None:
+        if self._name is None:
+            return
+        try:
+            if self._name.is_symlink():
+                self._name.unlink()
+            self._name.symlink_to(self.device)
+        except OSError as error:
+            self.pull()
+            raise ConfigError(f"{self._name}: can't be made a symbolic link: {error}") from None
+
+    def pull(self) -> None:
+        """Be gone; twice is once."""
+        descriptors, self._descriptors, self.device = self._descriptors, (), ""
+        if self._name is not None and descriptors:
+            with contextlib.suppress(OSError):
+                self._name.unlink()
+        for descriptor in descriptors:
+            os.close(descriptor)
+
+    @property
+    def sound(self) -> bool:
+        """Whether client and board have the same baud rate."""
+        return BAUD_CODES.get(termios.tcgetattr(self._slave)[4]) == self._baud_rate
+
+    def read(self) -> bytes:
+        """What a client has sent; nothing while pulled."""
+        with contextlib.suppress(BlockingIOError):
+            return os.read(self._master, CHUNK) if self._descriptors else b""
+        return b""
+
+    def write(self, data: bytes) -> None:
+        """Send to the client; where nobody reads it is lost, as on a UART."""
+        if self._descriptors:
+            with contextlib.suppress(BlockingIOError):
+                os.write(self._master, data)

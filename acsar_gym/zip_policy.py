@@ -1,0 +1,102 @@
+"""Policies as stable-baselines3 saves them: zips that can run code, so only for who trusts them."""
+
+from __future__ import annotations
+
+import textwrap
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.env import task_spaces
+from acsar_gym.errors import AcsarError, MissingExtraError, PolicyError
+from acsar_gym.policy import ENV_KEY, LAYOUT_KEY, FilePolicy, resolve
+from acsar_gym.tasks import Observation, Task
+
+if TYPE_CHECKING:
+    from stable_baselines3.common.policies import BasePolicy
+
+_UNUSED = {"lr_schedule": None, "clip_range": None}
+"""Pickled functions of training, which another Python can't always read."""
+
+
+class ZipPolicy(FilePolicy):
+    """A policy out of a zip that PPO, A2C, SAC, TD3 or DDPG has saved.
+
+    Loading one can run any code that is in it. Without `trust` nothing in it is read, and
+    PolicyError says so. It is raised for a missing or broken file and for other algorithms, too;
+    MissingExtraError without stable-baselines3. Statistics of a VecNormalize aren't in a zip.
+
+    `env_id` is the environment that it's for, instead of the one that `sb3.label` left in it.
+    """
+
+    def __init__(self, path: str | Path, *, trust: bool = False, env_id: str = "") -> None:
+        self.path = resolve(path)
+        if not trust:
+            raise PolicyError(
+                f"{self.path}: a stable-baselines3 zip can run any code when it's loaded: pass "
+                "--trust if you made it or trust whoever did, or convert it once with "
+                f"'acsar-gym export {self.path} policy.onnx --trust'"
+            )
+        try:
+            data, self.network = _load(self.path)
+        except AcsarError:
+            raise
+        except Exception as error:  # noqa: BLE001 - whatever pickle and torch raise on such a file
+            said = textwrap.shorten(f"{type(error).__name__}: {error}", 200)
+            raise PolicyError(f"{self.path}: not a stable-baselines3 model: {said}") from None
+        self.env_id = env_id or data.get(ENV_KEY, "")
+        self.layout = data.get(LAYOUT_KEY, "")
+
+    def check(self, task: Task, config: RobotConfig) -> None:
+        """PolicyError where the policy was made for other spaces than this env has."""
+        super().check(task, config)
+        for space, wanted in zip(self._spaces, task_spaces(task, config), strict=True):
+            if space != wanted:
+                raise PolicyError(f"{self.path}: made for {space}, but {task.id} has {wanted}")
+
+    @property
+    def _spaces(self) -> tuple[Any, Any]:
+        return self.network.action_space, self.network.observation_space
+
+    def __call__(self, observation: Observation) -> NDArray[np.float32]:
+        """The deterministic action in [-1, 1], shape (2,), for one observation."""
+        action, _ = self.network.predict(observation, deterministic=True)
+        return np.asarray(action, np.float32)
+
+
+def _load(path: Path) -> tuple[dict[str, Any], BasePolicy]:
+    """What was saved besides the weights, and the network: the algorithm isn't set up."""
+    try:
+        from stable_baselines3.common.save_util import load_from_zip_file  # noqa: PLC0415 - optional
+    except ImportError:
+        raise MissingExtraError("loading a stable-baselines3 zip", "train") from None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of what can't be unpickled and isn't needed here
+        data, weights, _ = load_from_zip_file(path, device="cpu", custom_objects=_UNUSED)
+    kept: dict[str, Any] = data or {}
+    network = _network(path, kept)
+    state: Any = weights["policy"]  # a dict of tensors
+    network.load_state_dict(state)
+    return kept, network
+
+
+def _network(path: Path, data: dict[str, Any]) -> BasePolicy:
+    from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy  # noqa: PLC0415
+    from stable_baselines3.sac.policies import SACPolicy  # noqa: PLC0415
+    from stable_baselines3.td3.policies import TD3Policy  # noqa: PLC0415
+
+    kind, options = data["policy_class"], dict(data["policy_kwargs"])
+    families = (ActorCriticPolicy, SACPolicy, TD3Policy)
+    # Whoever predicts in another way has a memory, as recurrent policies have.
+    if not issubclass(kind, families) or kind.predict is not BasePolicy.predict:
+        raise PolicyError(f"{path}: holds a {kind.__name__}, not one of PPO, A2C, SAC, TD3 or DDPG")
+    if issubclass(kind, ActorCriticPolicy):
+        options["use_sde"] = data["use_sde"]
+    network: BasePolicy = kind(
+        data["observation_space"], data["action_space"], lambda _: 0.0, **options
+    )
+    return network

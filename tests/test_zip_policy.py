@@ -1,0 +1,185 @@
+"""Zips of stable-baselines3: nothing without trust, and the model's own actions with it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from zip_tools import ALGORITHMS, PLACES, poison, save
+
+from acsar_gym import runs
+from acsar_gym.errors import MissingExtraError, PolicyError
+from acsar_gym.policy import OnnxPolicy
+from acsar_gym.resources import AGENTS
+from acsar_gym.zip_policy import ZipPolicy
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """PPO's zip for PointGoal."""
+    return save(tmp_path_factory.mktemp("zip") / "model.zip")
+
+
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("name", ["model.zip", "model.onnx"])
+def test_nothing_in_a_zip_runs_without_trust(
+    place: str, name: str, good: Path, tmp_path: Path
+) -> None:
+    marker = tmp_path / "marker"
+    bad = poison(good, place, marker, tmp_path / name)
+    with pytest.raises(PolicyError, match=name):
+        runs.load(str(bad), trust=False)
+    with pytest.raises(PolicyError, match="--trust"):
+        ZipPolicy(bad)
+    assert not marker.exists()
+
+
+def test_the_poison_of_these_tests_works(good: Path, tmp_path: Path) -> None:
+    bad = poison(good, "data", tmp_path / "marker", tmp_path / "model.zip")
+    with pytest.raises(PolicyError, match="not a stable-baselines3 model"):
+        ZipPolicy(bad, trust=True)
+    assert (tmp_path / "marker").exists()
+
+
+def test_refusing_needs_neither_stable_baselines3_nor_torch(good: Path) -> None:
+    code = (
+        "import sys; from acsar_gym.errors import PolicyError; from acsar_gym import runs\n"
+        f"try: runs.load({str(good)!r}, trust=False)\n"
+        "except PolicyError: sys.exit(bool({'torch', 'stable_baselines3'} & set(sys.modules)))\n"
+        "sys.exit(2)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_it_decides_as_the_model_does_and_so_does_its_export(
+    algorithm: str, tmp_path: Path
+) -> None:
+    options: dict[str, Any] = {} if algorithm in {"PPO", "A2C"} else {"buffer_size": 10}
+    path, out = save(tmp_path / "model.zip", algorithm, **options), tmp_path / "policy.onnx"
+    model = ALGORITHMS[algorithm].load(path, device="cpu")
+    runs.export(path, out, "", None, trust=True)
+    policy, exported = ZipPolicy(path, trust=True), OnnxPolicy(out)
+    assert (exported.env_id, exported.layout) == (policy.env_id, policy.layout)
+    seen = []
+    for observation in np.random.default_rng(0).uniform(-1.0, 1.0, (50, 7)).astype(np.float32):
+        action = policy(observation)
+        assert action.shape == (2,)
+        assert action.dtype == np.float32
+        assert (action == model.predict(observation, deterministic=True)[0]).all()
+        assert exported(observation) == pytest.approx(action, abs=1e-6)
+        seen.append(action)
+    assert np.abs(seen).max() <= 1.0
+    assert np.std(seen, axis=0).min() > 0.05
+
+
+@pytest.mark.parametrize("squash", [False, True])
+def test_state_dependent_noise_changes_no_deterministic_action(
+    squash: bool, tmp_path: Path
+) -> None:
+    path = save(tmp_path / "model.zip", net={"squash_output": squash}, use_sde=True)
+    out = tmp_path / "policy.onnx"
+    runs.export(path, out, "", None, trust=True)
+    observation = np.linspace(-1.0, 1.0, 7, dtype=np.float32)
+    expected = ZipPolicy(path, trust=True)(observation)
+    assert OnnxPolicy(out)(observation) == pytest.approx(expected, abs=1e-6)
+
+
+def test_an_unlabelled_zip_needs_to_be_told_its_environment(tmp_path: Path) -> None:
+    path, out = save(tmp_path / "model.zip", label=False), tmp_path / "policy.onnx"
+    with pytest.raises(PolicyError, match="--env"):
+        runs.made(ZipPolicy(path, trust=True), "planar", None, {})
+    for env_id in ("point_goal", "acsar_gym/PointGoal-v0"):
+        runs.export(path, out, env_id, None, trust=True)
+        assert OnnxPolicy(out).env_id == "acsar_gym/PointGoal-v0"
+    for env_id, said in (("path_follow", r"Box.*\(7,\).*\(16,\)"), ("maze", "Maze")):
+        with pytest.raises(PolicyError, match=said):
+            runs.export(path, out, env_id, None, trust=True)
+
+
+def test_a_zip_for_another_observation_is_refused(good: Path) -> None:
+    with pytest.raises(PolicyError, match="acsar_gym/PathFollow-v0 gives"):
+        runs.made(ZipPolicy(good, trust=True, env_id="acsar_gym/PathFollow-v0"), "planar", None, {})
+
+
+@pytest.mark.parametrize("content", [b"", b"not a zip", b"PK\x05\x06" + bytes(18)])
+def test_a_broken_zip_says_so_in_one_line(content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "model.zip"
+    path.write_bytes(content)
+    with pytest.raises(PolicyError, match=r"model\.zip: not a stable-baselines3 model") as raised:
+        ZipPolicy(path, trust=True)
+    assert "\n" not in str(raised.value)
+
+
+def test_a_cut_zip_and_a_folder_say_so(good: Path, tmp_path: Path) -> None:
+    cut, folder = tmp_path / "cut.zip", tmp_path / "folder.zip"
+    cut.write_bytes(good.read_bytes()[:-200])
+    folder.mkdir()
+    for path in (cut, folder):
+        with pytest.raises(PolicyError, match=path.name):
+            ZipPolicy(path, trust=True)
+    with pytest.raises(PolicyError, match="no such policy file"):
+        ZipPolicy(tmp_path / "missing.zip", trust=True)
+
+
+def test_other_algorithms_are_refused(tmp_path: Path) -> None:
+    from stable_baselines3 import DQN
+
+    DQN("MlpPolicy", "CartPole-v1", buffer_size=10, device="cpu").save(tmp_path / "model.zip")
+    with pytest.raises(PolicyError, match="not one of PPO, A2C"):
+        ZipPolicy(tmp_path / "model.zip", trust=True)
+
+
+def test_other_actions_are_refused(tmp_path: Path) -> None:
+    from stable_baselines3 import PPO
+
+    PPO("MlpPolicy", "Pendulum-v1", device="cpu").save(tmp_path / "model.zip")
+    with pytest.raises(PolicyError, match=r"Box\(-2\.0"):
+        runs.export(tmp_path / "model.zip", tmp_path / "p.onnx", "point_goal", None, trust=True)
+
+
+def test_without_stable_baselines3_the_extra_is_named(
+    good: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "stable_baselines3.common.save_util", None)
+    with pytest.raises(MissingExtraError, match=r"acsar_gym\[train\]"):
+        ZipPolicy(good, trust=True)
+
+
+def train(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(AGENTS / "train.py"), *map(str, arguments), "--no-progress"]
+    return subprocess.run(command, check=False, capture_output=True, text=True, timeout=120)
+
+
+def test_training_goes_on_where_a_zip_ended(tmp_path: Path) -> None:
+    from stable_baselines3 import PPO
+
+    begun, out = tmp_path / "begun.zip", tmp_path / "out"
+    model = PPO.load(save(begun, n_steps=32, batch_size=32, learning_rate=1e-5), device="cpu")
+    model.num_timesteps = 1000
+    model.save(begun)
+    done = train("--resume", begun, "--trust", "--steps", "64", "--robots", "2", "--out", out)
+    assert done.returncode == 0, done.stderr
+    assert PPO.load(out / "model.zip", device="cpu").num_timesteps == 1064
+    before, after = (ZipPolicy(path, trust=True) for path in (begun, out / "model.zip"))
+    observation = np.full(7, 0.5, np.float32)
+    assert after(observation) == pytest.approx(before(observation), abs=0.02)
+    assert (after(observation) != before(observation)).any()
+    assert after.env_id == "acsar_gym/PointGoal-v0"
+    assert OnnxPolicy(out / "policy.onnx").layout == after.layout
+
+
+def test_resuming_is_refused_in_one_line(good: Path, tmp_path: Path) -> None:
+    sac = save(tmp_path / "sac.zip", "SAC", buffer_size=10)
+    for arguments, said in (
+        (("--resume", good), "--trust"),
+        (("--resume", good, "--trust", "--env", "path_follow"), "PathFollow-v0 gives"),
+        (("--resume", sac, "--trust"), "only PPO"),
+    ):
+        done = train(*arguments, "--out", tmp_path)
+        assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
+        assert said in done.stderr
