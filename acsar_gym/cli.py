@@ -26,6 +26,8 @@ Source = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="KIND|PATH")
 OutFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
 Worlds = Annotated[str | None, tyro.conf.arg(metavar="KIND|PATH")]
 LidarArg = Annotated[str | None, tyro.conf.arg(metavar="URL")]
+Priority = Annotated[int | None, tyro.conf.arg(metavar="PRIORITY")]
+Cores = Annotated[tuple[int, ...] | None, tyro.conf.arg(metavar="N [N ...]")]
 RobotArg = Annotated[str | None, tyro.conf.arg(metavar="PRESET|FILE")]
 
 
@@ -122,6 +124,12 @@ def doctor(
     robot: RobotArg = None,
     baud_rate: int | None = None,
     spin: bool = False,
+    timing: bool = False,
+    duration: float = 10.0,
+    stopping: bool = False,
+    trials: int = 100,
+    realtime: Priority = None,
+    cores: Cores = None,
     json: Json = None,
 ) -> int:
     """List the serial ports, examine one, and say what to fix.
@@ -131,22 +139,46 @@ def doctor(
         robot: preset or config file.
         baud_rate: instead of the robot's own.
         spin: turn the wheels to measure the round trip and the command time-out: lift the robot!
+        timing: how late the control loop's ticks are, against a bare loop, and what to change.
+        duration: of the timing [s].
+        stopping: how soon an emulated robot is commanded to stop, whatever happens to its driver.
+        trials: of each kind of fault, for --stopping.
+        realtime: SCHED_FIFO priority, 1 to 98.
+        cores: numbers of the cores to run on.
         json: write the findings here too.
     """
     from acsar_gym import doctor as doctors  # noqa: PLC0415
-    from acsar_gym import report  # noqa: PLC0415
+    from acsar_gym import doctor_timing, report  # noqa: PLC0415
+    from acsar_gym import realtime as urgency  # noqa: PLC0415
 
     config = RobotConfig.of(robot)
     if baud_rate is not None:
         config = config.with_(baud_rate=baud_rate)
     device = device or config.serial_port
     report.check_writable(json)
+    urgency.prepare(realtime, cores)
+    if stopping:
+        return _stopping(config, trials, json)
+    if timing:
+        found = doctor_timing.examine(device, config, duration)
+        report.show(*found.tables())
+        report.write_json(json, found.as_dict())
+        return 0
     checks = [doctors.port_list()]
     if device is not None:
         checks += doctors.examine(device, config, spin=spin)
     report.show(doctors.table(checks))
     report.write_json(json, doctors.as_json(checks))
     return 1 if any(check.status == "fail" for check in checks) else 0
+
+
+def _stopping(config: RobotConfig, trials: int, json: Path | None) -> int:
+    from acsar_gym import report, stopping  # noqa: PLC0415
+
+    stops = stopping.measure(trials, config=config)
+    report.show(stopping.table(stops))
+    report.write_json(json, stopping.as_json(stops))
+    return 0 if all(one.in_time == trials for one in stops) else 1
 
 
 def drive(
@@ -156,6 +188,8 @@ def drive(
     angular: float | None = None,
     duration: Seconds = None,
     window: bool = False,
+    realtime: Priority = None,
+    cores: Cores = None,
 ) -> int:
     """Drive with the keyboard, or hold a fixed twist, over any link.
 
@@ -166,13 +200,17 @@ def drive(
         angular: fixed angular speed [rad/s].
         duration: seconds to hold the fixed twist; without it, until Ctrl-C.
         window: open PyBullet's window.
+        realtime: SCHED_FIFO priority, 1 to 98.
+        cores: numbers of the cores to run on.
     """
+    from acsar_gym import realtime as urgency  # noqa: PLC0415
     from acsar_gym import teleop  # noqa: PLC0415
     from acsar_gym.links import open_link  # noqa: PLC0415
     from acsar_gym.robot import Robot  # noqa: PLC0415
 
     config = RobotConfig.of(robot)
     driver = Robot(open_link(link, config, window=window, realtime=True), config)
+    urgency.prepare(realtime, cores)
     if linear is None and angular is None:
         teleop.keyboard(driver)
     else:
@@ -204,6 +242,9 @@ def evaluate(
     difficulty: float | None = None,
     lidar: LidarArg = None,
     trust: bool = False,
+    late_share: float = 0.01,
+    realtime: Priority = None,
+    cores: Cores = None,
     json: Json = None,
 ) -> int:
     """Run a policy for some episodes behind any link and print what it reached.
@@ -219,20 +260,24 @@ def evaluate(
         difficulty: of generated worlds, 0 to 1.
         lidar: rplidar:///dev/ttyUSB1 on hardware.
         trust: let a stable-baselines3 zip as policy run its code: your own, or whose you trust.
-        json: write the figures here too.
+        late_share: an episode of which more ticks were late is marked as invalid.
+        realtime: SCHED_FIFO priority, 1 to 98.
+        cores: numbers of the cores to run on.
+        json: write the figures and every episode here too.
     """
     from acsar_gym import metrics, report, runs  # noqa: PLC0415
+    from acsar_gym import realtime as urgency  # noqa: PLC0415
 
     report.check_writable(json)
+    urgency.prepare(realtime, cores)
     options = {"worlds": worlds, "difficulty": difficulty, "lidar": lidar}
-    results = runs.evaluate(
-        policy, link, robot, episodes, seed, in_order=in_order, trust=trust, **options
-    )
+    how = {"in_order": in_order, "late_share": late_share}
+    results = runs.evaluate(policy, link, robot, episodes, seed, trust=trust, how=how, **options)
     summary = metrics.summarise(results)
     title = f"{policy}, seeds {seed} to {seed + episodes - 1}"
     report.show(report.summary_table(title, [(link, summary)]))
     report.show(report.interval_table(summary))
-    report.write_json(json, summary.as_dict())
+    report.write_json(json, summary.as_dict() | {"per_episode": metrics.per_episode(results)})
     return 0
 
 
@@ -244,6 +289,8 @@ def run(
     lidar: LidarArg = None,
     record: File = None,
     trust: bool = False,
+    realtime: Priority = None,
+    cores: Cores = None,
     json: Json = None,
 ) -> int:
     """Drive a policy to one goal (x y, in m, from where the robot stands).
@@ -256,15 +303,19 @@ def run(
         lidar: rplidar:///dev/ttyUSB1 on hardware, for a policy that needs one.
         record: write everything on the wire here; replay it with --link replay:FILE.
         trust: let a stable-baselines3 zip as policy run its code: your own, or whose you trust.
+        realtime: SCHED_FIFO priority, 1 to 98.
+        cores: numbers of the cores to run on.
         json: write the figures here too.
     """
     from acsar_gym import metrics, report, runs  # noqa: PLC0415
+    from acsar_gym import realtime as urgency  # noqa: PLC0415
 
     report.check_writable(json)
+    urgency.prepare(realtime, cores)
     result = runs.to_goal(policy, link, robot, goal, record, trust=trust, lidar=lidar)
     summary = metrics.summarise([result])
     report.show(report.summary_table(f"{policy} to ({goal[0]:g}, {goal[1]:g})", [(link, summary)]))
-    report.write_json(json, summary.as_dict())
+    report.write_json(json, summary.as_dict() | {"per_episode": metrics.per_episode([result])})
     return 0 if result.success else 1
 
 

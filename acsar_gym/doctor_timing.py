@@ -209,6 +209,13 @@ def _checks(title: str, checks: tuple[Check, ...] | list[Check]) -> Table:
     return drawn
 
 
+def examine(device: str | None, config: RobotConfig, duration: float) -> Report:
+    """`measure` with the packaged policy; ConfigError without a device."""
+    if device is None:
+        raise ConfigError("--timing needs a device, as in: acsar-gym doctor /dev/ttyUSB0 --timing")
+    return measure(device, config, duration)
+
+
 def measure(
     device: str, config: RobotConfig, duration: float, policy: Policy | None = None
 ) -> Report:

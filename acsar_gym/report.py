@@ -21,12 +21,13 @@ ALARM = 0.15
 """Mean odometry error at which a table says so: the default tolerance of a goal [m]."""
 
 
-def show(table: Table) -> None:
-    """Print a table; piped output gets enough columns to hold it."""
+def show(*tables: Table) -> None:
+    """Print tables; piped output gets enough columns to hold them."""
     console = Console()
     if not console.is_terminal:
         console = Console(width=120)
-    console.print(table)
+    for table in tables:
+        console.print(table)
 
 
 def check_writable(path: Path | None) -> None:

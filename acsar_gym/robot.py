@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 from collections.abc import Sequence
 from types import TracebackType
 from typing import Self
@@ -91,6 +92,7 @@ class Robot:
             raise
         self.odometry.reset()
         if hasattr(self.link, "lateness"):
+            gc.collect()  # takes 60 ms: better now than while the wheels turn
             self._stopwatch = Stopwatch(self._period)
 
     def _settle(self) -> None:

@@ -63,15 +63,18 @@ def evaluate(
     episodes: int,
     seed: int,
     *,
-    in_order: bool = False,
     trust: bool = False,
+    how: Mapping[str, Any] | None = None,
     **options: Any,
 ) -> list[EpisodeResult]:
-    """Episodes with random goals, behind a progress bar; options go to the environment."""
+    """Episodes with random goals, behind a progress bar.
+
+    `how` goes to `evaluation.episodes`, other options to the environment.
+    """
     if episodes < 1 or seed < 0:
         raise ConfigError("--episodes must be at least 1 and --seed at least 0")
     actor = load(policy, trust=trust)
-    return drive(actor, link, robot, episodes, seed, in_order=in_order, **options)
+    return drive(actor, link, robot, episodes, seed, how=how, **options)
 
 
 def drive(
@@ -81,13 +84,13 @@ def drive(
     count: int,
     seed: int,
     *,
-    in_order: bool = False,
+    how: Mapping[str, Any] | None = None,
     **options: Any,
 ) -> list[EpisodeResult]:
     """Episodes of a loaded policy behind a link, which is closed whatever happens."""
     env = made(policy, link, robot, options)
     try:
-        running = evaluation.episodes(env, policy, count, seed, in_order=in_order)
+        running = evaluation.episodes(env, policy, count, seed, **(how or {}))
         return track(link, running, count)
     finally:
         env.close()

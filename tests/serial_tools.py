@@ -121,6 +121,38 @@ class Emulated:
         """Freeze the board; the device stays."""
         self.process.send_signal(signal.SIGSTOP)
 
+    def resume(self) -> None:
+        """Let a frozen board go on."""
+        self.process.send_signal(signal.SIGCONT)
+
+    def devices(self) -> list[str]:
+        """The name of the device after each pull and plug; "" where the cable was out."""
+        return [event["device"] for event in self.events() if "device" in event]
+
+    def pull(self) -> None:
+        """Pull the cable, as opposed to the board's plug: the robot goes on."""
+        if self.device:
+            self._signal(signal.SIGUSR1)
+            self.device = ""
+
+    def plug(self) -> None:
+        """Plug it in again; `device` is the new name."""
+        if not self.device:
+            self.device = self._signal(signal.SIGUSR2)
+
+    def _signal(self, number: signal.Signals) -> str:
+        known = len(self.devices())
+        self.process.send_signal(number)
+        wait_until(lambda: len(self.devices()) > known, "a cable that moves")
+        return self.devices()[-1]
+
+    def since_plugged(self) -> bytes:
+        """What clients have put on the wire since the cable moved for the last time."""
+        data = ""
+        for event in self.events():
+            data = "" if "device" in event else data + event.get("rx", "")
+        return data.encode("latin-1")
+
     def kill(self) -> None:
         """Unplug: the device goes away at once."""
         self.process.kill()
