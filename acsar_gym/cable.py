@@ -59,10 +59,12 @@ class Cable:
 
     def pull(self) -> None:
         """Be gone; twice is once."""
-        descriptors, self._descriptors, self.device = self._descriptors, (), ""
+        descriptors, self._descriptors = self._descriptors, ()
         if self._name is not None and descriptors:
-            with contextlib.suppress(OSError):
-                self._name.unlink()
+            with contextlib.suppress(OSError):  # it may be gone, or no symbolic link
+                if str(self._name.readlink()) == self.device:
+                    self._name.unlink()
+        self.device = ""
         for descriptor in descriptors:
             os.close(descriptor)
 

@@ -7,6 +7,7 @@ to the board and where the robot really was, on the monotonic clock that all pro
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import time
@@ -55,15 +56,23 @@ class Emulator:
             raise ConfigError(f"body = {body!r}: must be planar or bullet")
         self._config = config
         self._silent = silent
-        self._link: Link = open_link(body, config)
-        self._link.open()
-        around = world and world.seen_from(_start(world))
-        self._link.reset(Scene(world=around))
-        self._lidar = _lidar(self._link, around, config) if sees else None
-        self.lidar_device = self._lidar.device if self._lidar else None
-        self._log = recording.opened(log) if log else None
         self.plugged = True
-        self._cable = Cable(config.baud_rate, name)
+        with contextlib.ExitStack() as ours:
+            self._link: Link = open_link(body, config)
+            ours.callback(self._link.close)
+            self._link.open()
+            around = world and world.seen_from(_start(world))
+            self._link.reset(Scene(world=around))
+            self._lidar = _lidar(self._link, around, config) if sees else None
+            if self._lidar is not None:
+                ours.callback(self._lidar.close)
+            self.lidar_device = self._lidar.device if self._lidar else None
+            self._log = recording.opened(log) if log else None
+            if self._log is not None:
+                ours.callback(self._log.close)
+            self._cable = Cable(config.baud_rate, name)
+            ours.callback(self._cable.pull)
+            self._ours = ours.pop_all()
 
     @property
     def device(self) -> str:
@@ -115,14 +124,8 @@ class Emulator:
             self._log.write(json.dumps({"t": time.monotonic(), **event}) + "\n")
 
     def close(self) -> None:
-        """Close the terminal and the log; twice is once."""
-        self._cable.pull()
-        self._link.close()
-        if self._lidar is not None:
-            self._lidar.close()
-        if self._log is not None:
-            self._log.close()
-            self._log = None
+        """Pull the cable, close terminals and log; twice is once."""
+        self._ours.close()
 
     def __enter__(self) -> Self:
         return self

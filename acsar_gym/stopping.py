@@ -5,17 +5,15 @@ which drives at 100 Hz; and whoever does something to it. All share one monotoni
 from the fault to the first zero command at the emulator, which looks every 5 ms. Through a cable
 that is out no command can come, so there it is from the moment at which it is plugged in again.
 
-`python -m acsar_gym.stopping --trials 100` measures all kinds of faults.
+`acsar-gym doctor --stopping` measures all kinds of faults.
 """
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import json
 import math
 import os
-import pty
 import random
 import signal
 import statistics
@@ -28,41 +26,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import AcsarError, ConfigError, suggestion
-from acsar_gym.links import open_link
 from acsar_gym.protocol import ZERO, Decoder
-from acsar_gym.robot import Robot
+from acsar_gym.stopping_programs import KINDS, REPLUGGED
 
-KINDS = {
-    "kill": "SIGKILL",
-    "fork": "SIGKILL while a forked child lives on",
-    "stop": "SIGSTOP",
-    "hang": "the policy sleeps for 5 s",
-    "busy": "the policy never returns",
-    "exception": "the policy raises an exception",
-    "exit": "os._exit in the policy",
-    "terminal": "the terminal is closed",
-    "unplug": "unplug-replug; the program has ended",
-    "reset": "unplug-replug; the program resets",
-}
-REPLUGGED = ("unplug", "reset")
 LIMIT = 0.25
 """So soon the zero command shall be there [s]."""
-TICKS = 30
-"""How long the robot drives before the fault, at least."""
-JITTER = 0.02
-"""The fault comes at any time within two ticks [s]."""
 PATIENCE = 3.0
 """A zero command that isn't there after so long won't come [s]."""
 SURE = 0.1
 """For so long no other command may follow the zeros [s]."""
 POLL = 0.005
-HANG = 5.0
 PULLED = (0.05, 0.5)
 """A cable is out for a time drawn from this range [s]."""
 
@@ -212,7 +190,7 @@ def _line(process: subprocess.Popen[str]) -> str:
 
 
 class _Programs:
-    """Starts programs that drive, and harms them: see `serve`, which is its other half."""
+    """Starts programs that drive, and harms them: see `stopping_programs.serve`."""
 
     def __init__(self, process: subprocess.Popen[str]) -> None:
         self._process = process
@@ -239,119 +217,13 @@ class _Programs:
 
 @contextlib.contextmanager
 def _programs(device: str, config: RobotConfig) -> Iterator[_Programs]:
-    code = "import sys; from acsar_gym import stopping; stopping.serve(*sys.argv[1:])"
+    code = "import sys; from acsar_gym import stopping_programs as s; s.serve(*sys.argv[1:])"
     with _process(["-c", code, device, config.model_dump_json()]) as process:
         try:
             yield _Programs(process)
         finally:  # it ends its program first
             with contextlib.suppress(OSError, subprocess.TimeoutExpired):
                 process.communicate(timeout=PATIENCE)
-
-
-def serve(device: str, config: str) -> None:
-    """Fork a program for each kind that standard input names, and answer when it was harmed.
-
-    A fork has all imports behind it. What it does afterwards is what a program of its own would do,
-    down to the interpreter's end, which is why `_drive` may return or raise from here.
-    """
-    robot = RobotConfig.model_validate_json(config)
-    for line in sys.stdin:
-        kind = line.strip()
-        ear, mouth = os.pipe()
-        program, terminal = pty.fork() if kind == "terminal" else (os.fork(), -1)
-        if program == 0:
-            os.close(ear)
-            _drive(device, robot, kind, mouth)
-            return
-        os.close(mouth)
-        try:
-            with open(ear, encoding="ascii") as report:
-                print(_harm(kind, program, terminal, report), flush=True)
-                sys.stdin.readline()
-        finally:
-            _end(program)
-        print("ended", flush=True)
-
-
-def _harm(kind: str, program: int, terminal: int, report: IO[str]) -> str:
-    """Wait until it drives, do something to it, and say when."""
-    first = report.readline().strip()
-    if first != "drives":
-        return first or "it ended"
-    if kind in FAULTS:
-        return report.readline().strip() or "it ended"
-    time.sleep(random.uniform(0.0, JITTER))
-    now = time.monotonic()
-    if kind == "terminal":
-        os.close(terminal)
-    elif kind not in REPLUGGED:
-        os.kill(program, signal.SIGSTOP if kind == "stop" else signal.SIGKILL)
-    return repr(now)
-
-
-def _end(program: int) -> None:
-    """Kill it and its children, which share its session."""
-    with contextlib.suppress(ProcessLookupError):
-        os.killpg(program, signal.SIGKILL)
-    os.waitpid(program, 0)
-
-
-def _drive(device: str, config: RobotConfig, kind: str, mouth: int) -> None:
-    """The program: it drives until it is harmed, or harms itself as `kind` says."""
-    if kind != "terminal":
-        os.setsid()
-    for number in (signal.SIGHUP, signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_DFL)
-    nowhere = os.open(os.devnull, os.O_RDWR)
-    os.dup2(nowhere, 2)
-    with open(mouth, "w", buffering=1, encoding="ascii") as report:
-        robot = Robot(open_link(device, config), config)
-        try:
-            _drive_until_harmed(robot, kind, report)
-        except AcsarError as error:
-            print(error, file=report)
-        if kind == "reset":
-            robot.activate()
-            while True:
-                robot.drive(0.0, 0.0)
-
-
-def _drive_until_harmed(robot: Robot, kind: str, report: IO[str]) -> None:
-    robot.activate()
-    if kind == "fork" and os.fork() == 0:
-        time.sleep(10.0 * PATIENCE)
-        os._exit(0)
-    _go(robot, TICKS)
-    print("drives", file=report)
-    _go(robot, random.randrange(3))
-    if kind in FAULTS:
-        print(repr(time.monotonic()), file=report)
-        FAULTS[kind]()
-    while True:
-        _go(robot, 1)
-
-
-def _go(robot: Robot, ticks: int) -> None:
-    for _ in range(ticks):
-        robot.drive(0.2, 0.0)
-
-
-def _never_return() -> None:
-    while True:
-        pass
-
-
-def _raise() -> None:
-    raise RuntimeError("a policy's mistake")
-
-
-FAULTS: dict[str, Callable[[], None]] = {
-    "hang": lambda: time.sleep(HANG),
-    "busy": _never_return,
-    "exception": _raise,
-    "exit": lambda: os._exit(1),
-}
-"""What a policy can do to its own program."""
 
 
 def as_json(stops: Sequence[Stops]) -> dict[str, Any]:
@@ -381,20 +253,3 @@ def table(stops: Sequence[Stops]) -> Table:
             shown = (f"{figure * 1000.0:.1f}" for figure in figures)
             drawn.add_row(KINDS[one.kind], *shown, f"{one.in_time} of {len(one.times)}")
     return drawn
-
-
-def main() -> None:
-    """`python -m acsar_gym.stopping [--trials N] [--kinds KIND ...] [--json FILE]`."""
-    parser = argparse.ArgumentParser(prog="acsar_gym.stopping", description=__doc__)
-    parser.add_argument("--trials", type=int, default=100)
-    parser.add_argument("--kinds", nargs="+", default=list(KINDS), metavar="KIND")
-    parser.add_argument("--json", type=Path)
-    options = parser.parse_args()
-    stops = measure(options.trials, options.kinds)
-    Console().print(table(stops))
-    if options.json:
-        options.json.write_text(json.dumps(as_json(stops), indent=2) + "\n", encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()

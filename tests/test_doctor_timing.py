@@ -16,11 +16,12 @@ from serial_tools import Emulated, no_leak
 
 from acsar_gym import RobotConfig, doctor_timing
 from acsar_gym.doctor import Check
-from acsar_gym.doctor_timing import EDGES, Report, measure
+from acsar_gym.doctor_timing import measure
 from acsar_gym.errors import ConfigError, LinkError, MissingExtraError, PortNotFoundError
 from acsar_gym.estop import Ears
 from acsar_gym.links.timing import Spread, Timing
 from acsar_gym.protocol import ZERO
+from acsar_gym.timing_report import EDGES, Report
 
 pytestmark = pytest.mark.usefixtures("deadline")
 

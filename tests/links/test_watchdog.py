@@ -28,6 +28,7 @@ from acsar_gym.links.serial import SerialLink
 from acsar_gym.links.watchdog import Watchdog
 from acsar_gym.links.watchdog_child import BEAT, PAGE, REPEATS, SURE, TRIPPED, Watch
 from acsar_gym.protocol import ZERO, Decoder, encode
+from acsar_gym.stopping_programs import KINDS
 from acsar_gym.worlds import Scene
 
 pytestmark = pytest.mark.usefixtures("deadline")
@@ -85,13 +86,13 @@ def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
 def test_every_kind_of_fault_ends_in_a_zero_command() -> None:
     told: list[str] = []
     stops = stopping.measure(2, progress=lambda kind, _: told.append(kind))
-    assert [one.kind for one in stops] == list(stopping.KINDS)
-    assert told == [kind for kind in stopping.KINDS for _ in range(2)]
+    assert [one.kind for one in stops] == list(KINDS)
+    assert told == [kind for kind in KINDS for _ in range(2)]
     for one in stops:
         assert max(one.times) < SOON, one
         assert one.in_time, one
     report = json.loads(json.dumps(stopping.as_json(stops), allow_nan=False))
-    assert set(report["stops"]) == set(stopping.KINDS)
+    assert set(report["stops"]) == set(KINDS)
     console = Console(record=True, width=100, file=open(os.devnull, "w"))  # noqa: SIM115
     console.print(stopping.table(stops))
     console.file.close()

@@ -1,0 +1,184 @@
+"""Names of adapters: which device they mean now, and under which one comes back."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from serial_tools import TIMEOUT, Emulated, StartEmulator, no_leak
+
+from acsar_gym import Robot, RobotConfig, open_link
+from acsar_gym.errors import ConfigError, LinkError, LinkLostError, PortNotFoundError
+from acsar_gym.links import ports, watchdog
+from acsar_gym.links.ports import PortInfo, lasting, located
+from acsar_gym.links.serial import SerialLink
+
+pytestmark = pytest.mark.usefixtures("deadline")
+
+Plugged = list[PortInfo]
+
+
+@pytest.fixture
+def device() -> Iterator[str]:
+    """A terminal with nobody at its other end."""
+    descriptors = os.openpty()
+    yield os.ttyname(descriptors[1])
+    for descriptor in descriptors:
+        os.close(descriptor)
+
+
+@pytest.fixture
+def by_id(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """What stands for /dev/serial/by-id."""
+    folder = tmp_path / "by-id"
+    folder.mkdir()
+    monkeypatch.setattr(ports, "BY_ID", folder)
+    return folder
+
+
+@pytest.fixture
+def plugged(monkeypatch: pytest.MonkeyPatch) -> Plugged:
+    """The ports that this computer seems to have: none, until a test adds some."""
+    here: Plugged = []
+    monkeypatch.setattr(ports, "ports", lambda: here)
+    return here
+
+
+def drive_until_lost(robot: Robot) -> LinkError:
+    with pytest.raises(LinkLostError) as caught:
+        for _ in range(int(TIMEOUT / robot.config.period)):
+            robot.drive(0.2, 0.0)
+    return caught.value
+
+
+# The name that lasts
+
+
+def test_an_adapter_comes_back_under_its_own_name(device: str, by_id: Path) -> None:
+    (by_id / "usb-A").symlink_to("/dev/null")
+    (by_id / "usb-B").symlink_to(device)
+    assert lasting(device) == str(by_id / "usb-B")
+
+
+def test_of_two_names_it_is_always_the_same(device: str, by_id: Path) -> None:
+    for name in ("usb-C", "usb-B", "usb-D"):
+        (by_id / name).symlink_to(device)
+    assert lasting(device) == str(by_id / "usb-B")
+
+
+def test_a_name_through_relative_links_counts(device: str, by_id: Path) -> None:
+    """As udev makes them: ../../ttyUSB0."""
+    (by_id / "usb-A").symlink_to(os.path.relpath(device, by_id))
+    assert lasting(device) == str(by_id / "usb-A")
+
+
+def test_a_link_is_a_name_that_lasts_by_itself(device: str, by_id: Path, tmp_path: Path) -> None:
+    (by_id / "usb-A").symlink_to(device)
+    mine = tmp_path / "robot"
+    mine.symlink_to(device)
+    assert lasting(str(mine)) == str(mine)
+
+
+@pytest.mark.parametrize("url", ["socket://127.0.0.1:2000", "COM3", "/dev/acsar-missing", ""])
+def test_what_has_no_lasting_name_stays_as_it_is(url: str, by_id: Path) -> None:
+    (by_id / "usb-A").symlink_to("/dev/null")
+    (by_id / "usb-broken").symlink_to("/dev/acsar-gone")
+    assert lasting(url) == url
+
+
+def test_a_computer_without_any_is_no_error(
+    device: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ports, "BY_ID", tmp_path / "missing")
+    assert lasting(device) == device
+
+
+# Serial numbers
+
+
+def test_a_serial_number_means_whatever_device_has_it(device: str, plugged: Plugged) -> None:
+    plugged += [PortInfo("/dev/null", "other", "B1"), PortInfo(device, "board", "A50285BI")]
+    assert located("usb:A50285BI") == device
+    assert located("usb:B1") == "/dev/null"
+
+
+@pytest.mark.parametrize("name", ["/dev/ttyUSB0", "COM3", "socket://host:1", "a50285bi"])
+def test_other_names_are_left_alone(name: str, plugged: Plugged) -> None:
+    assert located(name) == name
+
+
+@pytest.mark.parametrize(
+    ("numbers", "told"),
+    [((), "none"), ((None,), "none"), (("B1", None, "C2"), "B1, C2"), (("A5028",), "A5028")],
+)
+def test_a_serial_number_that_is_not_here_tells_those_that_are(
+    numbers: tuple[str | None, ...], told: str, plugged: Plugged
+) -> None:
+    plugged += [PortInfo("/dev/null", "other", number) for number in numbers]
+    with pytest.raises(PortNotFoundError) as caught:
+        located("usb:A50285BI")
+    error = caught.value
+    assert "usb:A50285BI" in error.found
+    assert error.fix == f"serial numbers here: {told}"
+    assert "\n" not in str(error)
+    assert error.exit_code == 3
+
+
+def test_an_empty_serial_number_is_no_port() -> None:
+    with pytest.raises(ConfigError, match="unknown link 'usb:'"):
+        open_link("usb:")
+
+
+def test_a_missing_adapter_is_one_clear_error(config: RobotConfig, plugged: Plugged) -> None:
+    link = open_link("usb:A50285BI", config)
+    with no_leak(), pytest.raises(PortNotFoundError, match="usb:A50285BI: no USB adapter"):
+        link.open()
+
+
+# The real wire behind them
+
+
+def test_a_serial_number_drives(shared_device: str, config: RobotConfig, plugged: Plugged) -> None:
+    plugged.append(PortInfo(shared_device, "board", "A50285BI"))
+    with no_leak(), Robot(open_link("usb:A50285BI", config), config) as robot:
+        assert isinstance(robot.link, SerialLink)
+        assert robot.link.device == "usb:A50285BI"
+        while robot.odometry.pose[0] < 0.01:
+            robot.drive(0.2, 0.0)
+
+
+def test_a_serial_number_is_followed_to_another_device(
+    own_emulator: Emulated, config: RobotConfig, plugged: Plugged
+) -> None:
+    plugged.append(PortInfo(own_emulator.device, "board", "A50285BI"))
+    robot = Robot(open_link("usb:A50285BI", config.with_(reconnect_timeout=TIMEOUT)), config)
+    robot.activate()
+    with os.fdopen(os.open(own_emulator.device, os.O_RDWR | os.O_NOCTTY), "rb", 0):
+        own_emulator.pull()
+        assert "usb:A50285BI" in drive_until_lost(robot).found
+        plugged.clear()
+        own_emulator.plug()
+        plugged.append(PortInfo(own_emulator.device, "board", "A50285BI"))
+        with robot:
+            robot.drive(0.2, 0.0)
+            assert robot.feedback_age < 1.0
+
+
+def test_a_device_is_followed_by_its_adapter_s_name(
+    start_emulator: StartEmulator, config: RobotConfig, by_id: Path
+) -> None:
+    emulator = start_emulator("--name", str(by_id / "usb-acsar"))
+    before = emulator.device
+    robot = Robot(open_link(before, config.with_(reconnect_timeout=TIMEOUT)), config)
+    robot.activate()
+    with os.fdopen(os.open(before, os.O_RDWR | os.O_NOCTTY), "rb", 0):
+        emulator.pull()
+        assert before in drive_until_lost(robot).found
+        assert list(watchdog._searching) == [str(by_id / "usb-acsar")]
+        emulator.plug()
+        assert emulator.device != before
+        with robot:
+            robot.drive(0.2, 0.0)
+        assert not watchdog._searching

@@ -1,0 +1,577 @@
+"""A cable that comes loose, at any moment: one error each, and everything goes on afterwards."""
+
+from __future__ import annotations
+
+import fcntl
+import math
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import psutil
+import pytest
+from serial_tools import (
+    DRIVER,
+    TIMEOUT,
+    Emulated,
+    StartEmulator,
+    first_line,
+    no_leak,
+    program,
+    start,
+    wait_until,
+)
+
+from acsar_gym import Robot, RobotConfig, open_link
+from acsar_gym.env import RobotEnv
+from acsar_gym.errors import BoardSilentError, LinkError, LinkLostError, PortNotFoundError
+from acsar_gym.links import watchdog
+from acsar_gym.links.serial import SerialLink
+from acsar_gym.protocol import ZERO, Decoder, encode
+from acsar_gym.worlds import Scene
+
+pytestmark = pytest.mark.usefixtures("deadline")
+
+FORWARD = encode((3.0, 3.0, 3.0, 3.0))
+CURVE = np.array([0.4, 0.5], np.float32)
+SILENT, LOST = 1.0, 3.0
+SOON = 2.0
+"""What a machine busy with other things may take for what should take a period or two [s]."""
+LONG = 3600.0
+Step = tuple[Any, float, bool, bool, dict[str, Any]]
+
+
+@pytest.fixture(scope="module")
+def board(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Emulated]:
+    folder = tmp_path_factory.mktemp("board")
+    emulated = start(folder / "emulator.jsonl", "--name", str(folder / "usb-acsar"))
+    yield emulated
+    emulated.end()
+
+
+@pytest.fixture
+def emulator(board: Emulated) -> Iterator[Emulated]:
+    """A robot at rest, plugged in, with a lasting name and an empty log."""
+    board.plug()
+    board.forget()
+    yield board
+    board.resume()
+    watchdog.call_back()
+
+
+def name(emulator: Emulated) -> str:
+    return str(emulator.log.with_name("usb-acsar"))
+
+
+@pytest.fixture
+def config(config: RobotConfig) -> RobotConfig:
+    return config.with_(reconnect_timeout=TIMEOUT)
+
+
+@pytest.fixture
+def link(emulator: Emulated, config: RobotConfig) -> Iterator[SerialLink]:
+    with no_leak():
+        link = SerialLink(name(emulator), config)
+        link.open()
+        link.reset(Scene())
+        yield link
+        link.close()
+
+
+@pytest.fixture
+def env(emulator: Emulated, config: RobotConfig) -> Iterator[Any]:
+    """An environment in the middle of an episode."""
+    env = made(emulator, config)
+    env.reset(seed=0)
+    env.step(CURVE)
+    yield env
+    env.close()
+
+
+def made(emulator: Emulated, config: RobotConfig, **options: Any) -> Any:
+    options = {"max_episode_steps": 10**6} | options
+    device = name(emulator)
+    return gymnasium.make("acsar_gym/PointGoal-v0", link=device, robot=config, **options)
+
+
+def robot_of(env: Any) -> Robot:
+    assert isinstance(env.unwrapped, RobotEnv)
+    return env.unwrapped.robot
+
+
+def step_until_fault(env: Any) -> Step:
+    """The step that a fault ends; none takes long."""
+    for _ in range(200):
+        begin = time.monotonic()
+        result: Step = env.step(CURVE)
+        assert time.monotonic() - begin < SOON
+        if result[3]:
+            return result
+    raise AssertionError("no fault")
+
+
+def drive_until_error(robot: Robot) -> None:
+    for _ in range(int(TIMEOUT / robot.config.period)):
+        robot.drive(0.2, 0.0)
+
+
+def drives(emulator: Emulated) -> None:
+    wait_until(emulator.is_driven, "a command that turns the wheels")
+
+
+def runs(process: int) -> bool:
+    """Whether it is there and no zombie."""
+    try:
+        return psutil.Process(process).status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
+
+
+def ends(process: int) -> None:
+    wait_until(lambda: not runs(process), "a process that ends")
+
+
+def spoken(emulator: Emulated) -> set[Any]:
+    """The commands since the cable was plugged in."""
+    return {reading.speeds for reading in Decoder().feed(emulator.since_plugged())}
+
+
+def poses(emulator: Emulated, since: float) -> list[tuple[float, float]]:
+    events = [event for event in emulator.events() if "pose" in event and event["t"] > since]
+    return [(event["pose"][0], event["pose"][1]) for event in events]
+
+
+def assert_stands(emulator: Emulated, since: float) -> None:
+    """Nothing has moved the robot since then, nor for the next moments."""
+    wait_until(lambda: len(poses(emulator, since)) > 30, "poses")
+    x, y = zip(*poses(emulator, since), strict=True)
+    assert max(x) - min(x) < 1e-4
+    assert max(y) - min(y) < 1e-4
+
+
+# A robot whose cable is pulled
+
+
+def test_the_same_robot_drives_on_once_the_cable_is_back(
+    emulator: Emulated, config: RobotConfig
+) -> None:
+    before = emulator.device
+    robot = Robot(open_link(name(emulator), config), config)
+    with no_leak():
+        robot.activate()
+        drive = robot.wheel_speeds(0.2, 0.0)
+        for _ in range(20):
+            robot.tick(drive)
+        emulator.pull()
+        with pytest.raises(LinkLostError) as caught:
+            drive_until_error(robot)
+        assert name(emulator) in caught.value.found
+        assert "\n" not in str(caught.value)
+        assert not robot.active
+        wait_until(lambda: emulator.stands(loops=20), "wheels that stand")
+        emulator.plug()
+        assert emulator.device != before
+        plugged = time.monotonic()
+        assert_stands(emulator, plugged)
+        assert spoken(emulator) <= {ZERO}
+        robot.activate()
+        assert spoken(emulator) <= {ZERO}
+        assert robot.odometry.pose == (0.0, 0.0, 0.0)
+        while robot.odometry.pose[0] < 0.01:
+            robot.drive(0.2, 0.0)
+        robot.deactivate()
+    wait_until(lambda: emulator.commands()[-1] == ZERO, "zero as the last command")
+
+
+def test_it_waits_for_the_cable(emulator: Emulated, config: RobotConfig) -> None:
+    """Activation begins while the cable is out; somebody plugs it in meanwhile."""
+    code = f"""
+import os, signal, time
+time.sleep(0.5)
+os.kill({emulator.process.pid}, signal.SIGUSR2)
+"""
+    robot = Robot(open_link(name(emulator), config), config)
+    robot.activate()
+    emulator.pull()
+    with pytest.raises(LinkLostError):
+        drive_until_error(robot)
+    with program(code) as helper:
+        robot.activate()
+        helper.wait(TIMEOUT)
+    emulator.device = emulator.devices()[-1]
+    robot.drive(0.2, 0.0)
+    robot.deactivate()
+
+
+def test_pulled_again_and_again_it_recovers(emulator: Emulated, config: RobotConfig) -> None:
+    robot = Robot(open_link(name(emulator), config), config)
+    with no_leak():
+        for _ in range(5):
+            with robot:
+                robot.drive(0.2, 0.0)
+                emulator.pull()
+                with pytest.raises(LinkLostError):
+                    drive_until_error(robot)
+            emulator.plug()
+    assert len(emulator.devices()) == 10
+
+
+# An environment whose cable is pulled
+
+
+def test_an_episode_ends_with_the_reason_and_the_next_begins(env: Any, emulator: Emulated) -> None:
+    emulator.pull()
+    observation, reward, terminated, truncated, info = step_until_fault(env)
+    assert env.observation_space.contains(observation)
+    assert (reward, terminated, truncated) == (0.0, False, True)
+    assert (info["fault"], info["is_success"]) == (LOST, 0.0)
+    assert "lost while in use" in info["fault_reason"]
+    for _ in range(2):
+        with pytest.raises(LinkError, match=r"call activate\(\) or env.reset\(\) first"):
+            env.step(CURVE)
+    emulator.plug()
+    observation, info = env.reset()
+    assert env.observation_space.contains(observation)
+    assert info["fault"] == 0.0
+    assert "fault_reason" not in info
+    assert spoken(emulator) <= {ZERO}
+    *_, truncated, info = env.step(CURVE)
+    assert not truncated
+    assert info["fault"] == 0.0
+
+
+def test_faults_may_be_raised_instead(emulator: Emulated, config: RobotConfig) -> None:
+    env = made(emulator, config, on_fault="raise")
+    env.reset(seed=0)
+    emulator.pull()
+    with pytest.raises(LinkLostError):
+        step_until_fault(env)
+    emulator.plug()
+    env.reset()
+    env.step(CURVE)
+    env.close()
+
+
+def test_a_board_that_falls_silent_is_another_fault(
+    emulator: Emulated, config: RobotConfig
+) -> None:
+    env = made(emulator, config.with_(feedback_timeout=0.3))
+    env.reset(seed=0)
+    env.step(CURVE)
+    emulator.pause()
+    *_, info = step_until_fault(env)
+    assert info["fault"] == SILENT
+    assert "no feedback for 0.3" in info["fault_reason"]
+    emulator.resume()
+    env.reset()
+    assert env.step(CURVE)[-1]["fault"] == 0.0
+    env.close()
+    wait_until(lambda: emulator.commands()[-1] == ZERO, "zero as the last command")
+
+
+def test_pulled_between_two_episodes_the_next_reset_recovers(env: Any, emulator: Emulated) -> None:
+    emulator.pull()
+    emulator.plug()
+    env.reset()
+    assert env.step(CURVE)[-1]["fault"] == 0.0
+
+
+def test_pulled_before_a_bad_action_the_action_is_the_error(env: Any, emulator: Emulated) -> None:
+    emulator.pull()
+    with pytest.raises(ValueError if False else Exception, match="two finite numbers"):
+        env.unwrapped.step(np.array([math.nan, 0.0], np.float32))
+    emulator.plug()
+    env.reset()
+    env.step(CURVE)
+
+
+def test_after_a_reset_that_failed_there_is_no_episode_to_go_on_with(
+    emulator: Emulated, config: RobotConfig
+) -> None:
+    env = made(emulator, config.with_(reconnect_timeout=0.1))
+    env.reset(seed=0)
+    env.step(CURVE)
+    emulator.pull()
+    with pytest.raises(LinkError):
+        env.reset()
+    with pytest.raises(LinkError, match=r"env.reset\(\) first"):
+        env.step(CURVE)
+    emulator.plug()
+    env.reset()
+    env.step(CURVE)
+    env.close()
+
+
+def test_closing_an_environment_that_lost_its_cable_is_no_error(
+    env: Any, emulator: Emulated
+) -> None:
+    emulator.pull()
+    env.close()
+    env.close()
+
+
+# A cable that stays out
+
+
+def test_a_cable_that_stays_out_is_reported_in_time(
+    emulator: Emulated, config: RobotConfig
+) -> None:
+    env = made(emulator, config.with_(reconnect_timeout=0.4))
+    with no_leak():
+        env.reset(seed=0)
+        emulator.pull()
+        step_until_fault(env)
+        for _ in range(2):
+            begin = time.monotonic()
+            with pytest.raises(PortNotFoundError) as caught:
+                env.reset()
+            assert 0.3 <= time.monotonic() - begin < 0.4 + SOON
+            assert "no such device" in caught.value.found
+            assert "\n" not in str(caught.value)
+        emulator.plug()
+        env.reset()
+        env.step(CURVE)
+        env.close()
+
+
+def test_a_port_that_was_never_there_is_reported_at_once(
+    config: RobotConfig, tmp_path: Path
+) -> None:
+    link = SerialLink(str(tmp_path / "missing"), config.with_(reconnect_timeout=LONG))
+    begin = time.monotonic()
+    for _ in range(2):
+        with no_leak(), pytest.raises(PortNotFoundError):
+            link.open()
+    assert time.monotonic() - begin < SOON
+
+
+def test_without_patience_a_lost_port_is_tried_once(
+    emulator: Emulated, config: RobotConfig
+) -> None:
+    link = SerialLink(name(emulator), config.with_(reconnect_timeout=0.0))
+    link.open()
+    emulator.pull()
+    with pytest.raises(LinkLostError):
+        link.reset(Scene())
+    link.close()
+    begin = time.monotonic()
+    with pytest.raises(PortNotFoundError):
+        link.open()
+    assert time.monotonic() - begin < SOON
+    emulator.plug()
+    link.open()
+    link.close()
+
+
+# Whatever looks for a lost port
+
+
+END = """
+robot.activate()
+print(robot.link._watchdog.pid, flush=True)
+drive(10**9)
+"""
+
+
+def lose(emulator: Emulated, device: str) -> int:
+    """Pull the cable of a program that drives, and so ends; the process of its watchdog."""
+    with program(DRIVER + END, device) as process:
+        dog = int(first_line(process))
+        drives(emulator)
+        emulator.pull()
+        _, error = process.communicate(timeout=TIMEOUT)
+    assert "LinkLostError" in error
+    return dog
+
+
+def test_a_program_that_has_ended_still_stops_the_robot(emulator: Emulated) -> None:
+    dog = lose(emulator, name(emulator))
+    assert runs(dog)
+    emulator.plug()
+    wait_until(lambda: bool(spoken(emulator)), "a command")
+    ends(dog)
+    assert spoken(emulator) == {ZERO}
+    assert emulator.since_plugged() == (b"\r\n" + encode(ZERO)) * 7
+
+
+def test_without_a_lasting_name_nothing_is_looked_for(emulator: Emulated) -> None:
+    """Another adapter may be /dev/ttyUSB0 next."""
+    ends(lose(emulator, emulator.device))
+    emulator.plug()
+    time.sleep(0.2)
+    assert emulator.since_plugged() == b""
+
+
+def test_whoever_has_the_port_then_is_not_disturbed(emulator: Emulated) -> None:
+    dog = psutil.Process(lose(emulator, name(emulator)))
+    dog.suspend()
+    emulator.plug()
+    port = os.open(emulator.device, os.O_RDWR | os.O_NOCTTY)
+    fcntl.flock(port, fcntl.LOCK_EX)
+    dog.resume()
+    ends(dog.pid)
+    time.sleep(0.1)
+    assert emulator.since_plugged() == b""
+    os.close(port)
+
+
+def test_another_link_to_the_port_calls_the_search_back(
+    emulator: Emulated, config: RobotConfig
+) -> None:
+    lost, other = (SerialLink(name(emulator), config) for _ in range(2))
+    lost.open()
+    emulator.pull()
+    lost.close()
+    (dog,) = watchdog._searching.values()
+    assert runs(dog)
+    emulator.plug()
+    other.open()
+    assert not runs(dog)
+    other.close()
+
+
+def test_called_back_nobody_looks_any_more(link: SerialLink, emulator: Emulated) -> None:
+    emulator.pull()
+    link.close()
+    ((place, dog),) = watchdog._searching.items()
+    assert place == name(emulator)
+    watchdog.call_back("another")
+    assert runs(dog)
+    watchdog.call_back(place)
+    assert not psutil.pid_exists(dog)  # no zombie either
+    watchdog.call_back(place)
+    emulator.plug()
+    time.sleep(0.2)
+    assert emulator.since_plugged() == b""
+
+
+def test_the_search_goes_on_while_the_cable_stays_out(
+    emulator: Emulated, config: RobotConfig
+) -> None:
+    """A program may give up; the robot is stopped as soon as somebody plugs it in."""
+    env = made(emulator, config.with_(reconnect_timeout=0.1))
+    env.reset(seed=0)
+    emulator.pull()
+    step_until_fault(env)
+    with pytest.raises(PortNotFoundError):
+        env.reset()
+    env.close()
+    emulator.plug()
+    wait_until(lambda: bool(spoken(emulator)), "a command")
+    assert spoken(emulator) == {ZERO}
+
+
+# Pulled at any moment of a link's life
+
+
+def test_pulled_before_the_first_line(start_emulator: StartEmulator, config: RobotConfig) -> None:
+    """The port opens, and is gone before the board has said anything."""
+    silent = start_emulator("--silent")
+    code = f"""
+import json, os, signal, time
+while "rx" not in open({str(silent.log)!r}).read():
+    time.sleep(0.01)
+os.kill({silent.process.pid}, signal.SIGUSR1)
+"""
+    link = SerialLink(silent.device, config)
+    with program(code) as helper, no_leak():
+        begin = time.monotonic()
+        with pytest.raises(LinkLostError) as caught:
+            link.open()
+        assert time.monotonic() - begin < config.connect_timeout
+        helper.wait(TIMEOUT)
+    assert silent.device in caught.value.found
+    assert not link.watched
+    link.close()
+
+
+USES: dict[str, Callable[[SerialLink], object]] = {
+    "write": lambda link: link.write(FORWARD),
+    "write zero": lambda link: link.write(encode(ZERO)),
+    "advance": lambda link: link.advance(0.01),
+    "read": lambda link: link.read_now(),
+    "reset": lambda link: link.reset(Scene()),
+}
+
+
+@pytest.mark.parametrize("use", USES)
+def test_pulled_before_any_use_there_is_one_error(
+    use: str, link: SerialLink, emulator: Emulated
+) -> None:
+    link.write(FORWARD)
+    link.advance(0.01)
+    emulator.pull()
+    begin = time.monotonic()
+    with pytest.raises(LinkLostError) as caught:
+        USES[use](link)
+    assert caught.value.fix
+    link.stop()
+    link.close()
+    assert time.monotonic() - begin < SOON
+    assert not link.watched
+
+
+@pytest.mark.parametrize("use", ["close", "stop"])
+def test_pulled_before_the_end_there_is_none(
+    use: str, link: SerialLink, emulator: Emulated
+) -> None:
+    link.write(FORWARD)
+    emulator.pull()
+    begin = time.monotonic()
+    getattr(link, use)()
+    assert time.monotonic() - begin < SOON
+
+
+def test_a_board_that_takes_no_bytes_holds_nobody_up(link: SerialLink, emulator: Emulated) -> None:
+    emulator.pause()
+    longest = 0.0
+    with pytest.raises(LinkLostError):
+        while True:
+            begin = time.monotonic()
+            link.write(b"\r\n" + encode(ZERO) * 200)
+    longest = max(longest, time.monotonic() - begin)
+    begin = time.monotonic()
+    link.close()
+    assert max(longest, time.monotonic() - begin) < SOON
+    emulator.resume()
+
+
+def test_a_board_frozen_while_the_port_opens_is_silent(
+    emulator: Emulated, config: RobotConfig
+) -> None:
+    emulator.pause()
+    link = SerialLink(name(emulator), config.with_(connect_timeout=0.2))
+    with no_leak():
+        with pytest.raises(BoardSilentError, match="no byte"):
+            link.open()
+        emulator.resume()
+        SerialLink(name(emulator), config).open()
+
+
+def test_a_signal_ends_a_program_that_waits_for_its_cable(emulator: Emulated) -> None:
+    """It neither hangs until the time is up nor leaves the search undone."""
+    code = """
+import time
+robot.activate()
+try:
+    drive(10**9)
+except Exception:
+    print(robot.link._path, flush=True)
+robot.activate()
+"""
+    with program(DRIVER + code, name(emulator)) as process:
+        drives(emulator)
+        emulator.pull()
+        assert first_line(process) == name(emulator)
+        time.sleep(0.1)
+        process.send_signal(signal.SIGINT)
+        _, error = process.communicate(timeout=TIMEOUT)
+    assert "KeyboardInterrupt" in error
+    emulator.plug()
+    wait_until(lambda: bool(spoken(emulator)), "a command")
+    assert spoken(emulator) == {ZERO}
