@@ -131,7 +131,7 @@ class RobotEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, Info]:
         """Begin an episode; opens link and LiDAR the first time. See the class for `options`."""
-        self.robot.stop()
+        self._halt()
         super().reset(seed=seed)
         if self._faulty is not None:
             self._faulty.seed(self.np_random)
@@ -161,8 +161,15 @@ class RobotEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         terminated = outcome is not Outcome.GOING
         observation, info = self._told(self._course, state, outcome)
         if terminated:
-            self.robot.stop()
+            self._halt()
         return observation, reward, terminated, False, info
+
+    def _halt(self) -> None:
+        """Stop between episodes; a link that is lost is closed, for the next reset to open."""
+        try:
+            self.robot.stop()
+        except LinkError:
+            self.robot.deactivate()
 
     def _cut_short(self, error: LinkError) -> tuple[Observation, float, bool, bool, Info]:
         """The end of an episode by a fault: what was seen last, and why; nothing drives now."""
@@ -198,7 +205,7 @@ class RobotEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         except (TypeError, ValueError, OverflowError):
             sound = False
         if not sound:
-            self.robot.stop()
+            self._halt()
             raise CommandError(
                 f"action = {action!r}: must be two finite numbers (linear, angular) in [-1, 1]"
             )

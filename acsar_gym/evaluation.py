@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 from collections.abc import Iterator, Sequence
@@ -108,7 +109,8 @@ def _episode(
         if unwrapped.robot.safety.reason is Reason.EMERGENCY_STOP:
             raise LinkError("emergency stop", "look after the robot, then start again")
         done = terminated or truncated
-    unwrapped.robot.stop()  # a time limit is no concern of the env below it
+    with contextlib.suppress(LinkError):  # the next reset's affair
+        unwrapped.robot.stop()  # a time limit is no concern of the env below it
     timing, fault = unwrapped.robot.timing, info.get("fault_reason", "")
     late = timing.lateness.late_share if timing else 0.0
     return EpisodeResult(

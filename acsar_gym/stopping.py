@@ -69,8 +69,10 @@ def measure(
 ) -> list[Stops]:
     """So many trials of each kind of fault, each in a program of its own, on an emulated robot.
 
-    Raises ConfigError for an unknown kind and AcsarError where a program can't drive at all.
+    Raises ConfigError for an unknown kind or no trials, and AcsarError where no program can drive.
     """
+    if trials < 1:
+        raise ConfigError(f"trials = {trials}: must be at least 1")
     for kind in kinds:
         if kind not in KINDS:
             raise ConfigError(f"kind {kind!r} of fault is unknown{suggestion(kind, KINDS)}")

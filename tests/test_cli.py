@@ -61,6 +61,13 @@ def assert_one_line(error: str, said: str) -> None:
         (("evaluate", "--link", "planar", "--episodes", "0"), 2, "--episodes"),
         (("evaluate", "--link", MISSING, "--episodes", "1"), 3, f"{MISSING}: no such device"),
         (("evaluate", "--policy", "pint_goal"), 2, "point_goal"),
+        (("evaluate", "--late-share", "2", "--link", "planar"), 2, "late_share = 2.0"),
+        (("evaluate", "--cores", "4095"), 2, "cores = 4095: this process may use"),
+        (("doctor", MISSING, "--timing"), 3, f"{MISSING}: no such device"),
+        (("doctor", "--timing"), 2, "--timing needs a device"),
+        (("doctor", MISSING, "--timing", "--duration", "0"), 2, "duration = 0.0"),
+        (("doctor", "--stopping", "--trials", "0"), 2, "trials = 0"),
+        (("run", "1", "0", "--realtime", "99"), 2, "real-time priority = 99: must be 1 to 98"),
         (("drive", "--link", "planar", "--linear", "nan"), 2, "finite"),
         (("drive", "--link", MISSING, "--linear", "0.1"), 3, f"{MISSING}: no such device"),
     ],
@@ -214,3 +221,33 @@ def test_a_recording_of_another_run_ends_early(call: Call, tmp_path: Path) -> No
     code, _, error = call("run", "-1.5", "2.0", "--link", f"replay:{tape}")
     assert code == 3
     assert_one_line(error, "the recorded episode ends here")
+
+
+def test_an_evaluation_keeps_every_episode(call: Call, tmp_path: Path) -> None:
+    file = tmp_path / "figures.json"
+    assert call("evaluate", "--link", "planar", "--episodes", "2", "--json", file)[0] == 0
+    figures = json.loads(file.read_text())
+    assert figures["invalid"] == 0
+    assert len(figures["per_episode"]) == 2
+    assert figures["per_episode"][0]["timing"] is None
+
+
+def test_the_doctor_tells_how_late_ticks_are(
+    call: Call, shared_device: str, robot_file: RobotFile, tmp_path: Path
+) -> None:
+    file = tmp_path / "timing.json"
+    options = ("--robot", robot_file(), "--timing", "--duration", "1", "--json", file)
+    code, output, _ = call("doctor", shared_device, *options)
+    assert code == 0
+    for word in ("lateness", "bare loop", "feedback age", "baud rate"):
+        assert word in output
+    assert json.loads(file.read_text())["lateness"]["ticks"] == 100
+
+
+def test_the_doctor_tells_how_soon_a_robot_is_stopped(tmp_path: Path) -> None:
+    file = tmp_path / "stops.json"
+    done = cli("doctor", "--stopping", "--trials", "1", "--json", file)
+    assert done.stderr == ""
+    assert "SIGKILL" in done.stdout
+    stops = json.loads(file.read_text())["stops"]
+    assert done.returncode == int(any(stop["in_time"] < 1 for stop in stops.values()))

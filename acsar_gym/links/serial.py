@@ -79,7 +79,6 @@ class SerialLink:
         """
         if self._port is not None:
             return
-        watchdog.call_back(self._path or self.device)
         self._port = self._patiently_opened()
         guard(self)
         try:
@@ -110,14 +109,22 @@ class SerialLink:
         device = located(self.device)
         if device == self.device and self._path is not None:
             device = self._path
-        port = opened(device, self._config)
+        try:
+            port = opened(device, self._config)
+        except PortBusyError:  # perhaps with our own search, which has found it first
+            self._call_back()
+            raise
+        self._call_back()
         self._path, self._lost = lasting(device), False
         return port
 
+    def _call_back(self) -> None:
+        """End the search for this port: not before it is there, for it may stay lost."""
+        watchdog.call_back(self._path or self.device)
+
     def _patience(self, error: LinkError) -> float:
-        if self._lost:
-            return self._config.reconnect_timeout
-        return BUSY_PATIENCE if isinstance(error, PortBusyError) else 0.0
+        lost = self._config.reconnect_timeout if self._lost else 0.0
+        return max(lost, BUSY_PATIENCE if isinstance(error, PortBusyError) else 0.0)
 
     def _watch(self) -> None:
         """Start the watchdog, where the config wants one and the port is a file to share."""
