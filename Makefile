@@ -5,8 +5,9 @@ BIN := $(VENV)/bin
 READY := $(VENV)/ready
 FUZZ_SECONDS ?= 300
 SOAK_MINUTES ?= 30
+REPLUG_CYCLES ?= 1000
 
-.PHONY: demo test lint fuzz soak clean
+.PHONY: demo test lint fuzz soak replug clean
 
 demo: $(READY)  ## train a policy, drive it in PyBullet, then over a serial device
 	$(BIN)/acsar-gym demo
@@ -27,6 +28,9 @@ fuzz: $(READY)  ## coverage-guided fuzzing of what reads bytes and files, FUZZ_S
 
 soak: $(READY)  ## half an hour of driving over a pseudo-terminal
 	$(BIN)/python tests/fuzz/soak.py --minutes $(SOAK_MINUTES)
+
+replug: $(READY)  ## pull the cable of a driving robot a thousand times, in twenty minutes
+	$(BIN)/python tests/fuzz/replug.py --cycles $(REPLUG_CYCLES)
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)

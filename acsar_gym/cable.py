@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import os
-import pty
-import termios
-import tty
 from pathlib import Path
 
 from acsar_gym.config import BAUD_RATES
 from acsar_gym.errors import ConfigError
+
+try:
+    import pty
+    import termios
+    import tty
+except ImportError:
+    raise ConfigError("this operating system has no pseudo-terminals to emulate on") from None
 
 CHUNK = 4096
 BAUD_CODES = {getattr(termios, f"B{rate}"): rate for rate in BAUD_RATES}

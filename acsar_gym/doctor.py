@@ -11,6 +11,7 @@ from rich.table import Table
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import BoardSilentError, LinkError
+from acsar_gym.estop import Ears
 from acsar_gym.links.ports import ports
 from acsar_gym.links.serial import SerialLink
 from acsar_gym.protocol import MAX_LINE, ZERO, Decoder, Speeds, encode
@@ -44,7 +45,7 @@ class Check:
 
 def examine(device: str, config: RobotConfig, *, spin: bool) -> Iterator[Check]:
     """The checks of one device, in order; the first failure ends them. `spin` turns the wheels."""
-    link = SerialLink(device, config)
+    link = _Stoppable(device, config)
     begin = time.monotonic()
     try:
         link.open()
@@ -61,6 +62,25 @@ def examine(device: str, config: RobotConfig, *, spin: bool) -> Iterator[Check]:
         yield Check("connection", "fail", error.found, error.fix)
     finally:
         link.close()
+
+
+class _Stoppable(SerialLink):
+    """Heeds `acsar-gym estop`, as a Robot does."""
+
+    def __init__(self, device: str, config: RobotConfig) -> None:
+        super().__init__(device, config)
+        self._ears = Ears()
+
+    def read_now(self) -> bytes:
+        if self._ears.heard():
+            self.stop()
+            self._ears.answer()
+            raise LinkError("emergency stop", "start again when all is well")
+        return super().read_now()
+
+    def close(self) -> None:
+        super().close()
+        self._ears.close()
 
 
 def port_list() -> Check:

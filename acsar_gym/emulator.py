@@ -121,7 +121,7 @@ class Emulator:
 
     def _note(self, event: dict[str, object]) -> None:
         if self._log is not None:
-            self._log.write(json.dumps({"t": time.monotonic(), **event}) + "\n")
+            recording.written(self._log, json.dumps({"t": time.monotonic(), **event}) + "\n")
 
     def close(self) -> None:
         """Pull the cable, close terminals and log; twice is once."""

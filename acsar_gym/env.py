@@ -132,6 +132,7 @@ class RobotEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     ) -> tuple[Observation, Info]:
         """Begin an episode; opens link and LiDAR the first time. See the class for `options`."""
         self._halt()
+        self._told_last = None
         super().reset(seed=seed)
         if self._faulty is not None:
             self._faulty.seed(self.np_random)
@@ -276,6 +277,7 @@ class RobotEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def close(self) -> None:
         """Stop the wheels, close link, LiDAR and window; twice is once."""
+        self._told_last = None
         try:
             self.robot.deactivate()
         finally:

@@ -10,7 +10,6 @@ import contextlib
 import os
 import socket
 import stat
-import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,12 +33,19 @@ class Stopped:
 def folder() -> Path:
     """Where the sockets are: readable and writable by their owner alone.
 
-    Raises LinkError where somebody else has made it.
+    The same in every environment of a user's, as /run/user isn't; ACSAR_GYM_RUNTIME_DIR overrides
+    it. Raises LinkError where it can't be made, somebody else has made it, or there are no such
+    sockets, as on Windows.
     """
-    base = Path(os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir())
+    if not hasattr(socket, "AF_UNIX") or not hasattr(os, "getuid"):
+        raise LinkError("this operating system has no local sockets", "stop with Ctrl-C")
+    base = Path(os.environ.get("ACSAR_GYM_RUNTIME_DIR") or "/tmp")  # noqa: S108 - checked below
     path = base / f"acsar_gym-{os.getuid()}"
-    path.mkdir(mode=0o700, exist_ok=True)
-    found = path.lstat()
+    try:
+        path.mkdir(mode=0o700, exist_ok=True)
+        found = path.lstat()
+    except OSError as error:
+        raise LinkError(f"{path}: can't be made a folder: {error.strerror}", "make room") from None
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
         raise LinkError(f"{path}: isn't a folder of yours alone", "remove it")
     return path
@@ -59,7 +65,7 @@ class Ears:
         self._path: Path | None = None
         self._process = os.getpid()
         self._asker = ""
-        with contextlib.suppress(OSError, LinkError, AttributeError):
+        with contextlib.suppress(OSError, LinkError):
             Ears._count += 1
             path = folder() / f"{self._process}-{Ears._count}"
             made = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
@@ -96,6 +102,10 @@ class Ears:
             ears.close()
             if self._path is not None and self._process == os.getpid():
                 self._path.unlink(missing_ok=True)
+
+    def __reduce__(self) -> tuple[type[Ears], tuple[()]]:
+        """Copies listen on sockets of their own."""
+        return Ears, ()
 
     def __del__(self) -> None:
         if hasattr(self, "_socket"):

@@ -230,6 +230,10 @@ class Robot:
             f"no feedback for {self.feedback_age:.2f} s", "check the board's power and the cable"
         )
 
+    def __reduce__(self) -> tuple[type[Robot], tuple[Link, RobotConfig]]:
+        """Copies and pickles are inactive robots with a link of their own."""
+        return Robot, (self.link, self.config)
+
     def __enter__(self) -> Self:
         self.activate()
         return self

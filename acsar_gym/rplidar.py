@@ -21,7 +21,7 @@ from acsar_gym.config import LidarConfig, RobotConfig
 from acsar_gym.errors import LidarError, LinkError, MissingExtraError
 from acsar_gym.lidar import Scan
 from acsar_gym.links.guard import guard, install, unguard
-from acsar_gym.links.ports import PORT_ERRORS, opened
+from acsar_gym.links.ports import PORT_ERRORS, Place
 from acsar_gym.turns import Turn, Turns, binned
 from acsar_gym.worlds import Scene
 
@@ -62,6 +62,7 @@ class RplidarLidar:
         self.device = device
         self._config = config
         self._now = now
+        self._place = Place(device)
         self._port: Any = None
         self._driver: Any = None
         self._reader: _Reader | None = None
@@ -69,6 +70,8 @@ class RplidarLidar:
 
     def reset(self, scene: Scene, rng: np.random.Generator) -> None:
         """Open a device that is closed or doesn't deliver; waits for its first complete turn.
+
+        One that was lost has the config's `reconnect_timeout` to come back.
 
         Raises LidarError, or MissingExtraError without lds2d; the device is closed again then.
         """
@@ -84,7 +87,7 @@ class RplidarLidar:
 
     def _open(self, library: Any) -> None:
         try:
-            self._port = opened(self.device, self._config.with_(baud_rate=115200))
+            self._port = self._place.opened(self._config.with_(baud_rate=115200))
         except LinkError as error:
             raise LidarError(f"LiDAR {error.found}", error.fix) from None
         guard(self)
@@ -164,6 +167,7 @@ class RplidarLidar:
         _hold_motor(port)
 
     def _release(self, port: Any) -> None:
+        self._place.left(lost=self._reader is not None and bool(self._reader.lost))
         self._port = self._driver = self._reader = None
         unguard(self)
         with contextlib.suppress(*PORT_ERRORS):

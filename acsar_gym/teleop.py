@@ -59,10 +59,10 @@ def keyboard(robot: Robot) -> None:
     print(HELP)
     with robot, terminal.cbreak():
         for tick in itertools.count():
-            key = terminal.inkey(timeout=0)
+            key = terminal.inkey(timeout=0, esc_delay=0)  # it mustn't wait for more
             if key == "q":
                 break
-            if key == "e":
+            if key == "e" or key.name == "KEY_ESCAPE":
                 robot.estop()
             elif key == "r" and robot.safety.stopped:
                 robot.reset(Scene())

@@ -41,7 +41,9 @@ def deadline() -> Iterator[None]:
 @pytest.fixture
 def config() -> RobotConfig:
     """The ACSAR robot, with the patience that a busy machine needs."""
-    return RobotConfig.preset("acsar").with_(connect_timeout=20.0, feedback_timeout=5.0)
+    return RobotConfig.preset("acsar").with_(
+        connect_timeout=20.0, feedback_timeout=5.0, watchdog_timeout=2.0
+    )
 
 
 @pytest.fixture

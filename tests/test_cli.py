@@ -223,6 +223,12 @@ def test_a_recording_of_another_run_ends_early(call: Call, tmp_path: Path) -> No
     assert_one_line(error, "the recorded episode ends here")
 
 
+def test_a_disk_that_is_full_is_one_line(call: Call) -> None:
+    code, _, error = call(*RUN, "--record", "/dev/full")
+    assert code == 2
+    assert error.strip() == "acsar-gym: /dev/full: can't be written: No space left on device"
+
+
 def test_an_evaluation_keeps_every_episode(call: Call, tmp_path: Path) -> None:
     file = tmp_path / "figures.json"
     assert call("evaluate", "--link", "planar", "--episodes", "2", "--json", file)[0] == 0

@@ -29,7 +29,7 @@ def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Sockets of this test alone; paths of sockets must be short."""
     place = Path("/tmp") / f"acsar-test-{os.getpid()}"  # noqa: S108
     place.mkdir(exist_ok=True)
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(place))
+    monkeypatch.setenv("ACSAR_GYM_RUNTIME_DIR", str(place))
     return place
 
 
@@ -118,3 +118,27 @@ def test_other_messages_are_ignored(config: RobotConfig, shared_device: str) -> 
 def test_simulated_robots_have_no_socket(config: RobotConfig) -> None:
     with Robot(open_link("planar", config), config):
         assert not list(estop.folder().iterdir())
+
+
+def test_the_folder_is_the_same_in_every_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    place = estop.folder()
+    monkeypatch.setenv("XDG_RUNTIME_DIR", "/elsewhere")
+    monkeypatch.setenv("TMPDIR", "/elsewhere")
+    assert estop.folder() == place
+
+
+def test_a_folder_that_cannot_be_made_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ACSAR_GYM_RUNTIME_DIR", "/acsar-missing")
+    with pytest.raises(LinkError, match=r"^/acsar-missing/acsar_gym-\d+: can't be made a folder"):
+        estop.folder()
+
+
+def test_the_doctor_heeds_it(emulator: Emulated, robot_file: RobotFile) -> None:
+    options = ("--spin", "--robot", str(robot_file()))
+    with program(DRIVING, "doctor", emulator.device, *options) as process:
+        wait_until(emulator.is_driven, "a command that turns the wheels")
+        assert cli("estop").stdout == f"process {process.pid}: stopped\n"
+        output, _ = process.communicate(timeout=TIMEOUT)
+    assert process.returncode == 1
+    assert "emergency stop" in output
+    assert emulator.is_stopped()

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import json
 import math
+import time
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
 
+from acsar_gym import RobotConfig
 from acsar_gym.envs import PointGoalEnv
 from acsar_gym.errors import ConfigError
 from acsar_gym.evaluation import EpisodeResult, episodes, odometry_errors
-from acsar_gym.metrics import summarise
-from acsar_gym.report import write_json
+from acsar_gym.metrics import per_episode, summarise
+from acsar_gym.report import summary_table, write_json
 from acsar_gym.worlds import Pose
 
 
@@ -81,3 +84,112 @@ def test_an_episode_that_runs_out_of_time_leaves_the_robot_stopping() -> None:
     assert link.truth is not None
     assert abs(link.truth.twist[0]) < 0.1
     env.close()
+
+
+# Timing, and what goes wrong on hardware
+
+CURVE = np.array([0.1, 0.1], np.float32)
+
+
+def slow(_: Any) -> Any:
+    """A policy that thinks for longer than a tick lasts."""
+    time.sleep(0.03)
+    return CURVE
+
+
+def run(link: str, policy: Any = lambda _: CURVE, **options: Any) -> EpisodeResult:
+    """One short episode."""
+    robot = RobotConfig.preset("acsar").with_(connect_timeout=20.0, feedback_timeout=5.0)
+    judged = {key: options.pop(key) for key in ("late_share",) if key in options}
+    chosen: dict[str, Any] = {"max_episode_steps": 3, "robot": robot} | options
+    env = gymnasium.make("acsar_gym/PointGoal-v0", link=link, **chosen)
+    (episode,) = episodes(env, policy, 1, seed=0, **judged)
+    env.close()
+    return episode
+
+
+def as_json(episode: EpisodeResult) -> dict[str, Any]:
+    """The episode as strict JSON has it: without NaN."""
+    (read,) = json.loads(json.dumps(per_episode([episode]), allow_nan=False))
+    assert isinstance(read, dict)
+    return read
+
+
+def test_an_episode_with_many_late_ticks_is_not_valid(shared_device: str) -> None:
+    episode = run(shared_device, slow)
+    assert not episode.valid
+    assert episode.fault == ""
+    assert episode.timing is not None
+    lateness = episode.timing.lateness
+    assert lateness.late_ticks == episode.late_ticks >= 2  # the first tick isn't judged
+    assert lateness.worst > 0.01
+    assert lateness.missed_ticks >= 2
+    assert lateness.ticks == episode.ticks - 1
+    summary = summarise([episode])
+    assert (summary.invalid, summary.late_ticks) == (1, episode.late_ticks)
+    assert (summary.missed_ticks, summary.worst_lateness) == (lateness.missed_ticks, lateness.worst)
+    assert summary.lateness_p99 == lateness.p99
+    assert "Invalid" in str(summary_table("slow", [("wire", summary)]).caption)
+
+
+def test_who_allows_late_ticks_gets_a_valid_episode(shared_device: str) -> None:
+    episode = run(shared_device, slow, late_share=1.0)
+    assert episode.valid
+    assert episode.late_ticks > 0
+    assert summary_table("slow", [("wire", summarise([episode]))]).caption is None
+
+
+def test_timing_is_stored_as_json_without_nan(shared_device: str) -> None:
+    timing = as_json(run(shared_device))["timing"]
+    assert timing["lateness"]["ticks"] == 29
+    assert timing["lateness"]["worst"] >= timing["lateness"]["p99"] >= timing["lateness"]["p50"]
+    assert timing["feedback_age"]["count"] == 29
+    assert timing["round_trip"]["count"] >= 1
+    assert 0.0 < timing["round_trip"]["worst"] < 5.0
+    nothing = as_json(run(shared_device, lambda _: np.zeros(2, np.float32)))["timing"]
+    assert nothing["round_trip"] == {"count": 0, "p50": None, "p99": None, "worst": None}
+
+
+def test_in_simulation_timing_is_perfect_and_untold() -> None:
+    episode = run("planar", slow)
+    assert episode.timing is None
+    assert episode.valid
+    assert episode.late_ticks == 0
+    assert as_json(episode)["timing"] is None
+    assert math.isnan(summarise([episode]).worst_lateness)
+
+
+def test_a_fault_is_told_and_makes_the_episode_invalid() -> None:
+    episode = run("planar", faults={"unplug_at": 0.25, "replug_time": 0.1})
+    assert "lost while in use" in episode.fault
+    assert (episode.valid, episode.success) == (False, False)
+    assert as_json(episode)["fault"] == episode.fault
+    assert summarise([episode]).invalid == 1
+    assert run("planar", faults={"unplug_at": 60.0}).valid
+
+
+def test_a_fault_on_hardware_keeps_the_timing_up_to_it(shared_device: str) -> None:
+    episode = run(shared_device, faults={"unplug_at": 0.5}, late_share=1.0, max_episode_steps=50)
+    assert "lost while in use" in episode.fault
+    assert not episode.valid
+    assert episode.timing is not None
+    assert 0 < episode.timing.lateness.ticks < 100
+    as_json(episode)
+
+
+def test_after_a_fault_the_next_episode_connects_again() -> None:
+    env = gymnasium.make(
+        "acsar_gym/PointGoal-v0",
+        link="planar",
+        faults={"unplug_at": 0.25, "replug_time": 0.1},
+        max_episode_steps=5,
+    )
+    results = list(episodes(env, lambda _: CURVE, 3, seed=0))
+    env.close()
+    assert [bool(one.fault) for one in results] == [True] * 3
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.1, math.nan])
+def test_a_share_of_late_ticks_is_a_share(share: float) -> None:
+    with pytest.raises(ConfigError, match="must be a share, 0 to 1"):
+        run("planar", late_share=share)

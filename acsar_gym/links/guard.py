@@ -1,10 +1,11 @@
 """Open ports are closed, motors first, on any way out of the process that Python can see.
 
-Interpreter exit runs `atexit`; SIGTERM, SIGHUP and SIGQUIT run a handler that closes the ports and
-then lets the signal have its usual effect; SIGTSTP (Ctrl-Z) stops the motors before the process is
-suspended. SIGINT needs none: KeyboardInterrupt unwinds the stack. A handler that the program has
-installed itself is left alone. Only the main thread can install handlers: make the first link
-there. A forked child closes its copies of the ports without a word: they are its parent's.
+Interpreter exit runs `atexit`; SIGTERM, SIGHUP, SIGQUIT and Windows' SIGBREAK run a handler that
+closes the ports and then lets the signal have its usual effect; SIGTSTP (Ctrl-Z) stops the motors
+before the process is suspended. SIGINT needs none: KeyboardInterrupt unwinds the stack. A handler
+that the program has installed itself is left alone. Only the main thread can install handlers: make
+the first link there. A forked child closes its copies of the ports without a word: they are its
+parent's.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ class Closable(Protocol):
         """Close without a word."""
 
 
-ENDING = ("SIGTERM", "SIGHUP", "SIGQUIT")
+ENDING = ("SIGTERM", "SIGHUP", "SIGQUIT", "SIGBREAK")
 SUSPENDING = ("SIGTSTP",)
 
 _open: weakref.WeakSet[Closable] = weakref.WeakSet()

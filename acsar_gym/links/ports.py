@@ -7,7 +7,10 @@ from __future__ import annotations
 
 import contextlib
 import errno
-from collections.abc import Iterator
+import os
+import socket
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -41,6 +44,14 @@ with contextlib.suppress(ImportError):  # Windows has no termios
     PORT_ERRORS += (termios.error,)
 
 
+WRITE_TIMEOUT = 0.2
+"""A socket that takes no bytes for so long is lost [s]."""
+BUSY_PATIENCE = 0.7
+"""A program that was killed leaves its port to its watchdog for so long, at most [s]."""
+BACK_OFF = (0.02, 0.1)
+"""Pause before the second try to open a port, and the longest one; each is twice the last [s]."""
+
+
 @dataclass(frozen=True, slots=True)
 class PortInfo:
     """A serial device of this computer."""
@@ -60,39 +71,103 @@ def ports() -> list[PortInfo]:
 
 
 def located(name: str) -> str:
-    """The device behind a name: "usb:A50285BI" is whichever has that USB serial number now.
+    """The device behind a name: "usb:A50285BI" is the one that has this USB serial number now.
 
-    Raises PortNotFoundError where none has.
+    Raises PortNotFoundError where none has, and ConfigError where several have.
     """
     if not name.startswith(BY_SERIAL_NUMBER):
         return name
     number = name.removeprefix(BY_SERIAL_NUMBER)
     known = ports()
-    for port in known:
-        if port.serial_number == number:
-            return port.device
-    numbers = ", ".join(port.serial_number for port in known if port.serial_number) or "none"
-    raise PortNotFoundError(
-        f"{name}: no USB adapter with this serial number", f"serial numbers here: {numbers}"
-    )
+    found = [port.device for port in known if port.serial_number == number]
+    if len(found) > 1:
+        raise ConfigError(f"{name}: {', '.join(found)} have this serial number: name one of them")
+    if not found:
+        numbers = ", ".join(port.serial_number for port in known if port.serial_number) or "none"
+        raise PortNotFoundError(
+            f"{name}: no USB adapter with this serial number", f"serial numbers here: {numbers}"
+        )
+    return found[0]
 
 
 def lasting(device: str) -> str:
     """The name under which the adapter behind a device comes back when it is plugged in again.
 
     /dev/ttyUSB0 may be /dev/ttyUSB1 then, but its name in /dev/serial/by-id stays. Where it has
-    none, and for a name that is a link by itself, the device as given.
+    none, or shares its serial number with another adapter, as cheap ones do, and for a name that is
+    a link by itself: the device as given.
     """
     with contextlib.suppress(OSError):
         path = Path(device)
-        for name in [] if path.is_symlink() else sorted(BY_ID.iterdir()):
-            if name.resolve() == path.resolve():
-                return str(name)
+        if not path.is_symlink() and _has_its_own_number(path):
+            for name in sorted(BY_ID.iterdir()):
+                if name.resolve() == path.resolve():
+                    return str(name)
     return device
 
 
+def _has_its_own_number(path: Path) -> bool:
+    known = [port for port in ports() if port.serial_number]
+    mine = [port.serial_number for port in known if Path(port.device).resolve() == path.resolve()]
+    return bool(mine) and [port.serial_number for port in known].count(mine[0]) == 1
+
+
+class Place:
+    """Where a port is, and where it comes back when it was lost.
+
+    `path` is the name that it was opened under, None before that; set `lost` where it went away.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.path: str | None = None
+        self.lost = False
+
+    @property
+    def lasts(self) -> bool:
+        """Whether no other device can get its name."""
+        return self.path is not None and Path(self.path).is_symlink()
+
+    def opened(self, config: RobotConfig, make_way: Callable[[], None] = lambda: None) -> Port:
+        """The open port, as `opened`; a lost one has the config's `reconnect_timeout` to come back.
+
+        `make_way` is called where the port is in use and when it is open: it may be our own search.
+        """
+        start, (pause, longest) = time.monotonic(), BACK_OFF
+        while True:
+            try:
+                return self._opened_now(config, make_way)
+            except LinkError as error:
+                if time.monotonic() + pause > start + self._patience(error, config):
+                    raise
+            time.sleep(pause)
+            pause = min(2.0 * pause, longest)
+
+    def _opened_now(self, config: RobotConfig, make_way: Callable[[], None]) -> Port:
+        device = located(self.name)
+        if device == self.name and self.path is not None:
+            device = self.path
+        try:
+            port = opened(device, config)
+        except PortBusyError:
+            make_way()
+            raise
+        make_way()
+        self.path, self.lost = lasting(device), False
+        return port
+
+    def _patience(self, error: LinkError, config: RobotConfig) -> float:
+        lost = config.reconnect_timeout if self.lost else 0.0
+        return max(lost, BUSY_PATIENCE if isinstance(error, PortBusyError) else 0.0)
+
+    def left(self, *, lost: bool) -> None:
+        """The port was closed; one that wasn't lost may be another one next time."""
+        self.lost = lost
+        self.path = self.path if lost else None
+
+
 def opened(device: str, config: RobotConfig) -> Port:
-    """The open port, held exclusively; a write takes a tick at most, a read no time.
+    """The open port, held exclusively; `put` and reads wait for nothing.
 
     Raises LinkError, which says what to do.
     """
@@ -102,7 +177,7 @@ def opened(device: str, config: RobotConfig) -> Port:
         "parity": serial.PARITY_NONE,
         "stopbits": serial.STOPBITS_ONE,
         "timeout": 0,
-        "write_timeout": config.period,
+        "write_timeout": WRITE_TIMEOUT,
     }
     if "://" in device:
         _check_url(device)
@@ -116,7 +191,26 @@ def opened(device: str, config: RobotConfig) -> Port:
         raise _why_not_open(device, error) from None
     with contextlib.suppress(AttributeError, ValueError, NotImplementedError, OSError):
         port.set_low_latency_mode(True)
+    with contextlib.suppress(AttributeError, OSError):  # a socket's packets must not wait
+        port._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # noqa: SLF001
     return port
+
+
+def put(port: Port, data: bytes) -> None:
+    """Send without waiting. Raises one of PORT_ERRORS where the port doesn't take all of it.
+
+    pyserial's own write waits until there is room for more, and may say that it failed afterwards.
+    """
+    descriptor = getattr(port, "fd", None)
+    if descriptor is None:  # a socket, or Windows
+        port.write(data)
+        return
+    try:
+        sent = os.write(descriptor, data)
+    except BlockingIOError:
+        sent = 0
+    if sent < len(data):
+        raise serial.SerialException("it takes no more bytes")
 
 
 def _check_url(url: str) -> None:

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -78,7 +79,7 @@ class RecordingLink:
 
     def _note(self, event: dict[str, object]) -> None:
         if self._file is not None:
-            self._file.write(json.dumps(event) + "\n")
+            written(self._file, json.dumps(event) + "\n")
 
     def now(self) -> float:
         """The link's clock at the last reset or period: the stamp that is written down."""
@@ -112,8 +113,8 @@ class RecordingLink:
         """Close the link, then the file."""
         self._link.close()
         if self._file is not None:
-            self._file.close()
-            self._file = None
+            file, self._file = self._file, None
+            closed(file)
 
 
 def opened(path: Path, mode: str = "w") -> IO[str]:
@@ -160,3 +161,18 @@ def _events(path: Path) -> Iterator[tuple[int, dict[str, str]]]:
 def _period(event: dict[str, str]) -> Period:
     sent, got = event["sent"].encode("latin-1"), event["got"].encode("latin-1")
     return Period(sent, got, float(event["t"]))
+
+
+def written(file: IO[str], line: str) -> None:
+    """Write a line. Raises ConfigError where that can't be done, as on a full disk."""
+    try:
+        file.write(line)
+    except OSError as error:
+        closed(file)
+        raise ConfigError(f"{file.name}: can't be written: {error.strerror}") from None
+
+
+def closed(file: IO[str]) -> None:
+    """Close a file; what can't be written any more is lost."""
+    with contextlib.suppress(OSError):
+        file.close()

@@ -6,7 +6,6 @@ import contextlib
 import math
 import os
 import time
-from pathlib import Path
 from typing import Any
 
 from acsar_gym.bodies.base import Image
@@ -14,13 +13,11 @@ from acsar_gym.config import BAUD_RATES, RobotConfig
 from acsar_gym.errors import (
     BoardGarbledError,
     BoardSilentError,
-    LinkError,
     LinkLostError,
-    PortBusyError,
 )
 from acsar_gym.links import watchdog
 from acsar_gym.links.guard import guard, install, unguard
-from acsar_gym.links.ports import PORT_ERRORS, Port, lasting, located, opened, translated
+from acsar_gym.links.ports import PORT_ERRORS, Place, Port, put, translated
 from acsar_gym.links.timing import LATE
 from acsar_gym.protocol import ZERO, Decoder, encode
 from acsar_gym.worlds import Scene
@@ -31,10 +28,8 @@ CHUNK = 4096
 """Most bytes taken from the port at once."""
 MOST_CHUNKS = 256
 """Chunks taken in one go, at most: what lies in any driver's buffer, and no endless stream."""
-BUSY_PATIENCE = 0.7
-"""A program that was killed leaves its port to its watchdog for so long, at most [s]."""
-BACK_OFF = (0.02, 0.1)
-"""Pause before the second try to open a port, and the longest one; each is twice the last [s]."""
+SILENT_SHARE = 0.5
+"""A board that is silent for this share of `feedback_timeout` may not have heard the zeros."""
 DRAIN = 0.05
 """Zeros have so long to leave the port when it is closed [s]."""
 
@@ -59,8 +54,9 @@ class SerialLink:
         self._config = config
         self._port: Port | None = None
         self._watchdog: watchdog.Watchdog | None = None
-        self._path: str | None = None
-        self._lost = False
+        self._place = Place(device)
+        self._heard = 0.0
+        self._moved = False
         self._zeros = encode(ZERO, trailing_comma=config.trailing_comma)
         self._nap = math.inf
         self._deadline = 0.0
@@ -79,7 +75,7 @@ class SerialLink:
         """
         if self._port is not None:
             return
-        self._port = self._patiently_opened()
+        self._port = self._place.opened(self._config, self._call_back)
         guard(self)
         try:
             self._stop_motors()
@@ -94,37 +90,9 @@ class SerialLink:
             raise
         self._deadline = self.now()
 
-    def _patiently_opened(self) -> Port:
-        start, (pause, longest) = self.now(), BACK_OFF
-        while True:
-            try:
-                return self._opened_now()
-            except LinkError as error:
-                if self.now() + pause > start + self._patience(error):
-                    raise
-            time.sleep(pause)
-            pause = min(2.0 * pause, longest)
-
-    def _opened_now(self) -> Port:
-        device = located(self.device)
-        if device == self.device and self._path is not None:
-            device = self._path
-        try:
-            port = opened(device, self._config)
-        except PortBusyError:  # perhaps with our own search, which has found it first
-            self._call_back()
-            raise
-        self._call_back()
-        self._path, self._lost = lasting(device), False
-        return port
-
     def _call_back(self) -> None:
         """End the search for this port: not before it is there, for it may stay lost."""
-        watchdog.call_back(self._path or self.device)
-
-    def _patience(self, error: LinkError) -> float:
-        lost = self._config.reconnect_timeout if self._lost else 0.0
-        return max(lost, BUSY_PATIENCE if isinstance(error, PortBusyError) else 0.0)
+        watchdog.call_back(self._place.path or self.device)
 
     def _watch(self) -> None:
         """Start the watchdog, where the config wants one and the port is a file to share."""
@@ -135,7 +103,7 @@ class SerialLink:
             descriptor = self._require().fileno()
         except OSError:  # rfc2217 has none
             return
-        place = self._path if self._path and Path(self._path).is_symlink() else ""
+        place = self._place.path if self._place.path and self._place.lasts else ""
         self._watchdog = watchdog.Watchdog(descriptor, self._stop_line(), timeout, place)
         self._nap = timeout / 3.0
 
@@ -182,6 +150,7 @@ class SerialLink:
         self._stop_motors()
         self._watch_anew()
         self.reset_input()
+        self._moved, self._heard = False, self.now()
         self._deadline = self.now()
         self.late_ticks = 0
 
@@ -211,13 +180,14 @@ class SerialLink:
             self._put(data)
             dog.stand()
         else:
+            self._moved = True
             dog.drive()
             self._put(data)
             dog.drive()
 
     def _put(self, data: bytes) -> None:
         with translated(self.device):
-            self._require().write(data)
+            put(self._require(), data)
 
     def advance(self, period: float) -> bytes:
         """Sleep until the period's absolute deadline, then take what has arrived.
@@ -254,6 +224,8 @@ class SerialLink:
                 data += chunk
                 if not chunk:
                     break
+        if data:
+            self._heard = self.now()
         return data
 
     def now(self) -> float:
@@ -267,8 +239,9 @@ class SerialLink:
     def close(self) -> None:
         """Command zero, let it leave the port, close; twice is once.
 
-        An interrupt while the zeros are on their way sends them again before it goes on. Where the
-        port is lost, the watchdog may look for it for a minute, to command zero when it is back.
+        An interrupt while the zeros are on their way sends them again before it goes on. Where they
+        may not have arrived, because the port is lost, or the board silent since wheels turned, the
+        watchdog goes on commanding zero for a minute, or until the board answers.
         """
         port = self._port
         if port is None:
@@ -280,16 +253,24 @@ class SerialLink:
             said = self._say_stop(port)
             raise
         finally:
-            self._release(port, lost=not said)
+            self._release(port, lost=not said or self._is_silent(port))
+
+    def _is_silent(self, port: Any) -> bool:
+        """Whether the board hasn't answered for a while, since wheels were commanded to turn."""
+        quiet = self.now() - self._heard > SILENT_SHARE * self._config.feedback_timeout
+        with contextlib.suppress(*PORT_ERRORS):
+            return self._moved and quiet and not port.in_waiting
+        return True
 
     def _say_stop(self, port: Any) -> bool:
         """Whether the port took the zeros."""
         with contextlib.suppress(*PORT_ERRORS):
-            port.write(self._stop_line())
+            put(port, self._stop_line())
             if self._watchdog is not None:
                 self._watchdog.stand()
-            _drain(port)
-            return True
+            if _drained(port):
+                return True
+            put(port, self._stop_line())
         return False
 
     def stop(self) -> None:
@@ -300,35 +281,30 @@ class SerialLink:
     def _release(self, port: Any, *, lost: bool) -> None:
         """The watchdog first: it shares the port's lock."""
         dog, self._watchdog = self._watchdog, None
-        self._lost = lost
         try:
             if dog is not None and lost:
-                dog.search()
+                dog.search(self._place.path or self.device)
             elif dog is not None:
                 dog.close()
         finally:
             self._port = None
-            self._path = self._path if lost else None
+            self._place.left(lost=lost)
             unguard(self)
             with contextlib.suppress(*PORT_ERRORS):
                 port.close()
 
     def abandon(self) -> None:
-        """Let go without a word, as a forked child must do with its parent's port.
-
-        pyserial ends a socket's connection when it closes it, so a child first puts another file
-        in its place.
-        """
+        """Let go without a word, as a forked child must do with its parent's port."""
         port = self._port
         if port is None:
             return
         dog, self._watchdog = self._watchdog, None
         if dog is not None:
             dog.abandon()
-        if "://" in self.device:
-            null = os.open(os.devnull, os.O_RDWR)
-            os.dup2(null, port.fileno())
-            os.close(null)
+        own = getattr(port, "_socket", None)
+        if own is not None:  # pyserial would end the connection, which is the parent's
+            os.close(own.detach())
+            port.is_open = False
         self._release(port, lost=False)
 
     def __del__(self) -> None:
@@ -352,11 +328,15 @@ class SerialLink:
         return self._port
 
 
-def _drain(port: Any) -> None:
-    """Wait until a port has sent everything; what a dead board doesn't take mustn't hold it up."""
+def _drained(port: Any) -> bool:
+    """Whether the port has sent everything soon.
+
+    What a board doesn't take is dropped, for it would hold up whoever closes the port.
+    """
     deadline = time.monotonic() + DRAIN
     while getattr(port, "out_waiting", 0):
         if time.monotonic() > deadline:
             port.reset_output_buffer()
-            return
+            return False
         time.sleep(0.001)
+    return True

@@ -4,9 +4,10 @@ Nothing inside a process can stop a robot whose process doesn't run. So `SerialL
 `watchdog_child.py`, which shares the open port, is deaf to the terminal's signals, and
 
 - commands zero as soon as the program is dead, whatever killed it, and then lets the port go;
-- looks for a port that was lost, as where a cable comes loose, and commands zero as soon as it is
-  there again, whether the program still runs or not; but only under a name that no other device
-  can get, as in /dev/serial/by-id;
+- goes on commanding zero where a port was lost, as where a cable comes loose, or its board fell
+  silent, until it is there again and answers, whether the program still runs or not. It looks for a
+  lost port only under a name that no other device can get, as in /dev/serial/by-id, and leaves it
+  to any other program that locks it;
 - commands zero where the newest command turns wheels and the program gave no sign of life for the
   time-out, and again every 50 ms for a second. The link then refuses to drive until it is reset.
 
@@ -53,7 +54,6 @@ class Watchdog:
     """
 
     def __init__(self, port: int, zeros: bytes, timeout: float, place: str = "") -> None:
-        self._place = place
         self._driving = False
         self._open = False
         with contextlib.ExitStack() as inherited, contextlib.ExitStack() as ours:
@@ -122,8 +122,9 @@ class Watchdog:
 
     def rearm(self) -> None:
         """Forget that it tripped; a zero command went out."""
+        self._driving = False
+        self._page[BEAT] = STANDING  # first, lest it trips again on the old one
         self._page[TRIPPED] = 0.0
-        self.stand()
 
     def _stopped(self) -> LinkError:
         # A stop between the trip and this error has left the last beat as it was.
@@ -133,13 +134,16 @@ class Watchdog:
             "find what held the program up, then reset",
         )
 
-    def search(self) -> None:
-        """The port is lost: look for it, and command zero when it is back. See `call_back`."""
+    def search(self, name: str) -> None:
+        """Go on commanding zero on this port, which may be lost or its board silent.
+
+        It ends after a minute, when the board answers, or with `call_back` of that name.
+        """
         if self._open:
             self._let_go()
             self._process.returncode = 0  # it may outlive this program
-            call_back(self._place)
-            _searching[self._place] = self._process.pid
+            call_back(name)
+            _searching[name] = self._process.pid
 
     def close(self) -> None:
         """End its process, without a word on the wire, and wait for that; twice is once."""
@@ -166,17 +170,19 @@ class Watchdog:
 
 
 _searching: dict[str, int] = {}
-"""Processes that look for a port, by its name."""
+"""Processes that look after a port which the program has given up, by its name."""
 
 
-def call_back(place: str | None = None) -> None:
-    """End whatever looks for the port with this name, or for any: the program takes over."""
-    for name in [place] if place is not None else list(_searching):
-        process = _searching.pop(name, None)
-        if process is not None:
-            with contextlib.suppress(ProcessLookupError, ChildProcessError):
+def call_back(name: str | None = None) -> None:
+    """End whatever looks after the port with this name, or any: the program takes over."""
+    for each, process in list(_searching.items()):
+        if name in (None, each):
+            with contextlib.suppress(ProcessLookupError):
                 os.kill(process, signal.SIGKILL)
-                os.waitpid(process, 0)
+        with contextlib.suppress(ChildProcessError):  # a fork's parent has it
+            if os.waitpid(process, 0 if name in (None, each) else os.WNOHANG) == (0, 0):
+                continue
+        del _searching[each]
 
 
 def _memory() -> int:

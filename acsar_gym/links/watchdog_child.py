@@ -33,14 +33,15 @@ PAGE = 8 * SLOTS
 
 REPEAT = 0.05
 """Zero commands come again after so long, since a wire may swallow one [s]."""
-REPEATS = 20
+REPEATS = 21
 """So often while the program hangs."""
 LAST_WORDS = 7
-"""Zero commands for a program that is dead; then the port is free."""
+"""Zero commands for a program that is dead, at least; then the port is free."""
 SEARCH = 60.0
-"""How long to look for a port that is lost [s]."""
+"""How long to look for a port that is lost, or to wait for a board's answer [s]."""
 SEARCH_EVERY = 0.02
 """[s]"""
+CHUNK = 4096
 LATE = 0.01
 """Whoever wakes up later than this was held up himself [s]: perhaps the whole machine stood."""
 SURE = 0.02
@@ -57,9 +58,15 @@ class Board(Protocol):
     def find(self) -> bool:
         """Open a port that was lost, where it is back; whether there is one."""
 
+    def answers(self) -> bool:
+        """Whether the board has said anything since it was last asked."""
+
+    def share(self) -> None:
+        """Let another program have the port, until the next zero command."""
+
     @property
     def taken(self) -> bool:
-        """Whether the port is back, and another program has it."""
+        """Whether another program has the port, or nobody knows where to look for it."""
 
 
 class Watch:
@@ -78,6 +85,7 @@ class Watch:
         self._since = 0.0
         self._excused = False
         self._repeats = 0
+        self._until = 0.0
 
     def run(self) -> None:
         """Until the program closes the port; until it is dead and the zeros are on the wire."""
@@ -91,15 +99,17 @@ class Watch:
             self._due = self._look(time.monotonic())
 
     def _bury(self) -> None:
-        """The program is dead, or has lost the port, which is looked for then."""
+        """The program is dead, has lost the port, or has given up a board that is silent."""
         deadline = time.monotonic() + SEARCH
         words = 0
-        while words < LAST_WORDS and not self._page[LEAVE]:
+        while not self._page[LEAVE] and not self._board.taken and time.monotonic() < deadline:
             if self._board.stop():
                 words += 1
-                time.sleep(REPEAT * (words < LAST_WORDS))
-            elif self._board.taken or time.monotonic() > deadline:
-                return
+                time.sleep(REPEAT)
+                if words >= LAST_WORDS:
+                    if self._board.answers():
+                        return
+                    self._board.share()
             elif not self._board.find():
                 time.sleep(SEARCH_EVERY)
 
@@ -114,9 +124,8 @@ class Watch:
         if now < due:
             return due
         self._page[TRIPPED] = now - beat  # first, so that no command can follow the zeros unnoticed
-        self._board.stop()
-        self._repeats = REPEATS
-        return now + REPEAT
+        self._repeats, self._until = REPEATS, now + SEARCH
+        return self._repeat(now)
 
     def _watched_since(self, beat: float, now: float) -> float:
         """Since when this sign has been the newest, on a machine that ran all the while."""
@@ -127,11 +136,13 @@ class Watch:
         return self._since
 
     def _repeat(self, now: float) -> float:
-        if not self._repeats:
+        """The zeros of a program that hangs; through a lost port when it is found again."""
+        if not self._repeats or self._board.taken or now > self._until:
             return now + self._timeout
-        self._repeats -= 1
-        self._board.stop()
-        return now + REPEAT
+        if self._board.stop() or (self._board.find() and self._board.stop()):
+            self._repeats -= 1
+            return now + REPEAT
+        return now + SEARCH_EVERY
 
 
 class Port:
@@ -149,6 +160,8 @@ class Port:
 
     def stop(self) -> bool:
         """Put the zero command on the wire, ahead of whatever is stuck there."""
+        if not self._locked():
+            return False
         with contextlib.suppress(OSError, termios.error):
             try:
                 os.write(self._descriptor, self._zeros)
@@ -157,6 +170,27 @@ class Port:
                 os.write(self._descriptor, self._zeros)
             return True
         return False
+
+    def _locked(self) -> bool:
+        """Whether the lock is ours: the program's own, or one that is taken now."""
+        try:
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            self.taken = True
+        except OSError:  # not every descriptor has one
+            pass
+        return not self.taken
+
+    def answers(self) -> bool:
+        """Whether anything has arrived."""
+        with contextlib.suppress(OSError):
+            return bool(os.read(self._descriptor, CHUNK))
+        return False
+
+    def share(self) -> None:
+        """Unlock the port; the next `stop` tries to lock it again."""
+        with contextlib.suppress(OSError):
+            fcntl.flock(self._descriptor, fcntl.LOCK_UN)
 
     def find(self) -> bool:
         """Open the port anew, with the settings it had; it is held exclusively."""
@@ -170,19 +204,20 @@ class Port:
         try:
             fcntl.flock(found, fcntl.LOCK_EX | fcntl.LOCK_NB)
             termios.tcsetattr(found, termios.TCSANOW, self._settings)
+            os.dup2(found, self._descriptor, inheritable=False)
         except (OSError, termios.error) as error:
             self.taken = isinstance(error, BlockingIOError)
-            os.close(found)
             return False
-        os.dup2(found, self._descriptor, inheritable=False)
-        os.close(found)
+        finally:
+            os.close(found)
         return True
 
 
 def be_urgent() -> None:
-    """Ahead of other processes, where this user may."""
+    """Ahead of other processes, and of the program that started this one, where this user may."""
     with contextlib.suppress(OSError, AttributeError):
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+        priority = os.sched_getparam(0).sched_priority + 1
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
 
 
 def main() -> None:

@@ -43,8 +43,11 @@ def main() -> int:
             lines = inner.robot.decoder.lines
             begin = time.monotonic()
             for _ in range(STEPS_A_MINUTE):
-                *_, done, _, _ = env.step(np.array([0.2, 1.0], np.float32))
-                if done:
+                *_, done, failed, info = env.step(np.array([0.2, 1.0], np.float32))
+                if failed:
+                    faults += 1
+                    print(f"minute {minute + 1}: {info['fault_reason']}", flush=True)
+                if done or failed:
                     env.reset()
                     lines = inner.robot.decoder.lines
             gc.collect()
@@ -59,7 +62,7 @@ def main() -> int:
             )
             faults += refused > 0 or now[0] - first[0] > MOST_GROWTH or now[1] != first[1]
         env.close()
-    print("flat" if faults == 0 else f"{faults} minutes weren't flat")
+    print("flat" if faults == 0 else f"{faults} faults, or minutes that weren't flat")
     return int(faults > 0)
 
 

@@ -30,6 +30,13 @@ def device() -> Iterator[str]:
 
 
 @pytest.fixture
+def adapter(device: str, plugged: Plugged) -> str:
+    """The same terminal as an adapter with a serial number of its own."""
+    plugged += [PortInfo("/dev/null", "other"), PortInfo(device, "board", "A50285BI")]
+    return device
+
+
+@pytest.fixture
 def by_id(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """What stands for /dev/serial/by-id."""
     folder = tmp_path / "by-id"
@@ -56,29 +63,39 @@ def drive_until_lost(robot: Robot) -> LinkError:
 # The name that lasts
 
 
-def test_an_adapter_comes_back_under_its_own_name(device: str, by_id: Path) -> None:
+def test_an_adapter_comes_back_under_its_own_name(adapter: str, by_id: Path) -> None:
     (by_id / "usb-A").symlink_to("/dev/null")
-    (by_id / "usb-B").symlink_to(device)
-    assert lasting(device) == str(by_id / "usb-B")
+    (by_id / "usb-B").symlink_to(adapter)
+    assert lasting(adapter) == str(by_id / "usb-B")
 
 
-def test_of_two_names_it_is_always_the_same(device: str, by_id: Path) -> None:
+def test_of_two_names_it_is_always_the_same(adapter: str, by_id: Path) -> None:
     for name in ("usb-C", "usb-B", "usb-D"):
-        (by_id / name).symlink_to(device)
-    assert lasting(device) == str(by_id / "usb-B")
+        (by_id / name).symlink_to(adapter)
+    assert lasting(adapter) == str(by_id / "usb-B")
 
 
-def test_a_name_through_relative_links_counts(device: str, by_id: Path) -> None:
+def test_a_name_through_relative_links_counts(adapter: str, by_id: Path) -> None:
     """As udev makes them: ../../ttyUSB0."""
-    (by_id / "usb-A").symlink_to(os.path.relpath(device, by_id))
-    assert lasting(device) == str(by_id / "usb-A")
+    (by_id / "usb-A").symlink_to(os.path.relpath(adapter, by_id))
+    assert lasting(adapter) == str(by_id / "usb-A")
 
 
-def test_a_link_is_a_name_that_lasts_by_itself(device: str, by_id: Path, tmp_path: Path) -> None:
-    (by_id / "usb-A").symlink_to(device)
+def test_a_link_is_a_name_that_lasts_by_itself(adapter: str, by_id: Path, tmp_path: Path) -> None:
+    (by_id / "usb-A").symlink_to(adapter)
     mine = tmp_path / "robot"
-    mine.symlink_to(device)
+    mine.symlink_to(adapter)
     assert lasting(str(mine)) == str(mine)
+
+
+@pytest.mark.parametrize("number", [None, "0001"])
+def test_an_adapter_like_others_has_no_lasting_name(
+    number: str | None, device: str, by_id: Path, plugged: Plugged
+) -> None:
+    """Cheap ones all have the same serial number, so udev's name may be another one's next time."""
+    (by_id / "usb-A").symlink_to(device)
+    plugged += [PortInfo(port, "board", number) for port in ("/dev/null", device)]
+    assert lasting(device) == device
 
 
 @pytest.mark.parametrize("url", ["socket://127.0.0.1:2000", "COM3", "/dev/acsar-missing", ""])
@@ -102,6 +119,12 @@ def test_a_serial_number_means_whatever_device_has_it(device: str, plugged: Plug
     plugged += [PortInfo("/dev/null", "other", "B1"), PortInfo(device, "board", "A50285BI")]
     assert located("usb:A50285BI") == device
     assert located("usb:B1") == "/dev/null"
+
+
+def test_a_serial_number_of_two_adapters_means_neither(plugged: Plugged) -> None:
+    plugged += [PortInfo(f"/dev/ttyUSB{number}", "board", "0001") for number in range(2)]
+    with pytest.raises(ConfigError, match="/dev/ttyUSB0, /dev/ttyUSB1 have this serial number"):
+        located("usb:0001")
 
 
 @pytest.mark.parametrize("name", ["/dev/ttyUSB0", "COM3", "socket://host:1", "a50285bi"])
@@ -167,10 +190,11 @@ def test_a_serial_number_is_followed_to_another_device(
 
 
 def test_a_device_is_followed_by_its_adapter_s_name(
-    start_emulator: StartEmulator, config: RobotConfig, by_id: Path
+    start_emulator: StartEmulator, config: RobotConfig, by_id: Path, plugged: Plugged
 ) -> None:
     emulator = start_emulator("--name", str(by_id / "usb-acsar"))
     before = emulator.device
+    plugged.append(PortInfo(before, "board", "A50285BI"))
     robot = Robot(open_link(before, config.with_(reconnect_timeout=TIMEOUT)), config)
     robot.activate()
     with os.fdopen(os.open(before, os.O_RDWR | os.O_NOCTTY), "rb", 0):
@@ -179,6 +203,7 @@ def test_a_device_is_followed_by_its_adapter_s_name(
         assert list(watchdog._searching) == [str(by_id / "usb-acsar")]
         emulator.plug()
         assert emulator.device != before
+        plugged[:] = [PortInfo(emulator.device, "board", "A50285BI")]
         with robot:
             robot.drive(0.2, 0.0)
         assert not watchdog._searching

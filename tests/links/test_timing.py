@@ -10,7 +10,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from acsar_gym.links.timing import LATE, LONGEST, SHORTEST, Durations, Lateness, Timing
+from acsar_gym.links.timing import (
+    LATE,
+    LONGEST,
+    SHORTEST,
+    Durations,
+    Lateness,
+    Spread,
+    Stopwatch,
+    Timing,
+)
 
 PERIOD = 0.01
 SLACK = 1.0 + 1.0 / 32.0 + 1e-9
@@ -116,3 +125,65 @@ def test_memory_is_bounded() -> None:
     for number in range(100_000):
         often.add(number * 1e-6)
     assert len(pickle.dumps(often)) < len(pickle.dumps(once)) + 4_000
+
+
+# One episode
+
+
+def trips(*asked: tuple[float, bool, bool]) -> Spread:
+    """Round trips of an episode with these stamps, whether they drive, whether wheels turn."""
+    watch = Stopwatch(PERIOD)
+    for stamp, drives, turns in asked:
+        watch.asked(stamp, drives=drives, turns=turns)
+    return watch.summary().round_trip
+
+
+def test_a_stopwatch_that_saw_nothing_is_nan() -> None:
+    timing = Stopwatch(PERIOD).summary()
+    assert timing.lateness.ticks == timing.feedback_age.count == timing.round_trip.count == 0
+    assert math.isnan(timing.lateness.worst)
+    assert math.isnan(timing.feedback_age.worst)
+    assert math.isnan(timing.round_trip.p50)
+
+
+def test_the_time_before_the_first_tick_is_nobodys_fault() -> None:
+    watch = Stopwatch(PERIOD)
+    watch.tick(3.0, 2.0)
+    assert watch.summary().lateness.ticks == 0
+    watch.tick(0.002, 0.01)
+    watch.tick(0.025, 0.0)
+    timing = watch.summary()
+    lateness = timing.lateness
+    assert (lateness.ticks, lateness.late_ticks, lateness.missed_ticks) == (2, 2, 2)
+    assert (lateness.worst, timing.feedback_age.worst) == (0.025, 0.01)
+    assert timing.feedback_age.count == 2
+
+
+def test_a_round_trip_begins_with_the_command_and_ends_with_turning_wheels() -> None:
+    spread = trips(
+        (1.0, False, False), (1.01, True, False), (1.02, True, False), (1.05, True, True)
+    )
+    assert spread.count == 1
+    assert spread.worst == pytest.approx(0.04)
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        [(1.0, True, False), (1.01, True, False)],  # they never turn
+        [(1.0, True, True), (1.01, True, True)],  # they turn already
+        [(1.0, True, False), (1.01, False, False), (1.02, False, True)],  # called off
+        [(1.0, False, False), (1.01, False, True)],  # pushed by hand
+    ],
+    ids=["dead", "turning", "called off", "pushed"],
+)
+def test_nothing_else_is_a_round_trip(asked: list[tuple[float, bool, bool]]) -> None:
+    assert trips(*asked).count == 0
+
+
+def test_every_start_from_standstill_is_one() -> None:
+    one = [(1.0, True, False), (1.03, True, True), (1.04, False, True), (1.2, False, False)]
+    other = [(2.0, True, False), (2.05, True, True)]
+    spread = trips(*one, *other)
+    assert spread.count == 2
+    assert spread.worst == pytest.approx(0.05)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import gc
 import json
 import math
@@ -26,7 +27,7 @@ from acsar_gym.errors import AcsarError, ConfigError, LinkError
 from acsar_gym.links import watchdog
 from acsar_gym.links.serial import SerialLink
 from acsar_gym.links.watchdog import Watchdog
-from acsar_gym.links.watchdog_child import BEAT, PAGE, REPEATS, SURE, TRIPPED, Watch
+from acsar_gym.links.watchdog_child import BEAT, LAST_WORDS, PAGE, REPEATS, SURE, TRIPPED, Watch
 from acsar_gym.protocol import ZERO, Decoder, encode
 from acsar_gym.stopping_programs import KINDS
 from acsar_gym.worlds import Scene
@@ -38,6 +39,12 @@ ZEROS = b"\r\n" + encode(ZERO)
 TIMEOUT_OF_DOG = 0.15
 SOON = 2.0
 """What a machine busy with other things may take for what should take 0.25 s."""
+
+
+@pytest.fixture
+def config(config: RobotConfig) -> RobotConfig:
+    """With the watchdog as in earnest."""
+    return config.with_(watchdog_timeout=TIMEOUT_OF_DOG)
 
 
 def children() -> list[psutil.Process]:
@@ -440,7 +447,7 @@ def test_it_trips_once_says_so_for_a_second_and_can_be_armed_again(
         dog.beat()
         with pytest.raises(LinkError):
             dog.drive()
-        assert heard(wire[0], 0.5) == ZEROS * (1 + REPEATS)
+        assert heard(wire[0], 0.5) == ZEROS * REPEATS
         dog.rearm()
         assert not dog.tripped
         assert not heard(wire[0], 2 * TIMEOUT_OF_DOG)
@@ -476,6 +483,67 @@ def test_a_lost_port_does_not_end_it(dog: Watchdog, wire: tuple[int, int]) -> No
     os.close(other)
 
 
+def test_it_insists_until_the_board_answers(wire: tuple[int, int]) -> None:
+    dog = Watchdog(wire[1], ZEROS, TIMEOUT_OF_DOG)
+    dog.wait()
+    dog.search("mine")
+    said = b""
+    while said.count(ZEROS) < 2 * LAST_WORDS:
+        said += os.read(wire[0], 4096)
+    os.write(wire[0], encode(ZERO))
+    wait_until(lambda: not psutil.pid_exists(dog.pid) or is_dead(dog.pid), "its end")
+    watchdog.call_back("mine")
+    assert not psutil.pid_exists(dog.pid)
+
+
+def is_dead(process: int) -> bool:
+    return psutil.Process(process).status() == psutil.STATUS_ZOMBIE
+
+
+def test_another_program_may_take_the_port_meanwhile(wire: tuple[int, int]) -> None:
+    dog = Watchdog(wire[1], ZEROS, TIMEOUT_OF_DOG)
+    dog.wait()
+    dog.search("mine")
+    other = os.open(os.ttyname(wire[1]), os.O_RDWR | os.O_NOCTTY)
+
+    def is_mine() -> bool:
+        with contextlib.suppress(BlockingIOError):
+            fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return True
+        return False
+
+    wait_until(is_mine, "the lock")
+    heard(wire[0], 0.01)
+    wait_until(lambda: is_dead(dog.pid), "its end")
+    assert ZEROS not in heard(wire[0], 0.1)
+    watchdog.call_back("mine")
+    os.close(other)
+
+
+def test_it_is_ahead_of_a_program_with_real_time_priority(shared_device: str) -> None:
+    """Else a policy that never returns would keep it from the core."""
+    code = (
+        DRIVER
+        + """
+from acsar_gym import errors, realtime
+robot.activate()
+try:
+    realtime.prepare(priority=10)
+except errors.ConfigError:
+    print("not allowed", flush=True)
+    sys.exit()
+robot.deactivate()
+robot.activate()
+print(os.sched_getparam(robot.link._watchdog.pid).sched_priority, flush=True)
+"""
+    )
+    with program(code, shared_device) as process:
+        said = first_line(process)
+    if said == "not allowed":
+        pytest.skip("real-time priority isn't allowed here")
+    assert said == "11"
+
+
 # When to look and what to do, without processes
 
 
@@ -494,6 +562,11 @@ class Clock:
 
     def find(self) -> bool:
         raise AssertionError("nothing is lost")
+
+    answers = find
+
+    def share(self) -> None:
+        raise AssertionError("nothing is shared")
 
     def look(self, now: float) -> float:
         due = self.watch._look(now)
