@@ -18,7 +18,7 @@ SHOW_EVERY = 10
 """Ticks between two updates of the status line."""
 HELP = (
     "w/s faster/slower, a/d turn left/right, space stops, q quits (arrows work too),\n"
-    "e emergency stop, r re-arms after it and sets the odometry to zero"
+    "e or Esc emergency stop, r re-arms after it and sets the odometry to zero"
 )
 KEYS = {
     "w": (1, 0),

@@ -83,7 +83,9 @@ def make() -> Iterator[Open]:
     made: list[RplidarLidar] = []
 
     def begin(device: Emulated | str, **lidar: float) -> RplidarLidar:
-        config = RobotConfig.preset("acsar").with_(lidar={"timeout": 20.0, **lidar})
+        config = RobotConfig.preset("acsar").with_(
+            lidar={"timeout": 20.0, **lidar}, reconnect_timeout=0.5
+        )
         name = device if isinstance(device, str) else device.device
         made.append(RplidarLidar(name, config, time.monotonic))
         return made[-1]

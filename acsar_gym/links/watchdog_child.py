@@ -105,11 +105,11 @@ class Watch:
         while not self._page[LEAVE] and not self._board.taken and time.monotonic() < deadline:
             if self._board.stop():
                 words += 1
-                time.sleep(REPEAT)
                 if words >= LAST_WORDS:
                     if self._board.answers():
                         return
                     self._board.share()
+                time.sleep(REPEAT)
             elif not self._board.find():
                 time.sleep(SEARCH_EVERY)
 
