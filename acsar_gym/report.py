@@ -105,6 +105,12 @@ def _score(summary: Summary) -> str:
     return f"{summary.scores['barn_score']:.3f}" if summary.scores else ""
 
 
+def _late(summary: Summary) -> str:
+    """How many, and by how much the latest."""
+    worst = _number(summary.worst_lateness * 1000.0, "ms")
+    return f"{summary.late_ticks} of {summary.ticks}" + (f", {worst}" if worst else "")
+
+
 COLUMNS: dict[str, Callable[[Summary], str]] = {
     "success": _success,
     "collision": lambda summary: _rate(summary.collision_rate),
@@ -115,8 +121,7 @@ COLUMNS: dict[str, Callable[[Summary], str]] = {
     "path": lambda summary: _number(summary.path, "m"),
     "beside path": lambda summary: _number(summary.cross_track * 100.0, "cm"),
     "odometry error": lambda summary: _number(summary.odometry_error * 100.0, "cm"),
-    "late ticks": lambda summary: f"{summary.late_ticks} of {summary.ticks}",
-    "latest": lambda summary: _number(summary.worst_lateness * 1000.0, "ms"),
+    "late ticks": _late,
     "round trip": lambda summary: _number(summary.round_trip * 1000.0, "ms"),
     "invalid": lambda summary: f"{summary.invalid}" if summary.invalid else "",
 }

@@ -55,7 +55,7 @@ def test_a_run_ends_with_one_line(emulator: Emulated, robot_file: RobotFile) -> 
     options = ("--link", emulator.device, "--robot", str(robot_file()))
     with program(DRIVING, "run", "3", "0", *options) as process:
         wait_until(emulator.is_driven, "a command that turns the wheels")
-        assert cli("estop").returncode == 0
+        assert [each.answered for each in estop.stop_all()] == [True]
         _, error = process.communicate(timeout=TIMEOUT)
     assert process.returncode == 3
     assert error.strip() == "acsar-gym: emergency stop: look after the robot, then start again"
@@ -137,7 +137,7 @@ def test_the_doctor_heeds_it(emulator: Emulated, robot_file: RobotFile) -> None:
     options = ("--spin", "--robot", str(robot_file()))
     with program(DRIVING, "doctor", emulator.device, *options) as process:
         wait_until(emulator.is_driven, "a command that turns the wheels")
-        assert cli("estop").stdout == f"process {process.pid}: stopped\n"
+        assert estop.stop_all() == [estop.Stopped(process.pid, answered=True)]
         output, _ = process.communicate(timeout=TIMEOUT)
     assert process.returncode == 1
     assert "emergency stop" in output

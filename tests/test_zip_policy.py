@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -173,13 +174,19 @@ def test_training_goes_on_where_a_zip_ended(tmp_path: Path) -> None:
     assert OnnxPolicy(out / "policy.onnx").layout == after.layout
 
 
-def test_resuming_is_refused_in_one_line(good: Path, tmp_path: Path) -> None:
+def test_resuming_is_refused_in_one_line(
+    good: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     sac = save(tmp_path / "sac.zip", "SAC", buffer_size=10)
     for arguments, said in (
         (("--resume", good), "--trust"),
         (("--resume", good, "--trust", "--env", "path_follow"), "PathFollow-v0 gives"),
         (("--resume", sac, "--trust"), "only PPO"),
     ):
-        done = train(*arguments, "--out", tmp_path)
-        assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
-        assert said in done.stderr
+        command = ["train", *map(str, arguments), "--out", str(tmp_path)]
+        monkeypatch.setattr(sys, "argv", command)
+        with pytest.raises(SystemExit) as ended:
+            runpy.run_path(str(AGENTS / "train.py"), run_name="__main__")
+        error = capsys.readouterr().err
+        assert (ended.value.code, error.count("\n")) == (2, 1), error
+        assert said in error

@@ -138,7 +138,10 @@ def held(process: psutil.Process) -> dict[str, int]:
 def run(board: Board, device: str, cycles: int, seed: int) -> bool:
     """Whether all went well; prints the figures."""
     config = RobotConfig.preset("acsar").with_(
-        connect_timeout=PATIENCE, feedback_timeout=5.0, reconnect_timeout=RECONNECT
+        connect_timeout=PATIENCE,
+        feedback_timeout=5.0,
+        reconnect_timeout=RECONNECT,
+        watchdog_timeout=2.0,  # a busy machine is another matter
     )
     env = gymnasium.make(
         "acsar_gym/PointGoal-v0", link=device, robot=config, max_episode_steps=10**9

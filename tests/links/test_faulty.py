@@ -786,7 +786,7 @@ def test_a_real_device_comes_back_under_another_name(
     first, second = start_emulator(), start_emulator()
     link = FaultyLink(
         open_link(first.device, config),
-        {"unplug_at": 0.5, "replug_time": 0.5},
+        {"unplug_at": 1.0, "replug_time": 0.5},
         relink=lambda: open_link(second.device, config),
     )
     robot = Robot(link, config)
@@ -801,7 +801,7 @@ def test_a_real_device_comes_back_under_another_name(
         robot.reset(Scene())
         assert time.monotonic() - lost > 0.4
         assert link.device == second.device != first.device
-        for _ in range(20):
+        for _ in range(10):
             robot.drive(0.3, 0.0)
         assert robot.odometry.pose[0] > 0.0
         robot.deactivate()
