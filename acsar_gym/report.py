@@ -25,7 +25,7 @@ def show(*tables: Table) -> None:
     """Print tables; piped output gets enough columns to hold them."""
     console = Console()
     if not console.is_terminal:
-        console = Console(width=120)
+        console = Console(width=140)
     for table in tables:
         console.print(table)
 
