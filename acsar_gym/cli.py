@@ -148,8 +148,8 @@ def doctor(
         json: write the findings here too.
     """
     from acsar_gym import doctor as doctors  # noqa: PLC0415
-    from acsar_gym import doctor_timing, report  # noqa: PLC0415
     from acsar_gym import realtime as urgency  # noqa: PLC0415
+    from acsar_gym import report  # noqa: PLC0415
 
     config = RobotConfig.of(robot)
     if baud_rate is not None:
@@ -160,10 +160,7 @@ def doctor(
     if stopping:
         return _stopping(config, trials, json)
     if timing:
-        found = doctor_timing.examine(device, config, duration)
-        report.show(*found.tables())
-        report.write_json(json, found.as_dict())
-        return 0
+        return _timing(device, config, duration, json)
     checks = [doctors.port_list()]
     if device is not None:
         checks += doctors.examine(device, config, spin=spin)
@@ -179,6 +176,15 @@ def _stopping(config: RobotConfig, trials: int, json: Path | None) -> int:
     report.show(stopping.table(stops))
     report.write_json(json, stopping.as_json(stops))
     return 0 if all(one.in_time == trials for one in stops) else 1
+
+
+def _timing(device: str | None, config: RobotConfig, duration: float, json: Path | None) -> int:
+    from acsar_gym import doctor_timing, report  # noqa: PLC0415
+
+    found = doctor_timing.examine(device, config, duration)
+    report.show(*found.tables())
+    report.write_json(json, found.as_dict())
+    return 0
 
 
 def drive(

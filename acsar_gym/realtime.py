@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import os
 import re
 from collections.abc import Iterator, Sequence
@@ -27,9 +26,8 @@ PORT = re.compile(r"\d+-\d+(\.\d+)*")
 def prepare(priority: int | None = None, cores: Sequence[int] | None = None) -> None:
     """Run this thread, and whatever it starts, at SCHED_FIFO `priority` and on these cores only.
 
-    None leaves either as it is. What is loaded by now is also taken out of the garbage collector's
-    sight, which would stop the loop for 60 ms to look through it. So load policies first; open
-    links afterwards. One priority above must be allowed, too, for the watchdog.
+    None leaves either as it is. Open links afterwards: their watchdogs run one priority above,
+    which must be allowed, too.
 
     Raises ConfigError, in one line that says what to do, where this isn't allowed or possible.
     """
@@ -37,8 +35,6 @@ def prepare(priority: int | None = None, cores: Sequence[int] | None = None) -> 
         _pin(cores)
     if priority is not None:
         _raise_priority(priority)
-    gc.collect()
-    gc.freeze()
 
 
 def _pin(cores: Sequence[int]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import os
 import subprocess
 import sys
@@ -32,11 +31,6 @@ else:
     print("prepared", os.sched_getscheduler(0) == os.SCHED_FIFO,
           os.sched_getparam(0).sched_priority, len(os.sched_getaffinity(0)))
 """
-
-
-@pytest.fixture(autouse=True)
-def leave_this_process_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gc, "freeze", lambda: None)
 
 
 def put(root: Path, file: str, text: str) -> None:

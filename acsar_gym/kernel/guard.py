@@ -32,7 +32,7 @@ from acsar_gym.kernel.layout import (
     Setup,
 )
 from acsar_gym.kernel.physics import on_the_wire, sides, tell
-from acsar_gym.limiter import limited
+from acsar_gym.limiter import Limits, limited
 from acsar_gym.pcg import uniform
 
 GEOFENCE = 2.0
@@ -42,34 +42,21 @@ GEOFENCE = 2.0
 @jit
 def wanted(state: Floats, i: int, setup: Setup) -> tuple[float, float]:
     """Robot i's next twist within the limits; the two before it move on."""
-    dt, linear, angular = setup.period, setup.linear, setup.angular
-    new_linear = limited(
-        state[LAST_LINEAR, i] * setup.max_linear,
-        state[NEW_LINEAR, i],
-        state[PAST_LINEAR, i],
-        dt,
-        linear[0],
-        linear[1],
-        linear[2],
-        linear[3],
-        linear[4],
-        linear[5],
-    )
-    new_angular = limited(
-        state[LAST_ANGULAR, i] * setup.max_angular,
-        state[NEW_ANGULAR, i],
-        state[PAST_ANGULAR, i],
-        dt,
-        angular[0],
-        angular[1],
-        angular[2],
-        angular[3],
-        angular[4],
-        angular[5],
-    )
-    state[PAST_LINEAR, i], state[NEW_LINEAR, i] = state[NEW_LINEAR, i], new_linear
-    state[PAST_ANGULAR, i], state[NEW_ANGULAR, i] = state[NEW_ANGULAR, i], new_angular
-    return new_linear, new_angular
+    asked = state[LAST_LINEAR, i] * setup.max_linear
+    new, past = state[NEW_LINEAR, i], state[PAST_LINEAR, i]
+    linear = _within(setup.linear, asked, new, past, setup.period)
+    state[PAST_LINEAR, i], state[NEW_LINEAR, i] = new, linear
+    asked = state[LAST_ANGULAR, i] * setup.max_angular
+    new, past = state[NEW_ANGULAR, i], state[PAST_ANGULAR, i]
+    angular = _within(setup.angular, asked, new, past, setup.period)
+    state[PAST_ANGULAR, i], state[NEW_ANGULAR, i] = new, angular
+    return linear, angular
+
+
+@jit
+def _within(axis: Limits, asked: float, last: float, before: float, dt: float) -> float:
+    """`limited`, for compiled code can't unpack a tuple in a call."""
+    return limited(asked, last, before, dt, axis[0], axis[1], axis[2], axis[3], axis[4], axis[5])
 
 
 @jit
