@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import statistics
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from serial_tools import no_leak, open_files
+from tapes import taped
 
 from acsar_gym import Link, Robot, RobotConfig, open_link
 from acsar_gym.errors import LinkError
+from acsar_gym.links.faulty import FaultyLink
 from acsar_gym.protocol import ZERO, Decoder, Reading, encode
 from acsar_gym.worlds import Scene
 
@@ -21,9 +22,12 @@ PERIOD = 0.01
 PATIENCE = 2000
 """Periods to wait for a line."""
 TURNING = encode((3.0, 3.0, 3.0, 3.0))
-ALL = ("planar", "bullet", "replay", "serial")
-LIVE = tuple(name for name in ALL if name != "replay")
+SOUND = ("planar", "bullet", "replay", "serial")
+ALL = (*SOUND, *(f"faulty {name}" for name in SOUND))
+LIVE = tuple(name for name in ALL if "replay" not in name)
 """A recording can't be opened again or driven elsewhere."""
+DORMANT = {"dropped_lines": 1e-12, "unplug_at": 1e6, "dead_wheels": "a", "wheel_faults_at": 1e6}
+"""Faults that are configured, but none of them due."""
 
 MakeLink = Callable[[], Link]
 
@@ -37,29 +41,17 @@ def exchange(link: Link, command: bytes, periods: int) -> list[tuple[bytes, floa
     return heard
 
 
-def recorded(path: Path, config: RobotConfig) -> Path:
-    """The planar robot, taped: it stands for 10 periods, then its wheels turn."""
-    link = open_link("planar", config)
-    link.open()
-    link.reset(Scene())
-    events: list[dict[str, object]] = [{"reset": link.now()}]
-    for command, periods in ((encode(ZERO), 10), (TURNING, 300)):
-        for got, stamp in exchange(link, command, periods):
-            events.append({"sent": command.decode(), "got": got.decode(), "t": stamp})
-    link.close()
-    path.write_text("".join(json.dumps(event) + "\n" for event in events), encoding="ascii")
-    return path
-
-
 @pytest.fixture
 def make_link(request: pytest.FixtureRequest, config: RobotConfig, tmp_path: Path) -> MakeLink:
-    name = request.param
+    faulty, _, name = request.param.rpartition(" ")
     if name == "replay":
-        url = f"replay:{recorded(tmp_path / 'tape.jsonl', config)}"
+        url = f"replay:{taped(tmp_path / 'tape.jsonl', config)}"
     elif name == "serial":
         url = request.getfixturevalue("shared_device")
     else:
         url = name
+    if faulty:
+        return lambda: FaultyLink(open_link(url, config), DORMANT, 0)
     return lambda: open_link(url, config)
 
 

@@ -4,29 +4,28 @@ from __future__ import annotations
 
 import copy
 import itertools
-import json
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from serial_tools import Emulated, StartEmulator, no_leak, wait_until
+from tapes import TICKS, taped
 
 from acsar_gym import Link, Robot, RobotConfig, open_link
 from acsar_gym.bodies.base import GroundTruth, Image
 from acsar_gym.errors import (
     BoardSilentError,
     ConfigError,
-    LinkError,
     LinkLostError,
     PortNotFoundError,
 )
 from acsar_gym.links.faulty import BUFFER, FaultyLink, Seed
 from acsar_gym.links.recording import RecordingLink
-from acsar_gym.protocol import ZERO, Decoder, Speeds, encode
+from acsar_gym.protocol import ZERO, Decoder, encode
 from acsar_gym.worlds import Scene
 
 pytestmark = pytest.mark.usefixtures("deadline")
@@ -618,121 +617,6 @@ def test_a_recording_keeps_what_the_driver_heard(config: RobotConfig, tmp_path: 
     assert [replayed.advance(PERIOD) for _ in range(300)] == heard
 
 
-# --- the contract of every link, with faults configured but none due
-
-MakeLink = Callable[[], FaultyLink]
-DORMANT = {"dropped_lines": 1e-12, "unplug_at": 1e6, "dead_wheels": "a", "wheel_faults_at": 1e6}
-ALL = ("planar", "bullet", "replay", "serial")
-LIVE = tuple(name for name in ALL if name != "replay")
-
-
-def taped(path: Path, config: RobotConfig) -> Path:
-    """The planar robot, recorded: it stands for 10 periods, then its wheels turn."""
-    link = open_link("planar", config)
-    link.reset(Scene())
-    events: list[dict[str, object]] = [{"reset": link.now()}]
-    for tick in range(300):
-        command = encode(ZERO) if tick < 10 else TURNING
-        link.write(command)
-        got = link.advance(PERIOD)
-        events.append({"sent": command.decode(), "got": got.decode(), "t": link.now()})
-    link.close()
-    path.write_text("".join(json.dumps(event) + "\n" for event in events), encoding="ascii")
-    return path
-
-
-@pytest.fixture
-def make_link(request: pytest.FixtureRequest, config: RobotConfig, tmp_path: Path) -> MakeLink:
-    url = request.param
-    if url == "replay":
-        url = f"replay:{taped(tmp_path / 'tape.jsonl', config)}"
-    elif url == "serial":
-        url = request.getfixturevalue("shared_device")
-    return lambda: FaultyLink(open_link(url, config), DORMANT, 0)
-
-
-every_link = pytest.mark.parametrize("make_link", ALL, indirect=True)
-every_live_link = pytest.mark.parametrize("make_link", LIVE, indirect=True)
-
-
-def answers(link: Link, command: bytes, expected: Callable[[Speeds], bool]) -> bool:
-    """Whether the expected line comes while a command is held; every line is a valid one."""
-    decoder = Decoder()
-    for _ in range(2000):
-        link.write(command)
-        for reading in decoder.feed(link.advance(PERIOD)):
-            a, b, c, d = (speed or 0.0 for speed in reading.speeds)
-            if expected((a, b, c, d)):
-                return True
-        assert not decoder.refused
-    return False
-
-
-def stands(speeds: Speeds) -> bool:
-    return max(map(abs, speeds)) < 0.1
-
-
-def turns(speeds: Speeds) -> bool:
-    return min(speeds) > 1.0
-
-
-@every_link
-def test_contract_commands_turn_the_wheels(make_link: MakeLink) -> None:
-    link: Link = make_link()
-    link.open()
-    link.reset(Scene())
-    start = link.now()
-    assert answers(link, encode(ZERO), stands)
-    assert answers(link, TURNING, turns)
-    assert link.now() > start
-    link.close()
-
-
-@every_live_link
-def test_contract_a_reset_begins_again_at_zero(make_link: MakeLink, config: RobotConfig) -> None:
-    with Robot(make_link(), config) as robot:
-        for _ in range(50):
-            robot.drive(0.3, 0.0)
-        assert robot.odometry.pose[0] > 0.01
-        robot.reset(Scene())
-        assert robot.odometry.pose == (0.0, 0.0, 0.0)
-
-
-@every_link
-def test_contract_open_and_close_twice(make_link: MakeLink) -> None:
-    with no_leak():
-        link = make_link()
-        link.close()
-        for _ in range(2):
-            link.open()
-        link.reset(Scene())
-        link.open()
-        link.advance(PERIOD)
-        link.close()
-        link.close()
-        for use in (lambda: link.write(TURNING), lambda: link.advance(PERIOD)):
-            with pytest.raises(LinkError, match="open"):
-                use()
-
-
-@every_live_link
-def test_contract_a_closed_link_can_be_opened_again(make_link: MakeLink) -> None:
-    link = make_link()
-    for _ in range(2):
-        link.open()
-        link.reset(Scene())
-        assert answers(link, encode(ZERO), stands)
-        link.close()
-
-
-@every_live_link
-def test_contract_a_new_link_opens_nothing(make_link: MakeLink) -> None:
-    with no_leak():
-        links = [make_link() for _ in range(5)]
-        with pytest.raises(LinkError):
-            links[0].write(TURNING)
-
-
 # --- over a recording, and over a real device in real time
 
 
@@ -740,7 +624,7 @@ def test_faults_over_a_recording(config: RobotConfig, tmp_path: Path) -> None:
     tape = taped(tmp_path / "tape.jsonl", config)
     link = FaultyLink(open_link(f"replay:{tape}", config), {"reversed_encoders": "abcd"}, 0)
     link.reset(Scene())
-    heard = [link.advance(PERIOD) for _ in range(300)]
+    heard = [link.advance(PERIOD) for _ in range(TICKS)]
     assert readings(heard)[-1] == pytest.approx((-3.0, -3.0, -3.0, -3.0), abs=0.2)
     with pytest.raises(LinkLostError, match="episode ends here"):
         link.advance(PERIOD)
