@@ -7,13 +7,16 @@ FUZZ_SECONDS ?= 300
 SOAK_MINUTES ?= 30
 REPLUG_CYCLES ?= 1000
 
-.PHONY: demo test lint fuzz soak replug clean
+.PHONY: demo test test-slow lint fuzz soak replug clean
 
 demo: $(READY)  ## train a policy, drive it in PyBullet, then over a serial device
 	$(BIN)/acsar-gym demo
 
 test: $(READY) lint  ## everything that must hold
 	$(BIN)/pytest -n 2
+
+test-slow: $(READY)  ## the same rules on larger samples
+	$(BIN)/pytest -n 2 -m slow
 
 lint: $(READY)
 	$(BIN)/ruff format --check .

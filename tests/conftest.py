@@ -23,6 +23,20 @@ from acsar_gym.links import watchdog
 settings.register_profile("ours", deadline=None, derandomize="CI" in os.environ)
 settings.load_profile("ours")
 
+SERIAL = {"deadline", "shared_emulator", "start_emulator"}
+"""A test that asks for one of these talks to another process in real time."""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """One worker runs all tests over serial devices, so that they don't disturb each other.
+
+    Those that use no such fixture have the mark themselves.
+    """
+    for item in items:
+        if SERIAL & set(getattr(item, "fixturenames", ())):
+            item.add_marker(pytest.mark.xdist_group("serial"))
+
 
 @pytest.fixture
 def deadline() -> Iterator[None]:

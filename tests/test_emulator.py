@@ -37,6 +37,11 @@ pytestmark = pytest.mark.usefixtures("deadline")
 FORWARD = encode((4.0, 4.0, 4.0, 4.0))
 
 
+def test_tests_over_serial_devices_share_a_worker(request: pytest.FixtureRequest) -> None:
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        assert request.node.nodeid.endswith("@serial"), "see pytest in constraints.txt"
+
+
 def last_received(emulator: Emulated) -> float:
     """When the board was last told something."""
     return max(float(event["t"]) for event in emulator.events() if "rx" in event)
