@@ -55,8 +55,7 @@ def raw(source: str, level: float | None, robot: str | None, count: int) -> list
         return files.load_folder(path)
     if path.is_file() or path.suffix or "/" in source:
         return [files.load(path)]
-    pool = Pool.of(source, level, footprint_radius(RobotConfig.of(robot)), count)
-    return [pool[number] for number in range(len(pool))]
+    return list(Pool.of(source, level, footprint_radius(RobotConfig.of(robot)), count))
 
 
 def draw(worlds: Sequence[World], columns: int, size: int, out: Path) -> None:

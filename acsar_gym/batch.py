@@ -12,7 +12,7 @@ from acsar_gym.config import BITS_PER_BYTE, LINE_BYTES, Geofence, RobotConfig, w
 from acsar_gym.errors import ConfigError
 from acsar_gym.kernel import episode, layout
 from acsar_gym.lidar import draws, stale_after
-from acsar_gym.places import BatchTask, job, surroundings, told, worlds_of
+from acsar_gym.places import BatchTask, first_number, job, surroundings, told, worlds_of
 from acsar_gym.randomization import Randomization
 
 Mask = NDArray[np.bool_]
@@ -35,6 +35,7 @@ class Batch:
         self._job = job(task, worlds)
         around = surroundings(worlds, config, sees=task.sees)
         self.told = told(task)
+        self._first_world = first_number(task)
         self._nominal = _nominal(config)
         self._ranges = randomization.table()
         self._around = around
@@ -108,7 +109,10 @@ class Batch:
     def info(self) -> dict[str, NDArray[np.float64]]:
         """What the single env's info says, an array for each of its keys."""
         rows = self.state[list(self.told.values())]
-        return dict(zip(self.told, rows, strict=True))
+        info = dict(zip(self.told, rows, strict=True))
+        if "world" in info:
+            info["world"] += self._first_world
+        return info
 
     def turn(self) -> None:
         """All robots have done their step: move on in the ring of encoder counts."""

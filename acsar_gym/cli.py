@@ -51,9 +51,11 @@ def demo(
     from acsar_gym import report  # noqa: PLC0415
 
     report.check_writable(json)
-    rows = demos.run(steps, episodes, serial_episodes, out)
-    report.show(report.summary_table(f"One policy file, {out / 'policy.onnx'}", rows))
-    report.write_json(json, {name: summary.as_dict() for name, summary in rows})
+    runs = demos.run(steps, episodes, serial_episodes, out)
+    rows = [(name, run.summary) for name, run in runs]
+    title = f"One policy file, {out / 'policy.onnx'}, worlds: {runs[0][1].worlds}"
+    report.show(report.summary_table(title, rows))
+    report.write_json(json, {name: run.as_dict() for name, run in runs})
     return 0 if all(summary.success_rate >= 0.95 for _, summary in rows) else 1
 
 
@@ -106,7 +108,8 @@ def emulate(
 
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     config = RobotConfig.of(robot)
-    place = None if world is None else Pool.of(world, None, footprint_radius(config), 1)[0]
+    places = None if world is None else Pool.of(world, None, footprint_radius(config), 1)
+    place = next(iter(places)) if places else None
     with Emulator(
         config, body=body, log=log, silent=silent, world=place, sees=lidar, name=name
     ) as emulator:
@@ -261,7 +264,7 @@ def evaluate(
         robot: preset or config file.
         episodes: how many.
         seed: of the first episode; the next ones count up.
-        worlds: kind of generated worlds (clutter, barn:1000-1099, ...), a file, or a folder.
+        worlds: instead of the test split: rooms:test, barn:1000-1099, ..., a file, or a folder.
         in_order: every world once, instead of drawing them: a benchmark on a folder of worlds.
         difficulty: of generated worlds, 0 to 1.
         lidar: rplidar:///dev/ttyUSB1 on hardware.
@@ -271,19 +274,19 @@ def evaluate(
         cores: numbers of the cores to run on.
         json: write the figures and every episode here too.
     """
-    from acsar_gym import metrics, report, runs  # noqa: PLC0415
     from acsar_gym import realtime as urgency  # noqa: PLC0415
+    from acsar_gym import report, runs  # noqa: PLC0415
 
     report.check_writable(json)
     urgency.prepare(realtime, cores)
     options = {"worlds": worlds, "difficulty": difficulty, "lidar": lidar}
     how = {"in_order": in_order, "late_share": late_share}
-    results = runs.evaluate(policy, link, robot, episodes, seed, trust=trust, how=how, **options)
-    summary = metrics.summarise(results)
-    title = f"{policy}, seeds {seed} to {seed + episodes - 1}"
+    done = runs.evaluate(policy, link, robot, episodes, seed, trust=trust, how=how, **options)
+    title = f"{policy}, seeds {seed} to {seed + episodes - 1}, worlds: {done.worlds}"
+    summary = done.summary
     report.show(report.summary_table(title, [(link, summary)]))
     report.show(report.interval_table(summary))
-    report.write_json(json, summary.as_dict() | {"per_episode": metrics.per_episode(results)})
+    report.write_json(json, done.as_dict())
     return 0
 
 
@@ -313,16 +316,16 @@ def run(
         cores: numbers of the cores to run on.
         json: write the figures here too.
     """
-    from acsar_gym import metrics, report, runs  # noqa: PLC0415
     from acsar_gym import realtime as urgency  # noqa: PLC0415
+    from acsar_gym import report, runs  # noqa: PLC0415
 
     report.check_writable(json)
     urgency.prepare(realtime, cores)
-    result = runs.to_goal(policy, link, robot, goal, record, trust=trust, lidar=lidar)
-    summary = metrics.summarise([result])
-    report.show(report.summary_table(f"{policy} to ({goal[0]:g}, {goal[1]:g})", [(link, summary)]))
-    report.write_json(json, summary.as_dict() | {"per_episode": metrics.per_episode([result])})
-    return 0 if result.success else 1
+    done = runs.to_goal(policy, link, robot, goal, record, trust=trust, lidar=lidar)
+    title = f"{policy} to ({goal[0]:g}, {goal[1]:g}), worlds: {done.worlds}"
+    report.show(report.summary_table(title, [(link, done.summary)]))
+    report.write_json(json, done.as_dict())
+    return 0 if done.results[0].success else 1
 
 
 def export(

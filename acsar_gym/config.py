@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import reprlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self
 
@@ -332,17 +333,25 @@ class RobotConfig(_Section):
         return config_files.preset(name)
 
     @classmethod
-    def of(cls, robot: RobotConfig | str | Path | None) -> RobotConfig:
-        """What users may pass as `robot=`: a config, a file, a preset's name, or None for acsar."""
+    def of(cls, robot: RobotSource) -> RobotConfig:
+        """What users may pass as `robot=`: a config, its fields, a file, a preset; None is acsar."""
         if isinstance(robot, RobotConfig):
             return robot
+        if isinstance(robot, Mapping):
+            return cls.model_validate(dict(robot))
         if robot is None:
             return cls.preset("acsar")
         if not isinstance(robot, str | Path):
-            raise ConfigError(f"robot = {robot!r}: must be a RobotConfig, a preset or a file")
+            raise ConfigError(
+                f"robot = {robot!r}: must be a RobotConfig, its fields, a preset or a file"
+            )
         if isinstance(robot, Path) or Path(robot).suffix or "/" in robot:
             return cls.load(robot)
         return cls.preset(robot)
+
+
+RobotSource = RobotConfig | Mapping[str, Any] | str | Path | None
+"""What users may pass as `robot=`; see `RobotConfig.of`."""
 
 
 def whole_ratio(fast_name: str, fast: float, slow_name: str, slow: float) -> int:

@@ -12,18 +12,18 @@ from pathlib import Path
 
 from rich.console import Console
 
-from acsar_gym import evaluation, metrics, runs
+from acsar_gym import evaluation, runs
 from acsar_gym.errors import AcsarError, LinkError
 from acsar_gym.evaluation import EpisodeResult
-from acsar_gym.metrics import Summary
 from acsar_gym.policy import OnnxPolicy
 from acsar_gym.resources import AGENTS
+from acsar_gym.runs import Run
 
 START_TIMEOUT = 30.0
 """How long the emulator may take to say its device [s]."""
 
 
-def run(steps: int, episodes: int, serial_episodes: int, out: Path) -> list[tuple[str, Summary]]:
+def run(steps: int, episodes: int, serial_episodes: int, out: Path) -> list[tuple[str, Run]]:
     """Train, evaluate in PyBullet, evaluate over a pseudo-terminal; one row each."""
     console = Console()
     console.rule("1. train PPO on simulated robots", align="left")
@@ -33,7 +33,7 @@ def run(steps: int, episodes: int, serial_episodes: int, out: Path) -> list[tupl
     simulated = runs.drive(policy, "bullet", None, episodes, seed=10_000)
     console.rule(f"3. drive {policy_file.name} over a serial device", align="left")
     serial = _over_serial(policy, serial_episodes)
-    return [("PyBullet", metrics.summarise(simulated)), ("serial device (emulator)", serial)]
+    return [("PyBullet", simulated), ("serial device (emulator)", serial)]
 
 
 def train(steps: int, out: Path) -> Path:
@@ -44,13 +44,13 @@ def train(steps: int, out: Path) -> Path:
     return out / "policy.onnx"
 
 
-def _over_serial(policy: OnnxPolicy, count: int) -> Summary:
+def _over_serial(policy: OnnxPolicy, count: int) -> Run:
     """The emulator runs in another process; its log tells how far odometry was off."""
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "emulator.jsonl"
         with emulator("--body", "bullet", "--log", str(log)) as device:
-            results = runs.drive(policy, device, None, count, seed=20_000)
-        return metrics.summarise(with_truth(results, log))
+            run = runs.drive(policy, device, None, count, seed=20_000)
+        return replace(run, results=with_truth(run.results, log))
 
 
 def with_truth(results: Sequence[EpisodeResult], log: Path) -> list[EpisodeResult]:

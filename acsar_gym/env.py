@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import math
 import os
 from collections.abc import Callable, Mapping
-from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import gymnasium
 import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
+from acsar_gym import display
 from acsar_gym.bodies.base import GroundTruth, Image
-from acsar_gym.config import RobotConfig, whole_ratio
+from acsar_gym.config import RobotConfig, RobotSource, whole_ratio
 from acsar_gym.errors import (
     AcsarError,
     BoardGarbledError,
@@ -33,6 +34,7 @@ from acsar_gym.links.faults import Faults
 from acsar_gym.links.faulty import FaultyLink
 from acsar_gym.robot import Robot
 from acsar_gym.screen import Screen
+from acsar_gym.specs import PlainSpec
 from acsar_gym.tasks import Course, Observation, Outcome, State, Task
 from acsar_gym.worlds import Pose, Scene
 
@@ -66,7 +68,7 @@ def fault_code(error: LinkError) -> int:
     return next((code for kind, code in kinds if isinstance(error, kind)), 5)
 
 
-class RobotEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
+class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
     """A four-wheel skid-steer robot with a task; `acsar_gym.envs` has the manuals of the ids."""
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - as gymnasium.Env declares it
@@ -78,7 +80,7 @@ class RobotEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self,
         task: Callable[[RobotConfig], Task],
         link: str | Link = "bullet",
-        robot: RobotConfig | str | Path | None = None,
+        robot: RobotSource = None,
         *,
         lidar: str | Lidar | None = None,
         policy_rate: float = 10.0,
@@ -104,8 +106,7 @@ class RobotEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self.action_space: Any
         self.observation_space: Any
         self.action_space, self.observation_space = task_spaces(self.task, config)
-        own_window = render_mode == "human" and link == "bullet"
-        self._screen = Screen(config, None if own_window else render_mode, view)
+        self._screen = Screen(config, None if self._bullets_window(link) else render_mode, view)
         self._course: Course | None = None
         self._scan: Scan | None = None
         self._told_last: tuple[Observation, Info] | None = None
@@ -125,7 +126,11 @@ class RobotEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             ready: Link = link
             return ready
         human = self.render_mode == "human"
-        return open_link(link, config, window=human and link == "bullet", realtime=human)
+        return open_link(link, config, window=self._bullets_window(link), realtime=human)
+
+    def _bullets_window(self, link: Any) -> bool:
+        """Whether PyBullet shows the robot in a window of its own."""
+        return self.render_mode == "human" and link == "bullet" and display.found()
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -148,6 +153,8 @@ class RobotEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, Info]:
         """Drive for one step of the policy; see the class for spaces, reward and end."""
+        if self._course is None:
+            raise ConfigError("step() before reset(): call reset() first")
         linear, angular = self._checked(action)
         try:
             self._drive(linear * self.task.max_linear, angular * self.task.max_angular)
@@ -156,8 +163,6 @@ class RobotEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
                 raise
             return self._cut_short(error)
         state = self._state((linear, angular), self.robot.link.truth)
-        if self._course is None:
-            raise ConfigError("step() before reset(): call reset() first")
         reward, outcome = self._course.judge(state)
         terminated = outcome is not Outcome.GOING
         observation, info = self._told(self._course, state, outcome)
@@ -284,6 +289,14 @@ class RobotEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             if self.lidar is not None:
                 self.lidar.close()
             self._screen.close()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Copies and pickles have a robot of their own and are in no episode: reset them first."""
+        return self.__dict__ | {"_course": None, "_scan": None, "_told_last": None}
+
+    def __copy__(self) -> Self:
+        """Two environments never share a robot, so that every copy is a deep one."""
+        return copy.deepcopy(self)
 
     def __del__(self) -> None:
         if getattr(self, "robot", None) is not None and hasattr(self, "_screen"):

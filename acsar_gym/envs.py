@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
-from acsar_gym.config import RobotConfig
+from acsar_gym.config import RobotSource
 from acsar_gym.env import RobotEnv
 from acsar_gym.lidar import Lidar
 from acsar_gym.links import Link
@@ -60,7 +59,8 @@ class PointGoalEnv(RobotEnv):
 
     - `link`: "bullet", "planar", a serial device such as "/dev/ttyUSB0", "socket://host:port",
       "replay:FILE", or a Link.
-    - `robot`: a RobotConfig, a preset's name, or a .yaml or .urdf file; None is the ACSAR robot.
+    - `robot`: a RobotConfig, its fields in a mapping (as in the env's spec), a preset's name, or a
+      .yaml or .urdf file; None is the ACSAR robot.
     - `goal_distance`: nearest and farthest goal [m]. `goal_tolerance` [m].
     - `policy_rate`: steps per second [Hz]; the robot's control rate must be a whole multiple.
     - `render_mode`: "rgb_array", or "human" for a live window, in real time.
@@ -90,7 +90,7 @@ class PointGoalEnv(RobotEnv):
     def __init__(
         self,
         link: str | Link = "bullet",
-        robot: RobotConfig | str | Path | None = None,
+        robot: RobotSource = None,
         *,
         goal_distance: tuple[float, float] = (0.5, 3.0),
         goal_tolerance: float = 0.15,
@@ -148,7 +148,7 @@ class ObstacleGoalEnv(RobotEnv):
     the robot is within `goal_tolerance` of the goal (success), or when a simulated robot touches an
     obstacle (collision; a real one can't tell). It is truncated after 400 steps.
 
-    `reset(options={"world": 17})` chooses the world by its number, or gives a World;
+    `reset(options={"world": 1017})` chooses the world by its number, or gives a World;
     `{"goal": (x, y)}` sets the goal in the odometry frame, which is what hardware needs: a real
     robot's surroundings aren't those of the world that was drawn.
 
@@ -156,16 +156,19 @@ class ObstacleGoalEnv(RobotEnv):
 
     - `link`, `robot`, `goal_tolerance`, `policy_rate`, `render_mode`, `view`, `faults`, `on_fault`
       as in `acsar_gym/PointGoal-v0`.
-    - `worlds`: a kind of generated world ("open", "clutter", "rooms", "barn"), of which the first
-      200 are used; "clutter:50" uses 50 and "clutter:100-149" those with these numbers. Or a file
-      (.world, ROS map, .json, .yaml), a folder of them, a World, or a list of World.
+    - `worlds`: "clutter:train" by default, the 400 worlds to train in; "clutter:test" are the 200
+      that `acsar-gym evaluate` tests in. "clutter:50" means the first 50, "clutter:100-149" those
+      with these numbers, "clutter" alone the training split; so with the other kinds ("open",
+      "rooms", "barn"). Or a file (.world, ROS map, .json, .yaml), a folder of them, a World, or a
+      list of World.
     - `difficulty` of generated worlds, 0 to 1; None varies it.
     - `lidar`: None for the simulated one, "rplidar:///dev/ttyUSB1" on hardware, or a Lidar.
 
     ## Info
 
-    As in `acsar_gym/PointGoal-v0`, and `world`, its number or -1 for a given one, `scan_age` [s]
-    and `scan_stale` (1 for a scan older than two periods of the LiDAR). A scan older than
+    As in `acsar_gym/PointGoal-v0`, and `world`, `scan_age` [s] and `scan_stale` (1 for a scan older
+    than two periods of the LiDAR). `world` is the generator's number ("clutter 1017" is 1017), the
+    place in a folder or list, from 0, or -1 for a World given to reset. A scan older than
     `lidar.timeout` stops the robot with LidarError.
 
     ## Version history
@@ -176,9 +179,9 @@ class ObstacleGoalEnv(RobotEnv):
     def __init__(
         self,
         link: str | Link = "bullet",
-        robot: RobotConfig | str | Path | None = None,
+        robot: RobotSource = None,
         *,
-        worlds: Source = "clutter",
+        worlds: Source = "clutter:train",
         difficulty: float | None = None,
         goal_tolerance: float = 0.3,
         lidar: str | Lidar | None = None,
@@ -220,14 +223,15 @@ class BarnEnv(RobotEnv):
 
     BARN's rules: start at (-2, 3) of the world heading along +y, goal 10 m ahead, success within
     1 m of it by odometry, a collision ends the episode, and so do BARN's 100 s, as truncation after
-    1000 steps (at 10 Hz). `reset(options={"world": 17})` chooses the world.
+    1000 steps (at 10 Hz). `reset(options={"world": 1017})` chooses the world.
 
     ## Arguments
 
     - `link`, `robot`, `policy_rate`, `render_mode`, `view`, `faults`, `on_fault` as in
       `acsar_gym/PointGoal-v0`, `difficulty` and `lidar` as in `acsar_gym/ObstacleGoal-v0`.
-    - `worlds`: "barn:300", generated like the published ones ("barn:1000-1099" are others), or a
-      folder of published worlds, `world_N.world` with `path_N.npy` beside them or in `path_files`.
+    - `worlds`: "barn:train", 400 worlds generated like the published ones, or "barn:test", the 300
+      that `acsar-gym evaluate` tests in; or a folder of published worlds, `world_N.world` with
+      `path_N.npy` beside them or in `path_files`. More as in `acsar_gym/ObstacleGoal-v0`.
 
     ## Info
 
@@ -246,9 +250,9 @@ class BarnEnv(RobotEnv):
     def __init__(
         self,
         link: str | Link = "bullet",
-        robot: RobotConfig | str | Path | None = None,
+        robot: RobotSource = None,
         *,
-        worlds: Source = "barn:300",
+        worlds: Source = "barn:train",
         difficulty: float | None = None,
         lidar: str | Lidar | None = None,
         policy_rate: float = 10.0,
@@ -301,15 +305,15 @@ class PathFollowEnv(RobotEnv):
     The robot stands at the path's beginning and looks along it. The episode terminates when
     odometry says that the robot is within 0.15 m of the path's end, having followed it (success),
     or farther than `max_cross_track` beside it; it is truncated after 400 steps.
-    `reset(options={"path": [(x, y), ...]})` gives a path in the odometry frame, `{"world": 17}`
+    `reset(options={"path": [(x, y), ...]})` gives a path in the odometry frame, `{"world": 1017}`
     chooses one of the env's own.
 
     ## Arguments
 
     - `link`, `robot`, `policy_rate`, `render_mode`, `view`, `faults`, `on_fault` as in
       `acsar_gym/PointGoal-v0`.
-    - `worlds`: "smooth_path" or "waypoint_path", of which 200 are used ("smooth_path:50" uses 50);
-      or a file, a folder or a list of worlds that have a path.
+    - `worlds`: "smooth_path:train" or "waypoint_path:train", "smooth_path:test" and the like, as in
+      `acsar_gym/ObstacleGoal-v0`; or a file, a folder or a list of worlds that have a path.
     - `difficulty` of generated paths, 0 to 1: how tight they turn; None varies it.
     - `max_cross_track` [m].
 
@@ -318,7 +322,7 @@ class PathFollowEnv(RobotEnv):
     As in `acsar_gym/PointGoal-v0` but for the goal's distances, and by odometry:
     `cross_track_error` [m], `heading_error` [rad], `path_progress` (0 to 1), and the score:
     `mean_cross_track_error` [m] and `mean_heading_error` [rad], means of the absolute errors over
-    the steps so far. `world` is the number of the path, -1 for a given one.
+    the steps so far. `world` is the generator's number of the path, -1 for a given one.
 
     ## Version history
 
@@ -328,9 +332,9 @@ class PathFollowEnv(RobotEnv):
     def __init__(
         self,
         link: str | Link = "bullet",
-        robot: RobotConfig | str | Path | None = None,
+        robot: RobotSource = None,
         *,
-        worlds: Source = "smooth_path",
+        worlds: Source = "smooth_path:train",
         difficulty: float | None = None,
         max_cross_track: float = 0.5,
         policy_rate: float = 10.0,

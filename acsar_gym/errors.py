@@ -46,6 +46,10 @@ class RenderError(AcsarError):
     exit_code = 2
 
 
+class OffScreenWarning(UserWarning):
+    """A window can't open here, so its pictures are drawn without being shown."""
+
+
 class PolicyError(AcsarError):
     """A policy file that is missing, broken, or made for another observation."""
 

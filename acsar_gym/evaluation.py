@@ -65,6 +65,14 @@ class EpisodeResult:
     """What ended the episode, where link or board failed."""
     valid: bool = True
     """Whether nothing failed, and no more ticks were late than allowed."""
+    seed: int | None = None
+    """Of the reset."""
+    world: int | None = None
+    """Its number; -1 for a world or path that was given, None on an open floor."""
+    episode_return: float = math.nan
+    """Sum of the rewards."""
+    length: int = 0
+    """Steps of the policy."""
 
 
 def episodes(
@@ -85,9 +93,21 @@ def episodes(
     """
     if not 0.0 <= late_share <= 1.0:
         raise ConfigError(f"late_share = {late_share!r}: must be a share, 0 to 1")
+    worlds = _in_order(env, count) if in_order else None
     for number in range(count):
-        place = {"world": number} if in_order else {}
+        place = {"world": worlds[number]} if worlds else {}
         yield _episode(env, policy, seed + number, options | place, late_share)
+
+
+def _in_order(env: gymnasium.Env[Any, Any], count: int) -> range:
+    """The numbers of the env's worlds; ConfigError where there are fewer than episodes."""
+    pool = getattr(getattr(env.unwrapped, "task", None), "pool", None)
+    numbers: range = range(0) if pool is None else pool.numbers
+    if len(numbers) < count:
+        raise ConfigError(
+            f"{count} episodes in order need as many worlds, but there are {len(numbers)}"
+        )
+    return numbers
 
 
 def _episode(
@@ -101,11 +121,12 @@ def _episode(
     if not isinstance(unwrapped, RobotEnv):
         raise ConfigError(f"{env}: only environments of acsar_gym can be evaluated")
     observation, info = env.reset(seed=seed, options=options)
-    link, steps = unwrapped.robot.link, [info]
+    link, steps, rewards = unwrapped.robot.link, [info], 0.0
     started, done = link.now(), False
     while not done:
-        observation, _, terminated, truncated, info = env.step(policy(observation))
+        observation, reward, terminated, truncated, info = env.step(policy(observation))
         steps.append(info)
+        rewards += float(reward)
         if unwrapped.robot.safety.reason is Reason.EMERGENCY_STOP:
             raise LinkError("emergency stop", "look after the robot, then start again")
         done = terminated or truncated
@@ -130,6 +151,10 @@ def _episode(
         timing=timing,
         fault=fault,
         valid=not fault and late <= late_share,
+        seed=seed,
+        world=int(info["world"]) if "world" in info else None,
+        episode_return=rewards,
+        length=len(steps) - 1,
     )
 
 

@@ -33,6 +33,10 @@ class Summary:
     collision_rate: float
     timeout_rate: float
     """Neither success nor collision: out of time, or out of bounds. The three add up to 1."""
+    episode_return: float
+    """Sum of an episode's rewards; the `reward_threshold` of an id is one."""
+    length: float
+    """Steps of an episode."""
     time_to_goal: float
     """Over successes [s]."""
     path: float
@@ -116,6 +120,8 @@ def _samples(results: Sequence[EpisodeResult]) -> dict[str, list[float]]:
     wins = [result for result in results if result.success]
     drifts = [result.odometry_error / max(_driven(result), 1e-9) for result in results]
     samples = {
+        "episode_return": [result.episode_return for result in results],
+        "length": [float(result.length) for result in results],
         "time_to_goal": [result.ended - result.started for result in wins],
         "path": [result.path for result in wins],
         "spl": [spl(result) for result in results],

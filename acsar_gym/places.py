@@ -26,8 +26,13 @@ def worlds_of(task: BatchTask) -> list[World]:
     """All worlds of a task; none for goals on an open floor."""
     if isinstance(task, PointGoal):
         return []
-    worlds = [task.pool[number] for number in range(len(task.pool))]
-    return [to_follow(world) for world in worlds] if isinstance(task, PathFollow) else worlds
+    follows = isinstance(task, PathFollow)
+    return [to_follow(world) if follows else world for world in task.pool]
+
+
+def first_number(task: BatchTask) -> int:
+    """The number of a task's first world."""
+    return 0 if isinstance(task, PointGoal) else task.pool.numbers[0]
 
 
 def told(task: BatchTask) -> dict[str, int]:

@@ -2,25 +2,51 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import gymnasium
+from gymnasium.envs.registration import load_env_creator
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from acsar_gym import evaluation
+from acsar_gym import evaluation, metrics, provenance
 from acsar_gym.config import RobotConfig
 from acsar_gym.env import RobotEnv
 from acsar_gym.errors import ConfigError, PolicyError
 from acsar_gym.evaluation import EpisodeResult
 from acsar_gym.links import Link, open_link
 from acsar_gym.links.recording import RecordingLink
+from acsar_gym.metrics import Summary
 from acsar_gym.policy import FilePolicy, OnnxPolicy, resolve
+from acsar_gym.worlds import splits
 from acsar_gym.zip_policy import ZipPolicy
 
 Env = gymnasium.Env[Any, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """Episodes of a policy, and what they were measured with."""
+
+    header: dict[str, Any]
+    """See `provenance`."""
+    worlds: str
+    """For a title, such as "clutter 0 to 199 (test split)" or "none"."""
+    results: list[EpisodeResult]
+
+    @property
+    def summary(self) -> Summary:
+        """Rates and means of the episodes."""
+        return metrics.summarise(self.results)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON: header, means, and every episode."""
+        episodes = metrics.per_episode(self.results)
+        return {"header": self.header, **self.summary.as_dict(), "per_episode": episodes}
 
 
 def load(policy: str, *, trust: bool) -> FilePolicy:
@@ -35,15 +61,16 @@ def load(policy: str, *, trust: bool) -> FilePolicy:
 def made(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[str, Any]) -> Env:
     """The environment that a policy was trained for; PolicyError where it is another one now.
 
-    Options whose value is None are left to the environment.
+    Options whose value is None are left to the environment, but for `worlds`: see `tested`.
     """
     if not policy.env_id:
         raise PolicyError(
             f"{policy.path}: doesn't say which environment it is for: convert it with "
             f"'acsar-gym export {policy.path} policy.onnx --trust --env point_goal' or another env"
         )
-    given = {name: value for name, value in options.items() if value is not None}
     try:
+        options = {**options, "worlds": tested(policy.env_id, options.get("worlds"))}
+        given = {name: value for name, value in options.items() if value is not None}
         env = gymnasium.make(policy.env_id, link=link, robot=robot, **given)
     except gymnasium.error.Error as error:
         raise PolicyError(f"{policy.path}: made for {policy.env_id}: {error}") from None
@@ -56,6 +83,20 @@ def made(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[str,
     return env
 
 
+def tested(env_id: str, worlds: Any) -> Any:
+    """Worlds to evaluate in: as asked for, or the test split of the kind that the env trains in.
+
+    A kind alone means its test split, too. None where the env has no worlds.
+    """
+    if worlds is None:
+        spec = gymnasium.spec(env_id)
+        maker = spec.entry_point
+        maker = load_env_creator(maker) if isinstance(maker, str) else maker
+        known = inspect.signature(maker).parameters if maker else {}
+        worlds = spec.kwargs.get("worlds", known["worlds"].default if "worlds" in known else None)
+    return splits.tested(worlds)
+
+
 def evaluate(
     policy: str,
     link: str,
@@ -66,8 +107,8 @@ def evaluate(
     trust: bool = False,
     how: Mapping[str, Any] | None = None,
     **options: Any,
-) -> list[EpisodeResult]:
-    """Episodes with random goals, behind a progress bar.
+) -> Run:
+    """Episodes with random goals in worlds of the test split, behind a progress bar.
 
     `how` goes to `evaluation.episodes`, other options to the environment.
     """
@@ -86,14 +127,28 @@ def drive(
     *,
     how: Mapping[str, Any] | None = None,
     **options: Any,
-) -> list[EpisodeResult]:
+) -> Run:
     """Episodes of a loaded policy behind a link, which is closed whatever happens."""
-    env = made(policy, link, robot, options)
+    env, how = made(policy, link, robot, options), how or {}
     try:
-        running = evaluation.episodes(env, policy, count, seed, **(how or {}))
-        return track(link, running, count)
+        running = evaluation.episodes(env, policy, count, seed, **how)
+        return _run(env, policy, link, range(seed, seed + count), how, track(link, running, count))
     finally:
         env.close()
+
+
+def _run(
+    env: Env,
+    policy: FilePolicy,
+    link: str,
+    seeds: range,
+    options: Mapping[str, Any],
+    results: list[EpisodeResult],
+) -> Run:
+    inner: Any = env.unwrapped
+    worlds = provenance.worlds_of(inner)
+    header = provenance.header(env, policy, link, seeds, options)
+    return Run(header, "none" if worlds is None else str(worlds), results)
 
 
 def to_goal(
@@ -105,7 +160,7 @@ def to_goal(
     *,
     trust: bool = False,
     **options: Any,
-) -> EpisodeResult:
+) -> Run:
     """One episode to a given goal, recorded to a file on request."""
     config = RobotConfig.of(robot)
     actor = load(policy, trust=trust)
@@ -114,7 +169,8 @@ def to_goal(
         wire = RecordingLink(wire, record)
     env = made(actor, wire, config, options | {"on_fault": "raise"})
     try:
-        return next(evaluation.episodes(env, actor, 1, seed=0, goal=goal))
+        results = list(evaluation.episodes(env, actor, 1, seed=0, goal=goal))
+        return _run(env, actor, link, range(1), {"goal": goal}, results)
     finally:
         env.close()
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import numpy as np
 
 from acsar_gym.bodies.base import Image
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import RenderError
+from acsar_gym.errors import OffScreenWarning, RenderError
 from acsar_gym.lidar import Scan, ray_spec
 from acsar_gym.links import Link
 from acsar_gym.tasks import Assignment, State
@@ -87,11 +88,16 @@ class Screen:
         return image
 
     def _on_window(self, image: Image) -> None:
+        """Show a picture; where no window can open, warn once and go on without one."""
         from acsar_gym.window import Window  # noqa: PLC0415 - needs tkinter
 
         if self._window is None:
             self._window = Window("acsar_gym", TOP_SIZE)
-        self._window.show(image)
+        try:
+            self._window.show(image)
+        except RenderError as error:
+            self._window.close()
+            warnings.warn(f"{error}; pictures are drawn off-screen", OffScreenWarning, stacklevel=6)
 
     def close(self) -> None:
         """Close the window; twice is once."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,13 +14,14 @@ from numpy.typing import NDArray
 
 from acsar_gym import compiled
 from acsar_gym.batch import Batch
-from acsar_gym.config import RobotConfig, whole_ratio
+from acsar_gym.config import RobotConfig, RobotSource, whole_ratio
 from acsar_gym.crew import Crew
 from acsar_gym.env import task_spaces
 from acsar_gym.errors import CommandError, ConfigError
 from acsar_gym.kernel import layout
 from acsar_gym.places import BatchTask
 from acsar_gym.randomization import Randomization
+from acsar_gym.specs import PlainSpec
 from acsar_gym.tasks.base import known
 
 FAIR_SHARE = 256
@@ -31,7 +31,7 @@ Array = NDArray[Any]
 Info = dict[str, Any]
 
 
-class RobotVectorEnv(VectorEnv[Array, Array, Array]):
+class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
     """Many planar robots with one task; `acsar_gym.vectors` has the ids' classes.
 
     Spaces, reward, end and info are those of the single env, one row a robot, and so are commands,
@@ -62,7 +62,7 @@ class RobotVectorEnv(VectorEnv[Array, Array, Array]):
         self,
         task: Callable[[RobotConfig], BatchTask],
         num_envs: int,
-        robot: RobotConfig | str | Path | None,
+        robot: RobotSource,
         *,
         policy_rate: float = 10.0,
         max_episode_steps: int | None = None,

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
-from acsar_gym.config import RobotConfig
+from acsar_gym.config import RobotSource
 from acsar_gym.tasks import Barn, ObstacleGoal, PathFollow, PointGoal
 from acsar_gym.tasks.place import pool
 from acsar_gym.vector import RobotVectorEnv
@@ -18,7 +17,7 @@ class PointGoalVectorEnv(RobotVectorEnv):
     def __init__(
         self,
         num_envs: int = 1,
-        robot: RobotConfig | str | Path | None = None,
+        robot: RobotSource = None,
         *,
         goal_distance: tuple[float, float] = (0.5, 3.0),
         goal_tolerance: float = 0.15,
@@ -38,9 +37,9 @@ class ObstacleGoalVectorEnv(RobotVectorEnv):
     def __init__(
         self,
         num_envs: int = 1,
-        robot: RobotConfig | str | Path | None = None,
+        robot: RobotSource = None,
         *,
-        worlds: Source = "clutter",
+        worlds: Source = "clutter:train",
         difficulty: float | None = None,
         goal_tolerance: float = 0.3,
         **options: Any,
@@ -59,9 +58,9 @@ class BarnVectorEnv(RobotVectorEnv):
     def __init__(
         self,
         num_envs: int = 1,
-        robot: RobotConfig | str | Path | None = None,
+        robot: RobotSource = None,
         *,
-        worlds: Source = "barn:300",
+        worlds: Source = "barn:train",
         difficulty: float | None = None,
         policy_rate: float = 10.0,
         **options: Any,
@@ -81,9 +80,9 @@ class PathFollowVectorEnv(RobotVectorEnv):
     def __init__(
         self,
         num_envs: int = 1,
-        robot: RobotConfig | str | Path | None = None,
+        robot: RobotSource = None,
         *,
-        worlds: Source = "smooth_path",
+        worlds: Source = "smooth_path:train",
         difficulty: float | None = None,
         max_cross_track: float = 0.5,
         **options: Any,

@@ -47,7 +47,7 @@ class Assignment:
     length: float = math.nan
     """Of the world's own path from start to goal [m]."""
     number: int = -1
-    """Of the world in the environment's pool."""
+    """Of the world: its generator's number, its place in a list or folder, or -1."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,7 +31,7 @@ def chosen(worlds: Pool, share: float, options: Mapping[str, Any]) -> tuple[int,
     """Number and world: as the options say, or for a number of [0, 1)."""
     asked = options.get("world")
     if asked is None:
-        number = min(int(share * len(worlds)), len(worlds) - 1)
+        number = worlds.numbers[min(int(share * len(worlds)), len(worlds) - 1)]
         return number, worlds[number]
     if isinstance(asked, World):
         return -1, checked(asked, worlds.radius)

@@ -1,4 +1,8 @@
-"""The worlds of an environment: numbered, and made or read when they are needed."""
+"""The worlds of an environment: numbered, and made or read when they are needed.
+
+A generated world has its generator's number everywhere: in info, options, errors and tables. Worlds
+of files and lists are counted from 0.
+"""
 
 from __future__ import annotations
 
@@ -10,68 +14,96 @@ from pathlib import Path
 from typing import Any
 
 from acsar_gym.errors import WorldError
-from acsar_gym.worlds import files, generators
+from acsar_gym.worlds import files, generators, splits
 from acsar_gym.worlds.search import check_region, shortest_path
 from acsar_gym.worlds.world import World
 
 MOST = 10**9
 KEPT = 512
 """Generated worlds that a pool remembers."""
-_KINDS = re.compile(r"([a-z_]+)(?::(\d+)(?:-(\d+))?)?")
+_KINDS = re.compile(rf"([a-z_]+)(?::(?:({'|'.join(splits.NAMES)})|(\d{1, 18})(?:-(\d{1, 18}))?))?")
 
 Source = str | Path | World | Sequence[World]
 """What users may pass as `worlds=`."""
 
 
 class Pool:
-    """Worlds by index, 0 to len - 1. `kind` is the generator's name, or where they come from."""
+    """Worlds by their numbers.
+
+    Attributes: `kind`, the generator's name or where the worlds come from; `numbers`, a range;
+    `split`, "train" or "test" where all of them belong to it, otherwise empty; `difficulty`;
+    `radius`, of the footprint that they were made or checked for [m]; `generated`.
+    """
 
     def __init__(
-        self, kind: str, count: int, make: Callable[[int], World], radius: float = 0.25
+        self,
+        kind: str,
+        numbers: range,
+        make: Callable[[int], World],
+        radius: float = 0.25,
+        difficulty: float | None = None,
+        *,
+        generated: bool = False,
     ) -> None:
         self.kind = kind
+        self.numbers = numbers
         self.radius = radius
-        self._count = count
+        self.difficulty = difficulty
+        self.generated = generated
+        self.split = splits.holding(kind, numbers) if generated else ""
         self._made_by = make
         self._make = lru_cache(KEPT)(make)
 
     @classmethod
     def of(
-        cls, source: Source, difficulty: float | None = None, radius: float = 0.25, count: int = 200
+        cls,
+        source: Source,
+        difficulty: float | None = None,
+        radius: float = 0.25,
+        count: int | None = None,
     ) -> Pool:
         """From a generator's name, a file, a folder, a World, or several.
 
-        "clutter" means the first `count` worlds of that kind, "clutter:50" the first 50 and
-        "clutter:100-149" those with these numbers. Raises WorldError for anything else.
+        "clutter:train" and "clutter:test" mean the worlds of these splits, "clutter:50" the first
+        50 and "clutter:100-149" those with these numbers. "clutter" alone means the training split,
+        or the first `count`. Raises WorldError for anything else.
         """
         worlds = _given(source)
         if worlds is not None:
             name = str(source) if isinstance(source, str | Path) else "given"
             ready = [checked(world, radius) for world in worlds]
-            return cls(name, len(ready), ready.__getitem__, radius)
-        kind, first, number = _numbers(str(source), count)
+            return cls(name, range(len(ready)), ready.__getitem__, radius)
+        kind, numbers = _numbers(str(source), count)
         generators.check(kind, difficulty)
-        make = partial(_generated, kind, first, difficulty, radius)
-        return cls(kind, number, make, radius)
+        make = partial(_generated, kind, difficulty, radius)
+        return cls(kind, numbers, make, radius, difficulty, generated=True)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copies make their worlds anew."""
-        return Pool, (self.kind, self._count, self._made_by, self.radius)
+        told = (self.kind, self.numbers, self._made_by, self.radius, self.difficulty)
+        return partial(Pool, generated=self.generated), told
+
+    def __str__(self) -> str:
+        """For a table's title, such as "clutter 0 to 199 (test split)"."""
+        split = f" ({self.split} split)" if self.split else ""
+        return f"{self.kind} {self.numbers[0]} to {self.numbers[-1]}{split}"
 
     def __len__(self) -> int:
-        return self._count
+        return len(self.numbers)
 
     def __iter__(self) -> Iterator[World]:
-        return (self[index] for index in range(self._count))
+        return (self[number] for number in self.numbers)
 
-    def __getitem__(self, index: int) -> World:
-        if not 0 <= index < self._count:
-            raise WorldError(f"world {index}: there are only {self._count} ({self.kind}), from 0")
-        return self._make(index)
+    def __getitem__(self, number: int) -> World:
+        if number not in self.numbers:
+            raise WorldError(
+                f"world {number}: must be {self.numbers[0]} to {self.numbers[-1]} ({self.kind})"
+            )
+        return self._make(number)
 
 
-def _generated(kind: str, first: int, difficulty: float | None, radius: float, index: int) -> World:
-    return generators.generate(kind, first + index, difficulty, radius)
+def _generated(kind: str, difficulty: float | None, radius: float, number: int) -> World:
+    return generators.generate(kind, number, difficulty, radius)
 
 
 def checked(world: World, radius: float) -> World:
@@ -118,18 +150,25 @@ def _read(source: str | Path) -> list[World] | None:
         raise WorldError(f"worlds = {str(source)[:60]!r}: can't be read: {error}") from None
 
 
-def _numbers(text: str, count: int) -> tuple[str, int, int]:
-    """Kind, first number, and how many."""
+def _numbers(text: str, count: int | None) -> tuple[str, range]:
+    """Kind and world numbers."""
     match = _KINDS.fullmatch(text)
     if match is None:
-        raise WorldError(f"worlds = {text!r}: must be like 'clutter', 'clutter:50' or a path")
-    kind, one, other = match.groups()
+        raise WorldError(
+            f"worlds = {text[:60]!r}: must be like 'clutter:test', 'clutter:50', 'clutter:50-99' "
+            "or a path"
+        )
+    kind, split, one, other = match.groups()
     if other is not None:
-        first, number = int(one), int(other) - int(one) + 1
+        numbers = range(int(one), int(other) + 1)
+    elif one is not None:
+        numbers = range(int(one))
+    elif split is None and count is not None:
+        numbers = range(count)
     else:
-        first, number = 0, count if one is None else int(one)
-    if number < 1:
+        numbers = splits.numbers(kind, split or splits.TRAIN)
+    if not numbers:
         raise WorldError(f"worlds = {text!r}: holds no world")
-    if number > MOST:
+    if numbers[-1] - numbers[0] >= MOST:
         raise WorldError(f"worlds = {text[:60]!r}: must hold at most {MOST:,} worlds")
-    return kind, first, number
+    return kind, numbers

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import os
-import re
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 
+from acsar_gym import display
 from acsar_gym.errors import MissingExtraError, RenderError
 
 
@@ -38,14 +36,8 @@ def connected(window: bool) -> int:
     """A new client; RenderError where a window has no display."""
     if not window:
         return int(pybullet.connect(pybullet.DIRECT))
-    if sys.platform.startswith("linux") and not _has_display(os.environ.get("DISPLAY", "")):
-        raise RenderError("render_mode='human' needs a display; use render_mode='rgb_array'")
+    if not display.found():
+        raise RenderError("PyBullet's window needs a display")
     client = int(pybullet.connect(pybullet.GUI))
     pybullet.configureDebugVisualizer(pybullet.COV_ENABLE_GUI, 0, physicsClientId=client)
     return client
-
-
-def _has_display(name: str) -> bool:
-    """Whether there is an X server; PyBullet would end the whole process without one."""
-    local = re.fullmatch(r"(?:unix)?:(\d+)(?:\.\d+)?", name)
-    return Path(f"/tmp/.X11-unix/X{local[1]}").exists() if local else bool(name)  # noqa: S108

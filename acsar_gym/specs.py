@@ -1,0 +1,48 @@
+"""Specs of environments as plain data, so that `spec.to_json()` works and makes an equal env."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from collections.abc import Mapping
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+from gymnasium.envs.registration import EnvSpec
+from pydantic import BaseModel
+
+from acsar_gym.links.faults import Faults
+
+
+class PlainSpec:
+    """Mixin of an environment: `gymnasium.make` sets its `spec`, which keeps plain arguments."""
+
+    _spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """How this environment was made; None where it wasn't made by Gymnasium."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        if spec is not None:
+            spec = copy.copy(spec)
+            spec.kwargs = {name: plain(value) for name, value in spec.kwargs.items()}
+        self._spec = spec
+
+
+def plain(value: Any) -> Any:
+    """Configs, faults, paths and containers of them as JSON knows them; other objects as given."""
+    if isinstance(value, BaseModel):
+        value = value.model_dump(mode="json")
+    elif isinstance(value, Faults):
+        value = dataclasses.asdict(value)
+    if isinstance(value, Mapping):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, Enum):
+        return value.value
+    return str(value.absolute()) if isinstance(value, Path) else value

@@ -1,0 +1,34 @@
+"""Which numbers of a kind of generated world are for training, and which for testing."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from acsar_gym.worlds import generators
+
+TRAIN, TEST = "train", "test"
+NAMES = (TRAIN, TEST)
+"""What may stand behind a kind, as in "clutter:test"."""
+_NUMBERS = {TRAIN: range(1000, 1400), TEST: range(200)}
+_BARN_TEST = range(300)
+"""As many as the published ones."""
+
+
+def numbers(kind: str, split: str) -> range:
+    """World numbers of a split: 1000 to 1399 to train in; 0 to 199 to test in, 0 to 299 of BARN."""
+    return _BARN_TEST if (kind, split) == ("barn", TEST) else _NUMBERS[split]
+
+
+def holding(kind: str, some: range) -> str:
+    """The split that all of these numbers belong to; empty where there is none."""
+    for name in NAMES:
+        every = numbers(kind, name)
+        if some[0] in every and some[-1] in every:
+            return name
+    return ""
+
+
+def tested(source: Any) -> Any:
+    """The test split for a kind of world alone or its training split; anything else as it is."""
+    kind = source.removesuffix(f":{TRAIN}") if isinstance(source, str) else ""
+    return f"{kind}:{TEST}" if kind in generators.kinds() else source
