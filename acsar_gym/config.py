@@ -334,7 +334,7 @@ class RobotConfig(_Section):
 
     @classmethod
     def of(cls, robot: RobotSource) -> RobotConfig:
-        """What users may pass as `robot=`: a config, its fields, a file, a preset; None is acsar."""
+        """From what users may pass as `robot=`: config, fields, file, preset, or None for acsar."""
         if isinstance(robot, RobotConfig):
             return robot
         if isinstance(robot, Mapping):

@@ -90,9 +90,9 @@ def tested(env_id: str, worlds: Any) -> Any:
     """
     if worlds is None:
         spec = gymnasium.spec(env_id)
-        maker = spec.entry_point
+        maker: Any = spec.entry_point
         maker = load_env_creator(maker) if isinstance(maker, str) else maker
-        known = inspect.signature(maker).parameters if maker else {}
+        known = inspect.signature(maker).parameters
         worlds = spec.kwargs.get("worlds", known["worlds"].default if "worlds" in known else None)
     return splits.tested(worlds)
 
