@@ -21,7 +21,7 @@ from acsar_gym.worlds.world import World
 MOST = 10**9
 KEPT = 512
 """Generated worlds that a pool remembers."""
-_KINDS = re.compile(rf"([a-z_]+)(?::(?:({'|'.join(splits.NAMES)})|(\d{1, 18})(?:-(\d{1, 18}))?))?")
+_KINDS = re.compile(r"([a-z_]+)(?::(?:(train|test)|(\d{1,18})(?:-(\d{1,18}))?))?")
 
 Source = str | Path | World | Sequence[World]
 """What users may pass as `worlds=`."""
