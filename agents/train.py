@@ -64,7 +64,7 @@ RECIPES = {
         batch_size=8192,
         epochs=5,
         learning_rate=7e-4,
-        options={"worlds": "clutter:1000-1399"},
+        options={"worlds": "clutter:train"},
     ),
     "barn": Recipe(
         vectors.BarnVectorEnv,
@@ -75,7 +75,7 @@ RECIPES = {
         batch_size=8192,
         epochs=5,
         learning_rate=5e-4,
-        options={"worlds": "barn:1000-1399"},
+        options={"worlds": "barn:train"},
     ),
 }
 """Worlds to train in begin at number 1000, so that the first ones are left to be evaluated in."""
