@@ -73,7 +73,7 @@ def test_the_path_to_follow_begins_at_the_robot() -> None:
 
 def test_a_world_without_a_path_cannot_be_followed() -> None:
     world = World(goal=Region(1.0, 0.0), name="pathless")
-    pool = Pool("given", 1, lambda _: world)
+    pool = Pool("given", range(1), lambda _: world)
     with pytest.raises(WorldError, match="pathless: has no path to follow"):
         drawn(pool, np.random.default_rng(0), {}, follow=True)
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from acsar_gym.errors import WorldError
-from acsar_gym.worlds import files, generators, pool
+from acsar_gym.worlds import files, generators, pool, splits
 from acsar_gym.worlds.pool import Pool, checked
 from acsar_gym.worlds.shapes import outline
 from acsar_gym.worlds.world import Region, World
@@ -54,7 +54,10 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> Counter[tuple[Any, ...]]:
 @pytest.mark.parametrize(
     ("source", "kind", "numbers"),
     [
-        *((kind, kind, range(200)) for kind in KINDS),
+        *((kind, kind, range(1000, 1400)) for kind in KINDS),
+        *((f"{kind}:train", kind, range(1000, 1400)) for kind in KINDS),
+        *((f"{kind}:test", kind, range(200)) for kind in KINDS if kind != "barn"),
+        ("barn:test", "barn", range(300)),
         ("open:5", "open", range(5)),
         ("open:1", "open", range(1)),
         ("open:100-104", "open", range(100, 105)),
@@ -67,16 +70,60 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> Counter[tuple[Any, ...]]:
 )
 def test_names_and_numbers(source: str, kind: str, numbers: range) -> None:
     found = Pool.of(source)
-    assert (found.kind, len(found)) == (kind, len(numbers))
-    for index in (0, len(numbers) - 1):
-        assert found[index].name == f"{kind} {numbers[index]}"
+    assert (found.kind, len(found), found.numbers) == (kind, len(numbers), numbers)
+
+
+def test_a_world_has_the_generators_number() -> None:
+    found = Pool.of("open:1250-1254")
+    assert [found[number].name for number in (1250, 1254)] == ["open 1250", "open 1254"]
+    assert [world.name for world in found] == [f"open {number}" for number in found.numbers]
+
+
+@pytest.mark.parametrize(
+    ("source", "split", "title"),
+    [
+        ("clutter", "train", "clutter 1000 to 1399 (train split)"),
+        ("clutter:test", "test", "clutter 0 to 199 (test split)"),
+        ("clutter:50-99", "test", "clutter 50 to 99 (test split)"),
+        ("barn:200-299", "test", "barn 200 to 299 (test split)"),
+        ("rooms:200-299", "", "rooms 200 to 299"),
+        ("clutter:0-1399", "", "clutter 0 to 1399"),
+        ([SOUND, SOUND], "", "given 0 to 1"),
+    ],
+)
+def test_a_pool_knows_its_split(source: Any, split: str, title: str) -> None:
+    found = Pool.of(source)
+    assert (found.split, str(found)) == (split, title)
+
+
+def test_no_world_is_in_both_splits() -> None:
+    for kind in KINDS:
+        train, test = (set(splits.numbers(kind, name)) for name in splits.NAMES)
+        assert not train & test
+
+
+@pytest.mark.parametrize(
+    ("source", "tested"),
+    [
+        ("clutter", "clutter:test"),
+        ("barn:train", "barn:test"),
+        ("rooms:test", "rooms:test"),
+        ("clutter:1000-1099", "clutter:1000-1099"),
+        ("mine/worlds", "mine/worlds"),
+        ("mine:train", "mine:train"),
+        (None, None),
+        (SOUND, SOUND),
+    ],
+)
+def test_the_split_to_test_in(source: Any, tested: Any) -> None:
+    assert splits.tested(source) is tested or splits.tested(source) == tested
 
 
 def test_a_pool_holds_the_generators_worlds() -> None:
     found = Pool.of("clutter:3-5", 0.3, 0.4)
-    for index, number in enumerate((3, 4, 5)):
+    for number in (3, 4, 5):
         expected = generators.generate("clutter", number, 0.3, 0.4)
-        world = found[index]
+        world = found[number]
         assert world.path is not None
         assert expected.path is not None
         assert np.array_equal(world.circles, expected.circles)
@@ -96,14 +143,14 @@ def test_worlds_are_made_when_they_are_needed_and_once(calls: Counter[tuple[Any,
     found = Pool.of("clutter:100-149", 0.2, 0.3)
     assert len(found) == 50
     assert not calls
-    first = found[7]
+    first = found[107]
     assert calls == {("clutter", 107, 0.2, 0.3): 1}
-    assert found[7] is first
-    found[8]
+    assert found[107] is first
+    found[108]
     assert calls.total() == 2
-    for index in (-1, 50):
+    for number in (-1, 7, 99, 150):
         with pytest.raises(WorldError):
-            found[index]
+            found[number]
     assert calls.total() == 2
 
 
@@ -126,13 +173,20 @@ def test_a_pool_forgets_what_was_not_asked_for_lately(
     assert found[0].goal == before.goal
 
 
-@pytest.mark.parametrize("index", [-1, -5, 3, 4, 10**30])
-@pytest.mark.parametrize("source", ["open:3", [SOUND] * 3], ids=["name", "list"])
-def test_an_index_out_of_range_is_one_clear_error(source: Any, index: int) -> None:
-    kind = "open" if isinstance(source, str) else "given"
+@pytest.mark.parametrize("number", [-1, 3, 10**30])
+@pytest.mark.parametrize(
+    ("source", "allowed"),
+    [
+        ("open:3", "0 to 2 (open)"),
+        ([SOUND] * 3, "0 to 2 (given)"),
+        ("open:1000-1399", "1000 to 1399 (open)"),
+    ],
+    ids=["name", "list", "numbers"],
+)
+def test_a_number_out_of_range_is_one_clear_error(source: Any, allowed: str, number: int) -> None:
     with pytest.raises(WorldError) as caught:
-        Pool.of(source)[index]
-    assert str(caught.value) == f"world {index}: there are only 3 ({kind}), from 0"
+        Pool.of(source)[number]
+    assert str(caught.value) == f"world {number}: must be {allowed}"
 
 
 @pytest.mark.parametrize(
@@ -144,6 +198,7 @@ def test_an_index_out_of_range_is_one_clear_error(source: Any, index: int) -> No
         ("xyzzy", "unknown kind of world 'xyzzy'; known: barn, clutter, open, rooms"),
         ("clutter:0", "worlds = 'clutter:0': holds no world"),
         ("clutter:5-3", "worlds = 'clutter:5-3': holds no world"),
+        ("clutter:valid", "worlds = 'clutter:valid': must be like 'clutter:test', 'clutter:50'"),
     ],
 )
 def test_bad_names_are_refused_at_once(source: str, message: str) -> None:
@@ -248,18 +303,19 @@ def test_given_worlds_are_looked_at_at_once() -> None:
 def test_a_copy_of_a_pool_holds_the_same_worlds(source: Any) -> None:
     """As another process gets it."""
     one = Pool.of(source, 0.3 if isinstance(source, str) else None, 0.3)
-    one[0]
+    world = next(iter(one))
     other = pickle.loads(pickle.dumps(one))  # noqa: S301 - our own bytes
-    assert (other.kind, len(other), other.radius) == (one.kind, len(one), 0.3)
-    assert np.array_equal(other[0].circles, one[0].circles)
-    assert np.array_equal(np.asarray(other[0].path), np.asarray(one[0].path))
+    assert (str(other), other.numbers, other.radius) == (str(one), one.numbers, 0.3)
+    assert (other.difficulty, other.generated) == (one.difficulty, one.generated)
+    assert np.array_equal(next(iter(other)).circles, world.circles)
+    assert np.array_equal(np.asarray(next(iter(other)).path), np.asarray(world.path))
 
 
 def test_a_kind_of_world_is_that_whatever_files_there_are(folder: Path) -> None:
     (folder / "open").mkdir()
     (folder / "barn").write_text("no world", encoding="utf-8")
     assert Pool.of("open:2").kind == "open"
-    assert Pool.of("barn")[0].name == "barn 0"
+    assert Pool.of("barn").kind == "barn"
     files.save(SOUND, folder / "open" / "mine.json")
     for source in ("./open", Path("open")):
         assert Pool.of(source)[0].name == "pillar"
