@@ -24,15 +24,16 @@ __all__ = [
     "protocol",
 ]
 
-for _name, _steps in (
-    ("PointGoal", 200),
-    ("ObstacleGoal", 400),
-    ("Barn", 1000),
-    ("PathFollow", 400),
+for _name, _steps, _threshold in (
+    ("PointGoal", 200, 4.0),
+    ("ObstacleGoal", 400, 10.0),
+    ("Barn", 1000, 14.0),
+    ("PathFollow", 400, 10.0),
 ):
     gymnasium.register(
         id=f"acsar_gym/{_name}-v0",
         entry_point=f"acsar_gym.envs:{_name}Env",
         vector_entry_point=f"acsar_gym.vectors:{_name}VectorEnv",
         max_episode_steps=_steps,
+        reward_threshold=_threshold,
     )

@@ -233,8 +233,11 @@ def test_a_disk_that_is_full_is_one_line(call: Call) -> None:
 
 def test_an_evaluation_keeps_every_episode(call: Call, tmp_path: Path) -> None:
     file = tmp_path / "figures.json"
-    assert call("evaluate", "--link", "planar", "--episodes", "2", "--json", file)[0] == 0
+    code, out, _ = call("evaluate", "--link", "planar", "--episodes", "2", "--json", file)
+    assert code == 0
+    assert "point_goal, seeds 0 to 1, worlds: none" in out
     figures = json.loads(file.read_text())
+    assert figures["header"]["link"] == "planar"
     assert figures["invalid"] == 0
     assert len(figures["per_episode"]) == 2
     assert figures["per_episode"][0]["timing"] is None

@@ -15,7 +15,9 @@ def test_the_demo_fills_both_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     """Everything but the training is real; the policy that comes along takes its place."""
     policy = AGENTS / "policies" / "point_goal.onnx"
     monkeypatch.setattr(demo, "train", lambda *_: policy)
-    rows = demo.run(steps=0, episodes=3, serial_episodes=1, out=tmp_path)
+    done = demo.run(steps=0, episodes=3, serial_episodes=1, out=tmp_path)
+    assert done[0][1].header["link"] == "bullet"
+    rows = [(name, run.summary) for name, run in done]
     for _, summary in rows:
         assert summary.success_rate == 1.0
         assert 0.0 <= summary.odometry_error < 0.1

@@ -13,15 +13,24 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import RecordVideo
-from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
-from acsar_gym import Robot, RobotConfig, World
+from acsar_gym import Robot, RobotConfig, World, vectors
 from acsar_gym.env import RobotEnv
-from acsar_gym.errors import AcsarError, ConfigError, LidarError, LinkError, RenderError
+from acsar_gym.errors import (
+    AcsarError,
+    ConfigError,
+    LidarError,
+    LinkError,
+    MissingExtraError,
+    OffScreenWarning,
+    WorldError,
+)
 from acsar_gym.lidar import Scan
 from acsar_gym.links import open_link
+from acsar_gym.links.faults import Faults
 from acsar_gym.worlds import Region, Scene
 
 IDS = {
@@ -52,13 +61,26 @@ def inner(env: gymnasium.Env[Any, Any]) -> RobotEnv:
 
 @pytest.mark.parametrize("link", LINKS)
 @pytest.mark.parametrize("env_id", IDS)
-def test_both_checkers_find_nothing_to_complain_about(env_id: str, link: str) -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        env = make(env_id, link)
-        check_env(env.unwrapped, skip_render_check=True)  # "human" needs a display
-        sb3_check_env(env.unwrapped)
-        env.close()
+def test_gymnasium_finds_nothing_to_complain_about(
+    env_id: str, link: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In every render mode, without a display: one warning says that "human" shows nothing."""
+    monkeypatch.delenv("DISPLAY", raising=False)
+    env = make(env_id, link)
+    with pytest.warns() as said:
+        check_env(env.unwrapped)
+    assert [warning.category for warning in said] == [OffScreenWarning]
+    assert "needs a display" in str(said[0].message)
+    env.close()
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_stable_baselines3_finds_nothing_to_complain_about(env_id: str) -> None:
+    from stable_baselines3.common.env_checker import check_env as sb3_check_env
+
+    env = make(env_id)
+    sb3_check_env(env.unwrapped)
+    env.close()
 
 
 @pytest.mark.parametrize("env_id", IDS)
@@ -93,12 +115,8 @@ for name in sys.argv[1:]:
 def test_two_processes_with_one_seed_see_the_same_bits() -> None:
     names = [f"{env_id} {link}" for env_id in IDS for link in LINKS]
     command = [sys.executable, "-c", ROLLOUT, *names]
-    one, other = (
-        subprocess.run(
-            command, capture_output=True, text=True, check=True, timeout=240
-        ).stdout.splitlines()
-        for _ in range(2)
-    )
+    both = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    one, other = (process.communicate(timeout=240)[0].splitlines() for process in both)
     assert one == other
     assert len({line.split(" ")[-1] for line in one}) == len(names)
 
@@ -111,6 +129,7 @@ def test_info_holds_the_same_floats_at_every_step(env_id: str) -> None:
         *_, info = env.step(np.array([0.3, 0.1], np.float32))
         assert info.keys() == first.keys()
         assert all(type(value) is float for value in info.values())
+        assert not any(math.isnan(value) for value in info.values())
     env.close()
 
 
@@ -257,12 +276,12 @@ def test_every_id_has_pictures(env_id: str, view: str) -> None:
     env = make(env_id, "bullet", render_mode="rgb_array", view=view)
     env.reset(seed=0)
     before: Any = env.render()
-    for _ in range(15):
+    for _ in range(3):
         env.step(np.array([1.0, 0.5], np.float32))
     after: Any = env.render()
     env.close()
     assert before.dtype == np.uint8
-    assert before.shape == after.shape
+    assert before.shape == after.shape == ((480, 480, 3) if view == "top" else (480, 640, 3))
     assert (before != after).any()
 
 
@@ -321,12 +340,27 @@ def test_the_robot_drives_the_same_in_a_world_as_on_an_open_floor() -> None:
 
 
 @pytest.mark.parametrize("link", LINKS)
-def test_a_window_that_cannot_open_leaves_no_robot_driving(
+def test_without_a_display_human_draws_off_screen(
     link: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     env = make("acsar_gym/PointGoal-v0", link, render_mode="human")
-    with pytest.raises(RenderError, match="rgb_array"):
+    with pytest.warns(OffScreenWarning, match="needs a display.*off-screen"):
+        env.reset(seed=0)
+    env.step(np.array([1.0, 0.0], np.float32))
+    assert env.render() is None
+    assert inner(env).robot.active
+    env.close()
+
+
+def test_a_picture_that_cannot_be_drawn_leaves_no_robot_driving(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(sys.modules, "PIL", None)
+    monkeypatch.delitem(sys.modules, "acsar_gym.pictures", raising=False)
+    monkeypatch.delitem(sys.modules, "acsar_gym.canvas", raising=False)
+    env = make("acsar_gym/PointGoal-v0", render_mode="human")
+    with pytest.raises(MissingExtraError, match="pictures"):
         env.reset(seed=0)
     assert not inner(env).robot.active
     env.close()
@@ -392,3 +426,84 @@ def test_faulty_episodes_repeat_with_the_seed() -> None:
 def test_bad_faults_are_one_clear_error(options: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         make(SEEING[0], **options)
+
+
+# Worlds to train in and to test in, and their numbers
+
+
+WORLDS = [env_id for env_id in IDS if env_id != "acsar_gym/PointGoal-v0"]
+
+
+@pytest.mark.parametrize("env_id", WORLDS)
+def test_ids_train_in_the_training_split(env_id: str) -> None:
+    env = gymnasium.make(env_id, link="planar")
+    task: Any = inner(env).task
+    assert (task.pool.split, task.pool.numbers) == ("train", range(1000, 1400))
+    _, info = env.reset(seed=0)
+    assert 1000 <= info["world"] < 1400
+    env.close()
+    batch = getattr(vectors, type(env.unwrapped).__name__.replace("Env", "VectorEnv"))
+    defaults = [
+        inspect.signature(made).parameters["worlds"].default for made in (type(inner(env)), batch)
+    ]
+    assert defaults[0] == defaults[1]
+
+
+def test_a_world_is_known_by_its_generators_number() -> None:
+    env = make(SEEING[0], worlds="clutter:1000-1399")
+    _, info = env.reset(options={"world": 1254})
+    world = inner(env).course.assignment.world
+    assert info["world"] == 1254.0
+    assert world is not None
+    assert world.name == "clutter 1254"
+    for number in (254, 999, 1400):
+        with pytest.raises(WorldError, match=f"world {number}: must be 1000 to 1399"):
+            env.reset(options={"world": number})
+    env.close()
+
+
+def test_a_batch_tells_the_same_numbers() -> None:
+    many: Any = gymnasium.make_vec(
+        SEEING[0], 8, vectorization_mode="vector_entry_point", worlds="open:1250-1254"
+    )
+    one = make(SEEING[0], worlds="open:1250-1254")
+    told = many.reset(seed=0)[1]["world"].tolist()
+    assert told == [one.reset(seed=seed)[1]["world"] for seed in range(8)]
+    assert set(told) <= set(range(1250, 1255))
+    many.close()
+    one.close()
+
+
+# Specs
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_a_spec_with_a_robot_goes_through_json(env_id: str) -> None:
+    robot = RobotConfig.preset("acsar").with_(max_linear=0.7, lidar={"rays": 33})
+    env = make(env_id, robot=robot, faults=Faults(dropped_lines=0.01))
+    assert env.spec is not None
+    again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
+    assert again.spec == env.spec
+    assert inner(again).robot.config == inner(env).robot.config == robot
+    assert again.observation_space == env.observation_space
+    assert (again.reset(seed=5)[0] == env.reset(seed=5)[0]).all()
+    for one in (again, env):
+        one.close()
+
+
+def test_a_batchs_spec_goes_through_json() -> None:
+    robot = RobotConfig.preset("acsar").with_(max_linear=0.7)
+    many: Any = gymnasium.make_vec(
+        "acsar_gym/PointGoal-v0", 2, vectorization_mode="vector_entry_point", robot=robot
+    )
+    assert EnvSpec.from_json(many.spec.to_json()).kwargs["robot"] == robot.model_dump(mode="json")
+    many.close()
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_every_id_has_a_reward_threshold(env_id: str) -> None:
+    """Below what the policy that comes along reaches; a straight drive doesn't."""
+    threshold = gymnasium.spec(env_id).reward_threshold
+    assert threshold is not None
+    manual = inspect.getdoc(type(make(env_id).unwrapped)) or ""
+    assert f"`reward_threshold` {threshold:g}" in manual
