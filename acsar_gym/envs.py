@@ -46,8 +46,8 @@ class PointGoalEnv(RobotEnv):
 
     Twice the metres gained on the goal, less 0.02 a step and 0.05 times the backward part of the
     action (sensors look ahead); +2 at the goal, -2 out of bounds.
-    `reward_threshold` 4, as of every id about nine tenths of the mean `episode_return` that the policy
-    that comes along reaches (4.5: `acsar-gym evaluate --policy point_goal --episodes 200`).
+    `reward_threshold` 4: of every id it's about nine tenths of the mean `episode_return` of the
+    policy that comes along (4.5: `acsar-gym evaluate --policy point_goal --episodes 200`).
 
     ## Start and end
 
