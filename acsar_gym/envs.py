@@ -65,7 +65,8 @@ class PointGoalEnv(RobotEnv):
       .yaml or .urdf file; None is the ACSAR robot.
     - `goal_distance`: nearest and farthest goal [m]. `goal_tolerance` [m].
     - `policy_rate`: steps per second [Hz]; the robot's control rate must be a whole multiple.
-    - `render_mode`: "rgb_array", or "human" for a live window, in real time.
+    - `render_mode`: "rgb_array", or "human" for a live window, in real time; without a display it
+      draws off-screen, with a warning.
     - `view`: "top", drawn from above for every link, or "camera", PyBullet's behind the robot.
     - `faults`: what goes wrong on the wire and the board, such as {"dropped_lines": 0.1,
       "unplug_rate": 0.01}; see `acsar_gym.links.faults.Faults`. Drawn from the env's generator.
