@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import inspect
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -89,7 +90,10 @@ def tested(env_id: str, worlds: Any) -> Any:
     A kind alone means its test split, too. None where the env has no worlds.
     """
     if worlds is None:
-        spec = gymnasium.spec(env_id)
+        module, _, name = env_id.rpartition(":")
+        if module:
+            importlib.import_module(module)
+        spec = gymnasium.spec(name)
         maker: Any = spec.entry_point
         maker = load_env_creator(maker) if isinstance(maker, str) else maker
         known = inspect.signature(maker).parameters

@@ -232,6 +232,7 @@ def drive(count: int, seed: int = 3, **options: Any) -> runs.Run:
     [
         ("acsar_gym/PointGoal-v0", None, None),
         (OBSTACLES, None, "clutter:test"),
+        (f"acsar_gym:{OBSTACLES}", None, "clutter:test"),
         ("acsar_gym/Barn-v0", None, "barn:test"),
         ("acsar_gym/PathFollow-v0", None, "smooth_path:test"),
         (OBSTACLES, "rooms", "rooms:test"),
