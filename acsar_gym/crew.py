@@ -14,6 +14,10 @@ from queue import SimpleQueue
 
 Work = Callable[[int, int], None]
 """Something to be done for items first to last."""
+Order = tuple[int, Work, int, int]
+"""The order's number, and its work."""
+Report = tuple[int, BaseException | None]
+"""The number of the order that is done, and what it raised."""
 
 
 HEAD_START = 48
@@ -21,40 +25,78 @@ HEAD_START = 48
 
 
 class Crew:
-    """The calling thread and `threads` - 1 others, which end with `close` or with the crew."""
+    """The calling thread and `threads` - 1 others, which end with `close` or with the crew.
+
+    Orders are numbered, and so are the reports on them: a report on a call that was interrupted,
+    by Ctrl-C for instance, isn't taken for one on a later call.
+    """
 
     def __init__(self, threads: int) -> None:
+        self._numbers = itertools.count()
         self._hire(threads - 1)
 
     def _hire(self, others: int) -> None:
         self._process = os.getpid()
-        self._orders: list[SimpleQueue[tuple[Work, int, int] | None]] = []
-        self._reports: SimpleQueue[BaseException | None] = SimpleQueue()
+        self._idle = True
+        self._orders: list[SimpleQueue[Order | None]] = []
+        self._reports: SimpleQueue[Report] = SimpleQueue()
         for _ in range(others):
-            orders: SimpleQueue[tuple[Work, int, int] | None] = SimpleQueue()
+            orders: SimpleQueue[Order | None] = SimpleQueue()
             self._orders.append(orders)
             threading.Thread(target=_serve, args=(orders, self._reports), daemon=True).start()
 
     def share(self, work: Work, items: int) -> None:
-        """Do the work on contiguous shares of so many items; raises what any share raised."""
-        if self._process != os.getpid():  # a forked child has none of its parent's threads
-            self._hire(len(self._orders))
+        """Do the work on contiguous shares of so many items; raises what any share raised.
+
+        When it ends, however it does, no thread works on the items any more; only an interrupt of
+        that wait leaves threads at work, until `wait` or the next `share`.
+        """
+        self.wait()
         threads = len(self._orders) + 1
         lead = min(HEAD_START, items // 8) if threads > 1 else 0
         edges = [0, *(lead + (items - lead) * n // threads for n in range(1, threads + 1))]
         first, *others = itertools.pairwise(edges)
-        for orders, other in zip(self._orders, others, strict=True):
-            orders.put((work, *other))
+        number = next(self._numbers)
+        self._idle = False
         try:
+            for orders, other in zip(self._orders, others, strict=True):
+                orders.put((number, work, *other))
             work(*first)
-        finally:
-            errors = [self._reports.get() for _ in others]
+            errors = self._heard(number)
+        except BaseException:  # some may have no order, or have been heard already
+            self.wait()
+            raise
+        self._idle = True
         for error in errors:
-            if error is not None:
-                raise error
+            raise error
+
+    def wait(self) -> None:
+        """Wait until no thread works on an order of a call that was interrupted."""
+        if self._process != os.getpid():  # a forked child has none of its parent's threads
+            self._hire(len(self._orders))
+        if not self._idle:
+            number = next(self._numbers)
+            for orders in self._orders:
+                orders.put((number, _nothing, 0, 0))  # done once all orders before it are
+            self._heard(number)
+            self._idle = True
+
+    def _heard(self, number: int) -> list[BaseException]:
+        """What the others raised, once all have reported on this order; older reports are lost."""
+        errors, missing = [], len(self._orders)
+        while missing:
+            done, error = self._reports.get()
+            if done == number:
+                missing -= 1
+                errors += [] if error is None else [error]
+        return errors
 
     def close(self) -> None:
-        """Send the others home; the caller goes on alone. Twice is once."""
+        """Send the others home; the caller goes on alone. Idempotent."""
+        self.wait()
+        self._dismiss()
+
+    def _dismiss(self) -> None:
         for orders in self._orders:
             orders.put(None)
         self._orders = []
@@ -65,17 +107,19 @@ class Crew:
 
     def __del__(self) -> None:
         if hasattr(self, "_orders"):
-            self.close()
+            self._dismiss()
 
 
-def _serve(
-    orders: SimpleQueue[tuple[Work, int, int] | None], reports: SimpleQueue[BaseException | None]
-) -> None:
+def _nothing(first: int, last: int) -> None:
+    """The work of an order that only tells that all before it are done."""
+
+
+def _serve(orders: SimpleQueue[Order | None], reports: SimpleQueue[Report]) -> None:
     while (order := orders.get()) is not None:
-        work, first, last = order
+        number, work, first, last = order
         try:
             work(first, last)
         except BaseException as error:  # noqa: BLE001 - raised again by the caller
-            reports.put(error)
+            reports.put((number, error))
         else:
-            reports.put(None)
+            reports.put((number, None))
