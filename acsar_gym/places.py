@@ -12,7 +12,7 @@ from acsar_gym.kernel import layout
 from acsar_gym.lidar import ray_spec
 from acsar_gym.tasks import Barn, ObstacleGoal, PathFollow, PointGoal
 from acsar_gym.tasks.barn import SCORES
-from acsar_gym.worlds import World, geometry
+from acsar_gym.worlds import World, cache, geometry
 from acsar_gym.worlds.paths import sampled, to_follow
 from acsar_gym.worlds.world import Floats
 
@@ -26,8 +26,9 @@ def worlds_of(task: BatchTask) -> list[World]:
     """All worlds of a task; none for goals on an open floor."""
     if isinstance(task, PointGoal):
         return []
-    follows = isinstance(task, PathFollow)
-    return [to_follow(world) if follows else world for world in task.pool]
+    with cache.keeping():
+        worlds = list(task.pool)
+    return [to_follow(world) for world in worlds] if isinstance(task, PathFollow) else worlds
 
 
 def first_number(task: BatchTask) -> int:

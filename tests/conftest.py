@@ -38,6 +38,16 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.xdist_group("serial"))
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _kept_worlds(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Generated worlds are kept for this run of the tests, and not among the user's own."""
+    base = tmp_path_factory.getbasetemp()
+    with pytest.MonkeyPatch.context() as patch:
+        run = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+        patch.setenv("ACSAR_GYM_CACHE", str(run / "cache"))
+        yield
+
+
 @pytest.fixture
 def deadline() -> Iterator[None]:
     """Fails a test that hangs, wherever it hangs."""

@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import threading
-
 from queue import SimpleQueue
 from typing import Any
 

@@ -10,6 +10,7 @@ import math
 import zlib
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any, SupportsFloat
 
 import numpy as np
 
@@ -24,7 +25,7 @@ MARGIN = 0.05
 DEFAULT_RADIUS = 0.25
 """Disc around the footprint of a small robot, where none is given [m]."""
 EASE = 0.97
-"""Where no difficulty is asked for, every attempt that fails makes the next one easier."""
+"""Where difficulty varies, every attempt that fails makes the next one easier."""
 ATTEMPTS = 200
 """Worlds that are tried before a footprint counts as too large."""
 ARENA = 4.0
@@ -32,16 +33,19 @@ ARENA = 4.0
 
 Maker = Callable[[np.random.Generator, float, float], World]
 """(rng, difficulty, footprint radius [m]) to a world that may not be solvable yet."""
+Level = float | tuple[float, float] | None
+"""Difficulty of worlds: one for all, a range (low, high) in which it varies from world to world, or
+None, which is (0, 1)."""
 
 
 def generate(
-    kind: str, number: int, difficulty: float | None = None, radius: float = DEFAULT_RADIUS
+    kind: str, number: int, difficulty: Level = None, radius: float = DEFAULT_RADIUS
 ) -> World:
     """World `number` of a kind: open, clutter, rooms, barn, smooth_path or waypoint_path.
 
-    `difficulty` is from 0 to 1; None varies it from world to world. `radius` is that of the disc
-    around the robot's footprint [m]. Raises WorldError for an unknown kind, a bad number, or a
-    footprint that no such world lets through.
+    `difficulty` is from 0 to 1; None or a range varies it from world to world. `radius` is that of
+    the disc around the robot's footprint [m]. Raises WorldError for an unknown kind, a bad number,
+    or a footprint that no such world lets through.
     """
     check(kind, difficulty)
     try:
@@ -52,24 +56,47 @@ def generate(
         raise WorldError(f"radius = {radius!r}: must be a positive number of metres")
     if not isinstance(number, int | np.integer) or number < 0:
         raise WorldError(f"world number {number!r}: must be a whole number from 0")
-    rng = np.random.default_rng([zlib.crc32(kind.encode()), int(number)])
-    if difficulty is None:
-        level, ease = rng.uniform(), EASE
-    else:
-        level, ease = float(difficulty), 1.0
-    return replace(_solvable(_MAKERS[kind], rng, level, ease, radius), name=f"{kind} {number}")
+    low, high = limits(difficulty)
+    rng = _generator(kind, number)
+    hard = low if isinstance(difficulty, SupportsFloat) else low + (high - low) * rng.uniform()
+    ease = EASE if high > low else 1.0
+    world = _solvable(_MAKERS[kind], rng, (hard, low, ease), radius)
+    return replace(world, name=f"{kind} {number}")
 
 
-def check(kind: str, difficulty: float | None) -> None:
+def level(kind: str, number: int, difficulty: Level = None) -> float:
+    """The difficulty from which `generate` starts for this world, 0 to 1, without making it.
+
+    Where no world so hard can be crossed, `generate` makes an easier one, within the range.
+    """
+    low, high = limits(difficulty)
+    return low + (high - low) * _generator(kind, number).uniform()
+
+
+def _generator(kind: str, number: int) -> np.random.Generator:
+    return np.random.default_rng([zlib.crc32(kind.encode()), int(number)])
+
+
+def check(kind: str, difficulty: Level) -> None:
     """WorldError for an unknown kind, or a difficulty that isn't from 0 to 1."""
     if kind not in _MAKERS:
         raise WorldError(f"unknown kind of world {kind!r}{suggestion(kind, _MAKERS)}")
+    limits(difficulty)
+
+
+def limits(difficulty: Level) -> tuple[float, float]:
+    """Least and largest difficulty. WorldError for one that isn't from 0 to 1."""
+    given: Any = (0.0, 1.0) if difficulty is None else difficulty
     try:
-        sound = difficulty is None or 0.0 <= float(difficulty) <= 1.0
+        low, high = map(float, (given, given) if isinstance(given, SupportsFloat) else given)
+        sound = 0.0 <= low <= high <= 1.0 and not isinstance(given, str)
     except (TypeError, ValueError, OverflowError):
         sound = False
     if not sound:
-        raise WorldError(f"difficulty = {difficulty!r}: must be from 0 to 1")
+        raise WorldError(
+            f"difficulty = {difficulty!r}: must be from 0 to 1, or a range (low, high) of these"
+        )
+    return low, high
 
 
 def kinds() -> tuple[str, ...]:
@@ -78,12 +105,20 @@ def kinds() -> tuple[str, ...]:
 
 
 def _solvable(
-    maker: Maker, rng: np.random.Generator, level: float, ease: float, radius: float
+    maker: Maker,
+    rng: np.random.Generator,
+    levels: tuple[float, float, float],
+    radius: float,
 ) -> World:
-    """A world that can be crossed; each attempt that fails multiplies the difficulty by `ease`."""
+    """A world that can be crossed.
+
+    `levels` are the difficulty, the least one, and the factor with which each attempt that fails
+    makes the next one easier.
+    """
+    hard, least, ease = levels
     for attempt in range(ATTEMPTS):
         try:
-            world = maker(rng, level * ease**attempt, radius)
+            world = maker(rng, max(hard * ease**attempt, least), radius)
             if world.path is not None:
                 return world
             return replace(world, path=shortest_path(world, radius + MARGIN, cuts=0))

@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from acsar_gym.errors import WorldError
-from acsar_gym.worlds import files, generators, splits
+from acsar_gym.worlds import cache, files, generators, splits
+from acsar_gym.worlds.generators import Level
 from acsar_gym.worlds.search import check_region, shortest_path
 from acsar_gym.worlds.world import World
 
@@ -41,7 +42,7 @@ class Pool:
         numbers: range,
         make: Callable[[int], World],
         radius: float = 0.25,
-        difficulty: float | None = None,
+        difficulty: Level = None,
         *,
         generated: bool = False,
     ) -> None:
@@ -58,7 +59,7 @@ class Pool:
     def of(
         cls,
         source: Source,
-        difficulty: float | None = None,
+        difficulty: Level = None,
         radius: float = 0.25,
         count: int | None = None,
     ) -> Pool:
@@ -102,8 +103,8 @@ class Pool:
         return self._make(number)
 
 
-def _generated(kind: str, difficulty: float | None, radius: float, number: int) -> World:
-    return generators.generate(kind, number, difficulty, radius)
+def _generated(kind: str, difficulty: Level, radius: float, number: int) -> World:
+    return cache.world(kind, number, difficulty, radius)
 
 
 def checked(world: World, radius: float) -> World:

@@ -1,0 +1,211 @@
+"""Generated worlds kept on disk: a batch needs hundreds of them, which take seconds to make.
+
+A file holds up to 100 neighbouring worlds of one kind, difficulty and footprint. Its name contains
+a hash of these and of the generators' source, so a changed generator never finds old worlds. What
+is broken, can't be read or can't be written counts as absent: the worlds are made again.
+
+The files are in the user's cache folder, or where ACSAR_GYM_CACHE says; "off" keeps none.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import math
+import os
+import platform
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextvars import ContextVar
+from functools import cache, lru_cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import SupportsFloat
+
+import numpy as np
+
+from acsar_gym import bounded
+from acsar_gym.errors import ConfigError
+from acsar_gym.worlds import generators
+from acsar_gym.worlds.world import Floats, Region, World
+
+VARIABLE = "ACSAR_GYM_CACHE"
+BLOCK = 100
+"""Worlds in a file, at most."""
+LARGEST = 32 * 2**20
+"""A file larger than this isn't read, nor written [bytes]."""
+MOST = 200 * 2**20
+"""All files together; those used least recently go first [bytes]."""
+HEAD = 12
+"""Numbers that stand for a world in front of its rows: see `_row`."""
+_CHECK = hashlib.sha256().digest_size
+
+Worlds = Mapping[int, World]
+_new: ContextVar[dict[Path, dict[int, World]] | None] = ContextVar("new worlds", default=None)
+
+
+def folder() -> Path | None:
+    """Where worlds are kept; None where they aren't."""
+    asked = os.environ.get(VARIABLE)
+    if asked is not None:
+        return None if asked.lower() in ("", "0", "off") else Path(asked) / "worlds"
+    base = os.environ.get("LOCALAPPDATA" if os.name == "nt" else "XDG_CACHE_HOME")
+    try:
+        return (Path(base) if base else Path.home() / ".cache") / "acsar_gym" / "worlds"
+    except RuntimeError:  # a user without a home
+        return None
+
+
+def world(kind: str, number: int, difficulty: generators.Level, radius: float) -> World:
+    """As `generators.generate`; from its file where there is one."""
+    file = _file(kind, number, difficulty, radius)
+    kept = None if file is None else _known(file, kind).get(number)
+    if kept is not None:
+        return kept
+    made = generators.generate(kind, number, difficulty, radius)
+    new = _new.get()
+    if file is not None and new is not None:
+        new.setdefault(file, {})[number] = made
+    return made
+
+
+@contextlib.contextmanager
+def keeping() -> Iterator[None]:
+    """Write the worlds that are generated within, by this thread, to their files at the end."""
+    new: dict[Path, dict[int, World]] = {}
+    token = _new.set(new)
+    try:
+        yield
+    finally:
+        _new.reset(token)
+        for file, worlds in new.items():
+            kind = file.name.partition("-")[0]
+            _write(file, {**_read(file, kind), **worlds})
+        if new:
+            _known.cache_clear()
+            _prune()
+
+
+def _file(kind: str, number: int, difficulty: generators.Level, radius: float) -> Path | None:
+    """The file of a world; None where none is kept."""
+    place, source = folder(), _source()
+    sound = isinstance(number, int | np.integer) and isinstance(radius, SupportsFloat)
+    if place is None or not (source and sound):
+        return None
+    fixed = isinstance(difficulty, SupportsFloat)
+    key = f"{source} {kind} {fixed} {generators.limits(difficulty)} {float(radius)!r}"
+    name = hashlib.sha256(key.encode()).hexdigest()[:24]
+    return place / f"{kind}-{name}-{number // BLOCK}.worlds"
+
+
+@cache
+def _source() -> str:
+    """A hash of all that worlds depend on; empty where the source can't be read."""
+    said = hashlib.sha256()
+    try:
+        for source in sorted(Path(__file__).parent.glob("*.py")):
+            said.update(source.read_bytes())
+        versions = (sys.version_info[:2], version("numpy"), version("scipy"))
+    except (OSError, ModuleNotFoundError):  # PackageNotFoundError is one
+        return ""
+    said.update(repr((versions, platform.machine(), platform.system())).encode())
+    return said.hexdigest()
+
+
+def _read(file: Path, kind: str) -> Worlds:
+    """The worlds of a file; none where it is broken, or isn't there."""
+    try:
+        data = bounded.content(file, LARGEST)
+        if hashlib.sha256(data[_CHECK:]).digest() != data[:_CHECK]:
+            return {}
+        found = _decoded(np.frombuffer(data[_CHECK:], "<f8"), kind)
+    except (ConfigError, ValueError, IndexError, OverflowError):
+        return {}
+    with contextlib.suppress(OSError):
+        os.utime(file)  # used just now
+    return found
+
+
+_known = lru_cache(maxsize=16)(_read)
+"""The same, from memory."""
+
+
+def _write(file: Path, worlds: Worlds) -> None:
+    """Replace the file at once, so that nobody ever reads half of it."""
+    body = _encoded(worlds).tobytes()
+    if len(body) + _CHECK > LARGEST:
+        return
+    with contextlib.suppress(OSError):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        number, name = tempfile.mkstemp(".part", dir=file.parent)
+        try:
+            with os.fdopen(number, "wb") as part:
+                part.write(hashlib.sha256(body).digest() + body)
+            Path(name).replace(file)
+        except BaseException:
+            Path(name).unlink(missing_ok=True)
+            raise
+
+
+def _prune() -> None:
+    """Remove the files used least recently, until the rest is small enough."""
+    place = folder()
+    with contextlib.suppress(OSError):
+        files = [*place.glob("*.worlds"), *place.glob("*.part")] if place else []
+        aged = sorted(((each.stat(), each) for each in files), key=lambda pair: -pair[0].st_mtime)
+        total = 0
+        for status, each in aged:
+            total += status.st_size
+            if total > MOST:
+                each.unlink(missing_ok=True)
+
+
+def _encoded(worlds: Worlds) -> Floats:
+    """How many worlds, a row for each, and then each one's circles, segments and path."""
+    rows = [_row(number, world) for number, world in worlds.items()]
+    parts = [
+        part.ravel()
+        for world in worlds.values()
+        for part in (world.circles, world.segments, world.path)
+        if part is not None
+    ]
+    return np.concatenate([[len(rows)], np.array(rows).ravel(), *parts]).astype("<f8")
+
+
+def _row(number: int, world: World) -> list[float]:
+    start, goal = world.start, world.goal
+    theta = math.nan if start.theta is None else start.theta
+    points = -1 if world.path is None else len(world.path)
+    return [
+        *(number, len(world.circles), len(world.segments), points),
+        *(start.x, start.y, start.radius, theta),
+        *(goal.x, goal.y, goal.radius, 0.0),
+    ]
+
+
+def _decoded(numbers: Floats, kind: str) -> Worlds:
+    """The worlds that were encoded.
+
+    Raises ValueError, IndexError, OverflowError or WorldError where none were.
+    """
+    count = int(numbers[0])
+    rows, at, found = numbers[1 : 1 + HEAD * count].reshape(count, HEAD), 1 + HEAD * count, {}
+    for row in rows.tolist():
+        parts: list[Floats | None] = []
+        for length, width in zip(row[1:4], (3, 4, 2), strict=True):
+            end = at + max(int(length), 0) * width
+            parts.append(None if length < 0 else numbers[at:end].reshape(int(length), width))
+            at = end
+        circles, segments, path = parts
+        x, y, radius, theta = row[4:8]
+        start = Region(x, y, radius, None if math.isnan(theta) else theta)
+        found[int(row[0])] = World(
+            np.zeros((0, 3)) if circles is None else circles,
+            np.zeros((0, 4)) if segments is None else segments,
+            start,
+            Region(*row[8:11]),
+            path,
+            f"{kind} {int(row[0])}",
+        )
+    return found
