@@ -415,6 +415,25 @@ def convert(
     return 0
 
 
+def warm_up(robot: RobotArg = None) -> int:
+    """Compile all loops and make the default worlds now, instead of when they are first used.
+
+    Args:
+        robot: preset or config file; generated worlds fit its footprint.
+    """
+    from acsar_gym import warm_up as warm  # noqa: PLC0415
+
+    found = []
+    for name in warm.BATCHES:
+        print(f"{name}: ", end="", flush=True)
+        found.append(done := warm.run(name, robot))
+        worlds = f", {done.worlds} worlds at hand" if done.worlds else ""
+        print(f"{done.functions} functions compiled{worlds}, {done.seconds:.1f} s", flush=True)
+    total, seconds = sum(done.functions for done in found), sum(done.seconds for done in found)
+    print(f"ready in {seconds:.1f} s" + ("" if total else ": everything had been compiled before"))
+    return 0
+
+
 WORLDS: dict[str, Callable[..., Any]] = {"show": show, "check": check, "convert": convert}
 
 
@@ -450,6 +469,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "run": run,
     "export": export,
     "worlds": worlds,
+    "warm-up": warm_up,
 }
 
 
