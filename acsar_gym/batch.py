@@ -9,9 +9,11 @@ from numpy.typing import NDArray
 
 from acsar_gym import dynamics, limiter, pcg
 from acsar_gym.config import BITS_PER_BYTE, LINE_BYTES, Geofence, RobotConfig, whole_ratio
+from acsar_gym.drawn import Drawn
 from acsar_gym.errors import ConfigError
 from acsar_gym.kernel import episode, layout
 from acsar_gym.lidar import draws, stale_after
+from acsar_gym.options import Wishes
 from acsar_gym.places import BatchTask, first_number, job, surroundings, told, worlds_of
 from acsar_gym.randomization import Randomization
 
@@ -38,6 +40,7 @@ class Batch:
         self._first_world = first_number(task)
         self._nominal = _nominal(config)
         self._ranges = randomization.table()
+        self._drawn = Drawn(randomization, self._nominal, self._setup.dt, robots)
         self._around = around
         self._slot = 0
         slots = _slots(self._setup, self._nominal, self._ranges)
@@ -64,6 +67,15 @@ class Batch:
             if seed is not None or not self.seeded:
                 self._random[robot] = pcg.seeded(seed)
         self.seeded = True
+
+    def wish(self, wishes: Wishes, mask: Mask) -> None:
+        """What the next episodes of the robots in the mask are about."""
+        for row in range(layout.WISHED_WORLD, layout.LAST_RANK + 1):
+            self.state[row, mask] = wishes[row][mask] if row in wishes else 0.0
+
+    def began(self, mask: Mask) -> None:
+        """Robots in the mask have begun an episode: their physics has been drawn anew."""
+        self._drawn.update(self.state, mask)
 
     def reset(self, mask: Mask, first: int, last: int) -> None:
         """New episodes for robots in the mask, among first to last."""
@@ -112,7 +124,12 @@ class Batch:
         info = dict(zip(self.told, rows, strict=True))
         if "world" in info:
             info["world"] += self._first_world
-        return info
+        return info | self._drawn.info()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The keys of info."""
+        return (*self.told, *self._drawn.names)
 
     def turn(self) -> None:
         """All robots have done their step: move on in the ring of encoder counts."""

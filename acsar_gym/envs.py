@@ -12,6 +12,7 @@ from acsar_gym.links import Link
 from acsar_gym.links.faults import Faults
 from acsar_gym.tasks import Barn, ObstacleGoal, PathFollow, PointGoal
 from acsar_gym.tasks.place import pool
+from acsar_gym.worlds.generators import Level
 from acsar_gym.worlds.pool import Source
 
 
@@ -165,7 +166,7 @@ class ObstacleGoalEnv(RobotEnv):
       with these numbers, "clutter" alone the training split; so with the other kinds ("open",
       "rooms", "barn"). Or a file (.world, ROS map, .json, .yaml), a folder of them, a World, or a
       list of World.
-    - `difficulty` of generated worlds, 0 to 1; None varies it.
+    - `difficulty` of generated worlds, 0 to 1; None or a range (low, high) varies it.
     - `lidar`: None for the simulated one, "rplidar:///dev/ttyUSB1" on hardware, or a Lidar.
 
     ## Info
@@ -186,7 +187,7 @@ class ObstacleGoalEnv(RobotEnv):
         robot: RobotSource = None,
         *,
         worlds: Source = "clutter:train",
-        difficulty: float | None = None,
+        difficulty: Level = None,
         goal_tolerance: float = 0.3,
         lidar: str | Lidar | None = None,
         policy_rate: float = 10.0,
@@ -258,7 +259,7 @@ class BarnEnv(RobotEnv):
         robot: RobotSource = None,
         *,
         worlds: Source = "barn:train",
-        difficulty: float | None = None,
+        difficulty: Level = None,
         lidar: str | Lidar | None = None,
         policy_rate: float = 10.0,
         render_mode: str | None = None,
@@ -320,7 +321,7 @@ class PathFollowEnv(RobotEnv):
       `acsar_gym/PointGoal-v0`.
     - `worlds`: "smooth_path:train" or "waypoint_path:train", "smooth_path:test" and the like, as in
       `acsar_gym/ObstacleGoal-v0`; or a file, a folder or a list of worlds that have a path.
-    - `difficulty` of generated paths, 0 to 1: how tight they turn; None varies it.
+    - `difficulty` of generated paths, 0 to 1: how tight they turn; None or a range varies it.
     - `max_cross_track` [m].
 
     ## Info
@@ -341,7 +342,7 @@ class PathFollowEnv(RobotEnv):
         robot: RobotSource = None,
         *,
         worlds: Source = "smooth_path:train",
-        difficulty: float | None = None,
+        difficulty: Level = None,
         max_cross_track: float = 0.5,
         policy_rate: float = 10.0,
         render_mode: str | None = None,

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.kernel import layout
@@ -18,6 +19,7 @@ from acsar_gym.worlds.world import Floats
 
 BatchTask = PointGoal | ObstacleGoal | Barn | PathFollow
 """Tasks that batches know."""
+Integers = NDArray[np.int64]
 FAR = 1e6
 """Where unused circles and segments lie [m]."""
 
@@ -66,7 +68,16 @@ def job(task: BatchTask, worlds: Sequence[World]) -> layout.Job:
         lengths=np.array([world.length for world in worlds]),
         paths=paths,
         lasts=lasts,
+        order=_order(task),
     )
+
+
+def _order(task: BatchTask) -> Integers:
+    """The worlds from the easiest to the hardest; as they are where they have no difficulty."""
+    if isinstance(task, PointGoal):
+        return np.zeros(0, np.int64)
+    ranked = task.pool.generated
+    return task.pool.by_difficulty[0] if ranked else np.arange(len(task.pool), dtype=np.int64)
 
 
 def _start(world: World) -> tuple[float, float, float, float]:
@@ -74,7 +85,7 @@ def _start(world: World) -> tuple[float, float, float, float]:
     return start.x, start.y, start.radius, math.nan if start.theta is None else start.theta
 
 
-def _paths(worlds: Sequence[World]) -> tuple[Floats, np.ndarray[tuple[int], np.dtype[np.int64]]]:
+def _paths(worlds: Sequence[World]) -> tuple[Floats, Integers]:
     """Samples of every world's path, padded to the longest, and the number of each one's last."""
     every = [sampled(world.path) for world in worlds if world.path is not None]
     longest = max((len(samples) for samples in every), default=0)

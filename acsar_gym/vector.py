@@ -19,13 +19,17 @@ from acsar_gym.crew import Crew
 from acsar_gym.env import task_spaces
 from acsar_gym.errors import CommandError, ConfigError
 from acsar_gym.kernel import layout
+from acsar_gym.options import Wishes, wishes
 from acsar_gym.places import BatchTask
 from acsar_gym.randomization import Randomization
 from acsar_gym.specs import PlainSpec
 from acsar_gym.tasks.base import known
+from acsar_gym.tasks.place import OPTIONS
 
 FAIR_SHARE = 256
 """Robots for which another thread is worth its start."""
+
+MASK = "reset_mask"
 
 Array = NDArray[Any]
 Info = dict[str, Any]
@@ -51,6 +55,27 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
 
     All worlds are made when the batch is. Seeds: `reset(seed=s)` seeds robot i with s + i, or a
     list names each one's. Every robot has its own generator, the same as the single env's.
+
+    ## Options of a reset
+
+    As in the single env, an array with a row for each robot, or one value for all; NaN is not to
+    ask. They hold for these robots in all episodes that follow by autoreset, until their next
+    `reset`; one without options takes them back. `set_options` sets them for the episodes to come
+    without ending any: a curriculum.
+
+    - `reset_mask`: which robots are meant, num_envs booleans; without it, all.
+    - `world`: numbers of worlds (num_envs). `goal`: (num_envs, 2), in the odometry frame [m].
+    - `difficulty`: (num_envs, 2), low and high: worlds are drawn among those of the batch whose
+      difficulty lies in that range. A batch made with `difficulty=None` has all from 0 to 1.
+
+    ## Info
+
+    That of the single env, and what `randomization` has drawn for the episode, as applied: keys
+    `drawn_` and the name of each randomized parameter, such as `drawn_friction`; `drawn_motor_gain`
+    and `drawn_motor_lag` are num_envs x 4, one for each wheel.
+
+    After Ctrl-C in `reset` or `step` all robots must be reset; with a seed, they do what those of a
+    new batch do.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - as VectorEnv declares it
@@ -85,9 +110,11 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         ticks = whole_ratio("control_rate", config.control_rate, "policy_rate", policy_rate)
         randomized = Randomization.of(randomization)
         self.batch = Batch(self.num_envs, config, self.task, ticks, max_episode_steps, randomized)
-        self._masks = tuple(f"_{name}" for name in self.batch.told)
+        self._masks = tuple(f"_{name}" for name in self.batch.names)
         self._crew = Crew(_threads(threads, self.num_envs))
         self._done = np.zeros(self.num_envs, np.bool_)
+        self._whole = True
+        """Whether no call was interrupted since all robots were reset."""
 
     def reset(
         self,
@@ -95,15 +122,40 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         seed: int | Sequence[int | None] | None = None,
         options: Mapping[str, Any] | None = None,
     ) -> tuple[Array, Info]:
-        """New episodes for all robots, or those in `options["reset_mask"]`."""
-        known(options or {}, ("reset_mask",))
-        mask = _mask((options or {}).get("reset_mask"), self.num_envs)
-        if not (self.batch.seeded or mask.all()):
-            raise ConfigError("reset_mask: the first reset must be of all robots")
-        self.batch.seed(_seeds(seed, self.num_envs), mask)
+        """New episodes for all robots, or those in `options["reset_mask"]`.
+
+        The other options, see the class, hold for these robots until they are reset again.
+        """
+        mask, asked = self._asked(options)
+        if not (mask.all() or (self.batch.seeded and self._whole)):
+            raise ConfigError(
+                "reset_mask: the first reset, and the next one after an interrupt, must be of all "
+                "robots"
+            )
+        seeds = _seeds(seed, self.num_envs)
+        self._whole = False
+        self.batch.seed(seeds, mask)
+        self.batch.wish(asked, mask)
         self._crew.share(lambda first, last: self.batch.reset(mask, first, last), self.num_envs)
+        self.batch.began(mask)
         self._done = self._done & ~mask
+        self._whole = True
         return self.batch.observations.copy(), self._info(mask)
+
+    def set_options(self, options: Mapping[str, Any]) -> None:
+        """Options as in `reset`, for the episodes to come; those that run go on."""
+        mask, asked = self._asked(options)
+        self.batch.wish(asked, mask)
+
+    def _asked(self, options: Mapping[str, Any] | None) -> tuple[Array, Wishes]:
+        """Which robots a reset's options are for, and what they ask for.
+
+        Threads of an interrupted call have ended, so that the state can be written.
+        """
+        self._crew.wait()
+        given = known(options or {}, (MASK, *OPTIONS))
+        rest = {name: value for name, value in given.items() if name != MASK}
+        return _mask(given.get(MASK), self.num_envs), wishes(self.task, rest, self.num_envs)
 
     def step(self, actions: Array) -> tuple[Array, Array, Array, Array, Info]:
         """One env step of every robot; `actions` is num_envs x 2.
@@ -113,15 +165,18 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         actions = self._checked(actions)
         if not self.batch.seeded:
             raise ConfigError("step() before reset(): call reset() first")
+        if not self._whole:
+            raise ConfigError("step() after an interrupted call: reset() all robots first")
         if self.autoreset_mode is AutoresetMode.DISABLED and self._done.any():
             raise ConfigError(
                 f"env {int(self._done.argmax())} has ended: reset it with options['reset_mask']"
             )
         next_step = self.autoreset_mode is AutoresetMode.NEXT_STEP
         over = self._done if next_step else np.zeros(self.num_envs, np.bool_)
-        batch = self.batch
+        batch, self._whole = self.batch, False
         self._crew.share(lambda first, last: batch.step(actions, over, first, last), self.num_envs)
         batch.turn()
+        batch.began(over)
         terminated, truncated = batch.ends.copy()
         self._done = terminated | truncated
         rewards, info = batch.rewards.copy(), {}
@@ -130,11 +185,13 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
             self._crew.share(
                 lambda first, last: batch.reset(self._done, first, last), self.num_envs
             )
+            batch.began(self._done)
+        self._whole = True
         info |= self._info(np.ones(self.num_envs, np.bool_))
         return batch.observations.copy(), rewards, terminated, truncated, info
 
     def _checked(self, actions: Array) -> Array:
-        actions = np.asarray(actions, np.float64)
+        actions = np.array(actions, np.float64, order="C")  # others would compile loops anew
         if actions.shape != (self.num_envs, 2):
             raise CommandError(f"actions of shape {actions.shape}: must be ({self.num_envs}, 2)")
         if not np.isfinite(actions).all():
@@ -207,7 +264,7 @@ def _threads(asked: int | None, robots: int) -> int:
 def _mask(mask: Any, robots: int) -> Array:
     if mask is None:
         return np.ones(robots, np.bool_)
-    asked: Array = np.asarray(mask)
+    asked: Array = np.array(mask, order="C")
     if asked.shape != (robots,) or asked.dtype != np.bool_:
         raise ConfigError(f"reset_mask: must be a boolean array of shape ({robots},)")
     return asked

@@ -8,6 +8,7 @@ from acsar_gym.config import RobotSource
 from acsar_gym.tasks import Barn, ObstacleGoal, PathFollow, PointGoal
 from acsar_gym.tasks.place import pool
 from acsar_gym.vector import RobotVectorEnv
+from acsar_gym.worlds.generators import Level
 from acsar_gym.worlds.pool import Source
 
 
@@ -40,7 +41,7 @@ class ObstacleGoalVectorEnv(RobotVectorEnv):
         robot: RobotSource = None,
         *,
         worlds: Source = "clutter:train",
-        difficulty: float | None = None,
+        difficulty: Level = None,
         goal_tolerance: float = 0.3,
         **options: Any,
     ) -> None:
@@ -61,7 +62,7 @@ class BarnVectorEnv(RobotVectorEnv):
         robot: RobotSource = None,
         *,
         worlds: Source = "barn:train",
-        difficulty: float | None = None,
+        difficulty: Level = None,
         policy_rate: float = 10.0,
         **options: Any,
     ) -> None:
@@ -83,7 +84,7 @@ class PathFollowVectorEnv(RobotVectorEnv):
         robot: RobotSource = None,
         *,
         worlds: Source = "smooth_path:train",
-        difficulty: float | None = None,
+        difficulty: Level = None,
         max_cross_track: float = 0.5,
         **options: Any,
     ) -> None:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
+import threading
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,63 +16,17 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
-from acsar_gym.config import RobotConfig
+from acsar_gym.crew import Crew
 from acsar_gym.errors import CommandError, ConfigError
-from acsar_gym.kernel import layout
-from acsar_gym.vectors import PointGoalVectorEnv
+from acsar_gym.kernel import episode, layout
+from acsar_gym.vector import RobotVectorEnv
+from acsar_gym.vectors import ObstacleGoalVectorEnv, PointGoalVectorEnv
 
 ENV_ID = "acsar_gym/PointGoal-v0"
-ACSAR = RobotConfig.preset("acsar")
-CONFIGS = {
-    "default": ACSAR,
-    "slow feedback": ACSAR.with_(firmware={"feedback_rate": 20.0}),
-    "odd feedback": ACSAR.with_(firmware={"feedback_rate": 30.0}),
-    "fast feedback": ACSAR.with_(firmware={"feedback_rate": 200.0}),
-    "slow wire": ACSAR.with_(baud_rate=38400),
-    "fine loop": ACSAR.with_(firmware={"loop_rate": 500.0}),
-    "coarse encoders": ACSAR.with_(encoder={"counts_per_revolution": 100, "window": 0.02}),
-    "weak motors": ACSAR.with_(motor={"max_speed": 5.0, "deadband": 1.0, "time_constant": 0.0}),
-    "fast robot": ACSAR.with_(max_linear=1.5, max_angular=4.0, max_wheel_speed=20.0),
-}
 
 
 def batch(num: int = 4, **options: Any) -> PointGoalVectorEnv:
     return PointGoalVectorEnv(num, **{"max_episode_steps": 200, **options})
-
-
-def actions(rng: np.random.Generator, num: int, step: int) -> np.ndarray[Any, Any]:
-    """Random driving, with stretches straight ahead that reach goals and bounds."""
-    if step % 200 < 120:
-        return rng.uniform(-1.0, 1.0, (num, 2)).astype(np.float32)
-    return np.tile(np.array([1.0, 0.1], np.float32), (num, 1))
-
-
-@pytest.mark.parametrize("name", CONFIGS)
-def test_a_robot_of_the_batch_is_the_single_planar_env(name: str) -> None:
-    """Every number of a thousand steps, through the byte-level firmware twin on the single side."""
-    config = CONFIGS[name]
-    many = batch(3, robot=config)
-    one = gymnasium.make(ENV_ID, link="planar", robot=config)
-    many.reset(seed=40)
-    one.reset(seed=41)
-    rng, over, ends = np.random.default_rng(0), False, 0
-    for step in range(1000):
-        acts = actions(rng, 3, step)
-        obs, rewards, terminated, truncated, infos = many.step(acts)
-        if over:
-            (seen, info), reward, ended = one.reset(), 0.0, (False, False)
-        else:
-            seen, got, *rest, info = one.step(acts[1])
-            reward, ended = float(got), (bool(rest[0]), bool(rest[1]))
-        over = any(ended)
-        ends += over
-        assert (terminated[1], truncated[1]) == ended
-        assert obs[1] == pytest.approx(seen, abs=1e-6)  # float32
-        assert rewards[1] == pytest.approx(reward, abs=1e-9)
-        assert {key: infos[key][1] for key in info} == pytest.approx(info, abs=1e-9)
-    one.close()
-    many.close()
-    assert ends >= 3
 
 
 def test_make_vec_finds_the_batch() -> None:
@@ -152,13 +109,11 @@ def test_without_autoreset_the_user_resets_by_mask() -> None:
     env.close()
 
 
-def rollout(env: PointGoalVectorEnv, seed: int = 3) -> np.ndarray[Any, Any]:
+def rollout(env: RobotVectorEnv, seed: int = 3) -> np.ndarray[Any, Any]:
     first = env.reset(seed=seed)[0]
     rng = np.random.default_rng(9)
     acts = rng.uniform(-1.0, 1.0, (50, env.num_envs, 2))
-    seen = [env.step(act)[0] for act in acts]
-    env.close()
-    return np.array([first, *seen])
+    return np.array([first, *(env.step(act)[0] for act in acts)])
 
 
 EVERYTHING = {
@@ -184,6 +139,79 @@ def test_results_do_not_depend_on_threads_or_history(randomization: Any) -> None
     assert (one == rollout_twice).all()
 
 
+class Interrupted:
+    """A batch in which Ctrl-C comes within the call with this number, in the midst of a share."""
+
+    def __init__(self, env: RobotVectorEnv, name: str, call: int) -> None:
+        self.whole, self.left = getattr(env.batch, name), call
+        setattr(env.batch, name, self)
+
+    def __call__(self, *arguments: Any) -> None:
+        *others, first, last = arguments
+        self.left -= threading.current_thread() is threading.main_thread()
+        if self.left == 0:
+            self.left = -1
+            self.whole(*others, first, (first + last) // 2)
+            signal.raise_signal(signal.SIGINT)
+        self.whole(*others, first, last)
+
+
+class LostReport:
+    """Reports of a batch's threads; Ctrl-C comes twice while one of them is waited for."""
+
+    def __init__(self, env: RobotVectorEnv, call: int) -> None:
+        self.reports, self.calls = env._crew._reports, call
+        env._crew._reports = self  # type: ignore[assignment]
+
+    def get(self) -> Any:
+        self.calls -= 1
+        if self.calls in (0, -1):
+            raise KeyboardInterrupt
+        return self.reports.get()
+
+
+INTERRUPTS: dict[str, Callable[[RobotVectorEnv], object]] = {
+    "in a reset": lambda env: Interrupted(env, "reset", 1),
+    "in the caller's share": lambda env: Interrupted(env, "step", 1),
+    "waiting": lambda env: LostReport(env, 2),
+    "waiting, later": lambda env: LostReport(env, 5),
+}
+
+
+@pytest.mark.parametrize("place", INTERRUPTS)
+def test_after_ctrl_c_a_seeded_reset_begins_anew(place: str) -> None:
+    """Whatever it interrupts, the next seeded rollout is that of a new batch."""
+    options: dict[str, Any] = {"worlds": "open:3", "max_episode_steps": 20, "threads": 1}
+    expected = rollout(ObstacleGoalVectorEnv(40, **options))
+    env = ObstacleGoalVectorEnv(40, **options)
+    env._crew = Crew(3)
+    INTERRUPTS[place](env)
+    with pytest.raises(KeyboardInterrupt):
+        rollout(env, seed=99)
+    with pytest.raises(ConfigError, match="reset"):
+        env.step(np.zeros((40, 2)))
+    if env.batch.seeded:
+        with pytest.raises(ConfigError, match="after an interrupt"):
+            env.reset(options={"reset_mask": np.arange(40) < 20})
+    assert (rollout(env) == expected).all()
+    env.close()
+
+
+def test_actions_of_any_layout_use_the_same_loops() -> None:
+    env = batch(4)
+    env.reset(seed=0)
+    env.step(np.zeros((4, 2)))
+    known = len(getattr(episode.step, "signatures", ()))
+    rows = np.zeros((2, 4)).T
+    rows.setflags(write=False)
+    many: list[Any] = [rows, rows.astype(np.float32), rows.tolist(), np.zeros((8, 4))[::2, ::2]]
+    for actions in many:
+        env.step(actions)
+    env.reset(options={"reset_mask": np.ones(8, np.bool_)[::2]})
+    assert len(getattr(episode.step, "signatures", ())) == known
+    assert len(getattr(episode.reset, "signatures", ())) <= 1
+
+
 def test_a_robots_fate_does_not_depend_on_its_neighbours() -> None:
     alone, crowd = batch(1), batch(200)
     for env in (alone, crowd):
@@ -196,7 +224,7 @@ def test_a_robots_fate_does_not_depend_on_its_neighbours() -> None:
 
 @pytest.mark.parametrize("key", EVERYTHING)
 def test_each_randomization_makes_robots_differ(key: str) -> None:
-    """Robots with one seed and one command differ only through what is randomized."""
+    """Two robots with one command differ through what is randomized, and its info says by what."""
     env = batch(2, randomization={key: EVERYTHING[key]})
     env.reset(seed=[1, 2])
     for _ in range(20):
@@ -207,6 +235,38 @@ def test_each_randomization_makes_robots_differ(key: str) -> None:
     if key == "mass":  # mass and grip cancel under Coulomb friction
         differs = np.ptp(env.batch.state[layout.MASS])
     assert differs > 1e-7
+    env.close()
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_what_is_drawn_is_told_at_every_step(mode: AutoresetMode) -> None:
+    """The same keys always; new values with every episode, those of the state's own physics."""
+    env = batch(30, randomization=EVERYTHING, max_episode_steps=4, autoreset_mode=mode)
+    _, first = env.reset(seed=1)
+    drawn = {key: first[f"drawn_{key}"] for key in EVERYTHING}
+    for key, (low, high) in EVERYTHING.items():
+        assert drawn[key].shape == ((30, 4) if key in ("motor_gain", "motor_lag") else (30,))
+        assert (drawn[key] >= low - 0.005).all()  # delays are whole loops of the firmware
+        assert (drawn[key] <= high * 1.2 + 0.005).all()  # and so are the lines' intervals
+        assert np.ptp(drawn[key]) > 0.3 * (high - low)
+        assert first[f"_drawn_{key}"].all()
+    for step in range(1, 7):
+        if mode is AutoresetMode.DISABLED and step == 5:
+            _, info = env.reset(options={"reset_mask": np.arange(30) > 0})
+            assert [info[f"drawn_{key}"][0] for key in ("mass", "latency")] == [
+                drawn[key][0] for key in ("mass", "latency")
+            ]
+            env.reset(options={"reset_mask": np.arange(30) == 0})
+        *_, info = env.step(np.zeros((30, 2)))
+        assert first.keys() <= info.keys()
+        anew = step >= (4 if mode is AutoresetMode.SAME_STEP else 5)
+        for key in EVERYTHING:
+            assert (info[f"drawn_{key}"] == drawn[key]).all() != anew
+    state, nominal = env.batch.state, env.batch._nominal
+    told = env.batch.info()
+    grip = nominal[layout.GRIP] * told["drawn_mass"] * told["drawn_friction"]
+    assert state[layout.GRIP] == pytest.approx(grip, rel=1e-12)
+    assert pytest.approx(told["drawn_motor_gain"]) == state[layout.GAIN : layout.GAIN + 4].T
     env.close()
 
 
@@ -265,12 +325,12 @@ with warnings.catch_warnings(record=True) as caught:
     warnings.simplefilter("always")
     env = ObstacleGoalVectorEnv(
         3,
-        max_episode_steps=15,
+        max_episode_steps=6,
         worlds="clutter:2",
         randomization={"dropped_lines": (0.0, 0.2), "mass": (0.9, 1.1)},
     )
     seen = [env.reset(seed=1)[0]]
-    seen += [env.step(np.full((3, 2), 0.5))[0] for _ in range(30)]
+    seen += [env.step(np.full((3, 2), 0.5))[0] for _ in range(9)]
 print(len(caught), *{str(warning.message) for warning in caught})
 np.save(sys.argv[2], np.array(seen))
 """

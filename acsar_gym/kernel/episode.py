@@ -18,21 +18,27 @@ from acsar_gym.kernel.layout import (
     DISTANCE,
     DROPPED,
     FEEDBACK_LOOPS,
+    FIRST_RANK,
     GAIN,
+    GOAL_GIVEN,
     GOAL_X,
     GOAL_Y,
     GRIP,
     INERTIA,
     LAST_LINE,
+    LAST_RANK,
     LOOPS,
     MASS,
     RADIUS,
-    ROWS,
     START_COS,
     START_SIN,
     START_THETA,
     START_X,
     START_Y,
+    WISHED_GOAL,
+    WISHED_WORLD,
+    WISHED_X,
+    WISHED_Y,
     WORLD,
     Floats,
     Job,
@@ -66,7 +72,7 @@ def draw(  # noqa: C901 - nine keys, one condition each
     setup: Setup,
 ) -> None:
     """Robot i's own physics: nominal values, varied within `ranges` (see `Randomization`)."""
-    for row in range(MASS, ROWS):
+    for row in range(MASS, WISHED_WORLD):
         state[row, i] = nominal[row]
     if ranges[0, 0] <= ranges[0, 1]:
         factor = between(ranges, 0, random, i)
@@ -108,10 +114,24 @@ def between(ranges: Floats, key: int, random: NDArray[np.uint64], i: int) -> flo
 @jit
 def aim(state: Floats, random: NDArray[np.uint64], i: int, job: Job) -> None:
     """Robot i's goal on an open floor, in any direction."""
+    state[START_COS, i] = 1.0
+    if state[WISHED_GOAL, i] > 0.0:
+        state[GOAL_X, i], state[GOAL_Y, i] = state[WISHED_X, i], state[WISHED_Y, i]
+        return
     distance = job.min_distance + (job.max_distance - job.min_distance) * uniform(random, i)
     bearing = -math.pi + (math.pi - -math.pi) * uniform(random, i)
     state[GOAL_X, i], state[GOAL_Y, i] = goal_at(distance, bearing)
-    state[START_COS, i] = 1.0
+
+
+@jit
+def choose(state: Floats, i: int, share: float, job: Job) -> int:
+    """Robot i's world, as `tasks.place.chosen` does it, for a number of [0, 1)."""
+    first, last = int(state[FIRST_RANK, i]), int(state[LAST_RANK, i])
+    if state[WISHED_WORLD, i] > 0.0:
+        return int(state[WISHED_WORLD, i]) - 1
+    if last > first:
+        return int(job.order[first + min(int(share * (last - first)), last - first - 1)])
+    return min(int(share * len(job.starts)), len(job.starts) - 1)
 
 
 @jit
@@ -119,8 +139,7 @@ def settle(state: Floats, random: NDArray[np.uint64], i: int, job: Job) -> None:
     """Robot i's world, and its start and goal there, as `tasks.place.drawn` does it."""
     u0, u1, u2 = uniform(random, i), uniform(random, i), uniform(random, i)
     u3, u4, u5 = uniform(random, i), uniform(random, i), uniform(random, i)
-    worlds = len(job.starts)
-    world = min(int(u0 * worlds), worlds - 1)
+    world = choose(state, i, u0, job)
     start, goal = job.starts[world], job.goals[world]
     x, y = within(start[0], start[1], start[2], u1, u2)
     theta = (2.0 * u3 - 1.0) * math.pi if np.isnan(start[3]) else start[3]
@@ -130,7 +149,10 @@ def settle(state: Floats, random: NDArray[np.uint64], i: int, job: Job) -> None:
     state[START_X, i], state[START_Y, i], state[START_THETA, i] = x, y, theta
     state[START_COS, i], state[START_SIN, i] = cos, sin
     ahead, left = relative(x, y, cos, sin, goal_x, goal_y)
-    state[GOAL_X, i], state[GOAL_Y, i] = ahead, left
+    given = state[WISHED_GOAL, i]
+    state[GOAL_X, i] = state[WISHED_X, i] if given > 0.0 else ahead
+    state[GOAL_Y, i] = state[WISHED_Y, i] if given > 0.0 else left
+    state[GOAL_GIVEN, i] = given
 
 
 @loop

@@ -38,7 +38,12 @@ HEADING, SHARE, MEAN_CROSS, MEAN_HEADING, SCORE = 71, 72, 73, 74, 75  # four sco
 # The robot's own physics, drawn anew with every episode where it is randomized:
 MASS, INERTIA, GRIP, RADIUS, DEADBAND, BLEND, GAIN = 79, 80, 81, 82, 83, 84, 88
 COMMAND_LOOPS, DELAY_LOOPS, FEEDBACK_LOOPS, DROPPED = range(92, 96)
-ROWS = 96
+# What options of a reset ask for, in this and all later episodes; zero where they don't. A world is
+# its place from 1 on; worlds of a range of difficulty have ranks from FIRST_RANK up to LAST_RANK.
+WISHED_WORLD, WISHED_GOAL, WISHED_X, WISHED_Y, FIRST_RANK, LAST_RANK = range(96, 102)
+GOAL_GIVEN = 102
+"""Whether this episode's goal was given, so that the world's path doesn't lead there."""
+ROWS = 103
 INFO = {
     "is_success": SUCCESS,
     "odom_x": ODOM_X,
@@ -139,6 +144,8 @@ class Job(NamedTuple):
     """W x N x 3: samples of the paths to follow."""
     lasts: NDArray[np.int64]
     """W: number of the last sample of each path."""
+    order: NDArray[np.int64]
+    """W: the worlds from the easiest to the hardest."""
 
 
 @jit

@@ -13,6 +13,7 @@ from acsar_gym.kernel.layout import (
     CONTACT,
     DISTANCE,
     ERROR,
+    GOAL_GIVEN,
     GOAL_X,
     GOAL_Y,
     LAST_ANGULAR,
@@ -165,7 +166,8 @@ def score(state: Floats, first: int, last: int, setup: Setup, job: Job) -> None:
     """BARN's four scores of every robot."""
     for i in range(first, last):
         time = state[STEPS, i] * setup.ticks * setup.period
-        length = job.lengths[int(state[WORLD, i])]
+        given = state[GOAL_GIVEN, i] > 0.0
+        length = math.nan if given else job.lengths[int(state[WORLD, i])]
         s0, s1, s2, s3 = scores(state[SUCCESS, i], time, length, setup.max_linear)
         state[SCORE, i], state[SCORE + 1, i] = s0, s1
         state[SCORE + 2, i], state[SCORE + 3, i] = s2, s3

@@ -115,14 +115,15 @@ class PointGoal(_GoalTask):
     def begin(self, rng: np.random.Generator, options: Mapping[str, Any]) -> GoalCourse:
         """A goal in any direction, its distance uniform between the limits; option "goal"."""
         goal = known(options, ("goal",)).get("goal")
-        goal = self._drawn(rng) if goal is None else self._checked(point("goal", goal))
+        goal = self._drawn(rng) if goal is None else self.checked(point("goal", goal))
         return GoalCourse(self, Assignment(goal))
 
     def _drawn(self, rng: np.random.Generator) -> Goal:
         distance = rng.uniform(self.min_distance, self.max_distance)
         return goal_at(distance, rng.uniform(-math.pi, math.pi))
 
-    def _checked(self, goal: Goal) -> Goal:
+    def checked(self, goal: Goal) -> Goal:
+        """A goal (x, y) [m] that this task may have. ConfigError for one too near or too far."""
         if not self.min_distance <= math.hypot(*goal) <= self.max_distance:
             raise ConfigError(
                 f"goal = ({goal[0]:g}, {goal[1]:g}): must lie {self.min_distance:g} to "
@@ -145,8 +146,8 @@ class ObstacleGoal(_GoalTask):
         return cls(**_among_obstacles(goal_tolerance, config), pool=pool)
 
     def begin(self, rng: np.random.Generator, options: Mapping[str, Any]) -> GoalCourse:
-        """A world of the pool; options "world" and "goal"."""
-        return GoalCourse(self, place.drawn(self.pool, rng, known(options, ("world", "goal"))))
+        """A world of the pool; options "world", "difficulty" and "goal"."""
+        return GoalCourse(self, place.drawn(self.pool, rng, known(options, place.OPTIONS)))
 
 
 @dataclass(frozen=True)
@@ -166,8 +167,8 @@ class Barn(_GoalTask):
         return cls(**_among_obstacles(barn.TOLERANCE, config), pool=pool, period=period)
 
     def begin(self, rng: np.random.Generator, options: Mapping[str, Any]) -> GoalCourse:
-        """A world of the pool; options "world" and "goal"."""
-        return BarnCourse(self, place.drawn(self.pool, rng, known(options, ("world", "goal"))))
+        """A world of the pool; options "world", "difficulty" and "goal"."""
+        return BarnCourse(self, place.drawn(self.pool, rng, known(options, place.OPTIONS)))
 
 
 def _among_obstacles(tolerance: float, config: RobotConfig) -> dict[str, float]:

@@ -84,8 +84,8 @@ class PathFollow:
         return (limit, 1.0, 1.0, limit, *(limit,) * (2 * LOOKAHEAD), limit, limit, 1.0, 1.0)
 
     def begin(self, rng: np.random.Generator, options: Mapping[str, Any]) -> PathCourse:
-        """A path of the pool; option "world", or "path": points (x, y) in the odometry frame."""
-        options = known(options, ("world", "path"))
+        """A path of the pool; options "world", "difficulty", or "path": points (x, y) [m]."""
+        options = known(options, ("world", "difficulty", "path"))
         if options.get("path") is not None:
             return PathCourse(self, place.given(options["path"]))
         return PathCourse(self, place.drawn(self.pool, rng, options, follow=True))

@@ -13,16 +13,19 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.tasks.base import Assignment, Goal, point, relative, within
 from acsar_gym.worlds import Pose, Region, World
+from acsar_gym.worlds.generators import Level
 from acsar_gym.worlds.paths import along, sampled, to_follow
 from acsar_gym.worlds.pool import Pool, Source, checked
 from acsar_gym.worlds.search import footprint_radius
 from acsar_gym.worlds.world import Floats
 
+OPTIONS = "world", "difficulty", "goal"
+"""Of a reset, for tasks with worlds and goals."""
 DRAWS = 6
 """Numbers of [0, 1) that a place takes: world, start (2), heading, goal (2)."""
 
 
-def pool(source: Source, difficulty: float | None, config: RobotConfig) -> Pool:
+def pool(source: Source, difficulty: Level, config: RobotConfig) -> Pool:
     """An env's worlds, made for its robot's footprint. Raises WorldError for a bad source."""
     return Pool.of(source, difficulty, footprint_radius(config))
 
@@ -31,13 +34,21 @@ def chosen(worlds: Pool, share: float, options: Mapping[str, Any]) -> tuple[int,
     """Number and world: as the options say, or for a number of [0, 1)."""
     asked = options.get("world")
     if asked is None:
-        number = worlds.numbers[min(int(share * len(worlds)), len(worlds) - 1)]
+        number = worlds.numbers[_drawn(worlds, share, options.get("difficulty"))]
         return number, worlds[number]
     if isinstance(asked, World):
         return -1, checked(asked, worlds.radius)
     if not isinstance(asked, int | np.integer):
         raise ConfigError(f"world = {asked!r}: must be a number of the env's worlds, or a World")
     return int(asked), worlds[int(asked)]
+
+
+def _drawn(worlds: Pool, share: float, difficulty: Level) -> int:
+    """A world's place in the pool's numbers, drawn from all, or those of a range of difficulty."""
+    if difficulty is None:
+        return min(int(share * len(worlds)), len(worlds) - 1)
+    ranks = worlds.ranks(difficulty)
+    return int(worlds.by_difficulty[0][ranks[min(int(share * len(ranks)), len(ranks) - 1)]])
 
 
 def drawn(
@@ -47,7 +58,8 @@ def drawn(
 
     `follow` asks for the world's path, sampled; ConfigError where it has none.
 
-    Options: "world", a number or a World; "goal", (x, y) in the odometry frame [m].
+    Options: "world", a number or a World; "difficulty", (low, high) of the worlds to draw from;
+    "goal", (x, y) in the odometry frame [m].
     """
     u = rng.random(DRAWS).tolist()
     number, world = chosen(worlds, u[0], options)

@@ -9,9 +9,12 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from acsar_gym.errors import WorldError
 from acsar_gym.worlds import cache, files, generators, splits
@@ -22,6 +25,8 @@ from acsar_gym.worlds.world import World
 MOST = 10**9
 KEPT = 512
 """Generated worlds that a pool remembers."""
+RANKED = 100_000
+"""A larger pool can't be ordered by difficulty."""
 _KINDS = re.compile(r"([a-z_]+)(?::(?:(train|test)|(\d{1,18})(?:-(\d{1,18}))?))?")
 
 Source = str | Path | World | Sequence[World]
@@ -101,6 +106,32 @@ class Pool:
                 f"world {number}: must be {self.numbers[0]} to {self.numbers[-1]} ({self.kind})"
             )
         return self._make(number)
+
+    @cached_property
+    def by_difficulty(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Places of the worlds in `numbers`, from the easiest to the hardest; their difficulties.
+
+        Raises WorldError for worlds that have none, and for a pool of more than 100,000.
+        """
+        if not self.generated:
+            raise WorldError(f"difficulty: only generated worlds have one, {self.kind!r} hasn't")
+        if len(self) > RANKED:
+            raise WorldError(f"difficulty: {len(self):,} worlds, at most {RANKED:,} can be ordered")
+        levels = [generators.level(self.kind, number, self.difficulty) for number in self.numbers]
+        order = np.argsort(levels, kind="stable").astype(np.int64)
+        return order, np.array(levels)[order]
+
+    def ranks(self, difficulty: Level) -> range:
+        """Which of them lie in a range (low, high) of difficulty. WorldError where none does."""
+        low, high = generators.limits(difficulty)
+        _, levels = self.by_difficulty
+        first, last = np.searchsorted(levels, low), np.searchsorted(levels, high, "right")
+        if first == last:
+            raise WorldError(
+                f"difficulty = {difficulty!r}: none of the env's worlds; theirs are "
+                f"{levels[0]:.3g} to {levels[-1]:.3g}"
+            )
+        return range(int(first), int(last))
 
 
 def _generated(kind: str, difficulty: Level, radius: float, number: int) -> World:
