@@ -27,13 +27,15 @@ from serial_tools import (
 )
 
 from acsar_gym import Robot, RobotConfig, open_link
-from acsar_gym.emulator import Emulator
+from acsar_gym.emulator import STALL, Emulator
 from acsar_gym.errors import ConfigError
 from acsar_gym.links.serial import SerialLink
 from acsar_gym.protocol import ZERO, Decoder, encode
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
+LOOP = 0.005
+"""Of the firmware [s]."""
 FORWARD = encode((4.0, 4.0, 4.0, 4.0))
 
 
@@ -48,7 +50,7 @@ def last_received(emulator: Emulated) -> float:
 
 
 def wait_for_log(emulator: Emulated, until: float) -> None:
-    wait_until(lambda: bool(emulator.events()[-1]["t"] > until), "a log that goes on")
+    wait_until(lambda: any(e["t"] > until for e in emulator.events()[-1:]), "a log that goes on")
 
 
 def drive_and_fall_silent(device: str, config: RobotConfig) -> SerialLink:
@@ -143,6 +145,16 @@ def test_a_wrong_baud_rate_garbles_both_directions(own_emulator: Emulated, wrong
     wait_until(lambda: own_emulator.received() == FORWARD * 10, "all that was sent")
     wait_for_log(own_emulator, last_received(own_emulator) + 0.2)
     assert set(own_emulator.poses()) == {(0.0, 0.0, 0.0)}
+
+
+def test_time_lost_in_a_stall_is_not_replayed(emulator: Emulated) -> None:
+    emulator.pause()
+    time.sleep(0.5)
+    resumed = time.monotonic()
+    emulator.resume()
+    wait_for_log(emulator, resumed + 0.2)
+    loops = [e["t"] for e in emulator.events() if "pose" in e and e["t"] > resumed]
+    assert len(loops) * LOOP < loops[-1] - resumed + STALL + LOOP
 
 
 def test_sigterm_ends_it_cleanly(own_emulator: Emulated) -> None:

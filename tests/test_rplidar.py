@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import gc
 import math
+import os
 import pickle
 import signal
 import statistics
@@ -24,7 +25,7 @@ from acsar_gym import RobotConfig, rplidar
 from acsar_gym.config import LidarConfig
 from acsar_gym.errors import ConfigError, LidarError, MissingExtraError
 from acsar_gym.lidar import Lidar, Scan
-from acsar_gym.links import guard
+from acsar_gym.links import guard, ports
 from acsar_gym.rplidar import RplidarLidar
 from acsar_gym.rplidar_emulator import RplidarTwin
 from acsar_gym.turns import Turns, binned
@@ -332,6 +333,18 @@ def test_a_frozen_device_fails_a_reset_and_is_closed(
     emulated.process.send_signal(signal.SIGCONT)
     monkeypatch.undo()
     reset(lidar)
+
+
+def test_a_machine_that_is_slow_to_write_has_not_lost_the_device(
+    make: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rplidar, "ANSWER", 0.02)
+    monkeypatch.setattr(ports, "WRITE_TIMEOUT", 1e-9)
+    board, terminal = os.openpty()
+    with pytest.raises(LidarError, match="no answer"):
+        reset(make(os.ttyname(terminal)))
+    os.close(board)
+    os.close(terminal)
 
 
 @pytest.fixture
