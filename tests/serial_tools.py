@@ -13,6 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
@@ -85,12 +86,13 @@ class Forked:
     def __init__(self, *arguments: str, main: Callable[[], None] | None = None) -> None:
         self.args = arguments
         context = _fork_server()
-        heard, said = context.Pipe(duplex=False)
-        self._process = context.Process(target=_run, args=(main, arguments, said), daemon=True)
+        heard, said = zip(*(context.Pipe(duplex=False) for _ in range(2)), strict=True)
+        task = (main, arguments, dict(os.environ), said)
+        self._process = context.Process(target=_run, args=task, daemon=True)
         self._process.start()
-        said.close()
-        self.stdout: IO[str] = os.fdopen(os.dup(heard.fileno()), encoding="utf-8")
-        heard.close()
+        for end in said:
+            end.close()
+        self.stdout, self.stderr = map(_as_text, heard)
 
     @property
     def pid(self) -> int:
@@ -119,6 +121,16 @@ class Forked:
     def kill(self) -> None:
         self.send_signal(signal.SIGKILL)
 
+    def close(self) -> None:
+        """Let go of the pipes."""
+        self.stdout.close()
+        self.stderr.close()
+
+
+def _as_text(pipe: Connection) -> IO[str]:
+    with pipe:
+        return os.fdopen(os.dup(pipe.fileno()), encoding="utf-8")
+
 
 @functools.cache
 def _fork_server() -> ForkServerContext:
@@ -131,13 +143,21 @@ def _fork_server() -> ForkServerContext:
     return context
 
 
-def _run(main: Callable[[], None] | None, arguments: tuple[str, ...], out: Connection) -> None:
-    """Run `main`, or acsar-gym, with `out` as standard output."""
+def _run(
+    main: Callable[[], None] | None,
+    arguments: tuple[str, ...],
+    environment: dict[str, str],
+    said: tuple[Connection, Connection],
+) -> None:
+    """Run `main`, or acsar-gym, with `said` as standard output and error."""
     from acsar_gym import cli
 
-    os.dup2(out.fileno(), 1)
-    out.close()
-    sys.stdout = os.fdopen(1, "w", closefd=False)
+    os.environ.clear()
+    os.environ.update(environment)
+    for number, pipe in enumerate(said, start=1):
+        os.dup2(pipe.fileno(), number)
+        pipe.close()
+    sys.stdout, sys.stderr = (os.fdopen(n, "w", buffering=1, closefd=False) for n in (1, 2))
     signal.signal(signal.SIGINT, signal.default_int_handler)
     sys.argv = ["acsar-gym", *arguments]
     (main or cli.main)()
@@ -147,7 +167,7 @@ def _run(main: Callable[[], None] | None, arguments: tuple[str, ...], out: Conne
 class Emulated:
     """An emulator in another process: `device` is what links open."""
 
-    process: subprocess.Popen[str] | Forked
+    process: Forked
     device: str
     log: Path
     _known: list[dict[str, Any]] = field(default_factory=list)
@@ -247,8 +267,7 @@ class Emulated:
             return self.process.wait(TIMEOUT)
         finally:
             self.process.kill()
-            if self.process.stdout:
-                self.process.stdout.close()
+            self.process.close()
 
 
 def start(log: Path, *arguments: str) -> Emulated:
@@ -270,14 +289,15 @@ def first_line(process: subprocess.Popen[str] | Forked) -> str:
 
 def cli(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     """`acsar-gym ARGUMENTS`, to its end, without a keyboard."""
-    return subprocess.run(
-        [*CLI, *map(str, arguments)],
-        check=False,
-        capture_output=True,
-        stdin=subprocess.DEVNULL,
-        text=True,
-        timeout=TIMEOUT,
-    )
+    process = Forked(*map(str, arguments))
+    with ThreadPoolExecutor(2) as readers:
+        try:
+            said = [readers.submit(stream.read) for stream in (process.stdout, process.stderr)]
+            code = process.wait(TIMEOUT)
+        finally:
+            process.kill()
+    process.close()
+    return subprocess.CompletedProcess(arguments, code, *(text.result() for text in said))
 
 
 @contextlib.contextmanager
