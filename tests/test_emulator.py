@@ -84,14 +84,14 @@ def test_the_log_holds_commands_and_true_poses(config: RobotConfig, own_emulator
     assert set(own_emulator.commands()) == {ZERO, rounded}
     assert own_emulator.poses()[-1] != (0.0, 0.0, 0.0)
     nearest = min(abs(x - pose[0]) + abs(y - pose[1]) for x, y, _ in own_emulator.poses())
-    assert nearest < 0.05
+    assert nearest < 0.1
 
 
 def test_the_robot_stops_when_commands_stop(config: RobotConfig, own_emulator: Emulated) -> None:
     link = drive_and_fall_silent(own_emulator.device, config)
+    wait_until(lambda: own_emulator.poses()[-1][0] > 0.05, "a robot that drives")
     wait_until(own_emulator.stands, "a robot that stands")
     assert own_emulator.is_driven()
-    assert own_emulator.poses()[-1][0] > 0.05
     link.close()
 
 
@@ -102,7 +102,7 @@ def test_without_a_command_timeout_it_drives_on(
     emulator = start_emulator("--robot", str(robot))
     link = drive_and_fall_silent(emulator.device, config)
     wait_until(emulator.is_driven, "a command")
-    wait_for_log(emulator, last_received(emulator) + 1.0)
+    wait_for_log(emulator, last_received(emulator) + 0.8)
     assert not emulator.stands(loops=20)
     link.close()
     wait_until(emulator.stands, "a robot that stands")
@@ -111,8 +111,8 @@ def test_without_a_command_timeout_it_drives_on(
 def test_the_bullet_body_drives_too(config: RobotConfig, start_emulator: StartEmulator) -> None:
     emulator = start_emulator("--body", "bullet")
     drive_and_fall_silent(emulator.device, config).close()
+    wait_until(lambda: emulator.poses()[-1][0] > 0.05, "a robot that drives")
     wait_until(emulator.stands, "a robot that stands")
-    assert emulator.poses()[-1][0] > 0.05
 
 
 @pytest.fixture
