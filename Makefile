@@ -12,11 +12,13 @@ REPLUG_CYCLES ?= 1000
 demo: $(READY)  ## train a policy, drive it in PyBullet, then over a serial device
 	$(BIN)/acsar-gym demo
 
-test: $(READY) lint  ## everything that must hold
-	$(BIN)/pytest -n 2
+test: $(READY)  ## everything that must hold; the linters run beside the tests, which often wait
+	@$(MAKE) --no-print-directory lint >$(VENV)/lint.log 2>&1 & lint=$$!; \
+	  $(BIN)/pytest -n 2; tested=$$?; \
+	  wait $$lint; linted=$$?; cat $(VENV)/lint.log; exit $$((tested || linted))
 
-test-slow: $(READY)  ## the same rules on larger samples
-	$(BIN)/pytest -n 2 -m slow
+test-slow: $(READY)  ## the same rules on larger samples, in half an hour
+	$(BIN)/pytest -n 2 -m 'slow or hypothesis' --hypothesis-profile thorough
 
 lint: $(READY)
 	$(BIN)/ruff format --check .

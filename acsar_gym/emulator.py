@@ -26,6 +26,8 @@ from acsar_gym.worlds import Pose, Scene, World
 from acsar_gym.worlds.geometry import look
 
 Floats = NDArray[np.float64]
+STALL = 0.1
+"""Time lost to the operating system is made up for, unless it was this long at once [s]."""
 SAMPLES = 200
 """Measurements of the LiDAR in a turn: 2000 a second at 10 Hz, as an RPLIDAR A1 makes them."""
 
@@ -80,14 +82,20 @@ class Emulator:
         return self._cable.device
 
     def run(self, duration: float | None = None) -> None:
-        """Emulate for `duration` [s], or until interrupted; deadlines are absolute."""
+        """Emulate for `duration` [s], or until interrupted; deadlines are absolute.
+
+        After a stall they start anew from now, for a board has no time to catch up with.
+        """
         if duration is not None and not 0.0 <= duration < math.inf:
             raise ConfigError(f"duration = {duration}: must be a finite number of seconds")
         period = 1.0 / self._config.firmware.loop_rate
         start = deadline = time.monotonic()
         while duration is None or deadline - start < duration:
             deadline += period
-            time.sleep(max(0.0, deadline - time.monotonic()))
+            remaining = deadline - time.monotonic()
+            if remaining < -STALL:
+                deadline -= remaining
+            time.sleep(max(0.0, remaining))
             self._turn(period)
 
     def _turn(self, period: float) -> None:

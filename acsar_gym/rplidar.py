@@ -21,7 +21,7 @@ from acsar_gym.config import LidarConfig, RobotConfig
 from acsar_gym.errors import LidarError, LinkError, MissingExtraError
 from acsar_gym.lidar import Scan
 from acsar_gym.links.guard import guard, install, unguard
-from acsar_gym.links.ports import PORT_ERRORS, Place
+from acsar_gym.links.ports import PORT_ERRORS, Place, put
 from acsar_gym.turns import Turn, Turns, binned
 from acsar_gym.worlds import Scene
 
@@ -163,7 +163,7 @@ class RplidarLidar:
         with contextlib.suppress(*PORT_ERRORS):
             if self._driver is not None:
                 self._driver.stop()
-            port.write(MOTOR_OFF)
+            put(port, MOTOR_OFF)
         _hold_motor(port)
 
     def _release(self, port: Any) -> None:
@@ -235,6 +235,16 @@ class _Reader(threading.Thread):
             self.newest = Scan(binned(bearings, distances, self._lidar), stamp)
 
 
+class _Outbox:
+    """What lds2d's drivers send through: the port, without pyserial's wait for more room."""
+
+    def __init__(self, port: Any) -> None:
+        self._port = port
+
+    def write(self, data: bytes) -> None:
+        put(self._port, data)
+
+
 def _library() -> Any:
     try:
         from lds2d.drivers import rplidar  # noqa: PLC0415
@@ -251,7 +261,7 @@ def _greeted(port: Any, device: str, library: Any) -> Any:
     heard = 0
     for model in (library.RPLIDAR_A1, library.RPLIDAR_C1) * TRIES:
         port.baudrate = model.DEFAULT_BAUD
-        driver = model(port)
+        driver = model(_Outbox(port))
         driver.stop()
         time.sleep(SETTLE)
         port.reset_input_buffer()
@@ -276,7 +286,7 @@ def _start_motor(port: Any) -> None:
     """By DTR, as adapters of the A1 do it (a terminal has none), and by command, as others do."""
     with contextlib.suppress(*PORT_ERRORS):
         port.dtr = False
-    port.write(MOTOR_ON)
+    put(port, MOTOR_ON)
 
 
 def _hold_motor(port: Any) -> None:
@@ -302,7 +312,7 @@ def _check_health(port: Any, device: str) -> None:
 
 def _ask(port: Any, request: bytes, descriptor: bytes) -> tuple[bytes | None, int]:
     """What follows the descriptor, None if that never comes; and how many bytes came."""
-    port.write(request)
+    put(port, request)
     heard, size = b"", descriptor[2]
     deadline = time.monotonic() + ANSWER
     while time.monotonic() < deadline:

@@ -20,7 +20,8 @@ from acsar_gym import RobotConfig
 from acsar_gym.links import watchdog
 
 # Examples aren't timed: the first one may compile. Where CI is set, they are the same every time.
-settings.register_profile("ours", deadline=None, derandomize="CI" in os.environ)
+settings.register_profile("ours", max_examples=30, deadline=None, derandomize="CI" in os.environ)
+settings.register_profile("thorough", settings.get_profile("ours"), max_examples=400)
 settings.load_profile("ours")
 
 SERIAL = {"deadline", "shared_emulator", "start_emulator"}

@@ -1,18 +1,16 @@
-"""An RPLIDAR in a room of known size, in a process of its own: `python lidar_tools.py --help`."""
+"""An RPLIDAR in a room of known size, in a process of its own."""
 
 from __future__ import annotations
 
 import argparse
 import json
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from serial_tools import Emulated, first_line
+from serial_tools import Emulated, Forked, first_line
 
 from acsar_gym.rplidar_emulator import RplidarEmulator, RplidarTwin
 
@@ -41,12 +39,11 @@ def nothing(bearings: Floats) -> Floats:
 
 def start_lidar(log: Path, *arguments: str) -> Emulated:
     """A sensor that serves; `log` gets a line each time it begins a turn or changes its state."""
-    command = [sys.executable, __file__, "--log", str(log), *arguments]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    process = Forked("--log", str(log), *arguments, main=main)
     emulated = Emulated(process, first_line(process), log)
     if not emulated.device.startswith("/dev/"):
         emulated.end()
-        raise AssertionError(f"no device from {command}")
+        raise AssertionError(f"no device from {process.args}")
     return emulated
 
 
@@ -106,7 +103,3 @@ def serve(emulator: RplidarEmulator, note: Callable[..., None]) -> None:
             before = now
         deadline = max(deadline + PERIOD, time.monotonic() - LATE)
         time.sleep(max(0.0, deadline - time.monotonic()))
-
-
-if __name__ == "__main__":
-    main()

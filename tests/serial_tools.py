@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import gc
 import json
 import os
@@ -12,9 +13,16 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from multiprocessing.context import ForkServerContext
+from multiprocessing.forkserver import ensure_running
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
+
+import pytest
 
 from acsar_gym.protocol import ZERO, Decoder
 
@@ -69,25 +77,117 @@ StartEmulator = Callable[..., "Emulated"]
 RobotFile = Callable[..., Path]
 
 
+class Forked:
+    """`main()` with command line arguments, in a process that has imported everything already.
+
+    With what tests use of subprocess.Popen.
+    """
+
+    def __init__(self, *arguments: str, main: Callable[[], None] | None = None) -> None:
+        self.args = arguments
+        context = _fork_server()
+        heard, said = zip(*(context.Pipe(duplex=False) for _ in range(2)), strict=True)
+        task = (main, arguments, dict(os.environ), said)
+        self._process = context.Process(target=_run, args=task, daemon=True)
+        self._process.start()
+        for end in said:
+            end.close()
+        self.stdout, self.stderr = map(_as_text, heard)
+
+    @property
+    def pid(self) -> int:
+        assert self._process.pid is not None
+        return self._process.pid
+
+    def poll(self) -> int | None:
+        """The exit status, negative for a signal; None while it runs."""
+        return self._process.exitcode
+
+    def wait(self, timeout: float) -> int:
+        """The exit status. Raises TimeoutExpired where it still runs after `timeout` [s]."""
+        self._process.join(timeout)
+        code = self.poll()
+        if code is None:
+            raise subprocess.TimeoutExpired(self.args, timeout)
+        return code
+
+    def send_signal(self, number: signal.Signals) -> None:
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+    def terminate(self) -> None:
+        self.send_signal(signal.SIGTERM)
+
+    def kill(self) -> None:
+        self.send_signal(signal.SIGKILL)
+
+    def close(self) -> None:
+        """Let go of the pipes."""
+        self.stdout.close()
+        self.stderr.close()
+
+
+def _as_text(pipe: Connection) -> IO[str]:
+    with pipe:
+        return os.fdopen(os.dup(pipe.fileno()), encoding="utf-8")
+
+
+@functools.cache
+def _fork_server() -> ForkServerContext:
+    """Multiprocessing's, running, with everything that an emulator needs."""
+    context = get_context("forkserver")
+    context.set_forkserver_preload(["__main__", "serial_tools", "lidar_tools", "emulator_process"])
+    with pytest.MonkeyPatch.context() as patch:  # Python 3.11's doesn't pass sys.path on
+        patch.setenv("PYTHONPATH", str(Path(__file__).parent), prepend=os.pathsep)
+        ensure_running()
+    return context
+
+
+def _run(
+    main: Callable[[], None] | None,
+    arguments: tuple[str, ...],
+    environment: dict[str, str],
+    said: tuple[Connection, Connection],
+) -> None:
+    """Run `main`, or acsar-gym, with `said` as standard output and error."""
+    from acsar_gym import cli
+
+    os.environ.clear()
+    os.environ.update(environment)
+    for number, pipe in enumerate(said, start=1):
+        os.dup2(pipe.fileno(), number)
+        pipe.close()
+    sys.stdout, sys.stderr = (os.fdopen(n, "w", buffering=1, closefd=False) for n in (1, 2))
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    sys.argv = ["acsar-gym", *arguments]
+    (main or cli.main)()
+
+
 @dataclass
 class Emulated:
-    """`acsar-gym emulate` in another process: `device` is what links open."""
+    """An emulator in another process: `device` is what links open."""
 
-    process: subprocess.Popen[str]
+    process: Forked
     device: str
     log: Path
-    forgotten: int = 0
-    """How many bytes of the log belong to earlier tests."""
+    _known: list[dict[str, Any]] = field(default_factory=list)
+    _read: int = 0
+    """How many bytes of the log are in `_known`, or forgotten."""
 
     def events(self) -> list[dict[str, Any]]:
         """The log's complete lines."""
-        lines = self.log.read_bytes()[self.forgotten :].splitlines(keepends=True)
-        return [json.loads(line) for line in lines if line.endswith(b"\n")]
+        with self.log.open("rb") as log:
+            log.seek(self._read)
+            lines = log.read().splitlines(keepends=True)
+        complete = [line for line in lines if line.endswith(b"\n")]
+        self._known += map(json.loads, complete)
+        self._read += sum(map(len, complete))
+        return list(self._known)
 
     def forget(self) -> None:
         """Begin a new log once the robot stands."""
         wait_until(lambda: self.stands(loops=20), "a robot that stands")
-        self.forgotten += self.log.read_bytes()[self.forgotten :].rindex(b"\n") + 1
+        self._known.clear()
 
     def received(self) -> bytes:
         """Everything that clients have put on the wire."""
@@ -167,22 +267,20 @@ class Emulated:
             return self.process.wait(TIMEOUT)
         finally:
             self.process.kill()
-            if self.process.stdout:
-                self.process.stdout.close()
+            self.process.close()
 
 
 def start(log: Path, *arguments: str) -> Emulated:
     """An emulator that serves; its log is at `log`."""
-    command = [*CLI, "emulate", "--log", str(log), *arguments]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    process = Forked("emulate", "--log", str(log), *arguments)
     emulated = Emulated(process, first_line(process).split(" ")[-1], log)
     if not emulated.device.startswith("/dev/"):
         emulated.end()
-        raise AssertionError(f"no device from {command}")
+        raise AssertionError(f"no device from {process.args}")
     return emulated
 
 
-def first_line(process: subprocess.Popen[str]) -> str:
+def first_line(process: subprocess.Popen[str] | Forked) -> str:
     """What a process says first."""
     assert process.stdout is not None
     ready, _, _ = select.select([process.stdout], [], [], TIMEOUT)
@@ -191,14 +289,15 @@ def first_line(process: subprocess.Popen[str]) -> str:
 
 def cli(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     """`acsar-gym ARGUMENTS`, to its end, without a keyboard."""
-    return subprocess.run(
-        [*CLI, *map(str, arguments)],
-        check=False,
-        capture_output=True,
-        stdin=subprocess.DEVNULL,
-        text=True,
-        timeout=TIMEOUT,
-    )
+    process = Forked(*map(str, arguments))
+    with ThreadPoolExecutor(2) as readers:
+        try:
+            said = [readers.submit(stream.read) for stream in (process.stdout, process.stderr)]
+            code = process.wait(TIMEOUT)
+        finally:
+            process.kill()
+    process.close()
+    return subprocess.CompletedProcess(arguments, code, *(text.result() for text in said))
 
 
 @contextlib.contextmanager

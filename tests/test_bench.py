@@ -6,11 +6,16 @@ import pytest
 
 from acsar_gym import bench, bench_worlds
 
+SMALL = {"BLOCKS": 2, "STEPS": 3, "ROBOTS": 8, "CROWDS": 2, "POINTS": 20}
 
-def test_every_figure_is_a_positive_number(monkeypatch: pytest.MonkeyPatch) -> None:
+
+@pytest.mark.parametrize("sizes", [SMALL, pytest.param({"BLOCKS": 2}, marks=pytest.mark.slow)])
+def test_every_figure_is_a_positive_number(
+    sizes: dict[str, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
     for module in (bench, bench_worlds):
-        monkeypatch.setattr(module, "BLOCKS", 2)
-        monkeypatch.setattr(module, "STEPS", 3)
+        for name in sizes.keys() & vars(module).keys():
+            monkeypatch.setattr(module, name, sizes[name])
     figures = bench.measure()
     assert all(figure.value > 0.0 for figure in figures)
     assert len({figure.name for figure in figures}) == len(figures) == 26

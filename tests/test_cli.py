@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import functools
 import json
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-from serial_tools import RobotFile, cli
+from serial_tools import CLI, TIMEOUT, RobotFile, cli
 from zip_tools import PLACES, poison, save
 
 from acsar_gym import stopping
@@ -93,7 +94,9 @@ def test_errors_are_one_line_and_an_exit_code(
     ids=["device", "policy", "body"],
 )
 def test_errors_of_a_real_process(arguments: tuple[str, ...], status: int, said: str) -> None:
-    done = cli(*arguments)
+    done = subprocess.run(
+        [*CLI, *arguments], check=False, capture_output=True, text=True, timeout=TIMEOUT
+    )
     assert done.returncode == status, done.stderr
     assert_one_line(done.stderr, said)
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rich.console import Console
-from serial_tools import Emulated, no_leak
+from serial_tools import Emulated, no_leak, wait_until
 
 from acsar_gym import RobotConfig, doctor_timing
 from acsar_gym.doctor import Check
@@ -26,6 +26,12 @@ from acsar_gym.timing_report import EDGES, Report
 pytestmark = pytest.mark.usefixtures("deadline")
 
 Action = NDArray[np.float32]
+
+
+@pytest.fixture(autouse=True)
+def hurry(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shorter turns than at the command line: ten ticks."""
+    monkeypatch.setattr(doctor_timing, "BLOCK", 0.1)
 
 
 def forwards(observation: Action) -> Action:
@@ -67,36 +73,35 @@ def judged(report: Report) -> dict[str, Check]:
     return {check.name: check for check in report.figures}
 
 
-def test_a_run_over_the_emulator(config: RobotConfig, own_emulator: Emulated) -> None:
+def test_a_run_over_the_emulator(config: RobotConfig, shared_device: str) -> None:
     with no_leak():
-        report = measure(own_emulator.device, config, 1.2, forwards)
-    ticks = 150  # three turns of half a second
+        report = measure(shared_device, config, 0.25, forwards)
+    ticks = 30  # three turns
     assert report.lateness.ticks == report.bare.ticks == ticks
     assert sum(report.histogram) == sum(report.bare_histogram) == ticks
     assert sum(report.histogram[EDGES.index(1e-3) + 1 :]) == report.lateness.late_ticks
     assert report.feedback_age.count == ticks
     assert report.policy_time is not None
-    assert report.policy_time.count == 15
+    assert report.policy_time.count == 3
     assert report.refused == 0
     assert report.lines_expected == pytest.approx(report.seconds * config.feedback_rate)
-    assert report.lines > ticks
+    assert report.lines > 0
     assert 0.0 < report.cpu_share < 1.0
-    assert "/dev/pts" in drawn(report)
+    assert shared_device in drawn(report)
 
 
-def test_the_wheels_never_turn(config: RobotConfig, own_emulator: Emulated) -> None:
-    measure(own_emulator.device, config, 0.5, forwards)
-    commands = own_emulator.commands()
-    assert len(commands) > 50
-    assert set(commands) == {ZERO}
-    assert own_emulator.stands()
+def test_the_wheels_never_turn(config: RobotConfig, emulator: Emulated) -> None:
+    measure(emulator.device, config, 0.2, forwards)
+    wait_until(lambda: len(emulator.commands()) >= 20, "a command a tick")
+    wait_until(emulator.stands, "a robot that stands")
+    assert set(emulator.commands()) == {ZERO}
 
 
 def test_the_packaged_policy(config: RobotConfig, shared_device: str) -> None:
     pytest.importorskip("onnxruntime")
-    report = measure(shared_device, config, 0.5)
+    report = measure(shared_device, config, 0.2)
     assert report.policy_time is not None
-    assert report.policy_time.count == 5
+    assert report.policy_time.count == 2
 
 
 def test_without_onnxruntime(
@@ -106,13 +111,13 @@ def test_without_onnxruntime(
         raise MissingExtraError("running a policy", "deploy")
 
     monkeypatch.setattr(doctor_timing, "OnnxPolicy", missing)
-    report = measure(shared_device, config, 0.5)
+    report = measure(shared_device, config, 0.1)
     assert report.policy_time is None
     assert "no policy" in judged(report)["processor"].found
 
 
 def test_another_rate(config: RobotConfig, shared_device: str) -> None:
-    slow = config.with_(control_rate=4.0, firmware={"feedback_rate": 100.0})
+    slow = config.with_(control_rate=10.0, firmware={"feedback_rate": 100.0})
     report = measure(shared_device, slow, 0.1, forwards)
     assert report.lateness.ticks == 5
     assert report.policy_time is not None

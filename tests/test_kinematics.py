@@ -3,7 +3,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from acsar_gym import kinematics
@@ -11,7 +11,6 @@ from acsar_gym.errors import CommandError
 
 RADIUS, SEPARATION = 0.05, 0.3
 
-thorough = settings(max_examples=300, deadline=None)
 wheel_speed = st.floats(-100, 100)
 four_speeds = st.tuples(wheel_speed, wheel_speed, wheel_speed, wheel_speed)
 length = st.floats(0.01, 2.0)
@@ -33,7 +32,6 @@ def close(value: float, expected: float) -> bool:
     return math.isclose(value, expected, rel_tol=1e-9, abs_tol=1e-9)
 
 
-@thorough
 @given(speeds=four_speeds, radius=length, separation=length)
 def test_forward_is_equations_1_to_3(
     speeds: tuple[float, float, float, float], radius: float, separation: float
@@ -79,7 +77,6 @@ def test_inverse_by_hand(
     assert kinematics.inverse(linear, angular, RADIUS, SEPARATION) == pytest.approx(speeds)
 
 
-@thorough
 @given(linear=linear_speed, angular=angular_speed, radius=length, separation=length)
 def test_forward_of_inverse_is_the_twist(
     linear: float, angular: float, radius: float, separation: float
@@ -90,7 +87,6 @@ def test_forward_of_inverse_is_the_twist(
     assert close(back[1], angular)
 
 
-@thorough
 @given(left=wheel_speed, right=wheel_speed, radius=length, separation=length)
 def test_inverse_of_forward_is_the_speeds_where_each_side_turns_as_one(
     left: float, right: float, radius: float, separation: float
@@ -100,7 +96,6 @@ def test_inverse_of_forward_is_the_speeds_where_each_side_turns_as_one(
     assert kinematics.inverse(*twist, radius, separation) == pytest.approx(speeds, abs=1e-9)
 
 
-@thorough
 @given(linear=linear_speed, angular=angular_speed, limit=st.floats(0.01, 99.99))
 def test_wheels_beyond_the_limit_shrink_together(
     linear: float, angular: float, limit: float
@@ -113,7 +108,6 @@ def test_wheels_beyond_the_limit_shrink_together(
     assert held == pytest.approx([speed * limit / fastest for speed in free], abs=1e-9)
 
 
-@thorough
 @given(linear=linear_speed, angular=angular_speed, limit=st.floats(0.01, 99.99))
 def test_saturation_keeps_the_turn_radius_and_the_direction(
     linear: float, angular: float, limit: float
@@ -127,7 +121,6 @@ def test_saturation_keeps_the_turn_radius_and_the_direction(
     assert abs(slow_angular) <= abs(angular) + 1e-9
 
 
-@thorough
 @given(linear=linear_speed, angular=angular_speed)
 def test_wheels_within_the_limit_are_left_alone(linear: float, angular: float) -> None:
     free = kinematics.inverse(linear, angular, RADIUS, SEPARATION)

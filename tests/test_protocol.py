@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from acsar_gym.config import LINE_BYTES
@@ -25,8 +25,6 @@ NOT_NUMBERS = (
 )
 GOOD = b"ap12.50,bn08.75,cp15.00,dn10.25"
 GOOD_SPEEDS = (12.5, -8.75, 15.0, -10.25)
-
-thorough = settings(max_examples=400, deadline=None)
 
 
 def on_a_rounding_edge(thousandths: int, side: float) -> float:
@@ -73,7 +71,6 @@ def cut(stream: bytes, places: list[int]) -> list[bytes]:
     return [stream[start:end] for start, end in itertools.pairwise(edges)]
 
 
-@thorough
 @given(speeds=four_speeds, comma=st.booleans())
 @example(speeds=(1e308, 1e308, 1e308, 1e308), comma=False)
 def test_decode_of_encode_is_rounded_and_saturated(speeds: Speeds, comma: bool) -> None:
@@ -81,7 +78,6 @@ def test_decode_of_encode_is_rounded_and_saturated(speeds: Speeds, comma: bool) 
     assert speeds_of(encode(speeds, trailing_comma=comma)) == [expected]
 
 
-@thorough
 @given(speeds=four_speeds, comma=st.booleans())
 @example(speeds=(-0.0, -0.001, -0.00499, -5e-324), comma=False)
 def test_lines_fit_the_grammar_and_no_zero_is_negative(speeds: Speeds, comma: bool) -> None:
@@ -92,7 +88,6 @@ def test_lines_fit_the_grammar_and_no_zero_is_negative(speeds: Speeds, comma: bo
     assert b"n00.00" not in line
 
 
-@thorough
 @given(stream=streams, places=st.lists(st.integers(0, 5000), max_size=20))
 @example(stream=(GOOD + b"\r\n") * 2, places=list(range(2 * len(GOOD) + 4)))
 @example(stream=b"x" * (MAX_LINE + 1) + b"," + GOOD + b"\n" + GOOD + b"\n", places=[MAX_LINE + 1])
@@ -104,7 +99,6 @@ def test_chunking_changes_neither_readings_nor_counters(stream: bytes, places: l
     assert whole.lines == len(expected)
 
 
-@thorough
 @given(chunks=st.lists(st.one_of(noise, st.binary(max_size=3 * MAX_LINE)), max_size=20))
 def test_no_bytes_raise_and_what_the_decoder_holds_is_bounded(chunks: list[bytes]) -> None:
     decoder = Decoder()
@@ -125,17 +119,16 @@ def test_memory_stays_bounded_over_many_different_lines() -> None:
     decoder = Decoder()
     tracemalloc.start()
     try:
-        for number in range(20_000):
+        for number in range(5_000):
             decoder.feed(b"%0240d\n" % number)
             encode([float(number), 1.0, 2.0, 3.0])
         held, _ = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert decoder.refused == {"unknown motor": 20_000}
-    assert held < 2_000_000
+    assert decoder.refused == {"unknown motor": 5_000}
+    assert held < 500_000
 
 
-@thorough
 @given(garbage=streams, places=st.lists(st.integers(0, 5000), max_size=10))
 @example(garbage=b"x" * MAX_LINE, places=[])
 @example(garbage=b"x" * (MAX_LINE + 1), places=[])
@@ -245,7 +238,6 @@ def test_a_negative_zero_from_the_board_reads_as_plain_zero(line: bytes) -> None
     assert [math.copysign(1.0, speed) for speed in read] == [1.0] * line.count(b"n0")
 
 
-@thorough
 @given(speeds=four_speeds, order=st.permutations(range(4)))
 def test_the_order_of_the_parts_does_not_matter(speeds: Speeds, order: list[int]) -> None:
     parts = encode(speeds).rstrip().split(b",")

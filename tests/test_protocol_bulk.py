@@ -1,4 +1,4 @@
-"""The decoder under a flood: ten million random bytes, a million mutated lines."""
+"""The decoder under a flood of random bytes and mutated lines."""
 
 from __future__ import annotations
 
@@ -7,12 +7,11 @@ import tracemalloc
 from collections.abc import Iterator
 
 import numpy as np
+from samples import samples
 
 from acsar_gym.protocol import Decoder, Reading, encode
 
 CHUNK = 4096
-RANDOM_BYTES = 10_000_000
-MUTATED_LINES = 1_000_000
 
 
 def lines(rng: np.random.Generator, count: int) -> list[bytes]:
@@ -29,13 +28,14 @@ def chunks(data: bytes) -> Iterator[bytes]:
     return (data[start : start + CHUNK] for start in range(0, len(data), CHUNK))
 
 
-def test_ten_million_random_bytes_and_every_good_line_among_them() -> None:
+@samples(1_000_000, 10_000_000)
+def test_random_bytes_and_every_good_line_among_them(count: int) -> None:
     rng = np.random.default_rng(0)
     good = lines(rng, 200)
     decoder, read, fed = Decoder(), 0, 0
     tracemalloc.start()
     for number in range(len(good)):
-        garbage = rng.integers(0, 256, RANDOM_BYTES // len(good), np.uint8).tobytes()
+        garbage = rng.integers(0, 256, count // len(good), np.uint8).tobytes()
         fed += len(garbage)
         for chunk in chunks(garbage):
             decoder.feed(chunk)
@@ -44,21 +44,22 @@ def test_ten_million_random_bytes_and_every_good_line_among_them() -> None:
     gc.collect()
     grown, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert fed == RANDOM_BYTES
+    assert fed == count
     assert read == len(good)
     assert grown < 1_000_000
     assert sum(decoder.refused.values()) > 1000
     assert len(decoder.refused) < 20
 
 
-def test_a_million_mutated_lines_lose_no_good_one() -> None:
+@samples(50_000, 1_000_000)
+def test_mutated_lines_lose_no_good_one(count: int) -> None:
     """Every third line has a byte replaced, dropped or doubled; the others must all be read."""
     rng = np.random.default_rng(1)
     pool = lines(rng, 5000)
-    kinds = rng.integers(0, 9, MUTATED_LINES).tolist()
-    places, values = (rng.integers(0, high, MUTATED_LINES).tolist() for high in (31, 256))
+    kinds = rng.integers(0, 9, count).tolist()
+    places, values = (rng.integers(0, high, count).tolist() for high in (31, 256))
     decoder, good, whole = Decoder(), 0, 0
-    for start in range(0, MUTATED_LINES, 1000):
+    for start in range(0, count, 1000):
         block = bytearray()
         for k in range(start, start + 1000):
             line, kind, place = pool[k % len(pool)], kinds[k], places[k]
@@ -72,5 +73,5 @@ def test_a_million_mutated_lines_lose_no_good_one() -> None:
                 good += 1
             block += line
         whole += sum(None not in reading.speeds for reading in decoder.feed(bytes(block)))
-    assert good > MUTATED_LINES // 2
+    assert good > count // 2
     assert whole >= good

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import gc
 import math
+import os
 import pickle
 import signal
 import statistics
@@ -24,7 +25,7 @@ from acsar_gym import RobotConfig, rplidar
 from acsar_gym.config import LidarConfig
 from acsar_gym.errors import ConfigError, LidarError, MissingExtraError
 from acsar_gym.lidar import Lidar, Scan
-from acsar_gym.links import guard
+from acsar_gym.links import guard, ports
 from acsar_gym.rplidar import RplidarLidar
 from acsar_gym.rplidar_emulator import RplidarTwin
 from acsar_gym.turns import Turns, binned
@@ -267,16 +268,14 @@ def test_a_turn_is_stamped_when_it_is_complete(start: Start, make: Open) -> None
     assert time.monotonic() >= stamps[-1]
     ends = np.array(turns(emulated))
     lags = [stamp - ends[ends <= stamp].max() for stamp in stamps]
-    assert statistics.median(lags) < 0.05
-    assert statistics.median(np.diff(stamps)) == pytest.approx(1.0 / 5.5, rel=0.3)
+    assert statistics.median(lags) < 0.5 / 5.5  # were it the turn before, a whole turn
 
 
 def test_a_scan_is_the_callers_own_and_waits_for_nothing(sensor: Emulated, make: Open) -> None:
     lidar = make(sensor)
     reset(lidar)
-    start = time.monotonic()
     scans = [lidar.scan() for _ in range(100)]
-    assert time.monotonic() - start < 0.5
+    assert len({scan.stamp for scan in scans}) < 100  # it doesn't wait for the next turn
     scans[0].ranges[:] = 0.0
     assert scans[1].ranges.min() > 0.5
 
@@ -284,12 +283,12 @@ def test_a_scan_is_the_callers_own_and_waits_for_nothing(sensor: Emulated, make:
 def test_an_open_one_resets_at_once(sensor: Emulated, make: Open) -> None:
     lidar = make(sensor)
     reset(lidar)
-    before = lidar.scan().stamp
-    start = time.monotonic()
+    before, states = lidar.scan().stamp, len([e for e in sensor.events() if "pwm" in e])
     for _ in range(100):
         reset(lidar)
-    assert time.monotonic() - start < 0.5
     assert lidar.scan().stamp >= before
+    newer(lidar, time.monotonic())
+    assert len([e for e in sensor.events() if "pwm" in e]) == states
 
 
 def test_a_frozen_device_is_an_error_after_the_timeout_and_comes_back(
@@ -303,7 +302,9 @@ def test_a_frozen_device_is_an_error_after_the_timeout_and_comes_back(
     time.sleep(0.3)
     newest = max(newest, lidar.scan().stamp)
     wait_until(lambda: time.monotonic() > newest + 1.1, "the time-out")
-    with pytest.raises(LidarError, match=r"no complete turn for 1\.\d\d s \(lidar.timeout = 1 s\)"):
+    with pytest.raises(
+        LidarError, match=r"no complete turn for \d+\.\d\d s \(lidar.timeout = 1 s\)"
+    ):
         lidar.scan()
     emulated.process.send_signal(signal.SIGCONT)
     wait_until(lambda: scans_again(lidar), "turns")
@@ -319,12 +320,12 @@ def scans_again(lidar: RplidarLidar) -> bool:
 def test_a_frozen_device_fails_a_reset_and_is_closed(
     start: Start, make: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rplidar, "ANSWER", 0.05)
     emulated = start()
-    lidar = make(emulated, timeout=0.2)
+    lidar = make(emulated, timeout=0.5)
     reset(lidar)
     emulated.pause()
-    time.sleep(0.5)
+    wait_until(lambda: not scans_again(lidar), "the time-out")
+    monkeypatch.setattr(rplidar, "ANSWER", 0.05)
     with pytest.raises(LidarError, match="no answer"):
         reset(lidar)
     with pytest.raises(LidarError, match="is closed"):
@@ -332,6 +333,18 @@ def test_a_frozen_device_fails_a_reset_and_is_closed(
     emulated.process.send_signal(signal.SIGCONT)
     monkeypatch.undo()
     reset(lidar)
+
+
+def test_a_machine_that_is_slow_to_write_has_not_lost_the_device(
+    make: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rplidar, "ANSWER", 0.02)
+    monkeypatch.setattr(ports, "WRITE_TIMEOUT", 1e-9)
+    board, terminal = os.openpty()
+    with pytest.raises(LidarError, match="no answer"):
+        reset(make(os.ttyname(terminal)))
+    os.close(board)
+    os.close(terminal)
 
 
 @pytest.fixture

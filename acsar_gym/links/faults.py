@@ -40,8 +40,11 @@ class Faults:
     """Shares of lines, rates of events, and wheels that fail. By default nothing goes wrong.
 
     An event with a rate comes at random, that many times a second on average; `*_at` says when the
-    first one comes, in seconds after every reset on the link's clock. Raises ConfigError for values
-    out of range.
+    first one comes, in seconds on the link's clock. Wheels, encoders, board, supply and cable begin
+    to fail with the start of the drive: their clock starts anew after every reset, with the first
+    command that turns wheels, however long the reset took. Lines and garbage suffer at all times.
+
+    Raises ConfigError for values out of range.
     """
 
     episodes: float = 1.0
@@ -73,24 +76,24 @@ class Faults:
     dead_wheels: Wheels = 0
     """Wheels whose commands become zero on the board; their encoders tell the truth."""
     wheel_faults_at: float = 0.0
-    """When encoders and wheels fail [s after the reset]."""
+    """When encoders and wheels fail [s after the drive's start]; at 0 they fail before it, too."""
 
     board_reset_rate: float = 0.0
     """Resets of the board per second [1/s]."""
     board_reset_at: float | None = None
-    """When the first reset of the board happens [s after the link's reset]."""
+    """When the first reset of the board happens [s after the drive's start]."""
     reset_time: float = 2.0
     """A board that resets stops its motors, hears nothing and says nothing for so long [s]."""
     brown_out_rate: float = 0.0
     """Dips of the supply per second [1/s]."""
     brown_out_at: float | None = None
-    """When the first dip happens [s after the reset]."""
+    """When the first dip happens [s after the drive's start]."""
     brown_out_time: float = 0.3
     """In a dip the motors stop, and the board neither hears nor speaks, for so long [s]."""
     unplug_rate: float = 0.0
     """How often the cable is pulled [1/s]."""
     unplug_at: float | None = None
-    """When the cable is pulled [s after the reset]."""
+    """When the cable is pulled [s after the drive's start]."""
     replug_time: float = 1.0
     """After so long it is plugged in again, under another device's name [s]; inf: it stays out."""
 
@@ -172,14 +175,14 @@ class Lines:
 class WheelEditor:
     """Feedback and commands of one episode, as failed encoders and motors have them.
 
-    `at` is when they fail, on the link's clock [s].
+    Attributes: `at`, when they fail, on the link's clock [s]; may be set later.
     """
 
     def __init__(self, faults: WheelFaults, at: float) -> None:
+        self.at = at
         self._dead, self._stuck, self._reversed = (
             letters.encode() for letters in (faults.dead, faults.stuck, faults.reversed)
         )
-        self._at = at
         self._readings: dict[bytes, bytes] = {}
         self._commands, self._feedback = Lines(), Lines()
 
@@ -192,7 +195,7 @@ class WheelEditor:
         if not self._dead:
             return data
         lines = b"".join(self._commands.feed(data))
-        return lines if now + EPSILON < self._at else _PART.sub(self._obeyed, lines)
+        return lines if now + EPSILON < self.at else _PART.sub(self._obeyed, lines)
 
     def _obeyed(self, part: re.Match[bytes]) -> bytes:
         return part[1] + STOPPED if part[1] in self._dead else part[0]
@@ -202,7 +205,7 @@ class WheelEditor:
         if not (self._stuck or self._reversed):
             return data
         lines = b"".join(self._feedback.feed(data))
-        if now + EPSILON < self._at:
+        if now + EPSILON < self.at:
             self._readings.update((part[1], part[0]) for part in _PART.finditer(lines))
             return lines
         return _PART.sub(self._read, lines)

@@ -18,7 +18,7 @@ from acsar_gym.bodies.base import GroundTruth, Image
 from acsar_gym.errors import ConfigError, LinkLostError, PortNotFoundError
 from acsar_gym.links.base import Link
 from acsar_gym.links.faults import EPSILON, LINE_FAULTS, Faults, Lines, WheelEditor, WheelFaults
-from acsar_gym.protocol import ZERO, encode
+from acsar_gym.protocol import ZERO, Decoder, encode
 from acsar_gym.worlds import Scene
 
 BUFFER = 65536
@@ -112,6 +112,8 @@ class FaultyLink:
 
     def write(self, data: bytes) -> None:
         """Send bytes; what arrives of them is a matter of luck."""
+        if self._episode is not None:
+            self._episode.watch(data, self.link.now())
         self._check_cable()
         if self._episode is not None:
             data = self._episode.sent(data, self.link.now())
@@ -183,12 +185,23 @@ class _Episode:
         feedback, commands, events = generators
         self._feedback = _Wire(faults, "feedback", feedback, count)
         self._commands = _Wire(faults, "commands", commands, count)
-        self._wheels = WheelEditor(link.wheels, link.now() + faults.wheel_faults_at)
+        self._wheels = WheelEditor(link.wheels, math.inf if faults.wheel_faults_at else -math.inf)
+        self._wheels_fail_after = faults.wheel_faults_at
         self._outages = (
             _Event("board_reset", faults.reset_time, link, events),
             _Event("brown_out", faults.brown_out_time, link, events),
         )
         self._unplug = _Event("unplug", math.inf, link, events)
+        self._waiting: Decoder | None = Decoder()
+
+    def watch(self, data: bytes, now: float) -> None:
+        """Start the clock of events where the driver's bytes turn wheels for the first time."""
+        if self._waiting is None or all(r.speeds == ZERO for r in self._waiting.feed(data)):
+            return
+        self._waiting = None
+        self._wheels.at = now + self._wheels_fail_after
+        for event in (*self._outages, self._unplug):
+            event.start(now)
 
     def unplugged(self, now: float) -> bool:
         return self._unplug.going(now)
@@ -218,7 +231,10 @@ class _Episode:
 
 
 class _Event:
-    """Something that begins at a set time or at times drawn at a rate [1/s], and lasts a while."""
+    """Something that begins at a set time or at times drawn at a rate [1/s], and lasts a while.
+
+    Times count from `start` on.
+    """
 
     def __init__(
         self, name: str, lasting: float, link: FaultyLink, rng: np.random.Generator
@@ -226,8 +242,13 @@ class _Event:
         self._name, self._lasting, self._rng, self._count = name, lasting, rng, link.injected
         self._rate: float = getattr(link.faults, f"{name}_rate")
         after: float | None = getattr(link.faults, f"{name}_at")
-        self._next = link.now() + (self._pause() if after is None else after)
+        self._after = self._pause() if after is None else after
+        self._next = math.inf
         self._until = -math.inf
+
+    def start(self, now: float) -> None:
+        """Start the clock; before that nothing happens."""
+        self._next = now + self._after
 
     def _pause(self) -> float:
         return float(self._rng.exponential(1.0 / self._rate)) if self._rate else math.inf

@@ -439,10 +439,13 @@ def test_a_pulled_cable_is_a_lost_link(config: RobotConfig) -> None:
     link = planar(config, unplug_at=0.5, replug_time=0.7)
     robot = Robot(link, config)
     robot.activate()
+    for _ in range(100):
+        robot.drive(0.0, 0.0)
+    start = link.now()
     with pytest.raises(LinkLostError, match="robot0: lost while in use"):
         for _ in range(200):
             robot.drive(0.3, 0.0)
-    assert link.now() == pytest.approx(0.5)
+    assert link.now() == pytest.approx(start + 0.5)
     assert link.injected == {"unplug": 1}
     for use in (lambda: link.write(TURNING), lambda: link.advance(PERIOD)):
         with pytest.raises(LinkLostError, match="open"):
@@ -450,7 +453,7 @@ def test_a_pulled_cable_is_a_lost_link(config: RobotConfig) -> None:
     with pytest.raises(LinkLostError):
         link.reset(Scene())
     link.open()
-    assert link.now() == pytest.approx(1.2)
+    assert link.now() == pytest.approx(start + 1.2)
     assert link.device == "robot1"
     robot.reset(Scene())
     for _ in range(40):
@@ -633,16 +636,16 @@ def test_faults_over_a_recording(config: RobotConfig, tmp_path: Path) -> None:
 
 def test_over_a_real_device_the_robot_drives_on(config: RobotConfig, emulator: Emulated) -> None:
     faults = {key: 0.1 for key in EVERYTHING if key.endswith("_lines")}
-    faults |= {"garbage_rate": 3.0, "brown_out_at": 1.0, "brown_out_time": 0.2}
+    faults |= {"garbage_rate": 10.0, "brown_out_at": 0.5, "brown_out_time": 0.2}
     link = FaultyLink(open_link(emulator.device, config), faults, seed=2)
     assert link.device == emulator.device
     with Robot(link, config) as robot:
         ages = []
-        for _ in range(200):
+        while link.injected["brown_out"] == 0 or robot.feedback_age > 0.0:
             robot.drive(0.3, 0.0)
             ages.append(robot.feedback_age)
         assert max(ages) > 0.15
-        assert robot.odometry.pose[0] > 0.1
+        assert robot.odometry.pose[0] > 0.02
         assert robot.decoder.refused
         assert link.injected["brown_out"] == 1
     assert b"ap00.00,bp00.00,cp00.00,dp00.00" in emulator.received()
@@ -651,14 +654,13 @@ def test_over_a_real_device_the_robot_drives_on(config: RobotConfig, emulator: E
 
 def test_over_a_real_device_silence_is_an_error(config: RobotConfig, emulator: Emulated) -> None:
     config = config.with_(feedback_timeout=0.6)
-    robot = Robot(
-        FaultyLink(open_link(emulator.device, config), {"board_reset_at": 0.5}, 0), config
-    )
+    faults = {"board_reset_at": 0.1, "reset_time": 60.0}
+    robot = Robot(FaultyLink(open_link(emulator.device, config), faults, 0), config)
     with no_leak():
         robot.activate()
         start = time.monotonic()
         with pytest.raises(BoardSilentError):
-            for _ in range(300):
+            while True:
                 robot.drive(0.3, 0.0)
         assert time.monotonic() - start > 0.6
     wait_until(emulator.is_stopped, "wheels at rest")
@@ -670,14 +672,14 @@ def test_a_real_device_comes_back_under_another_name(
     first, second = start_emulator(), start_emulator()
     link = FaultyLink(
         open_link(first.device, config),
-        {"unplug_at": 1.0, "replug_time": 0.5},
+        {"unplug_at": 0.5, "replug_time": 0.5},
         relink=lambda: open_link(second.device, config),
     )
     robot = Robot(link, config)
     with no_leak():
         robot.activate()
         with pytest.raises(LinkLostError, match=first.device):
-            for _ in range(200):
+            while True:
                 robot.drive(0.3, 0.0)
         lost = time.monotonic()
         wait_until(first.is_stopped, "wheels at rest")
@@ -685,8 +687,7 @@ def test_a_real_device_comes_back_under_another_name(
         robot.reset(Scene())
         assert time.monotonic() - lost > 0.4
         assert link.device == second.device != first.device
-        for _ in range(10):
+        while robot.odometry.pose[0] == 0.0:
             robot.drive(0.3, 0.0)
-        assert robot.odometry.pose[0] > 0.0
         robot.deactivate()
     wait_until(second.is_stopped, "wheels at rest")

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from samples import samples
 
 from acsar_gym.errors import WorldError
 from acsar_gym.worlds.clearance import clearance, segment_clearance
@@ -108,16 +109,17 @@ def test_numbers_are_the_same_worlds_in_every_process() -> None:
     assert there.stdout.split("\n")[:-1] == here
 
 
+@samples(4, 15)
 @pytest.mark.parametrize("kind", KINDS)
-def test_numbers_are_different_worlds(kind: str) -> None:
+def test_numbers_are_different_worlds(kind: str, count: int) -> None:
     for level in (None, 0.5):
-        made = [generate(kind, number, level) for number in range(15)]
+        made = [generate(kind, number, level) for number in range(count)]
         nameless = {
             (world.circles.tobytes(), world.segments.tobytes(), way(world).tobytes())
             for world in made
         }
-        assert len(nameless) == 15
-        assert [world.name for world in made] == [f"{kind} {number}" for number in range(15)]
+        assert len(nameless) == count
+        assert [world.name for world in made] == [f"{kind} {number}" for number in range(count)]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -183,10 +185,11 @@ def test_a_footprint_that_is_no_size_is_refused(radius: Any) -> None:
         pytest.fail(f"{kind}: taken")
 
 
+@samples(8, 40)
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_world_is_solvable(kind: str) -> None:
-    for number in range(40):
-        world = generate(kind, number, number / 39.0)
+def test_every_world_is_solvable(kind: str, count: int) -> None:
+    for number in range(count):
+        world = generate(kind, number, number / (count - 1.0))
         path = way(world)
         ends = [[world.start.x, world.start.y], [world.goal.x, world.goal.y]]
         assert path[[0, -1]].tolist() == ends
@@ -199,10 +202,11 @@ def test_every_world_is_solvable(kind: str) -> None:
         assert world.start.theta is not None
 
 
+@samples(3, 10)
 @pytest.mark.parametrize("kind", SEARCHED)
 @pytest.mark.parametrize("radius", [0.1, 0.45])
-def test_the_way_is_made_for_the_footprint(kind: str, radius: float) -> None:
-    for number in range(10):
+def test_the_way_is_made_for_the_footprint(kind: str, radius: float, count: int) -> None:
+    for number in range(0, 10, 10 // count):
         world = generate(kind, number, number / 9.0, radius)
         assert closest(way(world), world) >= radius + MARGIN - 2.0 * CUT
         assert np.array_equal(way(world), shortest_path(world, radius + MARGIN, cuts=0))
