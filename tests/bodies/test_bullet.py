@@ -133,7 +133,7 @@ def test_the_picture_shows_robot_and_goal(body: BulletBody) -> None:
 
 def test_a_window_without_a_display_says_what_to_use(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
-    with pytest.raises(RenderError, match="rgb_array"):
+    with pytest.raises(RenderError, match="needs a display; drive without a window"):
         BulletBody(RobotConfig(), window=True)
 
 

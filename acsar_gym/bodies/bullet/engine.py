@@ -37,7 +37,7 @@ def connected(window: bool) -> int:
     if not window:
         return int(pybullet.connect(pybullet.DIRECT))
     if not display.found():
-        raise RenderError("PyBullet's window needs a display")
+        raise RenderError("PyBullet's window needs a display; drive without a window here")
     client = int(pybullet.connect(pybullet.GUI))
     pybullet.configureDebugVisualizer(pybullet.COV_ENABLE_GUI, 0, physicsClientId=client)
     return client
