@@ -124,12 +124,12 @@ class Batch:
         info = dict(zip(self.told, rows, strict=True))
         if "world" in info:
             info["world"] += self._first_world
-        return info | self._drawn.info()
+        return info | self._drawn.info
 
     @property
     def names(self) -> tuple[str, ...]:
         """The keys of info."""
-        return (*self.told, *self._drawn.names)
+        return (*self.told, *self._drawn.info)
 
     def turn(self) -> None:
         """All robots have done their step: move on in the ring of encoder counts."""
