@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from acsar_gym import compiled, warm_up
+from acsar_gym import cli, compiled, warm_up
 from acsar_gym.compiled import forget_stale
+from acsar_gym.errors import MissingExtraError
 
 needs_numba = pytest.mark.skipif(not compiled.COMPILED, reason="nothing is compiled")
 
@@ -72,3 +73,21 @@ def test_warming_up_leaves_nothing_to_compile(name: str, caplog: pytest.LogCaptu
     assert caplog.records == []
     assert warm_up.run(name, options=options).functions == 0
     assert compiled.LOG.level == logging.NOTSET
+
+
+@needs_numba
+def test_the_command_says_what_it_did(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(warm_up, "BATCHES", {"PointGoal": warm_up.BATCHES["PointGoal"]})
+    warm_up.run("PointGoal")
+    assert cli.COMMANDS["warm-up"]() == 0
+    done, ready = capsys.readouterr().out.splitlines()
+    assert done.startswith("PointGoal: 0 functions compiled, ")
+    assert ready.endswith("everything had been compiled before")
+
+
+def test_without_numba_there_is_nothing_to_warm_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiled, "COMPILED", False)
+    with pytest.raises(MissingExtraError, match="fast"):
+        warm_up.run("PointGoal")

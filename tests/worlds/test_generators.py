@@ -17,6 +17,7 @@ import pytest
 from samples import samples
 
 from acsar_gym.errors import WorldError
+from acsar_gym.worlds import generators
 from acsar_gym.worlds.clearance import clearance, segment_clearance
 from acsar_gym.worlds.generators import ARENA, DEFAULT_RADIUS, MARGIN, generate, kinds
 from acsar_gym.worlds.paths import SPACING
@@ -135,6 +136,25 @@ def test_without_a_difficulty_all_of_them_come(kind: str) -> None:
     )
     assert min(counts) < low + 0.3 * (high - low)
     assert max(counts) > low + 0.7 * (high - low)
+
+
+def test_a_range_of_difficulty_varies_it_within(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[float] = []
+
+    def picky(rng: np.random.Generator, difficulty: float, radius: float) -> World:
+        asked.append(difficulty)
+        if len(asked) < 40:
+            raise WorldError("can't be crossed")
+        return generators.open_floor(rng, difficulty, radius)
+
+    assert content(generate("clutter", 3, (0.0, 1.0))) == content(generate("clutter", 3))
+    levels = [generators.level("open", number, (0.2, 0.4)) for number in range(50)]
+    assert 0.2 <= min(levels) < 0.25
+    assert 0.35 < max(levels) <= 0.4
+    monkeypatch.setitem(generators._MAKERS, "open", picky)
+    generate("open", 7, (0.2, 0.4))
+    assert asked[0] == levels[7]
+    assert min(asked) == asked[-1] == 0.2  # made easier, but not too easy
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import pickle
 import re
@@ -415,3 +416,30 @@ def test_an_unsolvable_file_is_named(folder: Path) -> None:
     files.save(CELL, folder / "cell.yaml")
     with pytest.raises(WorldError, match=r"^cell: no way from start to goal"):
         Pool.of("cell.yaml")[0]
+
+
+def test_worlds_of_a_range_of_difficulty() -> None:
+    found = Pool.of("open:100-139", (0.2, 0.8))
+    order, levels = found.by_difficulty
+    assert sorted(order.tolist()) == list(range(40))
+    assert (np.diff(levels) >= 0.0).all()
+    ranks = found.ranks((0.3, 0.5))
+    inside = {100 + int(place) for place in order[ranks.start : ranks.stop]}
+    level = functools.partial(generators.level, "open", difficulty=(0.2, 0.8))
+    assert inside == {number for number in found.numbers if 0.3 <= level(number) <= 0.5}
+    assert found.ranks((0.0, 1.0)) == range(40)
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        ("open:4", "none of the env's worlds; theirs are"),
+        ("open:100001", "100,001 worlds, at most 100,000"),
+        (World(), "only generated worlds have one"),
+    ],
+)
+def test_a_range_of_difficulty_that_holds_none_is_one_clear_error(
+    source: Any, message: str
+) -> None:
+    with pytest.raises(WorldError, match=message):
+        Pool.of(source).ranks((0.9999, 1.0))
