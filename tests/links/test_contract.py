@@ -168,7 +168,7 @@ def test_using_a_closed_link_is_an_error(make_link: MakeLink, use: str) -> None:
     link.open()
     link.reset(Scene())
     link.close()
-    with pytest.raises(LinkError, match="open|reset"):
+    with pytest.raises(LinkError, match=r"open|reset"):
         link.write(TURNING) if use == "write" else link.advance(PERIOD)
 
 
