@@ -250,12 +250,12 @@ def test_the_doctor_tells_how_late_ticks_are(
     call: Call, shared_device: str, robot_file: RobotFile, tmp_path: Path
 ) -> None:
     file = tmp_path / "timing.json"
-    options = ("--robot", robot_file(), "--timing", "--duration", "1", "--json", file)
+    options = ("--robot", robot_file(), "--timing", "--duration", "0.1", "--json", file)
     code, output, _ = call("doctor", shared_device, *options)
     assert code == 0
     for word in ("lateness", "bare loop", "feedback age", "baud rate"):
         assert word in output
-    assert json.loads(file.read_text())["lateness"]["ticks"] == 100
+    assert json.loads(file.read_text())["lateness"]["ticks"] == 50
 
 
 def test_the_doctor_tells_how_soon_a_robot_is_stopped(
