@@ -121,8 +121,8 @@ def _become_pid_1(mouth: int) -> None:
         return
     os.write(mouth, f"{inner}\n".encode())
     os.close(mouth)
-    os.waitpid(inner, 0)
-    os._exit(0)
+    status = os.waitstatus_to_exitcode(os.waitpid(inner, 0)[1])
+    os._exit(status if status >= 0 else 128 - status)
 
 
 def _harm(kind: str, program: int, terminal: int, report: IO[str]) -> str:
