@@ -213,9 +213,9 @@ class RobotConfig(_Section):
     """A port that was lost has so long to come back at the next activation [s]."""
     feedback_timeout: PositiveFloat = 0.5
     """Feedback older than this stops the robot with an error [s]."""
-    watchdog_timeout: PositiveFloat | None = 0.15
+    watchdog_timeout: Annotated[float, Field(ge=0.01, le=60.0)] | None = 0.15
     """Commands that stop coming for so long mean that the program hangs: a process of its own
-    commands zero [s]; None: no watchdog."""
+    commands zero [s], 0.01 to 60; None: no watchdog."""
     max_linear: PositiveFloat = 0.5
     """Linear speed of a full action [m/s]."""
     max_angular: PositiveFloat = 1.5

@@ -173,8 +173,9 @@ class RplidarLidar:
         with contextlib.suppress(*PORT_ERRORS):
             port.close()
 
-    def stop(self) -> None:
-        """Nothing: a head that turns on harms nobody while the process is suspended."""
+    def held(self) -> contextlib.AbstractContextManager[None]:
+        """Leaving the motor running is harmless while the process is suspended."""
+        return contextlib.nullcontext()
 
     def abandon(self) -> None:
         """Let go without a word, as a forked child must do with its parent's port."""

@@ -27,24 +27,27 @@ from pathlib import Path
 from typing import IO, Any
 
 from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import AcsarError, ConfigError, suggestion
 from acsar_gym.protocol import ZERO, Decoder
-from acsar_gym.stopping_programs import KINDS, REPLUGGED
+from acsar_gym.stopping_programs import CONTAINED, KINDS, REPLUGGED, no_namespace
 
 LIMIT = 0.25
 """So soon the zero command shall be there [s]."""
 PATIENCE = 3.0
 """A zero command that isn't there after so long won't come [s]."""
-SURE = 0.1
-"""For so long no other command may follow the zeros [s]."""
+SURE = 1.0
+"""For so long no other command may follow the zeros [s]: a program that resets takes half of it."""
+TRIES = 3
+"""Programs that may end before they are harmed."""
 POLL = 0.005
 PULLED = (0.05, 0.5)
 """A cable is out for a time drawn from this range [s]."""
 
-Progress = Callable[[str, float], None]
+Told = Callable[[str, float], None]
 """Told of each trial's kind and time [s]."""
 
 
@@ -54,6 +57,13 @@ class Stops:
 
     kind: str
     times: tuple[float, ...]
+    skipped: str = ""
+    """Why it can't be had on this computer."""
+
+    @property
+    def sound(self) -> bool:
+        """Whether no trial was too late."""
+        return self.in_time == len(self.times)
 
     @property
     def in_time(self) -> int:
@@ -65,7 +75,7 @@ def measure(
     trials: int = 100,
     kinds: Sequence[str] = tuple(KINDS),
     config: RobotConfig | None = None,
-    progress: Progress | None = None,
+    progress: Told | None = None,
 ) -> list[Stops]:
     """So many trials of each kind of fault, each in a program of its own, on an emulated robot.
 
@@ -77,23 +87,59 @@ def measure(
         if kind not in KINDS:
             raise ConfigError(f"kind {kind!r} of fault is unknown{suggestion(kind, KINDS)}")
     config = config or RobotConfig.of(None)
+    skipped = no_namespace() if set(kinds) & set(CONTAINED) else ""
+    stops = []
     with _emulator(config) as board, _programs(board.device, config) as programs:
-        return [
-            Stops(kind, tuple(_trial(kind, programs, board, progress) for _ in range(trials)))
-            for kind in kinds
-        ]
+        for kind in kinds:
+            if skipped and kind in CONTAINED:
+                stops.append(Stops(kind, (), skipped))
+            else:
+                times = tuple(_trial(kind, programs, board, progress) for _ in range(trials))
+                stops.append(Stops(kind, times))
+    return stops
 
 
-def _trial(kind: str, programs: _Programs, board: _Board, progress: Progress | None) -> float:
+def measure_visibly(trials: int, kinds: Sequence[str] | None, config: RobotConfig) -> list[Stops]:
+    """As `measure`, behind a progress bar; all kinds where none are named."""
+    kinds = kinds or tuple(KINDS)
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, transient=True) as bar:
+        task = bar.add_task("", total=trials * len(kinds))
+        return measure(
+            trials,
+            kinds,
+            config,
+            lambda kind, _: bar.update(task, advance=1, description=escape(KINDS[kind])),
+        )
+
+
+def _trial(kind: str, programs: _Programs, board: _Board, progress: Told | None) -> float:
     board.log.forget()
-    fault = programs.fault(kind)
+    fault = _fault(kind, programs)
     if kind in REPLUGGED:
         fault = board.replug()
     took = board.log.zero_after(fault)
     programs.bury()
+    if board.log.turns_wheels():
+        took = math.inf
     if progress is not None:
         progress(kind, took)
     return took
+
+
+def _fault(kind: str, programs: _Programs) -> float:
+    """When a program that drove was harmed; another one where a busy machine had stopped it."""
+    for _ in range(TRIES - 1):
+        try:
+            return programs.fault(kind)
+        except AcsarError:
+            programs.bury()
+    return programs.fault(kind)
 
 
 class _Log:
@@ -119,6 +165,10 @@ class _Log:
                     zero = min(zero, stamp) if stopped else math.inf
             time.sleep(POLL)
         return zero - fault
+
+    def turns_wheels(self) -> bool:
+        """Whether any command since then does."""
+        return not all(stopped for _, stopped in self._commands())
 
     def _commands(self) -> Iterator[tuple[float, bool]]:
         """When commands arrived, and whether they were zero."""
@@ -236,6 +286,7 @@ def as_json(stops: Sequence[Stops]) -> dict[str, Any]:
             one.kind: {
                 "fault": KINDS[one.kind],
                 "in_time": one.in_time,
+                "skipped": one.skipped or None,
                 "times": [took if math.isfinite(took) else None for took in one.times],
             }
             for one in stops
@@ -254,4 +305,7 @@ def table(stops: Sequence[Stops]) -> Table:
             figures = (min(one.times), statistics.median(one.times), max(one.times))
             shown = (f"{figure * 1000.0:.1f}" for figure in figures)
             drawn.add_row(KINDS[one.kind], *shown, f"{one.in_time} of {len(one.times)}")
+        else:
+            drawn.add_row(KINDS[one.kind], "-", "-", "-", "skipped")
+            drawn.caption = escape(f"skipped: {one.skipped}")
     return drawn

@@ -14,6 +14,7 @@ from hypothesis import settings
 
 sys.path.insert(0, str(Path(__file__).parent))  # --import-mode=importlib leaves it out
 
+from nursery import nursery as programs
 from serial_tools import TIMEOUT, Emulated, RobotFile, StartEmulator, start
 
 from acsar_gym import RobotConfig
@@ -61,6 +62,13 @@ def deadline() -> Iterator[None]:
     yield
     signal.setitimer(signal.ITIMER_REAL, 0.0)
     signal.signal(signal.SIGALRM, before)
+
+
+@pytest.fixture(scope="module")
+def nursery() -> Iterator[None]:
+    """`nursery.program` works: for modules that start many programs."""
+    with programs():
+        yield
 
 
 @pytest.fixture

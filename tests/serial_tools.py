@@ -47,7 +47,9 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP):
     signal.signal(number, signal.SIG_DFL)
 
-config = RobotConfig.preset("acsar").with_(connect_timeout=20.0, feedback_timeout=5.0)
+config = RobotConfig.preset("acsar").with_(
+    connect_timeout=20.0, feedback_timeout=5.0, watchdog_timeout=2.0
+)
 robot = Robot(open_link(sys.argv[1], config), config)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import json
 import subprocess
 import sys
@@ -14,7 +13,6 @@ import pytest
 from serial_tools import CLI, TIMEOUT, RobotFile, cli
 from zip_tools import PLACES, poison, save
 
-from acsar_gym import stopping
 from acsar_gym.cli import COMMANDS, main
 
 pytestmark = pytest.mark.usefixtures("deadline")
@@ -70,6 +68,7 @@ def assert_one_line(error: str, said: str) -> None:
         (("doctor", "--timing"), 2, "--timing needs a device"),
         (("doctor", MISSING, "--timing", "--duration", "0"), 2, "duration = 0.0"),
         (("doctor", "--stopping", "--trials", "0"), 2, "trials = 0"),
+        (("doctor", "--stopping", "--kinds", "kil"), 2, "did you mean 'kill'"),
         (("run", "1", "0", "--realtime", "99"), 2, "real-time priority = 99: must be 1 to 98"),
         (("drive", "--link", "planar", "--linear", "nan"), 2, "finite"),
         (("drive", "--link", MISSING, "--linear", "0.1"), 3, f"{MISSING}: no such device"),
@@ -258,13 +257,10 @@ def test_the_doctor_tells_how_late_ticks_are(
     assert json.loads(file.read_text())["lateness"]["ticks"] == 50
 
 
-def test_the_doctor_tells_how_soon_a_robot_is_stopped(
-    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    one = functools.partial(stopping.measure, kinds=["kill"])
-    monkeypatch.setattr(stopping, "measure", one)
+def test_the_doctor_tells_how_soon_a_robot_is_stopped(call: Call, tmp_path: Path) -> None:
     file = tmp_path / "stops.json"
-    code, output, error = call("doctor", "--stopping", "--trials", "1", "--json", file)
+    options = ("--stopping", "--trials", "1", "--kinds", "kill")
+    code, output, error = call("doctor", *options, "--json", file)
     assert error == ""
     assert "SIGKILL" in output
     stop = json.loads(file.read_text())["stops"]["kill"]

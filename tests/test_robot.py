@@ -191,6 +191,17 @@ def test_wheels_that_never_stop_are_an_error() -> None:
     assert link.closed == 1
 
 
+@pytest.mark.parametrize("first", [STILL, LINE], ids=["standing", "turning"])
+def test_a_clock_that_jumps_while_the_wheels_settle_is_no_error(first: bytes) -> None:
+    """As when the whole machine stands for a while."""
+    link = ScriptedLink(first, then=STILL)
+    link.pause = 10.0
+    robot = Robot(link)
+    robot.activate()
+    assert robot.speeds == ZERO
+    assert len(link.written) <= 3
+
+
 def test_a_twist_beyond_the_wheels_keeps_its_radius() -> None:
     robot, _ = standing()
     a, b, c, d = robot.wheel_speeds(5.0, 3.0)

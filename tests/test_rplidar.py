@@ -530,8 +530,8 @@ def test_a_suspended_process_keeps_its_sensor(sensor: Emulated, make: Open) -> N
     lidar = make(sensor)
     reset(lidar)
     assert lidar in guard._open
-    lidar.stop()
-    newer(lidar, time.monotonic())
+    with lidar.held():
+        newer(lidar, time.monotonic())
 
 
 class SlowPort:

@@ -6,6 +6,9 @@ before the process is suspended. SIGINT needs none: KeyboardInterrupt unwinds th
 that the program has installed itself is left alone. Only the main thread can install handlers: make
 the first link there. A forked child closes its copies of the ports without a word: they are its
 parent's.
+
+Other threads may go on driving while this happens. From the first zero command on, links refuse
+whatever turns wheels: `is_ending` says so.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ import atexit
 import contextlib
 import os
 import signal
+import sys
 import threading
 import weakref
 from types import FrameType
@@ -23,11 +27,11 @@ from typing import Protocol
 class Closable(Protocol):
     """Whatever has to be closed before the process ends."""
 
-    def stop(self) -> None:
-        """Command zero and stay open."""
+    def held(self) -> contextlib.AbstractContextManager[None]:
+        """Command zero; inside the block no other thread commands anything else."""
 
     def close(self) -> None:
-        """Stop the motors and close; twice is once."""
+        """Stop the motors and close; idempotent."""
 
     def abandon(self) -> None:
         """Close without a word."""
@@ -37,6 +41,12 @@ ENDING = ("SIGTERM", "SIGHUP", "SIGQUIT", "SIGBREAK")
 SUSPENDING = ("SIGTSTP",)
 
 _open: weakref.WeakSet[Closable] = weakref.WeakSet()
+_ending = threading.Event()
+
+
+def is_ending() -> bool:
+    """Whether the program is about to end, so that nothing may turn wheels any more."""
+    return _ending.is_set()
 
 
 def install() -> None:
@@ -61,13 +71,22 @@ def unguard(link: Closable) -> None:
     _open.discard(link)
 
 
+def _guarded() -> list[Closable]:
+    while True:
+        with contextlib.suppress(RuntimeError):  # another thread opened or closed one meanwhile
+            return list(_open)
+
+
 def close_all() -> None:
-    """Stop every guarded link, then close them, whatever goes wrong with one of them."""
+    """Stop every guarded link, then close them, whatever goes wrong with one of them.
+
+    For the end of the program: nothing can turn wheels afterwards.
+    """
+    _ending.set()
     with contextlib.ExitStack() as stack:
-        for link in list(_open):
+        for link in _guarded():
             stack.callback(link.close)
-        for link in list(_open):
-            link.stop()
+            stack.enter_context(link.held())
 
 
 def _on_end(number: int, frame: FrameType | None) -> None:
@@ -76,16 +95,27 @@ def _on_end(number: int, frame: FrameType | None) -> None:
     finally:
         signal.signal(number, signal.SIG_DFL)
         os.kill(os.getpid(), number)
+        _exit(128 + number)
+
+
+def _exit(status: int) -> None:
+    """End at once: the kernel spares PID 1, as in a container, the signals that it sends itself."""
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(Exception):
+            stream.flush()
+    os._exit(status)
 
 
 def _on_suspend(number: int, frame: FrameType | None) -> None:
-    for link in list(_open):
-        link.stop()
-    os.kill(os.getpid(), signal.SIGSTOP)
+    with contextlib.ExitStack() as stack:
+        for link in _guarded():
+            stack.enter_context(link.held())
+        signal.raise_signal(signal.SIGSTOP)  # to this thread, so that no other one runs after it
 
 
 def _in_child() -> None:
-    for link in list(_open):
+    _ending.clear()
+    for link in _guarded():
         link.abandon()
     for name in (*ENDING, *SUSPENDING):
         number = getattr(signal, name, None)

@@ -44,6 +44,8 @@ with contextlib.suppress(ImportError):  # Windows has no termios
     PORT_ERRORS += (termios.error,)
 
 
+MORE_FILES = "close some, or allow more with 'ulimit -n'"
+"""What to do where a process can't open any more files."""
 WRITE_TIMEOUT = 0.2
 """A socket that takes no bytes for so long is lost [s]."""
 BUSY_PATIENCE = 0.7
@@ -240,6 +242,8 @@ def _why_not_open(device: str, error: Exception) -> LinkError:
         return PortBusyError(
             f"{device}: in use by another process", f"close it first; find it with 'fuser {device}'"
         )
+    if code in (errno.EMFILE, errno.ENFILE):
+        return LinkError(f"{device}: too many open files", MORE_FILES)
     return LinkError(f"{device}: can't be opened as a serial port", text)
 
 

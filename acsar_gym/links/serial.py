@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import threading
 import time
+from collections.abc import Iterator
 from typing import Any
 
 from acsar_gym.bodies.base import Image
@@ -13,10 +15,11 @@ from acsar_gym.config import BAUD_RATES, RobotConfig
 from acsar_gym.errors import (
     BoardGarbledError,
     BoardSilentError,
+    LinkError,
     LinkLostError,
 )
 from acsar_gym.links import watchdog
-from acsar_gym.links.guard import guard, install, unguard
+from acsar_gym.links.guard import guard, install, is_ending, unguard
 from acsar_gym.links.ports import PORT_ERRORS, Place, Port, put, translated
 from acsar_gym.links.timing import LATE
 from acsar_gym.protocol import ZERO, Decoder, encode
@@ -32,6 +35,8 @@ SILENT_SHARE = 0.5
 """A board that is silent for this share of `feedback_timeout` may not have heard the zeros."""
 DRAIN = 0.05
 """Zeros have so long to leave the port when it is closed [s]."""
+PATIENCE = 1.0
+"""Longest wait for another thread to finish its write [s]; a socket's takes 0.2 s at most."""
 
 
 class SerialLink:
@@ -54,6 +59,7 @@ class SerialLink:
         self._config = config
         self._port: Port | None = None
         self._watchdog: watchdog.Watchdog | None = None
+        self._lock = threading.RLock()  # a signal's handler may interrupt whoever has it
         self._place = Place(device)
         self._heard = 0.0
         self._moved = False
@@ -70,11 +76,13 @@ class SerialLink:
         Where the port was lost before, it has the config's `reconnect_timeout` to come back.
 
         Raises PortNotFoundError, PortPermissionError, PortBusyError, BoardSilentError or
-        BoardGarbledError, or LinkError where no watchdog can be started; the device is closed again
-        then.
+        BoardGarbledError, or LinkError where no watchdog can be started or the program is about to
+        end; the device is closed again then.
         """
         if self._port is not None:
             return
+        if is_ending():
+            raise _too_late()
         self._port = self._place.opened(self._config, self._call_back)
         guard(self)
         try:
@@ -99,18 +107,24 @@ class SerialLink:
         timeout = self._config.watchdog_timeout
         if timeout is None or not watchdog.AVAILABLE:
             return
-        try:
-            descriptor = self._require().fileno()
-        except OSError:  # rfc2217 has none
-            return
-        place = self._place.path if self._place.path and self._place.lasts else ""
-        self._watchdog = watchdog.Watchdog(descriptor, self._stop_line(), timeout, place)
+        with self._lock:  # a descriptor that is closed meanwhile may soon be another file's
+            try:
+                descriptor = self._require().fileno()
+            except OSError:  # rfc2217 has none
+                return
+            place = self._place.path if self._place.path and self._place.lasts else ""
+            self._watchdog = watchdog.Watchdog(descriptor, self._stop_line(), timeout, place)
         self._nap = timeout / 3.0
 
     @property
     def watched(self) -> bool:
         """Whether a process of its own would stop the robot now, did this one die or hang."""
         return self._watchdog is not None and self._watchdog.alive
+
+    @property
+    def watchdog_pid(self) -> int | None:
+        """That process; None where there is none."""
+        return self._watchdog.pid if self._watchdog is not None else None
 
     def _flush(self) -> None:
         self.reset_input()
@@ -155,35 +169,42 @@ class SerialLink:
         self.late_ticks = 0
 
     def _watch_anew(self) -> None:
-        dog = self._watchdog
-        if dog is None:
+        if self._watchdog is None:
             return
-        if dog.alive:
-            dog.rearm()
-            return
-        self._watchdog = None
-        dog.close()
-        self._watch()
-        if self._watchdog is not None:
-            self._watchdog.wait()
+        if not self._watchdog.alive:
+            with self._lock:
+                self._watchdog.close()
+                self._watchdog = None
+                self._watch()
+            if self._watchdog is not None:
+                self._watchdog.wait()
+        with self._lock:
+            if self._watchdog is not None:
+                self._watchdog.rearm()
 
     def write(self, data: bytes) -> None:
         """Send bytes to the board.
 
-        Raises LinkError where they turn wheels and the watchdog has stopped the robot; zeros always
-        go out.
+        Raises LinkError where they turn wheels and the watchdog has stopped the robot or doesn't
+        run, or the program is about to end; zeros always go out.
         """
-        dog = self._watchdog
-        if dog is None or not data:
-            self._put(data)
-        elif data.endswith(self._zeros):
-            self._put(data)
-            dog.stand()
-        else:
-            self._moved = True
-            dog.drive()
-            self._put(data)
-            dog.drive()
+        with self._lock:
+            dog = self._watchdog
+            if not data:
+                self._put(data)
+            elif data.endswith(self._zeros):
+                self._put(data)
+                if dog is not None:
+                    dog.stand()
+            elif is_ending():
+                raise _too_late()
+            else:
+                self._moved = True
+                if dog is not None:
+                    dog.drive()
+                self._put(data)
+                if dog is not None:
+                    dog.driven()
 
     def _put(self, data: bytes) -> None:
         with translated(self.device):
@@ -206,8 +227,9 @@ class SerialLink:
         return self.read_now()
 
     def _beat(self) -> None:
-        if self._watchdog is not None:
-            self._watchdog.beat()
+        with self._lock:
+            if self._watchdog is not None:
+                self._watchdog.beat()
 
     def reset_input(self) -> None:
         """Drop what has arrived and wasn't read."""
@@ -237,23 +259,48 @@ class SerialLink:
         return None
 
     def close(self) -> None:
-        """Command zero, let it leave the port, close; twice is once.
+        """Command zero, let it leave the port, close; idempotent.
 
         An interrupt while the zeros are on their way sends them again before it goes on. Where they
         may not have arrived, because the port is lost, or the board silent since wheels turned, the
         watchdog goes on commanding zero for a minute, or until the board answers.
         """
-        port = self._port
-        if port is None:
-            return
-        said = False
+        with self._alone():
+            port = self._port
+            if port is None:
+                return
+            said = False
+            try:
+                said = self._say_stop(port)
+            except BaseException:
+                said = self._say_stop(port)
+                raise
+            finally:
+                self._release(port, lost=not said or self._is_silent(port))
+
+    @contextlib.contextmanager
+    def _alone(self) -> Iterator[None]:
+        """No other thread writes inside the block; one that is writing now delays no zero."""
+        alone = self._lock.acquire(blocking=False)
+        if not alone:
+            self._say_zero(self._port)
+            alone = self._lock.acquire(timeout=PATIENCE)
         try:
-            said = self._say_stop(port)
-        except BaseException:
-            said = self._say_stop(port)
-            raise
+            yield
         finally:
-            self._release(port, lost=not said or self._is_silent(port))
+            if alone:
+                self._lock.release()
+
+    @contextlib.contextmanager
+    def held(self) -> Iterator[None]:
+        """Command zero; inside the block no other thread commands anything else.
+
+        Errors are no concern of whoever must stop now.
+        """
+        with self._alone():
+            if self._port is not None:
+                self._say_stop(self._port)
+            yield
 
     def _is_silent(self, port: Any) -> bool:
         """Whether the board hasn't answered for a while, since wheels were commanded to turn."""
@@ -262,39 +309,56 @@ class SerialLink:
             return self._moved and quiet and not port.in_waiting
         return True
 
-    def _say_stop(self, port: Any) -> bool:
+    def _say_zero(self, port: Any) -> bool:
         """Whether the port took the zeros."""
         with contextlib.suppress(*PORT_ERRORS):
-            put(port, self._stop_line())
-            if self._watchdog is not None:
-                self._watchdog.stand()
+            if port is not None:
+                put(port, self._stop_line())
+                return True
+        return False
+
+    def _say_stop(self, port: Any) -> bool:
+        """Whether the zeros have left the port."""
+        if not self._say_zero(port):
+            return False
+        if self._watchdog is not None:
+            self._watchdog.stand()
+        with contextlib.suppress(*PORT_ERRORS):
             if _drained(port):
                 return True
-            put(port, self._stop_line())
+        self._say_zero(port)
         return False
 
     def stop(self) -> None:
         """Command zero and stay open; errors are no concern of whoever must stop now."""
-        if self._port is not None:
-            self._say_stop(self._port)
+        with self.held():
+            pass
 
     def _release(self, port: Any, *, lost: bool) -> None:
-        """The watchdog first: it shares the port's lock."""
+        """The last word is zero; then the watchdog first, since it shares the port's lock."""
+        with contextlib.ExitStack() as last_to_first:
+            last_to_first.callback(self._let_go, port, lost=lost)
+            last_to_first.callback(self._unwatch, lost=lost)
+            if not lost:
+                self._say_stop(port)
+
+    def _unwatch(self, *, lost: bool) -> None:
         dog, self._watchdog = self._watchdog, None
-        try:
-            if dog is not None and lost:
-                dog.search(self._place.path or self.device)
-            elif dog is not None:
-                dog.close()
-        finally:
-            self._port = None
-            self._place.left(lost=lost)
-            unguard(self)
-            with contextlib.suppress(*PORT_ERRORS):
-                port.close()
+        if dog is not None and lost:
+            dog.search(self._place.path or self.device)
+        elif dog is not None:
+            dog.close()
+
+    def _let_go(self, port: Any, *, lost: bool) -> None:
+        self._port = None
+        self._place.left(lost=lost)
+        unguard(self)
+        with contextlib.suppress(*PORT_ERRORS):
+            port.close()
 
     def abandon(self) -> None:
         """Let go without a word, as a forked child must do with its parent's port."""
+        self._lock = threading.RLock()  # another thread, which isn't here, may have had it
         port = self._port
         if port is None:
             return
@@ -305,7 +369,7 @@ class SerialLink:
         if own is not None:  # pyserial would end the connection, which is the parent's
             os.close(own.detach())
             port.is_open = False
-        self._release(port, lost=False)
+        self._let_go(port, lost=False)
 
     def __del__(self) -> None:
         if getattr(self, "_port", None) is not None:
@@ -326,6 +390,10 @@ class SerialLink:
         if self._port is None:
             raise LinkLostError(f"{self.device} is closed", "call open() or env.reset() first")
         return self._port
+
+
+def _too_late() -> LinkError:
+    return LinkError("the program is about to end", "nothing drives any more: start it again")
 
 
 def _drained(port: Any) -> bool:

@@ -11,8 +11,12 @@ Nothing inside a process can stop a robot whose process doesn't run. So `SerialL
 - commands zero where the newest command turns wheels and the program gave no sign of life for the
   time-out, and again every 50 ms for a second. The link then refuses to drive until it is reset.
 
-While the newest command is zero it does nothing: whoever thinks between reset and the first step
-isn't interrupted. Its zeros begin with a line end, so that a command cut short can't swallow them.
+While the newest command is zero, whoever thinks between reset and the first step isn't interrupted.
+A zero command that has been the program's last word for 0.1 s is repeated, since a wire may have
+swallowed it. Zeros begin with a line end, so that a command cut short can't swallow them.
+
+Driving needs a watchdog that runs: one that is suspended, or hasn't run for long, is as good as
+none.
 
 POSIX only: Windows processes can't share an open port in this way. `AVAILABLE` tells.
 """
@@ -20,6 +24,7 @@ POSIX only: Windows processes can't share an open port in this way. `AVAILABLE` 
 from __future__ import annotations
 
 import contextlib
+import errno
 import mmap
 import os
 import select
@@ -31,16 +36,21 @@ import time
 from pathlib import Path
 
 from acsar_gym.errors import LinkError
+from acsar_gym.links.ports import MORE_FILES
 
 AVAILABLE = os.name == "posix"
 """Whether this operating system can have one."""
 PATIENCE = 5.0
 """Longest wait for its start and for its end [s]; 20 ms and 1 ms are usual."""
+ASLEEP = 0.5
+"""While the program drove for so long and a time-out [s], it should have run."""
+TICK = 0.05
+"""So much of that counts between two commands, at most: a machine that stood held up both [s]."""
 PROGRAM = Path(__file__).resolve().with_name("watchdog_child.py")
 STANDING = 0.0
 
 if AVAILABLE:
-    from acsar_gym.links.watchdog_child import BEAT, LEAVE, PAGE, TRIPPED
+    from acsar_gym.links.watchdog_child import AWAKE, BEAT, LEAVE, PAGE, STOOD, TRIPPED
 
 
 class Watchdog:
@@ -56,6 +66,16 @@ class Watchdog:
     def __init__(self, port: int, zeros: bytes, timeout: float, place: str = "") -> None:
         self._driving = False
         self._open = False
+        self._halted = False
+        self._resting = False
+        self._awake = self._unseen = self._drove = 0.0
+        self._asleep = ASLEEP + timeout
+        try:
+            self._start(port, zeros, timeout, place)
+        except OSError as error:
+            raise _failed(str(error)) from None
+
+    def _start(self, port: int, zeros: bytes, timeout: float, place: str) -> None:
         with contextlib.ExitStack() as inherited, contextlib.ExitStack() as ours:
             page = _memory()
             inherited.callback(os.close, page)
@@ -89,8 +109,20 @@ class Watchdog:
 
     @property
     def alive(self) -> bool:
-        """Whether its process runs."""
-        return self._open and self._process.poll() is None
+        """Whether its process runs, and wasn't suspended since it was started."""
+        return self._open and self._runs()
+
+    def _runs(self) -> bool:
+        if self._process.returncode is None and not self._halted:
+            try:
+                process, status = os.waitpid(self._process.pid, os.WNOHANG | os.WUNTRACED)
+            except ChildProcessError:  # somebody else has waited for it
+                self._process.returncode = 0
+                return False
+            self._halted = bool(process) and os.WIFSTOPPED(status)
+            if process and not self._halted:
+                self._process.returncode = os.waitstatus_to_exitcode(status)
+        return self._process.returncode is None and not self._halted
 
     @property
     def tripped(self) -> bool:
@@ -103,28 +135,56 @@ class Watchdog:
             self._page[BEAT] = time.monotonic()
 
     def drive(self) -> None:
-        """A command that turns wheels goes out: call it before and after.
+        """A command that turns wheels goes out now; say `driven` afterwards.
 
         Raises LinkError where the robot was stopped, or where nobody watches any more.
         """
+        self.driven()
+        now = self._page[BEAT]
+        if self._page[AWAKE] != self._awake:
+            self._awake, self._unseen = self._page[AWAKE], 0.0
+        else:
+            self._unseen += min(now - self._drove, TICK)
+        self._drove = now
+        if self._unseen > self._asleep or not self.alive:
+            raise self._absent()
+
+    def driven(self) -> None:
+        """A command that turns wheels went out. LinkError where the robot was stopped meanwhile."""
         if self._page[TRIPPED]:
             raise self._stopped()
-        if not self.alive:
-            raise LinkError("the watchdog process has ended", "reset to start another one")
         self._driving = True
         self._page[BEAT] = time.monotonic()
 
     def stand(self) -> None:
         """A zero command went out: nothing has to be stopped."""
         self._driving = False
+        if self._resting:
+            self._page[STOOD] = time.monotonic()
         if not self._page[TRIPPED]:
             self._page[BEAT] = STANDING
 
     def rearm(self) -> None:
-        """Forget that it tripped; a zero command went out."""
+        """Forget that it tripped; a zero command went out, which it repeats from now on.
+
+        Not before: the bootloader of a board that starts may take any byte for its own affair.
+        """
         self._driving = False
+        self._resting = True
+        self._page[STOOD] = time.monotonic()
         self._page[BEAT] = STANDING  # first, lest it trips again on the old one
         self._page[TRIPPED] = 0.0
+
+    def _absent(self) -> LinkError:
+        why = "has ended"
+        if self._halted:
+            why = "is suspended"
+        elif self._process.returncode is None:
+            why = f"hasn't run for {self._unseen:.2f} s"
+        return LinkError(
+            f"the watchdog process {why} (PID {self.pid})",
+            "find what did that, then reset to start another one",
+        )
 
     def _stopped(self) -> LinkError:
         # A stop between the trip and this error has left the last beat as it was.
@@ -141,19 +201,22 @@ class Watchdog:
         """
         if self._open:
             self._let_go()
+            if self._halted:
+                self._process.send_signal(signal.SIGCONT)
             self._process.returncode = 0  # it may outlive this program
             call_back(name)
             _searching[name] = self._process.pid
 
     def close(self) -> None:
-        """End its process, without a word on the wire, and wait for that; twice is once."""
+        """End its process, without a word on the wire, and wait for that; idempotent."""
         if not self._open:
             return
         self._page[LEAVE] = 1.0
         self._let_go()
-        try:
-            self._process.wait(PATIENCE)
-        except subprocess.TimeoutExpired:
+        deadline = time.monotonic() + PATIENCE
+        while self._runs() and time.monotonic() < deadline:
+            time.sleep(0.001)
+        if self._process.returncode is None:  # it would keep the port busy
             self._process.kill()
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._process.wait(PATIENCE)
@@ -218,6 +281,8 @@ def _started(
 
 
 def _failed(reason: str) -> LinkError:
+    if any(os.strerror(code) in reason for code in (errno.EMFILE, errno.ENFILE)):
+        return LinkError(f"the watchdog can't be started ({reason})", MORE_FILES)
     return LinkError(
         f"the watchdog can't be started ({reason})",
         f"check that {sys.executable or 'a Python'} can run {PROGRAM}; "

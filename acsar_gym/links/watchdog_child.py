@@ -2,9 +2,9 @@
 
 `watchdog.Watchdog` runs this file as a script, so it imports nothing of this package and starts in
 20 ms. It shares the open port with the program, and a page of memory in which the program notes
-when it last gave a sign of life. It sleeps until that is too old and looks again: seven times a
-second, whatever the rate of the signs. A pipe whose other end only the program holds tells of the
-program's death at once.
+when it last gave a sign of life. It looks at that four times in each time-out, whatever the rate of
+the signs, and leaves a sign of its own there. A pipe whose other end only the program holds tells
+of the program's death at once.
 """
 
 from __future__ import annotations
@@ -21,15 +21,23 @@ import termios
 import time
 from typing import Protocol
 
-SLOTS = 3
-BEAT, TRIPPED, LEAVE = range(SLOTS)
+SLOTS = 5
+BEAT, TRIPPED, LEAVE, STOOD, AWAKE = range(SLOTS)
 """What the page holds, doubles of 8 bytes each, which are stored at once.
 
 BEAT: when the program last gave a sign of life [s, monotonic clock]; 0 while the newest command is
 zero. TRIPPED: how old that was when the robot was stopped [s]; 0 where it wasn't. LEAVE: 1 where
-the watchdog shall end, for the program closes the port in order.
+the watchdog shall end, for the program closes the port in order. STOOD: when the program last
+commanded zero [s]; 0 before its first reset. AWAKE: when the watchdog last ran [s].
 """
 PAGE = 8 * SLOTS
+
+LOOKS = 4
+"""It looks so often in each time-out, and then says that it is awake."""
+LONGEST = 0.25
+"""But it sleeps no longer than this [s]."""
+STANDS = 0.1
+"""A program that stands and says nothing has its zero command repeated every so often [s]."""
 
 REPEAT = 0.05
 """Zero commands come again after so long, since a wire may swallow one [s]."""
@@ -80,12 +88,15 @@ class Watch:
         self._parent = parent
         self._timeout = timeout
         self._board = board
-        self._due = time.monotonic() + timeout
+        self._pace = min(timeout / LOOKS, LONGEST)
+        self._due = time.monotonic() + self._pace
         self._seen = 0.0
         self._since = 0.0
         self._excused = False
         self._repeats = 0
         self._until = 0.0
+        self._said = 0.0
+        page[AWAKE] = time.monotonic()
 
     def run(self) -> None:
         """Until the program closes the port; until it is dead and the zeros are on the wire."""
@@ -96,7 +107,9 @@ class Watch:
             if pipe.poll(wait) or os.getppid() != self._parent:
                 self._bury()
                 return
-            self._due = self._look(time.monotonic())
+            now = time.monotonic()
+            self._page[AWAKE] = now
+            self._due = min(self._look(now), now + self._pace)
 
     def _bury(self) -> None:
         """The program is dead, has lost the port, or has given up a board that is silent."""
@@ -119,7 +132,7 @@ class Watch:
             return self._repeat(now)
         beat = self._page[BEAT]
         if not beat:
-            return now + self._timeout
+            return self._stand(now)
         due = max(beat + self._timeout, self._watched_since(beat, now) + SURE)
         if now < due:
             return due
@@ -132,8 +145,17 @@ class Watch:
         if beat != self._seen:
             self._seen, self._since, self._excused = beat, now, False
         elif now - self._due > LATE and not self._excused:
-            self._since, self._excused = now, True
+            self._since, self._excused = now, now + SURE > beat + self._timeout
         return self._since
+
+    def _stand(self, now: float) -> float:
+        """Repeat the zero command where the program says nothing: a wire may have swallowed it."""
+        stood = self._page[STOOD]
+        due = max(stood, self._said) + STANDS
+        if stood and now >= due:
+            self._said = now
+            self._board.stop()
+        return due if now < due else now + STANDS
 
     def _repeat(self, now: float) -> float:
         """The zeros of a program that hangs; through a lost port when it is found again."""

@@ -34,8 +34,6 @@ from acsar_gym.errors import LinkError
 from acsar_gym.links import watchdog
 
 CURVE = np.array([0.3, 0.5], np.float32)
-RECONNECT = 0.5
-"""How long a reset waits for the cable [s]."""
 STAYS_OUT = 0.1
 """Share of cycles in which the cable stays out for longer."""
 MOST_STEPS = 30
@@ -135,12 +133,12 @@ def held(process: psutil.Process) -> dict[str, int]:
     }
 
 
-def run(board: Board, device: str, cycles: int, seed: int) -> bool:
+def run(board: Board, device: str, cycles: int, seed: int, reconnect: float) -> bool:
     """Whether all went well; prints the figures."""
     config = RobotConfig.preset("acsar").with_(
         connect_timeout=PATIENCE,
         feedback_timeout=5.0,
-        reconnect_timeout=RECONNECT,
+        reconnect_timeout=reconnect,
         watchdog_timeout=2.0,  # a busy machine is another matter
     )
     env = gymnasium.make(
@@ -183,13 +181,14 @@ def main() -> int:
     parser = argparse.ArgumentParser()
     parser.add_argument("--cycles", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--reconnect", type=float, default=0.5, help="a reset's patience [s]")
     options = parser.parse_args()
     with contextlib.ExitStack() as stack:
         name = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "usb-acsar"
         stack.enter_context(emulator("--name", str(name)))
         (process,) = psutil.Process().children()
         board = Board(process, name)
-        return int(not run(board, str(name), options.cycles, options.seed))
+        return int(not run(board, str(name), options.cycles, options.seed, options.reconnect))
 
 
 if __name__ == "__main__":

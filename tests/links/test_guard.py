@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import os
 import signal
-import subprocess
 from pathlib import Path
 
 import psutil
 import pytest
-from serial_tools import BRIDGE, DRIVER, TIMEOUT, Emulated, first_line, program, wait_until
+from nursery import ended, first_line, program
+from serial_tools import BRIDGE, DRIVER, Emulated, wait_until
 
 from acsar_gym.links import recording
 from acsar_gym.protocol import ZERO, encode
 
-pytestmark = pytest.mark.usefixtures("deadline")
+pytestmark = [
+    pytest.mark.usefixtures("deadline", "nursery"),
+    pytest.mark.xdist_group("serial"),
+]
 
 IN_BLOCK = """
 with robot:
@@ -36,13 +40,14 @@ def drives(emulator: Emulated) -> None:
 
 def hears_more(emulator: Emulated) -> None:
     heard = len(emulator.commands())
-    wait_until(lambda: len(emulator.commands()) > heard + 20, "more commands")
+    wait_until(lambda: len(emulator.commands()) > heard + 5, "more commands")
 
 
-def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
-    """Exit status and standard error."""
-    _, error = process.communicate(timeout=TIMEOUT)
-    return process.returncode, error
+def assert_drove_once(emulator: Emulated) -> None:
+    """Nothing turned wheels any more after the first zero command."""
+    assert_stopped(emulator)
+    driving = [command != ZERO for command in emulator.commands()]
+    assert not any(driving[driving.index(False, driving.index(True)) :])
 
 
 def assert_stopped(emulator: Emulated) -> None:
@@ -115,11 +120,81 @@ def test_ctrl_z_stops_the_robot_until_the_program_goes_on(emulator: Emulated) ->
         assert_stopped(emulator)
         state = psutil.Process(process.pid).status
         wait_until(lambda: state() == psutil.STATUS_STOPPED, "a stopped process")
+        hears_more(emulator)  # the wire may have swallowed the first zero
+        assert emulator.is_stopped()
         process.send_signal(signal.SIGCONT)
         wait_until(emulator.is_driven, "a robot that drives on")
         process.terminate()
         assert ended(process) == (-signal.SIGTERM, "")
     assert_stopped(emulator)
+
+
+CONTAINED = """
+import sys
+from acsar_gym import stopping_programs
+
+print(stopping_programs.no_namespace() or "can be had", flush=True)
+stopping_programs._become_pid_1(1)
+"""
+"""What follows is PID 1 of a namespace, as in a container without an init."""
+INSIST = """
+def insist():
+    while True:
+        try:
+            robot.activate()
+            drive(10**9)
+        except Exception:
+            pass
+"""
+"""As an evaluation does: an error ends an episode, and a reset begins the next one."""
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_pid_1_ends_too(number: signal.Signals, emulator: Emulated) -> None:
+    """Although the kernel ignores the signals that it sends itself."""
+    with program(CONTAINED + DRIVER + INSIST + "insist()", emulator.device) as process:
+        if (reason := first_line(process)) != "can be had":
+            pytest.skip(reason)
+        inner = first_line(process)
+        drives(emulator)
+        os.kill(int(inner), number)
+        status, error = ended(process)
+    assert status == 128 + number, error
+    assert_drove_once(emulator)
+
+
+THREAD = """
+import atexit, threading, time
+from acsar_gym.links import guard
+
+# The end of the program takes a while when the ports are closed.
+kill = os.kill
+os.kill = lambda *arguments: (time.sleep(0.7), kill(*arguments))
+atexit.unregister(guard.close_all)
+atexit.register(time.sleep, 0.7)
+atexit.register(guard.close_all)
+thread = threading.Thread(target=insist, daemon=True)
+thread.start()
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_thread_that_drives_is_stopped_by_signals(
+    number: signal.Signals, emulator: Emulated
+) -> None:
+    code = DRIVER + INSIST + THREAD + "thread.join()"
+    with program(code, emulator.device) as process:
+        drives(emulator)
+        process.send_signal(number)
+        assert ended(process) == (-number, "")
+    assert_drove_once(emulator)
+
+
+def test_a_thread_that_drives_is_stopped_when_the_main_thread_returns(emulator: Emulated) -> None:
+    code = DRIVER + INSIST + THREAD + "import time\nwhile not robot.active: time.sleep(0.01)\n"
+    with program(code + "time.sleep(0.5)", emulator.device) as process:
+        assert ended(process) == (0, "")
+    assert_drove_once(emulator)
 
 
 FORK = """
