@@ -48,6 +48,24 @@ def content(path: Path, limit: int, error: type[AcsarError] = ConfigError) -> by
     return data
 
 
+def write(path: Path, data: bytes, error: type[AcsarError] = ConfigError) -> None:
+    """Write a file. Raises `error` where that can't be done, or nobody reads a pipe."""
+    try:
+        with open(path, "wb", opener=opener) as file:
+            file.write(data)
+    except (OSError, ValueError) as problem:
+        raise error(f"{path}: can't be written: {reason(problem)}") from None
+
+
+def opener(path: str, flags: int) -> int:
+    """For `open`: opening a pipe that nobody reads or writes is an error and doesn't block."""
+    blocking = getattr(os, "O_NONBLOCK", 0)
+    file = os.open(path, flags | blocking, 0o666)
+    if blocking:
+        os.set_blocking(file, True)
+    return file
+
+
 def reason(problem: Exception) -> str:
     """What an exception says, in one short line."""
     return getattr(problem, "strerror", None) or " ".join(str(problem).split())[:200]
