@@ -12,7 +12,7 @@ from defusedxml.common import DefusedXmlException
 
 from acsar_gym import bounded, structured
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, suggestion
+from acsar_gym.errors import ConfigError, shown, suggestion
 from acsar_gym.resources import ASSETS
 
 MOST_BYTES = 2_000_000
@@ -28,8 +28,9 @@ DRIVER_CONTROL_RATE = "20"
 def preset(name: str) -> RobotConfig:
     """The preset of that name in assets/robots; ConfigError names the nearest one."""
     known = {path.stem: path for path in (ASSETS / "robots").glob("*.yaml")}
-    if name not in known:
-        raise ConfigError(f"unknown robot preset {name!r}{suggestion(name, known)}")
+    if not isinstance(name, str) or name not in known:
+        near = suggestion(str(name)[:40] if isinstance(name, str) else "", known)
+        raise ConfigError(f"unknown robot preset {shown(name)}{near}")
     return load(known[name])
 
 

@@ -32,9 +32,8 @@ from numpy.typing import NDArray
 
 from acsar_gym import bounded, structured
 from acsar_gym.bounded import reason
-from acsar_gym.errors import WorldError, suggestion
+from acsar_gym.errors import WorldError, shown, suggestion
 from acsar_gym.worlds import maps, sdf
-from acsar_gym.worlds.maps import shown
 from acsar_gym.worlds.world import FARTHEST, MOST_OBSTACLES, Region, World
 
 Floats = NDArray[np.float64]

@@ -9,7 +9,6 @@ from __future__ import annotations
 import difflib
 import io
 import math
-import reprlib
 import struct
 import warnings
 from collections.abc import Mapping
@@ -19,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from acsar_gym.errors import MissingExtraError, WorldError
+from acsar_gym.errors import MissingExtraError, WorldError, shown
 from acsar_gym.worlds.world import FARTHEST, MOST_OBSTACLES
 
 Floats = NDArray[np.float64]
@@ -82,14 +81,6 @@ def _problem(item: Mapping[str, Any]) -> str:
     if item["type"] == "missing":
         return f"{name}: is missing: add it"
     return f"{name} = {shown(item['input'])}: {item['msg'].replace('Input should', 'must')}"
-
-
-def shown(value: object) -> str:
-    """The value as in source code: on one line, and shortened where it is long."""
-    try:
-        return reprlib.repr(value)
-    except ValueError:  # Python refuses to print integers of thousands of digits
-        return "a very long number"
 
 
 def segments(picture: bytes, config: MapSettings) -> Floats:

@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.errors import WorldError
+from acsar_gym.bounded import reason
+from acsar_gym.errors import WorldError, shown
 from acsar_gym.worlds import cache, files, generators, splits
 from acsar_gym.worlds.generators import Level
 from acsar_gym.worlds.search import check_region, shortest_path
@@ -160,7 +161,7 @@ def _given(source: Any) -> list[World] | None:
     worlds = list(source) if isinstance(source, Sequence) else []
     if not worlds or not all(isinstance(world, World) for world in worlds):
         raise WorldError(
-            f"worlds = {source!r}: must be a file, a folder, a list of World, or a kind of world "
+            f"worlds = {shown(source)}: must be a file, a folder, a list of World, or a kind of world "
             f"({', '.join(generators.kinds())})"
         )
     return worlds
@@ -179,7 +180,7 @@ def _read(source: str | Path) -> list[World] | None:
             return files.load_folder(path)
         return [files.load(path)] if named or path.exists() else None
     except (OSError, ValueError) as error:
-        raise WorldError(f"worlds = {str(source)[:60]!r}: can't be read: {error}") from None
+        raise WorldError(f"worlds = {shown(str(source))}: can't be read: {reason(error)}") from None
 
 
 def _numbers(text: str, count: int | None) -> tuple[str, range]:
@@ -187,7 +188,7 @@ def _numbers(text: str, count: int | None) -> tuple[str, range]:
     match = _KINDS.fullmatch(text)
     if match is None:
         raise WorldError(
-            f"worlds = {text[:60]!r}: must be like 'clutter:test', 'clutter:50', 'clutter:50-99' "
+            f"worlds = {shown(text)}: must be like 'clutter:test', 'clutter:50', 'clutter:50-99' "
             "or a path"
         )
     kind, split, one, other = match.groups()
