@@ -9,7 +9,7 @@ import os
 import stat
 from pathlib import Path
 
-from acsar_gym.errors import AcsarError, ConfigError
+from acsar_gym.errors import AcsarError, ConfigError, shortened
 
 FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 """A pipe that takes the file's place between check and opening doesn't block either."""
@@ -26,7 +26,7 @@ def read(path: Path, limit: int, error: type[AcsarError] = ConfigError) -> bytes
     try:
         return content(path, limit, error)
     except error as problem:
-        raise error(f"{path}: {problem}") from None
+        raise error(f"{shortened(str(path))}: {problem}") from None
 
 
 def content(path: Path, limit: int, error: type[AcsarError] = ConfigError) -> bytes:
@@ -54,7 +54,7 @@ def write(path: Path, data: bytes, error: type[AcsarError] = ConfigError) -> Non
         with open(path, "wb", opener=opener) as file:
             file.write(data)
     except (OSError, ValueError) as problem:
-        raise error(f"{path}: can't be written: {reason(problem)}") from None
+        raise error(f"{shortened(str(path))}: can't be written: {reason(problem)}") from None
 
 
 def opener(path: str, flags: int) -> int:

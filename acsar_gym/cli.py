@@ -6,6 +6,7 @@ interrupted.
 
 from __future__ import annotations
 
+import io
 import signal
 import subprocess
 import sys
@@ -17,7 +18,7 @@ import tyro
 
 import acsar_gym
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import AcsarError
+from acsar_gym.errors import AcsarError, printable
 
 Json = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
 File = Json
@@ -74,7 +75,7 @@ def bench(json: Json = None, plots: File = None) -> int:
     report.show(benchmark.table(figures))
     report.write_json(json, {f"{f.name} [{f.unit}]": f.value for f in figures})
     for file in comparison.plot(plots, RobotConfig.of(None)) if plots else ():
-        print(f"drawn: {file}")
+        print(printable(f"drawn: {file}"))
     return 0
 
 
@@ -348,7 +349,7 @@ def export(
 
     report.check_writable(out)
     runs.export(model, out, env, robot, trust=trust)
-    print(f"written: {out}")
+    print(printable(f"written: {out}"))
     return 0
 
 
@@ -373,7 +374,7 @@ def show(
     from acsar_gym import atlas  # noqa: PLC0415
 
     atlas.draw(atlas.raw(source, difficulty, robot, 12), columns, size, out)
-    print(f"drawn: {out}")
+    print(printable(f"drawn: {out}"))
     return 0
 
 
@@ -411,7 +412,7 @@ def convert(
     from acsar_gym import atlas  # noqa: PLC0415
 
     atlas.convert(source, out, difficulty, robot)
-    print(f"written: {out}")
+    print(printable(f"written: {out}"))
     return 0
 
 
@@ -475,6 +476,9 @@ COMMANDS: dict[str, Callable[..., Any]] = {
 
 def main() -> None:
     """Entry point: errors of this package become one line and an exit code."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # what a terminal can't show is no error
+            stream.reconfigure(errors="backslashreplace")
     try:
         if sys.argv[1:] == ["--version"]:
             print(f"acsar-gym {acsar_gym.__version__}")
@@ -486,7 +490,7 @@ def main() -> None:
         else:
             code = tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="acsar-gym")
     except AcsarError as error:
-        print(f"acsar-gym: {error}", file=sys.stderr)
+        print(f"acsar-gym: {printable(str(error))}", file=sys.stderr)
         code = error.exit_code
     except KeyboardInterrupt:
         driving = sys.argv[1:2] in (["drive"], ["run"], ["evaluate"], ["doctor"])

@@ -100,12 +100,17 @@ class LidarError(LinkError):
     """The LiDAR can't be opened, isn't one, or has fallen silent."""
 
 
-LONGEST = 2_000
+LONGEST = 1_000
 """Characters of a line that is printed."""
 _UNPRINTABLE = re.compile(
     "[^\\x20-\\x7e\\xa1-\U0010ffff]|[\\u200e\\u200f\\u2028-\\u202e\\u2066-\\u2069]|[\\ud800-\\udfff]"
 )
 """Control characters, what turns the direction of text, and halves of surrogate pairs."""
+
+
+def shortened(text: str, most: int = LONGEST) -> str:
+    """The text, cut off where it is long."""
+    return text if len(text) <= most else f"{text[:most]}..."
 
 
 def shown(value: object) -> str:
@@ -118,7 +123,7 @@ def shown(value: object) -> str:
 
 def printable(text: str) -> str:
     """Text that others wrote, for a terminal: control characters as in source code, never long."""
-    short = text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
+    short = shortened(text)
     return _UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode(), short)
 
 

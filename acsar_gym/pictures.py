@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym import scenery
+from acsar_gym import bounded, scenery
 from acsar_gym.canvas import Canvas, Colour, Floats, Up, View, check_size, encode, shortened
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
@@ -201,10 +201,7 @@ def save(image: Image, path: str | Path) -> None:
     path = Path(path)
     if path.suffix.lower() != ".png":
         raise ConfigError(f"{path}: pictures are PNG files; use a name that ends in .png")
-    try:
-        path.write_bytes(encode(image))
-    except OSError as error:
-        raise ConfigError(f"{path}: can't be written: {error.strerror or error}") from None
+    bounded.write(path, encode(image))
 
 
 def _thinned(path: Sequence[Point]) -> Floats:

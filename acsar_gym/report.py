@@ -5,27 +5,44 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
 from rich.markup import escape
+from rich.segment import Segment
 from rich.table import Table
 
-from acsar_gym.errors import ConfigError
+from acsar_gym import bounded
+from acsar_gym.errors import ConfigError, printable
 from acsar_gym.metrics import Summary
 
 ALARM = 0.15
 """Mean odometry error at which a table says so: the default tolerance of a goal [m]."""
 
 
+class SafeConsole(Console):
+    """A console on which names that others chose can't move the cursor or change a title."""
+
+    def render(
+        self, renderable: RenderableType, options: ConsoleOptions | None = None
+    ) -> Iterable[Segment]:
+        """The text of what is shown as it is, and control characters in it as in source code."""
+        for text, style, control in super().render(renderable, options):
+            yield Segment(text if control else _lines(text), style, control)
+
+
+def _lines(text: str) -> str:
+    return text if text.isprintable() else "\n".join(map(printable, text.split("\n")))
+
+
 def show(*tables: Table) -> None:
     """Print tables; piped output gets enough columns to hold them."""
-    console = Console()
+    console = SafeConsole()
     if not console.is_terminal:
-        console = Console(width=140)
+        console = SafeConsole(width=140)
     for table in tables:
         console.print(table)
 
@@ -42,10 +59,7 @@ def write_json(path: Path | None, data: Mapping[str, Any]) -> None:
     """Write `data` to `path` if there is one. Raises ConfigError where that can't be done."""
     if path is None:
         return
-    try:
-        path.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{path}: can't be written: {error}") from None
+    bounded.write(path, (json.dumps(data, indent=2, allow_nan=False) + "\n").encode())
 
 
 def summary_table(title: str, rows: Sequence[tuple[str, Summary]]) -> Table:

@@ -93,8 +93,8 @@ class PointGoal(_GoalTask):
             tolerance = float(goal_tolerance)
         except (TypeError, ValueError, OverflowError):
             raise ConfigError(
-                f"goal_distance = {shown(goal_distance)}, goal_tolerance = {shown(goal_tolerance)}: "
-                "must be (nearest, farthest) and one number [m]"
+                f"goal_distance = {shown(goal_distance)}, goal_tolerance = "
+                f"{shown(goal_tolerance)}: must be (nearest, farthest) and one number [m]"
             ) from None
         if not 0.0 < tolerance < nearest <= farthest < math.inf:
             raise ConfigError(

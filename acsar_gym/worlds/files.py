@@ -116,9 +116,10 @@ def save(world: World, path: Path) -> None:
         raise WorldError(f"{path}: a world is saved as .json, .yaml or .yml")
     write = _as_json if path.suffix.lower() == ".json" else _as_yaml
     try:
-        path.write_text(write(_fields(world)), encoding="utf-8")
-    except (OSError, ValueError) as error:
-        raise WorldError(f"{path}: can't be written: {reason(error)}") from None
+        data = write(_fields(world)).encode()
+    except UnicodeEncodeError:
+        raise WorldError(f"{path}: can't be written: the world's name isn't UTF-8 text") from None
+    bounded.write(path, data, WorldError)
 
 
 def _is_world(path: Path) -> bool:

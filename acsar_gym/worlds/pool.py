@@ -104,7 +104,7 @@ class Pool:
     def __getitem__(self, number: int) -> World:
         if number not in self.numbers:
             raise WorldError(
-                f"world {number}: must be {self.numbers[0]} to {self.numbers[-1]} ({self.kind})"
+                f"world {shown(number)}: must be {self.numbers[0]} to {self.numbers[-1]} ({self.kind})"
             )
         return self._make(number)
 
@@ -129,7 +129,7 @@ class Pool:
         first, last = np.searchsorted(levels, low), np.searchsorted(levels, high, "right")
         if first == last:
             raise WorldError(
-                f"difficulty = {difficulty!r}: none of the env's worlds; theirs are "
+                f"difficulty = {shown(difficulty)}: none of the env's worlds; theirs are "
                 f"{levels[0]:.3g} to {levels[-1]:.3g}"
             )
         return range(int(first), int(last))
@@ -161,8 +161,8 @@ def _given(source: Any) -> list[World] | None:
     worlds = list(source) if isinstance(source, Sequence) else []
     if not worlds or not all(isinstance(world, World) for world in worlds):
         raise WorldError(
-            f"worlds = {shown(source)}: must be a file, a folder, a list of World, or a kind of world "
-            f"({', '.join(generators.kinds())})"
+            f"worlds = {shown(source)}: must be a file, a folder, a list of World, or a kind of "
+            f"world ({', '.join(generators.kinds())})"
         )
     return worlds
 

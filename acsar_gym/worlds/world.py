@@ -45,8 +45,8 @@ class Region:
             sound = False
         if not sound or self.radius < 0.0:
             raise WorldError(
-                f"region {shown(numbers)}: x, y, radius [m] and theta [rad] must be numbers of at most "
-                f"{FARTHEST:g}, the radius not negative"
+                f"region {shown(numbers)}: x, y, radius [m] and theta [rad] must be numbers of at "
+                f"most {FARTHEST:g}, the radius not negative"
             )
 
 
