@@ -18,7 +18,7 @@ import tyro
 
 import acsar_gym
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import AcsarError, printable
+from acsar_gym.errors import AcsarError, ConfigError, printable, shown
 
 Json = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
 File = Json
@@ -29,6 +29,8 @@ Worlds = Annotated[str | None, tyro.conf.arg(metavar="KIND|PATH")]
 LidarArg = Annotated[str | None, tyro.conf.arg(metavar="URL")]
 Priority = Annotated[int | None, tyro.conf.arg(metavar="PRIORITY")]
 Cores = Annotated[tuple[int, ...] | None, tyro.conf.arg(metavar="N [N ...]")]
+MOST_COUNT = 10**9
+"""Of what a command counts: steps, episodes."""
 RobotArg = Annotated[str | None, tyro.conf.arg(metavar="PRESET|FILE")]
 
 
@@ -52,6 +54,10 @@ def demo(
     from acsar_gym import report  # noqa: PLC0415
 
     report.check_writable(json)
+    counts = {"--steps": steps, "--episodes": episodes, "--serial-episodes": serial_episodes}
+    for name, count in counts.items():
+        if not 1 <= count <= MOST_COUNT:
+            raise ConfigError(f"{name} = {shown(count)}: must be 1 to {MOST_COUNT:,}")
     runs = demos.run(steps, episodes, serial_episodes, out)
     rows = [(name, run.summary) for name, run in runs]
     title = f"One policy file, {out / 'policy.onnx'}, worlds: {runs[0][1].worlds}"
@@ -373,7 +379,8 @@ def show(
     """
     from acsar_gym import atlas  # noqa: PLC0415
 
-    atlas.draw(atlas.raw(source, difficulty, robot, 12), columns, size, out)
+    most = atlas.most_drawn(columns, size, out)
+    atlas.draw(atlas.raw(source, difficulty, robot, 12, most), columns, size, out)
     print(printable(f"drawn: {out}"))
     return 0
 

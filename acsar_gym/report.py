@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.markup import escape
+from rich.progress import Progress
 from rich.segment import Segment
 from rich.table import Table
 
@@ -19,6 +22,9 @@ from acsar_gym import bounded
 from acsar_gym.errors import ConfigError, printable
 from acsar_gym.metrics import Summary
 
+Item = TypeVar("Item")
+PATIENCE = 2.0
+"""What takes longer shows its progress [s]."""
 ALARM = 0.15
 """Mean odometry error at which a table says so: the default tolerance of a goal [m]."""
 
@@ -45,6 +51,22 @@ def show(*tables: Table) -> None:
         console = SafeConsole(width=140)
     for table in tables:
         console.print(table)
+
+
+def watched(what: str, items: Iterable[Item], total: int) -> Iterator[Item]:
+    """The items, behind a bar on the standard error where all together take over two seconds."""
+    begin = time.monotonic()
+    with contextlib.ExitStack() as stack:
+        bar: Progress | None = None
+        for number, item in enumerate(items, start=1):
+            yield item
+            if bar is None and time.monotonic() - begin > PATIENCE:
+                bar = stack.enter_context(
+                    Progress(console=SafeConsole(stderr=True), transient=True)
+                )
+                bar.add_task(what, total=total)
+            if bar is not None:
+                bar.update(bar.task_ids[0], completed=number)
 
 
 def check_writable(path: Path | None) -> None:

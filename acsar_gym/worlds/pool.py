@@ -28,7 +28,7 @@ KEPT = 512
 """Generated worlds that a pool remembers."""
 RANKED = 100_000
 """A larger pool can't be ordered by difficulty."""
-_KINDS = re.compile(r"([a-z_]+)(?::(?:(train|test)|(\d{1,18})(?:-(\d{1,18}))?))?")
+_KINDS = re.compile(r"([a-z_]+)(?::(?:(train|test)|(\d{1,15})(?:-(\d{1,15}))?))?")
 
 Source = str | Path | World | Sequence[World]
 """What users may pass as `worlds=`."""
@@ -157,7 +157,7 @@ def _given(source: Any) -> list[World] | None:
     if isinstance(source, World):
         return [source]
     if isinstance(source, str | Path):
-        return _read(source)
+        return read(source)
     worlds = list(source) if isinstance(source, Sequence) else []
     if not worlds or not all(isinstance(world, World) for world in worlds):
         raise WorldError(
@@ -167,7 +167,7 @@ def _given(source: Any) -> list[World] | None:
     return worlds
 
 
-def _read(source: str | Path) -> list[World] | None:
+def read(source: str | Path) -> list[World] | None:
     """Worlds of a file or a folder; None for the name of a generator."""
     if isinstance(source, str):
         kind = _KINDS.fullmatch(source)
