@@ -9,7 +9,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rich.markup import escape
 from rich.table import Table
 
 from acsar_gym import pictures, report
@@ -132,12 +131,15 @@ def table(findings: Sequence[Finding]) -> Table:
     for f in findings:
         if f.fault:
             drawn.add_row(
-                escape(f.name), str(f.obstacles), _short(f.path), f"[red]{escape(f.fault)}"
+                report.plain(f.name),
+                str(f.obstacles),
+                _short(f.path),
+                f"[red]{report.plain(f.fault)}",
             )
             continue
         numbers = (f.path, f.shortest, f.closest_obstacle, f.visibility, f.dispersion)
         drawn.add_row(
-            escape(f.name),
+            report.plain(f.name),
             str(f.obstacles),
             *map(_short, (*numbers, f.characteristic_dimension, f.tortuosity)),
         )

@@ -58,6 +58,7 @@ def demo(
     for name, count in counts.items():
         if not 1 <= count <= MOST_COUNT:
             raise ConfigError(f"{name} = {shown(count)}: must be 1 to {MOST_COUNT:,}")
+    report.make_folder(out)
     runs = demos.run(steps, episodes, serial_episodes, out)
     rows = [(name, run.summary) for name, run in runs]
     title = f"One policy file, {out / 'policy.onnx'}, worlds: {runs[0][1].worlds}"

@@ -386,7 +386,8 @@ def whole_ratio(fast_name: str, fast: float, slow_name: str, slow: float) -> int
     Raises ConfigError unless it is a whole number of at least 1, or where slow is below 0.01 Hz.
     """
     try:
-        ratio = float(fast) / float(slow)
+        fast, slow = _number(fast), _number(slow)
+        ratio = fast / slow
     except (TypeError, ValueError, ZeroDivisionError, OverflowError):
         ratio = math.nan
     if not ratio > 0.0:
@@ -399,6 +400,12 @@ def whole_ratio(fast_name: str, fast: float, slow_name: str, slow: float) -> int
             f"{fast_name} = {fast:g} Hz: must be a whole multiple of {slow_name} = {slow:g} Hz"
         )
     return whole
+
+
+def _number(value: float) -> float:
+    if isinstance(value, str | bytes):
+        raise TypeError
+    return float(value)
 
 
 def _describe(model: type[BaseModel], section: str, error: ValidationError) -> str:

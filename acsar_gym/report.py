@@ -40,6 +40,11 @@ class SafeConsole(Console):
             yield Segment(text if control else _lines(text), style, control)
 
 
+def plain(text: str) -> str:
+    """Text that others wrote, for a cell or a title: no markup, no control characters."""
+    return escape(printable(text))
+
+
 def _lines(text: str) -> str:
     return text if text.isprintable() else "\n".join(map(printable, text.split("\n")))
 
@@ -77,6 +82,14 @@ def check_writable(path: Path | None) -> None:
         raise ConfigError(f"{path}: can't be written: must be a file in a folder of yours")
 
 
+def make_folder(path: Path) -> None:
+    """Make a folder where there is none. Raises ConfigError where that can't be done."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: can't be made a folder: {bounded.reason(error)}") from None
+
+
 def write_json(path: Path | None, data: Mapping[str, Any]) -> None:
     """Write `data` to `path` if there is one. Raises ConfigError where that can't be done."""
     if path is None:
@@ -86,14 +99,14 @@ def write_json(path: Path | None, data: Mapping[str, Any]) -> None:
 
 def summary_table(title: str, rows: Sequence[tuple[str, Summary]]) -> Table:
     """One row for each way in which the same policy was run; only columns that say something."""
-    table = Table(title=escape(title), title_justify="left")
+    table = Table(title=plain(title), title_justify="left")
     columns = {name: [cell(summary) for _, summary in rows] for name, cell in COLUMNS.items()}
     told = {name: cells for name, cells in columns.items() if any(cells)}
     table.add_column("behind the wire")
     for name in told:
         table.add_column(name, justify="right")
     for number, (wire, _) in enumerate(rows):
-        table.add_row(escape(wire), *(cells[number] or "-" for cells in told.values()))
+        table.add_row(plain(wire), *(cells[number] or "-" for cells in told.values()))
     worst = max(
         (s.odometry_error for _, s in rows if not math.isnan(s.odometry_error)), default=0.0
     )

@@ -11,7 +11,6 @@ from typing import Any
 
 import gymnasium
 from gymnasium.envs.registration import load_env_creator
-from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from acsar_gym import evaluation, metrics, provenance, report
@@ -208,7 +207,7 @@ def track(name: str, running: Iterator[EpisodeResult], count: int) -> list[Episo
         TimeElapsedColumn(),
     )
     with Progress(*columns, console=report.SafeConsole()) as progress:
-        task = progress.add_task(escape(name), total=count, rate="-")
+        task = progress.add_task(report.plain(name), total=count, rate="-")
         for result in running:
             results.append(result)
             rate = sum(r.success for r in results) / len(results)

@@ -94,7 +94,8 @@ def limits(difficulty: Level) -> tuple[float, float]:
         sound = False
     if not sound:
         raise WorldError(
-            f"difficulty = {shown(difficulty)}: must be from 0 to 1, or a range (low, high) of these"
+            f"difficulty = {shown(difficulty)}: must be from 0 to 1, or a range (low, high) of "
+            "these"
         )
     return low, high
 

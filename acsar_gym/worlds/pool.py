@@ -104,7 +104,8 @@ class Pool:
     def __getitem__(self, number: int) -> World:
         if number not in self.numbers:
             raise WorldError(
-                f"world {shown(number)}: must be {self.numbers[0]} to {self.numbers[-1]} ({self.kind})"
+                f"world {shown(number)}: must be {self.numbers[0]} to {self.numbers[-1]} "
+                f"({self.kind})"
             )
         return self._make(number)
 
