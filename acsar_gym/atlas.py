@@ -5,21 +5,23 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rich.markup import escape
 from rich.table import Table
 
-from acsar_gym import pictures
+from acsar_gym import pictures, report
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, WorldError
 from acsar_gym.worlds import World, difficulty, files
-from acsar_gym.worlds.pool import Pool
+from acsar_gym.worlds.pool import Pool, read
 from acsar_gym.worlds.search import footprint_radius, path_length, shortest_path
 
 MOST_DRAWN = 100
 """Worlds on one sheet."""
+MOST_AT_ONCE = 10_000
+"""Worlds that are made or read for one command."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,28 +50,51 @@ class Finding:
         }
 
 
-def raw(source: str, level: float | None, robot: str | None, count: int) -> list[World]:
-    """The worlds that a kind, a file or a folder names, as they are. Raises WorldError."""
-    path = Path(source)
-    if path.is_dir():
-        return files.load_folder(path)
-    if path.is_file() or path.suffix or "/" in source:
-        return [files.load(path)]
-    return list(Pool.of(source, level, footprint_radius(RobotConfig.of(robot)), count))
+def raw(
+    source: str, level: float | None, robot: str | None, count: int, most: int = MOST_AT_ONCE
+) -> list[World]:
+    """The worlds that a kind, a file or a folder names, as they are.
+
+    Raises WorldError for what can't be read or made, and ConfigError for more than `most`.
+    """
+    given = read(source)
+    if given is not None:
+        _check_count(source, len(given), most)
+        return given
+    pool = Pool.of(source, level, footprint_radius(RobotConfig.of(robot)), count)
+    _check_count(source, len(pool), most)
+    return list(report.watched("making worlds", pool, len(pool)))
+
+
+def _check_count(source: str, count: int, most: int) -> None:
+    if count > most == 1:
+        raise ConfigError(f"{source} holds {count:,} worlds: name one file, or one like barn:7-7")
+    if count > most:
+        raise ConfigError(f"{source}: {count:,} worlds are too many, at most {most:,} at once")
+
+
+def most_drawn(columns: int, size: int, out: Path) -> int:
+    """How many worlds fit on a sheet. ConfigError where none can be drawn, or `out` written."""
+    most = pictures.most_tiles(columns, size)
+    pictures.check_name(out)
+    report.check_writable(out)
+    return min(most, MOST_DRAWN)
 
 
 def draw(worlds: Sequence[World], columns: int, size: int, out: Path) -> None:
     """A sheet of worlds, or one alone, as a PNG file."""
-    if len(worlds) > MOST_DRAWN:
-        raise ConfigError(f"{len(worlds)} worlds are too many for a sheet, at most {MOST_DRAWN}")
+    _check_count("the sheet", len(worlds), MOST_DRAWN)
     columns = min(columns, len(worlds))
-    pictures.save(pictures.sheet(worlds, columns, size), out)
+    watch = partial(report.watched, "drawing worlds", total=len(worlds))
+    pictures.save(pictures.sheet(worlds, columns, size, watch), out)
 
 
 def check(worlds: Sequence[World], robot: str | None) -> list[Finding]:
     """Whether a robot can cross each world, how far it is, and how hard by BARN's measures."""
     radius = footprint_radius(RobotConfig.of(robot))
-    return [_checked(world, radius) for world in worlds]
+    return [
+        _checked(world, radius) for world in report.watched("checking worlds", worlds, len(worlds))
+    ]
 
 
 def _checked(world: World, radius: float) -> Finding:
@@ -91,12 +116,8 @@ def _checked(world: World, radius: float) -> Finding:
 
 def convert(source: str, out: Path, level: float | None, robot: str | None) -> None:
     """Write one world to the project's own .json or .yaml."""
-    worlds = raw(source, level, robot, 1)
-    if len(worlds) != 1:
-        raise ConfigError(
-            f"{source} holds {len(worlds)} worlds: name one file, or one like barn:7-7"
-        )
-    files.save(worlds[0], out)
+    report.check_writable(out)
+    files.save(raw(source, level, robot, 1, 1)[0], out)
 
 
 def table(findings: Sequence[Finding]) -> Table:
@@ -110,12 +131,15 @@ def table(findings: Sequence[Finding]) -> Table:
     for f in findings:
         if f.fault:
             drawn.add_row(
-                escape(f.name), str(f.obstacles), _short(f.path), f"[red]{escape(f.fault)}"
+                report.plain(f.name),
+                str(f.obstacles),
+                _short(f.path),
+                f"[red]{report.plain(f.fault)}",
             )
             continue
         numbers = (f.path, f.shortest, f.closest_obstacle, f.visibility, f.dispersion)
         drawn.add_row(
-            escape(f.name),
+            report.plain(f.name),
             str(f.obstacles),
             *map(_short, (*numbers, f.characteristic_dimension, f.tortuosity)),
         )

@@ -9,7 +9,7 @@ import os
 import stat
 from pathlib import Path
 
-from acsar_gym.errors import AcsarError, ConfigError
+from acsar_gym.errors import AcsarError, ConfigError, shortened
 
 FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 """A pipe that takes the file's place between check and opening doesn't block either."""
@@ -26,7 +26,7 @@ def read(path: Path, limit: int, error: type[AcsarError] = ConfigError) -> bytes
     try:
         return content(path, limit, error)
     except error as problem:
-        raise error(f"{path}: {problem}") from None
+        raise error(f"{shortened(str(path))}: {problem}") from None
 
 
 def content(path: Path, limit: int, error: type[AcsarError] = ConfigError) -> bytes:
@@ -46,6 +46,24 @@ def content(path: Path, limit: int, error: type[AcsarError] = ConfigError) -> by
     if len(data) > limit:
         raise error(_too_large(limit))
     return data
+
+
+def write(path: Path, data: bytes, error: type[AcsarError] = ConfigError) -> None:
+    """Write a file. Raises `error` where that can't be done, or nobody reads a pipe."""
+    try:
+        with open(path, "wb", opener=opener) as file:
+            file.write(data)
+    except (OSError, ValueError) as problem:
+        raise error(f"{shortened(str(path))}: can't be written: {reason(problem)}") from None
+
+
+def opener(path: str, flags: int) -> int:
+    """For `open`: opening a pipe that nobody reads or writes is an error and doesn't block."""
+    blocking = getattr(os, "O_NONBLOCK", 0)
+    file = os.open(path, flags | blocking, 0o666)
+    if blocking:
+        os.set_blocking(file, True)
+    return file
 
 
 def reason(problem: Exception) -> str:

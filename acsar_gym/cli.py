@@ -6,6 +6,7 @@ interrupted.
 
 from __future__ import annotations
 
+import io
 import signal
 import subprocess
 import sys
@@ -17,7 +18,7 @@ import tyro
 
 import acsar_gym
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import AcsarError
+from acsar_gym.errors import AcsarError, ConfigError, printable, shown
 
 Json = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
 File = Json
@@ -29,6 +30,8 @@ LidarArg = Annotated[str | None, tyro.conf.arg(metavar="URL")]
 Priority = Annotated[int | None, tyro.conf.arg(metavar="PRIORITY")]
 Kinds = Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="KIND [KIND ...]")]
 Cores = Annotated[tuple[int, ...] | None, tyro.conf.arg(metavar="N [N ...]")]
+MOST_COUNT = 10**9
+"""Of what a command counts: steps, episodes."""
 RobotArg = Annotated[str | None, tyro.conf.arg(metavar="PRESET|FILE")]
 
 
@@ -52,6 +55,11 @@ def demo(
     from acsar_gym import report  # noqa: PLC0415
 
     report.check_writable(json)
+    counts = {"--steps": steps, "--episodes": episodes, "--serial-episodes": serial_episodes}
+    for name, count in counts.items():
+        if not 1 <= count <= MOST_COUNT:
+            raise ConfigError(f"{name} = {shown(count)}: must be 1 to {MOST_COUNT:,}")
+    report.make_folder(out)
     runs = demos.run(steps, episodes, serial_episodes, out)
     rows = [(name, run.summary) for name, run in runs]
     title = f"One policy file, {out / 'policy.onnx'}, worlds: {runs[0][1].worlds}"
@@ -75,7 +83,7 @@ def bench(json: Json = None, plots: File = None) -> int:
     report.show(benchmark.table(figures))
     report.write_json(json, {f"{f.name} [{f.unit}]": f.value for f in figures})
     for file in comparison.plot(plots, RobotConfig.of(None)) if plots else ():
-        print(f"drawn: {file}")
+        print(printable(f"drawn: {file}"))
     return 0
 
 
@@ -353,7 +361,7 @@ def export(
 
     report.check_writable(out)
     runs.export(model, out, env, robot, trust=trust)
-    print(f"written: {out}")
+    print(printable(f"written: {out}"))
     return 0
 
 
@@ -377,8 +385,9 @@ def show(
     """
     from acsar_gym import atlas  # noqa: PLC0415
 
-    atlas.draw(atlas.raw(source, difficulty, robot, 12), columns, size, out)
-    print(f"drawn: {out}")
+    most = atlas.most_drawn(columns, size, out)
+    atlas.draw(atlas.raw(source, difficulty, robot, 12, most), columns, size, out)
+    print(printable(f"drawn: {out}"))
     return 0
 
 
@@ -416,7 +425,7 @@ def convert(
     from acsar_gym import atlas  # noqa: PLC0415
 
     atlas.convert(source, out, difficulty, robot)
-    print(f"written: {out}")
+    print(printable(f"written: {out}"))
     return 0
 
 
@@ -480,6 +489,9 @@ COMMANDS: dict[str, Callable[..., Any]] = {
 
 def main() -> None:
     """Entry point: errors of this package become one line and an exit code."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # what a terminal can't show is no error
+            stream.reconfigure(errors="backslashreplace")
     try:
         if sys.argv[1:] == ["--version"]:
             print(f"acsar-gym {acsar_gym.__version__}")
@@ -491,7 +503,7 @@ def main() -> None:
         else:
             code = tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="acsar-gym")
     except AcsarError as error:
-        print(f"acsar-gym: {error}", file=sys.stderr)
+        print(f"acsar-gym: {printable(str(error))}", file=sys.stderr)
         code = error.exit_code
     except KeyboardInterrupt:
         driving = sys.argv[1:2] in (["drive"], ["run"], ["evaluate"], ["doctor"])

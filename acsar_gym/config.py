@@ -9,7 +9,6 @@ used by simulated links only; `lidar` is the range sensor, simulated or real. Ev
 from __future__ import annotations
 
 import math
-import reprlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self
@@ -20,15 +19,12 @@ from pydantic import (
     ConfigDict,
     Field,
     ModelWrapValidatorHandler,
-    NegativeFloat,
-    NonNegativeFloat,
-    NonPositiveFloat,
     PositiveFloat,
     ValidationError,
     model_validator,
 )
 
-from acsar_gym.errors import ConfigError, suggestion
+from acsar_gym.errors import ConfigError, shown, suggestion
 
 BAUD_RATES = (9600, 19200, 38400, 57600, 115200)
 FOOT = 0.01
@@ -39,6 +35,24 @@ USUAL_RATES = (200.0, 100.0, 50.0, 40.0, 25.0, 20.0, 10.0, 5.0, 2.0, 1.0)
 """Rates that messages suggest [Hz]."""
 BITS_PER_BYTE = 10
 """8N1: a start bit, eight data bits, a stop bit."""
+LEAST_RATE = 0.01
+"""Of ticks and of a policy's steps [Hz]: slower ones would simulate for ever."""
+MOST_TOLD = 10
+"""Problems of a config that one message tells."""
+MOST_SAMPLES = 2_000
+"""Encoder readings that the simulated firmware remembers for its window."""
+
+Length = Annotated[float, Field(gt=0.0, le=100.0)]
+"""[m]"""
+Place = Annotated[float, Field(ge=-100.0, le=100.0)]
+"""[m]"""
+Speed = Annotated[float, Field(gt=0.0, le=1e3)]
+"""[m/s] or [rad/s]"""
+Rate = Annotated[float, Field(gt=0.0, le=1e4)]
+"""[Hz]"""
+Wait = Annotated[float, Field(gt=0.0, le=3600.0)]
+"""At most an hour [s]."""
+Name = Annotated[str, Field(max_length=1000)]
 
 
 def _known_baud(value: int) -> int:
@@ -65,71 +79,73 @@ class MotorConfig(_Section):
     """The motors and their speed loop."""
 
     section = "motor"
-    max_speed: PositiveFloat = 30.0
-    """Fastest wheel speed the motors reach [rad/s]."""
-    acceleration: PositiveFloat = 60.0
-    """Slope at which the firmware ramps its set point [rad/s^2]."""
-    time_constant: NonNegativeFloat = 0.08
-    """First-order lag of the speed loop [s]; published hobby figures are 0.05-0.2."""
-    deadband: NonNegativeFloat = 0.0
-    """Set points below this don't turn the wheel [rad/s]."""
+    max_speed: Speed = 30.0
+    """Fastest wheel speed the motors reach [rad/s], at most 1,000."""
+    acceleration: Annotated[float, Field(gt=0.0, le=1e6)] = 60.0
+    """Slope at which the firmware ramps its set point [rad/s^2], at most 1e6."""
+    time_constant: Annotated[float, Field(ge=0.0, le=100.0)] = 0.08
+    """First-order lag of the speed loop [s]; published hobby figures are 0.05-0.2, at most 100."""
+    deadband: Annotated[float, Field(ge=0.0, le=1e3)] = 0.0
+    """Set points below this don't turn the wheel [rad/s], at most 1,000."""
 
 
 class EncoderConfig(_Section):
     """The wheel encoders, as the firmware reads them."""
 
     section = "encoder"
-    counts_per_revolution: Annotated[int, Field(gt=0)] = 1320
-    """Counts per turn of the wheel."""
+    counts_per_revolution: Annotated[int, Field(gt=0, le=10_000_000)] = 1320
+    """Counts per turn of the wheel, at most ten million."""
     window: Annotated[float, Field(gt=0.0, le=5.0)] = 0.05
-    """Time over which the firmware averages before it sends [s]."""
+    """Time over which the firmware averages before it sends [s]: at most 5 s and 2,000 loops."""
 
 
 class FirmwareConfig(_Section):
     """The microcontroller's program."""
 
     section = "firmware"
-    loop_rate: PositiveFloat = 200.0
-    """Rate of its control loop, and of the simulation's substeps [Hz]."""
-    feedback_rate: PositiveFloat | None = None
+    loop_rate: Rate = 200.0
+    """Rate of its control loop, and of the simulation's substeps [Hz], at most 10,000."""
+    feedback_rate: Rate | None = None
     """Feedback lines per second [Hz]; None: one per tick of the control rate."""
-    processing_time: NonNegativeFloat = 0.00125
-    """Time from the last byte of a line to its effect, and from encoder to first byte [s]."""
-    command_timeout: PositiveFloat | None = 0.5
-    """Motors stop when no valid command came for so long [s]; None: they never do."""
+    processing_time: Annotated[float, Field(ge=0.0, le=1.0)] = 0.00125
+    """Time from the last byte of a line to its effect, and from encoder to first byte [s], at most
+    1 s."""
+    command_timeout: Wait | None = 0.5
+    """Motors stop when no valid command came for so long [s], at most an hour; None: they never
+    do."""
 
 
 class BodyConfig(_Section):
     """Chassis and ground."""
 
     section = "body"
-    mass: PositiveFloat = 4.0
-    """Whole robot [kg]."""
-    length: PositiveFloat = 0.34
-    """Footprint along x [m]."""
-    width: PositiveFloat = 0.34
+    mass: Annotated[float, Field(gt=0.0, le=1e5)] = 4.0
+    """Whole robot [kg], at most 100 t."""
+    length: Length = 0.34
+    """Footprint along x [m], as all lengths at most 100 m."""
+    width: Length = 0.34
     """Footprint along y, over the wheels [m]."""
-    height: PositiveFloat = 0.12
+    height: Length = 0.12
     """Top of the chassis above ground [m]."""
-    friction: PositiveFloat = 1.0
-    """Coulomb friction of tyre on ground."""
-    slip_speed: PositiveFloat = 0.005
-    """Slip below which friction falls off linearly [m/s]."""
+    friction: Annotated[float, Field(gt=0.0, le=100.0)] = 1.0
+    """Coulomb friction of tyre on ground, at most 100."""
+    slip_speed: Speed = 0.005
+    """Slip below which friction falls off linearly [m/s], at most 1,000."""
 
 
 class SpeedLimits(_Section):
     """Limits of one axis, named and behaving as in ROS diff_drive_controller; None is no limit.
 
-    m/s or rad/s, and their derivatives. A minimum that is None is minus the maximum.
+    m/s or rad/s, and their derivatives, at most 1e6. A minimum that is None is minus the maximum.
     """
 
     section = "limits"
-    max_velocity: NonNegativeFloat | None = None
-    min_velocity: NonPositiveFloat | None = None
-    max_acceleration: PositiveFloat | None = None
-    min_acceleration: NegativeFloat | None = None
-    max_jerk: PositiveFloat | None = None
-    min_jerk: NegativeFloat | None = None
+    max_velocity: Annotated[float, Field(ge=0.0, le=1e6)] | None = None
+    min_velocity: Annotated[float, Field(ge=-1e6, le=0.0)] | None = None
+    max_acceleration: Annotated[float, Field(gt=0.0, le=1e6)] | None = None
+    min_acceleration: Annotated[float, Field(ge=-1e6, lt=0.0)] | None = None
+    max_jerk: Annotated[float, Field(gt=0.0, le=1e6)] | None = None
+    min_jerk: Annotated[float, Field(ge=-1e6, lt=0.0)] | None = None
 
 
 class Geofence(_Section):
@@ -160,18 +176,18 @@ class LidarConfig(_Section):
     """Directions of an observation; each takes the measurement next to it."""
     field_of_view: Annotated[float, Field(gt=0.0, le=2.0 * math.pi + 1e-9)] = 2.0 * math.pi
     """Centred on the robot's x axis [rad]; a full turn has no direction twice."""
-    min_range: NonNegativeFloat = 0.1
+    min_range: Annotated[float, Field(ge=0.0, le=1e3)] = 0.1
     """Nearer measurements are taken for this range [m]."""
-    max_range: PositiveFloat = 5.0
-    """What is farther, or not measured at all, has this range [m]."""
-    rate: PositiveFloat = 10.0
-    """Scans per second [Hz]."""
-    noise: NonNegativeFloat = 0.01
+    max_range: Annotated[float, Field(gt=0.0, le=1e3)] = 5.0
+    """What is farther, or not measured at all, has this range [m], at most 1 km."""
+    rate: Rate = 10.0
+    """Scans per second [Hz], at most 10,000."""
+    noise: Annotated[float, Field(ge=0.0, le=1e3)] = 0.01
     """Standard deviation of a simulated range [m]; that of a hobby LiDAR at a few metres."""
     dropouts: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
     """Share of simulated rays that come back without a range."""
-    timeout: PositiveFloat = 1.0
-    """A scan older than this is an error that stops the robot [s]."""
+    timeout: Wait = 1.0
+    """A scan older than this is an error that stops the robot [s], at most an hour."""
 
     @model_validator(mode="after")
     def _ranges_and_times_fit(self) -> Self:
@@ -189,38 +205,41 @@ class LidarConfig(_Section):
 
 
 class RobotConfig(_Section):
-    """One robot: geometry, wire, limits, and its twin. Lengths in m, speeds in rad/s or m/s."""
+    """One robot: geometry, wire, limits, and its twin. Lengths in m, speeds in rad/s or m/s.
 
-    wheel_radius: PositiveFloat = 0.05
+    Lengths are at most 100 m, speeds 1,000, rates 10,000 Hz, and times an hour.
+    """
+
+    wheel_radius: Length = 0.05
     """[m]"""
-    wheel_separation: PositiveFloat = 0.3
+    wheel_separation: Length = 0.3
     """Distance between the centres of left and right wheels [m]."""
-    wheelbase: PositiveFloat = 0.22
+    wheelbase: Length = 0.22
     """Distance between the front and the rear axle [m]; used by the simulation."""
-    wheel_separation_multiplier: PositiveFloat = 1.0
+    wheel_separation_multiplier: Annotated[float, Field(gt=0.0, le=100.0)] = 1.0
     """As in ROS diff_drive_controller. For equal loads 1 + (wheelbase / wheel_separation)^2."""
-    serial_port: str | None = None
+    serial_port: Name | None = None
     """Device for `open_link("serial", config)`; there is no default."""
     baud_rate: Annotated[int, AfterValidator(_known_baud)] = 115200
     """Bits per second, 8N1, no flow control."""
     trailing_comma: bool = False
     """Send a comma after the last motor too, as the robot's own driver does."""
-    control_rate: PositiveFloat = 100.0
+    control_rate: Rate = 100.0
     """Ticks per second: one command line each [Hz]."""
-    connect_timeout: PositiveFloat = 5.0
+    connect_timeout: Wait = 5.0
     """How long activation waits for the board's first valid line [s]; AVR boards reset on open."""
-    reconnect_timeout: NonNegativeFloat = 10.0
+    reconnect_timeout: Annotated[float, Field(ge=0.0, le=3600.0)] = 10.0
     """A port that was lost has so long to come back at the next activation [s]."""
-    feedback_timeout: PositiveFloat = 0.5
+    feedback_timeout: Wait = 0.5
     """Feedback older than this stops the robot with an error [s]."""
     watchdog_timeout: Annotated[float, Field(ge=0.01, le=60.0)] | None = 0.15
     """Commands that stop coming for so long mean that the program hangs: a process of its own
     commands zero [s], 0.01 to 60; None: no watchdog."""
-    max_linear: PositiveFloat = 0.5
+    max_linear: Speed = 0.5
     """Linear speed of a full action [m/s]."""
-    max_angular: PositiveFloat = 1.5
+    max_angular: Speed = 1.5
     """Angular speed of a full action [rad/s]."""
-    max_wheel_speed: PositiveFloat = 30.0
+    max_wheel_speed: Speed = 30.0
     """Wheel speeds of a twist shrink to this, keeping the turn radius [rad/s]."""
     linear_limits: SpeedLimits = SpeedLimits()
     """Of the linear velocity that is commanded, in simulation and on hardware."""
@@ -228,13 +247,13 @@ class RobotConfig(_Section):
     """Of the angular velocity that is commanded."""
     geofence: Geofence | None = None
     """Where the robot may go, by odometry."""
-    odom_frame: str = "odom"
-    base_frame: str = "base_link"
-    lidar_frame: str = "lidar_link"
-    lidar_x_offset: float = -0.15
+    odom_frame: Name = "odom"
+    base_frame: Name = "base_link"
+    lidar_frame: Name = "lidar_link"
+    lidar_x_offset: Place = -0.15
     """[m] in the base frame, as the two below."""
-    lidar_y_offset: float = 0.0
-    lidar_z_offset: float = 0.37
+    lidar_y_offset: Place = 0.0
+    lidar_z_offset: Place = 0.37
     motor: MotorConfig = MotorConfig()
     encoder: EncoderConfig = EncoderConfig()
     firmware: FirmwareConfig = FirmwareConfig()
@@ -278,6 +297,11 @@ class RobotConfig(_Section):
             raise ConfigError(
                 f"encoder.window = {self.encoder.window:g} s: must be at least one period of "
                 f"firmware.loop_rate ({1.0 / loop:g} s)"
+            )
+        if self.encoder.window * loop > MOST_SAMPLES:
+            raise ConfigError(
+                f"encoder.window = {self.encoder.window:g} s: must be at most {MOST_SAMPLES:,} "
+                f"periods of firmware.loop_rate ({MOST_SAMPLES / loop:g} s)"
             )
         return self
 
@@ -323,6 +347,8 @@ class RobotConfig(_Section):
         """
         from acsar_gym import config_files  # noqa: PLC0415 - only loading needs the parsers
 
+        if not isinstance(path, str | Path):
+            raise ConfigError(f"path = {shown(path)}: must be a file's name")
         return config_files.load(Path(path))
 
     @classmethod
@@ -343,7 +369,7 @@ class RobotConfig(_Section):
             return cls.preset("acsar")
         if not isinstance(robot, str | Path):
             raise ConfigError(
-                f"robot = {robot!r}: must be a RobotConfig, its fields, a preset or a file"
+                f"robot = {shown(robot)}: must be a RobotConfig, its fields, a preset or a file"
             )
         if isinstance(robot, Path) or Path(robot).suffix or "/" in robot:
             return cls.load(robot)
@@ -355,40 +381,49 @@ RobotSource = RobotConfig | Mapping[str, Any] | str | Path | None
 
 
 def whole_ratio(fast_name: str, fast: float, slow_name: str, slow: float) -> int:
-    """The ratio fast / slow as an int; ConfigError unless it is a whole number of at least 1."""
+    """The ratio fast / slow as an int.
+
+    Raises ConfigError unless it is a whole number of at least 1, or where slow is below 0.01 Hz.
+    """
     try:
-        ratio = min(fast / slow, 1e9)
-    except (TypeError, ZeroDivisionError):
+        fast, slow = _number(fast), _number(slow)
+        ratio = fast / slow
+    except (TypeError, ValueError, ZeroDivisionError, OverflowError):
         ratio = math.nan
     if not ratio > 0.0:
-        raise ConfigError(f"{slow_name} = {slow!r}: must be a positive number of Hz")
-    whole = round(ratio)
-    if not 1 <= whole < 1e9 or not math.isclose(ratio, whole, rel_tol=1e-9):
+        raise ConfigError(f"{slow_name} = {shown(slow)}: must be a positive number of Hz")
+    if slow < LEAST_RATE:
+        raise ConfigError(f"{slow_name} = {slow:g} Hz: must be at least {LEAST_RATE:g} Hz")
+    whole = round(min(ratio, 1e9))
+    if whole < 1 or not math.isclose(ratio, whole, rel_tol=1e-9):
         raise ConfigError(
             f"{fast_name} = {fast:g} Hz: must be a whole multiple of {slow_name} = {slow:g} Hz"
         )
     return whole
 
 
+def _number(value: float) -> float:
+    if isinstance(value, str | bytes):
+        raise TypeError
+    return float(value)
+
+
 def _describe(model: type[BaseModel], section: str, error: ValidationError) -> str:
-    parts = []
-    for item in error.errors(include_url=False):
-        field = ".".join([section, *map(str, item["loc"])] if section else map(str, item["loc"]))
-        if item["type"] == "extra_forbidden":
-            near = suggestion(str(item["loc"][-1]), model.model_fields)
-            parts.append(f"unknown field {field!r}{near}")
-            continue
-        allowed = item["msg"].removeprefix("Value error, ").removeprefix("Input should ")
-        parts.append(f"{field} = {_shown(item['input'])}: {_must(allowed)}")
+    found = error.errors(include_url=False, include_context=False)
+    parts = [_problem(model, section, item) for item in found[:MOST_TOLD]]
+    if len(found) > MOST_TOLD:
+        parts.append(f"and {len(found) - MOST_TOLD:,} more")
     return "; ".join(parts)
 
 
-def _shown(value: object) -> str:
-    """The value as in source code, shortened where it is long."""
-    try:
-        return reprlib.repr(value)
-    except ValueError:  # Python refuses to print integers of thousands of digits
-        return "a very long number"
+def _problem(model: type[BaseModel], section: str, item: Any) -> str:
+    path = [str(part)[:40] for part in item["loc"]]
+    field = ".".join([section, *path] if section else path)
+    if item["type"] == "extra_forbidden":
+        near = suggestion(str(item["loc"][-1])[:40], model.model_fields)
+        return f"unknown field {field!r}{near}"
+    allowed = item["msg"].removeprefix("Value error, ").removeprefix("Input should ")
+    return f"{field} = {shown(item['input'])}: {_must(allowed)}"
 
 
 def _must(allowed: str) -> str:

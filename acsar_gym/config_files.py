@@ -8,15 +8,17 @@ from typing import Any
 from xml.etree.ElementTree import Element, ParseError
 
 import defusedxml.ElementTree
-import yaml
 from defusedxml.common import DefusedXmlException
 
+from acsar_gym import bounded, structured
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, suggestion
+from acsar_gym.errors import ConfigError, shown, suggestion
 from acsar_gym.resources import ASSETS
 
-YAML_ERRORS = (yaml.YAMLError, ValueError, LookupError, AttributeError, RecursionError)
-"""What the YAML library lets out for malformed scalars, besides its own errors."""
+MOST_BYTES = 2_000_000
+"""Of a robot's file; the largest URDFs, of humanoids, have half as many."""
+MOST_PARAMS = 1_000
+"""Of a hardware block; each is compared with the names of all fields."""
 DRIVER_BAUD_RATE = "9600"
 """What the robot's own driver assumes where its URDF has no baud_rate."""
 DRIVER_CONTROL_RATE = "20"
@@ -26,8 +28,9 @@ DRIVER_CONTROL_RATE = "20"
 def preset(name: str) -> RobotConfig:
     """The preset of that name in assets/robots; ConfigError names the nearest one."""
     known = {path.stem: path for path in (ASSETS / "robots").glob("*.yaml")}
-    if name not in known:
-        raise ConfigError(f"unknown robot preset {name!r}{suggestion(name, known)}")
+    if not isinstance(name, str) or name not in known:
+        near = suggestion(str(name)[:40] if isinstance(name, str) else "", known)
+        raise ConfigError(f"unknown robot preset {shown(name)}{near}")
     return load(known[name])
 
 
@@ -40,26 +43,15 @@ def load(path: Path) -> RobotConfig:
             f"{path}: a robot is read from .yaml, .yml or .urdf (expand .xacro first)"
         )
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: can't be read: {_reason(error)}") from None
-    try:
-        return RobotConfig(**reader(text))
+        return RobotConfig(**reader(structured.decoded(bounded.content(path, MOST_BYTES))))
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
 
 
-def _reason(error: Exception) -> str:
-    return getattr(error, "strerror", None) or str(error)
-
-
 def _from_yaml(text: str) -> dict[str, Any]:
-    try:
-        data = yaml.safe_load(text)
-    except YAML_ERRORS as error:
-        raise ConfigError(f"not valid YAML: {' '.join(str(error).split())}") from None
+    data = structured.from_yaml(text)
     data = {} if data is None else data
-    if not isinstance(data, dict) or not all(isinstance(key, str) for key in data):
+    if not isinstance(data, dict):
         raise ConfigError("must be a mapping of parameter names to values")
     return data
 
@@ -80,7 +72,10 @@ def _from_urdf(text: str) -> dict[str, Any]:
 
 
 def _params(hardware: Element) -> dict[str, Any]:
-    found = map(_param, hardware.findall("param"))
+    params = hardware.findall("param")
+    if len(params) > MOST_PARAMS:
+        raise ConfigError(f"has a hardware block of {len(params):,} params: remove those not used")
+    found = map(_param, params)
     return {name: value for name, value in found if name is not None}
 
 

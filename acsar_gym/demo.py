@@ -10,9 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from rich.console import Console
-
-from acsar_gym import evaluation, runs
+from acsar_gym import evaluation, report, runs
 from acsar_gym.errors import AcsarError, LinkError
 from acsar_gym.evaluation import EpisodeResult
 from acsar_gym.policy import OnnxPolicy
@@ -25,7 +23,7 @@ START_TIMEOUT = 30.0
 
 def run(steps: int, episodes: int, serial_episodes: int, out: Path) -> list[tuple[str, Run]]:
     """Train, evaluate in PyBullet, evaluate over a pseudo-terminal; one row each."""
-    console = Console()
+    console = report.SafeConsole()
     console.rule("1. train PPO on simulated robots", align="left")
     policy_file = train(steps, out)
     policy = OnnxPolicy(policy_file)

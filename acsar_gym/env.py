@@ -27,6 +27,7 @@ from acsar_gym.errors import (
     LinkError,
     LinkLostError,
     RenderError,
+    shown,
 )
 from acsar_gym.lidar import Lidar, Scan, open_lidar, stale_after
 from acsar_gym.links import Link, open_link
@@ -57,8 +58,8 @@ def _faulty(link: Link, faults: Faults) -> FaultyLink | None:
 
 
 def _truncates(on_fault: str) -> bool:
-    if on_fault not in ("raise", "truncate"):
-        raise ConfigError(f"on_fault = {on_fault!r}: must be raise or truncate")
+    if not isinstance(on_fault, str) or on_fault not in ("raise", "truncate"):
+        raise ConfigError(f"on_fault = {shown(on_fault)}: must be raise or truncate")
     return on_fault == "truncate"
 
 
@@ -91,17 +92,17 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
     ) -> None:
         config = RobotConfig.of(robot)
         self.render_mode = render_mode
-        self.task = task(config)
         self.ticks_per_step = whole_ratio(
             "control_rate", config.control_rate, "policy_rate", policy_rate
         )
+        self.task = task(config)
         self._check_rendering(link, view)
         wire = self._link(link, config)
         self._faulty = _faulty(wire, Faults.of(faults))
         self._truncates = _truncates(on_fault)
         self.robot = Robot(self._faulty or wire, config)
         if lidar is not None and not self.task.sees:
-            raise ConfigError(f"lidar = {lidar!r}: {self.task.id} uses none")
+            raise ConfigError(f"lidar = {shown(lidar)}: {self.task.id} uses none")
         self.lidar = open_lidar(lidar, self.robot.link, config) if self.task.sees else None
         self.action_space: Any
         self.observation_space: Any
@@ -114,10 +115,10 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
     def _check_rendering(self, link: Any, view: str) -> None:
         if self.render_mode not in (None, *self.metadata["render_modes"]):
             raise ConfigError(
-                f"render_mode = {self.render_mode!r}: must be None, human or rgb_array"
+                f"render_mode = {shown(self.render_mode)}: must be None, human or rgb_array"
             )
-        if view not in ("top", "camera"):
-            raise ConfigError(f"view = {view!r}: must be top or camera")
+        if not isinstance(view, str) or view not in ("top", "camera"):
+            raise ConfigError(f"view = {shown(view)}: must be top or camera")
         if view == "camera" and isinstance(link, str) and link != "bullet":
             raise RenderError(f"link {link!r} has no camera; view='camera' needs link='bullet'")
 
@@ -141,7 +142,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         super().reset(seed=seed)
         if self._faulty is not None:
             self._faulty.seed(self.np_random)
-        self._course = course = self.task.begin(self.np_random, options or {})
+        self._course = course = self.task.begin(self.np_random, {} if options is None else options)
         scene = Scene(goal=course.assignment.goal, world=course.assignment.world)
         self.robot.reset(scene)
         if self.lidar is not None:
@@ -213,7 +214,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         if not sound:
             self._halt()
             raise CommandError(
-                f"action = {action!r}: must be two finite numbers (linear, angular) in [-1, 1]"
+                f"action = {shown(action)}: must be two finite numbers (linear, angular) in [-1, 1]"
             )
         return min(max(linear, -1.0), 1.0), min(max(angular, -1.0), 1.0)
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import difflib
+import re
+import reprlib
 from collections.abc import Iterable
 
 
@@ -96,6 +98,33 @@ class LinkLostError(LinkError):
 
 class LidarError(LinkError):
     """The LiDAR can't be opened, isn't one, or has fallen silent."""
+
+
+LONGEST = 1_000
+"""Characters of a line that is printed."""
+_UNPRINTABLE = re.compile(
+    "[^\\x20-\\x7e\\xa1-\U0010ffff]|[\\u200e\\u200f\\u2028-\\u202e\\u2066-\\u2069]|[\\ud800-\\udfff]"
+)
+"""Control characters, what turns the direction of text, and halves of surrogate pairs."""
+
+
+def shortened(text: str, most: int = LONGEST) -> str:
+    """The text, cut off where it is long."""
+    return text if len(text) <= most else f"{text[:most]}..."
+
+
+def shown(value: object) -> str:
+    """The value as in source code: on one line, and shortened where it is long."""
+    try:
+        return " ".join(reprlib.repr(value).split())
+    except ValueError:  # Python refuses to print integers of thousands of digits
+        return "a very long number"
+
+
+def printable(text: str) -> str:
+    """Text that others wrote, for a terminal: control characters as in source code, never long."""
+    short = shortened(text)
+    return _UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode(), short)
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from acsar_gym.compiled import loop
 from acsar_gym.config import LidarConfig, RobotConfig
-from acsar_gym.errors import ConfigError
+from acsar_gym.errors import ConfigError, shown
 from acsar_gym.links.base import Link
 from acsar_gym.worlds import Scene
 from acsar_gym.worlds.geometry import Obstacles, RaySpec, cast, surroundings
@@ -68,7 +68,7 @@ def open_lidar(url: Any, link: Link, config: RobotConfig) -> Lidar:
     if hasattr(url, "scan"):
         ready: Lidar = url
         return ready
-    if url is None or url == "simulated":
+    if url is None or (isinstance(url, str) and url == "simulated"):
         if link.truth is None:
             raise ConfigError(
                 "this env needs a LiDAR and this link simulates none: "
@@ -79,7 +79,9 @@ def open_lidar(url: Any, link: Link, config: RobotConfig) -> Lidar:
         from acsar_gym.rplidar import RplidarLidar  # noqa: PLC0415 - optional
 
         return RplidarLidar(url.removeprefix("rplidar://"), config, link.now)
-    raise ConfigError(f"lidar = {url!r}: must be like 'rplidar:///dev/ttyUSB1', or 'simulated'")
+    raise ConfigError(
+        f"lidar = {shown(url)}: must be like 'rplidar:///dev/ttyUSB1', or 'simulated'"
+    )
 
 
 class SimulatedLidar:

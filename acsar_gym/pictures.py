@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym import scenery
+from acsar_gym import bounded, scenery
 from acsar_gym.canvas import Canvas, Colour, Floats, Up, View, check_size, encode, shortened
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError
+from acsar_gym.errors import ConfigError, shown
 from acsar_gym.scenery import FLOOR, GRID, INK, INSET, LABEL, SEEN, TEXT, UNSEEN, Point
 from acsar_gym.worlds import Pose, World
 
@@ -30,6 +30,8 @@ SMALL = 10.0
 """Shorter robots are ringed, or nobody would find them [pixels]."""
 MOST_POINTS = 1000
 """Longer paths are thinned out."""
+MOST_PIXELS = 36_000_000
+"""Of a sheet."""
 TITLE = 24
 """Height of a tile's title [pixels]."""
 
@@ -164,19 +166,41 @@ class TopView:
             canvas.disc(pose[:2], 0.0, (*colour, 40), colour, width=1.5, least=SMALL)
 
 
-def sheet(worlds: Sequence[World], columns: int, size: int) -> Image:
-    """Worlds side by side as maps, each in its own frame with x right and y up, under its name.
+def most_tiles(columns: int, size: int) -> int:
+    """How many worlds fit on a sheet of 36 megapixels, which is 100 MB.
 
-    Every tile is `size` pixels wide and high; rows are filled from the left. Raises ConfigError
-    where there is no world, no column, or `size` isn't 64 to 4096 pixels.
+    Raises ConfigError where `size` isn't 64 to 4096 pixels, or there is no column.
     """
     check_size("size", (size, size))
-    if not worlds or columns < 1:
-        raise ConfigError(f"{len(worlds)} worlds in {columns} columns: there must be one of each")
+    if columns < 1:
+        raise ConfigError(f"columns = {shown(columns)}: must be at least 1")
+    return MOST_PIXELS // size**2
+
+
+def sheet(
+    worlds: Sequence[World],
+    columns: int,
+    size: int,
+    watch: Callable[[Sequence[World]], Iterable[World]] = iter,
+) -> Image:
+    """Worlds side by side as maps, each in its own frame with x right and y up, under its name.
+
+    Every tile is `size` pixels wide and high; rows are filled from the left. What passes through
+    `watch` is drawn. Raises ConfigError where there is no world, no column, `size` isn't 64 to 4096
+    pixels, or the sheet has more than 36 megapixels.
+    """
+    most = most_tiles(columns, size)
+    if not worlds:
+        raise ConfigError("there are no worlds to draw")
     columns = min(columns, len(worlds))
     rows = -(-len(worlds) // columns)
+    if rows * columns > most:
+        raise ConfigError(
+            f"{len(worlds):,} worlds of {size} pixels are too many for a sheet in {columns} "
+            f"columns: at most {most:,}"
+        )
     image = np.full((rows * size, columns * size, 3), FLOOR, np.uint8)
-    for index, world in enumerate(worlds):
+    for index, world in enumerate(watch(worlds)):
         top, left = size * (index // columns), size * (index % columns)
         image[top : top + size, left : left + size] = _tile(world, size)
     return image
@@ -199,12 +223,14 @@ def _tile(world: World, size: int) -> Image:
 def save(image: Image, path: str | Path) -> None:
     """Write a picture as PNG. Raises ConfigError for another suffix, or if it can't be written."""
     path = Path(path)
+    check_name(path)
+    bounded.write(path, encode(image))
+
+
+def check_name(path: Path) -> None:
+    """ConfigError unless this is the name of a PNG file."""
     if path.suffix.lower() != ".png":
         raise ConfigError(f"{path}: pictures are PNG files; use a name that ends in .png")
-    try:
-        path.write_bytes(encode(image))
-    except OSError as error:
-        raise ConfigError(f"{path}: can't be written: {error.strerror or error}") from None
 
 
 def _thinned(path: Sequence[Point]) -> Floats:

@@ -10,7 +10,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.errors import ConfigError, suggestion
+from acsar_gym.errors import ConfigError, shown, suggestion
 
 Range = tuple[float, float]
 
@@ -59,13 +59,17 @@ class Randomization:
         return np.array(ranges, np.float64)
 
 
+LEAST = {"deadband": 0.0, "latency": 0.0, "dropped_lines": 0.0, "feedback_rate": 0.1}
+MOST = {"latency": 10.0, "dropped_lines": 0.5, "feedback_rate": 1e4}
+"""Of what isn't a factor from 1e-6 to 1,000; slow feedback and late lines are held in memory."""
+
+
 def _check(key: str, value: Range) -> None:
-    least = 0.0 if key in ("deadband", "latency", "dropped_lines") else 1e-6
-    most = {"dropped_lines": 0.5}.get(key, math.inf)
+    least, most = LEAST.get(key, 1e-6), MOST.get(key, 1e3)
     try:
         low, high = (float(limit) for limit in value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         low, high = math.nan, math.nan
-    if not (least <= low <= high <= most and high < math.inf):
-        text = f"{least:g} <= low <= high" + (f" <= {most:g}" if most < math.inf else "")
-        raise ConfigError(f"randomization {key} = {value!r}: must be (low, high) with {text}")
+    if not least <= low <= high <= most:
+        text = f"{least:g} <= low <= high <= {most:g}"
+        raise ConfigError(f"randomization {key} = {shown(value)}: must be (low, high) with {text}")

@@ -2,32 +2,76 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
 from rich.markup import escape
+from rich.progress import Progress
+from rich.segment import Segment
 from rich.table import Table
 
-from acsar_gym.errors import ConfigError
+from acsar_gym import bounded
+from acsar_gym.errors import ConfigError, printable
 from acsar_gym.metrics import Summary
 
+Item = TypeVar("Item")
+PATIENCE = 2.0
+"""What takes longer shows its progress [s]."""
 ALARM = 0.15
 """Mean odometry error at which a table says so: the default tolerance of a goal [m]."""
 
 
+class SafeConsole(Console):
+    """A console on which names that others chose can't move the cursor or change a title."""
+
+    def render(
+        self, renderable: RenderableType, options: ConsoleOptions | None = None
+    ) -> Iterable[Segment]:
+        """The text of what is shown as it is, and control characters in it as in source code."""
+        for text, style, control in super().render(renderable, options):
+            yield Segment(text if control else _lines(text), style, control)
+
+
+def plain(text: str) -> str:
+    """Text that others wrote, for a cell or a title: no markup, no control characters."""
+    return escape(printable(text))
+
+
+def _lines(text: str) -> str:
+    return text if text.isprintable() else "\n".join(map(printable, text.split("\n")))
+
+
 def show(*tables: Table) -> None:
     """Print tables; piped output gets enough columns to hold them."""
-    console = Console()
+    console = SafeConsole()
     if not console.is_terminal:
-        console = Console(width=140)
+        console = SafeConsole(width=140)
     for table in tables:
         console.print(table)
+
+
+def watched(what: str, items: Iterable[Item], total: int) -> Iterator[Item]:
+    """The items, behind a bar on the standard error where all together take over two seconds."""
+    begin = time.monotonic()
+    with contextlib.ExitStack() as stack:
+        bar: Progress | None = None
+        for number, item in enumerate(items, start=1):
+            yield item
+            if bar is None and time.monotonic() - begin > PATIENCE:
+                bar = stack.enter_context(
+                    Progress(console=SafeConsole(stderr=True), transient=True)
+                )
+                bar.add_task(what, total=total)
+            if bar is not None:
+                bar.update(bar.task_ids[0], completed=number)
 
 
 def check_writable(path: Path | None) -> None:
@@ -38,26 +82,31 @@ def check_writable(path: Path | None) -> None:
         raise ConfigError(f"{path}: can't be written: must be a file in a folder of yours")
 
 
+def make_folder(path: Path) -> None:
+    """Make a folder where there is none. Raises ConfigError where that can't be done."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: can't be made a folder: {bounded.reason(error)}") from None
+
+
 def write_json(path: Path | None, data: Mapping[str, Any]) -> None:
     """Write `data` to `path` if there is one. Raises ConfigError where that can't be done."""
     if path is None:
         return
-    try:
-        path.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{path}: can't be written: {error}") from None
+    bounded.write(path, (json.dumps(data, indent=2, allow_nan=False) + "\n").encode())
 
 
 def summary_table(title: str, rows: Sequence[tuple[str, Summary]]) -> Table:
     """One row for each way in which the same policy was run; only columns that say something."""
-    table = Table(title=escape(title), title_justify="left")
+    table = Table(title=plain(title), title_justify="left")
     columns = {name: [cell(summary) for _, summary in rows] for name, cell in COLUMNS.items()}
     told = {name: cells for name, cells in columns.items() if any(cells)}
     table.add_column("behind the wire")
     for name in told:
         table.add_column(name, justify="right")
     for number, (wire, _) in enumerate(rows):
-        table.add_row(escape(wire), *(cells[number] or "-" for cells in told.values()))
+        table.add_row(plain(wire), *(cells[number] or "-" for cells in told.values()))
     worst = max(
         (s.odometry_error for _, s in rows if not math.isnan(s.odometry_error)), default=0.0
     )

@@ -11,10 +11,9 @@ from typing import Any
 
 import gymnasium
 from gymnasium.envs.registration import load_env_creator
-from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from acsar_gym import evaluation, metrics, provenance
+from acsar_gym import evaluation, metrics, provenance, report
 from acsar_gym.config import RobotConfig
 from acsar_gym.env import RobotEnv
 from acsar_gym.errors import ConfigError, PolicyError
@@ -207,8 +206,8 @@ def track(name: str, running: Iterator[EpisodeResult], count: int) -> list[Episo
         TextColumn("episodes, success {task.fields[rate]}"),
         TimeElapsedColumn(),
     )
-    with Progress(*columns) as progress:
-        task = progress.add_task(escape(name), total=count, rate="-")
+    with Progress(*columns, console=report.SafeConsole()) as progress:
+        task = progress.add_task(report.plain(name), total=count, rate="-")
         for result in running:
             results.append(result)
             rate = sum(r.success for r in results) / len(results)

@@ -359,7 +359,7 @@ def test_a_sheet_has_a_tile_for_each_world() -> None:
 
 @pytest.mark.parametrize(("count", "columns"), [(0, 2), (2, 0), (1, -1)])
 def test_sheets_of_nothing(count: int, columns: int) -> None:
-    with pytest.raises(ConfigError, match="there must be one of each"):
+    with pytest.raises(ConfigError, match=r"no worlds to draw|must be at least 1"):
         sheet([COURT] * count, columns, 100)
     with pytest.raises(ConfigError, match="size"):
         sheet([COURT], 1, 10)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from acsar_gym.bodies import Body
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, suggestion
+from acsar_gym.errors import ConfigError, shown, suggestion
 from acsar_gym.links.base import Link
 from acsar_gym.links.paced import PacedLink
 
@@ -34,7 +34,7 @@ def open_link(
     """
     config = RobotConfig.of(config)
     if not isinstance(url, str | os.PathLike):
-        raise ConfigError(f"link = {url!r}: must be a name, a device or a Link")
+        raise ConfigError(f"link = {shown(url)}: must be a name, a device or a Link")
     url = os.fspath(url)
     if window and url != "bullet":
         raise ConfigError(f"link {url!r} has no window; only 'bullet' has one")
@@ -49,7 +49,7 @@ def open_link(
         from acsar_gym.links.serial import SerialLink  # noqa: PLC0415
 
         return SerialLink(_device(url, config), config)
-    raise ConfigError(f"unknown link {url!r}{suggestion(url, NAMES)}")
+    raise ConfigError(f"unknown link {shown(url)}{suggestion(url[:40], NAMES)}")
 
 
 def _simulated(name: str, config: RobotConfig, window: bool) -> Link:

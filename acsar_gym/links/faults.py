@@ -14,7 +14,7 @@ from typing import Any, Literal, Self, get_args
 
 import numpy as np
 
-from acsar_gym.errors import ConfigError, suggestion
+from acsar_gym.errors import ConfigError, shown, suggestion
 from acsar_gym.protocol import MAX_LINE, MOTORS
 
 Direction = Literal["feedback", "commands", "both"]
@@ -100,8 +100,8 @@ class Faults:
     def __post_init__(self) -> None:
         for name, (is_sound, allowed) in _RULES.items():
             value = getattr(self, name)
-            if not is_sound(value):
-                raise ConfigError(f"faults: {name} = {value!r}: must be {allowed}")
+            if not _holds(is_sound, value):
+                raise ConfigError(f"faults: {name} = {shown(value)}: must be {allowed}")
 
     @classmethod
     def of(cls, faults: Mapping[str, Any] | Faults | None) -> Faults:
@@ -112,11 +112,15 @@ class Faults:
         if isinstance(faults, Faults):
             return faults
         if faults is not None and not isinstance(faults, Mapping):
-            raise ConfigError(f"faults = {faults!r}: must be a mapping such as dropped_lines: 0.01")
+            raise ConfigError(
+                f"faults = {shown(faults)}: must be a mapping such as dropped_lines: 0.01"
+            )
         known = {field.name for field in fields(cls)}
         for key in faults or {}:
             if key not in known:
-                raise ConfigError(f"faults: unknown fault {key!r}{suggestion(str(key), known)}")
+                raise ConfigError(
+                    f"faults: unknown fault {shown(key)}{suggestion(str(key), known)}"
+                )
         return cls(**dict(faults or {}))
 
     @property
@@ -238,6 +242,13 @@ def _within(least: float, most: float, kind: Any = (int, float, np.number)) -> C
 _is_count = _within(0, len(MOTORS), (int, np.integer))
 _is_time = _within(0.0, LONGEST)
 _is_finite = _within(0.0, sys.float_info.max)
+
+
+def _holds(is_sound: Check, value: Any) -> bool:
+    try:
+        return bool(is_sound(value))
+    except (TypeError, ValueError, OverflowError):  # an array, or an int too long for a float
+        return False
 
 
 def _are_wheels(value: Any) -> bool:

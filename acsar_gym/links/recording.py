@@ -7,16 +7,25 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import json
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
+from acsar_gym import bounded, structured
 from acsar_gym.bodies.base import GroundTruth, Image
 from acsar_gym.errors import ConfigError
 from acsar_gym.links.base import Link
 from acsar_gym.worlds import Scene
+
+MOST_BYTES = 40_000_000
+"""Of a recording: an hour at 100 Hz."""
+MOST_LINES = 360_000
+MOST_LINE = 100_000
+"""Bytes of a line: what a fast wire carries in several seconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,47 +129,53 @@ class RecordingLink:
 def opened(path: Path, mode: str = "w") -> IO[str]:
     """A text file that is written line by line. Raises ConfigError where it can't be."""
     try:
-        return path.open(mode, buffering=1, encoding="ascii")
-    except OSError as error:
-        raise ConfigError(f"{path}: can't be written: {error}") from None
+        return open(path, mode, buffering=1, encoding="ascii", opener=bounded.opener)
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: can't be written: {bounded.reason(error)}") from None
 
 
 def read(path: Path) -> list[Episode]:
-    """All episodes of a recording. Raises ConfigError where the file isn't one."""
+    """All episodes of a recording of at most 40 MB. Raises ConfigError where the file isn't one."""
     episodes: list[Episode] = []
-    for number, event in _events(path):
+    newest = -math.inf
+    for number, line in _lines(path):
         try:
-            if "reset" in event:
-                episodes.append(Episode(float(event["reset"]), []))
-            else:
-                episodes[-1].periods.append(_period(event))
-        except (KeyError, IndexError, TypeError, ValueError, AttributeError):
-            raise ConfigError(f"{path}: line {number} isn't part of a recording") from None
+            event = structured.from_json(line)
+            newest = _add(event, episodes, newest)
+        except (LookupError, TypeError, ValueError, AttributeError, ConfigError):
+            raise ConfigError(f"{path}: line {number:,} isn't part of a recording") from None
     if not episodes:
         raise ConfigError(f"{path}: holds no episode")
     return episodes
 
 
-def _events(path: Path) -> Iterator[tuple[int, dict[str, str]]]:
-    try:
-        lines = path.read_text(encoding="ascii").splitlines()
-    except OSError as error:
-        raise ConfigError(f"{path}: can't be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise ConfigError(f"{path}: isn't a recording") from None
-    for number, line in enumerate(lines, start=1):
-        try:
-            event = json.loads(line)
-        except ValueError:
-            event = None
-        if not isinstance(event, dict):
-            raise ConfigError(f"{path}: line {number} isn't part of a recording")
-        yield number, event
+def _lines(path: Path) -> Iterator[tuple[int, bytes]]:
+    data = bounded.read(path, MOST_BYTES)
+    if data.count(b"\n") > MOST_LINES:
+        raise ConfigError(f"{path}: has more than {MOST_LINES:,} lines: cut out a part of it")
+    lines = io.BytesIO(data)
+    yield from enumerate(iter(lambda: lines.readline(MOST_LINE), b""), start=1)
 
 
-def _period(event: dict[str, str]) -> Period:
+def _add(event: Any, episodes: list[Episode], newest: float) -> float:
+    """Add what a line says, and return its stamp, which is no earlier than the one before."""
+    if "reset" in event:
+        stamp = _stamp(event["reset"])
+        episodes.append(Episode(stamp, []))
+        return stamp
+    stamp = _stamp(event["t"])
+    if stamp < newest:
+        raise ValueError
     sent, got = event["sent"].encode("latin-1"), event["got"].encode("latin-1")
-    return Period(sent, got, float(event["t"]))
+    episodes[-1].periods.append(Period(sent, got, stamp))
+    return stamp
+
+
+def _stamp(value: Any) -> float:
+    """A finite number; text and truth values are none."""
+    if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
+        raise TypeError
+    return float(value)
 
 
 def written(file: IO[str], line: str) -> None:

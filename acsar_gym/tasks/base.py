@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from acsar_gym.bodies.base import GroundTruth
 from acsar_gym.compiled import jit
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, suggestion
+from acsar_gym.errors import ConfigError, shown, suggestion
 from acsar_gym.worlds import Pose, World
 from acsar_gym.worlds.world import Floats
 
@@ -133,10 +133,12 @@ def signature(task: Task, config: RobotConfig) -> str:
 def known(options: Mapping[str, Any], names: tuple[str, ...]) -> Mapping[str, Any]:
     """The options of a reset; ConfigError for one that the task doesn't know."""
     if not isinstance(options, Mapping):
-        raise ConfigError(f"options = {options!r}: must be a mapping of names to values")
+        raise ConfigError(f"options = {shown(options)}: must be a mapping of names to values")
     for name in options:
         if name not in names:
-            raise ConfigError(f"unknown reset option {name!r}{suggestion(str(name), names)}")
+            raise ConfigError(
+                f"unknown reset option {shown(name)}{suggestion(str(name)[:40], names)}"
+            )
     return options
 
 
@@ -144,10 +146,10 @@ def positive(name: str, value: Any) -> float:
     """A positive number; ConfigError for anything else."""
     try:
         number = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not 0.0 < number < math.inf:
-        raise ConfigError(f"{name} = {value!r}: must be a positive number")
+        raise ConfigError(f"{name} = {shown(value)}: must be a positive number")
     return number
 
 
@@ -156,10 +158,10 @@ def point(name: str, value: Any) -> Goal:
     try:
         x, y = (float(number) for number in value)
         sound = math.isfinite(x + y)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         sound = False
     if not sound:
-        raise ConfigError(f"{name} = {value!r}: must be two finite numbers (x, y) [m]")
+        raise ConfigError(f"{name} = {shown(value)}: must be two finite numbers (x, y) [m]")
     return (x, y)
 
 

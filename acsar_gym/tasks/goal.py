@@ -15,7 +15,7 @@ import numpy as np
 
 from acsar_gym.compiled import jit
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError
+from acsar_gym.errors import ConfigError, shown
 from acsar_gym.tasks import barn, place
 from acsar_gym.tasks.base import (
     OBSERVATION_LIMIT,
@@ -91,10 +91,10 @@ class PointGoal(_GoalTask):
         try:
             nearest, farthest = (float(distance) for distance in goal_distance)
             tolerance = float(goal_tolerance)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise ConfigError(
-                f"goal_distance = {goal_distance!r}, goal_tolerance = {goal_tolerance!r}: must be "
-                "(nearest, farthest) and one number [m]"
+                f"goal_distance = {shown(goal_distance)}, goal_tolerance = "
+                f"{shown(goal_tolerance)}: must be (nearest, farthest) and one number [m]"
             ) from None
         if not 0.0 < tolerance < nearest <= farthest < math.inf:
             raise ConfigError(

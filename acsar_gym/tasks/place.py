@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError
+from acsar_gym.errors import ConfigError, shown
 from acsar_gym.tasks.base import Assignment, Goal, point, relative, within
 from acsar_gym.worlds import Pose, Region, World
 from acsar_gym.worlds.generators import Level
@@ -39,7 +39,9 @@ def chosen(worlds: Pool, share: float, options: Mapping[str, Any]) -> tuple[int,
     if isinstance(asked, World):
         return -1, checked(asked, worlds.radius)
     if not isinstance(asked, int | np.integer):
-        raise ConfigError(f"world = {asked!r}: must be a number of the env's worlds, or a World")
+        raise ConfigError(
+            f"world = {shown(asked)}: must be a number of the env's worlds, or a World"
+        )
     return int(asked), worlds[int(asked)]
 
 

@@ -22,7 +22,7 @@ import math
 import re
 import tokenize
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -30,19 +30,23 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from acsar_gym.config_files import YAML_ERRORS
-from acsar_gym.errors import WorldError, suggestion
+from acsar_gym import bounded, structured
+from acsar_gym.bounded import reason
+from acsar_gym.errors import WorldError, shown, suggestion
 from acsar_gym.worlds import maps, sdf
-from acsar_gym.worlds.maps import shown
 from acsar_gym.worlds.world import FARTHEST, MOST_OBSTACLES, Region, World
 
 Floats = NDArray[np.float64]
 MOST_BYTES = 64_000_000
 """Of an SDF file or a picture."""
-MOST_TEXT = 8_000_000
-"""Bytes of a JSON or YAML; 20,000 circles and as many segments are 3 MB."""
-MOST_NODES = 1_000_000
-"""Values in a YAML."""
+MOST_TEXT = 5_000_000
+"""Bytes of a JSON or YAML; 20,000 segments and a path of 20,000 points are 3 MB."""
+MOST_FILES = 10_000
+"""Of a folder."""
+MOST_TOGETHER = 1_000_000
+"""Obstacles of a folder's worlds."""
+MOST_NAME = 1_000
+"""Characters of a name."""
 KEYS = ("name", "circles", "segments", "start", "goal", "path")
 REGION_KEYS = {"start": ("x", "y", "theta", "radius"), "goal": ("x", "y", "radius")}
 BARN_START = Region(-2.0, 3.0, 0.0, math.pi / 2.0)
@@ -77,17 +81,30 @@ def load(path: Path) -> World:
 def load_folder(folder: Path) -> list[World]:
     """All worlds of a folder in natural order: world_2 comes before world_10.
 
-    Raises WorldError for a folder that is missing or without worlds, and for the first bad file.
+    Raises WorldError for a folder that is missing, without worlds or with too many, and for the
+    first bad file.
     """
     try:
         if not folder.is_dir():
             raise WorldError(f"{folder}: there is no such folder")
         paths = [path for path in folder.iterdir() if _is_world(path)]
     except OSError as error:
-        raise WorldError(f"{folder}: can't be read: {_reason(error)}") from None
+        raise WorldError(f"{folder}: can't be read: {reason(error)}") from None
     if not paths:
         raise WorldError(f"{folder}: holds no worlds ({', '.join(READERS)})")
-    return [load(path) for path in sorted(paths, key=_natural)]
+    if len(paths) > MOST_FILES:
+        raise WorldError(f"{folder}: holds {len(paths):,} worlds, at most {MOST_FILES:,} are read")
+    return list(_loaded(folder, sorted(paths, key=_natural)))
+
+
+def _loaded(folder: Path, paths: Iterable[Path]) -> Iterator[World]:
+    obstacles = 0
+    for path in paths:
+        world = load(path)
+        obstacles += world.obstacles
+        if obstacles > MOST_TOGETHER:
+            raise WorldError(f"{folder}: holds more than {MOST_TOGETHER:,} obstacles: use fewer")
+        yield world
 
 
 def save(world: World, path: Path) -> None:
@@ -99,9 +116,10 @@ def save(world: World, path: Path) -> None:
         raise WorldError(f"{path}: a world is saved as .json, .yaml or .yml")
     write = _as_json if path.suffix.lower() == ".json" else _as_yaml
     try:
-        path.write_text(write(_fields(world)), encoding="utf-8")
-    except (OSError, ValueError) as error:
-        raise WorldError(f"{path}: can't be written: {_reason(error)}") from None
+        data = write(_fields(world)).encode()
+    except UnicodeEncodeError:
+        raise WorldError(f"{path}: can't be written: the world's name isn't UTF-8 text") from None
+    bounded.write(path, data, WorldError)
 
 
 def _is_world(path: Path) -> bool:
@@ -113,33 +131,12 @@ def _natural(path: Path) -> tuple[list[str | int], str]:
     return [int(part) if part.isdecimal() else part for part in parts], path.name
 
 
-def _reason(error: Exception) -> str:
-    return getattr(error, "strerror", None) or " ".join(str(error).split())[:200]
-
-
-def _bytes(path: Path, most: int) -> bytes:
-    """The content of a regular file, so nothing here waits for a pipe or reads a device."""
-    try:
-        if not path.is_file():
-            raise WorldError("isn't a file" if path.exists() else "there is no such file")
-        with path.open("rb") as file:
-            data = file.read(most + 1)
-    except (OSError, ValueError) as error:
-        raise WorldError(f"can't be read: {_reason(error)}") from None
-    if len(data) > most:
-        raise WorldError(f"is larger than {most // 1_000_000} MB: cut out a part of it")
-    return data
-
-
 def _text(path: Path) -> str:
-    try:
-        return _bytes(path, MOST_TEXT).decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise WorldError("isn't UTF-8 text: save it as UTF-8") from None
+    return structured.decoded(bounded.content(path, MOST_TEXT, WorldError), WorldError)
 
 
 def _from_sdf(path: Path) -> World:
-    circles, segments = sdf.obstacles(_bytes(path, MOST_BYTES))
+    circles, segments = sdf.obstacles(bounded.content(path, MOST_BYTES, WorldError))
     return World(circles, segments, BARN_START, BARN_GOAL, _published_path(path), path.stem)
 
 
@@ -173,57 +170,19 @@ def _cells(path: Path) -> Floats:
 
 
 def _from_json(path: Path) -> World:
-    text = _text(path)
-    try:
-        data = json.loads(text, parse_constant=_no_number)
-    except (ValueError, RecursionError) as error:
-        raise WorldError(f"not valid JSON: {_reason(error)}") from None
-    return _from_data(data, path)
-
-
-def _no_number(constant: str) -> float:
-    raise ValueError(f"{constant} is no number")
+    return _from_data(structured.from_json(_text(path), WorldError), path)
 
 
 def _from_yaml(path: Path) -> World:
-    text = _text(path)
-    try:
-        _guard(yaml.parse(text, Loader=_Loader))
-        data = yaml.load(text, Loader=_Loader)  # noqa: S506 -- a safe one
-    except YAML_ERRORS as error:
-        raise WorldError(f"not valid YAML: {_reason(error)}") from None
-    return _from_data(data, path)
-
-
-class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
-    """Safe, fast where it can be, and 1e-3 is a number as it is in JSON and YAML 1.2."""
-
-
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)[eE][-+]?[0-9]+$"),
-    list("-+.0123456789"),
-)
-
-
-def _guard(events: Iterable[yaml.Event]) -> None:
-    """Refuse what would grow or nest without end, before anything is built of it."""
-    depth = 0
-    for count, event in enumerate(events):
-        depth += isinstance(event, yaml.CollectionStartEvent)
-        depth -= isinstance(event, yaml.CollectionEndEvent)
-        if isinstance(event, yaml.AliasEvent):
-            raise WorldError("has an alias (*), which is refused: write the value out")
-        if depth > 20 or count > MOST_NODES:
-            raise WorldError("is nested too deeply or has too many values to be a world")
+    return _from_data(structured.from_yaml(_text(path), WorldError), path)
 
 
 def _from_data(data: object, path: Path) -> World:
     if not isinstance(data, dict):
         raise WorldError(f"must be a mapping with {', '.join(KEYS)}")
     name = data.get("name", path.stem)
-    if not isinstance(name, str):
-        raise WorldError(f"name: must be text, is {shown(name)}")
+    if not isinstance(name, str) or len(name) > MOST_NAME:
+        raise WorldError(f"name: must be text of {MOST_NAME} characters at most, is {shown(name)}")
     start, goal = (_region(key, data.get(key)) for key in REGION_KEYS)
     circles, segments = _rows(data, "circles", 3), _rows(data, "segments", 4)
     way = None if data.get("path") is None else _rows(data, "path", 2)
@@ -238,7 +197,8 @@ def _outlines(data: Mapping[str, Any], path: Path) -> Floats:
     """Segments of a ROS map."""
     config = maps.settings(data)
     try:
-        return maps.segments(_bytes(path.parent / config.image, MOST_BYTES), config)
+        picture = bounded.content(path.parent / config.image, MOST_BYTES, WorldError)
+        return maps.segments(picture, config)
     except WorldError as error:
         raise WorldError(f"image {shown(config.image)}: {error}") from None
 

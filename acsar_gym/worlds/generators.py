@@ -14,7 +14,7 @@ from typing import Any, SupportsFloat
 
 import numpy as np
 
-from acsar_gym.errors import WorldError, suggestion
+from acsar_gym.errors import WorldError, shown, suggestion
 from acsar_gym.worlds import barn, paths, rooms
 from acsar_gym.worlds.search import shortest_path
 from acsar_gym.worlds.shapes import box, outline
@@ -94,7 +94,8 @@ def limits(difficulty: Level) -> tuple[float, float]:
         sound = False
     if not sound:
         raise WorldError(
-            f"difficulty = {difficulty!r}: must be from 0 to 1, or a range (low, high) of these"
+            f"difficulty = {shown(difficulty)}: must be from 0 to 1, or a range (low, high) of "
+            "these"
         )
     return low, high
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import difflib
 import io
 import math
-import reprlib
 import struct
 import warnings
 from collections.abc import Mapping
@@ -19,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from acsar_gym.errors import MissingExtraError, WorldError
+from acsar_gym.errors import MissingExtraError, WorldError, shown
 from acsar_gym.worlds.world import FARTHEST, MOST_OBSTACLES
 
 Floats = NDArray[np.float64]
@@ -27,7 +26,12 @@ Mask = NDArray[np.bool_]
 PICTURES = (".pgm", ".png", ".pbm", ".ppm", ".bmp", ".jpg", ".jpeg")
 FORMATS = ("PPM", "PNG", "BMP", "JPEG")
 """What Pillow may take a picture for; PGM is a PPM to it."""
+MOST_KEYS = 100
 MOST_PIXELS = 4096 * 4096
+PLAIN = (b"P1", b"P2", b"P3")
+"""What begins pictures whose pixels are decimal numbers."""
+MOST_PLAIN = 1_000_000
+"""Pixels of these, which take long to read."""
 PICTURE_ERRORS = (
     *(OSError, ValueError, TypeError, LookupError, ArithmeticError, SyntaxError, EOFError),
     *(struct.error, MemoryError, NotImplementedError),
@@ -67,6 +71,8 @@ def settings(data: Mapping[str, Any]) -> MapSettings:
     Keys that belong to others are ignored, as map_server does, but not those that are misspelt.
     """
     fields = MapSettings.model_fields
+    if len(data) > MOST_KEYS:
+        raise WorldError(f"has {len(data):,} keys, at most {MOST_KEYS} are read")
     for key in (key for key in data if isinstance(key, str) and key not in fields):
         if near := difflib.get_close_matches(key[:40], fields, n=1, cutoff=0.8):
             raise WorldError(f"unknown key {shown(key)}; did you mean {near[0]!r}?")
@@ -84,14 +90,6 @@ def _problem(item: Mapping[str, Any]) -> str:
     return f"{name} = {shown(item['input'])}: {item['msg'].replace('Input should', 'must')}"
 
 
-def shown(value: object) -> str:
-    """The value as in source code: on one line, and shortened where it is long."""
-    try:
-        return reprlib.repr(value)
-    except ValueError:  # Python refuses to print integers of thousands of digits
-        return "a very long number"
-
-
 def segments(picture: bytes, config: MapSettings) -> Floats:
     """Outlines S x 4 of what is occupied in a picture file's content.
 
@@ -99,7 +97,7 @@ def segments(picture: bytes, config: MapSettings) -> Floats:
     MissingExtraError without Pillow.
     """
     x, y, yaw = config.origin
-    lines = outlines(occupied(_shades(picture), config)) * config.resolution
+    lines = outlines(_mask(picture, config)) * config.resolution
     cos, sin = math.cos(yaw), math.sin(yaw)
     turned = lines.reshape(-1, 2) @ np.array([[cos, sin], [-sin, cos]])
     moved: Floats = (turned + np.array([x, y])).reshape(-1, 4)
@@ -142,8 +140,15 @@ def _runs(edges: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.i
     return lines, firsts, np.nonzero(steps == -1)[1]
 
 
-def _shades(picture: bytes) -> Floats:
-    """Brightness of every pixel from 0 to 1, the mean of its colours; NaN where transparent."""
+def _mask(picture: bytes, config: MapSettings) -> Mask:
+    """Which pixels of a picture file's content are occupied; transparent ones aren't."""
+    levels, shades, opaque = _levels(picture)
+    mask: Mask = occupied(shades, config)[levels]
+    return mask if opaque is None else mask & opaque
+
+
+def _levels(picture: bytes) -> tuple[NDArray[Any], Floats, Mask | None]:
+    """The level of every pixel, the brightness of each level from 0 to 1, and what is opaque."""
     try:
         from PIL import Image  # noqa: PLC0415
     except ImportError:
@@ -152,7 +157,8 @@ def _shades(picture: bytes) -> Floats:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             with Image.open(io.BytesIO(picture), formats=FORMATS) as image:
-                _check_size(*image.size)
+                width, height = image.size
+                _check_size(width, height, MOST_PLAIN if picture[:2] in PLAIN else MOST_PIXELS)
                 return _brightness(image)
     except Image.DecompressionBombError:
         raise WorldError(f"has more than {MOST_PIXELS:,} pixels: crop or shrink it") from None
@@ -160,18 +166,21 @@ def _shades(picture: bytes) -> Floats:
         raise WorldError("isn't a sound PGM, PNG, BMP or JPEG picture: save it again") from None
 
 
-def _check_size(width: int, height: int) -> None:
-    if width * height > MOST_PIXELS:
+def _check_size(width: int, height: int, most: int) -> None:
+    if width * height > most:
+        plain = ", or save it in binary form" if most == MOST_PLAIN else ""
         raise WorldError(
-            f"is {width:,} x {height:,} pixels, more than {MOST_PIXELS:,}: crop or shrink it"
+            f"is {width:,} x {height:,} pixels, more than {most:,}: crop or shrink it{plain}"
         )
 
 
-def _brightness(image: Any) -> Floats:
+def _brightness(image: Any) -> tuple[NDArray[Any], Floats, Mask | None]:
+    """Levels are grey, or the sum of three colours; a table is smaller than a picture of floats."""
     if image.mode.startswith("I"):  # 16 bits, which Pillow would cut off and not scale
-        return np.asarray(image, np.float64) / 65535.0
+        grey = np.clip(np.asarray(image), 0, 65535)
+        return grey, np.arange(65536) / 65535.0, None
     if image.mode in ("1", "L"):
-        return np.asarray(image.convert("L"), np.float64) / 255.0
+        return np.asarray(image.convert("L")), np.arange(256) / 255.0, None
     pixels = np.asarray(image.convert("RGBA"))
-    shades = pixels[:, :, :3].mean(axis=2) / 255.0
-    return np.where(pixels[:, :, 3] == 255, shades, np.nan)
+    levels = pixels[:, :, 0].astype(np.uint16) + pixels[:, :, 1] + pixels[:, :, 2]
+    return levels, np.arange(766) / 3.0 / 255.0, pixels[:, :, 3] == 255

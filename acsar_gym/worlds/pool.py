@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.errors import WorldError
+from acsar_gym.bounded import reason
+from acsar_gym.errors import WorldError, shown
 from acsar_gym.worlds import cache, files, generators, splits
 from acsar_gym.worlds.generators import Level
 from acsar_gym.worlds.search import check_region, shortest_path
@@ -27,7 +28,7 @@ KEPT = 512
 """Generated worlds that a pool remembers."""
 RANKED = 100_000
 """A larger pool can't be ordered by difficulty."""
-_KINDS = re.compile(r"([a-z_]+)(?::(?:(train|test)|(\d{1,18})(?:-(\d{1,18}))?))?")
+_KINDS = re.compile(r"([a-z_]+)(?::(?:(train|test)|(\d{1,15})(?:-(\d{1,15}))?))?")
 
 Source = str | Path | World | Sequence[World]
 """What users may pass as `worlds=`."""
@@ -103,7 +104,8 @@ class Pool:
     def __getitem__(self, number: int) -> World:
         if number not in self.numbers:
             raise WorldError(
-                f"world {number}: must be {self.numbers[0]} to {self.numbers[-1]} ({self.kind})"
+                f"world {shown(number)}: must be {self.numbers[0]} to {self.numbers[-1]} "
+                f"({self.kind})"
             )
         return self._make(number)
 
@@ -128,7 +130,7 @@ class Pool:
         first, last = np.searchsorted(levels, low), np.searchsorted(levels, high, "right")
         if first == last:
             raise WorldError(
-                f"difficulty = {difficulty!r}: none of the env's worlds; theirs are "
+                f"difficulty = {shown(difficulty)}: none of the env's worlds; theirs are "
                 f"{levels[0]:.3g} to {levels[-1]:.3g}"
             )
         return range(int(first), int(last))
@@ -156,17 +158,17 @@ def _given(source: Any) -> list[World] | None:
     if isinstance(source, World):
         return [source]
     if isinstance(source, str | Path):
-        return _read(source)
+        return read(source)
     worlds = list(source) if isinstance(source, Sequence) else []
     if not worlds or not all(isinstance(world, World) for world in worlds):
         raise WorldError(
-            f"worlds = {source!r}: must be a file, a folder, a list of World, or a kind of world "
-            f"({', '.join(generators.kinds())})"
+            f"worlds = {shown(source)}: must be a file, a folder, a list of World, or a kind of "
+            f"world ({', '.join(generators.kinds())})"
         )
     return worlds
 
 
-def _read(source: str | Path) -> list[World] | None:
+def read(source: str | Path) -> list[World] | None:
     """Worlds of a file or a folder; None for the name of a generator."""
     if isinstance(source, str):
         kind = _KINDS.fullmatch(source)
@@ -179,7 +181,7 @@ def _read(source: str | Path) -> list[World] | None:
             return files.load_folder(path)
         return [files.load(path)] if named or path.exists() else None
     except (OSError, ValueError) as error:
-        raise WorldError(f"worlds = {str(source)[:60]!r}: can't be read: {error}") from None
+        raise WorldError(f"worlds = {shown(str(source))}: can't be read: {reason(error)}") from None
 
 
 def _numbers(text: str, count: int | None) -> tuple[str, range]:
@@ -187,7 +189,7 @@ def _numbers(text: str, count: int | None) -> tuple[str, range]:
     match = _KINDS.fullmatch(text)
     if match is None:
         raise WorldError(
-            f"worlds = {text[:60]!r}: must be like 'clutter:test', 'clutter:50', 'clutter:50-99' "
+            f"worlds = {shown(text)}: must be like 'clutter:test', 'clutter:50', 'clutter:50-99' "
             "or a path"
         )
     kind, split, one, other = match.groups()

@@ -32,6 +32,10 @@ MOST_TILT = 0.01
 """A body that leans further than this is refused [rad]."""
 MOST_ELEMENTS = 2_000_000
 """XML elements of a file; a world of 20,000 cylinders as in BARN has half as many."""
+MOST_ATTRIBUTES = 600_000
+"""A world of 20,000 cylinders as in BARN has half as many."""
+MOST_TAG = 1_000_000
+"""Bytes of a tag, or of a text between two."""
 MOST_KEPT = 20 * MOST_OBSTACLES
 """Elements that matter here, and so are held in memory."""
 PLACES = frozenset({"sdf", "world", "state", "model", "link", "collision", "geometry", "pose"})
@@ -118,7 +122,16 @@ class _Builder(TreeBuilder):
             raise WorldError("holds too many XML elements: cut out a part of it")
 
 
+def _check_markup(data: bytes) -> None:
+    """Refuse what makes the parser slow before it sees it."""
+    ends = np.flatnonzero(np.frombuffer(data, np.uint8) == ord(">"))
+    longest = np.diff(ends, prepend=0, append=len(data)).max(initial=0)
+    if longest > MOST_TAG or data.count(b"=") > MOST_ATTRIBUTES:
+        raise WorldError("holds too many attributes, or too long a tag or text, to be a world")
+
+
 def _parsed(data: bytes) -> Element:
+    _check_markup(data)
     parser = XMLParser(target=_Builder(), forbid_dtd=True)
     try:
         parser.feed(data)

@@ -21,8 +21,14 @@ from acsar_gym.worlds.world import Floats, Region, World
 
 RESOLUTION = 0.05
 """Side of a cell of the search [m]."""
-MOST_CELLS = 4_000_000
-"""Worlds larger than this many cells are searched more coarsely."""
+MOST_CELLS = 1_000_000
+"""Of a search: 2,500 m^2. Larger surroundings are searched more coarsely."""
+MOST_WORK = 200_000_000
+"""Distances from cells to obstacles: where long obstacles make them more, cells are larger."""
+LEAST_REACH = 10.0
+"""Around start and goal, what is searched first in large worlds [m]."""
+WIDENING = 4.0
+"""How many times as far the search reaches where it has found no way."""
 SLACK = 1e-3
 """How far a path may cut into the clearance between two cells [m]."""
 WALL = 0.75
@@ -33,6 +39,8 @@ CUTS = 4
 """How often corners are cut off."""
 BISECTIONS = 6
 """Of each cut."""
+CULLED = 500
+"""Obstacles above which only those near a piece of the way are looked at."""
 BLOCK = 64
 """Points of a path that are tried at once for a straight way."""
 
@@ -85,18 +93,57 @@ def shortest_path(
     ends = np.array([[start.x, start.y], [goal.x, goal.y]])
     if segment_clearance(ends[:1], ends[1:], world)[0] >= radius:
         return ends
-    grid = free_cells(world, radius, ends)
-    first, last = (_entry(grid, end, world, radius) for end in ends)
-    cells = search(grid, first, last)
-    if cells is None:
+    way = _way(world, radius, ends)
+    if way is None:
         raise WorldError(
             f"{_named(world)}no way from start to goal for a footprint of radius {radius:.2f} m"
         )
-    way = np.concatenate([ends[:1], grid.centres(cells), ends[1:]])
     way = _pulled(_pulled(way, world, radius)[::-1], world, radius)[::-1]
     for _ in range(cuts):
         way = _pulled(_cut(way, world, radius), world, radius)
     return way
+
+
+def _way(world: World, radius: float, ends: Floats) -> Floats | None:
+    """P x 2: a shortest way over cells; None where there is none.
+
+    In a world of many cells, as one whose obstacles lie far apart, only what is around the ends is
+    searched, until nothing beyond can be on a shorter way: all ways of length L between ends D
+    apart lie within sqrt(L^2 - D^2) / 2 of the box around the ends.
+    """
+    box, apart = _box(world, ends), math.dist(*ends)
+    reach = math.inf if _cells(box, radius, RESOLUTION) <= MOST_CELLS else max(LEAST_REACH, apart)
+    while True:
+        grid = free_cells(world, radius, ends, reach)
+        whole = reach >= max(*(ends.min(axis=0) - box[:2]), *(box[2:] - ends.max(axis=0)))
+        first, last = (_entry(grid, end, world, radius) for end in ends)
+        cells = search(grid, first, last)
+        if cells is None:
+            if whole or not _leaves(grid, first, last):
+                return None
+            reach *= WIDENING
+            continue
+        way = np.concatenate([ends[:1], grid.centres(cells), ends[1:]])
+        needed = math.sqrt(max(path_length(way) ** 2 - apart**2, 0.0)) / 2.0
+        if whole or needed <= reach:
+            return way
+        reach = needed
+
+
+def _box(world: World, ends: Floats) -> Floats:
+    """Least x and y, largest x and y of a world and the ends of a way [m]."""
+    low, high = world.bounds[:2], world.bounds[2:]
+    return np.concatenate([np.minimum(low, ends.min(axis=0)), np.maximum(high, ends.max(axis=0))])
+
+
+def _margin(radius: float) -> float:
+    return 2.0 * radius + 4.0 * RESOLUTION
+
+
+def _cells(box: Floats, radius: float, side: float) -> float:
+    """How many cells cover a box with its margins."""
+    width, height = (box[2:] - box[:2] + 2.0 * _margin(radius)).tolist()
+    return float(width * height / side**2)
 
 
 def check_region(world: World, name: str, region: Region, radius: float) -> None:
@@ -144,37 +191,74 @@ def _cut(way: Floats, world: World, radius: float) -> Floats:
     for _ in range(BISECTIONS):
         more = (share + step)[:, None]
         ends = corner + more * (before - corner), corner + more * (behind - corner)
-        share += np.where(segment_clearance(*ends, world) >= radius - SLACK / 2.0, step, 0.0)
+        share += np.where(_blocked(*ends, world, radius - SLACK / 2.0), 0.0, step)
         step /= 2.0
     one = corner + share[:, None] * (before - corner)
     other = corner + share[:, None] * (behind - corner)
     return np.concatenate([way[:1], np.stack([one, other], axis=1).reshape(-1, 2), way[-1:]])
 
 
-def free_cells(world: World, radius: float, ends: Floats | None = None) -> Grid:
+def _blocked(starts: Floats, ends: Floats, world: World, radius: float) -> NDArray[np.bool_]:
+    """Whether straight pieces come nearer than `radius` to an obstacle."""
+    if world.obstacles > CULLED:
+        both = np.concatenate([starts, ends])
+        box = np.concatenate([both.min(axis=0) - radius, both.max(axis=0) + radius])
+        world = _near(world, box)
+    blocked: NDArray[np.bool_] = segment_clearance(starts, ends, world) < radius
+    return blocked
+
+
+def _near(world: World, box: Floats) -> World:
+    """The world with those obstacles only whose own boxes meet this one."""
+    centres, radii = world.circles[:, :2], world.circles[:, 2:]
+    low = np.minimum(world.segments[:, :2], world.segments[:, 2:])
+    high = np.maximum(world.segments[:, :2], world.segments[:, 2:])
+    circles = ((centres + radii >= box[:2]) & (centres - radii <= box[2:])).all(axis=1)
+    segments = ((high >= box[:2]) & (low <= box[2:])).all(axis=1)
+    return World(world.circles[circles], world.segments[segments], turned=world.turned)
+
+
+def free_cells(
+    world: World, radius: float, ends: Floats | None = None, reach: float = math.inf
+) -> Grid:
     """Cells whose centre is at least `radius` [m] away from every obstacle.
 
-    They cover the world and the `ends` (n, 2) of a way. No wall fits between two cells.
+    They cover the world and the `ends` (n, 2) of a way, but no more than `reach` [m] around these.
+    No wall fits between two cells.
     """
-    left, low, right, high = world.bounds
-    if ends is not None:
-        (left, low), (right, high) = (
-            np.minimum((left, low), ends.min(axis=0)).tolist(),
-            np.maximum((right, high), ends.max(axis=0)).tolist(),
-        )
-    margin = 2.0 * radius + 4.0 * RESOLUTION
-    width, height = right - left + 2.0 * margin, high - low + 2.0 * margin
-    side = RESOLUTION * max(1.0, math.sqrt(width * height / MOST_CELLS) / RESOLUTION)
-    x = (math.floor((left - margin) / side) + 0.5) * side
-    y = (math.floor((low - margin) / side) + 0.5) * side
+    box, margin = np.array(world.bounds) if ends is None else _box(world, ends), _margin(radius)
+    around = world
+    if ends is not None and math.isfinite(reach):
+        box[:2] = np.maximum(box[:2], ends.min(axis=0) - reach)
+        box[2:] = np.minimum(box[2:], ends.max(axis=0) + reach)
+        around = _near(world, np.concatenate([box[:2] - margin, box[2:] + margin]))
+    left, low = (box[:2] - margin).tolist()
+    width, height = (box[2:] - box[:2] + 2.0 * margin).tolist()
+    side = RESOLUTION * max(
+        1.0,
+        math.sqrt(width * height / MOST_CELLS) / RESOLUTION,
+        math.sqrt(_work(around, radius, width, height) / MOST_WORK) / RESOLUTION,
+    )
+    x, y = (math.floor(least / side) + 0.5 for least in (left, low))
     free = np.ones((math.ceil(width / side) + 1, math.ceil(height / side) + 1), np.bool_)
-    grid = Grid(free, x, y, side)
+    grid = Grid(free, x * side, y * side, side)
     radius = max(radius, WALL * side)
-    for cx, cy, r in world.circles.tolist():
+    for cx, cy, r in around.circles.tolist():
         _block(grid, (cx, cy, cx, cy), r + radius)
-    for x1, y1, x2, y2 in world.segments.tolist():
+    for x1, y1, x2, y2 in around.segments.tolist():
         _block(grid, (x1, y1, x2, y2), radius)
     return grid
+
+
+def _work(world: World, radius: float, width: float, height: float) -> float:
+    """Sum of the boxes around all obstacles, as far as they can lie in the grid [m^2]."""
+    sizes = np.concatenate(
+        [
+            np.repeat(2.0 * world.circles[:, 2:], 2, axis=1),
+            np.abs(world.segments[:, 2:] - world.segments[:, :2]),
+        ]
+    )
+    return float(np.minimum(sizes + 2.0 * radius, (width, height)).prod(axis=1).sum())
 
 
 def _block(grid: Grid, ends: tuple[float, float, float, float], radius: float) -> None:
@@ -183,8 +267,8 @@ def _block(grid: Grid, ends: tuple[float, float, float, float], radius: float) -
     reach = radius - SLACK / 2.0
     low_i = max(math.ceil((min(x1, x2) - reach - grid.x) / grid.side), 0)
     low_j = max(math.ceil((min(y1, y2) - reach - grid.y) / grid.side), 0)
-    high_i = math.floor((max(x1, x2) + reach - grid.x) / grid.side) + 1
-    high_j = math.floor((max(y1, y2) + reach - grid.y) / grid.side) + 1
+    high_i = min(math.floor((max(x1, x2) + reach - grid.x) / grid.side) + 1, grid.free.shape[0])
+    high_j = min(math.floor((max(y1, y2) + reach - grid.y) / grid.side) + 1, grid.free.shape[1])
     dx = grid.x + grid.side * np.arange(low_i, max(high_i, low_i))[:, None] - x1
     dy = grid.y + grid.side * np.arange(low_j, max(high_j, low_j))[None, :] - y1
     ex, ey = x2 - x1, y2 - y1
@@ -196,19 +280,33 @@ def _block(grid: Grid, ends: tuple[float, float, float, float], radius: float) -
 
 def search(grid: Grid, start: int, goal: int) -> NDArray[np.int64] | None:
     """Cells of a shortest way between two cells; None where there is none."""
-    from scipy.sparse import csr_array  # noqa: PLC0415 - slow to import
-    from scipy.sparse.csgraph import dijkstra  # noqa: PLC0415
+    from scipy.sparse.csgraph import dijkstra  # noqa: PLC0415 - slow to import
 
-    rows, columns, costs = _edges(grid)
-    graph: Any = csr_array((costs, (rows, columns)), shape=(grid.free.size, grid.free.size))
     search_from: Any = dijkstra  # its stubs know no single start
-    _, before = search_from(graph, directed=False, indices=start, return_predecessors=True)
+    _, before = search_from(_graph(grid), directed=False, indices=start, return_predecessors=True)
     if start != goal and before[goal] < 0:
         return None
     way = [goal]
     while way[-1] != start:
         way.append(int(before[way[-1]]))
     return np.array(way[::-1])
+
+
+def _graph(grid: Grid) -> Any:
+    """Neighbouring free cells as a sparse matrix of distances."""
+    from scipy.sparse import csr_array  # noqa: PLC0415 - slow to import
+
+    rows, columns, costs = _edges(grid)
+    return csr_array((costs, (rows, columns)), shape=(grid.free.size, grid.free.size))
+
+
+def _leaves(grid: Grid, start: int, goal: int) -> bool:
+    """Whether a way between two cells may lead through what lies beyond the grid."""
+    from scipy.ndimage import label  # noqa: PLC0415 - slow to import
+
+    parts = label(grid.free, np.ones((3, 3)))[0]
+    edges = np.concatenate([parts[0], parts[-1], parts[:, 0], parts[:, -1]])
+    return bool(np.isin(parts.flat[[start, goal]], edges).all())
 
 
 def _edges(grid: Grid) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
@@ -246,7 +344,7 @@ def _farthest(way: Floats, here: int, world: World, radius: float) -> int:
     for first in range(here + 2, len(way), BLOCK):
         ends = way[first : first + BLOCK]
         starts = np.broadcast_to(way[here], ends.shape)
-        blocked = segment_clearance(starts, ends, world) < radius - SLACK
+        blocked = _blocked(starts, ends, world, radius - SLACK)
         if blocked.any():
             return max(last, first + int(blocked.argmax()) - 1)
         last = first + len(ends) - 1

@@ -11,7 +11,7 @@ from typing import Any, SupportsFloat
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.errors import WorldError
+from acsar_gym.errors import WorldError, shown
 from acsar_gym.worlds.scene import Pose
 
 Floats = NDArray[np.float64]
@@ -45,8 +45,8 @@ class Region:
             sound = False
         if not sound or self.radius < 0.0:
             raise WorldError(
-                f"region {numbers}: x, y, radius [m] and theta [rad] must be numbers of at most "
-                f"{FARTHEST:g}, the radius not negative"
+                f"region {shown(numbers)}: x, y, radius [m] and theta [rad] must be numbers of at "
+                f"most {FARTHEST:g}, the radius not negative"
             )
 
 

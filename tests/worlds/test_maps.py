@@ -182,7 +182,7 @@ def test_keys_of_others_are_ignored(tmp_path: Path) -> None:
         ({"origin": "here"}, "origin = 'here': must"),
         ({"image": 7}, "image = 7: must be a valid string"),
         ({"image": "nowhere.pgm"}, "image 'nowhere.pgm': there is no such file"),
-        ({"image": "."}, "image '.': isn't a file"),
+        ({"image": "."}, "image '.': isn't a regular file"),
         ({"image": "x" * 999}, "image 'xxx"),
         ({"occupied_thresh": 2.0}, "occupied_thresh = 2.0: must"),
         ({"free_thresh": -1}, "free_thresh = -1: must"),

@@ -372,7 +372,7 @@ def test_huge_worlds_are_searched_coarsely(radius: float) -> None:
     ):
         grid = free_cells(world, radius)
         assert 0.9 * search.MOST_CELLS < grid.free.size < 1.02 * search.MOST_CELLS
-        assert grid.side == pytest.approx(metres / 2000.0, rel=0.1)
+        assert grid.side == pytest.approx(metres / 1000.0, rel=0.1)
     small = free_cells(World(circles=PILLAR), 0.25)
     assert small.side == RESOLUTION
     assert small.free.size < 5_000
