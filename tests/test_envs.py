@@ -397,7 +397,7 @@ def test_faults_can_be_raised_instead() -> None:
     env.reset(seed=0)
     with pytest.raises(LinkError):
         for _ in range(20):
-            env.step(np.zeros(2, np.float32))
+            env.step(np.array([0.5, 0.0], np.float32))  # a fault's clock starts as wheels turn
     env.close()
 
 
