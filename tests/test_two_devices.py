@@ -10,7 +10,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from serial_tools import Emulated, StartEmulator, cli, no_leak
+from serial_tools import Emulated, RobotFile, StartEmulator, cli, no_leak
 
 from acsar_gym import RobotConfig, open_link
 from acsar_gym.errors import LidarError
@@ -42,7 +42,7 @@ def devices(emulated: Emulated) -> tuple[str, str]:
 
 def simulated(config: RobotConfig, pose: Pose) -> Any:
     """Ranges in the same world from a pose [m]."""
-    world = Pool.of(WORLD, None, footprint_radius(config), 1)[0]
+    world = Pool.of(WORLD, None, footprint_radius(config), 1)[3]
     start = (world.start.x, world.start.y, world.start.theta or 0.0)
     scene = Scene(start=pose, world=world.seen_from(start))
     link = open_link("planar", config)
@@ -96,11 +96,14 @@ def test_a_lidar_that_is_none_is_one_clear_error(devices: tuple[str, str]) -> No
     env.close()
 
 
-def test_the_command_line_evaluates_over_both(devices: tuple[str, str], tmp_path: Path) -> None:
+def test_the_command_line_evaluates_over_both(
+    devices: tuple[str, str], tmp_path: Path, robot_file: RobotFile
+) -> None:
     port, lidar = devices
     goal, policy = ("0.5", "0.0"), ("--policy", "obstacle_goal")
     options = ("--link", port, "--lidar", f"rplidar://{lidar}", "--json", tmp_path / "run.json")
-    done = cli("run", *goal, *policy, *options)
+    robot = ("--robot", robot_file(watchdog_timeout=10.0))
+    done = cli("run", *goal, *policy, *options, *robot)
     assert done.returncode in (0, 1), done.stderr
     assert "behind the wire" in done.stdout
     assert (tmp_path / "run.json").exists()
