@@ -24,7 +24,6 @@ import json, os, signal, socket, sys
 
 import acsar_gym.realtime, acsar_gym.links.recording, acsar_gym.links.serial
 
-# nursery
 asked = socket.socket(fileno=int(sys.argv[1]))
 signal.signal(signal.SIGCHLD, signal.SIG_IGN)
 code = ""

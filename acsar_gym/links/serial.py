@@ -91,8 +91,7 @@ class SerialLink:
             self._flush()
             self._stop_motors()
             self._wait_for_board()
-            if self._watchdog is not None:
-                self._watchdog.wait()
+            self._wait_for_watchdog()
         except BaseException:
             self.close()
             raise
@@ -169,18 +168,22 @@ class SerialLink:
         self.late_ticks = 0
 
     def _watch_anew(self) -> None:
-        if self._watchdog is None:
-            return
-        if not self._watchdog.alive:
+        dog = self._watchdog
+        if dog is not None and not dog.alive:
             with self._lock:
-                self._watchdog.close()
-                self._watchdog = None
-                self._watch()
-            if self._watchdog is not None:
-                self._watchdog.wait()
+                if self._watchdog is dog:
+                    self._watchdog = None
+                    dog.close()
+                    self._watch()
+            self._wait_for_watchdog()
         with self._lock:
             if self._watchdog is not None:
                 self._watchdog.rearm()
+
+    def _wait_for_watchdog(self) -> None:
+        dog = self._watchdog
+        if dog is not None:
+            dog.wait()
 
     def write(self, data: bytes) -> None:
         """Send bytes to the board.

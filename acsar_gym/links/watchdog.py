@@ -99,7 +99,11 @@ class Watchdog:
         pipe.register(self._ready, select.POLLIN)
         if not pipe.poll(1000.0 * PATIENCE):
             raise _failed("it doesn't answer")
-        if not os.read(self._ready, 1):
+        try:
+            answer = os.read(self._ready, 1)
+        except OSError:
+            raise _failed("another thread closed it") from None
+        if not answer:
             raise _failed("it ended at once")
 
     @property

@@ -64,14 +64,14 @@ DRIVE = "robot.activate(); drive(10**9)"
 
 
 def children() -> list[psutil.Process]:
-    """The living and the dead, without emulators and the nursery."""
+    """Watchdogs of this process, living and dead; a dead process has no command line."""
 
-    def is_another(process: psutil.Process) -> bool:
-        with contextlib.suppress(psutil.Error):  # a zombie has no command line
-            return any("emulate" in part or "nursery" in part for part in process.cmdline())
-        return False
+    def watches(process: psutil.Process) -> bool:
+        with contextlib.suppress(psutil.Error):
+            return any("watchdog_child" in part for part in process.cmdline())
+        return True
 
-    return [child for child in psutil.Process().children() if not is_another(child)]
+    return [child for child in psutil.Process().children() if watches(child)]
 
 
 def commands(emulator: Emulated) -> list[tuple[float, bool]]:
