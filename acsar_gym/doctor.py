@@ -93,6 +93,19 @@ def port_list() -> Check:
     return Check("serial ports", "ok", ", ".join(found))
 
 
+def emergency_stop() -> Check:
+    """Whether `acsar-gym estop` can stop what is driven from here."""
+    ears = Ears()
+    folders = ", ".join(str(path.parent) for path in ears.paths)
+    faults = "; ".join(fault.found for fault in ears.faults)
+    fixes = "; ".join(fault.fix for fault in ears.faults)
+    ears.close()
+    if not folders:
+        return Check("emergency stop", "warn", f"'acsar-gym estop' won't be heard: {faults}", fixes)
+    found = f"listens in {folders}" + (f"; not everywhere: {faults}" if faults else "")
+    return Check("emergency stop", "warn" if faults else "ok", found, fixes)
+
+
 def _failed_to_open(error: LinkError) -> Check:
     name = "first valid line" if isinstance(error, BoardSilentError) else "open"
     return Check(name, "fail", error.found, error.fix)

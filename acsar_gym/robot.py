@@ -5,12 +5,13 @@ from __future__ import annotations
 import contextlib
 import gc
 import math
+import warnings
 from collections.abc import Sequence
 from types import TracebackType
 from typing import Self
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import BoardGarbledError, BoardSilentError, LinkError
+from acsar_gym.errors import BoardGarbledError, BoardSilentError, LinkError, SafetyWarning
 from acsar_gym.estop import Ears
 from acsar_gym.links.base import Link
 from acsar_gym.links.timing import EpisodeTiming, Stopwatch
@@ -72,14 +73,15 @@ class Robot:
         """Stop, wait for standstill, and set the odometry to zero: the same on every link.
 
         Opens the link where it isn't open. Raises LinkError where it can't be opened, the board is
-        silent or the wheels keep turning; the link is closed then.
+        silent or the wheels keep turning; the link is closed then. Warns (SafetyWarning) where
+        `acsar-gym estop` can't reach a real robot.
         """
         if not self.active:
             self.link.open()
             self.active = True
-            if self.link.truth is None and self._ears is None:
-                self._ears = Ears()
         try:
+            if self.link.truth is None and self._ears is None:
+                self._listen()
             self.link.reset(scene)
             self.decoder.reset()
             self.safety.reset()
@@ -95,6 +97,13 @@ class Robot:
         if hasattr(self.link, "lateness"):
             gc.collect()  # takes 60 ms: better now than while the wheels turn
             self._stopwatch = Stopwatch(self._period)
+
+    def _listen(self) -> None:
+        """Heed `acsar-gym estop`; a warning where that is impossible."""
+        self._ears = Ears()
+        if self._ears.deaf:
+            said = f"'acsar-gym estop' can't stop this robot: {self._ears.deaf}"
+            warnings.warn(said, SafetyWarning, stacklevel=4)
 
     def _settle(self) -> None:
         """Ticks are counted, not seconds: a clock that jumps doesn't turn the wheels."""
