@@ -220,8 +220,8 @@ def drive(
     Args:
         link: bullet, planar, or a serial device.
         robot: preset or config file.
-        linear: fixed linear speed [m/s].
-        angular: fixed angular speed [rad/s].
+        linear: fixed linear speed, at most the robot's max_linear [m/s].
+        angular: fixed angular speed, at most the robot's max_angular [rad/s].
         duration: seconds to hold the fixed twist; without it, until Ctrl-C.
         window: open PyBullet's window.
         realtime: SCHED_FIFO priority, 1 to 98.

@@ -15,6 +15,7 @@ from acsar_gym.estop import Ears
 from acsar_gym.links.ports import ports
 from acsar_gym.links.serial import SerialLink
 from acsar_gym.protocol import MAX_LINE, ZERO, Decoder, Speeds, encode
+from acsar_gym.safety import Safety
 
 LISTEN = 2.0
 """How long feedback is counted [s]."""
@@ -145,7 +146,8 @@ def _standing() -> Iterator[Check]:
 
 def _moving(link: SerialLink, config: RobotConfig) -> Iterator[Check]:
     """Round trip of a command, then whether the firmware's own time-out stops the wheels."""
-    line = _line((SPIN, SPIN, SPIN, SPIN), config)
+    spin = min(Safety(config).bounded((SPIN, SPIN, SPIN, SPIN)))
+    line = _line((spin, spin, spin, spin), config)
     round_trip = _until(link, line, lambda speeds: min(speeds) > 0.0)
     if round_trip is None:
         yield Check(
@@ -162,7 +164,7 @@ def _moving(link: SerialLink, config: RobotConfig) -> Iterator[Check]:
         f"{round_trip * 1000.0:.1f} ms from command to its first effect in feedback",
         "" if fine else "raise the baud rate; set the USB adapter's latency timer to 1 ms",
     )
-    _until(link, line, lambda speeds: min(speeds) > 0.9 * SPIN)
+    _until(link, line, lambda speeds: min(speeds) > 0.9 * spin)
     stopped = _until(link, b"", lambda speeds: max(speeds) == 0.0)
     yield Check(
         "stops when commands stop",

@@ -6,9 +6,9 @@ import contextlib
 import gc
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import BoardGarbledError, BoardSilentError, LinkError, SafetyWarning
@@ -126,34 +126,35 @@ class Robot:
     def tick(self, speeds: Sequence[float]) -> None:
         """One control period: send four wheel speeds [rad/s], let it pass, read, integrate.
 
-        Zeros are sent instead while `safety` holds the robot; limits are those of `drive`.
-        Raises CommandError for speeds that aren't four finite numbers, and LinkError where the
-        robot isn't active or the link is lost or silent for longer than `feedback_timeout`. On any
-        error the wheels are commanded to stop and the link is closed.
+        All four shrink by one factor where they would exceed `max_wheel_speed`, or their twist the
+        robot's speed limits; acceleration is limited by `drive` alone. Zeros are sent instead while
+        `safety` holds the robot. Raises CommandError for speeds that aren't four finite numbers,
+        and LinkError where the robot isn't active or the link is lost or silent for longer than
+        `feedback_timeout`. On any error the wheels are commanded to stop and the link is closed.
         """
+        self._tick(self.safety.bounded, speeds)
+
+    def drive(self, linear: float, angular: float) -> None:
+        """One tick towards a twist (linear [m/s], angular [rad/s]) within the limits.
+
+        (0, 0) stops at once. Errors as `tick`.
+        """
+        self._tick(self.safety.speeds, linear, angular)
+
+    def _tick(self, allowed: Callable[..., Sequence[float]], *wanted: Any) -> None:
+        """A tick with the wheel speeds that `allowed` makes of what is wanted."""
         if not self.active:
             raise LinkError("the robot isn't active", "call activate() or env.reset() first")
         try:
             if self._ears is not None and self._ears.heard():
                 self.estop()
                 self._ears.answer()
+            speeds = allowed(*wanted)
             reason = self.safety.hold(self.odometry.pose, self.feedback_age)
             self._exchange(self.safety.halt(reason) if reason else speeds)
         except BaseException:
             self.deactivate()
             raise
-
-    def drive(self, linear: float, angular: float) -> None:
-        """One tick towards a twist (linear [m/s], angular [rad/s]) within the limits.
-
-        Errors as `tick`.
-        """
-        try:
-            speeds = self.safety.speeds(linear, angular)
-        except BaseException:
-            self.deactivate()
-            raise
-        self.tick(speeds)
 
     @property
     def timing(self) -> EpisodeTiming | None:
