@@ -40,7 +40,7 @@ class Reason(IntEnum):
 
 
 class Safety:
-    """One robot's safety layer. `sent` is the newest twist on the wire, `reason` a Reason."""
+    """One robot's safety layer."""
 
     def __init__(self, config: RobotConfig) -> None:
         self._config = config
@@ -55,8 +55,6 @@ class Safety:
         """Arm: nothing has been sent, and every stop is forgotten."""
         self._latched = Reason.NONE
         self._asked: Twist = STANDING
-        self._speeds: Speeds = ZERO
-        self._outcome: tuple[Twist, Reason] = (STANDING, Reason.NONE)
         self.halt(Reason.NONE)
 
     def estop(self) -> None:
@@ -73,9 +71,24 @@ class Safety:
         self._last: Twist = STANDING
         self._before: Twist = STANDING
         self._steady = False
-        self.sent: Twist = STANDING
-        self.reason = reason
+        self._speeds: Speeds = ZERO
+        self._why: Reason | None = reason
         return ZERO
+
+    @property
+    def sent(self) -> Twist:
+        """The newest twist on the wire (linear [m/s], angular [rad/s])."""
+        config = self._config
+        return kinematics.forward(self._speeds, config.wheel_radius, config.effective_separation)
+
+    @property
+    def reason(self) -> Reason:
+        """Why it isn't the one that was asked for."""
+        if self._why is not None:
+            return self._why
+        (linear, angular), sent = self._asked, self.sent
+        same = abs(sent[0] - linear) < TELLABLE and abs(sent[1] - angular) < TELLABLE
+        return Reason.NONE if same else Reason.LIMITS
 
     def hold(self, pose: Pose, feedback_age: float) -> Reason:
         """Why the wheels must not turn now; NONE where they may."""
@@ -95,7 +108,6 @@ class Safety:
         """
         asked = (linear, angular)
         if self._steady and asked == self._asked:
-            self.sent, self.reason = self._outcome
             return self._speeds
         if not math.isfinite(linear + angular):
             raise CommandError(f"twist = ({linear}, {angular}): must be finite m/s and rad/s")
@@ -105,7 +117,7 @@ class Safety:
         self._steady = self._free or new == self._last == self._before
         self._last, self._before, self._asked = new, self._last, asked
         self._speeds = self.wheels(*new)
-        self._outcome = self.sent, self.reason = self._told(linear, angular, self._speeds)
+        self._why = None
         return self._speeds
 
     def _next(self, linear: float, angular: float) -> Twist:
@@ -130,16 +142,18 @@ class Safety:
         if len(speeds) != WHEELS or not all(map(math.isfinite, speeds)):
             return speeds
         config = self._config
-        twist = kinematics.forward(speeds, config.wheel_radius, config.effective_separation)
+        top = _share(max(map(abs, speeds)), -config.max_wheel_speed, config.max_wheel_speed)
+        a, b, c, d = (top * speed for speed in speeds)
+        twist = kinematics.twist(a, b, c, d, config.wheel_radius, config.effective_separation)
         share = min(
-            _share(max(map(abs, speeds)), -config.max_wheel_speed, config.max_wheel_speed),
             _share(twist[0], self._linear.min_velocity, self._linear.max_velocity),
             _share(twist[1], self._angular.min_velocity, self._angular.max_velocity),
         )
-        self.sent = self._last = self._before = (share * twist[0], share * twist[1])
-        self.reason = Reason.NONE if share == 1.0 else Reason.LIMITS
+        self._last = self._before = (share * twist[0], share * twist[1])
+        self._speeds = (share * a, share * b, share * c, share * d)
+        self._why = Reason.NONE if share * top == 1.0 else Reason.LIMITS
         self._steady = False
-        return speeds if share == 1.0 else tuple(share * speed for speed in speeds)
+        return speeds if self._why is Reason.NONE else self._speeds
 
     def wheels(self, linear: float, angular: float) -> Speeds:
         """Wheel speeds [rad/s] for a twist, shrunk to the wheels' top speed at the same radius."""
@@ -151,12 +165,6 @@ class Safety:
             config.effective_separation,
             config.max_wheel_speed,
         )
-
-    def _told(self, linear: float, angular: float, speeds: Speeds) -> tuple[Twist, Reason]:
-        config = self._config
-        sent = kinematics.forward(speeds, config.wheel_radius, config.effective_separation)
-        same = abs(sent[0] - linear) < TELLABLE and abs(sent[1] - angular) < TELLABLE
-        return sent, Reason.NONE if same else Reason.LIMITS
 
 
 def _share(value: float, low: float, high: float) -> float:
