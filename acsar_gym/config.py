@@ -20,7 +20,6 @@ from pydantic import (
     ConfigDict,
     Field,
     ModelWrapValidatorHandler,
-    PositiveFloat,
     ValidationError,
     model_validator,
 )
