@@ -1,14 +1,22 @@
-"""A Gymnasium environment for the ACSAR skid-steer robot, simulated or real behind one wire."""
+"""A Gymnasium environment for the ACSAR skid-steer robot, simulated or real behind one wire.
+
+The names below are imported when they are used first: `import acsar_gym` takes some milliseconds,
+and so does `acsar-gym estop`. See `registration` for how Gymnasium learns of the environments.
+"""
 
 from __future__ import annotations
 
-import gymnasium
+import importlib
+from typing import TYPE_CHECKING, Any
 
-from acsar_gym import envs, errors, kinematics, odometry, protocol
-from acsar_gym.config import RobotConfig
-from acsar_gym.links import Link, open_link
-from acsar_gym.robot import Robot
-from acsar_gym.worlds import World
+from acsar_gym import registration
+
+if TYPE_CHECKING:
+    from acsar_gym import envs, errors, kinematics, odometry, protocol
+    from acsar_gym.config import RobotConfig
+    from acsar_gym.links import Link, open_link
+    from acsar_gym.robot import Robot
+    from acsar_gym.worlds import World
 
 __version__ = "0.1.0"
 __all__ = [
@@ -23,17 +31,34 @@ __all__ = [
     "open_link",
     "protocol",
 ]
+_HOMES = {
+    "Link": "links",
+    "Robot": "robot",
+    "RobotConfig": "config",
+    "World": "worlds",
+    "open_link": "links",
+}
+"""The modules in which names are defined; every other name is a module's."""
 
-for _name, _steps, _threshold in (
-    ("PointGoal", 200, 4.0),
-    ("ObstacleGoal", 400, 10.0),
-    ("Barn", 1000, 14.0),
-    ("PathFollow", 400, 10.0),
-):
-    gymnasium.register(
-        id=f"acsar_gym/{_name}-v0",
-        entry_point=f"acsar_gym.envs:{_name}Env",
-        vector_entry_point=f"acsar_gym.vectors:{_name}VectorEnv",
-        max_episode_steps=_steps,
-        reward_threshold=_threshold,
-    )
+
+def __getattr__(name: str) -> Any:
+    """A name of `__all__` or a module of this package, imported now."""
+    if name.startswith("_"):
+        raise AttributeError(f"module 'acsar_gym' has no attribute {name!r}")
+    home = f"acsar_gym.{_HOMES.get(name, name)}"
+    try:
+        module = importlib.import_module(home)
+    except ModuleNotFoundError as error:
+        if error.name != home:
+            raise
+        raise AttributeError(f"module 'acsar_gym' has no attribute {name!r}") from None
+    found = getattr(module, name) if name in _HOMES else module
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
+registration.when_gymnasium_is_imported()

@@ -10,6 +10,7 @@ import io
 import signal
 import subprocess
 import sys
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
@@ -18,7 +19,7 @@ import tyro
 
 import acsar_gym
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import AcsarError, ConfigError, printable, shown
+from acsar_gym.errors import AcsarError, ConfigError, SafetyWarning, printable, shown
 
 Json = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
 File = Json
@@ -32,6 +33,7 @@ Kinds = Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="KIND [KIND ...]
 Cores = Annotated[tuple[int, ...] | None, tyro.conf.arg(metavar="N [N ...]")]
 MOST_COUNT = 10**9
 """Of what a command counts: steps, episodes."""
+FORMAT = warnings.formatwarning
 RobotArg = Annotated[str | None, tyro.conf.arg(metavar="PRESET|FILE")]
 
 
@@ -175,7 +177,7 @@ def doctor(
         return _stopping(config, trials, kinds, json)
     if timing:
         return _timing(device, config, duration, json)
-    checks = [doctors.port_list()]
+    checks = [doctors.port_list(), doctors.emergency_stop()]
     if device is not None:
         checks += doctors.examine(device, config, spin=spin)
     report.show(doctors.table(checks))
@@ -218,8 +220,8 @@ def drive(
     Args:
         link: bullet, planar, or a serial device.
         robot: preset or config file.
-        linear: fixed linear speed [m/s].
-        angular: fixed angular speed [rad/s].
+        linear: fixed linear speed, at most the robot's max_linear [m/s].
+        angular: fixed angular speed, at most the robot's max_angular [rad/s].
         duration: seconds to hold the fixed twist; without it, until Ctrl-C.
         window: open PyBullet's window.
         realtime: SCHED_FIFO priority, 1 to 98.
@@ -462,13 +464,7 @@ def estop() -> int:
     """Stop every real robot that you are driving from this computer, whatever drives it."""
     from acsar_gym import estop as stops  # noqa: PLC0415
 
-    found = stops.stop_all()
-    for each in found:
-        said = "stopped" if each.answered else "doesn't answer: its watchdog stops it"
-        print(f"process {each.process}: {said}")
-    if not found:
-        print("no robot is being driven from this computer")
-    return 0 if found and all(each.answered for each in found) else 1
+    return stops.command()
 
 
 COMMANDS: dict[str, Callable[..., Any]] = {
@@ -487,11 +483,25 @@ COMMANDS: dict[str, Callable[..., Any]] = {
 }
 
 
+def _one_line(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    line: str | None = None,
+) -> str:
+    """A warning of this package for the terminal; others as Python shows them."""
+    if issubclass(category, SafetyWarning):
+        return f"acsar-gym: {printable(str(message))}\n"
+    return FORMAT(message, category, filename, lineno, line)
+
+
 def main() -> None:
     """Entry point: errors of this package become one line and an exit code."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # what a terminal can't show is no error
             stream.reconfigure(errors="backslashreplace")
+    warnings.formatwarning = _one_line
     try:
         if sys.argv[1:] == ["--version"]:
             print(f"acsar-gym {acsar_gym.__version__}")

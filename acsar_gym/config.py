@@ -16,6 +16,7 @@ from typing import Annotated, Any, ClassVar, Self
 from pydantic import (
     AfterValidator,
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Field,
     ModelWrapValidatorHandler,
@@ -136,6 +137,7 @@ class SpeedLimits(_Section):
     """Limits of one axis, named and behaving as in ROS diff_drive_controller; None is no limit.
 
     m/s or rad/s, and their derivatives, at most 1e6. A minimum that is None is minus the maximum.
+    They are for driving: a twist of zero is sent at once.
     """
 
     section = "limits"
@@ -145,6 +147,19 @@ class SpeedLimits(_Section):
     min_acceleration: Annotated[float, Field(ge=-1e6, lt=0.0)] | None = None
     max_jerk: Annotated[float, Field(gt=0.0, le=1e6)] | None = None
     min_jerk: Annotated[float, Field(ge=-1e6, lt=0.0)] | None = None
+
+
+LINEAR_ACCELERATION = 2.0
+"""Of a robot that doesn't say otherwise [m/s^2]; ROS configures mobile bases with 1 to 3."""
+ANGULAR_ACCELERATION = 8.0
+"""[rad/s^2]"""
+
+
+def _accelerating(limit: float) -> BeforeValidator:
+    """Fills in this limit where a mapping of limits doesn't name one, not even null."""
+    return BeforeValidator(
+        lambda given: {"max_acceleration": limit, **given} if isinstance(given, dict) else given
+    )
 
 
 class Geofence(_Section):
@@ -235,15 +250,20 @@ class RobotConfig(_Section):
     """Commands that stop coming for so long mean that the program hangs: a process of its own
     commands zero [s], 0.01 to 60; None: no watchdog."""
     max_linear: Speed = 0.5
-    """Linear speed of a full action [m/s]."""
+    """Linear speed of a full action, and of any command at most [m/s]."""
     max_angular: Speed = 1.5
-    """Angular speed of a full action [rad/s]."""
+    """Angular speed of a full action, and of any command at most [rad/s]."""
     max_wheel_speed: Speed = 30.0
-    """Wheel speeds of a twist shrink to this, keeping the turn radius [rad/s]."""
-    linear_limits: SpeedLimits = SpeedLimits()
-    """Of the linear velocity that is commanded, in simulation and on hardware."""
-    angular_limits: SpeedLimits = SpeedLimits()
-    """Of the angular velocity that is commanded."""
+    """Wheel speeds of any command shrink to this, keeping the turn radius [rad/s]."""
+    linear_limits: Annotated[SpeedLimits, _accelerating(LINEAR_ACCELERATION)] = SpeedLimits(
+        max_acceleration=LINEAR_ACCELERATION
+    )
+    """Of the linear velocity that is commanded, in simulation and on hardware; `max_acceleration`
+    is 2 m/s^2 unless it is named, and null is none."""
+    angular_limits: Annotated[SpeedLimits, _accelerating(ANGULAR_ACCELERATION)] = SpeedLimits(
+        max_acceleration=ANGULAR_ACCELERATION
+    )
+    """Of the angular velocity that is commanded; `max_acceleration` is 8 rad/s^2."""
     geofence: Geofence | None = None
     """Where the robot may go, by odometry."""
     odom_frame: Name = "odom"

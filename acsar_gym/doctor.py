@@ -15,6 +15,7 @@ from acsar_gym.estop import Ears
 from acsar_gym.links.ports import ports
 from acsar_gym.links.serial import SerialLink
 from acsar_gym.protocol import MAX_LINE, ZERO, Decoder, Speeds, encode
+from acsar_gym.safety import Safety
 
 LISTEN = 2.0
 """How long feedback is counted [s]."""
@@ -93,6 +94,19 @@ def port_list() -> Check:
     return Check("serial ports", "ok", ", ".join(found))
 
 
+def emergency_stop() -> Check:
+    """Whether `acsar-gym estop` can stop what is driven from here."""
+    ears = Ears()
+    folders = ", ".join(str(path.parent) for path in ears.paths)
+    faults = "; ".join(fault.found for fault in ears.faults)
+    fixes = "; ".join(fault.fix for fault in ears.faults)
+    ears.close()
+    if not folders:
+        return Check("emergency stop", "warn", f"'acsar-gym estop' won't be heard: {faults}", fixes)
+    found = f"listens in {folders}" + (f"; not everywhere: {faults}" if faults else "")
+    return Check("emergency stop", "warn" if faults else "ok", found, fixes)
+
+
 def _failed_to_open(error: LinkError) -> Check:
     name = "first valid line" if isinstance(error, BoardSilentError) else "open"
     return Check(name, "fail", error.found, error.fix)
@@ -132,7 +146,8 @@ def _standing() -> Iterator[Check]:
 
 def _moving(link: SerialLink, config: RobotConfig) -> Iterator[Check]:
     """Round trip of a command, then whether the firmware's own time-out stops the wheels."""
-    line = _line((SPIN, SPIN, SPIN, SPIN), config)
+    spin = min(Safety(config).bounded((SPIN, SPIN, SPIN, SPIN)))
+    line = _line((spin, spin, spin, spin), config)
     round_trip = _until(link, line, lambda speeds: min(speeds) > 0.0)
     if round_trip is None:
         yield Check(
@@ -149,7 +164,7 @@ def _moving(link: SerialLink, config: RobotConfig) -> Iterator[Check]:
         f"{round_trip * 1000.0:.1f} ms from command to its first effect in feedback",
         "" if fine else "raise the baud rate; set the USB adapter's latency timer to 1 ms",
     )
-    _until(link, line, lambda speeds: min(speeds) > 0.9 * SPIN)
+    _until(link, line, lambda speeds: min(speeds) > 0.9 * spin)
     stopped = _until(link, b"", lambda speeds: max(speeds) == 0.0)
     yield Check(
         "stops when commands stop",

@@ -127,6 +127,10 @@ def printable(text: str) -> str:
     return _UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode(), short)
 
 
+class SafetyWarning(UserWarning):
+    """A protection that a robot is driven without; the message says which, why, and what to do."""
+
+
 def suggestion(name: str, known: Iterable[str]) -> str:
     """'; did you mean X?' for the nearest known name, or the list of known names."""
     names = sorted(known)

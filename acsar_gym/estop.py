@@ -1,24 +1,39 @@
-"""Emergency stop from another terminal: an owner-only socket in the file system, no network port.
+"""Emergency stop from another terminal: owner-only sockets in the file system, no network port.
 
-Every process that drives a real robot listens on a socket of its own, which its control loop looks
-at once a tick. A datagram there stops its robots, and is answered when they have been stopped.
+Every process that drives a real robot listens on sockets of its own, which its control loop looks
+at once a tick. A datagram there stops its robots, and is answered when they have been stopped. The
+standard library is all that this module needs, so that `acsar-gym estop` acts at once.
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
+import re
+import select
 import socket
 import stat
+import sys
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from acsar_gym.errors import LinkError
+from acsar_gym.errors import LinkError, printable
 
 ANSWER = 2.0
-"""How long a stop waits for each process [s]; a control loop answers within a tick."""
+"""How long a stop waits for answers [s]; a control loop answers within a tick."""
 STOP = b"stop"
+SESSIONS = Path("/run/user")
+"""Holds a folder of each user who is logged in, in which nobody else can make anything."""
+SHARED = Path("/tmp")  # noqa: S108 - what is found there is checked
+"""Where anybody can make anything, always there."""
+ELSEWHERE = "ACSAR_GYM_RUNTIME_DIR"
+"""Environment variable with a folder to use instead of these two."""
+LONGEST = 80
+"""Bytes of a folder's path: an address of a socket has at most 103 on every system."""
+DRIVER = re.compile(r"[0-9]+-[0-9]+")
+"""Name of a socket that hears: process and number."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,122 +45,228 @@ class Stopped:
     """Whether it said that its wheels were commanded to stop."""
 
 
-def folder() -> Path:
-    """Where the sockets are: readable and writable by their owner alone.
+def candidates() -> list[Path]:
+    """The folders that sockets belong in. Drivers listen in all of them, and a stop asks in all.
 
-    The same in every environment of a user's, as /run/user isn't; ACSAR_GYM_RUNTIME_DIR overrides
-    it. Raises LinkError where it can't be made, somebody else has made it, or there are no such
-    sockets, as on Windows.
+    A process that was started before its user logged in knows only the shared one, and where
+    somebody else has made that one, it is the other that works. Both are the same in every
+    environment of a user's, as XDG_RUNTIME_DIR and TMPDIR aren't.
     """
-    if not hasattr(socket, "AF_UNIX") or not hasattr(os, "getuid"):
-        raise LinkError("this operating system has no local sockets", "stop with Ctrl-C")
-    base = Path(os.environ.get("ACSAR_GYM_RUNTIME_DIR") or "/tmp")  # noqa: S108 - checked below
-    path = base / f"acsar_gym-{os.getuid()}"
+    name = f"acsar_gym-{os.getuid()}"
+    if os.environ.get(ELSEWHERE):
+        return [Path(os.environ[ELSEWHERE]) / name]
+    session = SESSIONS / str(os.getuid())
+    return [*([session / name] if _is_ours(session) else []), SHARED / name]
+
+
+def _is_ours(path: Path) -> bool:
+    """Whether that is a folder in which nobody else can make anything."""
+    try:
+        found = path.lstat()
+    except OSError:
+        return False
+    return stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o22
+
+
+def made(path: Path) -> Path:
+    """The folder, made where it is missing.
+
+    Raises LinkError where it can't be made, or isn't readable and writable by its owner alone.
+    """
+    if len(os.fsencode(path)) > LONGEST:
+        raise LinkError(
+            f"{path}: too long for the address of a socket",
+            f"set {ELSEWHERE} to a folder of a shorter path",
+        )
     try:
         path.mkdir(mode=0o700, exist_ok=True)
         found = path.lstat()
     except OSError as error:
         raise LinkError(f"{path}: can't be made a folder: {error.strerror}", "make room") from None
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
-        raise LinkError(f"{path}: isn't a folder of yours alone", "remove it")
+        raise LinkError(
+            f"{path}: isn't a folder of yours alone",
+            f"remove it, or set {ELSEWHERE} to a folder of yours, in every terminal the same",
+        )
     return path
 
 
-class Ears:
-    """A socket that hears an emergency stop.
+def folders() -> tuple[list[Path], list[LinkError]]:
+    """The folders that can be used, and what is wrong with the others."""
+    if not hasattr(socket, "AF_UNIX") or not hasattr(os, "getuid"):
+        return [], [LinkError("this operating system has no local sockets", "stop with Ctrl-C")]
+    usable, wrong = [], []
+    for path in candidates():
+        try:
+            usable.append(made(path))
+        except LinkError as error:
+            wrong.append(error)
+    return usable, wrong
 
-    Where it can't be opened it stays deaf: a robot must be drivable on a computer without such
-    sockets, and Ctrl-C stops it everywhere.
+
+class Ears:
+    """Sockets that hear an emergency stop, one in each usable folder.
+
+    Where none can be opened it is deaf, and `deaf` says why: a robot must be drivable on a computer
+    without such sockets, and Ctrl-C stops it everywhere.
+
+    Attributes: `paths`, the addresses; `faults`, what is wrong with each folder that isn't used.
     """
 
     _count = 0
 
     def __init__(self) -> None:
-        self._socket: socket.socket | None = None
-        self._path: Path | None = None
+        self._sockets: list[socket.socket] = []
+        self.paths: list[Path] = []
         self._process = os.getpid()
-        self._asker = ""
-        with contextlib.suppress(OSError, LinkError):
-            Ears._count += 1
-            path = folder() / f"{self._process}-{Ears._count}"
-            made = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._askers: list[tuple[socket.socket, str]] = []
+        Ears._count += 1
+        usable, self.faults = folders()
+        for folder in usable:
+            path = folder / f"{self._process}-{Ears._count}"
             try:
-                made.setblocking(False)
-                path.unlink(missing_ok=True)
-                made.bind(str(path))
-                path.chmod(0o600)
-            except OSError:
-                made.close()
-                raise
-            self._socket, self._path = made, path
+                self._sockets.append(_bound(path))
+                self.paths.append(path)
+            except OSError as error:
+                self.faults.append(LinkError(f"{path}: no socket: {error.strerror}", "make room"))
+
+    @property
+    def deaf(self) -> str:
+        """Why nothing can be heard; empty where it can."""
+        return "" if self._sockets else "; ".join(map(str, self.faults))
 
     def heard(self) -> bool:
         """Whether somebody has asked for a stop; waits for nothing."""
-        if self._socket is None or self._process != os.getpid():
-            return False
-        try:
-            data, self._asker = self._socket.recvfrom(len(STOP))
-        except OSError:  # nothing there
-            return False
-        return data == STOP
+        self._askers = []
+        for each in self._sockets if self._process == os.getpid() else ():
+            with contextlib.suppress(OSError):  # nothing there
+                data, sender = each.recvfrom(len(STOP))
+                if data == STOP:
+                    self._askers.append((each, sender))
+        return bool(self._askers)
 
     def answer(self) -> None:
         """Tell whoever asked that the wheels have been commanded to stop."""
-        if self._socket is not None and self._asker:
-            with contextlib.suppress(OSError):
-                self._socket.sendto(STOP, self._asker)
+        for each, sender in self._askers:
+            with contextlib.suppress(OSError, TypeError):  # gone, or one without an address
+                each.sendto(STOP, sender)
 
     def close(self) -> None:
-        """Twice is once; a forked child leaves its parent's socket alone."""
-        ears, self._socket = self._socket, None
-        if ears is not None:
-            ears.close()
-            if self._path is not None and self._process == os.getpid():
-                self._path.unlink(missing_ok=True)
+        """Idempotent; a forked child leaves its parent's sockets alone."""
+        ears, self._sockets = self._sockets, []
+        for each, path in zip(ears, self.paths, strict=True):
+            each.close()
+            if self._process == os.getpid():
+                with contextlib.suppress(OSError):
+                    path.unlink()
+        self.paths = []
 
     def __reduce__(self) -> tuple[type[Ears], tuple[()]]:
         """Copies listen on sockets of their own."""
         return Ears, ()
 
     def __del__(self) -> None:
-        if hasattr(self, "_socket"):
+        if hasattr(self, "faults"):
             self.close()
 
 
+def _bound(path: Path) -> socket.socket:
+    """A socket at this address, in place of what a dead process of the same number has left."""
+    ours = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    try:
+        ours.setblocking(False)
+        path.unlink(missing_ok=True)
+        ours.bind(str(path))
+        path.chmod(0o600)
+    except OSError:
+        ours.close()
+        raise
+    return ours
+
+
 def stop_all() -> list[Stopped]:
-    """Ask every process of this user that drives a robot to stop, and wait for its answer."""
-    place = folder()
-    mine = place / f"estop-{os.getpid()}"
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as asker:
-        asker.bind(str(mine))
-        try:
-            asker.settimeout(ANSWER)
-            drivers = [path for path in sorted(place.iterdir()) if path.name[0].isdigit()]
-            asked = [path for path in drivers if _ask(asker, path)]
-            answered = _answers(asker, len(asked))
-        finally:
-            mine.unlink(missing_ok=True)
-    return [Stopped(int(path.name.split("-")[0]), path.name in answered) for path in asked]
+    """Ask every process of this user that drives a robot to stop, and wait for its answer.
+
+    Raises LinkError where there is no folder to look in.
+    """
+    usable, wrong = folders()
+    if not usable:
+        raise wrong[0]
+    asked: set[str] = set()
+    with contextlib.ExitStack() as stack:
+        askers = [stack.enter_context(_asker(folder)) for folder in usable]
+        for folder, asker in zip(usable, askers, strict=True):
+            asked |= {path.name for path in _drivers(folder) if _ask(asker, path)}
+        answered = _answers(askers, asked)
+    return [Stopped(_process(name), name in answered) for name in sorted(asked, key=_process)]
+
+
+def _process(name: str) -> int:
+    return int(name.split("-", maxsplit=1)[0])
+
+
+@contextlib.contextmanager
+def _asker(folder: Path) -> Iterator[socket.socket]:
+    """A socket to ask from. Where it can't have an address it asks all the same, unanswered."""
+    path = folder / f"estop-{os.getpid()}"
+    try:
+        asker = _bound(path)
+    except OSError:
+        asker = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        asker.setblocking(False)
+    with asker:
+        yield asker
+    with contextlib.suppress(OSError):
+        path.unlink()
+
+
+def _drivers(folder: Path) -> list[Path]:
+    """Addresses of the processes that drive."""
+    try:
+        return [path for path in folder.iterdir() if DRIVER.fullmatch(path.name)]
+    except OSError:  # it went away meanwhile, and so did they
+        return []
 
 
 def _ask(asker: socket.socket, path: Path) -> bool:
-    """Whether somebody listens there; the socket of a dead process is removed."""
+    """Whether somebody is there, even one who is too busy; a dead process's socket is removed."""
     try:
         asker.sendto(STOP, str(path))
     except ConnectionRefusedError:
-        path.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            if path.is_socket():
+                path.unlink()
         return False
-    except OSError:
+    except FileNotFoundError:
         return False
+    except OSError:  # suspended, and its queue is full: it will stop when it wakes
+        return True
     return True
 
 
-def _answers(asker: socket.socket, count: int) -> set[str]:
+def _answers(askers: list[socket.socket], asked: set[str]) -> set[str]:
     """Names of the sockets that have answered in time."""
     found: set[str] = set()
     deadline = time.monotonic() + ANSWER
-    while len(found) < count and time.monotonic() < deadline:
-        with contextlib.suppress(TimeoutError):
-            _, sender = asker.recvfrom(len(STOP))
-            found.add(Path(sender).name)
+    while not asked <= found and (left := deadline - time.monotonic()) > 0.0:
+        ready, _, _ = select.select(askers, [], [], left)
+        for asker in ready:
+            with contextlib.suppress(OSError, TypeError):
+                _, sender = asker.recvfrom(len(STOP))
+                found.add(Path(sender).name)
     return found
+
+
+def command() -> int:
+    """`acsar-gym estop`: stop what drives, say so, and return the exit code."""
+    try:
+        found = stop_all()
+    except LinkError as error:
+        print(f"acsar-gym: {printable(str(error))}", file=sys.stderr)
+        return error.exit_code
+    for each in found:
+        said = "stopped" if each.answered else "doesn't answer: its watchdog stops it"
+        print(f"process {each.process}: {said}")
+    if not found:
+        print("no robot is being driven from this computer")
+    return 0 if found and all(each.answered for each in found) else 1

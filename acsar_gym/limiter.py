@@ -32,19 +32,31 @@ class Limits(NamedTuple):
         return self == Limits()
 
 
-def limits(config: SpeedLimits) -> Limits:
-    """Numbers for what a robot's config limits; a missing minimum is minus the maximum."""
+def limits(config: SpeedLimits, top: float = FREE) -> Limits:
+    """Numbers for what a robot's config limits; a missing minimum is minus the maximum.
+
+    `top` bounds the velocity in both directions.
+    """
     numbers = []
     for name in ("velocity", "acceleration", "jerk"):
         low, high = getattr(config, f"min_{name}"), getattr(config, f"max_{name}")
         high = FREE if high is None else high
         numbers += [-high if low is None else low, high]
-    return Limits(*numbers)
+    low, high, *others = numbers
+    return Limits(max(low, -top), min(high, top), *others)
 
 
 def both(config: RobotConfig) -> tuple[Limits, Limits]:
-    """Of a robot's linear and angular velocity."""
-    return limits(config.linear_limits), limits(config.angular_limits)
+    """Of a robot's linear and angular velocity, whatever commands it."""
+    return (
+        limits(config.linear_limits, config.max_linear),
+        limits(config.angular_limits, config.max_angular),
+    )
+
+
+def free(config: RobotConfig) -> bool:
+    """Whether a full action and what leads to it is limited by nothing."""
+    return limits(config.linear_limits).free and limits(config.angular_limits).free
 
 
 @jit

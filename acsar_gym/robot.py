@@ -5,12 +5,13 @@ from __future__ import annotations
 import contextlib
 import gc
 import math
-from collections.abc import Sequence
+import warnings
+from collections.abc import Callable, Sequence
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import BoardGarbledError, BoardSilentError, LinkError
+from acsar_gym.errors import BoardGarbledError, BoardSilentError, LinkError, SafetyWarning
 from acsar_gym.estop import Ears
 from acsar_gym.links.base import Link
 from acsar_gym.links.timing import EpisodeTiming, Stopwatch
@@ -72,14 +73,15 @@ class Robot:
         """Stop, wait for standstill, and set the odometry to zero: the same on every link.
 
         Opens the link where it isn't open. Raises LinkError where it can't be opened, the board is
-        silent or the wheels keep turning; the link is closed then.
+        silent or the wheels keep turning; the link is closed then. Warns (SafetyWarning) where
+        `acsar-gym estop` can't reach a real robot.
         """
         if not self.active:
             self.link.open()
             self.active = True
-            if self.link.truth is None and self._ears is None:
-                self._ears = Ears()
         try:
+            if self.link.truth is None and self._ears is None:
+                self._listen()
             self.link.reset(scene)
             self.decoder.reset()
             self.safety.reset()
@@ -95,6 +97,13 @@ class Robot:
         if hasattr(self.link, "lateness"):
             gc.collect()  # takes 60 ms: better now than while the wheels turn
             self._stopwatch = Stopwatch(self._period)
+
+    def _listen(self) -> None:
+        """Heed `acsar-gym estop`; a warning where that is impossible."""
+        self._ears = Ears()
+        if self._ears.deaf:
+            said = f"'acsar-gym estop' can't stop this robot: {self._ears.deaf}"
+            warnings.warn(said, SafetyWarning, stacklevel=4)
 
     def _settle(self) -> None:
         """Ticks are counted, not seconds: a clock that jumps doesn't turn the wheels."""
@@ -117,34 +126,35 @@ class Robot:
     def tick(self, speeds: Sequence[float]) -> None:
         """One control period: send four wheel speeds [rad/s], let it pass, read, integrate.
 
-        Zeros are sent instead while `safety` holds the robot; limits are those of `drive`.
-        Raises CommandError for speeds that aren't four finite numbers, and LinkError where the
-        robot isn't active or the link is lost or silent for longer than `feedback_timeout`. On any
-        error the wheels are commanded to stop and the link is closed.
+        All four shrink by one factor where they would exceed `max_wheel_speed`, or their twist the
+        robot's speed limits; acceleration is limited by `drive` alone. Zeros are sent instead while
+        `safety` holds the robot. Raises CommandError for speeds that aren't four finite numbers,
+        and LinkError where the robot isn't active or the link is lost or silent for longer than
+        `feedback_timeout`. On any error the wheels are commanded to stop and the link is closed.
         """
+        self._tick(self.safety.bounded, speeds)
+
+    def drive(self, linear: float, angular: float) -> None:
+        """One tick towards a twist (linear [m/s], angular [rad/s]) within the limits.
+
+        (0, 0) stops at once. Errors as `tick`.
+        """
+        self._tick(self.safety.speeds, linear, angular)
+
+    def _tick(self, allowed: Callable[..., Sequence[float]], *wanted: Any) -> None:
+        """A tick with the wheel speeds that `allowed` makes of what is wanted."""
         if not self.active:
             raise LinkError("the robot isn't active", "call activate() or env.reset() first")
         try:
             if self._ears is not None and self._ears.heard():
                 self.estop()
                 self._ears.answer()
+            speeds = allowed(*wanted)
             reason = self.safety.hold(self.odometry.pose, self.feedback_age)
             self._exchange(self.safety.halt(reason) if reason else speeds)
         except BaseException:
             self.deactivate()
             raise
-
-    def drive(self, linear: float, angular: float) -> None:
-        """One tick towards a twist (linear [m/s], angular [rad/s]) within the limits.
-
-        Errors as `tick`.
-        """
-        try:
-            speeds = self.safety.speeds(linear, angular)
-        except BaseException:
-            self.deactivate()
-            raise
-        self.tick(speeds)
 
     @property
     def timing(self) -> EpisodeTiming | None:

@@ -6,14 +6,19 @@ from what was asked, is told in `sent` and `reason`.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from enum import IntEnum
 
 from acsar_gym import kinematics, limiter
 from acsar_gym.config import RobotConfig
+from acsar_gym.errors import CommandError
 from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.worlds import Pose
 
 Twist = tuple[float, float]
+STANDING: Twist = (0.0, 0.0)
+WHEELS = 4
 STALE_SHARE = 0.8
 """Feedback older than this share of `feedback_timeout` stops the wheels until it is fresh again."""
 TELLABLE = 1e-9
@@ -35,12 +40,13 @@ class Reason(IntEnum):
 
 
 class Safety:
-    """One robot's safety layer. `sent` is the newest twist on the wire, `reason` a Reason."""
+    """One robot's safety layer."""
 
     def __init__(self, config: RobotConfig) -> None:
         self._config = config
         self._linear, self._angular = limiter.both(config)
-        self._free = self._linear.free and self._angular.free
+        self._free = limiter.free(config)
+        self._period = config.period
         self._fence = config.geofence
         self._stale = STALE_SHARE * config.feedback_timeout
         self.reset()
@@ -48,9 +54,7 @@ class Safety:
     def reset(self) -> None:
         """Arm: nothing has been sent, and every stop is forgotten."""
         self._latched = Reason.NONE
-        self._asked: Twist = (0.0, 0.0)
-        self._speeds: Speeds = ZERO
-        self._outcome: tuple[Twist, Reason] = ((0.0, 0.0), Reason.NONE)
+        self._asked: Twist = STANDING
         self.halt(Reason.NONE)
 
     def estop(self) -> None:
@@ -64,11 +68,27 @@ class Safety:
 
     def halt(self, reason: Reason) -> Speeds:
         """Wheels at zero, at once: limits are for driving, not for stopping."""
-        self._last: Twist = (0.0, 0.0)
-        self._before: Twist = (0.0, 0.0)
-        self.sent: Twist = (0.0, 0.0)
-        self.reason = reason
+        self._last: Twist = STANDING
+        self._before: Twist = STANDING
+        self._steady = False
+        self._speeds: Speeds = ZERO
+        self._why: Reason | None = reason
         return ZERO
+
+    @property
+    def sent(self) -> Twist:
+        """The newest twist on the wire (linear [m/s], angular [rad/s])."""
+        config = self._config
+        return kinematics.forward(self._speeds, config.wheel_radius, config.effective_separation)
+
+    @property
+    def reason(self) -> Reason:
+        """Why it isn't the one that was asked for."""
+        if self._why is not None:
+            return self._why
+        (linear, angular), sent = self._asked, self.sent
+        same = abs(sent[0] - linear) < TELLABLE and abs(sent[1] - angular) < TELLABLE
+        return Reason.NONE if same else Reason.LIMITS
 
     def hold(self, pose: Pose, feedback_age: float) -> Reason:
         """Why the wheels must not turn now; NONE where they may."""
@@ -82,23 +102,58 @@ class Safety:
         return Reason.STALE_FEEDBACK if feedback_age > self._stale else Reason.NONE
 
     def speeds(self, linear: float, angular: float) -> Speeds:
-        """Wheel speeds [rad/s] for a wanted twist, within the limits. Raises CommandError."""
-        if self._free:
-            if (linear, angular) != self._asked:
-                self._asked = (linear, angular)
-                self._speeds = self.wheels(linear, angular)
-                self._outcome = self._told(linear, angular, self._speeds)
-            self.sent, self.reason = self._outcome
+        """Wheel speeds [rad/s] for a wanted twist, within the limits; a stop is immediate.
+
+        Raises CommandError for a twist that isn't finite.
+        """
+        asked = (linear, angular)
+        if self._steady and asked == self._asked:
             return self._speeds
-        dt = self._config.period
-        new = (
-            limiter.limited(linear, self._last[0], self._before[0], dt, *self._linear),
-            limiter.limited(angular, self._last[1], self._before[1], dt, *self._angular),
+        if not math.isfinite(linear + angular):
+            raise CommandError(f"twist = ({linear}, {angular}): must be finite m/s and rad/s")
+        if asked == STANDING:
+            return self.halt(Reason.NONE)
+        new = self._next(linear, angular)
+        self._steady = self._free or new == self._last == self._before
+        self._last, self._before, self._asked = new, self._last, asked
+        self._speeds = self.wheels(*new)
+        self._why = None
+        return self._speeds
+
+    def _next(self, linear: float, angular: float) -> Twist:
+        """The twist that may follow the last ones."""
+        ahead, turn = self._linear, self._angular
+        if self._free:
+            return (
+                min(max(linear, ahead.min_velocity), ahead.max_velocity),
+                min(max(angular, turn.min_velocity), turn.max_velocity),
+            )
+        last, before, dt = self._last, self._before, self._period
+        return (
+            limiter.limited(linear, last[0], before[0], dt, *ahead),
+            limiter.limited(angular, last[1], before[1], dt, *turn),
         )
-        speeds = self.wheels(*new)
-        self.sent, self.reason = self._told(linear, angular, speeds)
-        self._last, self._before = new, self._last
-        return speeds
+
+    def bounded(self, speeds: Sequence[float]) -> Sequence[float]:
+        """Wheel speeds [rad/s], all shrunk by one factor where a wheel or the twist is too fast.
+
+        What can't be sent at all is left for the encoder to refuse.
+        """
+        if len(speeds) != WHEELS or not all(map(math.isfinite, speeds)):
+            return speeds
+        config = self._config
+        top = _share(max(map(abs, speeds)), -config.max_wheel_speed, config.max_wheel_speed)
+        a, b, c, d = (top * speed for speed in speeds)
+        twist = kinematics.twist(a, b, c, d, config.wheel_radius, config.effective_separation)
+        share = min(
+            _share(twist[0], self._linear.min_velocity, self._linear.max_velocity),
+            _share(twist[1], self._angular.min_velocity, self._angular.max_velocity),
+        )
+        self._last = self._before = (share * twist[0], share * twist[1])
+        self._speeds = (share * a, share * b, share * c, share * d)
+        self._why = Reason.NONE if share * top == 1.0 else Reason.LIMITS
+        self._steady = False
+        return speeds if self._why is Reason.NONE else self._speeds
 
     def wheels(self, linear: float, angular: float) -> Speeds:
         """Wheel speeds [rad/s] for a twist, shrunk to the wheels' top speed at the same radius."""
@@ -111,8 +166,9 @@ class Safety:
             config.max_wheel_speed,
         )
 
-    def _told(self, linear: float, angular: float, speeds: Speeds) -> tuple[Twist, Reason]:
-        config = self._config
-        sent = kinematics.forward(speeds, config.wheel_radius, config.effective_separation)
-        same = abs(sent[0] - linear) < TELLABLE and abs(sent[1] - angular) < TELLABLE
-        return sent, Reason.NONE if same else Reason.LIMITS
+
+def _share(value: float, low: float, high: float) -> float:
+    """The factor, at most 1, that brings the value within low (at most 0) and high."""
+    if value > high:
+        return high / value
+    return low / value if value < low else 1.0

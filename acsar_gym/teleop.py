@@ -97,9 +97,9 @@ def _print_status(robot: Robot) -> None:
     x, y, theta = robot.odometry.pose
     linear, angular = robot.odometry.twist
     age = robot.feedback_age * 1000.0
-    stopped = f"{robot.safety.reason.name} " if robot.safety.stopped else ""
+    reason = robot.safety.reason.name if robot.safety.reason else ""
     sys.stdout.write(
-        f"\r{stopped}x {x:7.3f} m  y {y:7.3f} m  theta {math.degrees(theta):7.1f} deg  "
-        f"v {linear:6.3f} m/s  w {angular:6.3f} rad/s  feedback {age:4.0f} ms old "
+        f"\rx {x:7.3f} m  y {y:7.3f} m  theta {math.degrees(theta):7.1f} deg  "
+        f"v {linear:6.3f} m/s  w {angular:6.3f} rad/s  feedback {age:4.0f} ms old  {reason:14} "
     )
     sys.stdout.flush()

@@ -196,11 +196,11 @@ def test_a_device_lost_during_the_examination(
     assert emulator.device in checks[-1].found
 
 
-def test_without_a_device_only_ports_are_listed(tmp_path: Path) -> None:
+def test_without_a_device_only_the_computer_is_examined(tmp_path: Path) -> None:
     report = tmp_path / "doctor.json"
     done = cli("doctor", "--json", report)
     assert (done.returncode, done.stderr) == (0, "")
-    assert set(reported(report)) == {"serial ports"}
+    assert set(reported(report)) == {"serial ports", "emergency stop"}
 
 
 @pytest.mark.parametrize(

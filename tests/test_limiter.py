@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from acsar_gym.config import RobotConfig, SpeedLimits
 from acsar_gym.errors import ConfigError
-from acsar_gym.limiter import Limits, limited, limits
+from acsar_gym.limiter import Limits, both, free, limited, limits
 
 DT = 0.01
 speed = st.floats(-3.0, 3.0)
@@ -79,6 +79,21 @@ def test_without_reaching_other_limits_jerk_is_bounded(wanted: list[float]) -> N
 def test_bad_limits_are_one_clear_error(fields: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         RobotConfig(**fields)
+
+
+def test_an_acceleration_that_is_not_named_has_its_default() -> None:
+    config = RobotConfig.preset("acsar")
+    linear, angular = both(RobotConfig(linear_limits={"max_velocity": 0.2}))
+    assert (linear.max_velocity, linear.max_acceleration, linear.min_acceleration) == (
+        0.2,
+        2.0,
+        -2.0,
+    )
+    assert (angular.max_velocity, angular.max_acceleration) == (config.max_angular, 8.0)
+    assert both(config)[0].max_velocity == config.max_linear
+    nothing = {"max_acceleration": None}
+    assert free(RobotConfig(linear_limits=nothing, angular_limits=nothing))
+    assert not free(RobotConfig(linear_limits=nothing))
 
 
 def test_limits_are_numbers() -> None:

@@ -7,15 +7,24 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from acsar_gym import Robot, RobotConfig
+from acsar_gym import Robot, RobotConfig, kinematics
 from acsar_gym.env import RobotEnv
 from acsar_gym.links import open_link
 from acsar_gym.protocol import Decoder
-from acsar_gym.safety import Reason
+from acsar_gym.resources import ASSETS
+from acsar_gym.safety import Reason, Safety
 from acsar_gym.worlds import Scene
 
 ACSAR = RobotConfig.preset("acsar")
+URDF = ASSETS / "robots" / "acsar.urdf"
+AT_ONCE: dict[str, Any] = {
+    "linear_limits": {"max_acceleration": None},
+    "angular_limits": {"max_acceleration": None},
+}
+"""No limit of acceleration."""
 
 
 class Tapped:
@@ -43,7 +52,8 @@ class Tapped:
 
 
 def robot(**fields: Any) -> tuple[Robot, Tapped]:
-    config = ACSAR.with_(**fields)
+    """An active one, without limits of acceleration but for those of `fields`."""
+    config = ACSAR.with_(**AT_ONCE).with_(**fields)
     link = Tapped(config)
     made = Robot(link, config)
     made.activate()
@@ -62,6 +72,101 @@ def test_wheels_at_their_top_are_a_limit() -> None:
     driver.drive(0.5, 0.0)
     assert driver.safety.sent == pytest.approx((0.1, 0.0))
     assert driver.safety.reason is Reason.LIMITS
+
+
+def twist(speeds: tuple[float | None, ...]) -> tuple[float, float]:
+    """Of four wheel speeds on the wire [m/s, rad/s]."""
+    return kinematics.forward(
+        [speed or 0.0 for speed in speeds], ACSAR.wheel_radius, ACSAR.effective_separation
+    )
+
+
+WIRE = 0.002
+"""What the wire's two decimals change of a twist, at most [m/s, rad/s]."""
+
+
+@pytest.mark.parametrize(
+    ("linear", "angular"), [(2.0, 0.0), (-2.0, 0.0), (0.0, 9.0), (0.4, -7.0), (1e6, 1e6)]
+)
+def test_no_twist_exceeds_the_full_speeds(linear: float, angular: float) -> None:
+    driver, link = robot()
+    driver.drive(linear, angular)
+    assert driver.safety.reason is Reason.LIMITS
+    assert abs(driver.safety.sent[0]) <= ACSAR.max_linear + 1e-9
+    assert abs(driver.safety.sent[1]) <= ACSAR.max_angular + 1e-9
+    assert twist(link.last()) == pytest.approx(driver.safety.sent, abs=WIRE)
+
+
+@given(st.lists(st.floats(-1e307, 1e307), min_size=4, max_size=4))
+def test_raw_wheel_speeds_shrink_alike(speeds: list[float]) -> None:
+    safety = Safety(ACSAR)
+    sent = list(safety.bounded(speeds))
+    linear, angular = twist(tuple(sent))
+    assert abs(linear) <= ACSAR.max_linear + 1e-9
+    assert abs(angular) <= ACSAR.max_angular + 1e-9
+    assert max(map(abs, sent)) <= ACSAR.max_wheel_speed + 1e-9
+    assert safety.sent == pytest.approx((linear, angular), abs=1e-9)
+    shares = [
+        after / before for before, after in zip(speeds, sent, strict=True) if abs(before) > 1e-6
+    ]
+    assert shares == pytest.approx([shares[0]] * len(shares)) if shares else True
+    assert (safety.reason is Reason.LIMITS) == (sent != speeds)
+
+
+def test_raw_wheel_speeds_are_bounded_on_the_wire() -> None:
+    driver, link = robot()
+    for asked, sent, reason in ((30.0, 10.0, Reason.LIMITS), (4.0, 4.0, Reason.NONE)):
+        driver.tick((asked,) * 4)
+        assert link.last() == pytest.approx((sent,) * 4)  # 0.5 m/s at a radius of 0.05 m
+        assert driver.safety.reason is reason
+
+
+def test_a_robot_that_must_not_reverse_stands_instead() -> None:
+    driver, link = robot(linear_limits={"min_velocity": 0.0})
+    driver.tick((-3.0, -3.0, -3.0, -3.0))
+    assert link.last() == (0.0,) * 4
+
+
+@pytest.mark.parametrize(
+    "config", [ACSAR, RobotConfig(), RobotConfig.load(URDF)], ids=["preset", "default", "URDF"]
+)
+def test_a_first_command_is_slow(config: RobotConfig) -> None:
+    """At the full twist the first command turns no wheel at more than 0.8 rad/s; it was 17."""
+    safety, full = Safety(config), (config.max_linear, config.max_angular)
+    first = safety.speeds(*full)
+    reasons = [safety.reason]
+    for _ in range(30):
+        safety.speeds(*full)
+        reasons.append(safety.reason)
+    assert max(map(abs, first)) < 0.8
+    assert (reasons[0], reasons[-1]) == (Reason.LIMITS, Reason.NONE)
+
+
+def test_a_wanted_twist_of_zero_is_sent_at_once() -> None:
+    driver, link = robot(linear_limits={"max_acceleration": 1.0})
+    for _ in range(40):
+        driver.drive(0.3, 0.0)
+    driver.drive(0.0, 0.0)
+    assert link.last() == (0.0,) * 4
+    assert driver.safety.reason is Reason.NONE
+
+
+def test_a_ramp_begins_where_raw_wheel_speeds_have_ended() -> None:
+    driver, link = robot(linear_limits={"max_acceleration": 1.0})
+    driver.tick((6.0, 6.0, 6.0, 6.0))
+    driver.drive(0.5, 0.0)
+    assert link.last()[0] == pytest.approx(6.2)
+
+
+def test_a_held_twist_costs_no_new_line() -> None:
+    """Once it is reached, the same tuple of speeds is sent, which is encoded once."""
+    safety = Safety(ACSAR)
+    for _ in range(60):
+        reached = safety.speeds(0.37, -0.9)
+    assert safety.speeds(0.37, -0.9) is reached
+    assert safety.sent == pytest.approx((0.37, -0.9))
+    safety.halt(Reason.STALE_FEEDBACK)
+    assert safety.speeds(0.37, -0.9) != reached
 
 
 def test_acceleration_limits_ramp_the_commands_on_the_wire() -> None:
@@ -136,7 +241,7 @@ def test_an_emergency_stop_is_latched() -> None:
 
 @pytest.mark.parametrize("link", ["planar", "bullet"])
 def test_info_says_what_was_sent_and_why(link: str) -> None:
-    config = ACSAR.with_(linear_limits={"max_velocity": 0.2})
+    config = ACSAR.with_(linear_limits={"max_velocity": 0.2})  # reached within the step
     env = gymnasium.make("acsar_gym/PointGoal-v0", link=link, robot=config)
     _, info = env.reset(seed=0)
     assert (info["sent_linear"], info["sent_reason"]) == (0.0, 0.0)

@@ -30,7 +30,7 @@ from acsar_gym import Robot, RobotConfig, open_link, teleop
 from acsar_gym.errors import CommandError
 from acsar_gym.protocol import ZERO, Decoder, encode
 
-pytestmark = pytest.mark.usefixtures("deadline")
+pytestmark = [pytest.mark.xdist_group("serial"), pytest.mark.usefixtures("deadline")]
 
 
 ARROW_UP = "\x1b[A"
@@ -71,19 +71,31 @@ def test_keys_there_and_back_end_at_zero() -> None:
     assert twist == (0.0, 0.0)
 
 
-def test_a_fixed_twist_is_held_and_then_stopped(
-    config: RobotConfig, emulator: Emulated, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("asked", "reached"), [((0.2, 0.3), (0.2, 0.3)), ((2.0, 0.0), (0.5, 0.0))], ids=["", "too fast"]
+)
+def test_a_fixed_twist_is_reached_within_the_limits_and_then_stopped(
+    asked: tuple[float, float],
+    reached: tuple[float, float],
+    config: RobotConfig,
+    emulator: Emulated,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     robot = Robot(open_link(emulator.device, config), config)
     with no_leak():
-        teleop.fixed(robot, 0.2, 0.3, duration=0.5)
+        teleop.fixed(robot, *asked, duration=0.5)
     assert not robot.active
     assert robot.odometry.pose[0] > 0.01
-    assert "feedback" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "feedback" in said
+    assert ("LIMITS" in said) == (asked != reached)
     wait_until(emulator.is_stopped, "zero as the last command")
-    commands = emulator.commands()
-    assert commands.count(on_the_wire(config, 0.2, 0.3)) == 50
-    assert set(commands) == {ZERO, on_the_wire(config, 0.2, 0.3)}
+    driven = [command for command in emulator.commands() if command != ZERO]
+    assert len(driven) == 50
+    assert driven[-1] == on_the_wire(config, *reached)
+    fastest = [max(map(abs, filter(None, command))) for command in driven]
+    assert fastest[0] < 0.8
+    assert fastest == sorted(fastest)  # a ramp, and nothing faster before its end
 
 
 @pytest.mark.parametrize(
@@ -182,4 +194,5 @@ def test_driving_with_the_keyboard(screen: Screen, emulator: Emulated, config: R
     assert screen.wait() == 0
     assert "Traceback" not in screen.look()
     wait_until(emulator.is_stopped, "zero as the last command")
-    assert set(emulator.commands()) == {ZERO, forward, turning}
+    fastest = max(filter(None, turning))
+    assert all(max(map(abs, filter(None, c)), default=0.0) <= fastest for c in emulator.commands())

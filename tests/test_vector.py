@@ -212,8 +212,10 @@ def test_actions_of_any_layout_use_the_same_loops() -> None:
     assert len(getattr(episode.reset, "signatures", ())) <= 1
 
 
-def test_a_robots_fate_does_not_depend_on_its_neighbours() -> None:
-    alone, crowd = batch(1), batch(200)
+@pytest.mark.parametrize("randomization", [None, EVERYTHING], ids=["plain", "randomized"])
+def test_a_robots_fate_does_not_depend_on_its_neighbours(randomization: Any) -> None:
+    """Nor on whether commands take equally long to all of them."""
+    alone, crowd = (batch(number, randomization=randomization) for number in (1, 200))
     for env in (alone, crowd):
         env.reset(seed=[17, *range(1000, 999 + env.num_envs)])
     for step in range(60):

@@ -32,6 +32,9 @@ LIMITED = ACSAR.with_(
     linear_limits={"max_velocity": 0.4, "max_acceleration": 1.0},
     angular_limits={"max_acceleration": 3.0, "max_jerk": 60.0},
 )
+UNLIMITED = ACSAR.with_(
+    linear_limits={"max_acceleration": None}, angular_limits={"max_acceleration": None}
+)
 FENCED = ACSAR.with_(geofence={"max_x": 0.6, "min_y": -0.3, "max_y": 0.3})
 LATE = ACSAR.with_(
     baud_rate=38400, firmware={"processing_time": 0.02}, linear_limits={"max_jerk": 20.0}
@@ -73,6 +76,7 @@ ROBOTS: dict[str, tuple[str, RobotConfig]] = {
         "PointGoal",
         ACSAR.with_(max_linear=1.5, max_angular=4.0, max_wheel_speed=20.0),
     ),
+    "no limits": ("PointGoal", UNLIMITED),
     "limits": ("PointGoal", LIMITED),
     "geofence": ("ObstacleGoal", FENCED),
     "limits on a slow wire": ("PathFollow", LATE),
@@ -104,6 +108,7 @@ def assert_robot_1_is_the_single_env(
         assert got == pytest.approx(info, abs=1e-9, nan_ok=True)
         acts = rng.uniform(-1.0, 1.0, (3, 2)).astype(np.float32)
         acts[:, 0] = abs(acts[:, 0]) if step % 100 < 70 else acts[:, 0]
+        acts *= step % 50 != 0  # a stop is immediate
         seen, rewards, terminated, truncated, infos = many.step(acts)
         if any(end):
             expected, info = one.reset(options=mine)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from acsar_gym import kinematics, odometry
 from acsar_gym.compiled import jit, loop
-from acsar_gym.kernel.guard import follow, guard, lose
+from acsar_gym.kernel.guard import explain, follow, guard, lose
 from acsar_gym.kernel.layout import (
     AGE,
     ANGULAR,
@@ -151,3 +151,5 @@ def drive(
         dead_reckoning(state, first, last, setup)
         if setup.lidar_rate > 0.0:
             look(state, random, observations, over, first, last, tick, setup, around)
+    if setup.guarded:
+        explain(state, first, last, setup)

@@ -106,6 +106,8 @@ class Setup(NamedTuple):
     """Whether commands change from tick to tick: there are limits, or a geofence."""
     linear: Limits
     angular: Limits
+    fenced: bool
+    """Whether there is a geofence."""
     fence: tuple[float, float, float, float]
     """Least and largest x, least and largest y [m]."""
     lidar_rate: float
