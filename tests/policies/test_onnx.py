@@ -16,7 +16,8 @@ from acsar_gym import RobotConfig, runs
 from acsar_gym.errors import ConfigError, PolicyError
 from acsar_gym.evaluation import episodes
 from acsar_gym.metrics import summarise
-from acsar_gym.policy import ENV_KEY, LAYOUT_KEY, OnnxPolicy
+from acsar_gym.policies import OnnxPolicy
+from acsar_gym.policies.base import ENV_KEY, LAYOUT_KEY
 from acsar_gym.resources import AGENTS
 
 ENV_ID = "acsar_gym/PointGoal-v0"
@@ -61,7 +62,7 @@ def test_the_policy_that_comes_along_reaches_its_goals(link: str) -> None:
 
 def test_driving_needs_no_torch() -> None:
     code = (
-        "import sys, numpy as np; from acsar_gym.policy import OnnxPolicy;"
+        "import sys, numpy as np; from acsar_gym.policies import OnnxPolicy;"
         "OnnxPolicy('point_goal')(np.zeros(7, np.float32));"
         "sys.exit('torch' in sys.modules or 'pybullet' in sys.modules)"
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from acsar_gym.config import RobotConfig
 from acsar_gym.env import task_spaces
 from acsar_gym.errors import AcsarError, MissingExtraError, PolicyError
-from acsar_gym.policy import ENV_KEY, LAYOUT_KEY, FilePolicy, resolve
+from acsar_gym.policies.base import ENV_KEY, LAYOUT_KEY, FilePolicy, one_line, resolve
 from acsar_gym.tasks import Observation, Task
 
 if TYPE_CHECKING:
@@ -46,9 +45,9 @@ class ZipPolicy(FilePolicy):
         except AcsarError:
             raise
         except Exception as error:  # noqa: BLE001 - whatever pickle and torch raise on such a file
-            said = textwrap.shorten(f"{type(error).__name__}: {error}", 200)
+            said = one_line(error)
             raise PolicyError(f"{self.path}: not a stable-baselines3 model: {said}") from None
-        self.env_id = env_id or data.get(ENV_KEY, "")
+        self.env_id, self.env_named = env_id or data.get(ENV_KEY, ""), bool(env_id)
         self.layout = data.get(LAYOUT_KEY, "")
 
     def check(self, task: Task, config: RobotConfig) -> None:
@@ -66,6 +65,12 @@ class ZipPolicy(FilePolicy):
         """The deterministic action in [-1, 1], shape (2,), for one observation."""
         action, _ = self.network.predict(observation, deterministic=True)
         return np.asarray(action, np.float32)
+
+
+def statistics_beside(path: Path) -> Path | None:
+    """VecNormalize's file in a model's folder, or, as RL Zoo has it, in one within."""
+    patterns = ("*vecnormalize*.pkl", "*/vecnormalize.pkl")
+    return next((f for p in patterns for f in sorted(path.parent.glob(p))), None)
 
 
 def _load(path: Path) -> tuple[dict[str, Any], BasePolicy]:

@@ -14,9 +14,8 @@ from zip_tools import ALGORITHMS, PLACES, poison, save
 
 from acsar_gym import runs
 from acsar_gym.errors import MissingExtraError, PolicyError
-from acsar_gym.policy import OnnxPolicy
+from acsar_gym.policies import OnnxPolicy, ZipPolicy
 from acsar_gym.resources import AGENTS
-from acsar_gym.zip_policy import ZipPolicy
 
 
 @pytest.fixture(scope="module")
