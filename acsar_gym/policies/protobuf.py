@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 Value = int | memoryview
-MAX_FIELDS = 200_000
+MAX_FIELDS = 50_000
 """Of a whole file. Weights are one field each."""
 _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
 
