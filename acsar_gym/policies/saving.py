@@ -37,13 +37,17 @@ def save(
         robot: preset, file or config of the robot that it was trained on.
 
     Raises:
+        ConfigError: there is no such environment.
         PolicyError: the module doesn't fit the environment, or needs what a policy mustn't.
         MissingExtraError: torch, onnx or onnxscript isn't installed.
     """
     from acsar_gym.policies import torch_export  # noqa: PLC0415 - optional
 
     before = torch_export.Normalizer(*normalizer) if isinstance(normalizer, tuple) else normalizer
-    env = gymnasium.make(full_id(env_id), link="planar", robot=robot)
+    try:
+        env = gymnasium.make(full_id(env_id), link="planar", robot=robot)
+    except (gymnasium.error.Error, ImportError) as error:
+        raise ConfigError(f"{env_id}: {error}") from None
     inner = env.unwrapped
     try:
         if not isinstance(inner, RobotEnv):
