@@ -85,6 +85,6 @@ def test_importing_policies_imports_no_torch_and_training_no_onnx() -> None:
         ("acsar_gym.policies", "{'torch', 'onnxruntime', 'onnx', 'pybullet'}"),
         ("acsar_gym.sb3", "{'onnx', 'onnxscript', 'onnxruntime'}"),
     ):
-        code = f"import sys, {module}; sys.exit(str(found) if (found := {absent} & set(sys.modules)) else 0)"
+        code = f"import sys, {module}; sys.exit(sorted({absent} & set(sys.modules)) or 0)"
         done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True)
         assert done.returncode == 0, (module, done.stderr)

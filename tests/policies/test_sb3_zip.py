@@ -15,7 +15,7 @@ from zip_tools import NAMES, PLACES, algorithms, poison, save
 
 from acsar_gym import runs
 from acsar_gym.errors import MissingExtraError, PolicyError
-from acsar_gym.policies import OnnxPolicy, ZipPolicy
+from acsar_gym.policies import FilePolicy, OnnxPolicy, ZipPolicy
 from acsar_gym.resources import AGENTS
 
 
@@ -63,7 +63,8 @@ def test_it_decides_as_the_model_does_and_so_does_its_export(
     options: dict[str, Any] = {} if algorithm in {"PPO", "A2C"} else {"buffer_size": 10}
     path, out = save(tmp_path / "model.zip", algorithm, **options), tmp_path / "policy.onnx"
     model = algorithms()[algorithm].load(path, device="cpu")
-    policy = exported = ZipPolicy(path, trust=True)
+    policy = ZipPolicy(path, trust=True)
+    exported: FilePolicy = policy
     if algorithm in {"PPO", "SAC", "TD3"}:  # A2C and DDPG have the same actors as two of them
         runs.export(path, out, "", None, trust=True)
         exported = OnnxPolicy(out)
@@ -160,7 +161,7 @@ def normalized(folder: Path) -> tuple[Path, Any, Any]:
     from acsar_gym.sb3 import make_batch
 
     env = VecNormalize(make_batch("point_goal", 4), clip_obs=2.0)
-    options = {"policy_kwargs": {"net_arch": [8]}, "n_steps": 16, "batch_size": 64}
+    options: dict[str, Any] = {"policy_kwargs": {"net_arch": [8]}, "n_steps": 16, "batch_size": 64}
     model = PPO("MlpPolicy", env, device="cpu", seed=0, **options).learn(64)
     for weight in model.policy.parameters():
         weight.data.normal_(0.0, 0.4)
@@ -173,9 +174,9 @@ def normalized(folder: Path) -> tuple[Path, Any, Any]:
 def test_statistics_of_vecnormalize_become_part_of_the_file(tmp_path: Path) -> None:
     path, model, env = normalized(tmp_path)
     out, beside = tmp_path / "policy.onnx", tmp_path / "vecnormalize.pkl"
-    with pytest.raises(PolicyError, match="vecnormalize.pkl is beside it.*--vecnormalize none"):
+    with pytest.raises(PolicyError, match=r"vecnormalize\.pkl is beside it.*--vecnormalize none"):
         runs.export(path, out, "point_goal", None, trust=True)
-    with pytest.raises(PolicyError, match="vecnormalize.pkl is beside it"):
+    with pytest.raises(PolicyError, match=r"vecnormalize\.pkl is beside it"):
         runs.load(str(path), trust=True)
     assert not out.exists()
     runs.export(path, out, "point_goal", None, trust=True, vecnormalize=str(beside))
