@@ -22,13 +22,20 @@ def snippets() -> dict[str, tuple[str, str]]:
     return {name: (language, f"#{code}") for language, name, code in blocks}
 
 
-def run(name: str, smaller: Mapping[str, str], folder: Path) -> str:
-    """Run a block in a folder, with other numbers; returns what it printed."""
-    language, code = snippets()[name]
+def shrunk(name: str, smaller: Mapping[str, str]) -> str:
+    """A block's code, with other numbers."""
+    _, code = snippets()[name]
     for old, new in smaller.items():
         assert old in code, old
         code = code.replace(old, new)
-    command = [sys.executable, "-c", code] if language == "python" else ["bash", "-ec", code]
+    return code
+
+
+def run(name: str, smaller: Mapping[str, str], folder: Path) -> str:
+    """Run a block in a process of its own, in a folder; returns what it printed."""
+    code = shrunk(name, smaller)
+    python = snippets()[name][0] == "python"
+    command = [sys.executable, "-c", code] if python else ["bash", "-ec", code]
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     done = subprocess.run(
         command,

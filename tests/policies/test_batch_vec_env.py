@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from acsar_gym.sb3 import BatchVecEnv
 
 
+pytestmark = pytest.mark.xdist_group("torch")
+
+
 def wrapped(batch: Any) -> BatchVecEnv:
     """SB3 and torch are imported by the tests that need them."""
     from acsar_gym.sb3 import BatchVecEnv

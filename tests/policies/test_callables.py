@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acsar_gym import evaluation, runs
+from acsar_gym import cli, evaluation, runs
 from acsar_gym.errors import PolicyError
 
 AHEAD = """
@@ -77,3 +77,23 @@ def test_a_missing_file_or_name_is_one_line(mine: Path) -> None:
     for policy, said in ((f"{mine}", "name a function"), ("missing.py:act", "no such file")):
         with pytest.raises(PolicyError, match=said):
             runs.load(policy, trust=False, env="point_goal")
+
+
+def test_the_command_line_drives_it_and_says_what_is_wrong(
+    mine: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for command, code, said in (
+        (("run", "1", "0"), 0, "mine.py:act"),
+        (("evaluate", "--episodes", "2"), 0, "2/2"),
+        (("evaluate", "--episodes", "1", "--env", "path_follow"), 2, "act"),
+    ):
+        arguments = ["acsar-gym", *command, "--link", "planar", "--policy", f"{mine}:act"]
+        monkeypatch.setattr("sys.argv", arguments)
+        if code:
+            mine.write_text("def act(o): return 'nowhere'")
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        out, error = capsys.readouterr()
+        assert ended.value.code == code, error
+        assert said in out + error
+        assert error.count("\n") == int(code > 0)

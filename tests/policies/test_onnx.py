@@ -18,6 +18,7 @@ from acsar_gym.metrics import summarise
 from acsar_gym.policies import OnnxPolicy
 from acsar_gym.resources import AGENTS
 
+pytestmark = pytest.mark.xdist_group("torch")
 TRAIN = AGENTS / "train.py"
 
 

@@ -14,6 +14,7 @@ from acsar_gym import policies, runs
 from acsar_gym.errors import ConfigError, MissingExtraError, PolicyError
 from acsar_gym.policies import OnnxPolicy, save
 
+pytestmark = pytest.mark.xdist_group("torch")
 SEEN = np.random.default_rng(0).uniform(-3.0, 3.0, (20, 7)).astype(np.float32)
 
 

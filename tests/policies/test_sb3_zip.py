@@ -18,6 +18,8 @@ from acsar_gym.errors import MissingExtraError, PolicyError
 from acsar_gym.policies import FilePolicy, OnnxPolicy, ZipPolicy
 from acsar_gym.resources import AGENTS
 
+pytestmark = pytest.mark.xdist_group("torch")
+
 
 @pytest.fixture(scope="session")
 def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
