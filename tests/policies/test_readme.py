@@ -41,4 +41,4 @@ def test_torch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_function(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(snippets.snippets()["mine.py"][1])
     results = runs.evaluate(f"{tmp_path / 'mine.py'}:act", "planar", None, 3, 0)
-    assert all(result.success for result in results)
+    assert all(result.success for result in results.results)
