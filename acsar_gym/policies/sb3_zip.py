@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from acsar_gym import bounded
 from acsar_gym.config import RobotConfig
 from acsar_gym.env import task_spaces
 from acsar_gym.errors import AcsarError, MissingExtraError, PolicyError
@@ -18,6 +20,7 @@ from acsar_gym.tasks import Observation, Task
 if TYPE_CHECKING:
     from stable_baselines3.common.policies import BasePolicy
 
+MAX_BYTES = 500_000_000
 _UNUSED = {"lr_schedule": None, "clip_range": None}
 """Pickled functions of training, which another Python can't always read."""
 
@@ -81,7 +84,8 @@ def _load(path: Path) -> tuple[dict[str, Any], BasePolicy]:
         raise MissingExtraError("loading a stable-baselines3 zip", "train") from None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of what can't be unpickled and isn't needed here
-        data, weights, _ = load_from_zip_file(path, device="cpu", custom_objects=_UNUSED)
+        file = io.BytesIO(bounded.read(path, MAX_BYTES, PolicyError))
+        data, weights, _ = load_from_zip_file(file, device="cpu", custom_objects=_UNUSED)
     kept: dict[str, Any] = data or {}
     network = _network(path, kept)
     state: Any = weights["policy"]  # a dict of tensors

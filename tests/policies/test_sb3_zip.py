@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import pickle
 import runpy
 import subprocess
@@ -124,7 +125,8 @@ def test_a_cut_zip_and_a_folder_say_so(good: Path, tmp_path: Path) -> None:
     cut, folder = tmp_path / "cut.zip", tmp_path / "folder.zip"
     cut.write_bytes(good.read_bytes()[:-200])
     folder.mkdir()
-    for path in (cut, folder):
+    os.mkfifo(tmp_path / "pipe.zip")  # which would be waited for
+    for path in (cut, folder, tmp_path / "pipe.zip"):
         with pytest.raises(PolicyError, match=path.name):
             ZipPolicy(path, trust=True)
     with pytest.raises(PolicyError, match="no such policy file"):
