@@ -19,7 +19,6 @@ from pydantic import (
     ConfigDict,
     Field,
     ModelWrapValidatorHandler,
-    PositiveFloat,
     ValidationError,
     model_validator,
 )
