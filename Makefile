@@ -1,13 +1,14 @@
 # The two commands: `make demo` and `make test`. Both make their own virtual environment with pip.
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV := .venv
+ECOSYSTEM := .venv-ecosystem
 BIN := $(VENV)/bin
 READY := $(VENV)/ready
 FUZZ_SECONDS ?= 300
 SOAK_MINUTES ?= 30
 REPLUG_CYCLES ?= 1000
 
-.PHONY: demo test test-slow lint fuzz soak replug clean
+.PHONY: demo test test-slow test-ecosystem lint fuzz soak replug clean
 
 demo: $(READY)  ## train a policy, drive it in PyBullet, then over a serial device
 	$(BIN)/acsar-gym demo
@@ -26,6 +27,9 @@ lint: $(READY)
 	$(BIN)/lint-imports
 	$(BIN)/mypy
 
+test-ecosystem: $(ECOSYSTEM)/ready  ## README's snippets for RL Zoo, CleanRL, RLlib, TorchRL, skrl
+	$(ECOSYSTEM)/bin/pytest --noconftest -o addopts= tests/ecosystem
+
 fuzz: $(READY)  ## coverage-guided fuzzing of what reads bytes and files, FUZZ_SECONDS each
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[fuzz]'
 	for target in decoder config world; do \
@@ -42,5 +46,13 @@ $(READY): pyproject.toml constraints.txt
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[all,dev]'
 	touch $@
 
+# CleanRL's package is its scripts: what else it asks for is years old.
+$(ECOSYSTEM)/ready: pyproject.toml tests/ecosystem/constraints.txt
+	$(PYTHON) -m venv $(ECOSYSTEM)
+	$(ECOSYSTEM)/bin/pip install --quiet --constraint tests/ecosystem/constraints.txt \
+	  rl_zoo3 'ray[rllib]' torchrl skrl pytest onnx onnxscript torch --editable '.[bullet,fast,deploy]'
+	$(ECOSYSTEM)/bin/pip install --quiet --no-deps --ignore-requires-python cleanrl==1.2.0
+	touch $@
+
 clean:
-	rm -rf $(VENV) build dist
+	rm -rf $(VENV) $(ECOSYSTEM) build dist

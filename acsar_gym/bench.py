@@ -20,7 +20,7 @@ from acsar_gym.errors import AcsarError, MissingExtraError
 from acsar_gym.figures import Figure, each
 from acsar_gym.links.simulated import SimulatedLink
 from acsar_gym.odometry import Odometry
-from acsar_gym.policy import OnnxPolicy
+from acsar_gym.policies import OnnxPolicy
 from acsar_gym.protocol import Decoder, encode
 from acsar_gym.vector import RobotVectorEnv
 from acsar_gym.vectors import ObstacleGoalVectorEnv, PointGoalVectorEnv

@@ -34,6 +34,7 @@ Cores = Annotated[tuple[int, ...] | None, tyro.conf.arg(metavar="N [N ...]")]
 MOST_COUNT = 10**9
 """Of what a command counts: steps, episodes."""
 FORMAT = warnings.formatwarning
+EnvArg = Annotated[str, tyro.conf.arg(metavar="KIND|ID")]
 RobotArg = Annotated[str | None, tyro.conf.arg(metavar="PRESET|FILE")]
 
 
@@ -266,6 +267,7 @@ def evaluate(
     difficulty: float | None = None,
     lidar: LidarArg = None,
     trust: bool = False,
+    env: EnvArg = "",
     late_share: float = 0.01,
     realtime: Priority = None,
     cores: Cores = None,
@@ -274,7 +276,7 @@ def evaluate(
     """Run a policy for some episodes behind any link and print what it reached.
 
     Args:
-        policy: ONNX file, or the name of a policy that comes along. It knows its environment.
+        policy: ONNX file, the name of a policy that comes along, or a function: mine.py:act.
         link: bullet, planar, or a serial device.
         robot: preset or config file.
         episodes: how many.
@@ -284,6 +286,7 @@ def evaluate(
         difficulty: of generated worlds, 0 to 1.
         lidar: rplidar:///dev/ttyUSB1 on hardware.
         trust: let a stable-baselines3 zip as policy run its code: your own, or whose you trust.
+        env: what the policy is for, instead of the environment that it names itself.
         late_share: an episode of which more ticks were late is marked as invalid.
         realtime: SCHED_FIFO priority, 1 to 98.
         cores: numbers of the cores to run on.
@@ -296,7 +299,9 @@ def evaluate(
     urgency.prepare(realtime, cores)
     options = {"worlds": worlds, "difficulty": difficulty, "lidar": lidar}
     how = {"in_order": in_order, "late_share": late_share}
-    done = runs.evaluate(policy, link, robot, episodes, seed, trust=trust, how=how, **options)
+    done = runs.evaluate(
+        policy, link, robot, episodes, seed, trust=trust, env=env, how=how, **options
+    )
     title = f"{policy}, seeds {seed} to {seed + episodes - 1}, worlds: {done.worlds}"
     summary = done.summary
     report.show(report.summary_table(title, [(link, summary)]))
@@ -313,6 +318,7 @@ def run(
     lidar: LidarArg = None,
     record: File = None,
     trust: bool = False,
+    env: EnvArg = "",
     realtime: Priority = None,
     cores: Cores = None,
     json: Json = None,
@@ -321,12 +327,13 @@ def run(
 
     Args:
         goal: x and y in the odometry frame [m]: x ahead, y to the left.
-        policy: ONNX file, or the name of a policy that comes along.
+        policy: ONNX file, the name of a policy that comes along, or a function: mine.py:act.
         link: bullet, planar, or a serial device.
         robot: preset or config file.
         lidar: rplidar:///dev/ttyUSB1 on hardware, for a policy that needs one.
         record: write everything on the wire here; replay it with --link replay:FILE.
         trust: let a stable-baselines3 zip as policy run its code: your own, or whose you trust.
+        env: what the policy is for, instead of the environment that it names itself.
         realtime: SCHED_FIFO priority, 1 to 98.
         cores: numbers of the cores to run on.
         json: write the figures here too.
@@ -336,7 +343,7 @@ def run(
 
     report.check_writable(json)
     urgency.prepare(realtime, cores)
-    done = runs.to_goal(policy, link, robot, goal, record, trust=trust, lidar=lidar)
+    done = runs.to_goal(policy, link, robot, goal, record, trust=trust, env=env, lidar=lidar)
     title = f"{policy} to ({goal[0]:g}, {goal[1]:g}), worlds: {done.worlds}"
     report.show(report.summary_table(title, [(link, done.summary)]))
     report.write_json(json, done.as_dict())
@@ -347,8 +354,9 @@ def export(
     model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")],
     out: OutFile,
     trust: bool = False,
-    env: Annotated[str, tyro.conf.arg(metavar="KIND|ID")] = "",
+    env: EnvArg = "",
     robot: RobotArg = None,
+    vecnormalize: Annotated[str | None, tyro.conf.arg(metavar="FILE|none")] = None,
 ) -> int:
     """Convert a stable-baselines3 zip to an ONNX policy, which runs no code when it's loaded.
 
@@ -358,11 +366,12 @@ def export(
         trust: let the zip run its code: only your own, or whose you trust.
         env: what it was trained for, such as point_goal; models of 'acsar-gym train' know it.
         robot: preset or config file of the robot that it was trained on.
+        vecnormalize: statistics of the VecNormalize that it was trained with; run as code, too.
     """
     from acsar_gym import report, runs  # noqa: PLC0415
 
     report.check_writable(out)
-    runs.export(model, out, env, robot, trust=trust)
+    runs.export(model, out, env, robot, trust=trust, vecnormalize=vecnormalize)
     print(printable(f"written: {out}"))
     return 0
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from acsar_gym import evaluation, report, runs
 from acsar_gym.errors import AcsarError, LinkError
 from acsar_gym.evaluation import EpisodeResult
-from acsar_gym.policy import OnnxPolicy
+from acsar_gym.policies import OnnxPolicy
 from acsar_gym.resources import AGENTS
 from acsar_gym.runs import Run
 

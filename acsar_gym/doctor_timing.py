@@ -19,7 +19,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, LinkError, MissingExtraError
 from acsar_gym.links.serial import SerialLink
 from acsar_gym.links.timing import Durations, Lateness
-from acsar_gym.policy import OnnxPolicy, Policy
+from acsar_gym.policies import OnnxPolicy, Policy
 from acsar_gym.robot import Robot
 from acsar_gym.safety import Reason
 from acsar_gym.tasks import State

@@ -16,7 +16,7 @@ import numpy as np
 from acsar_gym.env import RobotEnv
 from acsar_gym.errors import ConfigError, LinkError
 from acsar_gym.links.timing import EpisodeTiming
-from acsar_gym.policy import Policy
+from acsar_gym.policies import Policy
 from acsar_gym.safety import Reason
 from acsar_gym.tasks.barn import SCORES
 from acsar_gym.worlds import Pose, Region, World

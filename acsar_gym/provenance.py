@@ -30,7 +30,7 @@ import numpy as np
 
 import acsar_gym
 from acsar_gym.env import RobotEnv
-from acsar_gym.policy import FilePolicy
+from acsar_gym.policies import FilePolicy
 from acsar_gym.specs import plain
 from acsar_gym.worlds import World
 from acsar_gym.worlds.pool import Pool

@@ -21,9 +21,18 @@ from acsar_gym.evaluation import EpisodeResult
 from acsar_gym.links import Link, open_link
 from acsar_gym.links.recording import RecordingLink
 from acsar_gym.metrics import Summary
-from acsar_gym.policy import FilePolicy, OnnxPolicy, resolve
+from acsar_gym.policies import (
+    CallablePolicy,
+    FilePolicy,
+    OnnxPolicy,
+    ZipPolicy,
+    full_id,
+    is_callable,
+    resolve,
+    statistics_beside,
+)
+from acsar_gym.policies.base import quoted
 from acsar_gym.worlds import splits
-from acsar_gym.zip_policy import ZipPolicy
 
 Env = gymnasium.Env[Any, Any]
 
@@ -49,34 +58,52 @@ class Run:
         return {"header": self.header, **self.summary.as_dict(), "per_episode": episodes}
 
 
-def load(policy: str, *, trust: bool) -> FilePolicy:
-    """The policy of a file or of a name: ONNX, or with `trust` a stable-baselines3 zip.
+def load(policy: str, *, trust: bool, env: str = "") -> FilePolicy:
+    """A policy to drive with: a file, a name, or a function as in "mine.py:act".
 
-    Raises PolicyError where there is none, and for a zip without `trust`.
+    With `trust` it may be a stable-baselines3 zip. `env` is the environment that it's for, instead
+    of the one that it names. Raises PolicyError where there is none, and for a zip without `trust`
+    or with statistics of VecNormalize beside it, which only `export` can use.
     """
+    env_id = full_id(env)
+    if is_callable(policy):
+        return CallablePolicy(policy, env_id)
     path = resolve(policy)
-    return ZipPolicy(path, trust=trust) if path.suffix == ".zip" else OnnxPolicy(path)
+    if path.suffix == ".zip":
+        loaded = ZipPolicy(path, trust=trust, env_id=env_id)
+        _statistics(path, None)
+        return loaded
+    file = OnnxPolicy(path)
+    file.env_id, file.env_named = env_id or file.env_id, bool(env_id)
+    return file
 
 
 def made(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[str, Any]) -> Env:
     """The environment that a policy was trained for; PolicyError where it is another one now.
 
+    A file can only choose among those of acsar_gym; others are imported where the user names them.
     Options whose value is None are left to the environment, but for `worlds`: see `tested`.
     """
-    if not policy.env_id:
+    env_id = quoted(policy.env_id)
+    if not env_id:
         raise PolicyError(
             f"{policy.path}: doesn't say which environment it is for: convert it with "
             f"'acsar-gym export {policy.path} policy.onnx --trust --env point_goal' or another env"
         )
+    if not policy.env_named and not env_id.startswith("acsar_gym/"):
+        raise PolicyError(
+            f"{policy.path}: made for {env_id}, which isn't acsar_gym's: if you trust that "
+            "package, name it with --env"
+        )
     try:
-        options = {**options, "worlds": tested(policy.env_id, options.get("worlds"))}
+        options = {**options, "worlds": tested(env_id, options.get("worlds"))}
         given = {name: value for name, value in options.items() if value is not None}
-        env = gymnasium.make(policy.env_id, link=link, robot=robot, **given)
-    except gymnasium.error.Error as error:
-        raise PolicyError(f"{policy.path}: made for {policy.env_id}: {error}") from None
+        env = gymnasium.make(env_id, link=link, robot=robot, **given)
+    except (gymnasium.error.Error, ImportError) as error:
+        raise PolicyError(f"{policy.path}: made for {env_id}: {error}") from None
     except TypeError:
         names = ", ".join(given)
-        raise ConfigError(f"{policy.env_id} doesn't take all of: {names}") from None
+        raise ConfigError(f"{env_id} doesn't take all of: {names}") from None
     inner = env.unwrapped
     if isinstance(inner, RobotEnv):
         policy.check(inner.task, inner.robot.config)
@@ -108,6 +135,7 @@ def evaluate(
     seed: int,
     *,
     trust: bool = False,
+    env: str = "",
     how: Mapping[str, Any] | None = None,
     **options: Any,
 ) -> Run:
@@ -117,7 +145,7 @@ def evaluate(
     """
     if episodes < 1 or seed < 0:
         raise ConfigError("--episodes must be at least 1 and --seed at least 0")
-    actor = load(policy, trust=trust)
+    actor = load(policy, trust=trust, env=env)
     return drive(actor, link, robot, episodes, seed, how=how, **options)
 
 
@@ -162,38 +190,63 @@ def to_goal(
     record: Path | None,
     *,
     trust: bool = False,
+    env: str = "",
     **options: Any,
 ) -> Run:
     """One episode to a given goal, recorded to a file on request."""
     config = RobotConfig.of(robot)
-    actor = load(policy, trust=trust)
+    actor = load(policy, trust=trust, env=env)
     wire: Link = open_link(link, config)
     if record is not None:
         wire = RecordingLink(wire, record)
-    env = made(actor, wire, config, options | {"on_fault": "raise"})
+    world = made(actor, wire, config, options | {"on_fault": "raise"})
     try:
-        results = list(evaluation.episodes(env, actor, 1, seed=0, goal=goal))
-        return _run(env, actor, link, range(1), {"goal": goal}, results)
+        results = list(evaluation.episodes(world, actor, 1, seed=0, goal=goal))
+        return _run(world, actor, link, range(1), {"goal": goal}, results)
     finally:
-        env.close()
+        world.close()
 
 
-def export(model: Path, out: Path, env_id: str, robot: str | None, *, trust: bool) -> None:
+def export(
+    model: Path,
+    out: Path,
+    env_id: str,
+    robot: str | None,
+    *,
+    trust: bool,
+    vecnormalize: str | None = None,
+) -> None:
     """Convert a stable-baselines3 zip to an ONNX policy for an env and a robot.
 
-    An empty `env_id` is the zip's own; "point_goal" is short for "acsar_gym/PointGoal-v0".
+    An empty `env_id` is the zip's own. `vecnormalize` is the file of a VecNormalize that it was
+    trained with, or "none"; PolicyError where one lies beside the zip and isn't named.
     """
-    if env_id and "/" not in env_id:
-        env_id = f"acsar_gym/{env_id.title().replace('_', '')}-v0"
-    policy = ZipPolicy(model, trust=trust, env_id=env_id)
+    policy = ZipPolicy(model, trust=trust, env_id=full_id(env_id))
+    statistics = _statistics(model, vecnormalize)
     env = made(policy, "planar", robot, {})
-    from acsar_gym import sb3  # noqa: PLC0415 - optional
+    from acsar_gym.policies import sb3_export  # noqa: PLC0415 - optional
 
     inner: Any = env.unwrapped
+    width = env.observation_space.shape[0] if env.observation_space.shape else 0
     try:
-        sb3.export(policy.network, out, inner.task, inner.robot.config)
+        before = sb3_export.normalizer(statistics, width) if statistics else None
+        sb3_export.export(policy.network, out, inner.task, inner.robot.config, before)
     finally:
         env.close()
+
+
+def _statistics(model: Path, named: str | None) -> Path | None:
+    """The file of a VecNormalize to use; PolicyError where one isn't named, but seems to belong."""
+    if named is not None:
+        return None if named == "none" else Path(named)
+    found = statistics_beside(model)
+    if found is not None:
+        raise PolicyError(
+            f"{model}: {found} is beside it: if it was trained with that VecNormalize, use "
+            f"'acsar-gym export {model} policy.onnx --trust --vecnormalize {found}', otherwise "
+            "--vecnormalize none"
+        )
+    return None
 
 
 def track(name: str, running: Iterator[EpisodeResult], count: int) -> list[EpisodeResult]:

@@ -22,8 +22,8 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 
 from acsar_gym import sb3, vectors
 from acsar_gym.errors import AcsarError, ConfigError, PolicyError
+from acsar_gym.policies import ZipPolicy, sb3_export
 from acsar_gym.vector import RobotVectorEnv
-from acsar_gym.zip_policy import ZipPolicy
 
 RANDOMIZATION = {
     "friction": (0.7, 1.2),
@@ -141,7 +141,7 @@ def train(options: Options) -> int:
         env.close()
     model.save(out / "model.zip")
     policy = out / "policy.onnx"
-    sb3.export(model.policy, policy, env.task, env.config)
+    sb3_export.export(model.policy, policy, env.task, env.config)
     print(f"policy written to {policy}")
     return 130 if interrupted else 0
 

@@ -19,7 +19,7 @@ from acsar_gym.envs import PointGoalEnv
 from acsar_gym.errors import ConfigError
 from acsar_gym.evaluation import EpisodeResult, episodes, odometry_errors
 from acsar_gym.metrics import per_episode, summarise
-from acsar_gym.policy import FilePolicy
+from acsar_gym.policies import FilePolicy
 from acsar_gym.report import summary_table, write_json
 from acsar_gym.worlds import Pose, Region, World
 

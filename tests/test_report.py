@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from acsar_gym import evaluation, metrics, report, runs
 from acsar_gym.envs import PointGoalEnv
-from acsar_gym.policy import OnnxPolicy
+from acsar_gym.policies import OnnxPolicy
 
 
 def caption(robot: str | None, multiplier: float) -> str:

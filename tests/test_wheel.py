@@ -18,7 +18,7 @@ env.reset(seed=0)
 env.step(env.action_space.sample())
 env.close()
 import acsar_gym
-from acsar_gym.policy import resolve
+from acsar_gym.policies import resolve
 from acsar_gym.resources import AGENTS
 assert (AGENTS / "train.py").exists()
 print(acsar_gym.__file__, resolve("point_goal"), sep="\\n")

@@ -11,14 +11,19 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
-from stable_baselines3 import A2C, DDPG, PPO, SAC, TD3
 
-from acsar_gym import sb3
 from acsar_gym.env import RobotEnv
 
-ALGORITHMS: dict[str, Any] = {kind.__name__: kind for kind in (PPO, A2C, SAC, TD3, DDPG)}
+NAMES = ("PPO", "A2C", "SAC", "TD3", "DDPG")
 PLACES = ("data", "policy.pth", "pytorch_variables.pth", "policy.optimizer.pth")
 """What stable-baselines3 unpickles, or gives to torch to unpickle."""
+
+
+def algorithms() -> dict[str, Any]:
+    """stable-baselines3's classes by their names; importing them takes seconds."""
+    import stable_baselines3
+
+    return {name: getattr(stable_baselines3, name) for name in NAMES}
 
 
 def save(
@@ -31,9 +36,11 @@ def save(
     **options: Any,
 ) -> Path:
     """A small model with random weights: untrained ones have actions that are all about zero."""
-    options["policy_kwargs"] = {"net_arch": [16, 16]} | (net or {})
+    from acsar_gym import sb3
+
+    options["policy_kwargs"] = {"net_arch": [8]} | (net or {})
     env = gymnasium.make(env_id, link="planar")
-    model = ALGORITHMS[algorithm]("MlpPolicy", env, device="cpu", seed=0, **options)
+    model = algorithms()[algorithm]("MlpPolicy", env, device="cpu", seed=0, **options)
     for weight in model.policy.parameters():
         weight.data.normal_(0.0, 0.4)
     inner = env.unwrapped

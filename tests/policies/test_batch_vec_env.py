@@ -2,25 +2,39 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import gymnasium
 import numpy as np
 import pytest
-from stable_baselines3 import PPO
-from stable_baselines3.common.vec_env import VecMonitor
+from gymnasium.wrappers.vector import TransformReward
 
 from acsar_gym.errors import ConfigError
-from acsar_gym.sb3 import BatchVecEnv
 from acsar_gym.vectors import PointGoalVectorEnv
+
+if TYPE_CHECKING:
+    from acsar_gym.sb3 import BatchVecEnv
+
+
+pytestmark = pytest.mark.xdist_group("torch")
+
+
+def wrapped(batch: Any) -> BatchVecEnv:
+    """SB3 and torch are imported by the tests that need them."""
+    from acsar_gym.sb3 import BatchVecEnv
+
+    return BatchVecEnv(batch)
 
 
 def vec_env(num: int = 6, **options: Any) -> BatchVecEnv:
     options = {"max_episode_steps": 20, "goal_distance": (0.3, 0.6), **options}
-    return BatchVecEnv(PointGoalVectorEnv(num, autoreset_mode="SameStep", **options))
+    return wrapped(PointGoalVectorEnv(num, autoreset_mode="SameStep", **options))
 
 
 def test_statistics_are_those_of_monitor() -> None:
     """VecMonitor adds rewards up itself; ours must say the same."""
+    from stable_baselines3.common.vec_env import VecMonitor
+
     ours = vec_env()
     with pytest.warns(UserWarning, match="already wrapped"):
         theirs = VecMonitor(vec_env())
@@ -69,6 +83,8 @@ def test_seeds_repeat_a_rollout() -> None:
 
 
 def test_ppo_learns_on_it_as_it_is() -> None:
+    from stable_baselines3 import PPO
+
     env = vec_env(32)
     model = PPO("MlpPolicy", env, n_steps=16, batch_size=256, device="cpu", seed=0)
     model.learn(1024)
@@ -79,7 +95,7 @@ def test_ppo_learns_on_it_as_it_is() -> None:
 
 def test_other_autoreset_modes_are_refused() -> None:
     with pytest.raises(ConfigError, match="SameStep"):
-        BatchVecEnv(PointGoalVectorEnv(2))
+        wrapped(PointGoalVectorEnv(2))
 
 
 def test_robots_have_nothing_of_their_own() -> None:
@@ -89,3 +105,39 @@ def test_robots_have_nothing_of_their_own() -> None:
         with pytest.raises(ConfigError, match="robots of a batch"):
             call()
     env.close()
+
+
+def test_a_batch_is_made_by_its_id() -> None:
+    from acsar_gym.sb3 import make_batch
+
+    env = make_batch("point_goal", 3, goal_distance=(0.3, 0.6))
+    assert (env.num_envs, env.reset().shape) == (3, (3, 7))
+    env.close()
+    for env_id, options in (("maze", {}), ("point_goal", {"goals": 1})):
+        with pytest.raises(ConfigError, match="make_batch"):
+            make_batch(env_id, 2, **options)
+
+
+def test_gymnasiums_wrappers_may_stand_around_a_batch() -> None:
+    """Their rewards arrive, and episodes end as without them."""
+    batch = PointGoalVectorEnv(4, autoreset_mode="SameStep", max_episode_steps=10)
+    env = wrapped(TransformReward(batch, lambda reward: 10.0 * reward))
+    plain = vec_env(4, max_episode_steps=10, goal_distance=(0.5, 3.0))
+    for each in (env, plain):
+        each.seed(3)
+        each.reset()
+    for _ in range(12):
+        (_, rewards, dones, infos), (_, expected, ended, _) = (
+            each.step(np.full((4, 2), 0.5, np.float32)) for each in (env, plain)
+        )
+        assert np.asarray(rewards) == pytest.approx(10.0 * np.asarray(expected), abs=1e-5)
+        assert (np.asarray(dones) == np.asarray(ended)).all()
+        assert all("episode" in infos[index] for index in np.flatnonzero(dones))
+    assert env.get_attr("config") == [batch.config] * 4
+    env.close()
+    plain.close()
+
+
+def test_other_batches_are_refused() -> None:
+    with pytest.raises(ConfigError, match="not a batch of acsar_gym"):
+        wrapped(gymnasium.make_vec("CartPole-v1", 2))

@@ -8,18 +8,17 @@ from pathlib import Path
 
 import gymnasium
 import numpy as np
-import onnx
 import pytest
-from stable_baselines3 import PPO
+from onnx_tools import ENV_ID, GOOD, Maker, relabelled
 
 from acsar_gym import RobotConfig, runs
 from acsar_gym.errors import ConfigError, PolicyError
 from acsar_gym.evaluation import episodes
 from acsar_gym.metrics import summarise
-from acsar_gym.policy import ENV_KEY, LAYOUT_KEY, OnnxPolicy
+from acsar_gym.policies import OnnxPolicy
 from acsar_gym.resources import AGENTS
 
-ENV_ID = "acsar_gym/PointGoal-v0"
+pytestmark = pytest.mark.xdist_group("torch")
 TRAIN = AGENTS / "train.py"
 
 
@@ -27,7 +26,7 @@ TRAIN = AGENTS / "train.py"
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder that the real training script leaves, on a tiny budget."""
     out = tmp_path_factory.mktemp("train")
-    options = ["--steps", "1024", "--robots", "16", "--no-progress", "--out", str(out)]
+    options = ["--steps", "512", "--robots", "8", "--no-progress", "--out", str(out)]
     subprocess.run([sys.executable, str(TRAIN), *options], check=True, timeout=120)
     return out
 
@@ -40,6 +39,8 @@ def test_training_leaves_policy_model_checkpoints_and_logs(trained: Path) -> Non
 
 
 def test_the_file_decides_as_the_model_does(trained: Path) -> None:
+    from stable_baselines3 import PPO
+
     model = PPO.load(trained / "model.zip", device="cpu")
     policy = OnnxPolicy(trained / "policy.onnx")
     rng = np.random.default_rng(0)
@@ -52,7 +53,7 @@ def test_the_file_decides_as_the_model_does(trained: Path) -> None:
 @pytest.mark.parametrize("link", ["bullet", "planar"])
 def test_the_policy_that_comes_along_reaches_its_goals(link: str) -> None:
     env = gymnasium.make("acsar_gym/PointGoal-v0", link=link)
-    summary = summarise(list(episodes(env, OnnxPolicy("point_goal"), 40, seed=500)))
+    summary = summarise(list(episodes(env, OnnxPolicy("point_goal"), 20, seed=500)))
     env.close()
     assert summary.success_rate >= 0.95
     assert 0.0 < summary.odometry_error < 0.05
@@ -61,7 +62,7 @@ def test_the_policy_that_comes_along_reaches_its_goals(link: str) -> None:
 
 def test_driving_needs_no_torch() -> None:
     code = (
-        "import sys, numpy as np; from acsar_gym.policy import OnnxPolicy;"
+        "import sys, numpy as np; from acsar_gym.policies import OnnxPolicy;"
         "OnnxPolicy('point_goal')(np.zeros(7, np.float32));"
         "sys.exit('torch' in sys.modules or 'pybullet' in sys.modules)"
     )
@@ -81,11 +82,8 @@ def test_a_broken_file_says_so(tmp_path: Path, content: bytes) -> None:
         OnnxPolicy(path)
 
 
-def test_a_policy_for_another_observation_is_refused(trained: Path, tmp_path: Path) -> None:
-    model = onnx.load(trained / "policy.onnx")
-    onnx.helper.set_model_props(model, {ENV_KEY: ENV_ID, LAYOUT_KEY: "range_0,range_1"})
-    path = tmp_path / "lidar.onnx"
-    onnx.save(model, path)
+def test_a_policy_for_another_observation_is_refused(tmp_path: Path) -> None:
+    path = relabelled(tmp_path / "lidar.onnx", ENV_ID, "range_0,range_1")
     with pytest.raises(PolicyError, match="range_0,range_1"):
         runs.made(OnnxPolicy(path), "planar", None, {})
 
@@ -96,20 +94,14 @@ def test_a_policy_for_another_lidar_is_refused() -> None:
         runs.made(OnnxPolicy("obstacle_goal"), "planar", wide, {})
 
 
-def test_a_policy_of_no_known_environment_is_refused(trained: Path, tmp_path: Path) -> None:
-    model = onnx.load(trained / "policy.onnx")
-    onnx.helper.set_model_props(model, {ENV_KEY: "acsar_gym/Maze-v0", LAYOUT_KEY: "walls"})
-    path = tmp_path / "maze.onnx"
-    onnx.save(model, path)
+def test_a_policy_of_no_known_environment_is_refused(tmp_path: Path) -> None:
+    path = relabelled(tmp_path / "maze.onnx", "acsar_gym/Maze-v0", "walls")
     with pytest.raises(PolicyError, match="Maze"):
         runs.made(OnnxPolicy(path), "planar", None, {})
 
 
-def test_a_file_cannot_have_a_module_imported(trained: Path, tmp_path: Path) -> None:
-    model = onnx.load(trained / "policy.onnx")
-    onnx.helper.set_model_props(model, {ENV_KEY: f"some_module:{ENV_ID}", LAYOUT_KEY: "x"})
-    path = tmp_path / "module.onnx"
-    onnx.save(model, path)
+def test_a_file_cannot_have_a_module_imported(tmp_path: Path) -> None:
+    path = relabelled(tmp_path / "module.onnx", f"some_module:{ENV_ID}", "x")
     with pytest.raises(PolicyError, match="doesn't say which environment"):
         OnnxPolicy(path)
 
@@ -119,19 +111,17 @@ def test_options_that_the_environment_lacks_are_named() -> None:
         runs.made(OnnxPolicy("point_goal"), "planar", None, {"worlds": "clutter"})
 
 
-def test_a_network_with_other_names_is_refused(trained: Path, tmp_path: Path) -> None:
-    model = onnx.load(trained / "policy.onnx")
-    for node in model.graph.node:
-        node.input[:] = ["obs" if name == "observation" else name for name in node.input]
-    model.graph.input[0].name = "obs"
+def test_a_network_with_other_names_is_refused(tmp_path: Path) -> None:
+    make = Maker()
+    make.dense("observation", 7)
     path = tmp_path / "renamed.onnx"
-    onnx.save(model, path)
+    path.write_bytes(make.bytes().replace(b"observation", b"observatiom"))
     with pytest.raises(PolicyError, match="must map 'observation' to 'action'"):
         OnnxPolicy(path)
 
 
 def test_the_file_names_no_path_of_the_machine_that_trained(trained: Path) -> None:
-    for path in (trained / "policy.onnx", AGENTS / "policies" / "point_goal.onnx"):
+    for path in (trained / "policy.onnx", GOOD):
         content = path.read_bytes()
         assert b".py" not in content
         assert str(Path.home()).encode() not in content

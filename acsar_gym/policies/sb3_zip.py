@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import textwrap
+import io
 import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,15 +10,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from acsar_gym import bounded
 from acsar_gym.config import RobotConfig
 from acsar_gym.env import task_spaces
 from acsar_gym.errors import AcsarError, MissingExtraError, PolicyError
-from acsar_gym.policy import ENV_KEY, LAYOUT_KEY, FilePolicy, resolve
+from acsar_gym.policies.base import ENV_KEY, LAYOUT_KEY, FilePolicy, one_line, resolve
 from acsar_gym.tasks import Observation, Task
 
 if TYPE_CHECKING:
     from stable_baselines3.common.policies import BasePolicy
 
+MAX_BYTES = 500_000_000
 _UNUSED = {"lr_schedule": None, "clip_range": None}
 """Pickled functions of training, which another Python can't always read."""
 
@@ -46,9 +48,9 @@ class ZipPolicy(FilePolicy):
         except AcsarError:
             raise
         except Exception as error:  # noqa: BLE001 - whatever pickle and torch raise on such a file
-            said = textwrap.shorten(f"{type(error).__name__}: {error}", 200)
+            said = one_line(error)
             raise PolicyError(f"{self.path}: not a stable-baselines3 model: {said}") from None
-        self.env_id = env_id or data.get(ENV_KEY, "")
+        self.env_id, self.env_named = env_id or data.get(ENV_KEY, ""), bool(env_id)
         self.layout = data.get(LAYOUT_KEY, "")
 
     def check(self, task: Task, config: RobotConfig) -> None:
@@ -68,6 +70,12 @@ class ZipPolicy(FilePolicy):
         return np.asarray(action, np.float32)
 
 
+def statistics_beside(path: Path) -> Path | None:
+    """VecNormalize's file in a model's folder, or, as RL Zoo has it, in one within."""
+    patterns = ("*vecnormalize*.pkl", "*/vecnormalize.pkl")
+    return next((f for p in patterns for f in sorted(path.parent.glob(p))), None)
+
+
 def _load(path: Path) -> tuple[dict[str, Any], BasePolicy]:
     """What was saved besides the weights, and the network: the algorithm isn't set up."""
     try:
@@ -76,7 +84,8 @@ def _load(path: Path) -> tuple[dict[str, Any], BasePolicy]:
         raise MissingExtraError("loading a stable-baselines3 zip", "train") from None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of what can't be unpickled and isn't needed here
-        data, weights, _ = load_from_zip_file(path, device="cpu", custom_objects=_UNUSED)
+        file = io.BytesIO(bounded.read(path, MAX_BYTES, PolicyError))
+        data, weights, _ = load_from_zip_file(file, device="cpu", custom_objects=_UNUSED)
     kept: dict[str, Any] = data or {}
     network = _network(path, kept)
     state: Any = weights["policy"]  # a dict of tensors

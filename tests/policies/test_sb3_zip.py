@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import pickle
 import runpy
 import subprocess
 import sys
@@ -10,16 +12,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from zip_tools import ALGORITHMS, PLACES, poison, save
+from zip_tools import NAMES, PLACES, algorithms, poison, save
 
 from acsar_gym import runs
 from acsar_gym.errors import MissingExtraError, PolicyError
-from acsar_gym.policy import OnnxPolicy
+from acsar_gym.policies import FilePolicy, OnnxPolicy, ZipPolicy
 from acsar_gym.resources import AGENTS
-from acsar_gym.zip_policy import ZipPolicy
+
+pytestmark = pytest.mark.xdist_group("torch")
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """PPO's zip for PointGoal."""
     return save(tmp_path_factory.mktemp("zip") / "model.zip")
@@ -56,15 +59,18 @@ def test_refusing_needs_neither_stable_baselines3_nor_torch(good: Path) -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0
 
 
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
+@pytest.mark.parametrize("algorithm", NAMES)
 def test_it_decides_as_the_model_does_and_so_does_its_export(
     algorithm: str, tmp_path: Path
 ) -> None:
     options: dict[str, Any] = {} if algorithm in {"PPO", "A2C"} else {"buffer_size": 10}
     path, out = save(tmp_path / "model.zip", algorithm, **options), tmp_path / "policy.onnx"
-    model = ALGORITHMS[algorithm].load(path, device="cpu")
-    runs.export(path, out, "", None, trust=True)
-    policy, exported = ZipPolicy(path, trust=True), OnnxPolicy(out)
+    model = algorithms()[algorithm].load(path, device="cpu")
+    policy = ZipPolicy(path, trust=True)
+    exported: FilePolicy = policy
+    if algorithm in {"PPO", "SAC", "TD3"}:  # A2C and DDPG have the same actors as two of them
+        runs.export(path, out, "", None, trust=True)
+        exported = OnnxPolicy(out)
     assert (exported.env_id, exported.layout) == (policy.env_id, policy.layout)
     seen = []
     for observation in np.random.default_rng(0).uniform(-1.0, 1.0, (50, 7)).astype(np.float32):
@@ -94,9 +100,8 @@ def test_an_unlabelled_zip_needs_to_be_told_its_environment(tmp_path: Path) -> N
     path, out = save(tmp_path / "model.zip", label=False), tmp_path / "policy.onnx"
     with pytest.raises(PolicyError, match="--env"):
         runs.made(ZipPolicy(path, trust=True), "planar", None, {})
-    for env_id in ("point_goal", "acsar_gym/PointGoal-v0"):
-        runs.export(path, out, env_id, None, trust=True)
-        assert OnnxPolicy(out).env_id == "acsar_gym/PointGoal-v0"
+    runs.export(path, out, "point_goal", None, trust=True)
+    assert OnnxPolicy(out).env_id == "acsar_gym/PointGoal-v0"
     for env_id, said in (("path_follow", r"Box.*\(7,\).*\(16,\)"), ("maze", "Maze")):
         with pytest.raises(PolicyError, match=said):
             runs.export(path, out, env_id, None, trust=True)
@@ -120,7 +125,8 @@ def test_a_cut_zip_and_a_folder_say_so(good: Path, tmp_path: Path) -> None:
     cut, folder = tmp_path / "cut.zip", tmp_path / "folder.zip"
     cut.write_bytes(good.read_bytes()[:-200])
     folder.mkdir()
-    for path in (cut, folder):
+    os.mkfifo(tmp_path / "pipe.zip")  # which would be waited for
+    for path in (cut, folder, tmp_path / "pipe.zip"):
         with pytest.raises(PolicyError, match=path.name):
             ZipPolicy(path, trust=True)
     with pytest.raises(PolicyError, match="no such policy file"):
@@ -149,6 +155,44 @@ def test_without_stable_baselines3_the_extra_is_named(
     monkeypatch.setitem(sys.modules, "stable_baselines3.common.save_util", None)
     with pytest.raises(MissingExtraError, match=r"acsar_gym\[train\]"):
         ZipPolicy(good, trust=True)
+
+
+def normalized(folder: Path) -> tuple[Path, Any, Any]:
+    """A model trained with VecNormalize as RL Zoo saves it, the model, and its normalizer."""
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.vec_env import VecNormalize
+
+    from acsar_gym.sb3 import make_batch
+
+    env = VecNormalize(make_batch("point_goal", 4), clip_obs=2.0)
+    options: dict[str, Any] = {"policy_kwargs": {"net_arch": [8]}, "n_steps": 16, "batch_size": 64}
+    model = PPO("MlpPolicy", env, device="cpu", seed=0, **options).learn(64)
+    for weight in model.policy.parameters():
+        weight.data.normal_(0.0, 0.4)
+    model.save(folder / "model.zip")
+    env.save(str(folder / "vecnormalize.pkl"))
+    env.close()
+    return folder / "model.zip", model, env
+
+
+def test_statistics_of_vecnormalize_become_part_of_the_file(tmp_path: Path) -> None:
+    path, model, env = normalized(tmp_path)
+    out, beside = tmp_path / "policy.onnx", tmp_path / "vecnormalize.pkl"
+    with pytest.raises(PolicyError, match=r"vecnormalize\.pkl is beside it.*--vecnormalize none"):
+        runs.export(path, out, "point_goal", None, trust=True)
+    with pytest.raises(PolicyError, match=r"vecnormalize\.pkl is beside it"):
+        runs.load(str(path), trust=True)
+    assert not out.exists()
+    runs.export(path, out, "point_goal", None, trust=True, vecnormalize=str(beside))
+    policy = OnnxPolicy(out)
+    for seen in np.random.default_rng(0).uniform(-2.0, 2.0, (20, 7)).astype(np.float32):
+        expected, _ = model.predict(env.normalize_obs(seen), deterministic=True)
+        assert policy(seen) == pytest.approx(expected, abs=1e-5)
+    bad = tmp_path / "other.pkl"
+    bad.write_bytes(pickle.dumps({"a": 1}))
+    for file, said in ((bad, "holds a dict, not a VecNormalize"), (path, "not a VecNormalize")):
+        with pytest.raises(PolicyError, match=said):
+            runs.export(path, out, "point_goal", None, trust=True, vecnormalize=str(file))
 
 
 def train(*arguments: str | Path) -> subprocess.CompletedProcess[str]:

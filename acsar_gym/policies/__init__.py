@@ -1,0 +1,23 @@
+"""Policies: ONNX files, zips of stable-baselines3, functions of Python files, and how to write one.
+
+Importing this imports neither torch nor onnxruntime.
+"""
+
+from acsar_gym.policies.base import FilePolicy, Policy, full_id, resolve
+from acsar_gym.policies.callables import CallablePolicy, is_callable
+from acsar_gym.policies.onnx import OnnxPolicy
+from acsar_gym.policies.saving import save
+from acsar_gym.policies.sb3_zip import ZipPolicy, statistics_beside
+
+__all__ = [
+    "CallablePolicy",
+    "FilePolicy",
+    "OnnxPolicy",
+    "Policy",
+    "ZipPolicy",
+    "full_id",
+    "is_callable",
+    "resolve",
+    "save",
+    "statistics_beside",
+]

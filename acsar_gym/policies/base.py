@@ -1,0 +1,82 @@
+"""What a policy is: anything that maps an observation to an action, in a file or not."""
+
+from __future__ import annotations
+
+import textwrap
+from abc import ABC, abstractmethod
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import PolicyError
+from acsar_gym.resources import AGENTS
+from acsar_gym.tasks import Observation, Task, signature
+
+ENV_KEY = "acsar_gym.env"
+LAYOUT_KEY = "acsar_gym.observation"
+"""Keys of a file's metadata: the env's id, and the names of the observation's numbers."""
+
+
+class Policy(Protocol):
+    """Whatever maps an observation to an action."""
+
+    def __call__(self, observation: Observation) -> NDArray[np.float32]:
+        """The action for one observation; shapes as the env's spaces."""
+
+
+class FilePolicy(ABC):
+    """A policy that was read from a file."""
+
+    path: Path
+    env_id: str
+    """The environment that it was trained for; empty where the file doesn't say."""
+    env_named: bool = False
+    """Whether the user has named the environment; otherwise the file does."""
+    layout: str
+    """What its observation consists of (see `tasks.signature`); empty where it doesn't say."""
+
+    def check(self, task: Task, config: RobotConfig) -> None:
+        """PolicyError where the policy was made for another observation than this env gives."""
+        wanted = signature(task, config)
+        if self.layout and self.layout != wanted:
+            raise PolicyError(
+                f"{self.path}: made for {quoted(self.env_id)} and the observation "
+                f"({quoted(self.layout)}), but {task.id} gives ({wanted}): train it again, or "
+                "choose its robot with --robot"
+            )
+
+    @abstractmethod
+    def __call__(self, observation: Observation) -> NDArray[np.float32]:
+        """The deterministic action in [-1, 1], shape (2,), for one observation."""
+
+
+def resolve(path: str | Path) -> Path:
+    """The path itself, or the policy of that name that comes with the package."""
+    path = Path(path)
+    if path.exists():
+        return path
+    packaged = AGENTS / "policies" / f"{path}.onnx"
+    if packaged.exists():
+        return packaged
+    known = ", ".join(sorted(p.stem for p in packaged.parent.glob("*.onnx"))) or "none"
+    raise PolicyError(f"{path}: no such policy file; policies that come along: {known}")
+
+
+def full_id(env: str) -> str:
+    """An env's id: "point_goal" is short for "acsar_gym/PointGoal-v0"."""
+    if not env or "/" in env or ":" in env:
+        return env
+    return f"acsar_gym/{env.title().replace('_', '')}-v0"
+
+
+def quoted(text: str) -> str:
+    """What a file says, in one short line without control characters, for a message."""
+    return textwrap.shorten(text.encode("unicode_escape").decode("ascii"), 300, placeholder="...")
+
+
+def one_line(error: Exception) -> str:
+    """The kind of an exception and what it says, in one short line."""
+    return textwrap.shorten(f"{type(error).__name__}: {quoted(str(error))}", 200)

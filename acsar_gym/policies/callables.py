@@ -1,0 +1,101 @@
+"""Policies written in Python: `mine.py:act`, a function of a file that the user names."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+import traceback
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym import bounded
+from acsar_gym.errors import AcsarError, PolicyError, suggestion
+from acsar_gym.policies.base import FilePolicy, one_line
+from acsar_gym.tasks import Observation
+
+MAX_BYTES = 10_000_000
+
+
+def is_callable(policy: str) -> bool:
+    """Whether a user names a Python file, with or without a function of it."""
+    return policy.endswith(".py") or policy.rpartition(":")[0].endswith(".py")
+
+
+class CallablePolicy(FilePolicy):
+    """A function of a Python file, observation (n,) to action (2,); the file's code is run.
+
+    Which environment it is for, `env_id` says, or the file's own ENV_ID. Raises PolicyError for a
+    missing file or function, for what its code raises, and for a decision that isn't two finite
+    numbers.
+    """
+
+    layout = ""
+
+    def __init__(self, policy: str, env_id: str = "") -> None:
+        file, _, self._name = (
+            policy.rpartition(":") if not policy.endswith(".py") else (policy, "", "")
+        )
+        self.path = Path(file)
+        source = bounded.read(self.path, MAX_BYTES, PolicyError)
+        module = self._imported(source)
+        self._act = self._found(module)
+        self.env_id = env_id or str(getattr(module, "ENV_ID", ""))
+        self.env_named = True  # by whoever has this file's code run
+        if not self.env_id:
+            raise PolicyError(
+                f"{self.path}: doesn't say which environment it is for: pass --env point_goal or "
+                "another, or set ENV_ID in it"
+            )
+
+    def _imported(self, source: bytes) -> ModuleType:
+        spec = importlib.util.spec_from_file_location(self.path.stem, self.path)
+        if spec is None:
+            raise PolicyError(f"{self.path}: not a Python file")
+        module = importlib.util.module_from_spec(spec)
+        folder = str(self.path.resolve().parent)
+        if folder not in sys.path:
+            sys.path.append(folder)  # for what it imports from beside itself
+        try:
+            exec(compile(source, self.path, "exec"), module.__dict__)  # noqa: S102 - named by the user
+        except AcsarError:
+            raise
+        except Exception as error:  # noqa: BLE001 - whatever a user's code raises
+            raise self._failure("can't be run", error) from None
+        return module
+
+    def _found(self, module: ModuleType) -> Any:
+        known = [n for n, value in vars(module).items() if callable(value) and n[:1] != "_"]
+        act = getattr(module, self._name, None) if self._name else None
+        if not callable(act):
+            named = f"has no function {self._name!r}" if self._name else "name a function of it"
+            hint = suggestion(self._name, known) if known else ""
+            raise PolicyError(f"{self.path}: {named}, as in {self.path.name}:act{hint}")
+        return act
+
+    def _failure(self, what: str, error: Exception) -> PolicyError:
+        """What a user's code raised, and in which of the file's lines."""
+        frames = traceback.extract_tb(error.__traceback__)
+        lines = [f.lineno for f in frames if f.filename == str(self.path)]
+        line = getattr(error, "lineno", None) or (lines[-1] if lines else 0)
+        return PolicyError(f"{self.path}, line {line}: {what}: {one_line(error)}")
+
+    def __call__(self, observation: Observation) -> NDArray[np.float32]:
+        """The function's action, shape (2,), for one observation."""
+        try:
+            given = self._act(observation)
+        except AcsarError:
+            raise
+        except Exception as error:  # noqa: BLE001 - whatever a user's code raises
+            raise self._failure(f"{self._name} failed", error) from None
+        try:
+            action = np.asarray(given, np.float32)
+        except (TypeError, ValueError):
+            action = np.full(0, np.nan, np.float32)
+        if action.shape != (2,) or not np.isfinite(action).all():
+            said = repr(given).replace("\n", " ")[:100]
+            raise PolicyError(f"{self.path}: {self._name} gave {said}: must be two finite numbers")
+        return action

@@ -1,0 +1,87 @@
+"""Trained policies as single ONNX files: what drives a robot needs no torch."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym import bounded
+from acsar_gym.config import RobotConfig
+from acsar_gym.env import task_spaces
+from acsar_gym.errors import MissingExtraError, PolicyError
+from acsar_gym.policies import graph, limits, trial
+from acsar_gym.policies.base import ENV_KEY, LAYOUT_KEY, FilePolicy, one_line, resolve
+from acsar_gym.tasks import Observation, Task
+
+MAX_BYTES = 32_000_000
+"""Of a file: 8 million weights."""
+
+
+class OnnxPolicy(FilePolicy):
+    """A policy read from an ONNX file; loading runs no code from the file.
+
+    What it may cost is checked before it runs: its structure first, and, unless it's a plain chain
+    of dense layers, one decision in another process with limits of memory and time.
+
+    Raises PolicyError where the file is missing or isn't a policy of this package, and
+    MissingExtraError without onnxruntime.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = resolve(path)
+        try:
+            import onnxruntime  # noqa: F401, PLC0415 - optional
+        except ImportError:
+            raise MissingExtraError("running a policy", "deploy") from None
+        data = bounded.read(self.path, MAX_BYTES, PolicyError)
+        try:
+            network = inspected(data)
+            tried = limits.plain(network) or trial.refusal(data, network.width)
+        except PolicyError as error:
+            raise PolicyError(f"{self.path}: {error}") from None
+        if isinstance(tried, str) and tried:
+            raise PolicyError(f"{self.path}: not a policy to run: {tried}")
+        self.env_id, self.layout = (network.metadata[key] for key in (ENV_KEY, LAYOUT_KEY))
+        self.width = network.width
+        self._session = self._started(data)
+
+    def _started(self, data: bytes) -> Any:
+        try:
+            session = trial.session(data)
+            trial.decide(session, self.width)
+        except Exception as error:  # noqa: BLE001 - onnxruntime's errors have no common base of their own
+            raise PolicyError(f"{self.path}: not an ONNX policy: {one_line(error)}") from None
+        return session
+
+    def check(self, task: Task, config: RobotConfig) -> None:
+        """PolicyError where the policy was made for another observation than this env gives."""
+        super().check(task, config)
+        wanted = (task_spaces(task, config)[1].shape or (0,))[0]
+        if self.width != wanted:
+            raise PolicyError(
+                f"{self.path}: takes {self.width} numbers, but {task.id} gives {wanted}"
+            )
+
+    def __call__(self, observation: Observation) -> NDArray[np.float32]:
+        """The deterministic action in [-1, 1], shape (2,), for one observation."""
+        action: NDArray[np.float32] = self._session.run(None, {"observation": observation[None]})[
+            0
+        ][0]
+        return action
+
+
+def inspected(data: bytes) -> graph.Graph:
+    """The network of an ONNX file that may be a policy; PolicyError without the file's name."""
+    network = graph.read(data)
+    limits.check(network)
+    env_id, layout = (network.metadata.get(key, "") for key in (ENV_KEY, LAYOUT_KEY))
+    # "module:id" would have Gymnasium import a module because the file says so.
+    if not env_id or ":" in env_id or not layout:
+        raise PolicyError(
+            "doesn't say which environment it is for: write it with 'acsar-gym export' or "
+            "acsar_gym.policies.save"
+        )
+    return network

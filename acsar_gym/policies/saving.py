@@ -1,0 +1,57 @@
+"""Policies of other libraries: a torch module becomes a file that drives."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import gymnasium
+from numpy.typing import ArrayLike
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.env import RobotEnv
+from acsar_gym.errors import ConfigError
+from acsar_gym.policies.base import full_id
+
+if TYPE_CHECKING:
+    import torch
+
+
+def save(
+    module: torch.nn.Module,
+    env_id: str,
+    path: str | Path,
+    *,
+    normalizer: tuple[ArrayLike, ArrayLike, float | None] | torch.nn.Module | None = None,
+    robot: RobotConfig | str | Path | None = None,
+) -> None:
+    """Write a trained network as an ONNX policy, for `acsar-gym evaluate` and `run`.
+
+    Args:
+        module: maps observations (batch, n) to actions (batch, 2), the deterministic ones; what
+            lies beyond [-1, 1] is clipped.
+        env_id: what it was trained for, such as "acsar_gym/PointGoal-v0".
+        path: the ONNX file.
+        normalizer: what observations went through before: (mean, std, clip), each a number or one
+            for each number of the observation, or a module; becomes part of the file.
+        robot: preset, file or config of the robot that it was trained on.
+
+    Raises:
+        ConfigError: there is no such environment.
+        PolicyError: the module doesn't fit the environment, or needs what a policy mustn't.
+        MissingExtraError: torch, onnx or onnxscript isn't installed.
+    """
+    from acsar_gym.policies import torch_export  # noqa: PLC0415 - optional
+
+    before = torch_export.Normalizer(*normalizer) if isinstance(normalizer, tuple) else normalizer
+    try:
+        env = gymnasium.make(full_id(env_id), link="planar", robot=robot)
+    except (gymnasium.error.Error, ImportError) as error:
+        raise ConfigError(f"{env_id}: {error}") from None
+    inner = env.unwrapped
+    try:
+        if not isinstance(inner, RobotEnv):
+            raise ConfigError(f"{env_id}: not an environment of acsar_gym")
+        torch_export.write(module, Path(path), inner.task, inner.robot.config, before)
+    finally:
+        env.close()

@@ -1,0 +1,79 @@
+"""Writes what stable-baselines3 has trained as ONNX policies. Imports torch: only for export."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from acsar_gym import bounded
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import MissingExtraError, PolicyError
+from acsar_gym.policies import torch_export
+from acsar_gym.policies.base import one_line
+from acsar_gym.tasks import Task
+
+try:
+    import torch
+    from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
+    from stable_baselines3.common.vec_env import VecNormalize
+    from stable_baselines3.sac.policies import SACPolicy
+except ImportError:
+    raise MissingExtraError("exporting a stable-baselines3 model", "train") from None
+
+MAX_BYTES = 100_000_000
+"""Of a file of VecNormalize: it may hold old observations."""
+
+
+class _Actor(torch.nn.Module):
+    """The deterministic actor of a policy: observation in, mean action out, in [-1, 1]."""
+
+    def __init__(self, policy: BasePolicy) -> None:
+        super().__init__()
+        self.policy = policy
+
+    def forward(self, observation: torch.Tensor) -> torch.Tensor:
+        policy: Any = self.policy
+        if isinstance(policy, ActorCriticPolicy):
+            features: Any = policy.extract_features(observation, policy.pi_features_extractor)
+            mean = policy.action_net(policy.mlp_extractor.forward_actor(features))
+            return torch.tanh(mean) if policy.squash_output else mean
+        if isinstance(policy, SACPolicy):
+            return torch.tanh(policy.actor.get_action_dist_params(observation)[0])
+        action: torch.Tensor = policy.actor(observation)  # TD3's is deterministic
+        return action
+
+
+def export(
+    policy: BasePolicy,
+    path: Path,
+    task: Task,
+    config: RobotConfig,
+    normalizer: torch.nn.Module | None = None,
+) -> None:
+    """Write the deterministic actor of PPO, A2C, SAC, TD3 or DDPG to one ONNX file at `path`."""
+    torch_export.write(_Actor(policy), path, task, config, normalizer)
+
+
+def normalizer(path: Path, width: int) -> torch.nn.Module | None:
+    """What VecNormalize does to observations of `width` numbers; None where it leaves them alone.
+
+    Its file is a pickle: reading it runs any code in it. Raises PolicyError for other files.
+    """
+    data = bounded.read(path, MAX_BYTES, PolicyError)
+    try:
+        saved: Any = pickle.loads(data)  # noqa: S301 - only with --trust
+    except Exception as error:  # noqa: BLE001 - whatever a pickle raises
+        raise PolicyError(f"{path}: not a VecNormalize: {one_line(error)}") from None
+    if not isinstance(saved, VecNormalize):
+        raise PolicyError(f"{path}: holds a {type(saved).__name__}, not a VecNormalize")
+    if not saved.norm_obs:
+        return None
+    rms: Any = saved.obs_rms
+    mean: Any = getattr(rms, "mean", None)
+    shape = np.shape(mean)
+    if shape != (width,):
+        raise PolicyError(f"{path}: for observations of shape {shape}, the model takes ({width},)")
+    return torch_export.Normalizer(mean, np.sqrt(rms.var + saved.epsilon), saved.clip_obs)

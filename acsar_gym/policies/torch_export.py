@@ -1,0 +1,147 @@
+"""Writes torch modules as ONNX policies. Imports torch and onnx: only for who exports."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.env import task_spaces
+from acsar_gym.errors import MissingExtraError, PolicyError
+from acsar_gym.policies.base import ENV_KEY, LAYOUT_KEY, one_line
+from acsar_gym.policies.onnx import inspected
+from acsar_gym.tasks import Task, signature
+
+try:
+    import onnx
+    import onnxscript  # noqa: F401 - torch.onnx needs it
+    import torch
+except ImportError:
+    raise MissingExtraError("writing an ONNX policy (torch, onnx, onnxscript)", "train") from None
+
+
+class Normalizer(torch.nn.Module):
+    """(observation - mean) / std, clipped to [-clip, clip]; `clip` may be None."""
+
+    def __init__(self, mean: ArrayLike, std: ArrayLike, clip: float | None) -> None:
+        super().__init__()
+        self.mean: torch.Tensor
+        self.std: torch.Tensor
+        for name, values in (("mean", mean), ("std", std)):
+            numbers = np.asarray(values, np.float32)
+            if numbers.ndim > 1 or not np.isfinite(numbers).all():
+                raise PolicyError(f"normalizer: {name} must be finite numbers, one each")
+            self.register_buffer(name, torch.from_numpy(np.atleast_1d(numbers).copy()))
+        if not bool((self.std > 0.0).all()) or (clip is not None and not clip > 0.0):
+            raise PolicyError("normalizer: std and clip must be positive")
+        self._clip = clip
+
+    def forward(self, observation: torch.Tensor) -> torch.Tensor:
+        """Normalize observations, shape (batch, n)."""
+        scaled = (observation - self.mean) / self.std
+        return scaled if self._clip is None else torch.clamp(scaled, -self._clip, self._clip)
+
+
+class _Whole(torch.nn.Module):
+    """Normalizer and network, with actions in [-1, 1]."""
+
+    def __init__(self, network: torch.nn.Module, normalizer: torch.nn.Module | None) -> None:
+        super().__init__()
+        self.normalizer, self.network = normalizer, network
+
+    def forward(self, observation: torch.Tensor) -> torch.Tensor:
+        if self.normalizer is not None:
+            observation = self.normalizer(observation)
+        return torch.clamp(self.network(observation), -1.0, 1.0)
+
+
+def write(
+    network: torch.nn.Module,
+    path: Path,
+    task: Task,
+    config: RobotConfig,
+    normalizer: torch.nn.Module | None = None,
+) -> None:
+    """Write a network as an ONNX file that `OnnxPolicy` reads.
+
+    The file maps `observation` (batch, n) to `action` (batch, 2), float32, and carries the env's
+    id and the observation's signature. Raises PolicyError where the network doesn't fit, or has
+    operations that OnnxPolicy refuses.
+    """
+    whole = _Whole(network, normalizer)
+    with _evaluating(whole):
+        example = torch.zeros(1, *(task_spaces(task, config)[1].shape or ()), device=_device(whole))
+        _check(whole, example)
+        model: Any = _exported(whole, example)
+    _forget_sources(model)
+    onnx.helper.set_model_props(model, {ENV_KEY: task.id, LAYOUT_KEY: signature(task, config)})
+    data = model.SerializeToString()
+    try:
+        inspected(data)
+    except PolicyError as error:
+        raise PolicyError(f"{path}: can't be written: it {error}") from None
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(data)
+
+
+def _exported(whole: torch.nn.Module, example: torch.Tensor) -> Any:
+    logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it misses torchvision, we don't
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # deprecations inside torch's own exporter
+        program: Any = torch.onnx.export(
+            whole,
+            (example,),
+            input_names=["observation"],
+            output_names=["action"],
+            dynamic_shapes=({0: "batch"},),
+            dynamo=True,
+            verbose=False,
+        )
+    return program.model_proto
+
+
+def _check(whole: torch.nn.Module, example: torch.Tensor) -> None:
+    try:
+        with torch.no_grad():
+            action = whole(example)
+    except Exception as error:  # noqa: BLE001 - whatever a user's module raises
+        said = f"observations of shape (batch, {example.shape[1]}): {one_line(error)}"
+        raise PolicyError(f"the module doesn't take {said}") from None
+    if action.shape != (1, 2):
+        raise PolicyError(f"the module gives shape {tuple(action.shape)}: must be (batch, 2)")
+
+
+@contextlib.contextmanager
+def _evaluating(module: torch.nn.Module) -> Iterator[None]:
+    """Evaluation mode for a while, without dropout and the like; then each as it was."""
+    modes = [(part, part.training) for part in module.modules()]
+    module.eval()
+    try:
+        yield
+    finally:
+        for part, training in modes:
+            part.training = training
+
+
+def _device(module: _Whole) -> torch.device:
+    """Where the network's weights are; the normalizer is taken there."""
+    weight = next(module.network.parameters(), torch.zeros(0))
+    if module.normalizer is not None:
+        module.normalizer.to(weight.device)
+    return weight.device
+
+
+def _forget_sources(model: Any) -> None:
+    """Drop the stack traces that torch keeps in the file: paths of the machine that trained."""
+    graph = model.graph
+    for part in (model, graph, *graph.node, *graph.input, *graph.output, *graph.value_info):
+        del part.metadata_props[:]
+    for weight in graph.initializer:
+        del weight.metadata_props[:]

@@ -1,0 +1,304 @@
+"""ONNX policies made by hand: good ones, and those that an attacker would send."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from acsar_gym.policies.base import ENV_KEY, LAYOUT_KEY
+from acsar_gym.resources import AGENTS
+from acsar_gym.tasks import PointGoal, signature
+
+GOOD = AGENTS / "policies" / "point_goal.onnx"
+ENV_ID = "acsar_gym/PointGoal-v0"
+
+
+def layout() -> str:
+    """What PointGoal's observation consists of."""
+    from acsar_gym import RobotConfig
+
+    config = RobotConfig.preset("acsar")
+    return signature(PointGoal.of((0.5, 3.0), 0.15, config), config)
+
+
+def relabelled(path: Path, env_id: str, layout: str) -> Path:
+    """A copy of the policy that comes along which says to be for something else."""
+    import onnx
+
+    model = onnx.load(GOOD)
+    onnx.helper.set_model_props(model, {ENV_KEY: env_id, LAYOUT_KEY: layout})
+    onnx.save(model, path)
+    return path
+
+
+class Maker:
+    """A network in the making: `add("Tanh", "observation")` names its results by itself."""
+
+    def __init__(self, width: int = 7, dtype: int = 1, shape: list[Any] | None = None) -> None:
+        import onnx
+
+        self._onnx, self._dtype = onnx, dtype
+        self._inputs = [self._value("observation", dtype, ["batch", width])]
+        self._nodes: list[Any] = []
+        self._weights: list[Any] = []
+        self._shape = ["batch", 2] if shape is None else shape
+        self._out_dtype = 1
+        self.domains = [("", 20)]
+
+    def _value(self, name: str, dtype: int, shape: list[Any] | None) -> Any:
+        return self._onnx.helper.make_tensor_value_info(name, dtype, shape)
+
+    def weight(self, value: Any, dtype: Any = np.float32) -> str:
+        """A constant of the file."""
+        name = f"w{len(self._weights)}"
+        array = np.asarray(value, dtype)
+        self._weights.append(self._onnx.numpy_helper.from_array(array, name))
+        return name
+
+    def add(self, op: str, *inputs: str, out: str = "", domain: str = "", **attributes: Any) -> str:
+        """One operation; returns the name of its result."""
+        out = out or f"v{len(self._nodes)}"
+        node = self._onnx.helper.make_node(op, list(inputs), [out], domain=domain, **attributes)
+        self._nodes.append(node)
+        return out
+
+    def dense(self, value: str, rows: int, columns: int = 2, out: str = "action") -> str:
+        """A layer of small weights."""
+        weights = self.weight(np.full((rows, columns), 0.01))
+        return self.add("MatMul", value, weights, out=out)
+
+    def model(self, env_id: str = ENV_ID) -> Any:
+        """The finished onnx.ModelProto."""
+        helper = self._onnx.helper
+        output = self._value("action", self._out_dtype, self._shape)
+        graph = helper.make_graph(self._nodes, "g", self._inputs, [output], self._weights)
+        opsets = [helper.make_opsetid(domain, version) for domain, version in self.domains]
+        model = helper.make_model(graph, opset_imports=opsets, ir_version=10)
+        helper.set_model_props(model, {ENV_KEY: env_id, LAYOUT_KEY: layout()})
+        return model
+
+    def bytes(self, env_id: str = ENV_ID) -> bytes:
+        """The finished file."""
+        data: bytes = self.model(env_id).SerializeToString()
+        return data
+
+
+def other_width() -> bytes:
+    make = Maker(width=9)
+    make.dense("observation", 9)
+    return make.bytes()
+
+
+def other_type() -> bytes:
+    make = Maker(dtype=11)
+    make.dense(make.add("Cast", "observation", to=1), 7)
+    return make.bytes()
+
+
+def scalar() -> bytes:
+    make = Maker(shape=[])
+    make.add("ReduceSum", "observation", out="action", keepdims=0)
+    return make.bytes()
+
+
+def lies_about_its_output() -> bytes:
+    make = Maker(shape=["batch", "n"])
+    make.dense("observation", 7, 3)
+    return make.bytes()
+
+
+def empty() -> bytes:
+    make = Maker(shape=["batch", "n"])
+    make.dense("observation", 7, 0)
+    return make.bytes()
+
+
+def not_finite() -> bytes:
+    make = Maker()
+    make.dense(make.add("Log", "observation"), 7)
+    return make.bytes()
+
+
+def without_width() -> bytes:
+    make = Maker()
+    make.dense("observation", 7)
+    model = make.model()
+    model.graph.input[0].type.tensor_type.shape.dim[1].dim_param = "n"
+    data: bytes = model.SerializeToString()
+    return data
+
+
+def wide_beyond_reason() -> bytes:
+    make = Maker(width=2_000_000_000)
+    make.dense(make.add("ReduceSum", "observation", keepdims=1), 1)
+    return make.bytes()
+
+
+def shape_bomb() -> bytes:
+    """9 GB of zeros, made when a session is."""
+    make = Maker()
+    zeros = make.add("ConstantOfShape", make.weight([1, 2_250_000_000], np.int64))
+    total = make.add("ReduceSum", zeros, make.weight([1], np.int64), keepdims=1)
+    make.add("Add", make.dense("observation", 7, out="d"), total, out="action")
+    return make.bytes()
+
+
+def outer_product() -> bytes:
+    """100,000 by 100,000 numbers from two short rows."""
+    make = Maker()
+    row = make.dense("observation", 7, 100_000, out="row")
+    column = make.add("Transpose", row, perm=[1, 0])
+    square = make.add("MatMul", column, row)
+    make.dense(make.add("ReduceSum", square, make.weight([1], np.int64), keepdims=1), 1)
+    return make.bytes()
+
+
+def slow() -> bytes:
+    """Plain layers, but hours of them."""
+    make = Maker()
+    weights = make.weight(np.full((1000, 1000), 1e-4))
+    value = make.dense("observation", 7, 1000, out="row")
+    for _ in range(5_000):
+        value = make.add("MatMul", value, weights)
+    make.dense(value, 1000)
+    return make.bytes()
+
+
+def sizes_that_are_seen() -> bytes:
+    """As many numbers as the observation says."""
+    make = Maker()
+    first = make.add("ReduceMax", "observation", keepdims=0)
+    count = make.add("Unsqueeze", make.add("Cast", first, to=7), make.weight([0], np.int64))
+    zeros = make.add("ConstantOfShape", count)
+    make.add("Add", make.dense("observation", 7, out="d"), make.add("Size", zeros), out="action")
+    return make.bytes()
+
+
+def endless_loop() -> bytes:
+    import onnx
+
+    helper = onnx.helper
+    body = helper.make_graph(
+        [
+            helper.make_node("Identity", ["go_on"], ["go_on_out"]),
+            helper.make_node("Identity", ["x"], ["x_out"]),
+        ],
+        "body",
+        [
+            helper.make_tensor_value_info("i", 7, []),
+            helper.make_tensor_value_info("go_on", 9, []),
+            helper.make_tensor_value_info("x", 1, None),
+        ],
+        [
+            helper.make_tensor_value_info("go_on_out", 9, []),
+            helper.make_tensor_value_info("x_out", 1, None),
+        ],
+    )
+    make = Maker()
+    looped = make.add("Loop", "", make.weight(True, np.bool_), "observation", body=body)
+    make.dense(looped, 7)
+    return make.bytes()
+
+
+def external_data() -> bytes:
+    import onnx
+
+    make = Maker()
+    make.dense("observation", 7)
+    model = make.model()
+    weights = model.graph.initializer[0]
+    onnx.external_data_helper.set_external_data(weights, "weights.bin", 0, 56)
+    weights.ClearField("raw_data")
+    data: bytes = model.SerializeToString()
+    return data
+
+
+def external_constant() -> bytes:
+    """The same in a constant."""
+    import onnx
+
+    tensor = onnx.numpy_helper.from_array(np.zeros((7, 2), np.float32))
+    onnx.external_data_helper.set_external_data(tensor, "weights.bin", 0, 56)
+    tensor.ClearField("raw_data")
+    make = Maker()
+    make.add("MatMul", "observation", make.add("Constant", value=tensor), out="action")
+    return make.bytes()
+
+
+def function() -> bytes:
+    """A function of the file's own, which may call others twice, and those others again."""
+    import onnx
+
+    helper = onnx.helper
+    make = Maker()
+    make.domains.append(("mine", 1))
+    make.dense(make.add("twice", "observation", domain="mine"), 7)
+    model = make.model()
+    node = helper.make_node("Add", ["a", "a"], ["b"])
+    model.functions.append(
+        helper.make_function("mine", "twice", ["a"], ["b"], [node], [helper.make_opsetid("", 20)])
+    )
+    data: bytes = model.SerializeToString()
+    return data
+
+
+def contributed() -> bytes:
+    make = Maker()
+    make.domains.append(("com.microsoft", 1))
+    make.dense(make.add("FastGelu", "observation", domain="com.microsoft"), 7)
+    return make.bytes()
+
+
+def random() -> bytes:
+    make = Maker()
+    make.add("RandomNormalLike", make.dense("observation", 7, out="d"), out="action")
+    return make.bytes()
+
+
+def weights_that_are_not_there() -> bytes:
+    make = Maker()
+    make.dense("observation", 7)
+    model = make.model()
+    del model.graph.initializer[0].dims[:]
+    model.graph.initializer[0].dims.extend([7, 2_000_000_000])
+    data: bytes = model.SerializeToString()
+    return data
+
+
+def many_fields() -> bytes:
+    """Two bytes each."""
+    return bytes((0x08, 1)) * 4_000_000
+
+
+def in_other_format() -> bytes:
+    """What onnxruntime would read as its own format."""
+    return b"\x18\x00\x00\x00ORTM" + bytes(100)
+
+
+HOSTILE: dict[Callable[[], bytes], str] = {
+    other_width: "takes 9 numbers, but acsar_gym/PointGoal-v0 gives 7",
+    other_type: "observation must be float32",
+    scalar: "action must be of shape",
+    lies_about_its_output: "shape (1, 3)",
+    empty: "shape (1, 0)",
+    not_finite: "for an observation of zeros",
+    without_width: "must map (batch, n) to (batch, 2), maps n = ?",
+    wide_beyond_reason: "maps n = 2000000000",
+    shape_bomb: "takes over 0.7 s or 300 MB",
+    outer_product: "takes over 0.7 s or 300 MB",
+    slow: "takes over 0.7 s or 300 MB",
+    sizes_that_are_seen: "depend on what is seen",
+    endless_loop: "uses 'Loop'",
+    external_data: "other files",
+    external_constant: "other files",
+    function: "functions",
+    contributed: "com.microsoft",
+    random: "RandomNormalLike",
+    weights_that_are_not_there: "aren't all in the file",
+    many_fields: "fields",
+    in_other_format: "not an ONNX policy",
+}
+"""What would make such a file, and what the one line says about it."""

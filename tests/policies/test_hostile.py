@@ -1,0 +1,138 @@
+"""Policy files as an attacker would make them: one line each, before they cost anything."""
+
+from __future__ import annotations
+
+import os
+import resource
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from onnx_tools import ENV_ID, GOOD, HOSTILE, Maker, layout, relabelled
+
+from acsar_gym import runs
+from acsar_gym.errors import PolicyError
+from acsar_gym.policies import OnnxPolicy, trial
+from acsar_gym.policies.limits import plain
+from acsar_gym.policies.onnx import MAX_BYTES, inspected
+from acsar_gym.policies.protobuf import Message, ProtobufError
+
+
+def refused(path: Path) -> str:
+    """The one line with which a policy file is refused."""
+    with pytest.raises(PolicyError) as raised:
+        runs.made(runs.load(str(path), trust=False), "planar", None, {})
+    said = str(raised.value)
+    assert said.startswith(str(path))
+    assert "\n" not in said
+    assert len(said) < 400
+    return said
+
+
+@pytest.mark.parametrize("make", HOSTILE, ids=lambda make: make.__name__)
+def test_a_hostile_file_is_one_line(
+    make: Callable[[], bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("weights.bin").write_bytes(bytes(56))  # what external data would be taken from
+    path = tmp_path / "policy.onnx"
+    path.write_bytes(make())
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    assert HOSTILE[make] in refused(path)
+    grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    assert grown < 300_000  # kB
+    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss < 1_500_000  # with other tests'
+
+
+def test_devices_pipes_and_large_files_are_not_read(tmp_path: Path) -> None:
+    pipe, large = tmp_path / "pipe.onnx", tmp_path / "large.onnx"
+    os.mkfifo(pipe)
+    with large.open("wb") as file:
+        file.truncate(MAX_BYTES + 1)
+    assert "regular file" in refused(pipe)
+    assert "larger than 32 MB" in refused(large)
+    assert "regular file" in refused(Path("/dev/zero"))
+
+
+@pytest.mark.parametrize("cut", range(0, 400, 7))
+def test_no_cut_or_changed_file_gets_past_as_anything_but_a_policy(cut: int) -> None:
+    data = GOOD.read_bytes()
+    rng = np.random.default_rng(cut)
+    changed = bytearray(data)
+    for place in rng.integers(0, 600, 5):
+        changed[place] = rng.integers(256)
+    for content in (data[:cut], data[:-cut] if cut else b"", bytes(changed)):
+        try:
+            inspected(content)
+        except PolicyError as error:
+            assert "\n" not in str(error)  # noqa: PT017 - most are refused, some are harmless
+
+
+def test_repeated_parts_are_merged_as_protobuf_does() -> None:
+    """A second graph in the file adds its nodes: none is hidden behind the last one."""
+    make = Maker()
+    make.dense("observation", 7)
+    loop = Maker()
+    loop.add("Loop", "observation")
+    hidden = loop.model()
+    for part in ("input", "output"):
+        hidden.graph.ClearField(part)
+    with pytest.raises(PolicyError, match="Loop"):
+        inspected(hidden.SerializeToString() + make.bytes())
+
+
+@pytest.mark.parametrize(
+    "data", [b"\x0a", b"\x0a\x05x", b"\x0b\x0c", b"\x00\x01", b"\xff" * 11, b"\x08" + b"\xff" * 9]
+)
+def test_broken_messages_are_said_so(data: bytes) -> None:
+    with pytest.raises(ProtobufError):
+        Message(data)
+
+
+def test_negative_packed_and_single_numbers_are_read() -> None:
+    message = Message(b"\x08\x05\x0a\x02\x07\x08\x08" + b"\xff" * 9 + b"\x01")
+    assert message.integers(1) == [5, 7, 8, -1]
+    assert message.integer(1) == -1
+    assert (message.integer(2), message.text(2)) == (0, "")
+
+
+def test_plain_networks_need_no_trial(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Loading one costs a few ms, on a robot's onboard computer, too."""
+
+    def tried(*_: object) -> str:
+        raise AssertionError
+
+    monkeypatch.setattr(trial, "refusal", tried)
+    for path in GOOD.parent.glob("*.onnx"):
+        OnnxPolicy(path)
+
+
+def test_other_networks_are_tried_once(tmp_path: Path) -> None:
+    make = Maker()
+    lanes = make.add("Unsqueeze", "observation", make.weight([1], np.int64))
+    filtered = make.add("Conv", lanes, make.weight(np.full((4, 1, 3), 0.1)))
+    make.dense(make.add("Flatten", filtered), 20)
+    data = make.bytes()
+    assert not plain(inspected(data))
+    path = tmp_path / "convolution.onnx"
+    path.write_bytes(data)
+    assert OnnxPolicy(path)(np.ones(7, np.float32)).tolist() == pytest.approx([0.06, 0.06])
+
+
+@pytest.mark.parametrize("env_id", ["GymV21Environment-v0", "phys2d/CartPole-v1", "CartPole-v1"])
+def test_a_file_chooses_among_the_environments_of_this_package_alone(
+    env_id: str, tmp_path: Path
+) -> None:
+    path = relabelled(tmp_path / "other.onnx", env_id, layout())
+    assert "which isn't acsar_gym's: if you trust that package, name it with --env" in refused(path)
+    policy = runs.load(str(path), trust=False, env=ENV_ID)
+    runs.made(policy, "planar", None, {}).close()
+    with pytest.raises(PolicyError, match="no_such_module"):
+        runs.made(runs.load(str(path), trust=False, env="no_such_module:x-v0"), "planar", None, {})
+
+
+def test_what_a_file_says_cannot_steer_a_terminal(tmp_path: Path) -> None:
+    for env_id, words in (("\x1b[2Jx", "x"), (ENV_ID, "\x1b]0;title\x07")):
+        path = relabelled(tmp_path / "escape.onnx", env_id, words)
+        assert "\x1b" not in refused(path)

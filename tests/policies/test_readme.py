@@ -1,0 +1,44 @@
+"""README's section "Train with your own library", where the library is in the dev extra."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import snippets
+
+from acsar_gym import runs
+from acsar_gym.policies import OnnxPolicy
+
+pytestmark = pytest.mark.xdist_group("torch")
+TINY = {"256": "4", "n_steps=64": "n_steps=8", "batch_size=4096": "batch_size=32", "300_000": "32"}
+
+
+def test_every_library_has_its_snippet() -> None:
+    libraries = ["stable-baselines3", "torch", "mine.py", "RL Zoo", "CleanRL", "RLlib", "TorchRL"]
+    assert list(snippets.snippets()) == [*libraries, "skrl"]
+
+
+def execute(name: str, smaller: dict[str, str]) -> None:
+    """Run a block in this process, which has imported torch already."""
+    exec(compile(snippets.shrunk(name, smaller), name, "exec"), {})  # noqa: S102 - our own
+
+
+def test_stable_baselines3(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    execute("stable-baselines3", TINY)
+    runs.export(tmp_path / "model.zip", tmp_path / "p.onnx", "point_goal", None, trust=True)
+    assert OnnxPolicy(tmp_path / "p.onnx").env_id == "acsar_gym/PointGoal-v0"
+
+
+def test_torch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    execute("torch", {})
+    assert OnnxPolicy(tmp_path / "policy.onnx")(np.ones(7, np.float32)).shape == (2,)
+
+
+def test_a_function(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(snippets.snippets()["mine.py"][1])
+    results = runs.evaluate(f"{tmp_path / 'mine.py'}:act", "planar", None, 3, 0)
+    assert all(result.success for result in results.results)

@@ -1,0 +1,91 @@
+"""Torch modules of any library become files that drive."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from acsar_gym import policies, runs
+from acsar_gym.errors import ConfigError, MissingExtraError, PolicyError
+from acsar_gym.policies import OnnxPolicy, save
+
+pytestmark = pytest.mark.xdist_group("torch")
+SEEN = np.random.default_rng(0).uniform(-3.0, 3.0, (20, 7)).astype(np.float32)
+
+
+def network(*, outputs: int = 2, dropout: float = 0.0) -> Any:
+    import torch
+
+    torch.manual_seed(0)
+    layers = [torch.nn.Linear(7, 8), torch.nn.Tanh(), torch.nn.Dropout(dropout)]
+    return torch.nn.Sequential(*layers, torch.nn.Linear(8, outputs))
+
+
+def test_a_module_decides_the_same_from_its_file(tmp_path: Path) -> None:
+    """With its normalizer, without its dropout, and what is beyond the limits is clipped."""
+    import torch
+
+    module, path = network(dropout=0.5), tmp_path / "policy.onnx"
+    module.train()
+    mean, std = np.linspace(-1.0, 1.0, 7), np.linspace(0.1, 2.0, 7)
+    save(module, "point_goal", path, normalizer=(mean, std, 2.0))
+    assert module.training
+    assert module[2].training
+    module.eval()
+    policy = OnnxPolicy(path)
+    for seen in SEEN:
+        normalized = np.clip((seen - mean) / std, -2.0, 2.0).astype(np.float32)
+        with torch.no_grad():
+            expected = module(torch.from_numpy(normalized)[None])[0].clamp(-1.0, 1.0)
+        assert policy(seen) == pytest.approx(expected.numpy(), abs=1e-6)
+    runs.made(policy, "planar", None, {}).close()
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"outputs": 3}, "gives shape (1, 3): must be (batch, 2)"),
+        ({"env_id": "path_follow"}, "doesn't take observations of shape (batch, 16)"),
+        ({"normalizer": (0.0, 0.0, None)}, "std and clip must be positive"),
+        ({"normalizer": (np.nan, 1.0, None)}, "mean must be finite"),
+        ({"normalizer": (np.zeros(5), 1.0, None)}, "doesn't take observations"),
+    ],
+    ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
+)
+def test_what_does_not_fit_is_one_line(options: dict[str, Any], said: str, tmp_path: Path) -> None:
+    module = network(outputs=options.get("outputs", 2))
+    env_id = options.get("env_id", "acsar_gym/PointGoal-v0")
+    with pytest.raises(PolicyError) as raised:
+        save(module, env_id, tmp_path / "p.onnx", normalizer=options.get("normalizer"))
+    assert said in str(raised.value)
+    assert "\n" not in str(raised.value)
+    assert not (tmp_path / "p.onnx").exists()
+
+
+def test_an_unknown_environment_is_one_line(tmp_path: Path) -> None:
+    for env_id in ("maze", "no_such_module:Maze-v0"):
+        with pytest.raises(ConfigError, match=env_id):
+            save(network(), env_id, tmp_path / "p.onnx")
+
+
+def test_without_onnx_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "acsar_gym.policies.torch_export", raising=False)
+    monkeypatch.delattr(policies, "torch_export", raising=False)
+    monkeypatch.setitem(sys.modules, "onnxscript", None)
+    with pytest.raises(MissingExtraError, match=r"onnxscript\) needs .*acsar_gym\[train\]"):
+        save(network(), "point_goal", tmp_path / "p.onnx")
+
+
+def test_importing_policies_imports_no_torch_and_training_no_onnx() -> None:
+    for module, absent in (
+        ("acsar_gym.policies", "{'torch', 'onnxruntime', 'onnx', 'pybullet'}"),
+        ("acsar_gym.sb3", "{'onnx', 'onnxscript', 'onnxruntime'}"),
+    ):
+        code = f"import sys, {module}; sys.exit(sorted({absent} & set(sys.modules)) or 0)"
+        done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True)
+        assert done.returncode == 0, (module, done.stderr)
