@@ -130,6 +130,7 @@ def train(options: Options) -> int:
         The exit code: 130 where Ctrl-C ended the training early, 143 where SIGTERM did.
     """
     _check(options)
+    threads.wait_passively()
     with StopRequest() as stop:
         recipe, out = RECIPES[options.env], _folder(options)
         count = threads.chosen(options.threads)

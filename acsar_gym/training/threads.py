@@ -1,7 +1,8 @@
 """How many threads to train with: other programs' share of the processor is left to them.
 
-torch's threads wait for each other after every small operation. Where one of them has to share its
-core, all of them wait, and two threads are slower than one.
+torch's threads wait for each other after every small operation, spinning. Where one of them has to
+share its core, the others spin for as long as it waits, and two threads are many times slower than
+one. So they are told to sleep instead, and only as many are started as there are free cores.
 """
 
 from __future__ import annotations
@@ -17,6 +18,14 @@ PROBE = 0.25
 """How long the measurement of free cores takes [s]."""
 _BLOCK = bytes(1 << 18)
 """What a thread of the measurement hashes at once, without the GIL: about 0.2 ms of work."""
+
+
+def wait_passively() -> None:
+    """Have OpenMP's threads sleep while they wait, unless the user's environment says how.
+
+    Only what is loaded afterwards heeds it: call it before torch is imported.
+    """
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 
 def cores() -> int:
