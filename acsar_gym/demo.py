@@ -11,7 +11,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from acsar_gym import evaluation, report, runs
-from acsar_gym.errors import ConfigError, LinkError, MissingExtraError
+from acsar_gym.errors import LinkError, MissingExtraError
 from acsar_gym.evaluation import EpisodeResult
 from acsar_gym.policy import OnnxPolicy
 from acsar_gym.resources import agent
@@ -19,7 +19,6 @@ from acsar_gym.runs import Run
 
 END_TIMEOUT = 30.0
 """How long the emulator may take to end before it is killed [s]."""
-MOST_EPISODES = 100_000
 ENDING_WITH_US = """
 import os, threading
 
@@ -37,12 +36,8 @@ main()
 def run(steps: int, episodes: int, serial_episodes: int, out: Path) -> list[tuple[str, Run]]:
     """Train, evaluate in PyBullet, evaluate over a pseudo-terminal; one row each.
 
-    Raises ConfigError and MissingExtraError before the training begins, SystemExit where a signal
-    has ended it.
+    Raises MissingExtraError before the training begins, SystemExit where a signal has ended it.
     """
-    for name, count in (("episodes", episodes), ("serial-episodes", serial_episodes)):
-        if not 1 <= count <= MOST_EPISODES:
-            raise ConfigError(f"--{name} {count}: must be 1 to {MOST_EPISODES:,}")
     for module, extra in (("pybullet", "bullet"), ("onnxruntime", "deploy")):
         if find_spec(module) is None:
             raise MissingExtraError("the demo", extra)

@@ -27,7 +27,7 @@ def test_only_honest_figures_are_logged(tmp_path: Path, capsys: pytest.CaptureFi
         for robots, mode in ((ROBOTS, "SameStep"), (4, "NextStep"))
     ]
     total = STEPS * ROBOTS * 4
-    scores = callbacks.HeldOut(batches[1], total)
+    scores = callbacks.HeldOut(batches[1], total, 16)
     watching = [callbacks.WholeCohorts(LIMIT), scores, callbacks.TrainingProgress(total, scores)]
     model = PPO("MlpPolicy", BatchVecEnv(batches[0]), n_steps=STEPS, batch_size=256, n_epochs=1)
     model.set_logger(configure(str(tmp_path), ["csv"]))
