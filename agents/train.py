@@ -20,7 +20,14 @@ from typing import TYPE_CHECKING, Any, Literal
 import tyro
 
 from acsar_gym import vectors
-from acsar_gym.errors import AcsarError, ConfigError, MissingExtraError, PolicyError, shown
+from acsar_gym.errors import (
+    AcsarError,
+    ConfigError,
+    MissingExtraError,
+    PolicyError,
+    printable,
+    shown,
+)
 from acsar_gym.training import held_out, threads
 from acsar_gym.training.signals import StopRequest
 from acsar_gym.vector import FAIR_SHARE, RobotVectorEnv
@@ -299,7 +306,8 @@ def _save(model: PPO, env: RobotVectorEnv, out: Path) -> None:
 
     model.save(out / "model.zip")
     sb3.export(model.policy, out / "policy.onnx", env.task, env.config)
-    print(f"written: {out / 'policy.onnx'} (to drive with), {out / 'model.zip'} (to train on)")
+    files = f"{out / 'policy.onnx'} (to drive with), {out / 'model.zip'} (to train on)"
+    print(printable(f"written: {files}"))
 
 
 def _tell(score: held_out.Score, options: Options, out: Path) -> None:
@@ -307,7 +315,7 @@ def _tell(score: held_out.Score, options: Options, out: Path) -> None:
     wins = round(score.success_rate * score.episodes)
     print(f"held-out success: {wins} of {score.episodes} episodes ({score.success_rate:.1%})")
     robot = f" --robot {options.robot}" if options.robot else ""
-    print(f"next: acsar-gym evaluate --policy {out / 'policy.onnx'}{robot}")
+    print(printable(f"next: acsar-gym evaluate --policy {out / 'policy.onnx'}{robot}"))
 
 
 def main(arguments: Sequence[str]) -> int:
