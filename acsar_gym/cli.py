@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import io
 import signal
-import subprocess
 import sys
 import warnings
 from collections.abc import Callable
@@ -245,15 +244,9 @@ def drive(
 
 def train() -> int:
     """Train PPO and export the policy: agents/train.py, with its own options."""
-    from acsar_gym.resources import AGENTS  # noqa: PLC0415
+    from acsar_gym.resources import agent  # noqa: PLC0415
 
-    command = [sys.executable, str(AGENTS / "train.py"), *sys.argv[2:]]
-    process = subprocess.Popen(command)
-    while True:
-        try:
-            return process.wait()
-        except KeyboardInterrupt:  # the script has got it, too, and saves what there is
-            continue
+    return int(agent("train").main(sys.argv[2:]))
 
 
 def evaluate(

@@ -5,24 +5,42 @@ from __future__ import annotations
 import contextlib
 import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 
 from acsar_gym import evaluation, report, runs
-from acsar_gym.errors import AcsarError, LinkError
+from acsar_gym.errors import LinkError, MissingExtraError
 from acsar_gym.evaluation import EpisodeResult
 from acsar_gym.policies import OnnxPolicy
-from acsar_gym.resources import AGENTS
+from acsar_gym.resources import agent
 from acsar_gym.runs import Run
 
-START_TIMEOUT = 30.0
-"""How long the emulator may take to say its device [s]."""
+END_TIMEOUT = 30.0
+"""How long the emulator may take to end before it is killed [s]."""
+ENDING_WITH_US = """
+import os, threading
+
+def follow():
+    os.read(0, 1)  # returns when the other end of the pipe is closed, or its process has ended
+    os._exit(0)
+
+threading.Thread(target=follow, daemon=True).start()
+from acsar_gym.cli import main
+main()
+"""
+"""`acsar-gym`, ending with the process that started it, however that ends."""
 
 
 def run(steps: int, episodes: int, serial_episodes: int, out: Path) -> list[tuple[str, Run]]:
-    """Train, evaluate in PyBullet, evaluate over a pseudo-terminal; one row each."""
+    """Train, evaluate in PyBullet, evaluate over a pseudo-terminal; one row each.
+
+    Raises MissingExtraError before the training begins, SystemExit where a signal has ended it.
+    """
+    for module, extra in (("pybullet", "bullet"), ("onnxruntime", "deploy")):
+        if find_spec(module) is None:
+            raise MissingExtraError("the demo", extra)
     console = report.SafeConsole()
     console.rule("1. train PPO on simulated robots", align="left")
     policy_file = train(steps, out)
@@ -30,25 +48,24 @@ def run(steps: int, episodes: int, serial_episodes: int, out: Path) -> list[tupl
     console.rule(f"2. drive {policy_file.name} in PyBullet", align="left")
     simulated = runs.drive(policy, "bullet", None, episodes, seed=10_000)
     console.rule(f"3. drive {policy_file.name} over a serial device", align="left")
-    serial = _over_serial(policy, serial_episodes)
+    serial = _over_serial(policy, serial_episodes, out / "emulator.jsonl")
     return [("PyBullet", simulated), ("serial device (emulator)", serial)]
 
 
 def train(steps: int, out: Path) -> Path:
-    """Run agents/train.py in a process of its own; returns the ONNX file."""
-    command = [sys.executable, str(AGENTS / "train.py"), "--steps", str(steps), "--out", str(out)]
-    if subprocess.run(command, check=False).returncode != 0:
-        raise AcsarError(f"training failed: run '{' '.join(command)}' to see why")
+    """Run agents/train.py here; returns the ONNX file, raises SystemExit where a signal came."""
+    script = agent("train")
+    code = script.train(script.Options(steps=steps, out=out))
+    if code != 0:
+        raise SystemExit(code)
     return out / "policy.onnx"
 
 
-def _over_serial(policy: OnnxPolicy, count: int) -> Run:
+def _over_serial(policy: OnnxPolicy, count: int, log: Path) -> Run:
     """The emulator runs in another process; its log tells how far odometry was off."""
-    with tempfile.TemporaryDirectory() as folder:
-        log = Path(folder) / "emulator.jsonl"
-        with emulator("--body", "bullet", "--log", str(log)) as device:
-            run = runs.drive(policy, device, None, count, seed=20_000)
-        return replace(run, results=with_truth(run.results, log))
+    with emulator("--body", "bullet", "--log", str(log)) as device:
+        run = runs.drive(policy, device, None, count, seed=20_000)
+    return replace(run, results=with_truth(run.results, log))
 
 
 def with_truth(results: Sequence[EpisodeResult], log: Path) -> list[EpisodeResult]:
@@ -59,17 +76,28 @@ def with_truth(results: Sequence[EpisodeResult], log: Path) -> list[EpisodeResul
 
 @contextlib.contextmanager
 def emulator(*arguments: str) -> Iterator[str]:
-    """`acsar-gym emulate` in another process; yields the device it serves, and ends it."""
-    command = [sys.executable, "-m", "acsar_gym", "emulate", *arguments]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    """`acsar-gym emulate` in another process; yields the device it serves, and ends it.
+
+    It also ends when this process does, even by SIGKILL. Ctrl-C is left to this process.
+    """
+    command = [sys.executable, "-c", ENDING_WITH_US, "emulate", *arguments]
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
+    ) as process:
+        try:
+            line = process.stdout.readline() if process.stdout else ""
+            device = line.strip().split(" ")[-1]
+            if not device.startswith("/"):
+                said = f"run 'acsar-gym emulate {' '.join(arguments)}' to see why"
+                raise LinkError("the emulator didn't start", said)
+            yield device
+        finally:
+            _end(process)
+
+
+def _end(process: subprocess.Popen[str]) -> None:
+    process.terminate()
     try:
-        line = process.stdout.readline() if process.stdout else ""
-        device = line.strip().split(" ")[-1]
-        if not device.startswith("/"):
-            raise LinkError("the emulator didn't start", f"run '{' '.join(command)}' to see why")
-        yield device
-    finally:
-        process.terminate()
-        process.wait(START_TIMEOUT)
-        if process.stdout:
-            process.stdout.close()
+        process.wait(END_TIMEOUT)
+    except subprocess.TimeoutExpired:
+        process.kill()

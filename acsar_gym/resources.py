@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
+import sys
 from pathlib import Path
+from types import ModuleType
 
 _PACKAGE = Path(__file__).resolve().parent
 
@@ -16,3 +19,15 @@ ASSETS = _folder("assets")
 """Robot presets and URDF."""
 AGENTS = _folder("agents")
 """Training recipes and trained policies."""
+
+
+def agent(name: str) -> ModuleType:
+    """The script `agents/NAME.py` as a module, imported once."""
+    known = f"acsar_gym_agents_{name}"
+    if known not in sys.modules:
+        spec = importlib.util.spec_from_file_location(known, AGENTS / f"{name}.py")
+        if spec is None or spec.loader is None:
+            raise ImportError(f"{AGENTS / name}.py: not a Python script")
+        sys.modules[known] = module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+    return sys.modules[known]

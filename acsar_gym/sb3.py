@@ -10,7 +10,6 @@ import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, MissingExtraError
@@ -20,8 +19,6 @@ from acsar_gym.vector import RobotVectorEnv
 
 try:
     from stable_baselines3.common.base_class import BaseAlgorithm
-    from stable_baselines3.common.callbacks import BaseCallback
-    from stable_baselines3.common.utils import safe_mean
     from stable_baselines3.common.vec_env import VecEnv
 except ImportError:
     raise MissingExtraError("stable-baselines3", "train") from None
@@ -134,42 +131,6 @@ def make_batch(env_id: str, num_envs: int, **options: Any) -> BatchVecEnv:
 _GOES_ON: dict[str, Any] = {}
 
 
-class TrainingProgress(BaseCallback):
-    """A progress bar with the success rate of the last 100 episodes and env steps a second."""
-
-    def __init__(self, steps: int, episode_steps: int) -> None:
-        super().__init__()
-        self._steps, self._episode_steps = steps, episode_steps
-        self._progress = Progress(
-            BarColumn(),
-            TextColumn("{task.completed:,.0f} of {task.total:,.0f} steps"),
-            TextColumn("{task.fields[speed]:,.0f} steps/s, success {task.fields[success]}"),
-            TimeElapsedColumn(),
-        )
-        self._task: TaskID = self._progress.add_task("train", total=steps, speed=0.0, success="-")
-        self._begin = 0.0
-        self._before = 0
-
-    def _on_training_start(self) -> None:
-        self._begin = time.monotonic()
-        self._before = self.num_timesteps
-        self._progress.start()
-
-    def _on_step(self) -> bool:
-        return True
-
-    def _on_rollout_end(self) -> None:
-        successes: Any = self.model.ep_success_buffer
-        # Until every robot has had a whole episode, only quick successes have ended.
-        done = self.num_timesteps - self._before
-        early = done < self._episode_steps * self.training_env.num_envs
-        success = "-" if early or not successes else f"{safe_mean(successes):.1%}"
-        speed = done / (time.monotonic() - self._begin)
-        total = max(done, self._steps)
-        self._progress.update(self._task, completed=done, total=total, speed=speed, success=success)
-
-    def _on_training_end(self) -> None:
-        self._progress.stop()
 
 
 def label(model: BaseAlgorithm, task: Task, config: RobotConfig) -> None:

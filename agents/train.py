@@ -3,28 +3,45 @@
     python agents/train.py --env obstacle_goal --out runs/obstacle_goal
 
 writes policy.onnx (what drives the robot), model.zip (to train on), checkpoints and TensorBoard
-logs into the folder. --resume model.zip --trust trains one of those zips on.
+logs into the folder. --resume model.zip --trust trains one of those zips on. Ctrl-C and SIGTERM end
+it early, and save what there is. How good the policy is, on robots that don't train and in worlds
+that aren't trained in, is logged as eval/success_rate.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-import torch
 import tyro
-from stable_baselines3 import PPO
-from stable_baselines3.common.callbacks import BaseCallback, CheckpointCallback
-from stable_baselines3.common.policies import ActorCriticPolicy
 
-from acsar_gym import sb3, vectors
-from acsar_gym.errors import AcsarError, ConfigError, PolicyError
-from acsar_gym.policies import ZipPolicy, sb3_export
-from acsar_gym.vector import RobotVectorEnv
+from acsar_gym import vectors
+from acsar_gym.errors import (
+    AcsarError,
+    ConfigError,
+    MissingExtraError,
+    PolicyError,
+    printable,
+    shown,
+)
+from acsar_gym.policies import ZipPolicy
+from acsar_gym.training import held_out, threads
+from acsar_gym.training.signals import StopRequest
+from acsar_gym.vector import FAIR_SHARE, RobotVectorEnv
 
+if TYPE_CHECKING:  # torch takes seconds to import, and isn't needed for --help
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.callbacks import BaseCallback
+
+MOST_STEPS = 10**10
+MOST_ROBOTS = 16_384
+"""A rollout of so many takes 0.2 to 1 GB."""
+MOST_TORCH_THREADS = 2
+"""More, where --threads doesn't ask for them, aren't worth it for nets as small as these."""
 RANDOMIZATION = {
     "friction": (0.7, 1.2),
     "motor_gain": (0.95, 1.05),
@@ -48,13 +65,21 @@ class Recipe:
     batch_size: int = 4096
     epochs: int = 6
     learning_rate: float = 1e-3
+    evaluations: int = 16
+    """How often held-out robots are evaluated in between; that takes 3 to 5 % of the time."""
     options: dict[str, Any] = field(default_factory=dict)
     """Arguments of the env."""
 
 
 RECIPES = {
-    "point_goal": Recipe(vectors.PointGoalVectorEnv, 600_000, 200),
-    "path_follow": Recipe(vectors.PathFollowVectorEnv, 1_000_000, 400),
+    "point_goal": Recipe(vectors.PointGoalVectorEnv, 600_000, 200, evaluations=6),
+    "path_follow": Recipe(
+        vectors.PathFollowVectorEnv,
+        1_000_000,
+        400,
+        evaluations=3,
+        options={"worlds": "smooth_path:train"},
+    ),
     "obstacle_goal": Recipe(
         vectors.ObstacleGoalVectorEnv,
         6_000_000,
@@ -78,7 +103,7 @@ RECIPES = {
         options={"worlds": "barn:train"},
     ),
 }
-"""Worlds to train in begin at number 1000, so that the first ones are left to be evaluated in."""
+"""Worlds to train in begin at number 1000: the first ones are left to be evaluated in."""
 
 
 @dataclass(frozen=True)
@@ -88,13 +113,15 @@ class Options:
     env: Literal["point_goal", "path_follow", "obstacle_goal", "barn"] = "point_goal"
     """What to learn; each has its own hyperparameters (see RECIPES)."""
     steps: int | None = None
-    """Env steps to train; the recipe's where it isn't given."""
+    """Env steps to train, at most 10 billion; the recipe's where it isn't given."""
     out: Path | None = None
     """Folder for the policy, checkpoints and logs; runs/ENV where it isn't given."""
     robots: int = 512
-    """Robots stepped together."""
+    """Robots stepped together, at most 16,384."""
     seed: int = 0
-    """Seed of everything random."""
+    """Seed of everything random, 0 to 2^32 - 1."""
+    threads: int | None = None
+    """Cores to use; as many as are free when the training begins where it isn't given."""
     worlds: str | None = None
     """Kind, file or folder of worlds, instead of the recipe's."""
     robot: str | None = None
@@ -110,66 +137,46 @@ class Options:
 
 
 def train(options: Options) -> int:
-    """Train, save, export; returns the exit code: 130 where Ctrl-C ended it early."""
-    recipe = RECIPES[options.env]
-    steps = recipe.steps if options.steps is None else options.steps
-    if min(steps, options.robots) < 1:
-        raise ConfigError("--steps and --robots must be at least 1")
-    saved = ZipPolicy(options.resume, trust=options.trust) if options.resume else None
-    out = _folder(options)
-    env = _env(recipe, options)
-    logs = str(out / "tensorboard")
-    model = _resumed(saved, env, options, logs) if saved else _new(recipe, env, options, logs)
-    sb3.label(model, env.task, env.config)
-    callbacks: list[BaseCallback] = [
-        CheckpointCallback(
-            save_freq=max(steps // (4 * options.robots), recipe.rollout_steps),
-            save_path=str(out / "checkpoints"),
-        )
-    ]
-    if options.progress:
-        callbacks.append(sb3.TrainingProgress(steps, recipe.episode_steps))
-    interrupted = False
-    try:
-        model.learn(steps, callback=callbacks, reset_num_timesteps=saved is None)
-    except KeyboardInterrupt:
-        interrupted = True
-        for callback in callbacks:
-            callback.on_training_end()
-        print(f"interrupted at {model.num_timesteps:,} steps: saving what there is")
-    finally:
-        env.close()
-    model.save(out / "model.zip")
-    policy = out / "policy.onnx"
-    sb3_export.export(model.policy, policy, env.task, env.config)
-    print(f"policy written to {policy}")
-    return 130 if interrupted else 0
+    """Train, save, export, and say how good it is.
+
+    Returns:
+        The exit code: 130 where Ctrl-C ended the training early, 143 where SIGTERM did.
+    """
+    _check(options)
+    threads.wait_passively()
+    with StopRequest() as stop:
+        recipe, out = RECIPES[options.env], _folder(options)
+        count = threads.chosen(options.threads)
+        saved = ZipPolicy(options.resume, trust=options.trust) if options.resume else None
+        env, apart = _env(recipe, options, count), _held_out(recipe, options)
+        try:
+            model = _model(recipe, env, options, saved, out / "tensorboard", count)
+            _learn(model, recipe, options, apart, stop, out)
+        finally:
+            env.close()
+            apart.close()
+        return stop.exit_code
 
 
-def _new(recipe: Recipe, env: RobotVectorEnv, options: Options, logs: str) -> PPO:
-    return PPO(
-        "MlpPolicy",
-        sb3.BatchVecEnv(env),
-        n_steps=recipe.rollout_steps,
-        batch_size=recipe.batch_size,
-        n_epochs=recipe.epochs,
-        learning_rate=recipe.learning_rate,
-        gamma=recipe.gamma,
-        gae_lambda=0.95,
-        ent_coef=0.0,
-        policy_kwargs={"net_arch": list(recipe.net), "log_std_init": -0.5},
-        seed=options.seed,
-        device="cpu",
-        tensorboard_log=logs,
+def _check(options: Options) -> None:
+    """Whatever can be known to be wrong before anything is started."""
+    ranges = (
+        ("steps", options.steps, 1, MOST_STEPS),
+        ("robots", options.robots, 1, MOST_ROBOTS),
+        ("seed", options.seed, 0, held_out.FIRST_SEED - 1),
     )
-
-
-def _resumed(saved: ZipPolicy, env: RobotVectorEnv, options: Options, logs: str) -> PPO:
-    saved.check(env.task, env.config)
-    if not isinstance(saved.network, ActorCriticPolicy):
-        raise PolicyError(f"{saved.path}: only PPO's models can be trained on")
-    batch = sb3.BatchVecEnv(env)
-    return PPO.load(saved.path, batch, device="cpu", seed=options.seed, tensorboard_log=logs)
+    for name, value, least, most in ranges:
+        if value is not None and not least <= value <= most:
+            raise ConfigError(f"--{name} {shown(value)}: must be {least:,} to {most:,}")
+    if options.env == "point_goal" and options.worlds is not None:
+        raise ConfigError("--worlds: point_goal has none")
+    for module in ("torch", "stable_baselines3", "tensorboard", "onnx", "onnxscript"):
+        try:
+            missing = find_spec(module) is None
+        except ImportError:
+            missing = True
+        if missing:
+            raise MissingExtraError("training", "train")
 
 
 def _folder(options: Options) -> Path:
@@ -181,26 +188,146 @@ def _folder(options: Options) -> Path:
     return out
 
 
-def _env(recipe: Recipe, options: Options) -> RobotVectorEnv:
-    arguments = dict(recipe.options)
-    if options.worlds is not None:
-        arguments["worlds"] = options.worlds
-    if options.env == "point_goal" and options.worlds is not None:
-        raise ConfigError("--worlds: point_goal has none")
+def _env(recipe: Recipe, options: Options, count: int) -> RobotVectorEnv:
+    """The robots that learn."""
     return recipe.env(
         options.robots,
         options.robot,
         max_episode_steps=recipe.episode_steps,
         autoreset_mode="SameStep",
+        threads=max(1, min(count, options.robots // FAIR_SHARE)),
         randomization=RANDOMIZATION if options.randomize else None,
-        **arguments,
+        **_arguments(recipe, options),
     )
 
 
-if __name__ == "__main__":
-    torch.set_num_threads(2)
+def _held_out(recipe: Recipe, options: Options) -> RobotVectorEnv:
+    """Robots that tell how good the policy is: as configured, in worlds that aren't trained in."""
+    arguments = _arguments(recipe, options)
+    if "worlds" in arguments:
+        arguments["worlds"] = held_out.worlds_beside(arguments["worlds"])
+    steps = recipe.episode_steps
+    return recipe.env(
+        held_out.ROBOTS, options.robot, max_episode_steps=steps, threads=1, **arguments
+    )
+
+
+def _arguments(recipe: Recipe, options: Options) -> dict[str, Any]:
+    chosen = {} if options.worlds is None else {"worlds": options.worlds}
+    return recipe.options | chosen
+
+
+def _model(
+    recipe: Recipe,
+    env: RobotVectorEnv,
+    options: Options,
+    saved: ZipPolicy | None,
+    logs: Path,
+    count: int,
+) -> PPO:
+    import torch  # noqa: PLC0415
+    from stable_baselines3 import PPO  # noqa: PLC0415
+
+    from acsar_gym import sb3  # noqa: PLC0415
+
+    torch.set_num_threads(min(count, options.threads or MOST_TORCH_THREADS))
+    always: dict[str, Any] = {"device": "cpu", "seed": options.seed, "tensorboard_log": str(logs)}
+    batch = sb3.BatchVecEnv(env)
+    if saved is not None:
+        _check_resumable(saved, env)
+        model = PPO.load(saved.path, batch, **always)
+    else:
+        model = PPO(
+            "MlpPolicy",
+            batch,
+            n_steps=recipe.rollout_steps,
+            batch_size=min(recipe.batch_size, recipe.rollout_steps * options.robots),
+            n_epochs=recipe.epochs,
+            learning_rate=recipe.learning_rate,
+            gamma=recipe.gamma,
+            gae_lambda=0.95,
+            ent_coef=0.0,
+            policy_kwargs={"net_arch": list(recipe.net), "log_std_init": -0.5},
+            stats_window_size=options.robots,
+            **always,
+        )
+    sb3.label(model, env.task, env.config)
+    return model
+
+
+def _check_resumable(saved: ZipPolicy, env: RobotVectorEnv) -> None:
+    from stable_baselines3.common.policies import ActorCriticPolicy  # noqa: PLC0415
+
+    saved.check(env.task, env.config)
+    if not isinstance(saved.network, ActorCriticPolicy):
+        raise PolicyError(f"{saved.path}: only PPO's models can be trained on")
+
+
+def _learn(
+    model: PPO,
+    recipe: Recipe,
+    options: Options,
+    apart: RobotVectorEnv,
+    stop: StopRequest,
+    out: Path,
+) -> None:
+    from stable_baselines3.common.callbacks import CheckpointCallback  # noqa: PLC0415
+
+    from acsar_gym.training import callbacks  # noqa: PLC0415
+
+    steps = options.steps or recipe.steps
+    scores = callbacks.HeldOut(apart, steps, recipe.evaluations)
+    checkpoints = CheckpointCallback(
+        save_freq=max(steps // (4 * options.robots), recipe.rollout_steps),
+        save_path=str(out / "checkpoints"),
+    )
+    watching: list[BaseCallback] = [
+        callbacks.EndOnSignal(stop),
+        callbacks.WholeCohorts(recipe.episode_steps),
+        scores,
+        checkpoints,
+    ]
+    if options.progress:
+        watching.append(callbacks.TrainingProgress(steps, scores))
     try:
-        sys.exit(train(tyro.cli(Options, prog="acsar-gym train")))
+        model.learn(steps, callback=watching, reset_num_timesteps=options.resume is None)
+    finally:
+        for each in watching:  # gives the terminal back, however it ended; twice is once
+            each.on_training_end()
+    if stop.number is not None:
+        print(f"interrupted at {model.num_timesteps:,} steps: saving what there is")
+    _save(model, apart, out)
+    if stop.number is None:
+        _tell(scores.finish(), options, out)
+
+
+def _save(model: PPO, env: RobotVectorEnv, out: Path) -> None:
+    from acsar_gym.policies import sb3_export  # noqa: PLC0415
+
+    model.save(out / "model.zip")
+    sb3_export.export(model.policy, out / "policy.onnx", env.task, env.config)
+    files = f"{out / 'policy.onnx'} (to drive with), {out / 'model.zip'} (to train on)"
+    print(printable(f"written: {files}"))
+
+
+def _tell(score: held_out.Score, options: Options, out: Path) -> None:
+    """How good the policy is, and what to do next."""
+    wins = round(score.success_rate * score.episodes)
+    print(f"held-out success: {wins} of {score.episodes} episodes ({score.success_rate:.1%})")
+    robot = f" --robot {options.robot}" if options.robot else ""
+    print(printable(f"next: acsar-gym evaluate --policy {out / 'policy.onnx'}{robot}"))
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Train with the options of a command line; returns the exit code."""
+    return train(tyro.cli(Options, prog="acsar-gym train", args=list(arguments)))
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main(sys.argv[1:]))
     except AcsarError as error:
         print(f"acsar-gym train: {error}", file=sys.stderr)
         sys.exit(error.exit_code)
+    except KeyboardInterrupt:
+        sys.exit(130)

@@ -12,7 +12,8 @@ import pytest
 import yaml
 from hypothesis import settings
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # torch's threads wait for each other where it's busy
+# torch's threads spin while they wait for each other: beside other programs that takes minutes.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).parent))  # --import-mode=importlib leaves it out
 
 from nursery import nursery as programs

@@ -4,11 +4,25 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import psutil
 import pytest
+from serial_tools import first_line, program, wait_until
 
 from acsar_gym import demo, report
-from acsar_gym.errors import AcsarError, LinkError
-from acsar_gym.resources import AGENTS
+from acsar_gym.errors import LinkError
+from acsar_gym.resources import AGENTS, agent
+
+pytestmark = pytest.mark.xdist_group("serial")
+
+HOLDS_AN_EMULATOR = """
+import time
+import psutil
+from acsar_gym import demo
+
+with demo.emulator("--body", "planar"):
+    print(*(child.pid for child in psutil.Process().children()), flush=True)
+    time.sleep(600)
+"""
 
 
 def test_the_demo_fills_both_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -26,9 +40,27 @@ def test_the_demo_fills_both_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert report.summary_table("demo", rows).row_count == 2
 
 
-def test_training_that_fails_is_reported(tmp_path: Path) -> None:
-    with pytest.raises(AcsarError, match="training failed"):
-        demo.train(-1, tmp_path)
+def test_a_signal_while_training_ends_the_demo(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(agent("train"), "train", lambda _: 143)
+    with pytest.raises(SystemExit, match="143"):
+        demo.run(1, 1, 1, tmp_path)
+
+
+def test_the_emulator_ends_with_the_demo_even_if_it_is_killed() -> None:
+    with program(HOLDS_AN_EMULATOR) as holder:
+        (emulator,) = map(int, first_line(holder).split())
+        holder.kill()
+        wait_until(lambda: has_ended(emulator), "the emulator's end")
+
+
+def has_ended(pid: int) -> bool:
+    """Whether a process that isn't ours is gone; not every container's init reaps zombies."""
+    try:
+        return psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return True
 
 
 def test_an_emulator_that_does_not_start_is_reported() -> None:

@@ -64,3 +64,11 @@ def test_the_command_runs_outside_the_checkout(python: Path, tmp_path: Path) -> 
         command, cwd=tmp_path, capture_output=True, text=True, check=True, timeout=120
     )
     assert "2/2" in done.stdout
+
+
+def test_the_training_script_is_found_outside_the_checkout(python: Path, tmp_path: Path) -> None:
+    command = [str(python.parent / "acsar-gym"), "train", "--seed", "-1"]
+    done = subprocess.run(
+        command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=120
+    )
+    assert (done.returncode, done.stderr[:23]) == (2, "acsar-gym: --seed -1: m")

@@ -1,0 +1,81 @@
+"""Success of a policy that is being trained, in worlds and from seeds that it never trains on."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym.vector import RobotVectorEnv
+from acsar_gym.worlds import generators
+
+ROBOTS = 64
+"""Robots, and so episodes, of an evaluation during training."""
+FIRST_WORLD = 900
+"""Held-out worlds begin here: between those of the final evaluation and those of the training."""
+FIRST_SEED = 2**32
+"""Seeds of the held-out episodes begin here; those of a training are below."""
+
+Decide = Callable[[NDArray[np.float32]], NDArray[Any]]
+"""Actions (n, 2) for observations (n, m)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """What one episode of every robot came to."""
+
+    episodes: int
+    success_rate: float
+    collision_rate: float
+    """Episodes without success at whose end the robot touched an obstacle."""
+    mean_return: float
+    mean_length: float
+    """[steps]"""
+
+
+def evaluate(batch: RobotVectorEnv, decide: Decide) -> Score:
+    """Run every robot to the end of its first episode, always from the same seeds.
+
+    Quick and slow episodes count alike: whoever takes the first n episodes that end, whichever
+    robot they are of, counts the quick ones more often. The batch needs a time limit.
+    """
+    observations, _ = batch.reset(seed=FIRST_SEED)
+    robots = batch.num_envs
+    running = np.ones(robots, np.bool_)
+    success, collision = np.zeros((2, robots), np.bool_)
+    returns, lengths = np.zeros((2, robots))
+    while running.any():
+        observations, rewards, terminated, truncated, info = batch.step(decide(observations))
+        returns += rewards * running
+        lengths += running
+        ended = running & (terminated | truncated)
+        success |= ended & (info["is_success"] == 1.0)
+        collision |= ended & ~success & (info["true_contact"] == 1.0)
+        running &= ~ended
+    return Score(
+        robots,
+        float(success.mean()),
+        float(collision.mean()),
+        float(returns.mean()),
+        float(lengths.mean()),
+    )
+
+
+def worlds_beside(source: str) -> str:
+    """ROBOTS worlds of the same kind that aren't among `source`.
+
+    A file or a folder stays as it is: there are no others, only other seeds.
+    """
+    kind, _, numbers = source.partition(":")
+    if kind not in generators.kinds():
+        return source
+    first = FIRST_WORLD
+    if given := re.fullmatch(r"(?:(\d+)-)?(\d+)", numbers):
+        low, high = int(given[1] or 0), int(given[2]) - (given[1] is None)
+        if low < FIRST_WORLD + ROBOTS and high >= FIRST_WORLD:
+            first = high + 1
+    return f"{kind}:{first}-{first + ROBOTS - 1}"

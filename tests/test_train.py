@@ -1,0 +1,109 @@
+"""agents/train.py: the real script on a tiny budget."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import psutil
+import pytest
+from serial_tools import CLI, TIMEOUT
+
+import acsar_gym
+from acsar_gym.errors import ConfigError
+from acsar_gym.resources import AGENTS, agent
+
+pytestmark = pytest.mark.xdist_group("serial")
+
+MAIN = Path(acsar_gym.__file__).with_name("__main__.py")
+WITHOUT = """
+import runpy, sys
+
+class Hidden:
+    def find_spec(self, name, path, target=None):
+        if name == hidden:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+hidden = sys.argv.pop(1)
+sys.meta_path.insert(0, Hidden())
+runpy.run_path(sys.argv.pop(1), run_name="__main__")
+"""
+"""Runs the program in argv[2] where the module in argv[1] isn't installed."""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ("--seed -1", "--seed -1: must be 0 to 4,294,967,295"),
+        ("--seed 4294967296", "--seed 4294967296: must be"),
+        ("--robots 0", "--robots 0: must be 1 to 16,384"),
+        ("--robots 2000000", "--robots 2000000: must be 1 to 16,384"),
+        ("--steps 0", "--steps 0: must be 1 to"),
+        (f"--steps {10**18}", "must be 1 to 10,000,000,000"),
+        ("--threads 0", "--threads 0: must be 1 to"),
+        ("--worlds clutter", "point_goal has none"),
+        ("--env barn --worlds brn", "brn"),
+        ("--out /dev/null/here", "--out /dev/null/here: can't be written"),
+    ],
+)
+def test_bad_options_are_refused_before_anything_starts(arguments: str, said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        agent("train").main(arguments.split())
+
+
+@pytest.mark.parametrize("arguments", ["--steps nan", "--robots 1e3", "--seed inf"])
+def test_what_is_no_number_is_refused(arguments: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        agent("train").main(arguments.split())
+    assert arguments.split(maxsplit=1)[0] in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("module", "program"),
+    [("torch", "acsar-gym"), ("onnxscript", "acsar-gym"), ("torch", "acsar-gym train")],
+)
+def test_a_missing_extra_is_named(module: str, program: str) -> None:
+    script = AGENTS / "train.py" if program == "acsar-gym train" else MAIN
+    arguments = [] if program == "acsar-gym train" else ["train"]
+    command = [sys.executable, "-c", WITHOUT, module, str(script), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT, check=False)
+    wanted = f"{program}: training needs an extra: pip install 'acsar_gym[train]'\n"
+    assert (done.returncode, done.stderr) == (2, wanted)
+
+
+def test_sigterm_saves_what_there_is(tmp_path: Path) -> None:
+    command = [*CLI, "train", "--steps", "100000000", "--robots", "16", "--out", str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            assert "held-out success" in process.stdout.readline()
+            started = psutil.Process(process.pid).children(recursive=True)
+            process.send_signal(signal.SIGTERM)
+            said = process.stdout.read().splitlines()
+            process.wait(TIMEOUT)
+        finally:
+            process.kill()
+        assert process.returncode == 128 + signal.SIGTERM
+    assert started == []
+    assert [line.split(" ")[0] for line in said if "held-out" not in line] == [
+        "interrupted",
+        "written:",
+    ]
+    assert (tmp_path / "policy.onnx").stat().st_size > 1000
+    assert (tmp_path / "model.zip").stat().st_size > 1000
+
+
+def test_a_training_says_how_good_it_is_and_what_comes_next(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = ["--steps", "1", "--robots", "4", "--no-progress", "--out", str(tmp_path)]
+    assert agent("train").main(options) == 0
+    written, score, following = capsys.readouterr().out.splitlines()
+    assert written.startswith(f"written: {tmp_path / 'policy.onnx'}")
+    assert score.startswith("held-out success: ")
+    assert " of 64 episodes" in score
+    assert following == f"next: acsar-gym evaluate --policy {tmp_path / 'policy.onnx'}"
+    for name in ("policy.onnx", "model.zip", "tensorboard"):
+        assert (tmp_path / name).exists()

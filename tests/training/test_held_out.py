@@ -1,0 +1,70 @@
+"""Scores of a policy that is being trained."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+from acsar_gym import evaluation
+from acsar_gym.training import held_out
+from acsar_gym.vectors import ObstacleGoalVectorEnv, PointGoalVectorEnv
+
+WORLDS = "clutter:900-903"
+STEPS = 60
+ROBOTS = 6
+
+
+def towards(seen: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Turn to the goal and drive, through whatever is there."""
+    return np.stack([np.ones(len(seen)), np.clip(2.0 * seen[:, 2], -1.0, 1.0)], axis=1)
+
+
+def test_a_score_is_what_evaluation_says_of_the_same_episodes() -> None:
+    batch = ObstacleGoalVectorEnv(ROBOTS, worlds=WORLDS, max_episode_steps=STEPS, threads=1)
+    score = held_out.evaluate(batch, towards)
+    batch.close()
+    env = gymnasium.make(
+        "acsar_gym/ObstacleGoal-v0", link="planar", worlds=WORLDS, max_episode_steps=STEPS
+    )
+    one = evaluation.episodes(env, lambda seen: towards(seen[None])[0], ROBOTS, held_out.FIRST_SEED)
+    results = list(one)
+    env.close()
+    assert score.episodes == ROBOTS
+    assert score.success_rate == pytest.approx(np.mean([r.success for r in results]))
+    assert score.collision_rate == pytest.approx(np.mean([r.collision for r in results]))
+    assert 0.0 < score.collision_rate < 1.0
+    ticks = np.mean([r.ticks for r in results])
+    assert score.mean_length == pytest.approx(ticks / 10.0)
+
+
+def test_every_robot_counts_once_and_always_the_same() -> None:
+    """Quick episodes aren't counted again while the slow ones go on."""
+    options: dict[str, Any] = {"goal_distance": (0.3, 1.5), "max_episode_steps": 30}
+    batch = PointGoalVectorEnv(16, **options, threads=1)
+    scores = [held_out.evaluate(batch, towards) for _ in range(2)]
+    batch.close()
+    assert scores[0] == scores[1]
+    assert 0.0 < scores[0].success_rate < 1.0
+    assert scores[0].success_rate * 16 == round(scores[0].success_rate * 16)
+    assert scores[0].mean_length < 30.0
+
+
+@pytest.mark.parametrize(
+    ("trained", "beside"),
+    [
+        ("barn", "barn:900-963"),
+        ("barn:1000-1399", "barn:900-963"),
+        ("clutter:50", "clutter:900-963"),
+        ("clutter:1000", "clutter:1000-1063"),
+        ("clutter:963-1100", "clutter:1101-1164"),
+        ("clutter:964-1100", "clutter:900-963"),
+        ("rooms:train", "rooms:900-963"),
+        ("my/worlds", "my/worlds"),
+        ("a.world", "a.world"),
+    ],
+)
+def test_held_out_worlds_are_others(trained: str, beside: str) -> None:
+    assert held_out.worlds_beside(trained) == beside

@@ -1,0 +1,38 @@
+"""How many threads a training takes."""
+
+from __future__ import annotations
+
+import pytest
+
+from acsar_gym.errors import ConfigError
+from acsar_gym.training import threads
+
+
+@pytest.mark.parametrize(
+    ("cores", "share", "free"),
+    [
+        (2, 1.0, 2),
+        (2, 0.95, 2),
+        (2, 2 / 3, 1),  # one busy program beside two threads
+        (2, 0.5, 1),
+        (2, 0.0, 1),
+        (8, 8 / 11, 5),
+        (8, 1.01, 8),
+    ],
+)
+def test_threads_that_would_share_a_core_are_left_out(cores: int, share: float, free: int) -> None:
+    assert threads.undisturbed(cores, share) == free
+
+
+def test_the_measurement_is_within_what_there_is() -> None:
+    assert 1 <= threads.free_cores() <= threads.cores()
+
+
+def test_a_number_that_is_given_is_taken() -> None:
+    assert threads.chosen(1) == 1
+
+
+@pytest.mark.parametrize("asked", [0, -1, 4096])
+def test_impossible_numbers_are_refused(asked: int) -> None:
+    with pytest.raises(ConfigError, match=f"--threads {asked}: must be 1 to"):
+        threads.chosen(asked)
