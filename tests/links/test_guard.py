@@ -191,8 +191,8 @@ def test_a_thread_that_drives_is_stopped_by_signals(
 
 
 def test_a_thread_that_drives_is_stopped_when_the_main_thread_returns(emulator: Emulated) -> None:
-    code = DRIVER + INSIST + THREAD + "import time\nwhile not robot.active: time.sleep(0.01)\n"
-    with program(code + "time.sleep(0.5)", emulator.device) as process:
+    wait = "while robot.odometry.pose[0] < 0.02:\n    time.sleep(0.01)"
+    with program(DRIVER + INSIST + THREAD + wait, emulator.device) as process:
         assert ended(process) == (0, "")
     assert_drove_once(emulator)
 
