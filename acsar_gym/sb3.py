@@ -131,8 +131,6 @@ def make_batch(env_id: str, num_envs: int, **options: Any) -> BatchVecEnv:
 _GOES_ON: dict[str, Any] = {}
 
 
-
-
 def label(model: BaseAlgorithm, task: Task, config: RobotConfig) -> None:
     """Note in a model which env and observation it is for; `model.save` keeps the note."""
     setattr(model, ENV_KEY, task.id)
