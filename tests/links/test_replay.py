@@ -125,7 +125,7 @@ def test_files_that_are_no_recordings_say_so(tmp_path: Path, text: str) -> None:
 
 
 def test_a_missing_recording_says_so(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="can't be read"):
+    with pytest.raises(ConfigError, match="there is no such file"):
         open_link(f"replay:{tmp_path / 'none.jsonl'}").open()
 
 
