@@ -81,6 +81,17 @@ def towards(value: float, target: float, step: float) -> float:
 
 
 @jit
+def ramped(set_points: Speeds, targets: Speeds, step: float) -> Speeds:
+    """Four set points [rad/s], each moved to its target by at most one step."""
+    return (
+        towards(set_points[0], targets[0], step),
+        towards(set_points[1], targets[1], step),
+        towards(set_points[2], targets[2], step),
+        towards(set_points[3], targets[3], step),
+    )
+
+
+@jit
 def tyre_step(
     vx: float,
     vy: float,

@@ -12,8 +12,8 @@ from collections import deque
 
 from acsar_gym.bodies import Body
 from acsar_gym.config import BITS_PER_BYTE, RobotConfig
-from acsar_gym.dynamics import towards
-from acsar_gym.protocol import ZERO, Decoder, Speeds, line_of
+from acsar_gym.dynamics import ramped
+from acsar_gym.protocol import ZERO, Decoder, Speeds, line_end, line_of
 
 EPSILON = 1e-9
 """Slack for comparing times that are sums of periods [s]."""
@@ -24,7 +24,7 @@ class Firmware:
 
     def __init__(self, config: RobotConfig, body: Body) -> None:
         self._body = body
-        self._comma = "," if config.trailing_comma else ""
+        self._end = line_end(trailing_comma=config.trailing_comma)
         self._dt = 1.0 / config.firmware.loop_rate
         self._ramp = config.motor.acceleration * self._dt
         self._top = config.motor.max_speed
@@ -82,7 +82,7 @@ class Firmware:
         if now - self._last_command > self._timeout:
             self._targets = ZERO
         if self._set_points != self._targets:
-            self._set_points = self._ramped()
+            self._set_points = ramped(self._set_points, self._targets, self._ramp)
         self._body.step(self._set_points)
         self._angles.append(self._body.wheel_angles)
         self._loops += 1
@@ -93,29 +93,17 @@ class Firmware:
     def _obey(self, data: bytes, now: float) -> None:
         for reading in self.decoder.feed(data):
             self._last_command = now
-            a, b, c, d = reading.speeds
-            old = self._targets
+            a, b, c, d = reading.over(self._targets)
+            top = self._top
             self._targets = (
-                self._limited(old[0] if a is None else a),
-                self._limited(old[1] if b is None else b),
-                self._limited(old[2] if c is None else c),
-                self._limited(old[3] if d is None else d),
+                a if -top <= a <= top else math.copysign(top, a),
+                b if -top <= b <= top else math.copysign(top, b),
+                c if -top <= c <= top else math.copysign(top, c),
+                d if -top <= d <= top else math.copysign(top, d),
             )
 
-    def _limited(self, speed: float) -> float:
-        return min(max(speed, -self._top), self._top)
-
-    def _ramped(self) -> Speeds:
-        (a, b, c, d), (ta, tb, tc, td), step = self._set_points, self._targets, self._ramp
-        return (
-            towards(a, ta, step),
-            towards(b, tb, step),
-            towards(c, tc, step),
-            towards(d, td, step),
-        )
-
     def _answer(self) -> None:
-        line = line_of(*self._encoder_speeds(), self._comma)
+        line = line_of(*self._encoder_speeds(), self._end)
         start = max(self._send_free, self._loops * self._dt + self._processing)
         self._send_free = start + len(line) * self._byte_time
         self._sent.append((self._send_free, line))

@@ -21,8 +21,6 @@ MOTORS = "abcd"
 WHEELS = ("front_right", "front_left", "rear_left", "rear_right")
 MAX_SPEED = 99.99
 """The fastest speed that two digits and two decimals can say [rad/s]."""
-SMALLEST = 0.005
-"""What rounds to 0.01 rather than to zero [rad/s]: the double nearest 0.005 lies just above it."""
 MAX_LINE = 256
 """Longest line the decoder keeps [bytes]; anything longer is dropped up to the next line end."""
 
@@ -30,7 +28,9 @@ Speeds = tuple[float, float, float, float]
 """Wheel speeds [rad/s] in the order front_right, front_left, rear_left, rear_right."""
 ZERO: Speeds = (0.0, 0.0, 0.0, 0.0)
 
-_LINE = "a%s%05.2f,b%s%05.2f,c%s%05.2f,d%s%05.2f"
+_LINE = b"a%+06.2f,b%+06.2f,c%+06.2f,d%+06.2f"
+_LENGTH = len(_LINE % (0.0, 0.0, 0.0, 0.0))
+_DIRECTIONS = bytes.maketrans(b"+-", b"pn")
 _SPEED = rb"([pn])([0-9]{2}\.[0-9]{2})"
 _PART = re.compile(rb"([abcd])" + _SPEED)
 _FULL_LINE = re.compile(rb"a%b,b%b,c%b,d%b,?" % (_SPEED, _SPEED, _SPEED, _SPEED))
@@ -47,22 +47,21 @@ def encode(speeds: Sequence[float], *, trailing_comma: bool = False) -> bytes:
     a, b, c, d = map(float, speeds)
     if not math.isfinite(a + b + c + d):
         _refuse_not_finite((a, b, c, d))
-    return line_of(a, b, c, d, "," if trailing_comma else "")
+    return line_of(a, b, c, d, line_end(trailing_comma=trailing_comma))
 
 
-def line_of(a: float, b: float, c: float, d: float, comma: str = "") -> bytes:
+def line_end(*, trailing_comma: bool) -> bytes:
+    """What ends a line, for `line_of`."""
+    return b",\r\n" if trailing_comma else b"\r\n"
+
+
+def line_of(a: float, b: float, c: float, d: float, end: bytes) -> bytes:
     """`encode` for four speeds [rad/s] that are known to be finite floats."""
-    line = _LINE % (
-        "n" if a <= -SMALLEST else "p",
-        min(abs(a), MAX_SPEED),
-        "n" if b <= -SMALLEST else "p",
-        min(abs(b), MAX_SPEED),
-        "n" if c <= -SMALLEST else "p",
-        min(abs(c), MAX_SPEED),
-        "n" if d <= -SMALLEST else "p",
-        min(abs(d), MAX_SPEED),
-    )
-    return f"{line}{comma}\r\n".encode("ascii")
+    line = _LINE % (a, b, c, d)
+    if len(line) > _LENGTH:
+        saturated = (min(max(speed, -MAX_SPEED), MAX_SPEED) for speed in (a, b, c, d))
+        line = _LINE % tuple(saturated)
+    return line.replace(b"-00.00", b"+00.00").translate(_DIRECTIONS) + end
 
 
 def _refuse_not_finite(speeds: Sequence[float]) -> None:
@@ -76,6 +75,16 @@ class Reading:
     """What one line said. `speeds` [rad/s] holds None for a motor that the line didn't name."""
 
     speeds: tuple[float | None, float | None, float | None, float | None]
+
+    def over(self, old: Speeds) -> Speeds:
+        """All four speeds [rad/s]; a motor that the line didn't name keeps its old one."""
+        a, b, c, d = self.speeds
+        return (
+            old[0] if a is None else a,
+            old[1] if b is None else b,
+            old[2] if c is None else c,
+            old[3] if d is None else d,
+        )
 
 
 class Decoder:

@@ -217,21 +217,11 @@ class Robot:
         """The newest reading counts for the tick; after a pause each has its share of the time."""
         paused = dt > 2.0 * self._period and len(readings) > 1
         for reading in readings:
-            self._take(reading)
+            self.speeds = reading.over(self.speeds)
             if paused:
                 self.odometry.update(self.speeds, dt / len(readings))
         if not paused:
             self.odometry.update(self.speeds, dt)
-
-    def _take(self, reading: Reading) -> None:
-        a, b, c, d = reading.speeds
-        old = self.speeds
-        self.speeds = (
-            old[0] if a is None else a,
-            old[1] if b is None else b,
-            old[2] if c is None else c,
-            old[3] if d is None else d,
-        )
 
     def _silence(self) -> BoardSilentError:
         refused = sum(self.decoder.refused.values())
