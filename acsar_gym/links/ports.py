@@ -48,6 +48,8 @@ MORE_FILES = "close some, or allow more with 'ulimit -n'"
 """What to do where a process can't open any more files."""
 WRITE_TIMEOUT = 0.2
 """A socket that takes no bytes for so long is lost [s]."""
+TURNS = (0.0, 0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01)
+"""A port that another process writes to is tried again after these pauses [s]."""
 BUSY_PATIENCE = 0.7
 """A program that was killed leaves its port to its watchdog for so long, at most [s]."""
 BACK_OFF = (0.02, 0.1)
@@ -207,12 +209,20 @@ def put(port: Port, data: bytes) -> None:
     if descriptor is None:  # a socket, or Windows
         port.write(data)
         return
-    try:
-        sent = os.write(descriptor, data)
-    except BlockingIOError:
-        sent = 0
-    if sent < len(data):
+    if _sent(descriptor, data) < len(data):
         raise serial.SerialException("it takes no more bytes")
+
+
+def _sent(descriptor: int, data: bytes) -> int:
+    """How many bytes a port takes at once.
+
+    The kernel also refuses a write while another process, as the watchdog, writes to the same port.
+    """
+    for pause in TURNS:
+        with contextlib.suppress(BlockingIOError):
+            return os.write(descriptor, data)
+        time.sleep(pause)
+    return 0
 
 
 def _check_url(url: str) -> None:

@@ -39,6 +39,8 @@ LONGEST = 0.25
 STANDS = 0.1
 """A program that stands and says nothing has its zero command repeated every so often [s]."""
 
+TURNS, TURN = 4, 0.0005
+"""A port refuses a write while the program writes to it, too: tries, and the pause between [s]."""
 REPEAT = 0.05
 """Zero commands come again after so long, since a wire may swallow one [s]."""
 REPEATS = 21
@@ -185,11 +187,13 @@ class Port:
         if not self._locked():
             return False
         with contextlib.suppress(OSError, termios.error):
-            try:
-                os.write(self._descriptor, self._zeros)
-            except BlockingIOError:
-                termios.tcflush(self._descriptor, termios.TCOFLUSH)
-                os.write(self._descriptor, self._zeros)
+            for _ in range(TURNS):
+                with contextlib.suppress(BlockingIOError):
+                    os.write(self._descriptor, self._zeros)
+                    return True
+                time.sleep(TURN)
+            termios.tcflush(self._descriptor, termios.TCOFLUSH)
+            os.write(self._descriptor, self._zeros)
             return True
         return False
 

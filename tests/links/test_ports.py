@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import os
+import select
+import subprocess
+import sys
+import tty
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from serial_tools import TIMEOUT, Emulated, StartEmulator, no_leak
@@ -207,3 +212,33 @@ def test_a_device_is_followed_by_its_adapter_s_name(
         with robot:
             robot.drive(0.2, 0.0)
         assert not watchdog._searching
+
+
+ANOTHER_WRITER = """
+import os, sys, time
+
+while os.getppid() == int(sys.argv[2]):
+    try:
+        os.write(int(sys.argv[1]), b"x" * 35)
+    except BlockingIOError:
+        pass
+    time.sleep(0.00002)
+"""
+
+
+def test_a_port_that_the_watchdog_writes_to_as_well_is_not_lost() -> None:
+    """The kernel refuses a write that doesn't wait while another one is under way."""
+    ours, theirs = os.openpty()
+    tty.setraw(theirs)
+    os.set_blocking(theirs, False)
+    command = [sys.executable, "-c", ANOTHER_WRITER, str(theirs), str(os.getpid())]
+    port = SimpleNamespace(fd=theirs)
+    with subprocess.Popen(command, pass_fds=(theirs,)) as writer:
+        assert os.read(ours, 35) == b"x" * 35
+        for _ in range(500):
+            ports.put(port, b"y" * 35)
+            while select.select([ours], [], [], 0.0)[0]:
+                os.read(ours, 4096)
+        writer.kill()
+    os.close(ours)
+    os.close(theirs)
