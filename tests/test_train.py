@@ -15,7 +15,7 @@ import acsar_gym
 from acsar_gym.errors import ConfigError
 from acsar_gym.resources import AGENTS, agent
 
-pytestmark = pytest.mark.xdist_group("serial")
+pytestmark = pytest.mark.xdist_group("torch")
 
 MAIN = Path(acsar_gym.__file__).with_name("__main__.py")
 WITHOUT = """
