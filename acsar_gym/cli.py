@@ -117,10 +117,11 @@ def emulate(
     from acsar_gym.worlds.pool import Pool  # noqa: PLC0415
     from acsar_gym.worlds.search import footprint_radius  # noqa: PLC0415
 
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     config = RobotConfig.of(robot)
     places = None if world is None else Pool.of(world, None, footprint_radius(config), 1)
     place = next(iter(places)) if places else None
+    ended: list[int] = []  # an exception from a signal's handler may be swallowed
+    signal.signal(signal.SIGTERM, lambda number, _: ended.append(number))
     with Emulator(
         config, body=body, log=log, silent=silent, world=place, sees=lidar, name=name
     ) as emulator:
@@ -129,7 +130,7 @@ def emulate(
         print(f"serving a robot on {emulator.device}", flush=True)
         if lidar:
             print(f"serving a LiDAR on {emulator.lidar_device}", flush=True)
-        emulator.run(duration)
+        emulator.run(duration, until=lambda: bool(ended))
     return 0
 
 

@@ -11,6 +11,7 @@ import contextlib
 import json
 import math
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Self
 
@@ -81,8 +82,8 @@ class Emulator:
         """What a SerialLink opens; "" while the cable is out."""
         return self._cable.device
 
-    def run(self, duration: float | None = None) -> None:
-        """Emulate for `duration` [s], or until interrupted; deadlines are absolute.
+    def run(self, duration: float | None = None, until: Callable[[], bool] = lambda: False) -> None:
+        """Emulate for `duration` [s], or until told or interrupted; deadlines are absolute.
 
         After a stall they start anew from now, for a board has no time to catch up with.
         """
@@ -90,7 +91,7 @@ class Emulator:
             raise ConfigError(f"duration = {duration}: must be a finite number of seconds")
         period = 1.0 / self._config.firmware.loop_rate
         start = deadline = time.monotonic()
-        while duration is None or deadline - start < duration:
+        while not until() and (duration is None or deadline - start < duration):
             deadline += period
             remaining = deadline - time.monotonic()
             if remaining < -STALL:

@@ -8,6 +8,7 @@ standard library is all that this module needs, so that `acsar-gym estop` acts a
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import re
 import select
@@ -113,17 +114,15 @@ class Ears:
     Attributes: `paths`, the addresses; `faults`, what is wrong with each folder that isn't used.
     """
 
-    _count = 0
-
     def __init__(self) -> None:
         self._sockets: list[socket.socket] = []
         self.paths: list[Path] = []
         self._process = os.getpid()
         self._askers: list[tuple[socket.socket, str]] = []
-        Ears._count += 1
         usable, self.faults = folders()
+        name = _free_name(usable)
         for folder in usable:
-            path = folder / f"{self._process}-{Ears._count}"
+            path = folder / name
             try:
                 self._sockets.append(_bound(path))
                 self.paths.append(path)
@@ -168,6 +167,26 @@ class Ears:
     def __del__(self) -> None:
         if hasattr(self, "faults"):
             self.close()
+
+
+def _free_name(usable: list[Path]) -> str:
+    """A name with this process's number at which nobody listens in any of the folders.
+
+    Containers that share a folder have processes of the same number.
+    """
+    names = (f"{os.getpid()}-{number}" for number in itertools.count(1))
+    return next(name for name in names if not any(_is_heard(path / name) for path in usable))
+
+
+def _is_heard(path: Path) -> bool:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(str(path))
+        except (ConnectionRefusedError, FileNotFoundError):
+            return False
+        except OSError:  # of somebody else
+            return True
+    return True
 
 
 def _bound(path: Path) -> socket.socket:

@@ -44,7 +44,7 @@ def when_gymnasium_is_imported() -> None:
     """Register the ids now, or right after the import of Gymnasium."""
     finder = _Finder()
     sys.meta_path.insert(0, finder)  # first, for another thread may begin to import it here
-    if GYMNASIUM in sys.modules:
+    if sys.modules.get(GYMNASIUM) is not None:
         sys.meta_path.remove(finder)
         register()
 

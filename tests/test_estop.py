@@ -167,6 +167,24 @@ def test_a_process_that_hangs_does_not_answer(monkeypatch: pytest.MonkeyPatch) -
     ears.close()
 
 
+def test_processes_of_one_number_in_two_containers_hear_both() -> None:
+    with listener(f"{os.getpid()}-1"):
+        ears = estop.Ears()
+        assert ears.paths == [folder() / f"{os.getpid()}-2"]
+        ears.close()
+        assert (folder() / f"{os.getpid()}-1").is_socket()
+    other = estop.Ears()
+    ears = estop.Ears()
+    assert not set(other.paths) & set(ears.paths)
+    threads = [answering(each) for each in (other, ears)]
+    assert [found.answered for found in estop.stop_all()] == [True, True]
+    for thread in threads:
+        thread.join()
+    ears.close()
+    assert other.paths[0].is_socket()
+    other.close()
+
+
 def test_a_suspended_process_with_a_full_queue_is_listed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(estop, "ANSWER", 0.01)
     with listener("1-1") as full, socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other:

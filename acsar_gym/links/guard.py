@@ -41,12 +41,13 @@ ENDING = ("SIGTERM", "SIGHUP", "SIGQUIT", "SIGBREAK")
 SUSPENDING = ("SIGTSTP",)
 
 _open: weakref.WeakSet[Closable] = weakref.WeakSet()
-_ending = threading.Event()
+_ending = [False]
+"""A plain flag: the handler of a second signal would wait for an Event's lock forever."""
 
 
 def is_ending() -> bool:
     """Whether the program is about to end, so that nothing may turn wheels any more."""
-    return _ending.is_set()
+    return _ending[0]
 
 
 def install() -> None:
@@ -82,7 +83,7 @@ def close_all() -> None:
 
     For the end of the program: nothing can turn wheels afterwards.
     """
-    _ending.set()
+    _ending[0] = True
     with contextlib.ExitStack() as stack:
         for link in _guarded():
             stack.callback(link.close)
@@ -114,7 +115,7 @@ def _on_suspend(number: int, frame: FrameType | None) -> None:
 
 
 def _in_child() -> None:
-    _ending.clear()
+    _ending[0] = False
     for link in _guarded():
         link.abandon()
     for name in (*ENDING, *SUSPENDING):

@@ -161,7 +161,11 @@ class SerialLink:
         A watchdog that stopped the robot lets it drive again.
         """
         self._stop_motors()
-        self._watch_anew()
+        try:
+            self._watch_anew()
+        except BaseException:  # nothing drives unwatched
+            self.close()
+            raise
         self.reset_input()
         self._moved, self._heard = False, self.now()
         self._deadline = self.now()

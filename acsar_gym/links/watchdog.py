@@ -123,8 +123,9 @@ class Watchdog:
             except ChildProcessError:  # somebody else has waited for it
                 self._process.returncode = 0
                 return False
-            self._halted = bool(process) and os.WIFSTOPPED(status)
-            if process and not self._halted:
+            if process and os.WIFSTOPPED(status):
+                self._halted = True  # for good: the kernel says it once
+            elif process:
                 self._process.returncode = os.waitstatus_to_exitcode(status)
         return self._process.returncode is None and not self._halted
 
@@ -238,6 +239,8 @@ class Watchdog:
 
 _searching: dict[str, int] = {}
 """Processes that look after a port which the program has given up, by its name."""
+if hasattr(os, "register_at_fork"):  # they are the parent's; a number may soon be another's
+    os.register_at_fork(after_in_child=_searching.clear)
 
 
 def call_back(name: str | None = None) -> None:

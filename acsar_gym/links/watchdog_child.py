@@ -19,6 +19,7 @@ import signal
 import sys
 import termios
 import time
+from collections.abc import Callable
 from typing import Protocol
 
 SLOTS = 5
@@ -62,8 +63,8 @@ DEAF_TO = ("SIGHUP", "SIGINT", "SIGQUIT", "SIGTERM", "SIGTSTP", "SIGTTIN", "SIGT
 class Board(Protocol):
     """Where zero commands go."""
 
-    def stop(self) -> bool:
-        """Command zero; whether the port took it."""
+    def stop(self, wanted: Callable[[], bool] = ...) -> bool:
+        """Command zero, where it is still wanted; whether the port took it."""
 
     def find(self) -> bool:
         """Open a port that was lost, where it is back; whether there is one."""
@@ -156,7 +157,7 @@ class Watch:
         due = max(stood, self._said) + STANDS
         if stood and now >= due:
             self._said = now
-            self._board.stop()
+            self._board.stop(lambda: not self._page[BEAT])
         return due if now < due else now + STANDS
 
     def _repeat(self, now: float) -> float:
@@ -182,9 +183,9 @@ class Port:
         with contextlib.suppress(termios.error):  # a socket has none
             self._settings = termios.tcgetattr(descriptor)
 
-    def stop(self) -> bool:
+    def stop(self, wanted: Callable[[], bool] = lambda: True) -> bool:
         """Put the zero command on the wire, ahead of whatever is stuck there."""
-        if not self._locked():
+        if not self._locked() or not wanted():
             return False
         with contextlib.suppress(OSError, termios.error):
             for _ in range(TURNS):

@@ -266,3 +266,67 @@ def test_without_a_watchdog_the_boards_own_timeout_is_left(emulator: Emulated) -
         assert ended(process)[0] == -signal.SIGKILL
     wait_until(emulator.stands, "a robot that stands")
     assert emulator.is_driven()
+
+
+TWO_SIGNALS = """
+import contextlib, os, resource, signal, sys, time
+from acsar_gym.links import guard
+
+resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+class Link:
+    def held(self):
+        return contextlib.nullcontext()
+
+    def close(self):
+        pass
+
+    def abandon(self):
+        pass
+
+
+def interrupt_at(line):
+    lines = 0
+
+    def trace(frame, event, _):
+        nonlocal lines
+        if event == "line" and frame.f_code.co_filename.endswith(("guard.py", "threading.py")):
+            lines += 1
+            if lines == line:
+                sys.settrace(None)
+                signal.raise_signal(signal.SIGHUP)
+        return trace
+
+    return trace
+
+
+children = []
+for line in range(1, 17):
+    child = os.fork()
+    if child == 0:
+        link = Link()
+        for number in (signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, signal.SIG_DFL)
+        guard.guard(link)
+        sys.settrace(interrupt_at(line))
+        signal.raise_signal(signal.SIGTERM)
+        os._exit(0)
+    children.append(child)
+ended, deadline = set(), time.monotonic() + 10.0
+while len(ended) < len(children) and time.monotonic() < deadline:
+    for child in set(children) - ended:
+        done, status = os.waitpid(child, os.WNOHANG)
+        if done:
+            assert os.WIFSIGNALED(status)
+            ended.add(child)
+    time.sleep(0.01)
+for child in set(children) - ended:
+    os.kill(child, signal.SIGKILL)
+print(f"{len(ended)} of {len(children)} ended", flush=True)
+"""
+
+
+def test_a_second_signal_in_the_handler_of_the_first_one_ends_the_program_too() -> None:
+    with program(TWO_SIGNALS) as process:
+        assert first_line(process) == "16 of 16 ended"

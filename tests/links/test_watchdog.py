@@ -740,8 +740,8 @@ class Clock:
         self.watch = Watch(self.page, -1, os.getpid(), TIMEOUT_OF_DOG, self)
         self.watch._due = 0.0
 
-    def stop(self) -> bool:
-        self.zeros += 1
+    def stop(self, wanted: Callable[[], bool] = lambda: True) -> bool:
+        self.zeros += wanted()
         return True
 
     def find(self) -> bool:
