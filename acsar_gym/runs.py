@@ -113,18 +113,20 @@ def made(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[str,
 def tested(env_id: str, worlds: Any) -> Any:
     """Worlds to evaluate in: as asked for, or the test split of the kind that the env trains in.
 
-    A kind alone means its test split, too. None where the env has no worlds.
+    A kind alone means its test split, too; its training split has to be asked for by name, as in
+    "clutter:train". None where the env has no worlds.
     """
-    if worlds is None:
-        module, _, name = env_id.rpartition(":")
-        if module:
-            importlib.import_module(module)
-        spec = gymnasium.spec(name)
-        maker: Any = spec.entry_point
-        maker = load_env_creator(maker) if isinstance(maker, str) else maker
-        known = inspect.signature(maker).parameters
-        worlds = spec.kwargs.get("worlds", known["worlds"].default if "worlds" in known else None)
-    return splits.tested(worlds)
+    if worlds is not None:
+        return splits.tested(worlds)
+    module, _, name = env_id.rpartition(":")
+    if module:
+        importlib.import_module(module)
+    spec = gymnasium.spec(name)
+    maker: Any = spec.entry_point
+    maker = load_env_creator(maker) if isinstance(maker, str) else maker
+    known = inspect.signature(maker).parameters
+    own = spec.kwargs.get("worlds", known["worlds"].default if "worlds" in known else None)
+    return splits.tested(own, default=True)
 
 
 def evaluate(

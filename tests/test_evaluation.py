@@ -237,10 +237,17 @@ def drive(count: int, seed: int = 3, **options: Any) -> runs.Run:
         ("acsar_gym/PathFollow-v0", None, "smooth_path:test"),
         (OBSTACLES, "rooms", "rooms:test"),
         (OBSTACLES, "rooms:5", "rooms:5"),
+        (OBSTACLES, "clutter:train", "clutter:train"),
     ],
 )
 def test_policies_are_evaluated_in_the_test_split(env_id: str, asked: Any, worlds: Any) -> None:
     assert runs.tested(env_id, asked) == worlds
+
+
+def test_the_training_split_is_evaluated_where_it_is_asked_for() -> None:
+    run = drive(1, worlds="open:train")
+    assert run.worlds == "open 1000 to 1399 (train split)"
+    assert run.header["worlds"]["split"] == "train"
 
 
 def test_an_evaluation_says_what_it_was_measured_with() -> None:

@@ -28,7 +28,11 @@ def holding(kind: str, some: range) -> str:
     return ""
 
 
-def tested(source: Any) -> Any:
-    """The test split for a kind of world alone or its training split; anything else as it is."""
-    kind = source.removesuffix(f":{TRAIN}") if isinstance(source, str) else ""
+def tested(source: Any, *, default: bool = False) -> Any:
+    """The test split for a kind of world alone; anything else as it is.
+
+    As the `default` of an environment, which trains in it, so is a kind's training split.
+    """
+    kind = source if isinstance(source, str) else ""
+    kind = kind.removesuffix(f":{TRAIN}") if default else kind
     return f"{kind}:{TEST}" if kind in generators.kinds() else source

@@ -107,7 +107,7 @@ def test_no_world_is_in_both_splits() -> None:
     ("source", "tested"),
     [
         ("clutter", "clutter:test"),
-        ("barn:train", "barn:test"),
+        ("barn:train", "barn:train"),
         ("rooms:test", "rooms:test"),
         ("clutter:1000-1099", "clutter:1000-1099"),
         ("mine/worlds", "mine/worlds"),
@@ -118,6 +118,13 @@ def test_no_world_is_in_both_splits() -> None:
 )
 def test_the_split_to_test_in(source: Any, tested: Any) -> None:
     assert splits.tested(source) is tested or splits.tested(source) == tested
+
+
+def test_a_default_to_train_in_becomes_the_test_split() -> None:
+    for source, tested in (("barn", "barn:test"), ("barn:train", "barn:test"), (None, None)):
+        assert splits.tested(source, default=True) == tested
+    for source in ("mine:train", "barn:0-9"):
+        assert splits.tested(source, default=True) == source
 
 
 def test_a_pool_holds_the_generators_worlds() -> None:
