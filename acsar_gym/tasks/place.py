@@ -38,11 +38,16 @@ def chosen(worlds: Pool, share: float, options: Mapping[str, Any]) -> tuple[int,
         return number, worlds[number]
     if isinstance(asked, World):
         return -1, checked(asked, worlds.radius)
-    if not isinstance(asked, int | np.integer):
+    if not (isinstance(asked, int | np.integer) or _whole(asked)):
         raise ConfigError(
             f"world = {shown(asked)}: must be a number of the env's worlds, or a World"
         )
     return int(asked), worlds[int(asked)]
+
+
+def _whole(value: Any) -> bool:
+    """Whether it is a float without a fraction, as info["world"]."""
+    return isinstance(value, float | np.floating) and float(value).is_integer()
 
 
 def _drawn(worlds: Pool, share: float, difficulty: Level) -> int:

@@ -44,7 +44,8 @@ def test_every_world_of_the_pool_is_drawn() -> None:
 
 def test_options_choose_the_world_and_the_goal() -> None:
     rng, pool = np.random.default_rng(0), Pool.of("open:5")
-    assert drawn(pool, rng, {"world": 3}).number == 3
+    for number in (3, 3.0, np.int64(3), np.float32(3.0)):  # info tells it as a float
+        assert drawn(pool, rng, {"world": number}).number == 3
     assert drawn(pool, rng, {"world": WIDE}).number == -1
     assert drawn(pool, rng, {"goal": (1, 2)}).goal == (1.0, 2.0)
 
@@ -55,6 +56,9 @@ def test_options_choose_the_world_and_the_goal() -> None:
         ({"world": 5}, WorldError),
         ({"world": -1}, WorldError),
         ({"world": "three"}, ConfigError),
+        ({"world": 2.5}, ConfigError),
+        ({"world": math.nan}, ConfigError),
+        ({"world": math.inf}, ConfigError),
         ({"goal": (1.0, math.inf)}, ConfigError),
     ],
 )
