@@ -16,7 +16,7 @@ import numpy as np
 
 from acsar_gym import realtime
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, LinkError, MissingExtraError
+from acsar_gym.errors import ConfigError, LinkError, MissingExtraError, shown
 from acsar_gym.links.serial import SerialLink
 from acsar_gym.links.timing import Durations, Lateness
 from acsar_gym.policies import OnnxPolicy, Policy
@@ -28,6 +28,8 @@ from acsar_gym.timing_report import EDGES, Report
 
 BLOCK = 0.5
 """Each loop's turn [s]; what arrives meanwhile waits in the device's buffer."""
+LONGEST = 86_400.0
+"""Of a measurement [s]."""
 SHORTEST_BLOCK = 5
 """Ticks of a turn, at least."""
 POLICY_RATE = 10.0
@@ -50,10 +52,13 @@ def measure(
     dropped; without one it is the packaged point_goal, where onnxruntime is installed.
 
     Raises LinkError as `Robot.activate` and `Robot.drive`, or at an emergency stop, and ConfigError
-    for a duration that isn't a positive number.
+    for a duration that isn't a positive number, or is longer than a day.
     """
-    if not 0.0 < duration < math.inf:
-        raise ConfigError(f"duration = {duration!r}: must be a positive number of seconds")
+    if not 0.0 < duration <= LONGEST:
+        raise ConfigError(
+            f"duration = {shown(duration)}: must be a positive number of seconds, at most "
+            f"{LONGEST:,.0f}, a day"
+        )
     link = _Stopwatch(device, config)
     loop = _ControlLoop(link, config, policy or _packaged())
     bare = _Sleeps(config.period)

@@ -16,7 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from acsar_gym import evaluation, metrics, provenance, report
 from acsar_gym.config import RobotConfig
 from acsar_gym.env import RobotEnv
-from acsar_gym.errors import ConfigError, PolicyError
+from acsar_gym.errors import ConfigError, PolicyError, shown
 from acsar_gym.evaluation import EpisodeResult
 from acsar_gym.links import Link, open_link
 from acsar_gym.links.recording import RecordingLink
@@ -35,6 +35,10 @@ from acsar_gym.policies.base import quoted
 from acsar_gym.worlds import splits
 
 Env = gymnasium.Env[Any, Any]
+MOST_EPISODES = 10**6
+"""Of one evaluation: all of their results are kept."""
+SEEDS = 2**63
+"""The seed of a first episode is less."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +121,7 @@ def tested(env_id: str, worlds: Any) -> Any:
     "clutter:train". None where the env has no worlds.
     """
     if worlds is not None:
-        return splits.tested(worlds)
+        return splits.tested(worlds, default=False)
     module, _, name = env_id.rpartition(":")
     if module:
         importlib.import_module(module)
@@ -145,8 +149,10 @@ def evaluate(
 
     `how` goes to `evaluation.episodes`, other options to the environment.
     """
-    if episodes < 1 or seed < 0:
-        raise ConfigError("--episodes must be at least 1 and --seed at least 0")
+    if not 1 <= episodes <= MOST_EPISODES:
+        raise ConfigError(f"--episodes {shown(episodes)}: must be 1 to {MOST_EPISODES:,}")
+    if not 0 <= seed < SEEDS:
+        raise ConfigError(f"--seed {shown(seed)}: must be 0 to 2^63 - 1")
     actor = load(policy, trust=trust, env=env)
     return drive(actor, link, robot, episodes, seed, how=how, **options)
 

@@ -31,10 +31,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import AcsarError, ConfigError, suggestion
+from acsar_gym.errors import AcsarError, ConfigError, shown, suggestion
 from acsar_gym.protocol import ZERO, Decoder
 from acsar_gym.stopping_programs import CONTAINED, KINDS, REPLUGGED, no_namespace
 
+MOST_TRIALS = 100_000
+"""Of each kind of fault."""
 LIMIT = 0.25
 """So soon the zero command shall be there [s]."""
 PATIENCE = 3.0
@@ -79,13 +81,10 @@ def measure(
 ) -> list[Stops]:
     """So many trials of each kind of fault, each in a program of its own, on an emulated robot.
 
-    Raises ConfigError for an unknown kind or no trials, and AcsarError where no program can drive.
+    Raises ConfigError for an unknown kind, for no trials and too many of them, and AcsarError where
+    no program can drive.
     """
-    if trials < 1:
-        raise ConfigError(f"trials = {trials}: must be at least 1")
-    for kind in kinds:
-        if kind not in KINDS:
-            raise ConfigError(f"kind {kind!r} of fault is unknown{suggestion(kind, KINDS)}")
+    _check(trials, kinds)
     config = config or RobotConfig.of(None)
     skipped = no_namespace() if set(kinds) & set(CONTAINED) else ""
     stops = []
@@ -102,6 +101,7 @@ def measure(
 def measure_visibly(trials: int, kinds: Sequence[str] | None, config: RobotConfig) -> list[Stops]:
     """As `measure`, behind a progress bar; all kinds where none are named."""
     kinds = kinds or tuple(KINDS)
+    _check(trials, kinds)
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -116,6 +116,14 @@ def measure_visibly(trials: int, kinds: Sequence[str] | None, config: RobotConfi
             config,
             lambda kind, _: bar.update(task, advance=1, description=escape(KINDS[kind])),
         )
+
+
+def _check(trials: int, kinds: Sequence[str]) -> None:
+    if not 1 <= trials <= MOST_TRIALS:
+        raise ConfigError(f"trials = {shown(trials)}: must be 1 to {MOST_TRIALS:,}")
+    for kind in kinds:
+        if kind not in KINDS:
+            raise ConfigError(f"kind {kind!r} of fault is unknown{suggestion(kind, KINDS)}")
 
 
 def _trial(kind: str, programs: _Programs, board: _Board, progress: Told | None) -> float:

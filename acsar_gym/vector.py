@@ -17,7 +17,7 @@ from acsar_gym.batch import Batch
 from acsar_gym.config import RobotConfig, RobotSource, whole_ratio
 from acsar_gym.crew import Crew
 from acsar_gym.env import task_spaces
-from acsar_gym.errors import CommandError, ConfigError
+from acsar_gym.errors import CommandError, ConfigError, shown
 from acsar_gym.kernel import layout
 from acsar_gym.options import Wishes, wishes
 from acsar_gym.places import BatchTask
@@ -26,6 +26,10 @@ from acsar_gym.specs import PlainSpec
 from acsar_gym.tasks.base import known
 from acsar_gym.tasks.place import OPTIONS
 
+MOST_ROBOTS = 1_000_000
+"""They take about 2 GB."""
+MOST_STEPS = 10**9
+"""Of an episode."""
 FAIR_SHARE = 256
 """Robots for which another thread is worth its start."""
 
@@ -99,7 +103,9 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
     ) -> None:
         config = RobotConfig.of(robot)
         _check(link, render_mode)
-        self.num_envs = _count("num_envs", num_envs)
+        self.num_envs = _count("num_envs", num_envs, MOST_ROBOTS)
+        if max_episode_steps is not None:
+            max_episode_steps = _count("max_episode_steps", max_episode_steps, MOST_STEPS)
         self.autoreset_mode = _autoreset(autoreset_mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
         self.task = task(config)
@@ -243,9 +249,9 @@ def _autoreset(mode: AutoresetMode | str) -> AutoresetMode:
         raise ConfigError(f"autoreset_mode = {mode!r}: must be one of {known}") from None
 
 
-def _count(name: str, value: int) -> int:
-    if not isinstance(value, int | np.integer) or value < 1:
-        raise ConfigError(f"{name} = {value!r}: must be a whole number of at least 1")
+def _count(name: str, value: int, most: int) -> int:
+    if not isinstance(value, int | np.integer) or not 1 <= value <= most:
+        raise ConfigError(f"{name} = {shown(value)}: must be a whole number from 1 to {most:,}")
     return int(value)
 
 
@@ -256,9 +262,11 @@ def _threads(asked: int | None, robots: int) -> int:
     )
     if asked is None:
         return max(1, min(cores, robots // FAIR_SHARE))
-    if not 1 <= _count("threads", asked) <= cores:
-        raise ConfigError(f"threads = {asked}: must be 1 to {cores}, the cores of this machine")
-    return min(asked, robots)
+    if not isinstance(asked, int | np.integer) or not 1 <= asked <= cores:
+        raise ConfigError(
+            f"threads = {shown(asked)}: must be 1 to {cores}, the cores of this machine"
+        )
+    return min(int(asked), robots)
 
 
 def _mask(mask: Any, robots: int) -> Array:
@@ -275,8 +283,17 @@ def _seeds(seed: int | Sequence[int | None] | None, robots: int) -> list[int | N
     if seed is None:
         return None
     if isinstance(seed, int | np.integer):
-        return [int(seed) + index for index in range(robots)]
-    seeds = list(seed)
+        return [_seed(seed) + index for index in range(robots)]
+    try:
+        seeds = list(seed)
+    except TypeError:
+        raise ConfigError(f"seed = {shown(seed)}: must be a whole number, or a list") from None
     if len(seeds) != robots:
         raise ConfigError(f"{len(seeds)} seeds for {robots} robots: give one each")
-    return seeds
+    return [None if one is None else _seed(one) for one in seeds]
+
+
+def _seed(value: Any) -> int:
+    if not isinstance(value, int | np.integer) or value < 0:
+        raise ConfigError(f"seed = {shown(value)}: must be a whole number of at least 0")
+    return int(value)

@@ -18,6 +18,7 @@ from acsar_gym.cli import COMMANDS, main
 pytestmark = pytest.mark.usefixtures("deadline")
 
 MISSING = "/dev/acsar-missing"
+HUGE = str(10**400)
 RUN = ("run", "1", "0", "--link", "planar")
 
 Ended = tuple[int, str, str]
@@ -60,6 +61,9 @@ def assert_one_line(error: str, said: str) -> None:
         ((*RUN, "--record", "/missing/tape.jsonl"), 2, "can't be written"),
         ((*RUN, "--json", "/missing/figures.json"), 2, "can't be written"),
         (("evaluate", "--link", "planar", "--episodes", "0"), 2, "--episodes"),
+        (("evaluate", "--link", "planar", "--episodes", HUGE), 2, "must be 1 to 1,000,000"),
+        (("evaluate", "--link", "planar", "--seed", HUGE), 2, "must be 0 to 2^63 - 1"),
+        (("evaluate", "--link", "planar", "--seed", "-1"), 2, "--seed -1"),
         (("evaluate", "--link", MISSING, "--episodes", "1"), 3, f"{MISSING}: no such device"),
         (("evaluate", "--policy", "pint_goal"), 2, "point_goal"),
         (("evaluate", "--late-share", "2", "--link", "planar"), 2, "late_share = 2.0"),
@@ -67,7 +71,9 @@ def assert_one_line(error: str, said: str) -> None:
         (("doctor", MISSING, "--timing"), 3, f"{MISSING}: no such device"),
         (("doctor", "--timing"), 2, "--timing needs a device"),
         (("doctor", MISSING, "--timing", "--duration", "0"), 2, "duration = 0.0"),
+        (("doctor", MISSING, "--timing", "--duration", "1e300"), 2, "duration = 1e+300"),
         (("doctor", "--stopping", "--trials", "0"), 2, "trials = 0"),
+        (("doctor", "--stopping", "--trials", HUGE), 2, "must be 1 to 100,000"),
         (("doctor", "--stopping", "--kinds", "kil"), 2, "did you mean 'kill'"),
         (("run", "1", "0", "--realtime", "99"), 2, "real-time priority = 99: must be 1 to 98"),
         (("drive", "--link", "planar", "--linear", "nan"), 2, "finite"),

@@ -277,6 +277,9 @@ def test_what_is_drawn_is_told_at_every_step(mode: AutoresetMode) -> None:
     [
         ({"num_envs": 0}, "num_envs = 0"),
         ({"num_envs": 2.5}, "num_envs = 2.5"),
+        ({"num_envs": 10**11}, "num_envs = 100000000000: must be .* 1 to 1,000,000"),
+        ({"max_episode_steps": 10**400}, "max_episode_steps = 1000.*: must be .* 1 to 1,000,000"),
+        ({"max_episode_steps": 0}, "max_episode_steps = 0"),
         ({"threads": 0}, "threads = 0"),
         ({"threads": 10_000}, "the cores of this machine"),
         ({"randomization": {"frictoin": (0.5, 1.0)}}, "did you mean 'friction'"),
@@ -306,10 +309,15 @@ def test_bad_actions_name_the_first_bad_env() -> None:
     env.close()
 
 
-@pytest.mark.parametrize("seed", [[1, 2], "abc"])
+@pytest.mark.parametrize("seed", [[1, 2], "abc", "abcd", -5, [0, 1, 2, -1], 2.5])
 def test_bad_seeds_are_one_clear_error(seed: Any) -> None:
+    """The robots go on as if nobody had asked."""
+    env = batch()
+    env.reset(seed=0)
     with pytest.raises(ConfigError, match="seed"):
-        batch().reset(seed=seed)
+        env.reset(seed=seed)
+    env.step(np.zeros((4, 2)))
+    env.close()
 
 
 def test_a_robot_takes_less_than_two_kilobytes() -> None:

@@ -28,7 +28,7 @@ def holding(kind: str, some: range) -> str:
     return ""
 
 
-def tested(source: Any, *, default: bool = False) -> Any:
+def tested(source: Any, *, default: bool) -> Any:
     """The test split for a kind of world alone; anything else as it is.
 
     As the `default` of an environment, which trains in it, so is a kind's training split.
