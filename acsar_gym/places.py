@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
+from acsar_gym.errors import WorldError
 from acsar_gym.kernel import layout
 from acsar_gym.lidar import ray_spec
 from acsar_gym.tasks import Barn, ObstacleGoal, PathFollow, PointGoal
@@ -20,14 +21,24 @@ from acsar_gym.worlds.world import Floats
 BatchTask = PointGoal | ObstacleGoal | Barn | PathFollow
 """Tasks that batches know."""
 Integers = NDArray[np.int64]
+MOST_WORLDS = 10_000
+"""Of a batch."""
 FAR = 1e6
 """Where unused circles and segments lie [m]."""
 
 
 def worlds_of(task: BatchTask) -> list[World]:
-    """All worlds of a task; none for goals on an open floor."""
+    """All worlds of a task; none for goals on an open floor.
+
+    Raises WorldError for more than 10,000, before any is made.
+    """
     if isinstance(task, PointGoal):
         return []
+    if len(task.pool) > MOST_WORLDS:
+        raise WorldError(
+            f"worlds: {len(task.pool):,} of {task.pool.kind} are too many for a batch, which makes "
+            f"them all when it begins: at most {MOST_WORLDS:,}"
+        )
     with cache.keeping():
         worlds = list(task.pool)
     return [to_follow(world) for world in worlds] if isinstance(task, PathFollow) else worlds

@@ -57,8 +57,9 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
       depend on it.
     - `randomization`: see `Randomization`; drawn anew for every robot with every episode.
 
-    All worlds are made when the batch is. Seeds: `reset(seed=s)` seeds robot i with s + i, or a
-    list names each one's. Every robot has its own generator, the same as the single env's.
+    All worlds, at most 10,000, are made when the batch is. Seeds: `reset(seed=s)` seeds robot i
+    with s + i, or a list names each one's. Every robot has its own generator, the same as the
+    single env's.
 
     ## Options of a reset
 

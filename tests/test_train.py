@@ -45,12 +45,15 @@ runpy.run_path(sys.argv.pop(1), run_name="__main__")
         ("--threads 0", "--threads 0: must be 1 to"),
         ("--worlds clutter", "point_goal has none"),
         ("--env barn --worlds brn", "brn"),
+        ("--env barn --worlds clutter:1000000 --threads 1 --out OUT", "1,000,000 of clutter"),
         ("--out /dev/null/here", "--out /dev/null/here: can't be written"),
     ],
 )
-def test_bad_options_are_refused_before_anything_starts(arguments: str, said: str) -> None:
+def test_bad_options_are_refused_before_anything_starts(
+    arguments: str, said: str, tmp_path: Path
+) -> None:
     with pytest.raises(ConfigError, match=said):
-        agent("train").main(arguments.split())
+        agent("train").main(arguments.replace("OUT", str(tmp_path)).split())
 
 
 @pytest.mark.parametrize("arguments", ["--steps nan", "--robots 1e3", "--seed inf"])

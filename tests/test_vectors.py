@@ -248,3 +248,8 @@ def test_robots_of_a_batch_are_in_different_worlds() -> None:
 def test_a_world_that_cannot_be_driven_is_one_clear_error() -> None:
     with pytest.raises(WorldError, match="the start"):
         ObstacleGoalVectorEnv(2, worlds=World(np.array([[0.0, 0.0, 1.0]]), goal=Region(5.0, 0.0)))
+
+
+def test_too_many_worlds_are_refused_before_any_is_made() -> None:
+    with pytest.raises(WorldError, match="10,001 of open are too many for a batch"):
+        ObstacleGoalVectorEnv(2, worlds="open:10001")
