@@ -5,7 +5,8 @@
 writes policy.onnx (what drives the robot), model.zip (to train on), checkpoints and TensorBoard
 logs into the folder. --resume model.zip --trust trains one of those zips on. Ctrl-C and SIGTERM end
 it early, and save what there is. How good the policy is, on robots that don't train and in worlds
-that aren't trained in, is logged as eval/success_rate.
+that aren't trained in, is logged as eval/success_rate; with --worlds FILE or FOLDER there are no
+others, so it's measured in the same worlds, from other seeds.
 """
 
 from __future__ import annotations
@@ -150,6 +151,7 @@ def train(options: Options) -> int:
         saved = ZipPolicy(options.resume, trust=options.trust) if options.resume else None
         env, apart = _env(recipe, options, count), _held_out(recipe, options)
         try:
+            _begin(env, apart, options, count)
             model = _model(recipe, env, options, saved, out / "tensorboard", count)
             _learn(model, recipe, options, apart, stop, out)
         finally:
@@ -215,6 +217,12 @@ def _held_out(recipe: Recipe, options: Options) -> RobotVectorEnv:
 def _arguments(recipe: Recipe, options: Options) -> dict[str, Any]:
     chosen = {} if options.worlds is None else {"worlds": options.worlds}
     return recipe.options | chosen
+
+
+def _begin(env: RobotVectorEnv, apart: RobotVectorEnv, options: Options, count: int) -> None:
+    """Say what is trained in, evaluated in, and with."""
+    cores = "1 thread" if count == 1 else f"{count} threads"
+    print(printable(f"{held_out.told(env, apart)}; {cores}, seed {options.seed}"), flush=True)
 
 
 def _model(
@@ -298,7 +306,7 @@ def _learn(
         print(f"interrupted at {model.num_timesteps:,} steps: saving what there is")
     _save(model, apart, out)
     if stop.number is None:
-        _tell(scores.finish(), options, out)
+        _tell(scores.finish(), scores.name, options, out)
 
 
 def _save(model: PPO, env: RobotVectorEnv, out: Path) -> None:
@@ -310,10 +318,10 @@ def _save(model: PPO, env: RobotVectorEnv, out: Path) -> None:
     print(printable(f"written: {files}"))
 
 
-def _tell(score: held_out.Score, options: Options, out: Path) -> None:
+def _tell(score: held_out.Score, name: str, options: Options, out: Path) -> None:
     """How good the policy is, and what to do next."""
     wins = round(score.success_rate * score.episodes)
-    print(f"held-out success: {wins} of {score.episodes} episodes ({score.success_rate:.1%})")
+    print(f"{name}: {wins} of {score.episodes} episodes ({score.success_rate:.1%})")
     robot = f" --robot {options.robot}" if options.robot else ""
     print(printable(f"next: acsar-gym evaluate --policy {out / 'policy.onnx'}{robot}"))
 

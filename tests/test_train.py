@@ -81,6 +81,7 @@ def test_sigterm_saves_what_there_is(tmp_path: Path) -> None:
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None
+            assert process.stdout.readline().startswith("training on an open floor, held out: ")
             assert "held-out success" in process.stdout.readline()
             started = psutil.Process(process.pid).children(recursive=True)
             process.send_signal(signal.SIGTERM)
@@ -102,8 +103,9 @@ def test_a_training_says_how_good_it_is_and_what_comes_next(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     options = ["--steps", "1", "--robots", "4", "--no-progress", "--out", str(tmp_path)]
-    assert agent("train").main(options) == 0
-    written, score, following = capsys.readouterr().out.splitlines()
+    assert agent("train").main([*options, "--threads", "1", "--seed", "3"]) == 0
+    begin, written, score, following = capsys.readouterr().out.splitlines()
+    assert begin == "training on an open floor, held out: other seeds; 1 thread, seed 3"
     assert written.startswith(f"written: {tmp_path / 'policy.onnx'}")
     assert score.startswith("held-out success: ")
     assert " of 64 episodes" in score

@@ -22,7 +22,7 @@ class HeldOut(BaseCallback):
 
     That happens after the first rollout, then up to `evaluations` times, and with `finish` at the
     end. Scores are logged as eval/success_rate, eval/collision_rate, eval/mean_return and
-    eval/mean_length; `score` is the newest one.
+    eval/mean_length; `score` is the newest one, and `name` what its success is called.
     """
 
     def __init__(self, batch: RobotVectorEnv, steps: int, evaluations: int) -> None:
@@ -31,6 +31,7 @@ class HeldOut(BaseCallback):
         self._interval = max(1, steps // evaluations)
         self._next = 0
         self.score: Score | None = None
+        self.name = held_out.measured(batch)
 
     def _on_step(self) -> bool:
         return True
@@ -86,7 +87,7 @@ class WholeCohorts(BaseCallback):
 
 
 class TrainingProgress(BaseCallback):
-    """A progress bar with env steps a second and the newest held-out success rate.
+    """A progress bar with env steps a second and the newest success rate of an evaluation.
 
     Where the output is no terminal, every evaluation is a line instead.
     """
@@ -98,7 +99,7 @@ class TrainingProgress(BaseCallback):
         self._progress = Progress(
             BarColumn(),
             TextColumn("{task.completed:,.0f} of {task.total:,.0f} steps"),
-            TextColumn("{task.fields[speed]:,.0f} steps/s, held-out success {task.fields[rate]}"),
+            TextColumn(f"{{task.fields[speed]:,.0f}} steps/s, {scores.name} {{task.fields[rate]}}"),
             TimeElapsedColumn(),
         )
         self._progress.disable = not self._progress.console.is_terminal
@@ -121,7 +122,7 @@ class TrainingProgress(BaseCallback):
         self._progress.update(self._task, completed=done, total=total, speed=speed, rate=rate)
         if self._progress.disable and score is not self._shown:
             print(
-                f"{done:,} of {total:,} steps, {speed:,.0f} a second, held-out success {rate}",
+                f"{done:,} of {total:,} steps, {speed:,.0f} a second, {self._scores.name} {rate}",
                 flush=True,
             )
         self._shown = score

@@ -65,6 +65,30 @@ def evaluate(batch: RobotVectorEnv, decide: Decide) -> Score:
     )
 
 
+def measured(batch: RobotVectorEnv) -> str:
+    """What a score of these robots is, for people."""
+    if _others(batch):
+        return "held-out success"
+    return "success in the same worlds, other seeds"
+
+
+def told(learning: RobotVectorEnv, batch: RobotVectorEnv) -> str:
+    """Where the robots learn and where they are evaluated, for people."""
+    pools = [getattr(one.task, "pool", None) for one in (learning, batch)]
+    if pools[0] is None:
+        return "training on an open floor, held out: other seeds"
+    apart = (
+        f"held out: {pools[1]}" if _others(batch) else "evaluated in the same worlds, other seeds"
+    )
+    return f"training in {pools[0]}, {apart}"
+
+
+def _others(batch: RobotVectorEnv) -> bool:
+    """Whether its episodes are in other worlds, or to other goals on the open floor."""
+    pool = getattr(batch.task, "pool", None)
+    return pool is None or pool.generated
+
+
 def worlds_beside(source: str) -> str:
     """ROBOTS worlds of the same kind that aren't among `source`.
 

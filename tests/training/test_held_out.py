@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -11,6 +12,7 @@ import pytest
 from acsar_gym import evaluation
 from acsar_gym.training import held_out
 from acsar_gym.vectors import ObstacleGoalVectorEnv, PointGoalVectorEnv
+from acsar_gym.worlds import Region, World, files
 
 WORLDS = "clutter:900-903"
 STEPS = 60
@@ -68,3 +70,21 @@ def test_every_robot_counts_once_and_always_the_same() -> None:
 )
 def test_held_out_worlds_are_others(trained: str, beside: str) -> None:
     assert held_out.worlds_beside(trained) == beside
+
+
+def test_people_are_told_which_worlds_are_trained_and_evaluated_in(tmp_path: Path) -> None:
+    file = tmp_path / "mine.json"
+    files.save(World(goal=Region(3.0, 0.0)), file)
+    made = {
+        source: ObstacleGoalVectorEnv(1, worlds=source, threads=1)
+        for source in ("open:train", "open:900-963", str(file))
+    }
+    train, apart, mine = made.values()
+    beside = "training in open 1000 to 1399 (train split), held out: open 900 to 963"
+    assert held_out.told(train, apart) == beside
+    same = f"training in {file} 0 to 0, evaluated in the same worlds, other seeds"
+    assert held_out.told(mine, mine) == same
+    assert held_out.measured(apart) == "held-out success"
+    assert held_out.measured(mine) == "success in the same worlds, other seeds"
+    for batch in made.values():
+        batch.close()
