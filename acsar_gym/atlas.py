@@ -14,7 +14,7 @@ from rich.table import Table
 from acsar_gym import pictures, report
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, WorldError
-from acsar_gym.worlds import World, difficulty, files
+from acsar_gym.worlds import World, difficulty, files, generators
 from acsar_gym.worlds.pool import Pool, read
 from acsar_gym.worlds.search import footprint_radius, path_length, shortest_path
 
@@ -64,6 +64,17 @@ def raw(
     pool = Pool.of(source, level, footprint_radius(RobotConfig.of(robot)), count)
     _check_count(source, len(pool), most)
     return list(report.watched("making worlds", pool, len(pool)))
+
+
+def told(source: str, count: int) -> dict[str, str | None]:
+    """For a title and JSON: `source`, such as "clutter 0 to 199 (test split)", and the `split`.
+
+    That's None where the worlds aren't all of one.
+    """
+    if source.partition(":")[0] not in generators.kinds():
+        return {"source": source, "split": None}
+    pool = Pool.of(source, count=count)
+    return {"source": str(pool), "split": pool.split or None}
 
 
 def _check_count(source: str, count: int, most: int) -> None:
@@ -120,10 +131,10 @@ def convert(source: str, out: Path, level: float | None, robot: str | None) -> N
     files.save(raw(source, level, robot, 1, 1)[0], out)
 
 
-def table(findings: Sequence[Finding]) -> Table:
+def table(source: str, findings: Sequence[Finding]) -> Table:
     """One row a world."""
-    drawn = Table(title="worlds: lengths in m, difficulty along the shortest way")
-    drawn.title_justify = "left"
+    title = f"worlds: {source}; lengths in m, difficulty along the shortest way"
+    drawn = Table(title=report.plain(title), title_justify="left")
     drawn.add_column("world")
     columns = ("obstacles", "path", "shortest", "closest", "visibility", "dispersion", "width")
     for column in (*columns, "tortuosity"):

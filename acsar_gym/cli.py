@@ -299,7 +299,7 @@ def evaluate(
     title = f"{policy}, seeds {seed} to {seed + episodes - 1}, worlds: {done.worlds}"
     summary = done.summary
     report.show(report.summary_table(title, [(link, summary)]))
-    report.show(report.interval_table(summary))
+    report.show(report.interval_table(title, summary))
     report.write_json(json, done.as_dict())
     return 0
 
@@ -411,8 +411,9 @@ def check(
 
     report.check_writable(json)
     findings = atlas.check(atlas.raw(source, difficulty, robot, 12), robot)
-    report.show(atlas.table(findings))
-    report.write_json(json, {"worlds": [finding.as_dict() for finding in findings]})
+    told = atlas.told(source, 12)
+    report.show(atlas.table(str(told["source"]), findings))
+    report.write_json(json, told | {"worlds": [finding.as_dict() for finding in findings]})
     return int(any(finding.fault for finding in findings))
 
 

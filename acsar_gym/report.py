@@ -124,9 +124,9 @@ def summary_table(title: str, rows: Sequence[tuple[str, Summary]]) -> Table:
     return table
 
 
-def interval_table(summary: Summary) -> Table:
+def interval_table(title: str, summary: Summary) -> Table:
     """Every figure of one run with its 95 % interval."""
-    table = Table(title="95 % intervals", title_justify="left")
+    table = Table(title=plain(f"95 % intervals: {title}"), title_justify="left")
     for column in ("figure", "value", "low", "high"):
         table.add_column(column, justify="left" if column == "figure" else "right")
     values = {**asdict(summary), **summary.scores}

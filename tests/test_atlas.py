@@ -36,10 +36,28 @@ def test_a_check_says_what_a_world_is_like(tmp_path: Path) -> None:
     done = cli("worlds", "check", "barn:2", "--json", out)
     assert (done.returncode, done.stderr) == (0, "")
     assert "barn 0" in done.stdout
-    one, _ = json.loads(out.read_text())["worlds"]
+    assert "worlds: barn 0 to 1 (test split); lengths in m" in done.stdout
+    told = json.loads(out.read_text())
+    assert (told["source"], told["split"]) == ("barn 0 to 1 (test split)", "test")
+    one, _ = told["worlds"]
     assert 10.0 <= one["shortest"] <= one["path"] + 1e-6
     assert one["fault"] == ""
     assert 0.0 < one["closest_obstacle"] < 3.0
+
+
+@pytest.mark.parametrize(
+    ("source", "name", "split"),
+    [
+        ("clutter:train", "clutter 1000 to 1399 (train split)", "train"),
+        ("clutter", "clutter 0 to 11 (test split)", "test"),
+        ("clutter:150-250", "clutter 150 to 250", None),
+        ("my/worlds", "my/worlds", None),
+    ],
+)
+def test_checked_worlds_are_named_with_their_split(
+    source: str, name: str, split: str | None
+) -> None:
+    assert atlas.told(source, 12) == {"source": name, "split": split}
 
 
 def test_a_world_that_cannot_be_crossed_fails_the_check(tmp_path: Path) -> None:

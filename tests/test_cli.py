@@ -243,7 +243,8 @@ def test_an_evaluation_keeps_every_episode(call: Call, tmp_path: Path) -> None:
     file = tmp_path / "figures.json"
     code, out, _ = call("evaluate", "--link", "planar", "--episodes", "2", "--json", file)
     assert code == 0
-    assert "point_goal, seeds 0 to 1, worlds: none" in out
+    assert "\npoint_goal, seeds 0 to 1, worlds: none" in out
+    assert "95 % intervals: point_goal, seeds 0 to 1, worlds: none" in " ".join(out.split())
     figures = json.loads(file.read_text())
     assert figures["header"]["link"] == "planar"
     assert figures["invalid"] == 0
