@@ -312,10 +312,23 @@ def _learn(
 def _save(model: PPO, env: RobotVectorEnv, out: Path) -> None:
     from acsar_gym.policies import sb3_export  # noqa: PLC0415
 
-    model.save(out / "model.zip")
-    sb3_export.export(model.policy, out / "policy.onnx", env.task, env.config)
+    _replace(out / "model.zip", model.save)
+    _replace(
+        out / "policy.onnx",
+        lambda path: sb3_export.export(model.policy, path, env.task, env.config),
+    )
     files = f"{out / 'policy.onnx'} (to drive with), {out / 'model.zip'} (to train on)"
     print(printable(f"written: {files}"))
+
+
+def _replace(path: Path, write: Callable[[Path], object]) -> None:
+    """Write a file whole or not at all: what was there before stays until then."""
+    new = path.with_name(f".{path.name}")
+    try:
+        write(new)
+        new.replace(path)
+    finally:
+        new.unlink(missing_ok=True)
 
 
 def _tell(score: held_out.Score, name: str, options: Options, out: Path) -> None:

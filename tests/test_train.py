@@ -112,3 +112,21 @@ def test_a_training_says_how_good_it_is_and_what_comes_next(
     assert following == f"next: acsar-gym evaluate --policy {tmp_path / 'policy.onnx'}"
     for name in ("policy.onnx", "model.zip", "tensorboard"):
         assert (tmp_path / name).exists()
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_a_file_is_written_whole_or_stays_as_it_was(tmp_path: Path) -> None:
+    path = tmp_path / "model.zip"
+    path.write_bytes(b"before")
+
+    def half(new: Path) -> None:
+        new.write_bytes(b"aft")
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        agent("train")._replace(path, half)
+    assert [(file.name, file.read_bytes()) for file in tmp_path.iterdir()] == [
+        ("model.zip", b"before")
+    ]
+    agent("train")._replace(path, lambda new: new.write_bytes(b"after"))
+    assert path.read_bytes() == b"after"
