@@ -93,7 +93,7 @@ class CallablePolicy(FilePolicy):
             raise self._failure(f"{self._name} failed", error) from None
         try:
             action = np.asarray(given, np.float32)
-        except (TypeError, ValueError):
+        except Exception:  # noqa: BLE001 - torch has errors of its own for tensors with gradients
             action = np.full(0, np.nan, np.float32)
         if action.shape != (2,) or not np.isfinite(action).all():
             said = repr(given).replace("\n", " ")[:100]

@@ -21,6 +21,18 @@ def act(observation):
     return GAIN * max(cosine, 0.0), math.atan2(sine, cosine)
 """
 
+GRADIENT = """
+class Tensor:
+    def __array__(self, dtype=None, copy=None):
+        raise RuntimeError("Can't call numpy() on Tensor that requires grad.")
+
+    def __repr__(self):
+        return "Tensor"
+
+def act(o):
+    return Tensor()
+"""
+
 
 @pytest.fixture
 def mine(tmp_path: Path) -> Path:
@@ -62,6 +74,7 @@ def test_the_environment_may_be_named(mine: Path) -> None:
         ("def act(o): return None", "act gave None: must be"),
         ("def act(o): return 'ab'", "act gave 'ab': must be"),
         ("def act(o):\n  return o['x']", "line 2: act failed: IndexError"),
+        pytest.param(GRADIENT, "act gave Tensor: must be two finite numbers", id="gradient"),
     ],
 )
 def test_what_is_wrong_is_one_line(source: str, said: str, mine: Path) -> None:
