@@ -77,6 +77,6 @@ def quoted(text: str) -> str:
     return textwrap.shorten(text.encode("unicode_escape").decode("ascii"), 300, placeholder="...")
 
 
-def one_line(error: Exception) -> str:
+def one_line(error: BaseException) -> str:
     """The kind of an exception and what it says, in one short line."""
     return textwrap.shorten(f"{type(error).__name__}: {quoted(str(error))}", 200)

@@ -52,18 +52,20 @@ class CallablePolicy(FilePolicy):
             )
 
     def _imported(self, source: bytes) -> ModuleType:
-        spec = importlib.util.spec_from_file_location(self.path.stem, self.path)
+        name = f"acsar_gym_policy_{self.path.stem}"
+        spec = importlib.util.spec_from_file_location(name, self.path)
         if spec is None:
             raise PolicyError(f"{self.path}: not a Python file")
         module = importlib.util.module_from_spec(spec)
         folder = str(self.path.resolve().parent)
         if folder not in sys.path:
             sys.path.append(folder)  # for what it imports from beside itself
+        sys.modules[name] = module  # where dataclasses and pickle look for a class's own module
         try:
             exec(compile(source, self.path, "exec"), module.__dict__)  # noqa: S102 - named by the user
         except AcsarError:
             raise
-        except Exception as error:  # noqa: BLE001 - whatever a user's code raises
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a user's code raises
             raise self._failure("can't be run", error) from None
         return module
 
@@ -76,7 +78,7 @@ class CallablePolicy(FilePolicy):
             raise PolicyError(f"{self.path}: {named}, as in {self.path.name}:act{hint}")
         return act
 
-    def _failure(self, what: str, error: Exception) -> PolicyError:
+    def _failure(self, what: str, error: BaseException) -> PolicyError:
         """What a user's code raised, and in which of the file's lines."""
         frames = traceback.extract_tb(error.__traceback__)
         lines = [f.lineno for f in frames if f.filename == str(self.path)]
@@ -89,7 +91,7 @@ class CallablePolicy(FilePolicy):
             given = self._act(observation)
         except AcsarError:
             raise
-        except Exception as error:  # noqa: BLE001 - whatever a user's code raises
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a user's code raises
             raise self._failure(f"{self._name} failed", error) from None
         try:
             action = np.asarray(given, np.float32)

@@ -33,6 +33,23 @@ def act(o):
     return Tensor()
 """
 
+CLASSES = """
+from __future__ import annotations
+import pickle
+from dataclasses import dataclass
+
+ENV_ID = "acsar_gym/PointGoal-v0"
+
+@dataclass
+class Drive:
+    speed: float = 0.5
+
+KEPT = pickle.dumps(Drive())
+
+def act(observation):
+    return [pickle.loads(KEPT).speed, 0.0]
+"""
+
 
 @pytest.fixture
 def mine(tmp_path: Path) -> Path:
@@ -74,6 +91,8 @@ def test_the_environment_may_be_named(mine: Path) -> None:
         ("def act(o): return None", "act gave None: must be"),
         ("def act(o): return 'ab'", "act gave 'ab': must be"),
         ("def act(o):\n  return o['x']", "line 2: act failed: IndexError"),
+        ("import sys\nsys.exit()", "line 2: can't be run: SystemExit"),
+        ("def act(o):\n  raise SystemExit(0)", "line 2: act failed: SystemExit: 0"),
         pytest.param(GRADIENT, "act gave Tensor: must be two finite numbers", id="gradient"),
     ],
 )
@@ -84,6 +103,13 @@ def test_what_is_wrong_is_one_line(source: str, said: str, mine: Path) -> None:
     assert str(raised.value).startswith(str(mine))
     assert said in str(raised.value)
     assert "\n" not in str(raised.value)
+
+
+def test_its_classes_know_their_module(mine: Path) -> None:
+    """As dataclasses with postponed annotations, and pickle, need it."""
+    mine.write_text(CLASSES)
+    action = runs.load(f"{mine}:act", trust=False)(np.zeros(7, np.float32))
+    assert action.tolist() == [0.5, 0.0]
 
 
 def test_a_missing_file_or_name_is_one_line(mine: Path) -> None:
