@@ -29,7 +29,8 @@ class BatchVecEnv(VecEnv):
 
     Gymnasium's vector wrappers may stand around it; `make_batch` makes one. The batch must use
     AutoresetMode.SAME_STEP. Robots whose episode goes on share one empty info; those whose episode
-    ends have `terminal_observation`, `episode` (r, l, t), `is_success` and `TimeLimit.truncated`.
+    ends have `terminal_observation`, `episode` (r, l, t), `is_success`, `TimeLimit.truncated`, and,
+    where the batch has them, the number of its `world` and the `drawn_` keys of its randomization.
     There are no single envs behind it to call methods of.
     """
 
@@ -41,15 +42,33 @@ class BatchVecEnv(VecEnv):
         self._batch: Any = batch  # VectorEnv's seed is an int; ours takes one for each robot, too
         super().__init__(batch.num_envs, batch.single_observation_space, batch.single_action_space)
         self._actions: NDArray[np.float32] = np.zeros((batch.num_envs, 2), np.float32)
+        self._asked: dict[str, Any] = {}
         self._started = time.monotonic()
 
     def reset(self) -> NDArray[np.float32]:
-        """Observations of new episodes, one row a robot."""
+        """Observations of new episodes, one row a robot; what `set_options` asked for holds."""
         seeded = any(seed is not None for seed in self._seeds)
         observations: NDArray[np.float32]
-        observations, _ = self._batch.reset(seed=self._seeds if seeded else None)
+        seeds = self._seeds if seeded else None
+        observations, _ = self._batch.reset(seed=seeds, options=self._asked)
         self._reset_seeds()
         return observations
+
+    def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
+        """Options of `RobotVectorEnv.reset` for all episodes to come, until they are set again.
+
+        Those that run go on. None takes the options back. Raises ConfigError for unknown ones, for
+        a list, and for "reset_mask", as a reset is of all robots.
+        """
+        if isinstance(options, list):
+            raise ConfigError(
+                "set_options: give one dict for all robots, whose values may have a row for each, "
+                'such as {"world": [1000, 1001]}'
+            )
+        if options and "reset_mask" in options:
+            raise ConfigError("set_options: 'reset_mask' isn't one here: all robots are reset")
+        self._batch.unwrapped.set_options(options or {})
+        self._asked = dict(options or {})
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
         """Keep the actions for `step_wait`."""
@@ -75,6 +94,8 @@ class BatchVecEnv(VecEnv):
                 "l": int(final["episode_length"][index]),
                 "t": time.monotonic() - self._started,
             },
+            **{name: final[name][index] for name in final if name.startswith("drawn_")},
+            **({"world": int(final["world"][index])} if "world" in final else {}),
         }
 
     def close(self) -> None:

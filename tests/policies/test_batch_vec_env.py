@@ -10,7 +10,7 @@ import pytest
 from gymnasium.wrappers.vector import TransformReward
 
 from acsar_gym.errors import ConfigError
-from acsar_gym.vectors import PointGoalVectorEnv
+from acsar_gym.vectors import ObstacleGoalVectorEnv, PointGoalVectorEnv
 
 if TYPE_CHECKING:
     from acsar_gym.sb3 import BatchVecEnv
@@ -80,6 +80,53 @@ def test_seeds_repeat_a_rollout() -> None:
         return np.array(seen)
 
     assert (rollout() == rollout()).all()
+
+
+def ended(env: BatchVecEnv, steps: int) -> list[dict[str, Any]]:
+    """The infos of the episodes that end within some steps of standing still."""
+    infos: list[dict[str, Any]] = []
+    for _ in range(steps):
+        infos += [info for info in env.step(np.zeros((env.num_envs, 2), np.float32))[3] if info]
+    return infos
+
+
+def test_options_hold_until_they_are_set_again() -> None:
+    """Also after a reset, which the batch itself takes for the end of its options."""
+    ranges = {"friction": (0.4, 0.6), "motor_gain": (0.9, 1.1)}
+    batch = ObstacleGoalVectorEnv(
+        3,
+        autoreset_mode="SameStep",
+        max_episode_steps=2,
+        worlds="open:1000-1039",
+        randomization=ranges,
+    )
+    env = wrapped(batch)
+    env.seed(0)
+    env.set_options({"world": 1003})
+    env.reset()
+    infos = ended(env, 6)
+    assert [info["world"] for info in infos] == [1003] * 9
+    assert all(0.4 <= info["drawn_friction"] <= 0.6 for info in infos)
+    assert all(info["drawn_motor_gain"].shape == (4,) for info in infos)
+    env.set_options({"world": [1001, 1002, 1004]})
+    assert [info["world"] for info in ended(env, 4)[3:]] == [1001, 1002, 1004]
+    env.set_options()
+    env.reset()
+    assert len({info["world"] for info in ended(env, 6)}) > 3
+    env.close()
+
+
+def test_options_that_cannot_be_are_one_line() -> None:
+    env = vec_env(2)
+    for options, said in (
+        ([{"goal": (1.0, 0.0)}] * 2, "one dict for all robots"),
+        ({"reset_mask": [True, False]}, "all robots are reset"),
+        ({"goals": 1}, "unknown reset option"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            env.set_options(options)
+    env.reset()
+    env.close()
 
 
 def test_ppo_learns_on_it_as_it_is() -> None:
