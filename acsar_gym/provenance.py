@@ -2,13 +2,17 @@
 
 | key | holds |
 |---|---|
-| `versions` | of acsar_gym, gymnasium, numpy and python |
-| `policy` | `file`, its `sha256`, and the `env` that it was made for |
+| `versions` | of acsar_gym, gymnasium, numpy, python, and, where they are installed, of |
+| | onnxruntime, torch and pybullet |
+| `policy` | `file`, `sha256` of what was read from it (null where nothing was), the `function` of a |
+| | Python file (else null), and the `env` that it was made for |
 | `env` | `id`, `kwargs` as in its spec, `max_episode_steps` |
 | `robot` | `sha256` of its whole config |
 | `link` | what stood behind the wire |
 | `worlds` | `kind` ("none" on an open floor), `split` ("train", "test" or null), numbers of the |
-| | `first` and `last` one, `difficulty`, footprint `radius` [m], `sha256` of what defines them |
+| | `first` and `last` one, `difficulty`, footprint `radius` [m], `sha256` of what defines them: |
+| | their contents, or, where they are generated, all of these and the generators' source, the |
+| | versions of python, numpy and scipy, and the kind of machine |
 | `seeds` | of the `first` and `last` episode |
 | `options` | of the resets, and `in_order`, `late_share` |
 
@@ -18,11 +22,12 @@ Beside it are the means of `metrics.Summary` with their `intervals`, and `per_ep
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import platform
 from collections.abc import Mapping
-from pathlib import Path
+from importlib import metadata
 from typing import Any
 
 import gymnasium
@@ -33,6 +38,7 @@ from acsar_gym.env import RobotEnv
 from acsar_gym.policies import FilePolicy
 from acsar_gym.specs import plain
 from acsar_gym.worlds import World
+from acsar_gym.worlds.cache import generators_hash
 from acsar_gym.worlds.pool import Pool
 
 
@@ -46,13 +52,13 @@ def header(
     """All that someone needs to measure the same figures again; see the module for the keys."""
     inner: Any = env.unwrapped
     return {
-        "versions": {
-            "acsar_gym": acsar_gym.__version__,
-            "gymnasium": gymnasium.__version__,
-            "numpy": np.__version__,
-            "python": platform.python_version(),
+        "versions": _versions(),
+        "policy": {
+            "file": str(policy.path),
+            "sha256": policy.sha256,
+            "function": policy.function,
+            "env": policy.env_id,
         },
-        "policy": {"file": str(policy.path), "sha256": _of_file(policy), "env": policy.env_id},
         "env": _env(env),
         "robot": {"sha256": _sha256(inner.robot.config.model_dump_json())},
         "link": link,
@@ -60,6 +66,19 @@ def header(
         "seeds": {"first": seeds[0], "last": seeds[-1]},
         "options": plain(options),
     }
+
+
+def _versions() -> dict[str, str]:
+    versions = {
+        "acsar_gym": acsar_gym.__version__,
+        "gymnasium": gymnasium.__version__,
+        "numpy": np.__version__,
+        "python": platform.python_version(),
+    }
+    for name in ("onnxruntime", "torch", "pybullet"):
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            versions[name] = metadata.version(name)
+    return versions
 
 
 def worlds_of(env: RobotEnv) -> Pool | None:
@@ -97,7 +116,9 @@ def _worlds(pool: Pool | None) -> dict[str, Any]:
         "difficulty": pool.difficulty,
         "radius": pool.radius,
     }
-    known = [told] if pool.generated else [_contents(world) for world in pool]
+    known: list[Any] = [told, generators_hash()]
+    if not pool.generated:
+        known = [_contents(world) for world in pool]
     return told | {"sha256": _sha256(json.dumps(known, sort_keys=True))}
 
 
@@ -110,12 +131,6 @@ def _contents(world: World) -> list[Any]:
         repr(world.goal),
         path,
     ]
-
-
-def _of_file(policy: FilePolicy) -> str | None:
-    """Of the policy's file, as `sha256sum` prints it."""
-    path = Path(policy.path)
-    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else None
 
 
 def _sha256(text: str) -> str:

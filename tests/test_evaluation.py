@@ -7,6 +7,7 @@ import json
 import math
 import re
 import time
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from acsar_gym.evaluation import EpisodeResult, episodes, odometry_errors
 from acsar_gym.metrics import per_episode, summarise
 from acsar_gym.policies import FilePolicy
 from acsar_gym.report import summary_table, write_json
+from acsar_gym.resources import AGENTS
 from acsar_gym.worlds import Pose, Region, World
 
 
@@ -207,7 +209,7 @@ def test_a_share_of_late_ticks_is_a_share(share: float) -> None:
 
 # Worlds, seeds, and what figures were measured with
 
-POINT_GOAL = "point_goal"
+POINT_GOAL = AGENTS / "policies" / "point_goal.onnx"
 OBSTACLES = "acsar_gym/ObstacleGoal-v0"
 
 
@@ -254,8 +256,10 @@ def test_an_evaluation_says_what_it_was_measured_with() -> None:
     run = drive(2, worlds="open", goal_tolerance=0.2)
     data = json.loads(json.dumps(run.as_dict(), allow_nan=False))
     header = data["header"]
-    assert header["versions"].keys() == {"acsar_gym", "gymnasium", "numpy", "python"}
-    assert header["policy"] == {"file": "nowhere.onnx", "sha256": None, "env": OBSTACLES}
+    assert {"acsar_gym", "gymnasium", "numpy", "python"} <= header["versions"].keys()
+    assert header["versions"]["onnxruntime"] == metadata.version("onnxruntime")
+    policy = {"file": "nowhere.onnx", "sha256": None, "function": None, "env": OBSTACLES}
+    assert header["policy"] == policy
     assert header["env"]["id"] == OBSTACLES
     assert header["env"]["kwargs"] == {"robot": None, "worlds": "open:test", "goal_tolerance": 0.2}
     assert header["env"]["max_episode_steps"] == 400
@@ -293,12 +297,36 @@ def test_hashes_tell_worlds_and_robots_apart(tmp_path: Path) -> None:
     assert other["robot"] != headers[0]["robot"]
 
 
-def test_the_hash_of_a_policy_is_that_of_its_file() -> None:
-    policy = runs.load(POINT_GOAL, trust=False)
+def test_the_hash_of_a_policy_is_that_of_what_was_read(tmp_path: Path) -> None:
+    """Though the file is another one by now, or gone."""
+    file = tmp_path / "policy.onnx"
+    file.write_bytes(POINT_GOAL.read_bytes())
+    policy = runs.load(str(file), trust=False)
+    file.write_bytes(b"of a later training")
     env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar")
     header = provenance.header(env, policy, "planar", range(1), {})
-    assert header["policy"]["sha256"] == hashlib.sha256(policy.path.read_bytes()).hexdigest()
+    sha256 = hashlib.sha256(POINT_GOAL.read_bytes()).hexdigest()
+    assert header["policy"]["sha256"] == sha256
     assert header["worlds"]["kind"] == "none"
+
+
+def test_the_function_of_a_python_file_is_told(tmp_path: Path) -> None:
+    source = b"def act(observation):\n    return 0.0, 0.0\n"
+    (tmp_path / "mine.py").write_bytes(source)
+    policy = runs.load(f"{tmp_path / 'mine.py'}:act", trust=False, env="point_goal")
+    env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar")
+    told = provenance.header(env, policy, "planar", range(1), {})["policy"]
+    assert (told["function"], told["sha256"]) == ("act", hashlib.sha256(source).hexdigest())
+
+
+def test_generated_worlds_have_the_hash_of_their_generators(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    env = gymnasium.make(OBSTACLES, link="planar", worlds="open:5")
+    before = provenance.header(env, Idle(), "planar", range(1), {})
+    monkeypatch.setattr(provenance, "generators_hash", lambda: "changed")
+    after = provenance.header(env, Idle(), "planar", range(1), {})
+    assert before["worlds"]["sha256"] != after["worlds"]["sha256"]
 
 
 def test_worlds_in_order_have_their_own_numbers() -> None:

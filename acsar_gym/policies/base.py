@@ -37,6 +37,10 @@ class FilePolicy(ABC):
     """Whether the user has named the environment; otherwise the file does."""
     layout: str
     """What its observation consists of (see `tasks.signature`); empty where it doesn't say."""
+    sha256: str | None = None
+    """Of the bytes that were read from the file, as `sha256sum` prints it."""
+    function: str | None = None
+    """Which one of a Python file it is."""
 
     def check(self, task: Task, config: RobotConfig) -> None:
         """PolicyError where the policy was made for another observation than this env gives."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import sys
 import traceback
@@ -41,6 +42,7 @@ class CallablePolicy(FilePolicy):
         )
         self.path = Path(file)
         source = bounded.read(self.path, MAX_BYTES, PolicyError)
+        self.sha256, self.function = hashlib.sha256(source).hexdigest(), self._name
         module = self._imported(source)
         self._act = self._found(module)
         self.env_id = env_id or str(getattr(module, "ENV_ID", ""))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,7 @@ class OnnxPolicy(FilePolicy):
         except ImportError:
             raise MissingExtraError("running a policy", "deploy") from None
         data = bounded.read(self.path, MAX_BYTES, PolicyError)
+        self.sha256 = hashlib.sha256(data).hexdigest()
         try:
             network = inspected(data)
             tried = limits.plain(network) or trial.refusal(data, network.width)

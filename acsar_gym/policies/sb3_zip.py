@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import warnings
 from pathlib import Path
@@ -44,12 +45,14 @@ class ZipPolicy(FilePolicy):
                 f"'acsar-gym export {self.path} policy.onnx --trust'"
             )
         try:
-            data, self.network = _load(self.path)
+            content = bounded.read(self.path, MAX_BYTES, PolicyError)
+            data, self.network = _load(self.path, content)
         except AcsarError:
             raise
         except Exception as error:  # noqa: BLE001 - whatever pickle and torch raise on such a file
             said = one_line(error)
             raise PolicyError(f"{self.path}: not a stable-baselines3 model: {said}") from None
+        self.sha256 = hashlib.sha256(content).hexdigest()
         self.env_id, self.env_named = env_id or data.get(ENV_KEY, ""), bool(env_id)
         self.layout = data.get(LAYOUT_KEY, "")
 
@@ -76,7 +79,7 @@ def statistics_beside(path: Path) -> Path | None:
     return next((f for p in patterns for f in sorted(path.parent.glob(p))), None)
 
 
-def _load(path: Path) -> tuple[dict[str, Any], BasePolicy]:
+def _load(path: Path, content: bytes) -> tuple[dict[str, Any], BasePolicy]:
     """What was saved besides the weights, and the network: the algorithm isn't set up."""
     try:
         from stable_baselines3.common.save_util import load_from_zip_file  # noqa: PLC0415 - optional
@@ -84,7 +87,7 @@ def _load(path: Path) -> tuple[dict[str, Any], BasePolicy]:
         raise MissingExtraError("loading a stable-baselines3 zip", "train") from None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of what can't be unpickled and isn't needed here
-        file = io.BytesIO(bounded.read(path, MAX_BYTES, PolicyError))
+        file = io.BytesIO(content)
         data, weights, _ = load_from_zip_file(file, device="cpu", custom_objects=_UNUSED)
     kept: dict[str, Any] = data or {}
     network = _network(path, kept)

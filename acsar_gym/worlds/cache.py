@@ -89,7 +89,7 @@ def keeping() -> Iterator[None]:
 
 def _file(kind: str, number: int, difficulty: generators.Level, radius: float) -> Path | None:
     """The file of a world; None where none is kept."""
-    place, source = folder(), _source()
+    place, source = folder(), generators_hash()
     sound = isinstance(number, int | np.integer) and isinstance(radius, SupportsFloat)
     if place is None or not (source and sound):
         return None
@@ -100,8 +100,11 @@ def _file(kind: str, number: int, difficulty: generators.Level, radius: float) -
 
 
 @cache
-def _source() -> str:
-    """A hash of all that worlds depend on; empty where the source can't be read."""
+def generators_hash() -> str:
+    """Of the generators' source, and of the versions and machine that worlds depend on, too.
+
+    Empty where the source can't be read.
+    """
     said = hashlib.sha256()
     try:
         for source in sorted(Path(__file__).parent.glob("*.py")):

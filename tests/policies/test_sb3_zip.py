@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import pickle
 import runpy
@@ -67,6 +68,7 @@ def test_it_decides_as_the_model_does_and_so_does_its_export(
     path, out = save(tmp_path / "model.zip", algorithm, **options), tmp_path / "policy.onnx"
     model = algorithms()[algorithm].load(path, device="cpu")
     policy = ZipPolicy(path, trust=True)
+    assert policy.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
     exported: FilePolicy = policy
     if algorithm in {"PPO", "SAC", "TD3"}:  # A2C and DDPG have the same actors as two of them
         runs.export(path, out, "", None, trust=True)
