@@ -4,8 +4,8 @@
 |---|---|
 | `versions` | of acsar_gym, gymnasium, numpy, python, and, where they are installed, of |
 | | onnxruntime, torch and pybullet |
-| `policy` | `file`, `sha256` of what was read from it (null where nothing was), the `function` of a |
-| | Python file (else null), and the `env` that it was made for |
+| `policy` | `file`, `sha256` of what was read from it (null where nothing was), the `function` of |
+| | a Python file (else null), and the `env` that it was made for |
 | `env` | `id`, `kwargs` as in its spec, `max_episode_steps` |
 | `robot` | `sha256` of its whole config |
 | `link` | what stood behind the wire |

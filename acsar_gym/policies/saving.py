@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
-from numpy.typing import ArrayLike
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.env import RobotEnv
 from acsar_gym.errors import ConfigError
-from acsar_gym.policies.base import full_id
+from acsar_gym.policies.base import full_id, one_line
 
 if TYPE_CHECKING:
     import torch
@@ -22,7 +22,7 @@ def save(
     env_id: str,
     path: str | Path,
     *,
-    normalizer: tuple[ArrayLike, ArrayLike, float | None] | torch.nn.Module | None = None,
+    normalizer: Sequence[Any] | torch.nn.Module | None = None,
     robot: RobotConfig | str | Path | None = None,
 ) -> None:
     """Write a trained network as an ONNX policy, for `acsar-gym evaluate` and `run`.
@@ -32,8 +32,9 @@ def save(
             lies beyond [-1, 1] is clipped.
         env_id: what it was trained for, such as "acsar_gym/PointGoal-v0".
         path: the ONNX file.
-        normalizer: what observations went through before: (mean, std, clip), each a number or one
-            for each number of the observation, or a module; becomes part of the file.
+        normalizer: what observations went through before: (mean, std) or (mean, std, clip), mean
+            and std each a number or one for each number of the observation, clip a number or
+            None; or a module. Becomes part of the file.
         robot: preset, file or config of the robot that it was trained on.
 
     Raises:
@@ -43,11 +44,13 @@ def save(
     """
     from acsar_gym.policies import torch_export  # noqa: PLC0415 - optional
 
-    before = torch_export.Normalizer(*normalizer) if isinstance(normalizer, tuple) else normalizer
+    before = torch_export.normalizing(normalizer)
     try:
         env = gymnasium.make(full_id(env_id), link="planar", robot=robot)
     except (gymnasium.error.Error, ImportError) as error:
         raise ConfigError(f"{env_id}: {error}") from None
+    except TypeError as error:
+        raise ConfigError(f"{env_id}: doesn't take these arguments: {one_line(error)}") from None
     inner = env.unwrapped
     try:
         if not isinstance(inner, RobotEnv):

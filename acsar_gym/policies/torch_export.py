@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.env import task_spaces
@@ -30,23 +30,41 @@ except ImportError:
 class Normalizer(torch.nn.Module):
     """(observation - mean) / std, clipped to [-clip, clip]; `clip` may be None."""
 
-    def __init__(self, mean: ArrayLike, std: ArrayLike, clip: float | None) -> None:
+    def __init__(self, mean: ArrayLike, std: ArrayLike, clip: float | None = None) -> None:
         super().__init__()
         self.mean: torch.Tensor
         self.std: torch.Tensor
         for name, values in (("mean", mean), ("std", std)):
-            numbers = np.asarray(values, np.float32)
+            numbers = _numbers(values)
             if numbers.ndim > 1 or not np.isfinite(numbers).all():
                 raise PolicyError(f"normalizer: {name} must be finite numbers, one each")
             self.register_buffer(name, torch.from_numpy(np.atleast_1d(numbers).copy()))
-        if not bool((self.std > 0.0).all()) or (clip is not None and not clip > 0.0):
+        limit = np.ones(()) if clip is None else _numbers(clip)
+        if not bool((self.std > 0.0).all()) or limit.ndim or not limit > 0.0:
             raise PolicyError("normalizer: std and clip must be positive")
-        self._clip = clip
+        self._clip = None if clip is None else float(limit)
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         """Normalize observations, shape (batch, n)."""
         scaled = (observation - self.mean) / self.std
         return scaled if self._clip is None else torch.clamp(scaled, -self._clip, self._clip)
+
+
+def normalizing(given: Any) -> torch.nn.Module | None:
+    """A normalizer from a module, (mean, std) or (mean, std, clip); PolicyError for others."""
+    if given is None or isinstance(given, torch.nn.Module):
+        return given
+    if not isinstance(given, tuple | list) or len(given) not in (2, 3):
+        raise PolicyError("normalizer: must be (mean, std), (mean, std, clip) or a torch module")
+    return Normalizer(*given)
+
+
+def _numbers(values: ArrayLike) -> NDArray[np.float32]:
+    """As an array; NaN where they aren't numbers."""
+    try:
+        return np.asarray(values, np.float32)
+    except (TypeError, ValueError):
+        return np.full((), np.nan, np.float32)
 
 
 class _Whole(torch.nn.Module):

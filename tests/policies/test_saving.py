@@ -33,7 +33,7 @@ def test_a_module_decides_the_same_from_its_file(tmp_path: Path) -> None:
     module, path = network(dropout=0.5), tmp_path / "policy.onnx"
     module.train()
     mean, std = np.linspace(-1.0, 1.0, 7), np.linspace(0.1, 2.0, 7)
-    save(module, "point_goal", path, normalizer=(mean, std, 2.0))
+    save(module, "point_goal", path, normalizer=[mean, std, 2.0])
     assert module.training
     assert module[2].training
     module.eval()
@@ -46,6 +46,16 @@ def test_a_module_decides_the_same_from_its_file(tmp_path: Path) -> None:
     runs.made(policy, "planar", None, {}).close()
 
 
+def test_a_normalizer_needs_no_clip(tmp_path: Path) -> None:
+    import torch
+
+    module, path = network(), tmp_path / "policy.onnx"
+    save(module, "point_goal", path, normalizer=(1.0, 0.5))
+    with torch.no_grad():
+        expected = module((torch.from_numpy(SEEN[:1]) - 1.0) / 0.5)[0].clamp(-1.0, 1.0)
+    assert OnnxPolicy(path)(SEEN[0]) == pytest.approx(expected.numpy(), abs=1e-6)
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [
@@ -54,6 +64,10 @@ def test_a_module_decides_the_same_from_its_file(tmp_path: Path) -> None:
         ({"normalizer": (0.0, 0.0, None)}, "std and clip must be positive"),
         ({"normalizer": (np.nan, 1.0, None)}, "mean must be finite"),
         ({"normalizer": (np.zeros(5), 1.0, None)}, "doesn't take observations"),
+        ({"normalizer": [0.0]}, "normalizer: must be (mean, std)"),
+        ({"normalizer": 3}, "normalizer: must be (mean, std)"),
+        ({"normalizer": ("a", 1.0)}, "mean must be finite"),
+        ({"normalizer": (0.0, 1.0, "a")}, "std and clip must be positive"),
     ],
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
 )
@@ -68,7 +82,7 @@ def test_what_does_not_fit_is_one_line(options: dict[str, Any], said: str, tmp_p
 
 
 def test_an_unknown_environment_is_one_line(tmp_path: Path) -> None:
-    for env_id in ("maze", "no_such_module:Maze-v0"):
+    for env_id in ("maze", "no_such_module:Maze-v0", "gymnasium:Pendulum-v1"):
         with pytest.raises(ConfigError, match=env_id):
             save(network(), env_id, tmp_path / "p.onnx")
 
