@@ -9,6 +9,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from pydantic import BaseModel
 
@@ -34,11 +35,16 @@ class PlainSpec:
 
 
 def plain(value: Any) -> Any:
-    """Configs, faults, paths and containers of them as JSON knows them; other objects as given."""
+    """Configs, faults, arrays, paths and containers of them as JSON knows them.
+
+    Other objects as given.
+    """
     if isinstance(value, BaseModel):
         value = value.model_dump(mode="json")
     elif isinstance(value, Faults):
         value = dataclasses.asdict(value)
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
     if isinstance(value, Mapping):
         return {key: plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

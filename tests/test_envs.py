@@ -491,6 +491,17 @@ def test_a_spec_with_a_robot_goes_through_json(env_id: str) -> None:
         one.close()
 
 
+def test_a_spec_with_arrays_goes_through_json() -> None:
+    distance, tolerance = np.array([0.5, 2.0]), np.float32(0.25)
+    env = make("acsar_gym/PointGoal-v0", goal_distance=distance, goal_tolerance=tolerance)
+    assert env.spec is not None
+    again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
+    assert again.spec == env.spec
+    assert inner(again).task == inner(env).task
+    for one in (again, env):
+        one.close()
+
+
 def test_a_batchs_spec_goes_through_json() -> None:
     robot = RobotConfig.preset("acsar").with_(max_linear=0.7)
     many: Any = gymnasium.make_vec(
