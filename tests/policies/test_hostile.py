@@ -45,6 +45,19 @@ def test_a_hostile_file_is_one_line(
     assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss < 1_500_000  # with other tests'
 
 
+@pytest.mark.parametrize("domain", ["ai.onnx.ml", "pkg.onnxscript.torch_lib"])
+def test_only_the_operations_that_are_used_count(domain: str, tmp_path: Path) -> None:
+    """Other tools list packages that no node needs."""
+    unused, used, path = Maker(), Maker(), tmp_path / "policy.onnx"
+    for make, of in ((unused, ""), (used, domain)):
+        make.domains.append((domain, 1))
+        make.dense(make.add("Tanh", "observation", domain=of), 7)
+    path.write_bytes(unused.bytes())
+    assert OnnxPolicy(path)(np.zeros(7, np.float32)).tolist() == [0.0, 0.0]
+    path.write_bytes(used.bytes())
+    assert f"an operation of {domain!r}" in refused(path)
+
+
 def test_devices_pipes_and_large_files_are_not_read(tmp_path: Path) -> None:
     pipe, large = tmp_path / "pipe.onnx", tmp_path / "large.onnx"
     os.mkfifo(pipe)
