@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 from abc import ABC, abstractmethod
 from pathlib import Path
@@ -17,7 +18,10 @@ from acsar_gym.tasks import Observation, Task, signature
 
 ENV_KEY = "acsar_gym.env"
 LAYOUT_KEY = "acsar_gym.observation"
-"""Keys of a file's metadata: the env's id, and the names of the observation's numbers."""
+SCALE_KEY = "acsar_gym.scale"
+RATE_KEY = "acsar_gym.policy_rate"
+"""Keys of a file's metadata: the env's id, the names of the observation's numbers, what its
+distances are divided by [m], and steps per second. Not every file has the last two."""
 
 
 class Policy(Protocol):
@@ -37,13 +41,20 @@ class FilePolicy(ABC):
     """Whether the user has named the environment; otherwise the file does."""
     layout: str
     """What its observation consists of (see `tasks.signature`); empty where it doesn't say."""
+    scale: float | None = None
+    """What distances of its observation are divided by [m]; None where it doesn't say."""
+    policy_rate: float | None = None
+    """Decisions per second that it was trained for [Hz]; None where it doesn't say."""
     sha256: str | None = None
     """Of the bytes that were read from the file, as `sha256sum` prints it."""
     function: str | None = None
     """Which one of a Python file it is."""
 
-    def check(self, task: Task, config: RobotConfig) -> None:
-        """PolicyError where the policy was made for another observation than this env gives."""
+    def check(self, task: Task, config: RobotConfig, policy_rate: float | None = None) -> None:
+        """PolicyError where the policy was made for another observation than this env gives.
+
+        And for another rate, where the env's `policy_rate` [Hz] is given.
+        """
         wanted = signature(task, config)
         if self.layout and self.layout != wanted:
             raise PolicyError(
@@ -51,6 +62,15 @@ class FilePolicy(ABC):
                 f"({quoted(self.layout)}), but {task.id} gives ({wanted}): train it again, or "
                 "choose its robot with --robot"
             )
+        for name, own, given in (
+            ("distances divided by", self.scale, scale_of(task)),
+            ("a policy_rate of", self.policy_rate, policy_rate),
+        ):
+            if own is not None and given is not None and not math.isclose(own, given, rel_tol=1e-6):
+                raise PolicyError(
+                    f"{self.path}: made for {name} {own:g}, but this {task.id} has {given:g}: "
+                    "give the env the arguments that the policy was trained with"
+                )
 
     @abstractmethod
     def __call__(self, observation: Observation) -> NDArray[np.float32]:
@@ -67,6 +87,12 @@ def resolve(path: str | Path) -> Path:
         return packaged
     known = ", ".join(sorted(p.stem for p in packaged.parent.glob("*.onnx"))) or "none"
     raise PolicyError(f"{path}: no such policy file; policies that come along: {known}")
+
+
+def scale_of(task: Task) -> float | None:
+    """What a task divides the distances by that it observes [m]; None where it doesn't say."""
+    scale: float | None = getattr(task, "scale", getattr(task, "max_cross_track", None))
+    return scale
 
 
 def full_id(env: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,16 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.env import task_spaces
 from acsar_gym.errors import MissingExtraError, PolicyError
 from acsar_gym.policies import graph, limits, trial
-from acsar_gym.policies.base import ENV_KEY, LAYOUT_KEY, FilePolicy, one_line, resolve
+from acsar_gym.policies.base import (
+    ENV_KEY,
+    LAYOUT_KEY,
+    RATE_KEY,
+    SCALE_KEY,
+    FilePolicy,
+    one_line,
+    quoted,
+    resolve,
+)
 from acsar_gym.tasks import Observation, Task
 
 MAX_BYTES = 32_000_000
@@ -41,6 +51,7 @@ class OnnxPolicy(FilePolicy):
         self.sha256 = hashlib.sha256(data).hexdigest()
         try:
             network = inspected(data)
+            self.scale, self.policy_rate = (_number(network, key) for key in (SCALE_KEY, RATE_KEY))
             tried = limits.plain(network) or trial.refusal(data, network.width)
         except PolicyError as error:
             raise PolicyError(f"{self.path}: {error}") from None
@@ -58,9 +69,9 @@ class OnnxPolicy(FilePolicy):
             raise PolicyError(f"{self.path}: not an ONNX policy: {one_line(error)}") from None
         return session
 
-    def check(self, task: Task, config: RobotConfig) -> None:
+    def check(self, task: Task, config: RobotConfig, policy_rate: float | None = None) -> None:
         """PolicyError where the policy was made for another observation than this env gives."""
-        super().check(task, config)
+        super().check(task, config, policy_rate)
         wanted = (task_spaces(task, config)[1].shape or (0,))[0]
         if self.width != wanted:
             raise PolicyError(
@@ -73,6 +84,18 @@ class OnnxPolicy(FilePolicy):
             0
         ][0]
         return action
+
+
+def _number(network: graph.Graph, key: str) -> float | None:
+    """A number of the metadata; None where it isn't there."""
+    said = network.metadata.get(key)
+    try:
+        number = None if said is None else float(said)
+    except ValueError:
+        number = math.nan
+    if number is not None and not 0.0 < number < math.inf:
+        raise PolicyError(f"{key} = {quoted(str(said))}: must be a positive number")
+    return number
 
 
 def inspected(data: bytes) -> graph.Graph:

@@ -11,7 +11,7 @@ import gymnasium
 from acsar_gym.config import RobotConfig
 from acsar_gym.env import RobotEnv
 from acsar_gym.errors import ConfigError
-from acsar_gym.policies.base import full_id, one_line
+from acsar_gym.policies.base import RATE_KEY, SCALE_KEY, full_id, one_line, scale_of
 
 if TYPE_CHECKING:
     import torch
@@ -24,6 +24,7 @@ def save(
     *,
     normalizer: Sequence[Any] | torch.nn.Module | None = None,
     robot: RobotConfig | str | Path | None = None,
+    **env_kwargs: Any,
 ) -> None:
     """Write a trained network as an ONNX policy, for `acsar-gym evaluate` and `run`.
 
@@ -36,6 +37,9 @@ def save(
             and std each a number or one for each number of the observation, clip a number or
             None; or a module. Becomes part of the file.
         robot: preset, file or config of the robot that it was trained on.
+        **env_kwargs: other arguments of the env, as `gymnasium.make` had them for the training,
+            such as goal_distance=(0.5, 10.0) or policy_rate=20.0. The file keeps what they scale
+            distances by, and the rate.
 
     Raises:
         ConfigError: there is no such environment.
@@ -46,7 +50,7 @@ def save(
 
     before = torch_export.normalizing(normalizer)
     try:
-        env = gymnasium.make(full_id(env_id), link="planar", robot=robot)
+        env = gymnasium.make(full_id(env_id), link="planar", robot=robot, **env_kwargs)
     except (gymnasium.error.Error, ImportError) as error:
         raise ConfigError(f"{env_id}: {error}") from None
     except TypeError as error:
@@ -55,6 +59,16 @@ def save(
     try:
         if not isinstance(inner, RobotEnv):
             raise ConfigError(f"{env_id}: not an environment of acsar_gym")
-        torch_export.write(module, Path(path), inner.task, inner.robot.config, before)
+        notes = _notes(inner)
+        torch_export.write(module, Path(path), inner.task, inner.robot.config, before, notes)
     finally:
         env.close()
+
+
+def _notes(env: RobotEnv) -> dict[str, str]:
+    """What the env's arguments change about an observation, but not about its signature."""
+    scale = scale_of(env.task)
+    rate = env.robot.config.control_rate / env.ticks_per_step
+    return {RATE_KEY: repr(float(rate))} | (
+        {} if scale is None else {SCALE_KEY: repr(float(scale))}
+    )

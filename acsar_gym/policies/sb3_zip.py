@@ -56,9 +56,9 @@ class ZipPolicy(FilePolicy):
         self.env_id, self.env_named = env_id or data.get(ENV_KEY, ""), bool(env_id)
         self.layout = data.get(LAYOUT_KEY, "")
 
-    def check(self, task: Task, config: RobotConfig) -> None:
+    def check(self, task: Task, config: RobotConfig, policy_rate: float | None = None) -> None:
         """PolicyError where the policy was made for other spaces than this env has."""
-        super().check(task, config)
+        super().check(task, config, policy_rate)
         for space, wanted in zip(self._spaces, task_spaces(task, config), strict=True):
             if space != wanted:
                 raise PolicyError(f"{self.path}: made for {space}, but {task.id} has {wanted}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -86,11 +86,12 @@ def write(
     task: Task,
     config: RobotConfig,
     normalizer: torch.nn.Module | None = None,
+    notes: Mapping[str, str] | None = None,
 ) -> None:
     """Write a network as an ONNX file that `OnnxPolicy` reads.
 
     The file maps `observation` (batch, n) to `action` (batch, 2), float32, and carries the env's
-    id and the observation's signature. Raises PolicyError where the network doesn't fit, or has
+    id, the observation's signature, and `notes`, other metadata. Raises PolicyError where the network doesn't fit, or has
     operations that OnnxPolicy refuses.
     """
     whole = _Whole(network, normalizer)
@@ -99,7 +100,8 @@ def write(
         _check(whole, example)
         model: Any = _exported(whole, example)
     _forget_sources(model)
-    onnx.helper.set_model_props(model, {ENV_KEY: task.id, LAYOUT_KEY: signature(task, config)})
+    facts = {ENV_KEY: task.id, LAYOUT_KEY: signature(task, config), **(notes or {})}
+    onnx.helper.set_model_props(model, facts)
     data = model.SerializeToString()
     try:
         inspected(data)

@@ -9,10 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from onnx_tools import GOOD
 
 from acsar_gym import policies, runs
 from acsar_gym.errors import ConfigError, MissingExtraError, PolicyError
 from acsar_gym.policies import OnnxPolicy, save
+from acsar_gym.policies.base import SCALE_KEY
 
 pytestmark = pytest.mark.xdist_group("torch")
 SEEN = np.random.default_rng(0).uniform(-3.0, 3.0, (20, 7)).astype(np.float32)
@@ -79,6 +81,41 @@ def test_what_does_not_fit_is_one_line(options: dict[str, Any], said: str, tmp_p
     assert said in str(raised.value)
     assert "\n" not in str(raised.value)
     assert not (tmp_path / "p.onnx").exists()
+
+
+def test_a_file_keeps_what_the_envs_arguments_scale(tmp_path: Path) -> None:
+    """The signatures are the same; files without these notes are as good as before."""
+    path = tmp_path / "far.onnx"
+    far: dict[str, Any] = {"goal_distance": (0.5, 10.0)}
+    save(network(), "point_goal", path, policy_rate=20.0, **far)
+    policy = OnnxPolicy(path)
+    assert (policy.scale, policy.policy_rate) == (10.0, 20.0)
+    with pytest.raises(PolicyError, match=r"distances divided by 10, but this .* has 3: give"):
+        runs.made(policy, "planar", None, {})
+    env: Any = runs.made(policy, "planar", None, far | {"policy_rate": 20.0}).unwrapped
+    policy.check(env.task, env.robot.config, policy_rate=20.0)
+    with pytest.raises(PolicyError, match=r"a policy_rate of 20, but this .* has 10: give"):
+        policy.check(env.task, env.robot.config, policy_rate=10.0)
+    packaged = OnnxPolicy("point_goal")
+    assert (packaged.scale, packaged.policy_rate) == (None, None)
+    runs.made(packaged, "planar", None, far).close()
+
+
+def test_arguments_that_an_environment_does_not_take_are_one_line(tmp_path: Path) -> None:
+    for options in ({"goals": 1}, {"goal_distance": 1}, {"link": "planar"}):
+        with pytest.raises(ConfigError, match=next(iter(options))) as raised:
+            save(network(), "point_goal", tmp_path / "p.onnx", **options)
+        assert "\n" not in str(raised.value)
+
+
+def test_a_scale_that_is_no_number_is_one_line(tmp_path: Path) -> None:
+    import onnx
+
+    model, path = onnx.load(GOOD), tmp_path / "p.onnx"
+    model.metadata_props.add(key=SCALE_KEY, value="nan\n")
+    onnx.save(model, path)
+    with pytest.raises(PolicyError, match=r"p.onnx: acsar_gym.scale = nan\\n: must be a positive"):
+        OnnxPolicy(path)
 
 
 def test_an_unknown_environment_is_one_line(tmp_path: Path) -> None:
