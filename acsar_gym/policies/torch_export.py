@@ -91,8 +91,8 @@ def write(
     """Write a network as an ONNX file that `OnnxPolicy` reads.
 
     The file maps `observation` (batch, n) to `action` (batch, 2), float32, and carries the env's
-    id, the observation's signature, and `notes`, other metadata. Raises PolicyError where the network doesn't fit, or has
-    operations that OnnxPolicy refuses.
+    id, the observation's signature, and `notes`, other metadata. Raises PolicyError where the
+    network doesn't fit, or has operations that OnnxPolicy refuses.
     """
     whole = _Whole(network, normalizer)
     with _evaluating(whole):
