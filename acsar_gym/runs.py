@@ -110,7 +110,8 @@ def made(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[str,
         raise ConfigError(f"{env_id} doesn't take all of: {names}") from None
     inner = env.unwrapped
     if isinstance(inner, RobotEnv):
-        policy.check(inner.task, inner.robot.config)
+        config = inner.robot.config
+        policy.check(inner.task, config, config.control_rate / inner.ticks_per_step)
     return env
 
 
