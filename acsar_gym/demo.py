@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
@@ -45,6 +46,7 @@ def run(steps: int, episodes: int, serial_episodes: int, out: Path) -> list[tupl
     console.rule("1. train PPO on simulated robots", align="left")
     policy_file = train(steps, out)
     policy = OnnxPolicy(policy_file)
+    gc.freeze()  # what training left behind isn't searched for garbage while the robot drives
     console.rule(f"2. drive {policy_file.name} in PyBullet", align="left")
     simulated = runs.drive(policy, "bullet", None, episodes, seed=10_000)
     console.rule(f"3. drive {policy_file.name} over a serial device", align="left")
