@@ -48,8 +48,8 @@ MORE_FILES = "close some, or allow more with 'ulimit -n'"
 """What to do where a process can't open any more files."""
 WRITE_TIMEOUT = 0.2
 """A socket that takes no bytes for so long is lost [s]."""
-TURNS = (0.0, 0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01)
-"""A port that another process writes to is tried again after these pauses [s]."""
+TURNS = (0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.0)
+"""Pauses between tries at a port that another process writes to; none after the last one [s]."""
 BUSY_PATIENCE = 0.7
 """A program that was killed leaves its port to its watchdog for so long, at most [s]."""
 BACK_OFF = (0.02, 0.1)
