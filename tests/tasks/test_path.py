@@ -105,7 +105,8 @@ def test_beside_a_smooth_path_the_distance_is_found(
     path = sampled(world.path)
     k = 1 + int(share * (len(path) - 3))
     x, y = (path[k, :2] + path[k + 1, :2]) / 2.0
-    normal = path[k, 2] + math.pi / 2.0
+    dx, dy = path[k + 1, :2] - path[k, :2]
+    normal = math.atan2(dy, dx) + math.pi / 2.0  # there, and not at the sample before it
     x, y = x + beside * math.cos(normal), y + beside * math.sin(normal)
     place, cross, _ = nearest(path, len(path) - 1, float(k), float(x), float(y))
     brute = np.hypot(path[:, 0] - x, path[:, 1] - y).min()
