@@ -12,7 +12,7 @@ import sys
 def main() -> None:
     """Entry point of the command."""
     if sys.argv[1:] == ["estop"]:
-        from acsar_gym import estop  # noqa: PLC0415
+        from acsar_gym.safety import estop  # noqa: PLC0415
 
         sys.exit(estop.command())
     from acsar_gym import cli  # noqa: PLC0415

@@ -54,7 +54,7 @@ def demo(
         json: write the table's figures here too.
     """
     from acsar_gym import demo as demos  # noqa: PLC0415
-    from acsar_gym import report  # noqa: PLC0415
+    from acsar_gym.evaluation import report  # noqa: PLC0415
 
     report.check_writable(json)
     counts = {"--steps": steps, "--episodes": episodes, "--serial-episodes": serial_episodes}
@@ -77,8 +77,9 @@ def bench(json: Json = None, plots: File = None) -> int:
         json: write the figures here too.
         plots: folder for plots of the planar robot against PyBullet's.
     """
-    from acsar_gym import bench as benchmark  # noqa: PLC0415
-    from acsar_gym import comparison, report  # noqa: PLC0415
+    from acsar_gym.bench import comparison  # noqa: PLC0415
+    from acsar_gym.bench import env as benchmark  # noqa: PLC0415
+    from acsar_gym.evaluation import report  # noqa: PLC0415
 
     report.check_writable(json)
     figures = benchmark.measure()
@@ -113,7 +114,7 @@ def emulate(
         lidar: emulate an RPLIDAR on a pseudo-terminal of its own, too.
         name: symbolic link to the device, wherever it is plugged in.
     """
-    from acsar_gym.emulator import Emulator  # noqa: PLC0415
+    from acsar_gym.emulation.board import Emulator  # noqa: PLC0415
     from acsar_gym.worlds.pool import Pool  # noqa: PLC0415
     from acsar_gym.worlds.search import footprint_radius  # noqa: PLC0415
 
@@ -164,9 +165,9 @@ def doctor(
         cores: numbers of the cores to run on.
         json: write the findings here too.
     """
-    from acsar_gym import doctor as doctors  # noqa: PLC0415
-    from acsar_gym import realtime as urgency  # noqa: PLC0415
-    from acsar_gym import report  # noqa: PLC0415
+    from acsar_gym.doctor import checks as doctors  # noqa: PLC0415
+    from acsar_gym.doctor import host as urgency  # noqa: PLC0415
+    from acsar_gym.evaluation import report  # noqa: PLC0415
 
     config = RobotConfig.of(robot)
     if baud_rate is not None:
@@ -189,7 +190,8 @@ def doctor(
 def _stopping(
     config: RobotConfig, trials: int, kinds: tuple[str, ...] | None, json: Path | None
 ) -> int:
-    from acsar_gym import report, stopping  # noqa: PLC0415
+    from acsar_gym.doctor import stopping  # noqa: PLC0415
+    from acsar_gym.evaluation import report  # noqa: PLC0415
 
     stops = stopping.measure_visibly(trials, kinds, config)
     report.show(stopping.table(stops))
@@ -198,7 +200,8 @@ def _stopping(
 
 
 def _timing(device: str | None, config: RobotConfig, duration: float, json: Path | None) -> int:
-    from acsar_gym import doctor_timing, report  # noqa: PLC0415
+    from acsar_gym.doctor import timing as doctor_timing  # noqa: PLC0415
+    from acsar_gym.evaluation import report  # noqa: PLC0415
 
     found = doctor_timing.examine(device, config, duration)
     report.show(*found.tables())
@@ -228,8 +231,8 @@ def drive(
         realtime: SCHED_FIFO priority, 1 to 98.
         cores: numbers of the cores to run on.
     """
-    from acsar_gym import realtime as urgency  # noqa: PLC0415
     from acsar_gym import teleop  # noqa: PLC0415
+    from acsar_gym.doctor import host as urgency  # noqa: PLC0415
     from acsar_gym.links import open_link  # noqa: PLC0415
     from acsar_gym.robot import Robot  # noqa: PLC0415
 
@@ -286,8 +289,8 @@ def evaluate(
         cores: numbers of the cores to run on.
         json: write the figures and every episode here too.
     """
-    from acsar_gym import realtime as urgency  # noqa: PLC0415
-    from acsar_gym import report, runs  # noqa: PLC0415
+    from acsar_gym.doctor import host as urgency  # noqa: PLC0415
+    from acsar_gym.evaluation import report, runs  # noqa: PLC0415
 
     report.check_writable(json)
     urgency.prepare(realtime, cores)
@@ -332,8 +335,8 @@ def run(
         cores: numbers of the cores to run on.
         json: write the figures here too.
     """
-    from acsar_gym import realtime as urgency  # noqa: PLC0415
-    from acsar_gym import report, runs  # noqa: PLC0415
+    from acsar_gym.doctor import host as urgency  # noqa: PLC0415
+    from acsar_gym.evaluation import report, runs  # noqa: PLC0415
 
     report.check_writable(json)
     urgency.prepare(realtime, cores)
@@ -362,7 +365,7 @@ def export(
         robot: preset or config file of the robot that it was trained on.
         vecnormalize: statistics of the VecNormalize that it was trained with; run as code, too.
     """
-    from acsar_gym import report, runs  # noqa: PLC0415
+    from acsar_gym.evaluation import report, runs  # noqa: PLC0415
 
     report.check_writable(out)
     runs.export(model, out, env, robot, trust=trust, vecnormalize=vecnormalize)
@@ -388,7 +391,7 @@ def show(
         difficulty: of generated worlds, 0 to 1.
         robot: preset or config file; generated worlds fit its footprint.
     """
-    from acsar_gym import atlas  # noqa: PLC0415
+    from acsar_gym.evaluation import atlas  # noqa: PLC0415
 
     most = atlas.most_drawn(columns, size, out)
     atlas.draw(atlas.raw(source, difficulty, robot, 12, most), columns, size, out)
@@ -407,7 +410,7 @@ def check(
         robot: preset or config file, for its footprint.
         json: write the findings here too.
     """
-    from acsar_gym import atlas, report  # noqa: PLC0415
+    from acsar_gym.evaluation import atlas, report  # noqa: PLC0415
 
     report.check_writable(json)
     findings = atlas.check(atlas.raw(source, difficulty, robot, 12), robot)
@@ -428,7 +431,7 @@ def convert(
         difficulty: of generated worlds, 0 to 1.
         robot: preset or config file; generated worlds fit its footprint.
     """
-    from acsar_gym import atlas  # noqa: PLC0415
+    from acsar_gym.evaluation import atlas  # noqa: PLC0415
 
     atlas.convert(source, out, difficulty, robot)
     print(printable(f"written: {out}"))
@@ -441,7 +444,7 @@ def warm_up(robot: RobotArg = None) -> int:
     Args:
         robot: preset or config file; generated worlds fit its footprint.
     """
-    from acsar_gym import warm_up as warm  # noqa: PLC0415
+    from acsar_gym.envs import warm_up as warm  # noqa: PLC0415
 
     found = []
     for name in warm.BATCHES:
@@ -466,7 +469,7 @@ def worlds() -> int:
 
 def estop() -> int:
     """Stop every real robot that you are driving from this computer, whatever drives it."""
-    from acsar_gym import estop as stops  # noqa: PLC0415
+    from acsar_gym.safety import estop as stops  # noqa: PLC0415
 
     return stops.command()
 

@@ -10,9 +10,9 @@ from xml.etree.ElementTree import Element, ParseError
 import defusedxml.ElementTree
 from defusedxml.common import DefusedXmlException
 
-from acsar_gym import bounded, structured
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, shown, suggestion
+from acsar_gym.reading import bounded, structured
 from acsar_gym.resources import ASSETS
 
 MOST_BYTES = 2_000_000

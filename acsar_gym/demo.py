@@ -11,12 +11,13 @@ from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
-from acsar_gym import evaluation, report, runs
 from acsar_gym.errors import LinkError, MissingExtraError
-from acsar_gym.evaluation import EpisodeResult
+from acsar_gym.evaluation import episodes as evaluation
+from acsar_gym.evaluation import report, runs
+from acsar_gym.evaluation.episodes import EpisodeResult
+from acsar_gym.evaluation.runs import Run
 from acsar_gym.policies import OnnxPolicy
 from acsar_gym.resources import agent
-from acsar_gym.runs import Run
 
 END_TIMEOUT = 30.0
 """How long the emulator may take to end before it is killed [s]."""

@@ -13,8 +13,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from acsar_gym.compiled import jit
 from acsar_gym.config import RobotConfig
+from acsar_gym.jit import jit
 from acsar_gym.protocol import Speeds
 
 GRAVITY = 9.81

@@ -35,7 +35,7 @@ def register() -> None:
             gymnasium.register(
                 id=f"acsar_gym/{name}-v0",
                 entry_point=f"acsar_gym.envs:{name}Env",
-                vector_entry_point=f"acsar_gym.vectors:{name}VectorEnv",
+                vector_entry_point=f"acsar_gym.envs:{name}VectorEnv",
                 **options,
             )
 

@@ -12,12 +12,12 @@ from typing import Any, Self
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import BoardGarbledError, BoardSilentError, LinkError, SafetyWarning
-from acsar_gym.estop import Ears
 from acsar_gym.links.base import Link
-from acsar_gym.links.timing import EpisodeTiming, Stopwatch
+from acsar_gym.links.lateness import EpisodeTiming, Stopwatch
 from acsar_gym.odometry import Odometry
 from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds, encode
-from acsar_gym.safety import Safety
+from acsar_gym.safety.estop import Ears
+from acsar_gym.safety.layer import Safety
 from acsar_gym.worlds import Scene
 
 STANDSTILL = 0.1

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import tyro
 
-from acsar_gym import vectors
+from acsar_gym import envs
 from acsar_gym.errors import (
     AcsarError,
     ConfigError,
@@ -32,7 +32,7 @@ from acsar_gym.errors import (
 from acsar_gym.policies import ZipPolicy
 from acsar_gym.training import held_out, threads
 from acsar_gym.training.signals import StopRequest
-from acsar_gym.vector import FAIR_SHARE, RobotVectorEnv
+from acsar_gym.vector.env import FAIR_SHARE, RobotVectorEnv
 
 if TYPE_CHECKING:  # torch takes seconds to import, and isn't needed for --help
     from stable_baselines3 import PPO
@@ -73,16 +73,16 @@ class Recipe:
 
 
 RECIPES = {
-    "point_goal": Recipe(vectors.PointGoalVectorEnv, 600_000, 200, evaluations=6),
+    "point_goal": Recipe(envs.PointGoalVectorEnv, 600_000, 200, evaluations=6),
     "path_follow": Recipe(
-        vectors.PathFollowVectorEnv,
+        envs.PathFollowVectorEnv,
         1_000_000,
         400,
         evaluations=3,
         options={"worlds": "smooth_path:train"},
     ),
     "obstacle_goal": Recipe(
-        vectors.ObstacleGoalVectorEnv,
+        envs.ObstacleGoalVectorEnv,
         6_000_000,
         400,
         net=(128, 128),
@@ -93,7 +93,7 @@ RECIPES = {
         options={"worlds": "clutter:train"},
     ),
     "barn": Recipe(
-        vectors.BarnVectorEnv,
+        envs.BarnVectorEnv,
         15_000_000,
         1000,
         net=(256, 128),
@@ -236,7 +236,7 @@ def _model(
     import torch  # noqa: PLC0415
     from stable_baselines3 import PPO  # noqa: PLC0415
 
-    from acsar_gym import sb3  # noqa: PLC0415
+    from acsar_gym.policies import sb3  # noqa: PLC0415
 
     torch.set_num_threads(min(count, options.threads or MOST_TORCH_THREADS))
     always: dict[str, Any] = {"device": "cpu", "seed": options.seed, "tensorboard_log": str(logs)}

@@ -11,13 +11,7 @@ import pytest
 from pydantic import ValidationError
 
 from acsar_gym import RobotConfig
-from acsar_gym.config import (
-    BodyConfig,
-    EncoderConfig,
-    FirmwareConfig,
-    MotorConfig,
-    whole_ratio,
-)
+from acsar_gym.config import BodyConfig, EncoderConfig, FirmwareConfig, MotorConfig, whole_ratio
 from acsar_gym.errors import ConfigError
 
 POSITIVE: list[tuple[type[Any], str]] = [

@@ -8,8 +8,9 @@ import psutil
 import pytest
 from serial_tools import first_line, program, wait_until
 
-from acsar_gym import demo, report
+from acsar_gym import demo
 from acsar_gym.errors import LinkError
+from acsar_gym.evaluation import report
 from acsar_gym.resources import AGENTS, agent
 
 pytestmark = pytest.mark.xdist_group("serial")

@@ -20,7 +20,7 @@ ORDERS = {
         "import gymnasium; "
         "gymnasium.make('acsar_gym:acsar_gym/PointGoal-v0', link='planar').close()"
     ),
-    "a part of ours first": f"import acsar_gym.vectors; import gymnasium; {KNOWN}",
+    "a part of ours first": f"import acsar_gym.envs; import gymnasium; {KNOWN}",
     "looked for before": (
         "import acsar_gym, importlib.util; importlib.util.find_spec('gymnasium'); "
         f"import gymnasium; {KNOWN}"
@@ -78,7 +78,9 @@ def test_the_standard_library_is_all_that_is_imported(
 def test_names_are_there_as_if_they_had_been_imported() -> None:
     assert {*acsar_gym.__all__, "__version__"} <= set(dir(acsar_gym))
     assert all(getattr(acsar_gym, name) is not None for name in acsar_gym.__all__)
-    assert acsar_gym.safety.Reason.LIMITS.name == "LIMITS"  # a module that nobody has imported here
+    assert (
+        acsar_gym.safety.layer.Reason.LIMITS.name == "LIMITS"
+    )  # a module that nobody has imported here
     with pytest.raises(AttributeError, match="no attribute 'saftey'"):
         _ = acsar_gym.saftey
     assert not hasattr(acsar_gym, "__path_of_nothing__")

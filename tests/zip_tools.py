@@ -12,7 +12,7 @@ from typing import Any
 
 import gymnasium
 
-from acsar_gym.env import RobotEnv
+from acsar_gym.envs.base import RobotEnv
 
 NAMES = ("PPO", "A2C", "SAC", "TD3", "DDPG")
 PLACES = ("data", "policy.pth", "pytorch_variables.pth", "policy.optimizer.pth")
@@ -36,7 +36,7 @@ def save(
     **options: Any,
 ) -> Path:
     """A small model with random weights: untrained ones have actions that are all about zero."""
-    from acsar_gym import sb3
+    from acsar_gym.policies import sb3
 
     options["policy_kwargs"] = {"net_arch": [8]} | (net or {})
     env = gymnasium.make(env_id, link="planar")

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
-from acsar_gym import bounded, structured
 from acsar_gym.bodies.base import GroundTruth, Image
 from acsar_gym.errors import ConfigError
 from acsar_gym.links.base import Link
+from acsar_gym.reading import bounded, structured
 from acsar_gym.worlds import Scene
 
 MOST_BYTES = 40_000_000

@@ -12,16 +12,11 @@ from typing import Any
 
 from acsar_gym.bodies.base import Image
 from acsar_gym.config import BAUD_RATES, RobotConfig
-from acsar_gym.errors import (
-    BoardGarbledError,
-    BoardSilentError,
-    LinkError,
-    LinkLostError,
-)
+from acsar_gym.errors import BoardGarbledError, BoardSilentError, LinkError, LinkLostError
 from acsar_gym.links import watchdog
-from acsar_gym.links.guard import guard, install, is_ending, unguard
+from acsar_gym.links.lateness import LATE
 from acsar_gym.links.ports import PORT_ERRORS, Place, Port, put, translated
-from acsar_gym.links.timing import LATE
+from acsar_gym.links.shutdown import guard, install, is_ending, unguard
 from acsar_gym.protocol import ZERO, Decoder, encode
 from acsar_gym.worlds import Scene
 

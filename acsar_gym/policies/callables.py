@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym import bounded
 from acsar_gym.errors import AcsarError, PolicyError, suggestion
 from acsar_gym.policies.base import FilePolicy, one_line
+from acsar_gym.reading import bounded
 from acsar_gym.tasks import Observation
 
 MAX_BYTES = 10_000_000

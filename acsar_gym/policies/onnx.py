@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym import bounded
 from acsar_gym.config import RobotConfig
-from acsar_gym.env import task_spaces
+from acsar_gym.tasks.spaces import task_spaces
 from acsar_gym.errors import MissingExtraError, PolicyError
 from acsar_gym.policies import graph, limits, trial
 from acsar_gym.policies.base import (
@@ -25,6 +24,7 @@ from acsar_gym.policies.base import (
     quoted,
     resolve,
 )
+from acsar_gym.reading import bounded
 from acsar_gym.tasks import Observation, Task
 
 MAX_BYTES = 32_000_000

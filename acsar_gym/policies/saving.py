@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.env import RobotEnv
+from acsar_gym.envs.base import RobotEnv
 from acsar_gym.errors import ConfigError
 from acsar_gym.policies.base import RATE_KEY, SCALE_KEY, full_id, one_line, scale_of
 

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from acsar_gym import bounded
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import MissingExtraError, PolicyError
 from acsar_gym.policies import torch_export
 from acsar_gym.policies.base import one_line
+from acsar_gym.reading import bounded
 from acsar_gym.tasks import Task
 
 try:

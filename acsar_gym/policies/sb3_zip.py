@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym import bounded
 from acsar_gym.config import RobotConfig
-from acsar_gym.env import task_spaces
+from acsar_gym.tasks.spaces import task_spaces
 from acsar_gym.errors import AcsarError, MissingExtraError, PolicyError
 from acsar_gym.policies.base import ENV_KEY, LAYOUT_KEY, FilePolicy, one_line, resolve
+from acsar_gym.reading import bounded
 from acsar_gym.tasks import Observation, Task
 
 if TYPE_CHECKING:

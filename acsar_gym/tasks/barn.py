@@ -7,7 +7,7 @@ OT, the optimal time, is the length of the world's path over a speed, AT the tim
 
 from __future__ import annotations
 
-from acsar_gym.compiled import jit
+from acsar_gym.jit import jit
 
 TOLERANCE = 1.0
 """An odometry position this close to the goal is a success [m]."""

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.bodies.base import GroundTruth
-from acsar_gym.compiled import jit
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, shown, suggestion
+from acsar_gym.jit import jit
 from acsar_gym.worlds import Pose, World
 from acsar_gym.worlds.world import Floats
 

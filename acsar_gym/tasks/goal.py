@@ -13,10 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from acsar_gym.compiled import jit
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, shown
-from acsar_gym.tasks import barn, place
+from acsar_gym.jit import jit
+from acsar_gym.tasks import barn
+from acsar_gym.tasks import spawn as place
 from acsar_gym.tasks.base import (
     OBSERVATION_LIMIT,
     Assignment,

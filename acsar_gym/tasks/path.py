@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from acsar_gym.compiled import jit, loop
 from acsar_gym.config import RobotConfig
-from acsar_gym.tasks import place
+from acsar_gym.jit import jit, loop
+from acsar_gym.tasks import spawn as place
 from acsar_gym.tasks.base import (
     OBSERVATION_LIMIT,
     Assignment,

@@ -14,7 +14,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from acsar_gym.training import held_out
 from acsar_gym.training.held_out import Score
 from acsar_gym.training.signals import StopRequest
-from acsar_gym.vector import RobotVectorEnv
+from acsar_gym.vector.env import RobotVectorEnv
 
 
 class HeldOut(BaseCallback):

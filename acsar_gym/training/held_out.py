@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.vector import RobotVectorEnv
+from acsar_gym.vector.env import RobotVectorEnv
 from acsar_gym.worlds import generators
 
 ROBOTS = 64

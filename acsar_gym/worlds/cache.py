@@ -25,8 +25,8 @@ from typing import SupportsFloat
 
 import numpy as np
 
-from acsar_gym import bounded
 from acsar_gym.errors import ConfigError
+from acsar_gym.reading import bounded
 from acsar_gym.worlds import generators
 from acsar_gym.worlds.world import Floats, Region, World
 

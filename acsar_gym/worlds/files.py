@@ -30,9 +30,9 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from acsar_gym import bounded, structured
-from acsar_gym.bounded import reason
 from acsar_gym.errors import WorldError, shown, suggestion
+from acsar_gym.reading import bounded, structured
+from acsar_gym.reading.bounded import reason
 from acsar_gym.worlds import maps, sdf
 from acsar_gym.worlds.world import FARTHEST, MOST_OBSTACLES, Region, World
 

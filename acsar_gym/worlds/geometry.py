@@ -15,9 +15,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.compiled import jit, loop
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
+from acsar_gym.jit import jit, loop
 from acsar_gym.worlds.world import World
 
 Floats = NDArray[np.float64]

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.bounded import reason
 from acsar_gym.errors import WorldError, shown
+from acsar_gym.reading.bounded import reason
 from acsar_gym.worlds import cache, files, generators, splits
 from acsar_gym.worlds.generators import Level
 from acsar_gym.worlds.search import check_region, shortest_path

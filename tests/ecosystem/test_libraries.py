@@ -11,7 +11,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import snippets
 
-from acsar_gym import runs
+from acsar_gym.evaluation import runs
 from acsar_gym.policies import OnnxPolicy
 
 

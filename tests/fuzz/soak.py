@@ -19,7 +19,7 @@ import numpy as np
 import psutil
 
 from acsar_gym.demo import emulator
-from acsar_gym.env import RobotEnv
+from acsar_gym.envs.base import RobotEnv
 
 MOST_GROWTH = 4_000_000
 """Of memory after the first minute [bytes]."""

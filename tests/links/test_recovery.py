@@ -30,7 +30,7 @@ from serial_tools import (
 )
 
 from acsar_gym import Robot, RobotConfig, open_link
-from acsar_gym.env import RobotEnv
+from acsar_gym.envs.base import RobotEnv
 from acsar_gym.errors import (
     BoardSilentError,
     CommandError,

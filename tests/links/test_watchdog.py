@@ -23,7 +23,9 @@ from nursery import ended, first_line, program
 from rich.console import Console
 from serial_tools import BRIDGE, DRIVER, Emulated, no_leak, wait_until
 
-from acsar_gym import Robot, RobotConfig, open_link, stopping
+from acsar_gym import Robot, RobotConfig, open_link
+from acsar_gym.doctor import stopping
+from acsar_gym.doctor.stopping_programs import KINDS
 from acsar_gym.errors import AcsarError, ConfigError, LinkError
 from acsar_gym.links import ports, watchdog
 from acsar_gym.links.serial import SerialLink
@@ -40,7 +42,6 @@ from acsar_gym.links.watchdog_child import (
     Watch,
 )
 from acsar_gym.protocol import ZERO, Decoder, encode
-from acsar_gym.stopping_programs import KINDS
 from acsar_gym.worlds import Scene
 
 pytestmark = [

@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acsar_gym import cli, evaluation, runs
+from acsar_gym import cli
 from acsar_gym.errors import PolicyError
+from acsar_gym.evaluation import episodes as evaluation
+from acsar_gym.evaluation import runs
 
 AHEAD = """
 import math

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from onnx_tools import ENV_ID, GOOD, HOSTILE, Maker, layout, relabelled
 
-from acsar_gym import runs
 from acsar_gym.errors import PolicyError
+from acsar_gym.evaluation import runs
 from acsar_gym.policies import OnnxPolicy, trial
 from acsar_gym.policies.limits import plain
 from acsar_gym.policies.onnx import MAX_BYTES, inspected

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from onnx_tools import ENV_ID, GOOD, Maker, relabelled
 
-from acsar_gym import RobotConfig, runs
+from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError, PolicyError
-from acsar_gym.evaluation import episodes
-from acsar_gym.metrics import summarise
+from acsar_gym.evaluation import runs
+from acsar_gym.evaluation.episodes import episodes
+from acsar_gym.evaluation.metrics import summarise
 from acsar_gym.policies import OnnxPolicy
 from acsar_gym.resources import AGENTS
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import snippets
 
-from acsar_gym import runs
+from acsar_gym.evaluation import runs
 from acsar_gym.policies import OnnxPolicy
 
 pytestmark = pytest.mark.xdist_group("torch")

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from onnx_tools import GOOD
 
-from acsar_gym import policies, runs
+from acsar_gym import policies
 from acsar_gym.errors import ConfigError, MissingExtraError, PolicyError
+from acsar_gym.evaluation import runs
 from acsar_gym.policies import OnnxPolicy, save
 from acsar_gym.policies.base import SCALE_KEY
 
@@ -135,7 +136,7 @@ def test_without_onnx_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.Mon
 def test_importing_policies_imports_no_torch_and_training_no_onnx() -> None:
     for module, absent in (
         ("acsar_gym.policies", "{'torch', 'onnxruntime', 'onnx', 'pybullet'}"),
-        ("acsar_gym.sb3", "{'onnx', 'onnxscript', 'onnxruntime'}"),
+        ("acsar_gym.policies.sb3", "{'onnx', 'onnxscript', 'onnxruntime'}"),
     ):
         code = f"import sys, {module}; sys.exit(sorted({absent} & set(sys.modules)) or 0)"
         done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True)

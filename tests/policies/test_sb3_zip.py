@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from zip_tools import NAMES, PLACES, algorithms, poison, save
 
-from acsar_gym import runs
 from acsar_gym.errors import MissingExtraError, PolicyError
+from acsar_gym.evaluation import runs
 from acsar_gym.policies import FilePolicy, OnnxPolicy, ZipPolicy
 from acsar_gym.resources import AGENTS
 
@@ -164,7 +164,7 @@ def normalized(folder: Path) -> tuple[Path, Any, Any]:
     from stable_baselines3 import PPO
     from stable_baselines3.common.vec_env import VecNormalize
 
-    from acsar_gym.sb3 import make_batch
+    from acsar_gym.policies.sb3 import make_batch
 
     env = VecNormalize(make_batch("point_goal", 4), clip_obs=2.0)
     options: dict[str, Any] = {"policy_kwargs": {"net_arch": [8]}, "n_steps": 16, "batch_size": 64}

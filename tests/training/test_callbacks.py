@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from acsar_gym.vectors import PointGoalVectorEnv
+from acsar_gym.envs import PointGoalVectorEnv
 
 STEPS, ROBOTS, LIMIT = 8, 32, 20
 
@@ -17,7 +17,7 @@ def test_only_honest_figures_are_logged(tmp_path: Path, capsys: pytest.CaptureFi
     from stable_baselines3 import PPO
     from stable_baselines3.common.logger import configure
 
-    from acsar_gym.sb3 import BatchVecEnv
+    from acsar_gym.policies.sb3 import BatchVecEnv
     from acsar_gym.training import callbacks
 
     batches = [

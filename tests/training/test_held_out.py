@@ -9,9 +9,9 @@ import gymnasium
 import numpy as np
 import pytest
 
-from acsar_gym import evaluation
+from acsar_gym.envs import ObstacleGoalVectorEnv, PointGoalVectorEnv
+from acsar_gym.evaluation import episodes as evaluation
 from acsar_gym.training import held_out
-from acsar_gym.vectors import ObstacleGoalVectorEnv, PointGoalVectorEnv
 from acsar_gym.worlds import Region, World, files
 
 WORLDS = "clutter:900-903"

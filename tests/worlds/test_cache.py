@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.places import worlds_of
 from acsar_gym.tasks import ObstacleGoal
+from acsar_gym.vector.tables import worlds_of
 from acsar_gym.worlds import World, cache, generators
 from acsar_gym.worlds.pool import Pool
 

@@ -10,7 +10,14 @@ import pytest
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
-from acsar_gym.worlds.geometry import Obstacles, RaySpec, Surroundings, cast, collides, surroundings
+from acsar_gym.worlds.geometry import (
+    Obstacles,
+    RaySpec,
+    Surroundings,
+    cast,
+    collides,
+    surroundings,
+)
 
 CONFIG = RobotConfig.preset("acsar")
 SPECS = [RaySpec(64), RaySpec(33, 3.0, math.radians(270.0)), RaySpec(1, 4.0, 1.0), RaySpec(360)]

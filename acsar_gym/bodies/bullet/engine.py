@@ -6,7 +6,7 @@ import contextlib
 import os
 from collections.abc import Iterator
 
-from acsar_gym import display
+from acsar_gym.bodies import display
 from acsar_gym.errors import MissingExtraError, RenderError
 
 

@@ -1,0 +1,1 @@
+"""Speed: of environments, batches and worlds, side by side with another version."""

@@ -1,0 +1,1 @@
+"""A board and a LiDAR on pseudo-terminals, for driving without hardware."""

@@ -1,0 +1,110 @@
+"""BARN against the clock: the manual of the id, for one robot and for many."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from acsar_gym.config import RobotSource
+from acsar_gym.envs.base import RobotEnv
+from acsar_gym.lidars.base import Lidar
+from acsar_gym.links import Link
+from acsar_gym.links.faults import Faults
+from acsar_gym.tasks import Barn
+from acsar_gym.tasks.spawn import pool
+from acsar_gym.vector.env import RobotVectorEnv
+from acsar_gym.worlds.generators import Level
+from acsar_gym.worlds.pool import Source
+
+
+class BarnEnv(RobotEnv):
+    """BARN (Perille et al. 2020): 10 m through a field of cylinders, scored by the time it took.
+
+    ## Action space
+
+    `Box(-1, 1, (2,), float32)`: linear and angular velocity, as in `acsar_gym/PointGoal-v0`.
+
+    ## Observation space
+
+    `Box((7 + rays,), float32)`, as in `acsar_gym/ObstacleGoal-v0`.
+
+    ## Reward
+
+    As in `acsar_gym/ObstacleGoal-v0`.
+    `reward_threshold` 14 (`acsar-gym evaluate --policy barn --episodes 200`: 16.4).
+
+    ## Start and end
+
+    BARN's rules: start at (-2, 3) of the world heading along +y, goal 10 m ahead, success within
+    1 m of it by odometry, a collision ends the episode, and so do BARN's 100 s, as truncation after
+    1000 steps (at 10 Hz). `reset(options={"world": 1017})` chooses the world.
+
+    ## Arguments
+
+    - `link`, `robot`, `policy_rate`, `render_mode`, `view`, `faults`, `on_fault` as in
+      `acsar_gym/PointGoal-v0`, `difficulty` and `lidar` as in `acsar_gym/ObstacleGoal-v0`.
+    - `worlds`: "barn:train", 400 worlds generated like the published ones, or "barn:test", the 300
+      that `acsar-gym evaluate` tests in; or a folder of published worlds, `world_N.world` with
+      `path_N.npy` beside them or in `path_files`. More as in `acsar_gym/ObstacleGoal-v0`.
+
+    ## Info
+
+    As in `acsar_gym/ObstacleGoal-v0`, and the score of the run, which is 0 until the goal is
+    reached: success * OT / clip(AT, k * OT, 8 * OT), where AT is the time it took and OT the length
+    of the world's path over a speed. `barn_score` has k = 2 (the challenge since 2024) and
+    `barn_score_k4` k = 4 (2022), both with the challenge's 2 m/s; `barn_score_own` and
+    `barn_score_own_k4` have the robot's own `max_linear` instead. They are NaN where a goal is
+    given, for the world's path doesn't lead there.
+
+    ## Version history
+
+    - v0: first version.
+    """
+
+    def __init__(
+        self,
+        link: str | Link = "bullet",
+        robot: RobotSource = None,
+        *,
+        worlds: Source = "barn:train",
+        difficulty: Level = None,
+        lidar: str | Lidar | None = None,
+        policy_rate: float = 10.0,
+        render_mode: str | None = None,
+        view: str = "top",
+        faults: Mapping[str, Any] | Faults | None = None,
+        on_fault: str = "truncate",
+    ) -> None:
+        super().__init__(
+            lambda c: Barn.of(pool(worlds, difficulty, c), policy_rate, c),
+            link,
+            robot,
+            lidar=lidar,
+            policy_rate=policy_rate,
+            render_mode=render_mode,
+            view=view,
+            faults=faults,
+            on_fault=on_fault,
+        )
+
+
+class BarnVectorEnv(RobotVectorEnv):
+    """Many robots of `acsar_gym/Barn-v0`; see `RobotVectorEnv` for the other arguments."""
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        robot: RobotSource = None,
+        *,
+        worlds: Source = "barn:train",
+        difficulty: Level = None,
+        policy_rate: float = 10.0,
+        **options: Any,
+    ) -> None:
+        super().__init__(
+            lambda c: Barn.of(pool(worlds, difficulty, c), policy_rate, c),
+            num_envs,
+            robot,
+            policy_rate=policy_rate,
+            **options,
+        )

@@ -1,0 +1,131 @@
+"""Drive to a point among obstacles: the id's manual, for one robot and for many."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from acsar_gym.config import RobotSource
+from acsar_gym.envs.base import RobotEnv
+from acsar_gym.lidars.base import Lidar
+from acsar_gym.links import Link
+from acsar_gym.links.faults import Faults
+from acsar_gym.tasks import ObstacleGoal
+from acsar_gym.tasks.spawn import pool
+from acsar_gym.vector.env import RobotVectorEnv
+from acsar_gym.worlds.generators import Level
+from acsar_gym.worlds.pool import Source
+
+
+class ObstacleGoalEnv(RobotEnv):
+    """Drive a four-wheel skid-steer robot to a point among obstacles that its LiDAR sees.
+
+    ## Action space
+
+    `Box(-1, 1, (2,), float32)`: linear and angular velocity, as in `acsar_gym/PointGoal-v0`.
+
+    ## Observation space
+
+    `Box((7 + rays,), float32)`, with the 64 rays of the ACSAR robot (71,):
+
+    | index | observation | range |
+    |---|---|---|
+    | 0 | distance to the goal / 10 m, by odometry | 0 to 2 |
+    | 1, 2 | cosine and sine of the goal's bearing in the robot's frame, by odometry | -1 to 1 |
+    | 3 | linear velocity / `max_linear` | -2 to 2 |
+    | 4 | angular velocity / `max_angular` | -2 to 2 |
+    | 5, 6 | the last action | -1 to 1 |
+    | 7 on | range of each ray / `lidar.max_range`, counter-clockwise from the back | 0 to 1 |
+
+    Rays are those of `robot.lidar` (rays, field_of_view, min_range, max_range, rate, noise,
+    dropouts) at the robot's `lidar_x_offset` and `lidar_y_offset`: ray k points at
+    -field_of_view / 2 + k * step from the robot's x axis. What isn't measured reads 1.
+
+    ## Reward
+
+    Twice the metres gained on the goal, less 0.02 a step and 0.05 times the backward part of the
+    action; +5 at the goal, -5 for a collision.
+    `reward_threshold` 10 (`acsar-gym evaluate --policy obstacle_goal --episodes 200`: 11.4).
+
+    ## Start and end
+
+    Every episode takes place in one of the env's numbered worlds. The robot stands at the world's
+    start, which is the origin of the odometry frame. The episode terminates when odometry says that
+    the robot is within `goal_tolerance` of the goal (success), or when a simulated robot touches an
+    obstacle (collision; a real one can't tell). It is truncated after 400 steps.
+
+    `reset(options={"world": 1017})` chooses the world by its number, or gives a World;
+    `{"goal": (x, y)}` sets the goal in the odometry frame, which is what hardware needs: a real
+    robot's surroundings aren't those of the world that was drawn.
+
+    ## Arguments
+
+    - `link`, `robot`, `goal_tolerance`, `policy_rate`, `render_mode`, `view`, `faults`, `on_fault`
+      as in `acsar_gym/PointGoal-v0`.
+    - `worlds`: "clutter:train" by default, the 400 worlds to train in; "clutter:test" are the 200
+      that `acsar-gym evaluate` tests in. "clutter:50" means the first 50, "clutter:100-149" those
+      with these numbers, "clutter" alone the training split; so with the other kinds ("open",
+      "rooms", "barn"). Or a file (.world, ROS map, .json, .yaml), a folder of them, a World, or a
+      list of World.
+    - `difficulty` of generated worlds, 0 to 1; None or a range (low, high) varies it.
+    - `lidar`: None for the simulated one, "rplidar:///dev/ttyUSB1" on hardware, or a Lidar.
+
+    ## Info
+
+    As in `acsar_gym/PointGoal-v0`, and `world`, `scan_age` [s] and `scan_stale` (1 for a scan older
+    than two periods of the LiDAR). `world` is the generator's number ("clutter 1017" is 1017), the
+    place in a folder or list, from 0, or -1 for a World given to reset. A scan older than
+    `lidar.timeout` stops the robot with LidarError.
+
+    ## Version history
+
+    - v0: first version.
+    """
+
+    def __init__(
+        self,
+        link: str | Link = "bullet",
+        robot: RobotSource = None,
+        *,
+        worlds: Source = "clutter:train",
+        difficulty: Level = None,
+        goal_tolerance: float = 0.3,
+        lidar: str | Lidar | None = None,
+        policy_rate: float = 10.0,
+        render_mode: str | None = None,
+        view: str = "top",
+        faults: Mapping[str, Any] | Faults | None = None,
+        on_fault: str = "truncate",
+    ) -> None:
+        super().__init__(
+            lambda c: ObstacleGoal.of(pool(worlds, difficulty, c), goal_tolerance, c),
+            link,
+            robot,
+            lidar=lidar,
+            policy_rate=policy_rate,
+            render_mode=render_mode,
+            view=view,
+            faults=faults,
+            on_fault=on_fault,
+        )
+
+
+class ObstacleGoalVectorEnv(RobotVectorEnv):
+    """Many robots of `acsar_gym/ObstacleGoal-v0`; see `RobotVectorEnv` for the other arguments."""
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        robot: RobotSource = None,
+        *,
+        worlds: Source = "clutter:train",
+        difficulty: Level = None,
+        goal_tolerance: float = 0.3,
+        **options: Any,
+    ) -> None:
+        super().__init__(
+            lambda c: ObstacleGoal.of(pool(worlds, difficulty, c), goal_tolerance, c),
+            num_envs,
+            robot,
+            **options,
+        )

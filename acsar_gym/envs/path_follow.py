@@ -1,0 +1,119 @@
+"""Follow a path on an open floor: the id's manual, for one robot and for many."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from acsar_gym.config import RobotSource
+from acsar_gym.envs.base import RobotEnv
+from acsar_gym.links import Link
+from acsar_gym.links.faults import Faults
+from acsar_gym.tasks import PathFollow
+from acsar_gym.tasks.spawn import pool
+from acsar_gym.vector.env import RobotVectorEnv
+from acsar_gym.worlds.generators import Level
+from acsar_gym.worlds.pool import Source
+
+
+class PathFollowEnv(RobotEnv):
+    """Follow a path on an open floor, seeing nothing but odometry.
+
+    ## Action space
+
+    `Box(-1, 1, (2,), float32)`: linear and angular velocity, as in `acsar_gym/PointGoal-v0`.
+
+    ## Observation space
+
+    `Box((16,), float32)`, from odometry alone:
+
+    | index | observation | range |
+    |---|---|---|
+    | 0 | cross-track error (left of the path is positive) / `max_cross_track` | -2 to 2 |
+    | 1, 2 | cosine and sine of the heading error | -1 to 1 |
+    | 3 | length of the path that remains / 10 m | 0 to 2 |
+    | 4 to 11 | the path 0.25, 0.5, 0.75 and 1 m on: x and y in the robot's frame [m] | -2 to 2 |
+    | 12 | linear velocity / `max_linear` | -2 to 2 |
+    | 13 | angular velocity / `max_angular` | -2 to 2 |
+    | 14, 15 | the last action | -1 to 1 |
+
+    ## Reward
+
+    Twice the metres gained along the path, less 0.02 a step, 0.5 a metre beside the path, and 0.05
+    times the backward part of the action; +2 at the end, -2 out of bounds.
+    `reward_threshold` 10 (`acsar-gym evaluate --policy path_follow --episodes 200`: 11.1).
+
+    ## Start and end
+
+    The robot stands at the path's beginning and looks along it. The episode terminates when
+    odometry says that the robot is within 0.15 m of the path's end, having followed it (success),
+    or farther than `max_cross_track` beside it; it is truncated after 400 steps.
+    `reset(options={"path": [(x, y), ...]})` gives a path in the odometry frame, `{"world": 1017}`
+    chooses one of the env's own.
+
+    ## Arguments
+
+    - `link`, `robot`, `policy_rate`, `render_mode`, `view`, `faults`, `on_fault` as in
+      `acsar_gym/PointGoal-v0`.
+    - `worlds`: "smooth_path:train" or "waypoint_path:train", "smooth_path:test" and the like, as in
+      `acsar_gym/ObstacleGoal-v0`; or a file, a folder or a list of worlds that have a path.
+    - `difficulty` of generated paths, 0 to 1: how tight they turn; None or a range varies it.
+    - `max_cross_track` [m].
+
+    ## Info
+
+    As in `acsar_gym/PointGoal-v0` but for the goal's distances, and by odometry:
+    `cross_track_error` [m], `heading_error` [rad], `path_progress` (0 to 1), and the score:
+    `mean_cross_track_error` [m] and `mean_heading_error` [rad], means of the absolute errors over
+    the steps so far. `world` is the generator's number of the path, -1 for a given one.
+
+    ## Version history
+
+    - v0: first version.
+    """
+
+    def __init__(
+        self,
+        link: str | Link = "bullet",
+        robot: RobotSource = None,
+        *,
+        worlds: Source = "smooth_path:train",
+        difficulty: Level = None,
+        max_cross_track: float = 0.5,
+        policy_rate: float = 10.0,
+        render_mode: str | None = None,
+        view: str = "top",
+        faults: Mapping[str, Any] | Faults | None = None,
+        on_fault: str = "truncate",
+    ) -> None:
+        super().__init__(
+            lambda c: PathFollow.of(pool(worlds, difficulty, c), max_cross_track, c),
+            link,
+            robot,
+            policy_rate=policy_rate,
+            render_mode=render_mode,
+            view=view,
+            faults=faults,
+            on_fault=on_fault,
+        )
+
+
+class PathFollowVectorEnv(RobotVectorEnv):
+    """Many robots of `acsar_gym/PathFollow-v0`; see `RobotVectorEnv` for the other arguments."""
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        robot: RobotSource = None,
+        *,
+        worlds: Source = "smooth_path:train",
+        difficulty: Level = None,
+        max_cross_track: float = 0.5,
+        **options: Any,
+    ) -> None:
+        super().__init__(
+            lambda c: PathFollow.of(pool(worlds, difficulty, c), max_cross_track, c),
+            num_envs,
+            robot,
+            **options,
+        )

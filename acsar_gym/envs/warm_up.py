@@ -1,0 +1,72 @@
+"""Everything that the first use of an environment would make: compiled loops, generated worlds."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import gymnasium
+import numpy as np
+
+from acsar_gym import jit as compiled
+from acsar_gym.config import RobotConfig
+from acsar_gym.envs import (
+    BarnVectorEnv,
+    ObstacleGoalVectorEnv,
+    PathFollowVectorEnv,
+    PointGoalVectorEnv,
+)
+from acsar_gym.errors import MissingExtraError
+from acsar_gym.vector.env import RobotVectorEnv
+
+BATCHES: dict[str, Callable[..., RobotVectorEnv]] = {
+    "PointGoal": PointGoalVectorEnv,
+    "ObstacleGoal": ObstacleGoalVectorEnv,
+    "Barn": BarnVectorEnv,
+    "PathFollow": PathFollowVectorEnv,
+}
+
+
+class Warm(NamedTuple):
+    """What was done for one id."""
+
+    functions: int
+    """That were compiled."""
+    worlds: int
+    """That are kept on disk now, or were before."""
+    seconds: float
+
+
+def run(
+    name: str, robot: RobotConfig | str | Path | None = None, options: Mapping[str, Any] = {}
+) -> Warm:
+    """Reset and step an env and a batch of one id.
+
+    Raises MissingExtraError without numba: nothing is ever compiled.
+    """
+    if not compiled.COMPILED:
+        raise MissingExtraError("compiling ahead of time", "fast")
+    before, begin = len(compiled.NEW), time.perf_counter()
+    level = compiled.LOG.level
+    compiled.LOG.setLevel(logging.ERROR)  # whoever warms up knows that this compiles
+    try:
+        worlds = _use(name, robot, options)
+    finally:
+        compiled.LOG.setLevel(level)
+    return Warm(len(compiled.NEW) - before, worlds, time.perf_counter() - begin)
+
+
+def _use(name: str, robot: RobotConfig | str | Path | None, options: Mapping[str, Any]) -> int:
+    """How many worlds a batch of this id has."""
+    one = gymnasium.make(f"acsar_gym/{name}-v0", link="planar", robot=robot, **options)
+    one.reset(seed=0)
+    one.step(np.zeros(2, np.float32))
+    one.close()
+    many = BATCHES[name](2, robot, **options)
+    many.reset(seed=0)
+    many.step(np.zeros((2, 2)))
+    many.close()
+    return len(getattr(many.task, "pool", ()))

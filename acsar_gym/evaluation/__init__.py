@@ -1,0 +1,1 @@
+"""Episodes, their metrics and reports."""

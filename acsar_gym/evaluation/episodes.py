@@ -1,0 +1,217 @@
+"""Episodes of a policy, one by one."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from acsar_gym.envs.base import RobotEnv
+from acsar_gym.errors import ConfigError, LinkError
+from acsar_gym.links.lateness import EpisodeTiming
+from acsar_gym.policies import Policy
+from acsar_gym.safety.layer import Reason
+from acsar_gym.tasks.barn import SCORES
+from acsar_gym.worlds import Pose, Region, World
+from acsar_gym.worlds.search import footprint_radius, path_length, way_left
+
+Way = list[tuple[float, float]]
+LATE_SHARE = 0.01
+"""An episode of which more ticks were late doesn't say much about its policy."""
+
+
+@dataclass(frozen=True, slots=True)
+class EpisodeResult:
+    """One episode, as odometry, the link's clock and, in simulation, the truth saw it."""
+
+    success: bool
+    collision: bool
+    """Whether a simulated robot touched an obstacle; never on hardware."""
+    started: float
+    """The link's clock at the reset [s]."""
+    ended: float
+    """The link's clock at the end [s]."""
+    path: float
+    """Length of the path driven, by odometry [m]."""
+    pose: Pose
+    """Odometry at the end (x [m], y [m], theta [rad])."""
+    odometry_error: float
+    """Distance between odometry and truth at the end [m]; NaN where there is no truth."""
+    ticks: int
+    late_ticks: int
+    """Ticks that ended over a millisecond late; 0 in simulation."""
+    shortest: float = math.nan
+    """Length of the shortest way from start to goal for the footprint [m]."""
+    left: float = math.nan
+    """Length of the shortest way from the end of the episode to the goal [m]."""
+    driven: float = math.nan
+    """Length of the path driven, in truth where there is one [m]."""
+    turning: float = math.nan
+    """Heading changes of the path, by odometry [rad]."""
+    scores: tuple[float, ...] = ()
+    """BARN's, as `tasks.barn.SCORES` names them; empty for other tasks."""
+    cross_track: float = math.nan
+    """Mean distance beside the path to follow [m]; NaN for other tasks."""
+    timing: EpisodeTiming | None = None
+    """How good the timing was; None in simulation, where it is perfect."""
+    fault: str = ""
+    """What ended the episode, where link or board failed."""
+    valid: bool = True
+    """Whether nothing failed, and no more ticks were late than allowed."""
+    seed: int | None = None
+    """Of the reset."""
+    world: int | None = None
+    """Its number; -1 for a world or path that was given, None on an open floor."""
+    episode_return: float = math.nan
+    """Sum of the rewards."""
+    length: int = 0
+    """Steps of the policy."""
+
+
+def episodes(
+    env: gymnasium.Env[Any, Any],
+    policy: Policy,
+    count: int,
+    seed: int,
+    *,
+    in_order: bool = False,
+    late_share: float = LATE_SHARE,
+    **options: Any,
+) -> Iterator[EpisodeResult]:
+    """Run `count` episodes, seeds `seed`, `seed + 1`, ...; `options` go to every reset.
+
+    `in_order` takes the env's worlds one after the other, instead of drawing them. Episodes that a
+    fault ends, or of which more than `late_share` of the ticks are late, are marked as not valid;
+    after a fault the next reset connects again, or raises LinkError.
+    """
+    if not 0.0 <= late_share <= 1.0:
+        raise ConfigError(f"late_share = {late_share!r}: must be a share, 0 to 1")
+    worlds = _in_order(env, count) if in_order else None
+    for number in range(count):
+        place = {"world": worlds[number]} if worlds else {}
+        yield _episode(env, policy, seed + number, options | place, late_share)
+
+
+def _in_order(env: gymnasium.Env[Any, Any], count: int) -> range:
+    """The numbers of the env's worlds; ConfigError where there are fewer than episodes."""
+    pool = getattr(getattr(env.unwrapped, "task", None), "pool", None)
+    numbers: range = range(0) if pool is None else pool.numbers
+    if len(numbers) < count:
+        raise ConfigError(
+            f"{count} episodes in order need as many worlds, but there are {len(numbers)}"
+        )
+    return numbers
+
+
+def _episode(
+    env: gymnasium.Env[Any, Any],
+    policy: Policy,
+    seed: int,
+    options: dict[str, Any],
+    late_share: float,
+) -> EpisodeResult:
+    unwrapped = env.unwrapped
+    if not isinstance(unwrapped, RobotEnv):
+        raise ConfigError(f"{env}: only environments of acsar_gym can be evaluated")
+    observation, info = env.reset(seed=seed, options=options)
+    link, steps, rewards = unwrapped.robot.link, [info], 0.0
+    started, done = link.now(), False
+    while not done:
+        observation, reward, terminated, truncated, info = env.step(policy(observation))
+        steps.append(info)
+        rewards += float(reward)
+        if unwrapped.robot.safety.reason is Reason.EMERGENCY_STOP:
+            raise LinkError("emergency stop", "look after the robot, then start again")
+        done = terminated or truncated
+    with contextlib.suppress(LinkError):  # the next reset's affair
+        unwrapped.robot.stop()  # a time limit is no concern of the env below it
+    timing, fault = unwrapped.robot.timing, info.get("fault_reason", "")
+    late = timing.lateness.late_share if timing else 0.0
+    return EpisodeResult(
+        success=info["is_success"] == 1.0,
+        collision=info["is_success"] != 1.0 and info["true_contact"] == 1.0,
+        started=started,
+        ended=link.now(),
+        path=_length(steps, "odom"),
+        pose=(info["odom_x"], info["odom_y"], info["odom_theta"]),
+        odometry_error=info["odometry_error"],
+        ticks=(len(steps) - 1) * unwrapped.ticks_per_step,
+        late_ticks=timing.lateness.late_ticks if timing else 0,
+        **_ways(unwrapped, steps),
+        turning=_turning([step["odom_theta"] for step in steps]),
+        scores=tuple(info[name] for name in SCORES if name in info),
+        cross_track=info.get("mean_cross_track_error", math.nan),
+        timing=timing,
+        fault=fault,
+        valid=not fault and late <= late_share,
+        seed=seed,
+        world=int(info["world"]) if "world" in info else None,
+        episode_return=rewards,
+        length=len(steps) - 1,
+    )
+
+
+def _length(steps: Sequence[dict[str, float]], frame: str) -> float:
+    return path_length(np.array([(step[f"{frame}_x"], step[f"{frame}_y"]) for step in steps]))
+
+
+def _turning(headings: Sequence[float]) -> float:
+    turns = np.diff(np.unwrap(np.array(headings)))
+    return float(np.abs(turns).sum())
+
+
+def _ways(env: RobotEnv, steps: Sequence[dict[str, float]]) -> dict[str, float]:
+    """Shortest way, way that is left, and way driven, all in truth where there is one [m]."""
+    frame = "odom" if math.isnan(steps[-1]["true_x"]) else "true"
+    assignment = env.course.assignment
+    if assignment.path is not None:
+        return {"driven": _length(steps, frame)}
+    if frame == "odom" and assignment.world is not None:
+        return {"driven": _length(steps, frame)}  # nobody knows what stands around a real robot
+    radius, goal = footprint_radius(env.robot.config), Region(*assignment.goal)
+    world = assignment.world or World()
+    ends = [Region(step[f"{frame}_x"], step[f"{frame}_y"]) for step in (steps[0], steps[-1])]
+    shortest, left = (way_left(world, radius, end, goal) for end in ends)
+    return {"shortest": shortest, "left": left, "driven": _length(steps, frame)}
+
+
+def odometry_errors(results: Sequence[EpisodeResult], log: Path) -> list[float]:
+    """Distance between odometry and truth at each episode's end [m], from an emulator's log.
+
+    The emulator's robot isn't put back between episodes, so truth is taken relative to where it
+    stood at the reset. Both clocks are the monotonic clock of the machine.
+    """
+    stamps, poses = _true_poses(log)
+    errors = []
+    for result in results:
+        start = poses[_latest(stamps, result.started)]
+        end = poses[_latest(stamps, result.ended)]
+        x, y = _relative(start, end)
+        errors.append(math.hypot(x - result.pose[0], y - result.pose[1]))
+    return errors
+
+
+def _true_poses(log: Path) -> tuple[list[float], list[Pose]]:
+    events = [json.loads(line) for line in log.read_text(encoding="ascii").splitlines()]
+    truths = [event for event in events if "pose" in event]
+    if not truths:
+        raise ConfigError(f"{log}: holds no true poses; run 'acsar-gym emulate --log FILE'")
+    return [event["t"] for event in truths], [tuple(event["pose"]) for event in truths]
+
+
+def _latest(stamps: list[float], time: float) -> int:
+    return max(0, int(np.searchsorted(stamps, time, side="right")) - 1)
+
+
+def _relative(start: Pose, end: Pose) -> tuple[float, float]:
+    """Where `end` lies as seen from `start`."""
+    dx, dy = end[0] - start[0], end[1] - start[1]
+    c, s = math.cos(start[2]), math.sin(start[2])
+    return c * dx + s * dy, c * dy - s * dx

@@ -1,0 +1,137 @@
+"""What figures were measured with: the `header` in the JSON of `evaluate`, `run` and `demo`.
+
+| key | holds |
+|---|---|
+| `versions` | of acsar_gym, gymnasium, numpy, python, and, where they are installed, of |
+| | onnxruntime, torch and pybullet |
+| `policy` | `file`, `sha256` of what was read from it (null where nothing was), the `function` of |
+| | a Python file (else null), and the `env` that it was made for |
+| `env` | `id`, `kwargs` as in its spec, `max_episode_steps` |
+| `robot` | `sha256` of its whole config |
+| `link` | what stood behind the wire |
+| `worlds` | `kind` ("none" on an open floor), `split` ("train", "test" or null), numbers of the |
+| | `first` and `last` one, `difficulty`, footprint `radius` [m], `sha256` of what defines them: |
+| | their contents, or, where they are generated, all of these and the generators' source, the |
+| | versions of python, numpy and scipy, and the kind of machine |
+| `seeds` | of the `first` and `last` episode |
+| `options` | of the resets, and `in_order`, `late_share` |
+
+Beside it are the means of `metrics.Summary` with their `intervals`, and `per_episode` what
+`evaluation.EpisodeResult` holds: seed, world, episode_return, length, and so on.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import platform
+from collections.abc import Mapping
+from importlib import metadata
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+import acsar_gym
+from acsar_gym.envs.base import RobotEnv
+from acsar_gym.policies import FilePolicy
+from acsar_gym.vector.specs import plain
+from acsar_gym.worlds import World
+from acsar_gym.worlds.cache import generators_hash
+from acsar_gym.worlds.pool import Pool
+
+
+def header(
+    env: gymnasium.Env[Any, Any],
+    policy: FilePolicy,
+    link: str,
+    seeds: range,
+    options: Mapping[str, Any],
+) -> dict[str, Any]:
+    """All that someone needs to measure the same figures again; see the module for the keys."""
+    inner: Any = env.unwrapped
+    return {
+        "versions": _versions(),
+        "policy": {
+            "file": str(policy.path),
+            "sha256": policy.sha256,
+            "function": policy.function,
+            "env": policy.env_id,
+        },
+        "env": _env(env),
+        "robot": {"sha256": _sha256(inner.robot.config.model_dump_json())},
+        "link": link,
+        "worlds": _worlds(worlds_of(inner)),
+        "seeds": {"first": seeds[0], "last": seeds[-1]},
+        "options": plain(options),
+    }
+
+
+def _versions() -> dict[str, str]:
+    versions = {
+        "acsar_gym": acsar_gym.__version__,
+        "gymnasium": gymnasium.__version__,
+        "numpy": np.__version__,
+        "python": platform.python_version(),
+    }
+    for name in ("onnxruntime", "torch", "pybullet"):
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            versions[name] = metadata.version(name)
+    return versions
+
+
+def worlds_of(env: RobotEnv) -> Pool | None:
+    """The worlds of an environment; None on an open floor."""
+    pool: Pool | None = getattr(env.task, "pool", None)
+    return pool
+
+
+def _env(env: gymnasium.Env[Any, Any]) -> dict[str, Any]:
+    spec = env.spec
+    if spec is None:
+        return {"id": None, "kwargs": {}, "max_episode_steps": None}
+    kwargs = {name: _shown(value) for name, value in spec.kwargs.items() if name != "link"}
+    return {"id": spec.id, "kwargs": kwargs, "max_episode_steps": spec.max_episode_steps}
+
+
+def _shown(value: Any) -> Any:
+    """The value itself where JSON knows it, otherwise a description."""
+    try:
+        json.dumps(value, allow_nan=False)
+    except (TypeError, ValueError):
+        return repr(value)
+    return value
+
+
+def _worlds(pool: Pool | None) -> dict[str, Any]:
+    if pool is None:
+        keys = ("split", "first", "last", "difficulty", "radius", "sha256")
+        return {"kind": "none", **dict.fromkeys(keys)}
+    told = {
+        "kind": pool.kind,
+        "split": pool.split or None,
+        "first": pool.numbers[0],
+        "last": pool.numbers[-1],
+        "difficulty": pool.difficulty,
+        "radius": pool.radius,
+    }
+    known: list[Any] = [told, generators_hash()]
+    if not pool.generated:
+        known = [_contents(world) for world in pool]
+    return told | {"sha256": _sha256(json.dumps(known, sort_keys=True))}
+
+
+def _contents(world: World) -> list[Any]:
+    path = None if world.path is None else world.path.tolist()
+    return [
+        world.circles.tolist(),
+        world.segments.tolist(),
+        repr(world.start),
+        repr(world.goal),
+        path,
+    ]
+
+
+def _sha256(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()

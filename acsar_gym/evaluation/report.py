@@ -1,0 +1,177 @@
+"""Tables for people and JSON for programs."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, TypeVar
+
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.markup import escape
+from rich.progress import Progress
+from rich.segment import Segment
+from rich.table import Table
+
+from acsar_gym.errors import ConfigError, printable
+from acsar_gym.evaluation.metrics import Summary
+from acsar_gym.reading import bounded
+
+Item = TypeVar("Item")
+PATIENCE = 2.0
+"""What takes longer shows its progress [s]."""
+ALARM = 0.15
+"""Mean odometry error at which a table says so: the default tolerance of a goal [m]."""
+
+
+class SafeConsole(Console):
+    """A console on which names that others chose can't move the cursor or change a title."""
+
+    def render(
+        self, renderable: RenderableType, options: ConsoleOptions | None = None
+    ) -> Iterable[Segment]:
+        """The text of what is shown as it is, and control characters in it as in source code."""
+        for text, style, control in super().render(renderable, options):
+            yield Segment(text if control else _lines(text), style, control)
+
+
+def plain(text: str) -> str:
+    """Text that others wrote, for a cell or a title: no markup, no control characters."""
+    return escape(printable(text))
+
+
+def _lines(text: str) -> str:
+    return text if text.isprintable() else "\n".join(map(printable, text.split("\n")))
+
+
+def show(*tables: Table) -> None:
+    """Print tables; piped output gets enough columns to hold them."""
+    console = SafeConsole()
+    if not console.is_terminal:
+        console = SafeConsole(width=140)
+    for table in tables:
+        console.print(table)
+
+
+def watched(what: str, items: Iterable[Item], total: int) -> Iterator[Item]:
+    """The items, behind a bar on the standard error where all together take over two seconds."""
+    begin = time.monotonic()
+    with contextlib.ExitStack() as stack:
+        bar: Progress | None = None
+        for number, item in enumerate(items, start=1):
+            yield item
+            if bar is None and time.monotonic() - begin > PATIENCE:
+                bar = stack.enter_context(
+                    Progress(console=SafeConsole(stderr=True), transient=True)
+                )
+                bar.add_task(what, total=total)
+            if bar is not None:
+                bar.update(bar.task_ids[0], completed=number)
+
+
+def check_writable(path: Path | None) -> None:
+    """ConfigError if `path` can't be written: better now than after a long run."""
+    if path is None:
+        return
+    if path.is_dir() or not (path.parent.is_dir() and os.access(path.parent, os.W_OK)):
+        raise ConfigError(f"{path}: can't be written: must be a file in a folder of yours")
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder where there is none. Raises ConfigError where that can't be done."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: can't be made a folder: {bounded.reason(error)}") from None
+
+
+def write_json(path: Path | None, data: Mapping[str, Any]) -> None:
+    """Write `data` to `path` if there is one. Raises ConfigError where that can't be done."""
+    if path is None:
+        return
+    bounded.write(path, (json.dumps(data, indent=2, allow_nan=False) + "\n").encode())
+
+
+def summary_table(title: str, rows: Sequence[tuple[str, Summary]]) -> Table:
+    """One row for each way in which the same policy was run; only columns that say something."""
+    table = Table(title=plain(title), title_justify="left")
+    columns = {name: [cell(summary) for _, summary in rows] for name, cell in COLUMNS.items()}
+    told = {name: cells for name, cells in columns.items() if any(cells)}
+    table.add_column("behind the wire")
+    for name in told:
+        table.add_column(name, justify="right")
+    for number, (wire, _) in enumerate(rows):
+        table.add_row(plain(wire), *(cells[number] or "-" for cells in told.values()))
+    worst = max(
+        (s.odometry_error for _, s in rows if not math.isnan(s.odometry_error)), default=0.0
+    )
+    captions = []
+    if worst > ALARM:
+        captions.append(
+            f"Odometry is off by {worst:.2f} m, so success by odometry means little: "
+            "calibrate wheel_radius and wheel_separation_multiplier."
+        )
+    if any(summary.invalid for _, summary in rows):
+        captions.append(
+            "Invalid: ended by a fault, or with too many late ticks; --json tells each."
+        )
+    table.caption = "\n".join(captions) or None
+    return table
+
+
+def interval_table(title: str, summary: Summary) -> Table:
+    """Every figure of one run with its 95 % interval."""
+    table = Table(title=plain(f"95 % intervals: {title}"), title_justify="left")
+    for column in ("figure", "value", "low", "high"):
+        table.add_column(column, justify="left" if column == "figure" else "right")
+    values = {**asdict(summary), **summary.scores}
+    for name, interval in summary.intervals.items():
+        figures = (values[name], *interval)
+        if math.isfinite(values[name]):
+            table.add_row(name, *("-" if math.isnan(f) else f"{f:.4g}" for f in figures))
+    return table
+
+
+def _success(summary: Summary) -> str:
+    wins = round(summary.success_rate * summary.episodes)
+    return f"{wins}/{summary.episodes} ({summary.success_rate:.1%})"
+
+
+def _rate(share: float) -> str:
+    return f"{share:.1%}" if share > 0.0 else ""
+
+
+def _number(value: float, unit: str = "") -> str:
+    return "" if math.isnan(value) else f"{value:.2f} {unit}".strip()
+
+
+def _score(summary: Summary) -> str:
+    return f"{summary.scores['barn_score']:.3f}" if summary.scores else ""
+
+
+def _late(summary: Summary) -> str:
+    """How many, and by how much the latest."""
+    worst = _number(summary.worst_lateness * 1000.0, "ms")
+    return f"{summary.late_ticks} of {summary.ticks}" + (f", {worst}" if worst else "")
+
+
+COLUMNS: dict[str, Callable[[Summary], str]] = {
+    "success": _success,
+    "collision": lambda summary: _rate(summary.collision_rate),
+    "time-out": lambda summary: _rate(summary.timeout_rate),
+    "SPL": lambda summary: _number(summary.spl),
+    "BARN score": _score,
+    "time to goal": lambda summary: _number(summary.time_to_goal, "s"),
+    "path": lambda summary: _number(summary.path, "m"),
+    "beside path": lambda summary: _number(summary.cross_track * 100.0, "cm"),
+    "odometry error": lambda summary: _number(summary.odometry_error * 100.0, "cm"),
+    "late ticks": _late,
+    "round trip": lambda summary: _number(summary.round_trip * 1000.0, "ms"),
+    "invalid": lambda summary: f"{summary.invalid}" if summary.invalid else "",
+}
+"""What a table says of a run; an empty text is nothing to say."""

@@ -1,0 +1,1 @@
+"""Range sensors, simulated and real."""

@@ -1,0 +1,158 @@
+"""stable-baselines3 and the robot: batches to train on, progress, and a note in a model."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from numpy.typing import NDArray
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import ConfigError, MissingExtraError
+from acsar_gym.policies.base import ENV_KEY, LAYOUT_KEY, full_id
+from acsar_gym.tasks import Task, signature
+from acsar_gym.vector.env import RobotVectorEnv
+
+try:
+    from stable_baselines3.common.base_class import BaseAlgorithm
+    from stable_baselines3.common.vec_env import VecEnv
+except ImportError:
+    raise MissingExtraError("stable-baselines3", "train") from None
+
+
+class BatchVecEnv(VecEnv):
+    """A RobotVectorEnv as stable-baselines3's VecEnv, with the episode statistics of Monitor.
+
+    Gymnasium's vector wrappers may stand around it; `make_batch` makes one. The batch must use
+    AutoresetMode.SAME_STEP. Robots whose episode goes on share one empty info; those whose episode
+    ends have `terminal_observation`, `episode` (r, l, t), `is_success`, `TimeLimit.truncated`, and,
+    where the batch has them, the number of its `world` and the `drawn_` keys of its randomization.
+    There are no single envs behind it to call methods of.
+    """
+
+    def __init__(self, batch: VectorEnv[Any, Any, Any]) -> None:
+        if not isinstance(batch.unwrapped, RobotVectorEnv):
+            raise ConfigError(f"{batch}: not a batch of acsar_gym; use sb3.make_batch")
+        if batch.metadata["autoreset_mode"] is not AutoresetMode.SAME_STEP:
+            raise ConfigError("stable-baselines3 needs autoreset_mode='SameStep'")
+        self._batch: Any = batch  # VectorEnv's seed is an int; ours takes one for each robot, too
+        super().__init__(batch.num_envs, batch.single_observation_space, batch.single_action_space)
+        self._actions: NDArray[np.float32] = np.zeros((batch.num_envs, 2), np.float32)
+        self._asked: dict[str, Any] = {}
+        self._started = time.monotonic()
+
+    def reset(self) -> NDArray[np.float32]:
+        """Observations of new episodes, one row a robot; what `set_options` asked for holds."""
+        seeded = any(seed is not None for seed in self._seeds)
+        observations: NDArray[np.float32]
+        seeds = self._seeds if seeded else None
+        observations, _ = self._batch.reset(seed=seeds, options=self._asked)
+        self._reset_seeds()
+        return observations
+
+    def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
+        """Options of `RobotVectorEnv.reset` for all episodes to come, until they are set again.
+
+        Those that run go on. None takes the options back. Raises ConfigError for unknown ones, for
+        a list, and for "reset_mask", as a reset is of all robots.
+        """
+        if isinstance(options, list):
+            raise ConfigError(
+                "set_options: give one dict for all robots, whose values may have a row for each, "
+                'such as {"world": [1000, 1001]}'
+            )
+        if options and "reset_mask" in options:
+            raise ConfigError("set_options: 'reset_mask' isn't one here: all robots are reset")
+        self._batch.unwrapped.set_options(options or {})
+        self._asked = dict(options or {})
+
+    def step_async(self, actions: NDArray[np.float32]) -> None:
+        """Keep the actions for `step_wait`."""
+        self._actions = actions
+
+    def step_wait(self) -> tuple[Any, Any, Any, list[dict[str, Any]]]:
+        """Observations, rewards, dones and infos of one step of every robot."""
+        observations, rewards, terminated, truncated, info = self._batch.step(self._actions)
+        done = terminated | truncated
+        infos = [_GOES_ON] * self.num_envs
+        for index in np.flatnonzero(done):
+            infos[index] = self._ended(info, int(index))
+            infos[index]["TimeLimit.truncated"] = bool(truncated[index] and not terminated[index])
+        return observations, rewards.astype(np.float32), done, infos
+
+    def _ended(self, info: dict[str, Any], index: int) -> dict[str, Any]:
+        final = info["final_info"]
+        return {
+            "terminal_observation": info["final_obs"][index],
+            "is_success": bool(final["is_success"][index]),
+            "episode": {
+                "r": float(final["episode_return"][index]),
+                "l": int(final["episode_length"][index]),
+                "t": time.monotonic() - self._started,
+            },
+            **{name: final[name][index] for name in final if name.startswith("drawn_")},
+            **({"world": int(final["world"][index])} if "world" in final else {}),
+        }
+
+    def close(self) -> None:
+        """Close the batch."""
+        self._batch.close()
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """An attribute of the batch, once for each index."""
+        holder = self._batch if hasattr(self._batch, attr_name) else self._batch.unwrapped
+        return [getattr(holder, attr_name)] * len(self._indices(indices))
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Robots have no attributes of their own."""
+        raise ConfigError(f"can't set {attr_name!r}: robots of a batch have no attributes")
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """Robots have no methods of their own."""
+        raise ConfigError(f"can't call {method_name!r}: robots of a batch have no methods")
+
+    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
+        """Nothing is wrapped, though episode statistics are there as with a Monitor."""
+        return [wrapper_class.__name__ == "Monitor"] * len(self._indices(indices))
+
+    def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
+        """A batch has no pictures."""
+        return [None] * self.num_envs
+
+    def _indices(self, indices: int | Iterable[int] | None) -> list[int]:
+        return list(self._get_indices(indices))
+
+
+def make_batch(env_id: str, num_envs: int, **options: Any) -> BatchVecEnv:
+    """Many planar robots to train stable-baselines3 on, in one process.
+
+    Args:
+        env_id: such as "acsar_gym/PointGoal-v0", or "point_goal" for short.
+        num_envs: robots.
+        **options: of the env and of `RobotVectorEnv`: robot, worlds, randomization, threads, ...
+
+    Raises:
+        ConfigError: for unknown ids and options.
+    """
+    options = {"autoreset_mode": AutoresetMode.SAME_STEP, **options}
+    mode = "vector_entry_point"
+    try:
+        batch = gymnasium.make_vec(full_id(env_id), num_envs, vectorization_mode=mode, **options)
+    except (gymnasium.error.Error, ImportError, TypeError) as error:
+        raise ConfigError(f"make_batch({env_id!r}): {error}") from None
+    return BatchVecEnv(batch)
+
+
+_GOES_ON: dict[str, Any] = {}
+
+
+def label(model: BaseAlgorithm, task: Task, config: RobotConfig) -> None:
+    """Note in a model which env and observation it is for; `model.save` keeps the note."""
+    setattr(model, ENV_KEY, task.id)
+    setattr(model, LAYOUT_KEY, signature(task, config))

@@ -1,0 +1,106 @@
+"""What an environment shows: the top view or PyBullet's camera, as pictures or in a window."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+
+from acsar_gym.bodies.base import Image
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import OffScreenWarning, RenderError
+from acsar_gym.lidars.base import Scan, ray_spec
+from acsar_gym.links import Link
+from acsar_gym.tasks import Assignment, State
+
+TOP_SIZE = (480, 480)
+"""Width and height of the top view [pixels]."""
+CAMERA_SIZE = (640, 480)
+"""Of the camera's pictures [pixels]."""
+
+
+class Screen:
+    """Keeps the ways driven, and draws them on request; in no render mode it does nothing."""
+
+    def __init__(self, config: RobotConfig, mode: str | None, view: str) -> None:
+        self._config, self._mode, self._view = config, mode, view
+        self._angles = ray_spec(config).angles()
+        self._top: Any = None
+        self._window: Any = None
+        self._assignment: Assignment | None = None
+        self._tolerance = 0.0
+        self._odom_path: list[tuple[float, float]] = []
+        self._true_path: list[tuple[float, float]] = []
+        self._state: State | None = None
+        self._scan: Scan | None = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copies have a screen of their own, and nothing on it yet."""
+        return Screen, (self._config, self._mode, self._view)
+
+    def begin(self, assignment: Assignment, tolerance: float) -> None:
+        """A new episode."""
+        self._assignment, self._tolerance = assignment, tolerance
+        self._odom_path, self._true_path = [], []
+
+    def show(self, state: State, scan: Scan | None) -> None:
+        """The robot's new state; a window shows it at once."""
+        if self._mode is None:
+            return
+        self._state, self._scan = state, scan
+        self._odom_path.append(state.pose[:2])
+        if state.truth is not None:
+            self._true_path.append(state.truth.pose[:2])
+        if self._mode == "human":
+            self._on_window(self._drawn())
+
+    def picture(self, link: Link) -> Image:
+        """The picture of the state that was shown last. RenderError where there is no camera."""
+        if self._view == "top":
+            return self._drawn()
+        image = link.image(*CAMERA_SIZE)
+        if image is None:
+            raise RenderError("this link has no camera; view='camera' needs link='bullet'")
+        return image
+
+    def _drawn(self) -> Image:
+        from acsar_gym.render.top_view import Frame, TopView  # noqa: PLC0415 - optional
+
+        if self._top is None:
+            self._top = TopView(self._config, TOP_SIZE)
+        state, assignment = self._state, self._assignment
+        if state is None or assignment is None:
+            raise RenderError("there is nothing to see before reset(): call it first")
+        frame = Frame(
+            world=assignment.world,
+            odom=state.pose,
+            truth=None if state.truth is None else state.truth.pose,
+            goal=assignment.goal,
+            goal_radius=self._tolerance,
+            odom_path=self._odom_path,
+            true_path=self._true_path,
+            rays=None if self._scan is None else (self._angles, self._scan.ranges),
+            reach=self._config.lidar.max_range,
+            caption=f"step {len(self._odom_path) - 1}",
+        )
+        image: Image = np.asarray(self._top.draw(frame), np.uint8)
+        return image
+
+    def _on_window(self, image: Image) -> None:
+        """Show a picture; where no window can open, warn once and go on without one."""
+        from acsar_gym.render.window import Window  # noqa: PLC0415 - needs tkinter
+
+        if self._window is None:
+            self._window = Window("acsar_gym", TOP_SIZE)
+        try:
+            self._window.show(image)
+        except RenderError as error:
+            self._window.close()
+            warnings.warn(f"{error}; pictures are drawn off-screen", OffScreenWarning, stacklevel=6)
+
+    def close(self) -> None:
+        """Close the window; twice is once."""
+        if self._window is not None:
+            self._window.close()
+            self._window = None

@@ -1,0 +1,1 @@
+"""What stands between a wanted twist and the wheels."""

@@ -1,0 +1,1 @@
+"""Thousands of planar robots at once."""

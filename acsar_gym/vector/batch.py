@@ -1,0 +1,239 @@
+"""The arrays of many robots, and the calls of `kernel/` on shares of them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym import dynamics
+from acsar_gym.config import BITS_PER_BYTE, LINE_BYTES, Geofence, RobotConfig, whole_ratio
+from acsar_gym.errors import ConfigError
+from acsar_gym.lidars.base import draws, stale_after
+from acsar_gym.safety import limiter
+from acsar_gym.vector import pcg
+from acsar_gym.vector.drawn import Drawn
+from acsar_gym.vector.kernel import episode, layout
+from acsar_gym.vector.options import Wishes
+from acsar_gym.vector.randomization import Randomization
+from acsar_gym.vector.tables import BatchTask, first_number, job, surroundings, told, worlds_of
+
+Mask = NDArray[np.bool_]
+
+
+class Batch:
+    """Robots are columns of `state` and `ends`, rows of `observations`."""
+
+    def __init__(
+        self,
+        robots: int,
+        config: RobotConfig,
+        task: BatchTask,
+        ticks: int,
+        max_steps: int | None,
+        randomization: Randomization,
+    ) -> None:
+        self._setup = _setup(config, ticks, max_steps, task.sees)
+        worlds = worlds_of(task)
+        self._job = job(task, worlds)
+        around = surroundings(worlds, config, sees=task.sees)
+        self.told = told(task)
+        self._first_world = first_number(task)
+        self._nominal = _nominal(config)
+        self._ranges = randomization.table()
+        self._drawn = Drawn(randomization, self._nominal, self._setup.dt, robots)
+        self._around = around
+        self._slot = 0
+        slots = _slots(self._setup, self._nominal, self._ranges)
+        columns = _columns(robots)
+        self._state = np.zeros((layout.ROWS, columns))
+        self._counts = np.zeros((slots, 4, columns))
+        lines = _lines(self._setup, self._nominal, self._ranges)
+        self._commands = np.zeros((lines, 2, columns if self._setup.guarded else 0))
+        self._line = 0
+        self.state = self._state[:, :robots]
+        self._random = np.zeros((robots, 4), np.uint64)
+        numbers = len(task.layout) + len(around.directions)
+        self.observations = np.zeros((robots, numbers), np.float32)
+        self.rewards = np.zeros(robots)
+        self.ends = np.zeros((2, robots), np.bool_)
+        self.seeded = False
+
+    def seed(self, seeds: list[int | None] | None, mask: Mask) -> None:
+        """New generators for the robots in the mask; the first time also without seeds."""
+        if seeds is None and self.seeded:
+            return
+        for robot in np.flatnonzero(mask):
+            seed = None if seeds is None else seeds[robot]
+            if seed is not None or not self.seeded:
+                self._random[robot] = pcg.seeded(seed)
+        self.seeded = True
+
+    def wish(self, wishes: Wishes, mask: Mask) -> None:
+        """What the next episodes of the robots in the mask are about."""
+        for row in range(layout.WISHED_WORLD, layout.LAST_RANK + 1):
+            self.state[row, mask] = wishes[row][mask] if row in wishes else 0.0
+
+    def began(self, mask: Mask) -> None:
+        """Robots in the mask have begun an episode: their physics has been drawn anew."""
+        self._drawn.update(self.state, mask)
+
+    def reset(self, mask: Mask, first: int, last: int) -> None:
+        """New episodes for robots in the mask, among first to last."""
+        episode.reset(
+            self._state,
+            self._counts,
+            self._commands,
+            self._random,
+            self._nominal,
+            self._ranges,
+            self.observations,
+            mask,
+            first,
+            last,
+            self._setup,
+            self._job,
+            self._around,
+        )
+
+    def step(self, actions: NDArray[np.float64], over: Mask, first: int, last: int) -> None:
+        """An env step of robots first to last; those in `over` begin a new episode instead."""
+        episode.step(
+            self._state,
+            self._counts,
+            self._commands,
+            self._random,
+            self._nominal,
+            self._ranges,
+            actions,
+            over,
+            self.observations,
+            self.rewards,
+            self.ends,
+            first,
+            last,
+            self._slot,
+            self._line,
+            self._setup,
+            self._job,
+            self._around,
+        )
+
+    def info(self) -> dict[str, NDArray[np.float64]]:
+        """What the single env's info says, an array for each of its keys."""
+        rows = self.state[list(self.told.values())]
+        info = dict(zip(self.told, rows, strict=True))
+        if "world" in info:
+            info["world"] += self._first_world
+        return info | self._drawn.info
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The keys of info."""
+        return (*self.told, *self._drawn.info)
+
+    def turn(self) -> None:
+        """All robots have done their step: move on in the ring of encoder counts."""
+        loops = self._setup.ticks * self._setup.loops
+        self._slot = (self._slot + loops) % self._counts.shape[0]
+        self._line = (self._line + self._setup.ticks) % self._commands.shape[0]
+
+    @property
+    def bytes_per_robot(self) -> float:
+        """Memory that a robot takes in all arrays."""
+        arrays = (
+            self._state,
+            self._counts,
+            self._commands,
+            self._random,
+            self.observations,
+            self.rewards,
+            self.ends,
+        )
+        return sum(array.nbytes for array in arrays) / len(self.rewards)
+
+
+def _columns(robots: int) -> int:
+    """Columns for so many robots: an odd number of cache lines a row.
+
+    Rows a power of two apart would all fall into the same few sets of the cache.
+    """
+    return 8 * (math.ceil(robots / 8) | 1)
+
+
+def _setup(config: RobotConfig, ticks: int, max_steps: int | None, sees: bool) -> layout.Setup:
+    params = dynamics.params(config)
+    firmware, encoder = config.firmware, config.encoder
+    window = round(encoder.window * firmware.loop_rate)
+    linear, angular = limiter.both(config)
+    fence = config.geofence or Geofence()
+    per_radian = encoder.counts_per_revolution / (2.0 * math.pi)
+    return layout.Setup(
+        dt=params.dt,
+        period=config.period,
+        half_wheelbase=params.half_wheelbase,
+        half_track=params.half_track,
+        slip_speed=params.slip_speed,
+        ramp=config.motor.acceleration * params.dt,
+        top=params.max_speed,
+        counts_per_radian=per_radian,
+        speed_per_count=1.0 / (per_radian * window * params.dt),
+        window=window,
+        ticks=ticks,
+        loops=whole_ratio("firmware.loop_rate", firmware.loop_rate, "", config.control_rate),
+        radius=config.wheel_radius,
+        separation=config.effective_separation,
+        max_wheel_speed=config.max_wheel_speed,
+        max_linear=config.max_linear,
+        max_angular=config.max_angular,
+        max_steps=math.inf if max_steps is None else float(max_steps),
+        guarded=config.geofence is not None or not limiter.free(config),
+        linear=linear,
+        angular=angular,
+        fenced=config.geofence is not None,
+        fence=(fence.min_x, fence.max_x, fence.min_y, fence.max_y),
+        lidar_rate=config.lidar.rate if sees else 0.0,
+        stale=stale_after(config),
+        noise=config.lidar.noise,
+        dropouts=config.lidar.dropouts,
+        min_range=config.lidar.min_range,
+        draws=draws(config.lidar),
+    )
+
+
+def _nominal(config: RobotConfig) -> NDArray[np.float64]:
+    """Rows of the configured robot; only those from MASS on are used."""
+    params, firmware = dynamics.params(config), config.firmware
+    line = (LINE_BYTES + config.trailing_comma) * BITS_PER_BYTE / config.baud_rate
+    delay = math.ceil((line + firmware.processing_time) / params.dt - 1e-6)
+    rows = np.zeros(layout.ROWS)
+    rows[layout.MASS] = params.mass
+    rows[layout.INERTIA] = params.yaw_inertia
+    rows[layout.GRIP] = params.grip
+    rows[layout.RADIUS] = params.radius
+    rows[layout.DEADBAND] = params.deadband
+    rows[layout.BLEND : layout.BLEND + 4] = params.blend
+    rows[layout.GAIN : layout.GAIN + 4] = 1.0
+    rows[layout.COMMAND_LOOPS] = rows[layout.DELAY_LOOPS] = delay
+    rows[layout.FEEDBACK_LOOPS] = firmware.loop_rate / config.feedback_rate
+    return rows
+
+
+def _lines(setup: layout.Setup, nominal: NDArray[np.float64], ranges: NDArray[np.float64]) -> int:
+    """Command lines to keep: as many ticks as the slowest one is on its way."""
+    extra = round(ranges[6, 1] / setup.dt) if ranges[6, 0] <= ranges[6, 1] else 0
+    return 2 + math.ceil((float(nominal[layout.COMMAND_LOOPS]) + extra) / setup.loops)
+
+
+def _slots(setup: layout.Setup, nominal: NDArray[np.float64], ranges: NDArray[np.float64]) -> int:
+    """Loops of encoder counts to keep: the window behind the oldest line still on its way."""
+    (latency, rate) = ranges[6], ranges[7]
+    extra = round(latency[1] / setup.dt) if latency[0] <= latency[1] else 0
+    delay = round(nominal[layout.DELAY_LOOPS]) + extra
+    slowest = 1.0 / (rate[0] * setup.dt) if rate[0] <= rate[1] else nominal[layout.FEEDBACK_LOOPS]
+    if delay >= setup.ticks * setup.loops:
+        raise ConfigError(
+            f"latency of {delay * setup.dt:g} s: must be shorter than a step of the policy"
+        )
+    return int(setup.window + delay + math.ceil(slowest) + setup.loops + 1)

@@ -1,0 +1,300 @@
+"""Thousands of planar robots as one Gymnasium VectorEnv."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from acsar_gym import jit as compiled
+from acsar_gym.config import RobotConfig, RobotSource, whole_ratio
+from acsar_gym.errors import CommandError, ConfigError, shown
+from acsar_gym.tasks.base import known
+from acsar_gym.tasks.spaces import task_spaces
+from acsar_gym.tasks.spawn import OPTIONS
+from acsar_gym.vector.batch import Batch
+from acsar_gym.vector.kernel import layout
+from acsar_gym.vector.options import Wishes, wishes
+from acsar_gym.vector.randomization import Randomization
+from acsar_gym.vector.specs import PlainSpec
+from acsar_gym.vector.tables import BatchTask
+from acsar_gym.vector.threads import Crew
+
+MOST_ROBOTS = 1_000_000
+"""They take about 2 GB."""
+MOST_STEPS = 10**9
+"""Of an episode."""
+FAIR_SHARE = 256
+"""Robots for which another thread is worth its start."""
+
+MASK = "reset_mask"
+
+Array = NDArray[Any]
+Info = dict[str, Any]
+
+
+class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
+    """Many planar robots with one task; `acsar_gym.envs` has the ids' classes.
+
+    Spaces, reward, end and info are those of the single env, one row a robot, and so are commands,
+    latency, motors, tyres, encoders, odometry, LiDAR and worlds: with the same seed and actions a
+    robot does what `link="planar"` does, to 1e-9. Make it with
+
+        gymnasium.make_vec("acsar_gym/Barn-v0", 1024, vectorization_mode="vector_entry_point")
+
+    Arguments besides those of the single env:
+
+    - `num_envs`: robots.
+    - `max_episode_steps`: time limit; registration gives that of the id.
+    - `autoreset_mode`: an AutoresetMode or its value, "NextStep" (default), "SameStep", "Disabled".
+    - `threads`: cores to use, at most; None uses all where there is enough to do. Results don't
+      depend on it.
+    - `randomization`: see `Randomization`; drawn anew for every robot with every episode.
+
+    All worlds, at most 10,000, are made when the batch is. Seeds: `reset(seed=s)` seeds robot i
+    with s + i, or a list names each one's. Every robot has its own generator, the same as the
+    single env's.
+
+    ## Options of a reset
+
+    As in the single env, an array with a row for each robot, or one value for all; NaN is not to
+    ask. They hold for these robots in all episodes that follow by autoreset, until their next
+    `reset`; one without options takes them back. `set_options` sets them for the episodes to come
+    without ending any: a curriculum.
+
+    - `reset_mask`: which robots are meant, num_envs booleans; without it, all.
+    - `world`: numbers of worlds (num_envs). `goal`: (num_envs, 2), in the odometry frame [m].
+    - `difficulty`: (num_envs, 2), low and high: worlds are drawn among those of the batch whose
+      difficulty lies in that range. A batch made with `difficulty=None` has all from 0 to 1.
+
+    ## Info
+
+    That of the single env, and what `randomization` has drawn for the episode, as applied: keys
+    `drawn_` and the name of each randomized parameter, such as `drawn_friction`; `drawn_motor_gain`
+    and `drawn_motor_lag` are num_envs x 4, one for each wheel.
+
+    After Ctrl-C in `reset` or `step` all robots must be reset; with a seed, they do what those of a
+    new batch do.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012 - as VectorEnv declares it
+        "render_modes": [],
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self,
+        task: Callable[[RobotConfig], BatchTask],
+        num_envs: int,
+        robot: RobotSource,
+        *,
+        policy_rate: float = 10.0,
+        max_episode_steps: int | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        threads: int | None = None,
+        randomization: Mapping[str, tuple[float, float]] | None = None,
+        link: str = "planar",
+        render_mode: str | None = None,
+    ) -> None:
+        config = RobotConfig.of(robot)
+        _check(link, render_mode)
+        self.num_envs = _count("num_envs", num_envs, MOST_ROBOTS)
+        if max_episode_steps is not None:
+            max_episode_steps = _count("max_episode_steps", max_episode_steps, MOST_STEPS)
+        self.autoreset_mode = _autoreset(autoreset_mode)
+        self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
+        self.task = task(config)
+        self.config = config
+        self.single_action_space, self.single_observation_space = task_spaces(self.task, config)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        ticks = whole_ratio("control_rate", config.control_rate, "policy_rate", policy_rate)
+        randomized = Randomization.of(randomization)
+        self.batch = Batch(self.num_envs, config, self.task, ticks, max_episode_steps, randomized)
+        self._masks = tuple(f"_{name}" for name in self.batch.names)
+        self._crew = Crew(_threads(threads, self.num_envs))
+        self._done = np.zeros(self.num_envs, np.bool_)
+        self._whole = True
+        """Whether no call was interrupted since all robots were reset."""
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: Mapping[str, Any] | None = None,
+    ) -> tuple[Array, Info]:
+        """New episodes for all robots, or those in `options["reset_mask"]`.
+
+        The other options, see the class, hold for these robots until they are reset again.
+        """
+        mask, asked = self._asked(options)
+        if not (mask.all() or (self.batch.seeded and self._whole)):
+            raise ConfigError(
+                "reset_mask: the first reset, and the next one after an interrupt, must be of all "
+                "robots"
+            )
+        seeds = _seeds(seed, self.num_envs)
+        self._whole = False
+        self.batch.seed(seeds, mask)
+        self.batch.wish(asked, mask)
+        self._crew.share(lambda first, last: self.batch.reset(mask, first, last), self.num_envs)
+        self.batch.began(mask)
+        self._done = self._done & ~mask
+        self._whole = True
+        return self.batch.observations.copy(), self._info(mask)
+
+    def set_options(self, options: Mapping[str, Any]) -> None:
+        """Options as in `reset`, for the episodes to come; those that run go on."""
+        mask, asked = self._asked(options)
+        self.batch.wish(asked, mask)
+
+    def _asked(self, options: Mapping[str, Any] | None) -> tuple[Array, Wishes]:
+        """Which robots a reset's options are for, and what they ask for.
+
+        Threads of an interrupted call have ended, so that the state can be written.
+        """
+        self._crew.wait()
+        given = known(options or {}, (MASK, *OPTIONS))
+        rest = {name: value for name, value in given.items() if name != MASK}
+        return _mask(given.get(MASK), self.num_envs), wishes(self.task, rest, self.num_envs)
+
+    def step(self, actions: Array) -> tuple[Array, Array, Array, Array, Info]:
+        """One env step of every robot; `actions` is num_envs x 2.
+
+        Raises CommandError for another shape, and for NaN or infinity, naming the first bad env.
+        """
+        actions = self._checked(actions)
+        if not self.batch.seeded:
+            raise ConfigError("step() before reset(): call reset() first")
+        if not self._whole:
+            raise ConfigError("step() after an interrupted call: reset() all robots first")
+        if self.autoreset_mode is AutoresetMode.DISABLED and self._done.any():
+            raise ConfigError(
+                f"env {int(self._done.argmax())} has ended: reset it with options['reset_mask']"
+            )
+        next_step = self.autoreset_mode is AutoresetMode.NEXT_STEP
+        over = self._done if next_step else np.zeros(self.num_envs, np.bool_)
+        batch, self._whole = self.batch, False
+        self._crew.share(lambda first, last: batch.step(actions, over, first, last), self.num_envs)
+        batch.turn()
+        batch.began(over)
+        terminated, truncated = batch.ends.copy()
+        self._done = terminated | truncated
+        rewards, info = batch.rewards.copy(), {}
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and self._done.any():
+            info = self._finals(self._done)
+            self._crew.share(
+                lambda first, last: batch.reset(self._done, first, last), self.num_envs
+            )
+            batch.began(self._done)
+        self._whole = True
+        info |= self._info(np.ones(self.num_envs, np.bool_))
+        return batch.observations.copy(), rewards, terminated, truncated, info
+
+    def _checked(self, actions: Array) -> Array:
+        actions = np.array(actions, np.float64, order="C")  # others would compile loops anew
+        if actions.shape != (self.num_envs, 2):
+            raise CommandError(f"actions of shape {actions.shape}: must be ({self.num_envs}, 2)")
+        if not np.isfinite(actions).all():
+            bad = int(np.argmax(~np.isfinite(actions).all(axis=1)))
+            raise CommandError(f"action of env {bad} is {actions[bad]}: must be finite numbers")
+        return actions
+
+    def _finals(self, done: Array) -> Info:
+        """What Gymnasium wants to know of episodes that ended in this very step."""
+        final = np.full(self.num_envs, None, object)
+        for index in np.flatnonzero(done):
+            final[index] = self.batch.observations[index].copy()
+        info = self._info(done)
+        state = self.batch.state
+        info |= {"episode_return": state[layout.RETURN].copy(), "_episode_return": done}
+        info |= {"episode_length": state[layout.STEPS].copy(), "_episode_length": done}
+        return {"final_obs": final, "_final_obs": done, "final_info": info, "_final_info": done}
+
+    def _info(self, mask: Array) -> Info:
+        """The single env's info as arrays, each with its mask."""
+        return self.batch.info() | dict.fromkeys(self._masks, mask)
+
+    def close_extras(self, **_: Any) -> None:
+        """End the threads."""
+        self._crew.close()
+
+
+def _check(link: str, render_mode: str | None) -> None:
+    if link != "planar":
+        raise ConfigError(
+            f"link = {link!r}: a batch has planar robots; for others make_vec with "
+            "vectorization_mode='sync' or 'async'"
+        )
+    if render_mode is not None:
+        raise ConfigError("a batch of robots has no pictures: render a single env instead")
+    if not compiled.COMPILED:
+        warnings.warn(
+            "numba isn't installed, so batches are slow: pip install 'acsar_gym[fast]'",
+            RuntimeWarning,
+            stacklevel=4,
+        )
+
+
+def _autoreset(mode: AutoresetMode | str) -> AutoresetMode:
+    try:
+        return AutoresetMode(mode)
+    except ValueError:
+        known = ", ".join(repr(known.value) for known in AutoresetMode)
+        raise ConfigError(f"autoreset_mode = {mode!r}: must be one of {known}") from None
+
+
+def _count(name: str, value: int, most: int) -> int:
+    if not isinstance(value, int | np.integer) or not 1 <= value <= most:
+        raise ConfigError(f"{name} = {shown(value)}: must be a whole number from 1 to {most:,}")
+    return int(value)
+
+
+def _threads(asked: int | None, robots: int) -> int:
+    """Threads to use: as asked, or all cores where every thread gets a fair share."""
+    cores = (
+        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    )
+    if asked is None:
+        return max(1, min(cores, robots // FAIR_SHARE))
+    if not isinstance(asked, int | np.integer) or not 1 <= asked <= cores:
+        raise ConfigError(
+            f"threads = {shown(asked)}: must be 1 to {cores}, the cores of this machine"
+        )
+    return min(int(asked), robots)
+
+
+def _mask(mask: Any, robots: int) -> Array:
+    if mask is None:
+        return np.ones(robots, np.bool_)
+    asked: Array = np.array(mask, order="C")
+    if asked.shape != (robots,) or asked.dtype != np.bool_:
+        raise ConfigError(f"reset_mask: must be a boolean array of shape ({robots},)")
+    return asked
+
+
+def _seeds(seed: int | Sequence[int | None] | None, robots: int) -> list[int | None] | None:
+    """A seed for each robot; None where none is seeded."""
+    if seed is None:
+        return None
+    if isinstance(seed, int | np.integer):
+        return [_seed(seed) + index for index in range(robots)]
+    try:
+        seeds = list(seed)
+    except TypeError:
+        raise ConfigError(f"seed = {shown(seed)}: must be a whole number, or a list") from None
+    if len(seeds) != robots:
+        raise ConfigError(f"{len(seeds)} seeds for {robots} robots: give one each")
+    return [None if one is None else _seed(one) for one in seeds]
+
+
+def _seed(value: Any) -> int:
+    if not isinstance(value, int | np.integer) or value < 0:
+        raise ConfigError(f"seed = {shown(value)}: must be a whole number of at least 0")
+    return int(value)

@@ -1,0 +1,219 @@
+"""Commands, motors and tyres of many planar robots, a loop of the firmware at a time."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from acsar_gym import kinematics
+from acsar_gym.dynamics import Params, towards, tyre_step, wheel_speed
+from acsar_gym.jit import jit, loop
+from acsar_gym.protocol import MAX_SPEED
+from acsar_gym.safety.layer import TELLABLE
+from acsar_gym.vector.kernel.layout import (
+    ANGLE,
+    BLEND,
+    COMMAND_LOOPS,
+    DEADBAND,
+    GAIN,
+    GRIP,
+    HEARD,
+    INERTIA,
+    LAST_ANGULAR,
+    LAST_LINEAR,
+    MASS,
+    NEW_LEFT,
+    NEW_RIGHT,
+    OLD_LEFT,
+    OLD_RIGHT,
+    POINT,
+    RADIUS,
+    RATE,
+    REASON,
+    SENT_ANGULAR,
+    SENT_LINEAR,
+    THETA,
+    VX,
+    VY,
+    WHEEL,
+    Floats,
+    Setup,
+    X,
+    Y,
+    row,
+)
+
+sides = jit(kinematics.sides)
+forward = jit(kinematics.twist)
+
+
+@jit
+def sincos(theta: float) -> tuple[float, float]:
+    """Sine and cosine without a branch, to 1e-15 for |theta| below 1e4, so that loops vectorise.
+
+    Reduction to a quarter turn in two parts, then the usual minimax polynomials.
+    """
+    turns = np.floor(theta * (2.0 / math.pi) + 0.5)
+    r = (theta - turns * 1.5707963267341256) - turns * 6.077100506506192e-11
+    z = r * r
+    s = r + r * z * (
+        -1.66666666666666324348e-01
+        + z
+        * (
+            8.33333333332248946124e-03
+            + z
+            * (
+                -1.98412698298579493134e-04
+                + z
+                * (
+                    2.75573137070700676789e-06
+                    + z * (-2.50507602534068634195e-08 + z * 1.58969099521155010221e-10)
+                )
+            )
+        )
+    )
+    c = (
+        1.0
+        - 0.5 * z
+        + z
+        * z
+        * (
+            4.16666666666666019037e-02
+            + z
+            * (
+                -1.38888888888741095749e-03
+                + z
+                * (
+                    2.48015872894767294178e-05
+                    + z
+                    * (
+                        -2.75573143513906633035e-07
+                        + z * (2.08757232129817482790e-09 - z * 1.13596475577881948265e-11)
+                    )
+                )
+            )
+        )
+    )
+    quarter = turns - 4.0 * np.floor(turns * 0.25)
+    swap = quarter in (1.0, 3.0)
+    sine, cosine = (c if swap else s), (s if swap else c)
+    return (
+        -sine if quarter >= 2.0 else sine,
+        -cosine if quarter in (1.0, 2.0) else cosine,
+    )
+
+
+@jit
+def on_the_wire(speed: float) -> float:
+    """The speed [rad/s] after encoding and decoding: two decimals, saturated."""
+    rounded: float = np.rint(speed * 100.0) / 100.0
+    return min(max(rounded, -MAX_SPEED), MAX_SPEED)
+
+
+@jit
+def tell(
+    state: Floats, i: int, linear: float, angular: float, right: float, left: float, setup: Setup
+) -> None:
+    """The twist that robot i is really sent, and whether it is the one asked for."""
+    sent_linear, sent_angular = forward(right, left, left, right, setup.radius, setup.separation)
+    off = max(abs(sent_linear - linear), abs(sent_angular - angular))
+    state[SENT_LINEAR, i] = sent_linear
+    state[SENT_ANGULAR, i] = sent_angular
+    state[REASON, i] = 0.0 if off < TELLABLE else 1.0
+
+
+@loop
+def command(state: Floats, actions: Floats, first: int, last: int, setup: Setup) -> None:
+    """Actions to the targets that the board will hear of in this step."""
+    old_right, old_left = row(state, OLD_RIGHT, first, last), row(state, OLD_LEFT, first, last)
+    new_right, new_left = row(state, NEW_RIGHT, first, last), row(state, NEW_LEFT, first, last)
+    heard, delay = row(state, HEARD, first, last), row(state, COMMAND_LOOPS, first, last)
+    for i in range(last - first):
+        linear = min(max(actions[first + i, 0], -1.0), 1.0)
+        angular = min(max(actions[first + i, 1], -1.0), 1.0)
+        state[LAST_LINEAR, first + i] = linear
+        state[LAST_ANGULAR, first + i] = angular
+        wanted_linear, wanted_angular = linear * setup.max_linear, angular * setup.max_angular
+        right, left = sides(
+            wanted_linear, wanted_angular, setup.radius, setup.separation, setup.max_wheel_speed
+        )
+        tell(state, first + i, wanted_linear, wanted_angular, right, left, setup)
+        if heard[i] < setup.ticks * setup.loops:  # else the last command was lost
+            old_right[i] = new_right[i]
+            old_left[i] = new_left[i]
+        new_right[i] = min(max(on_the_wire(right), -setup.top), setup.top)
+        new_left[i] = min(max(on_the_wire(left), -setup.top), setup.top)
+        heard[i] = delay[i]
+
+
+@loop
+def ramp(state: Floats, first: int, last: int, now: float, setup: Setup) -> None:
+    """Set points of the firmware move towards the targets it has heard of by loop `now`."""
+    a, b = row(state, POINT, first, last), row(state, POINT + 1, first, last)
+    c, d = row(state, POINT + 2, first, last), row(state, POINT + 3, first, last)
+    old_right, old_left = row(state, OLD_RIGHT, first, last), row(state, OLD_LEFT, first, last)
+    new_right, new_left = row(state, NEW_RIGHT, first, last), row(state, NEW_LEFT, first, last)
+    heard, step = row(state, HEARD, first, last), setup.ramp
+    for i in range(last - first):
+        new = now >= heard[i]
+        right = new_right[i] if new else old_right[i]
+        left = new_left[i] if new else old_left[i]
+        a[i] = towards(a[i], right, step)
+        b[i] = towards(b[i], left, step)
+        c[i] = towards(c[i], left, step)
+        d[i] = towards(d[i], right, step)
+
+
+@loop
+def motors(state: Floats, counts: Floats, first: int, last: int, slot: int, setup: Setup) -> None:
+    """Wheel speeds, wheel angles, and the encoders' counts of this loop."""
+    deadband = row(state, DEADBAND, first, last)
+    for k in range(4):
+        speeds, angles = row(state, WHEEL + k, first, last), row(state, ANGLE + k, first, last)
+        points, gains = row(state, POINT + k, first, last), row(state, GAIN + k, first, last)
+        blends, seen = row(state, BLEND + k, first, last), counts[slot, k, first:last]
+        for i in range(last - first):
+            point = points[i] * gains[i]
+            speed = wheel_speed(speeds[i], point, blends[i], deadband[i], setup.top)
+            angle = angles[i] + speed * setup.dt
+            speeds[i] = speed
+            angles[i] = angle
+            seen[i] = np.floor(angle * setup.counts_per_radian)
+
+
+@loop
+def tyres(state: Floats, first: int, last: int, setup: Setup) -> None:
+    """Tyre forces, then semi-implicit Euler, as the planar body does it."""
+    xs, ys, thetas = (
+        row(state, X, first, last),
+        row(state, Y, first, last),
+        row(state, THETA, first, last),
+    )
+    vxs, vys, rates = (
+        row(state, VX, first, last),
+        row(state, VY, first, last),
+        row(state, RATE, first, last),
+    )
+    a, b = row(state, WHEEL, first, last), row(state, WHEEL + 1, first, last)
+    c, d = row(state, WHEEL + 2, first, last), row(state, WHEEL + 3, first, last)
+    radii, grips = row(state, RADIUS, first, last), row(state, GRIP, first, last)
+    masses, inertias = row(state, MASS, first, last), row(state, INERTIA, first, last)
+    dt, slip = setup.dt, setup.slip_speed
+    half, side = setup.half_wheelbase, setup.half_track
+    for i in range(last - first):
+        sin, cos = sincos(thetas[i])
+        vx, vy = vxs[i], vys[i]
+        params = Params(
+            dt, radii[i], half, side, masses[i], inertias[i], grips[i], slip, 0.0, 0.0, 0.0
+        )
+        ahead, left, rate = tyre_step(
+            cos * vx + sin * vy, cos * vy - sin * vx, rates[i], (a[i], b[i], c[i], d[i]), params
+        )
+        vx, vy = cos * ahead - sin * left, sin * ahead + cos * left
+        vxs[i] = vx
+        vys[i] = vy
+        rates[i] = rate
+        xs[i] += vx * dt
+        ys[i] += vy * dt
+        thetas[i] += rate * dt

@@ -1,0 +1,270 @@
+"""Episodes of many robots: resets with physics of their own, and env steps."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym.jit import jit, loop
+from acsar_gym.tasks.base import relative, within
+from acsar_gym.tasks.goal import goal_at
+from acsar_gym.vector.kernel.dynamics import command
+from acsar_gym.vector.kernel.layout import (
+    BLEND,
+    BLOCK,
+    COMMAND_LOOPS,
+    DEADBAND,
+    DELAY_LOOPS,
+    DISTANCE,
+    DROPPED,
+    FEEDBACK_LOOPS,
+    FIRST_RANK,
+    GAIN,
+    GOAL_GIVEN,
+    GOAL_X,
+    GOAL_Y,
+    GRIP,
+    INERTIA,
+    LAST_LINE,
+    LAST_RANK,
+    LOOPS,
+    MASS,
+    RADIUS,
+    START_COS,
+    START_SIN,
+    START_THETA,
+    START_X,
+    START_Y,
+    WISHED_GOAL,
+    WISHED_WORLD,
+    WISHED_X,
+    WISHED_Y,
+    WORLD,
+    Floats,
+    Job,
+    Setup,
+)
+from acsar_gym.vector.kernel.lidars import look
+from acsar_gym.vector.kernel.outcome import judge, observe, report
+from acsar_gym.vector.kernel.path import progress
+from acsar_gym.vector.kernel.robot import drive, newest_line
+from acsar_gym.vector.pcg import uniform
+from acsar_gym.worlds.geometry import Surroundings
+
+
+@jit
+def settle_ticks(delay: float, every: float, loops: float) -> float:
+    """Ticks that a reset takes until two fresh readings have come, as in `Robot.reset`."""
+    one: float = np.ceil((np.ceil(every - 1e-9) + delay) / loops)
+    two: float = np.ceil((np.ceil(2.0 * every - 1e-9) + delay) / loops)
+    return max(one + 1.0, two)
+
+
+@loop
+def draw(  # noqa: C901 - nine keys, one condition each
+    state: Floats,
+    random: NDArray[np.uint64],
+    i: int,
+    nominal: Floats,
+    ranges: Floats,
+    setup: Setup,
+) -> None:
+    """Robot i's own physics: nominal values, varied within `ranges` (see `Randomization`)."""
+    for row in range(MASS, WISHED_WORLD):
+        state[row, i] = nominal[row]
+    if ranges[0, 0] <= ranges[0, 1]:
+        factor = between(ranges, 0, random, i)
+        state[MASS, i] *= factor
+        state[INERTIA, i] *= factor
+        state[GRIP, i] *= factor
+    if ranges[1, 0] <= ranges[1, 1]:
+        state[GRIP, i] *= between(ranges, 1, random, i)
+    for k in range(4):
+        if ranges[2, 0] <= ranges[2, 1]:
+            state[GAIN + k, i] *= between(ranges, 2, random, i)
+        if ranges[3, 0] <= ranges[3, 1] and nominal[BLEND + k] < 1.0:
+            lag = -setup.dt / math.log(1.0 - nominal[BLEND + k])
+            lag *= between(ranges, 3, random, i)
+            state[BLEND + k, i] = 1.0 - math.exp(-setup.dt / lag)
+    if ranges[4, 0] <= ranges[4, 1]:
+        state[DEADBAND, i] = between(ranges, 4, random, i)
+    if ranges[5, 0] <= ranges[5, 1]:
+        state[RADIUS, i] *= between(ranges, 5, random, i)
+    if ranges[6, 0] <= ranges[6, 1]:
+        extra = np.rint(between(ranges, 6, random, i) / setup.dt)
+        state[COMMAND_LOOPS, i] += extra
+        state[DELAY_LOOPS, i] += extra
+    if ranges[7, 0] <= ranges[7, 1]:
+        rate = between(ranges, 7, random, i)
+        state[FEEDBACK_LOOPS, i] = max(1.0, np.rint(1.0 / (rate * setup.dt)))
+    if ranges[8, 0] <= ranges[8, 1]:
+        state[DROPPED, i] = between(ranges, 8, random, i)
+
+
+@jit
+def between(ranges: Floats, key: int, random: NDArray[np.uint64], i: int) -> float:
+    """A number from the range of one key."""
+    low: float = ranges[key, 0]
+    high: float = ranges[key, 1]
+    return low + (high - low) * uniform(random, i)
+
+
+@jit
+def aim(state: Floats, random: NDArray[np.uint64], i: int, job: Job) -> None:
+    """Robot i's goal on an open floor, in any direction."""
+    state[START_COS, i] = 1.0
+    if state[WISHED_GOAL, i] > 0.0:
+        state[GOAL_X, i], state[GOAL_Y, i] = state[WISHED_X, i], state[WISHED_Y, i]
+        return
+    distance = job.min_distance + (job.max_distance - job.min_distance) * uniform(random, i)
+    bearing = -math.pi + (math.pi - -math.pi) * uniform(random, i)
+    state[GOAL_X, i], state[GOAL_Y, i] = goal_at(distance, bearing)
+
+
+@jit
+def choose(state: Floats, i: int, share: float, job: Job) -> int:
+    """Robot i's world, as `tasks.place.chosen` does it, for a number of [0, 1)."""
+    first, last = int(state[FIRST_RANK, i]), int(state[LAST_RANK, i])
+    if state[WISHED_WORLD, i] > 0.0:
+        return int(state[WISHED_WORLD, i]) - 1
+    if last > first:
+        return int(job.order[first + min(int(share * (last - first)), last - first - 1)])
+    return min(int(share * len(job.starts)), len(job.starts) - 1)
+
+
+@jit
+def settle(state: Floats, random: NDArray[np.uint64], i: int, job: Job) -> None:
+    """Robot i's world, and its start and goal there, as `tasks.place.drawn` does it."""
+    u0, u1, u2 = uniform(random, i), uniform(random, i), uniform(random, i)
+    u3, u4, u5 = uniform(random, i), uniform(random, i), uniform(random, i)
+    world = choose(state, i, u0, job)
+    start, goal = job.starts[world], job.goals[world]
+    x, y = within(start[0], start[1], start[2], u1, u2)
+    theta = (2.0 * u3 - 1.0) * math.pi if np.isnan(start[3]) else start[3]
+    goal_x, goal_y = within(goal[0], goal[1], goal[2], u4, u5)
+    cos, sin = math.cos(theta), math.sin(theta)
+    state[WORLD, i] = world
+    state[START_X, i], state[START_Y, i], state[START_THETA, i] = x, y, theta
+    state[START_COS, i], state[START_SIN, i] = cos, sin
+    ahead, left = relative(x, y, cos, sin, goal_x, goal_y)
+    given = state[WISHED_GOAL, i]
+    state[GOAL_X, i] = state[WISHED_X, i] if given > 0.0 else ahead
+    state[GOAL_Y, i] = state[WISHED_Y, i] if given > 0.0 else left
+    state[GOAL_GIVEN, i] = given
+
+
+@loop
+def begin(
+    state: Floats,
+    counts: Floats,
+    commands: Floats,
+    random: NDArray[np.uint64],
+    i: int,
+    nominal: Floats,
+    ranges: Floats,
+    setup: Setup,
+    job: Job,
+) -> None:
+    """A new episode of robot i: at rest, in a place of its own generator's making."""
+    for row in range(MASS):
+        state[row, i] = 0.0
+    counts[:, :, i] = 0.0
+    if setup.guarded:
+        commands[:, :, i] = 0.0
+    if len(job.starts) == 0:
+        aim(state, random, i, job)
+    else:
+        settle(state, random, i, job)
+    draw(state, random, i, nominal, ranges, setup)
+    state[DISTANCE, i] = math.sqrt(state[GOAL_X, i] ** 2 + state[GOAL_Y, i] ** 2)
+    settled = settle_ticks(state[DELAY_LOOPS, i], state[FEEDBACK_LOOPS, i], setup.loops)
+    state[LOOPS, i] = settled * setup.loops
+    every = state[FEEDBACK_LOOPS, i]
+    state[LAST_LINE, i] = newest_line(state[LOOPS, i], state[DELAY_LOOPS, i], every)
+    if job.follows:
+        progress(state, i, job)
+
+
+@loop
+def reset(
+    state: Floats,
+    counts: Floats,
+    commands: Floats,
+    random: NDArray[np.uint64],
+    nominal: Floats,
+    ranges: Floats,
+    observations: NDArray[np.float32],
+    mask: NDArray[np.bool_],
+    first: int,
+    last: int,
+    setup: Setup,
+    job: Job,
+    around: Surroundings,
+) -> None:
+    """New episodes for the robots in the mask."""
+    for i in range(first, last):
+        if mask[i]:
+            begin(state, counts, commands, random, i, nominal, ranges, setup, job)
+    if setup.lidar_rate > 0.0:
+        look(state, random, observations, ~mask, first, last, -1, setup, around)
+    for i in range(first, last):
+        if mask[i]:
+            observe(state, observations, i, i + 1, setup, job)
+            report(state, i, i + 1, setup, job)
+
+
+@loop
+def step(
+    state: Floats,
+    counts: Floats,
+    commands: Floats,
+    random: NDArray[np.uint64],
+    nominal: Floats,
+    ranges: Floats,
+    actions: Floats,
+    over: NDArray[np.bool_],
+    observations: NDArray[np.float32],
+    rewards: Floats,
+    ends: NDArray[np.bool_],
+    first: int,
+    last: int,
+    slot: int,
+    line: int,
+    setup: Setup,
+    job: Job,
+    around: Surroundings,
+) -> None:
+    """An env step of robots first to last; those that were over begin anew instead."""
+    lossy = ranges[8, 0] <= ranges[8, 1]
+    for low in range(first, last, BLOCK):
+        high = min(low + BLOCK, last)
+        command(state, actions, low, high, setup)
+        drive(
+            state,
+            counts,
+            random,
+            observations,
+            over,
+            low,
+            high,
+            slot,
+            commands,
+            line,
+            lossy,
+            setup,
+            around,
+        )
+        judge(state, rewards, ends, low, high, setup, job)
+        anew = False
+        for i in range(low, high):
+            if over[i]:
+                begin(state, counts, commands, random, i, nominal, ranges, setup, job)
+                rewards[i] = 0.0
+                ends[0, i] = ends[1, i] = False
+                anew = True
+        if anew and setup.lidar_rate > 0.0:
+            look(state, random, observations, ~over, low, high, -1, setup, around)
+        observe(state, observations, low, high, setup, job)
+        report(state, low, high, setup, job)

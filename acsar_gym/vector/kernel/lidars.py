@@ -1,0 +1,98 @@
+"""What robots touch and see: exact footprint collisions and LiDAR scans in their worlds."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym.jit import jit, loop
+from acsar_gym.lidars import base as lidar
+from acsar_gym.vector.kernel.dynamics import sincos
+from acsar_gym.vector.kernel.layout import (
+    CONTACT,
+    SCAN_TICK,
+    SCANS,
+    START_COS,
+    START_SIN,
+    STEPS,
+    THETA,
+    WORLD,
+    Floats,
+    Setup,
+    X,
+    Y,
+    to_world,
+)
+from acsar_gym.vector.pcg import uniform
+from acsar_gym.worlds.geometry import Surroundings, cast, collides
+
+measure = lidar.measure
+
+
+@jit
+def true_pose(state: Floats, i: int) -> tuple[float, float, float, float]:
+    """Where robot i is in its world: x, y, and its heading's cosine and sine."""
+    x, y = to_world(state, i, state[X, i], state[Y, i])
+    s, c = sincos(state[THETA, i])
+    cos, sin = state[START_COS, i], state[START_SIN, i]
+    return x, y, cos * c - sin * s, sin * c + cos * s
+
+
+@loop
+def touch(state: Floats, first: int, last: int, around: Surroundings) -> None:
+    """Note which robots touch an obstacle now."""
+    for i in range(first, last):
+        if state[CONTACT, i] == 0.0:
+            x, y, cos, sin = true_pose(state, i)
+            if collides(x, y, cos, sin, int(state[WORLD, i]), around):
+                state[CONTACT, i] = 1.0
+
+
+@loop
+def scan(
+    state: Floats,
+    random: NDArray[np.uint64],
+    observations: NDArray[np.float32],
+    i: int,
+    tick: int,
+    numbers: int,
+    ranges: Floats,
+    uniforms: Floats,
+    setup: Setup,
+    around: Surroundings,
+) -> None:
+    """Robot i's scan, if one is due by the end of this tick of its step; -1 is the reset."""
+    ticks = state[STEPS, i] * setup.ticks + tick + 1
+    elapsed = ticks * setup.period
+    if elapsed <= state[SCANS, i] / setup.lidar_rate - 1e-9:
+        return
+    state[SCANS, i] = 1.0 + np.floor(elapsed * setup.lidar_rate + 1e-9)
+    state[SCAN_TICK, i] = ticks
+    x, y, cos, sin = true_pose(state, i)
+    cast(x, y, cos, sin, int(state[WORLD, i]), around, ranges)
+    for k in range(setup.draws):
+        uniforms[k] = uniform(random, i)
+    measure(ranges, uniforms, setup.noise, setup.dropouts, setup.min_range, around.reach)
+    for k in range(len(ranges)):
+        observations[i, numbers + k] = ranges[k] / around.reach
+
+
+@loop
+def look(
+    state: Floats,
+    random: NDArray[np.uint64],
+    observations: NDArray[np.float32],
+    over: NDArray[np.bool_],
+    first: int,
+    last: int,
+    tick: int,
+    setup: Setup,
+    around: Surroundings,
+) -> None:
+    """Scans that are due, of robots whose episode goes on."""
+    rays = around.directions.shape[0]
+    ranges, uniforms = np.empty(rays), np.empty(setup.draws)
+    numbers = observations.shape[1] - rays
+    for i in range(first, last):
+        if not over[i]:
+            scan(state, random, observations, i, tick, numbers, ranges, uniforms, setup, around)

@@ -1,0 +1,67 @@
+"""NumPy's PCG64 for compiled loops: the same numbers from the same seed as `np.random.Generator`.
+
+A generator is a row of four uint64: state (high, low) and increment (high, low). The algorithm is
+PCG XSL RR 128/64 of O'Neill (2014), as NumPy documents it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym.jit import COMPILED, jit
+
+Generators = NDArray[np.uint64]
+"""n x 4: one generator a row."""
+
+_MULTIPLIER_HIGH = np.uint64(2549297995355413924)
+_MULTIPLIER_LOW = np.uint64(4865540595714422341)
+_WORD = (1 << 64) - 1
+_HALF = np.uint64(32)
+_MASK = np.uint64(0xFFFFFFFF)
+
+
+def seeded(seed: int | None) -> tuple[int, int, int, int]:
+    """A generator's row for a seed, as `np.random.PCG64(seed)` starts; None: from the system."""
+    return of_state(np.random.PCG64(seed))
+
+
+def of_state(bits: np.random.PCG64) -> tuple[int, int, int, int]:
+    """A generator's row with the state of NumPy's one."""
+    inner = bits.state["state"]
+    state, increment = inner["state"], inner["inc"]
+    return state >> 64, state & _WORD, increment >> 64, increment & _WORD
+
+
+@jit
+def _high(a: np.uint64, b: np.uint64) -> np.uint64:
+    """Upper half of the 128-bit product."""
+    a_low, a_high, b_low, b_high = a & _MASK, a >> _HALF, b & _MASK, b >> _HALF
+    middle = a_high * b_low + ((a_low * b_low) >> _HALF)
+    other = a_low * b_high + (middle & _MASK)
+    return a_high * b_high + (middle >> _HALF) + (other >> _HALF)
+
+
+@jit
+def uniform(generators: Generators, i: int) -> float:
+    """The next double in [0, 1) of generator i, as `Generator.random()` gives it."""
+    high, low = generators[i, 0], generators[i, 1]
+    new_low = low * _MULTIPLIER_LOW
+    new_high = _high(low, _MULTIPLIER_LOW) + high * _MULTIPLIER_LOW + low * _MULTIPLIER_HIGH
+    low = new_low + generators[i, 3]
+    carry = np.uint64(1) if low < new_low else np.uint64(0)
+    high = new_high + generators[i, 2] + carry
+    generators[i, 0], generators[i, 1] = high, low
+    word = high ^ low
+    turn = high >> np.uint64(58)
+    word = (word >> turn) | (word << ((np.uint64(64) - turn) & np.uint64(63)))
+    return float(word >> np.uint64(11)) * (1.0 / 9007199254740992.0)
+
+
+if not COMPILED:
+    _wrapping = uniform
+
+    def uniform(generators: Generators, i: int) -> float:
+        """The same in plain NumPy, whose scalars warn where words wrap around, as they must."""
+        with np.errstate(over="ignore"):
+            return _wrapping(generators, i)

@@ -1,0 +1,30 @@
+"""The benchmark's bookkeeping; its speeds are for people to read."""
+
+from __future__ import annotations
+
+import pytest
+
+from acsar_gym.bench import env as bench
+from acsar_gym.bench import worlds as bench_worlds
+
+SMALL = {"BLOCKS": 2, "STEPS": 3, "ROBOTS": 8, "CROWDS": 2, "POINTS": 20}
+
+
+@pytest.mark.parametrize("sizes", [SMALL, pytest.param({"BLOCKS": 2}, marks=pytest.mark.slow)])
+def test_every_figure_is_a_positive_number(
+    sizes: dict[str, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in (bench, bench_worlds):
+        for name in sizes.keys() & vars(module).keys():
+            monkeypatch.setattr(module, name, sizes[name])
+    figures = bench.measure()
+    assert all(figure.value > 0.0 for figure in figures)
+    assert len({figure.name for figure in figures}) == len(figures) == 26
+    assert bench.table(figures).row_count == 26
+
+
+def test_the_bare_engine_makes_as_many_calls_as_the_env() -> None:
+    env = bench._env("bullet")
+    step = bench._engine(env)
+    step()
+    env.close()

@@ -1,0 +1,276 @@
+"""Real-time priority and pinning, allowed and refused; sysfs as other computers have it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from acsar_gym import RobotConfig
+from acsar_gym.doctor import host as realtime
+from acsar_gym.doctor.checks import Check
+from acsar_gym.errors import ConfigError
+
+linux = pytest.mark.skipif(
+    not hasattr(os, "sched_setscheduler"), reason="this system has no SCHED_FIFO"
+)
+CABLE = "usb-FTDI_FT232R-if00-port0"
+PREPARE = """
+import os, sys
+from acsar_gym.errors import ConfigError
+from acsar_gym.doctor.host import prepare
+try:
+    prepare(20, [min(os.sched_getaffinity(0))])
+except ConfigError as error:
+    print(error)
+else:
+    print("prepared", os.sched_getscheduler(0) == os.SCHED_FIFO,
+          os.sched_getparam(0).sched_priority, len(os.sched_getaffinity(0)))
+"""
+
+
+def put(root: Path, file: str, text: str) -> None:
+    (root / file).parent.mkdir(parents=True, exist_ok=True)
+    (root / file).write_text(f"{text}\n", encoding="ascii")
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    """Two cores and an FTDI cable in a port of the computer, set up as it should be."""
+    put(tmp_path, "proc/loadavg", "0.20 0.10 0.05 1/100 4242")
+    for core in (0, 1):
+        put(tmp_path, f"sys/devices/system/cpu/cpu{core}/cpufreq/scaling_governor", "performance")
+    (tmp_path / "dev/serial/by-id").mkdir(parents=True)
+    (tmp_path / "dev/ttyUSB0").touch()
+    (tmp_path / "dev/serial/by-id" / CABLE).symlink_to("../../ttyUSB0")
+    plug(tmp_path, "1-2")
+    put(tmp_path, "sys/bus/usb-serial/devices/ttyUSB0/latency_timer", "1")
+    return tmp_path
+
+
+def plug(root: Path, port: str) -> None:
+    """The cable in a USB port, as sysfs spells it."""
+    place = root / f"sys/devices/pci0000:00/0000:00:14.0/usb1/1-2/{port}/{port}:1.0/ttyUSB0"
+    place.mkdir(parents=True)
+    link = root / "sys/class/tty/ttyUSB0/device"
+    link.parent.mkdir(parents=True, exist_ok=True)
+    link.unlink(missing_ok=True)
+    link.symlink_to(place)
+
+
+@pytest.fixture
+def found(
+    root: Path, config: RobotConfig, monkeypatch: pytest.MonkeyPatch
+) -> Callable[..., dict[str, Check]]:
+    """`found(device)`: the findings about that computer, by name."""
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1}, raising=False)
+
+    def look(device: str | None = "/dev/ttyUSB0", config: RobotConfig = config) -> dict[str, Check]:
+        return {check.name: check for check in realtime.machine(device, config, root)}
+
+    return look
+
+
+@pytest.mark.parametrize("device", ["/dev/ttyUSB0", f"/dev/serial/by-id/{CABLE}"])
+def test_a_computer_without_a_fault(device: str, found: Callable[..., dict[str, Check]]) -> None:
+    checks = found(device)
+    assert list(checks) == [
+        "cores",
+        "load",
+        "CPU governor",
+        "FTDI latency timer",
+        "low-latency mode",
+        "USB hub",
+        "baud rate",
+    ]
+    assert {check.status for check in checks.values()} == {"ok", "skip"}
+    assert checks["low-latency mode"].status == "skip"
+    assert not any(check.fix for check in checks.values())
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "name", "said", "fix"),
+    [
+        ("proc/loadavg", "1.90 1 1 2/9 7", "load", "1.90 of 2", "--realtime"),
+        (
+            "sys/devices/system/cpu/cpu1/cpufreq/scaling_governor",
+            "powersave",
+            "CPU governor",
+            "performance, powersave",
+            "cpupower frequency-set -g performance",
+        ),
+        (
+            "sys/bus/usb-serial/devices/ttyUSB0/latency_timer",
+            "16",
+            "FTDI latency timer",
+            "16 ms",
+            "echo 1 | sudo tee /sys/bus/usb-serial/devices/ttyUSB0/latency_timer",
+        ),
+        (
+            "sys/class/tty/ttyUSB0/flags",
+            "0x10000040",
+            "low-latency mode",
+            "off",
+            "sudo setserial /dev/ttyUSB0 low_latency",
+        ),
+    ],
+)
+def test_what_makes_ticks_late(
+    file: str,
+    text: str,
+    name: str,
+    said: str,
+    fix: str,
+    root: Path,
+    found: Callable[..., dict[str, Check]],
+) -> None:
+    put(root, file, text)
+    checks = found()
+    assert [check.name for check in checks.values() if check.status == "warn"] == [name]
+    assert said in checks[name].found
+    assert fix in checks[name].fix
+
+
+def test_low_latency_mode_that_is_on(root: Path, found: Callable[..., dict[str, Check]]) -> None:
+    put(root, "sys/class/tty/ttyUSB0/flags", "0x10002040")
+    assert found()["low-latency mode"] == Check("low-latency mode", "ok", "on")
+
+
+@pytest.mark.parametrize(
+    ("port", "status", "said"),
+    [("1-2", "ok", "straight"), ("1-2.4", "ok", "one hub"), ("1-2.4.1", "warn", "2 hubs")],
+)
+def test_hubs_on_the_way(
+    port: str, status: str, said: str, root: Path, found: Callable[..., dict[str, Check]]
+) -> None:
+    if port != "1-2":
+        plug(root, port)
+    hub = found()["USB hub"]
+    assert hub.status == status
+    assert said in hub.found
+    assert bool(hub.fix) == (status == "warn")
+
+
+def test_one_core_alone(
+    found: Callable[..., dict[str, Check]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {3})
+    cores = found()["cores"]
+    assert (cores.status, cores.found) == ("warn", "1")
+    assert "--realtime" in cores.fix
+
+
+def test_a_wire_that_is_almost_full(
+    config: RobotConfig, found: Callable[..., dict[str, Check]]
+) -> None:
+    baud = found("/dev/ttyUSB0", config.with_(baud_rate=38400))["baud rate"]
+    assert baud.status == "warn"
+    assert "116 lines/s" in baud.found
+    assert "baud_rate" in baud.fix
+
+
+@pytest.mark.parametrize("device", [None, "socket://192.168.4.1:2000"])
+def test_without_a_local_device(device: str | None, found: Callable[..., dict[str, Check]]) -> None:
+    assert list(found(device)) == ["cores", "load", "CPU governor", "baud rate"]
+
+
+def test_a_computer_that_tells_nothing(
+    tmp_path: Path, config: RobotConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delattr(os, "sched_getaffinity", raising=False)
+    checks = realtime.machine("/dev/pts/3", config, tmp_path)
+    assert {check.status for check in checks if check.name not in ("cores", "baud rate")} == {
+        "skip"
+    }
+
+
+def test_this_computer(config: RobotConfig) -> None:
+    assert all(check.found for check in realtime.machine("/dev/ttyS0", config))
+
+
+def refused(priority: int | None, cores: Sequence[int] | None = None) -> str:
+    with pytest.raises(ConfigError) as caught:
+        realtime.prepare(priority, cores)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def forbid(monkeypatch: pytest.MonkeyPatch, user: int) -> None:
+    def scheduler(*_: Any) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(os, "sched_setscheduler", scheduler)
+    monkeypatch.setattr(os, "geteuid", lambda: user)
+
+
+@linux
+@pytest.mark.parametrize(("priority", "line"), [(50, "rtprio 90"), (95, "rtprio 96")])
+def test_a_user_who_may_not(priority: int, line: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    forbid(monkeypatch, 1000)
+    said = refused(priority)
+    assert f"@realtime - {line}" in said
+    assert "/etc/security/limits.d/" in said
+    assert "usermod -aG realtime" in said
+    assert "run without --realtime" in said
+
+
+@linux
+def test_root_in_a_container(monkeypatch: pytest.MonkeyPatch) -> None:
+    forbid(monkeypatch, 0)
+    assert "--cap-add SYS_NICE" in refused(50)
+
+
+@linux
+@pytest.mark.parametrize("priority", [0, -1, 99, 1000])
+def test_priorities_that_do_not_exist(priority: int) -> None:
+    assert "must be 1 to 98" in refused(priority)
+
+
+@linux
+@pytest.mark.parametrize("cores", [[], [-1], [10**6], [0, 10**6], [10**30]])
+def test_cores_that_do_not_exist(cores: list[int]) -> None:
+    before = os.sched_getaffinity(0)
+    assert "--cores" in refused(None, cores)
+    assert os.sched_getaffinity(0) == before
+
+
+@linux
+def test_the_watchdog_has_room_above(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+    monkeypatch.setattr(
+        os, "sched_setscheduler", lambda _, __, param: asked.append(param.sched_priority)
+    )
+    realtime.prepare(50)
+    assert asked == [51, 50]
+
+
+@pytest.mark.parametrize(
+    ("name", "priority", "cores"),
+    [("sched_setscheduler", 50, None), ("sched_setaffinity", None, [0])],
+)
+def test_other_operating_systems(
+    name: str, priority: int | None, cores: list[int] | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delattr(os, name, raising=False)
+    assert "this operating system" in refused(priority, cores)
+
+
+@linux
+def test_nothing_asked_is_nothing_changed() -> None:
+    before = (os.sched_getscheduler(0), os.sched_getaffinity(0))
+    realtime.prepare()
+    assert (os.sched_getscheduler(0), os.sched_getaffinity(0)) == before
+
+
+@linux
+def test_in_a_process_of_its_own() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", PREPARE], capture_output=True, text=True, timeout=60, check=True
+    )
+    said = done.stdout.strip()
+    assert said == "prepared True 20 1" or "run without --realtime" in said

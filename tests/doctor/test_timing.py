@@ -1,0 +1,217 @@
+"""The timing examination over an emulator in another process: what it counts, and what it says."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rich.console import Console
+from serial_tools import Emulated, no_leak, wait_until
+
+from acsar_gym import RobotConfig
+from acsar_gym.doctor import timing as doctor_timing
+from acsar_gym.doctor.checks import Check
+from acsar_gym.doctor.timing import measure
+from acsar_gym.doctor.timing_report import EDGES, Report
+from acsar_gym.errors import ConfigError, LinkError, MissingExtraError, PortNotFoundError
+from acsar_gym.links.lateness import Spread, Timing
+from acsar_gym.protocol import ZERO
+from acsar_gym.safety.estop import Ears
+
+pytestmark = pytest.mark.usefixtures("deadline")
+
+Action = NDArray[np.float32]
+
+
+@pytest.fixture(autouse=True)
+def hurry(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shorter turns than at the command line: ten ticks."""
+    monkeypatch.setattr(doctor_timing, "BLOCK", 0.1)
+
+
+def forwards(observation: Action) -> Action:
+    """A policy that would drive at full speed, were it obeyed."""
+    return np.array([1.0, 0.0], np.float32)
+
+
+@pytest.fixture
+def report() -> Report:
+    """All is well."""
+    timing = Timing(1000, 1, 0, 6e-5, 1.1e-4, 0.002)
+    return Report(
+        device="/dev/ttyUSB0",
+        rate=100.0,
+        lateness=timing,
+        bare=dataclasses.replace(timing, p99=1e-4),
+        histogram=(0, 10, 900, 89, 0, 0, 1, *[0] * 6),
+        bare_histogram=(0, 20, 900, 79, 0, 0, 1, *[0] * 6),
+        seconds=20.0,
+        lines=1999,
+        lines_expected=2000.3,
+        refused=0,
+        feedback_age=Spread(1000, 0.0, 0.01, 0.02),
+        cpu_share=0.03,
+        policy_time=Spread(100, 1e-4, 2e-4, 3e-4),
+        findings=(Check("load", "warn", "1.9 of 2", "stop other programs"),),
+    )
+
+
+def drawn(report: Report) -> str:
+    console = Console(width=200)
+    with console.capture() as capture:
+        for table in report.tables():
+            console.print(table)
+    return capture.get()
+
+
+def judged(report: Report) -> dict[str, Check]:
+    return {check.name: check for check in report.figures}
+
+
+def test_a_run_over_the_emulator(config: RobotConfig, shared_device: str) -> None:
+    with no_leak():
+        report = measure(shared_device, config, 0.25, forwards)
+    ticks = 30  # three turns
+    assert report.lateness.ticks == report.bare.ticks == ticks
+    assert sum(report.histogram) == sum(report.bare_histogram) == ticks
+    assert sum(report.histogram[EDGES.index(1e-3) + 1 :]) == report.lateness.late_ticks
+    assert report.feedback_age.count == ticks
+    assert report.policy_time is not None
+    assert report.policy_time.count == 3
+    assert report.refused == 0
+    assert report.lines_expected == pytest.approx(report.seconds * config.feedback_rate)
+    assert report.lines > 0
+    assert 0.0 < report.cpu_share < 1.0
+    assert shared_device in drawn(report)
+
+
+def test_the_wheels_never_turn(config: RobotConfig, emulator: Emulated) -> None:
+    measure(emulator.device, config, 0.2, forwards)
+    wait_until(lambda: len(emulator.commands()) >= 20, "a command a tick")
+    wait_until(emulator.stands, "a robot that stands")
+    assert set(emulator.commands()) == {ZERO}
+
+
+def test_the_packaged_policy(config: RobotConfig, shared_device: str) -> None:
+    pytest.importorskip("onnxruntime")
+    report = measure(shared_device, config, 0.2)
+    assert report.policy_time is not None
+    assert report.policy_time.count == 2
+
+
+def test_without_onnxruntime(
+    config: RobotConfig, shared_device: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def missing(_: str) -> None:
+        raise MissingExtraError("running a policy", "deploy")
+
+    monkeypatch.setattr(doctor_timing, "OnnxPolicy", missing)
+    report = measure(shared_device, config, 0.1)
+    assert report.policy_time is None
+    assert "no policy" in judged(report)["processor"].found
+
+
+def test_another_rate(config: RobotConfig, shared_device: str) -> None:
+    slow = config.with_(control_rate=10.0, firmware={"feedback_rate": 100.0})
+    report = measure(shared_device, slow, 0.1, forwards)
+    assert report.lateness.ticks == 5
+    assert report.policy_time is not None
+    assert report.policy_time.count == 5
+
+
+def test_a_policy_that_takes_longer_than_ticks(config: RobotConfig, shared_device: str) -> None:
+    def slow(observation: Action) -> Action:
+        time.sleep(0.036)
+        return np.zeros(2, np.float32)
+
+    report = measure(shared_device, config, 0.5, slow)
+    assert report.lateness.late_ticks >= 5
+    assert report.lateness.missed_ticks >= 2 * 5
+    assert report.lateness.worst > 0.02
+    assert judged(report)["late ticks"].status == "warn"
+
+
+def test_a_device_that_goes_away(config: RobotConfig, own_emulator: Emulated) -> None:
+    def unplug(observation: Action) -> Action:
+        if own_emulator.commands():
+            own_emulator.kill()
+        return np.zeros(2, np.float32)
+
+    with no_leak(), pytest.raises(LinkError) as caught:
+        measure(own_emulator.device, config, 5.0, unplug)
+    assert own_emulator.device in str(caught.value)
+
+
+def test_an_emergency_stop_ends_it(
+    config: RobotConfig, shared_device: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Ears, "heard", lambda _: True)
+    with no_leak(), pytest.raises(LinkError, match="emergency stop"):
+        measure(shared_device, config, 5.0, forwards)
+
+
+@pytest.mark.parametrize("duration", [0.0, -1.0, float("nan"), float("inf")])
+def test_bad_durations(duration: float, config: RobotConfig, shared_device: str) -> None:
+    with pytest.raises(ConfigError, match="duration"):
+        measure(shared_device, config, duration)
+
+
+def test_a_missing_device(config: RobotConfig) -> None:
+    with no_leak(), pytest.raises(PortNotFoundError):
+        measure("/dev/acsar-missing", config, 1.0, forwards)
+
+
+def test_a_report_without_fault(report: Report) -> None:
+    checks = judged(report)
+    assert checks.pop("round trip").status == "skip"
+    assert {check.status for check in checks.values()} == {"ok"}
+    assert report.ratio == pytest.approx(1.1)
+    assert report.lost_lines == 0
+
+
+LATE = Timing(1000, 2, 0, 6e-5, 1.1e-4, 0.002)
+JITTERY = Timing(1000, 0, 0, 6e-5, 2.1e-4, 4e-4)
+
+
+@pytest.mark.parametrize(
+    ("changes", "name", "said"),
+    [
+        ({"lateness": LATE}, "late ticks", "2 of 1000"),
+        ({"lateness": JITTERY}, "lateness", "2.10 times"),
+        ({"lines": 1950}, "feedback lines", "48 lost"),
+        ({"refused": 3}, "feedback lines", "3 bad parts"),
+        ({"cpu_share": 0.2}, "processor", "20.0%"),
+    ],
+)
+def test_what_a_report_warns_of(
+    changes: dict[str, Any], name: str, said: str, report: Report
+) -> None:
+    bad = dataclasses.replace(report, **changes)
+    (warning,) = [check for check in bad.figures if check.status == "warn"]
+    assert warning.name == name
+    assert said in warning.found
+    assert warning.fix
+
+
+def test_the_tables_say_it_all(report: Report) -> None:
+    text = drawn(report)
+    for said in ("0.05 ms", "2 ms", "900", "█", "1 of 1000", "stop other programs", "--spin"):
+        assert said in text
+    assert "5 ms" not in text.splitlines()[-1]
+
+
+def test_for_programs(report: Report, tmp_path: Path) -> None:
+    figures = json.loads(json.dumps(report.as_dict(), allow_nan=False))
+    assert figures["lateness"]["late_ticks"] == 1
+    assert figures["late_share"] == 0.001
+    assert figures["p99_ratio"] == pytest.approx(1.1)
+    assert figures["round_trip"] is None
+    assert len(figures["histogram"]) == len(figures["edges"]) + 1
+    assert figures["findings"][0]["fix"] == "stop other programs"
+    assert {check["name"] for check in figures["figures"]} == set(judged(report))

@@ -1,0 +1,194 @@
+"""The emulator as a process: its device, its log, its ends, and what its robot does."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import stat
+import termios
+import time
+import tty
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from serial_tools import (
+    HEEDING_CTRL_C,
+    TIMEOUT,
+    Emulated,
+    RobotFile,
+    StartEmulator,
+    cli,
+    first_line,
+    no_leak,
+    program,
+    wait_until,
+)
+
+from acsar_gym import Robot, RobotConfig, open_link
+from acsar_gym.emulation.board import STALL, Emulator
+from acsar_gym.errors import ConfigError
+from acsar_gym.links.serial import SerialLink
+from acsar_gym.protocol import ZERO, Decoder, encode
+
+pytestmark = pytest.mark.usefixtures("deadline")
+
+LOOP = 0.005
+"""Of the firmware [s]."""
+FORWARD = encode((4.0, 4.0, 4.0, 4.0))
+
+
+def test_tests_over_serial_devices_share_a_worker(request: pytest.FixtureRequest) -> None:
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        assert request.node.nodeid.endswith("@serial"), "see pytest in constraints.txt"
+
+
+def last_received(emulator: Emulated) -> float:
+    """When the board was last told something."""
+    return max(float(event["t"]) for event in emulator.events() if "rx" in event)
+
+
+def wait_for_log(emulator: Emulated, until: float) -> None:
+    wait_until(lambda: any(e["t"] > until for e in emulator.events()[-1:]), "a log that goes on")
+
+
+def drive_and_fall_silent(device: str, config: RobotConfig) -> SerialLink:
+    """A client without a watchdog that sent a command and then nothing more, its port open."""
+    link = SerialLink(device, config.with_(watchdog_timeout=None))
+    link.open()
+    for _ in range(30):
+        link.write(FORWARD)
+        link.advance(config.period)
+    return link
+
+
+def test_it_serves_a_terminal_and_logs_from_the_origin(own_emulator: Emulated) -> None:
+    assert stat.S_ISCHR(os.stat(own_emulator.device).st_mode)  # noqa: PTH116 - a device, not a path
+    wait_until(lambda: len(own_emulator.poses()) > 10, "poses")
+    assert own_emulator.poses()[0] == (0.0, 0.0, 0.0)
+    stamps = [event["t"] for event in own_emulator.events()]
+    assert stamps == sorted(stamps)
+    assert abs(stamps[-1] - time.monotonic()) < TIMEOUT
+
+
+def test_the_log_holds_commands_and_true_poses(config: RobotConfig, own_emulator: Emulated) -> None:
+    with Robot(open_link(own_emulator.device, config), config) as robot:
+        speeds = robot.wheel_speeds(0.3, 0.4)
+        for _ in range(60):
+            robot.tick(speeds)
+        pose = robot.odometry.pose
+    wait_until(own_emulator.is_stopped, "the last command")
+    wait_until(own_emulator.stands, "a robot that stands")
+    rounded = Decoder().feed(encode(speeds))[0].speeds
+    assert set(own_emulator.commands()) == {ZERO, rounded}
+    assert own_emulator.poses()[-1] != (0.0, 0.0, 0.0)
+    nearest = min(abs(x - pose[0]) + abs(y - pose[1]) for x, y, _ in own_emulator.poses())
+    assert nearest < 0.1
+
+
+def test_the_robot_stops_when_commands_stop(config: RobotConfig, own_emulator: Emulated) -> None:
+    link = drive_and_fall_silent(own_emulator.device, config)
+    wait_until(lambda: own_emulator.poses()[-1][0] > 0.05, "a robot that drives")
+    wait_until(own_emulator.stands, "a robot that stands")
+    assert own_emulator.is_driven()
+    link.close()
+
+
+def test_without_a_command_timeout_it_drives_on(
+    config: RobotConfig, start_emulator: StartEmulator, robot_file: RobotFile
+) -> None:
+    robot = robot_file(firmware={"command_timeout": None})
+    emulator = start_emulator("--robot", str(robot))
+    link = drive_and_fall_silent(emulator.device, config)
+    wait_until(emulator.is_driven, "a command")
+    wait_for_log(emulator, last_received(emulator) + 0.8)
+    assert not emulator.stands(loops=20)
+    link.close()
+    wait_until(emulator.stands, "a robot that stands")
+
+
+def test_the_bullet_body_drives_too(config: RobotConfig, start_emulator: StartEmulator) -> None:
+    emulator = start_emulator("--body", "bullet")
+    drive_and_fall_silent(emulator.device, config).close()
+    wait_until(lambda: emulator.poses()[-1][0] > 0.05, "a robot that drives")
+    wait_until(emulator.stands, "a robot that stands")
+
+
+@pytest.fixture
+def wrong_baud(own_emulator: Emulated) -> Iterator[int]:
+    """The device, opened at 57600 baud by a client that knows nothing of this package."""
+    port = os.open(own_emulator.device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    tty.setraw(port)
+    attributes = termios.tcgetattr(port)
+    attributes[4] = attributes[5] = termios.B57600
+    termios.tcsetattr(port, termios.TCSAFLUSH, attributes)
+    yield port
+    os.close(port)
+
+
+def heard(port: int, count: int) -> bytes:
+    data = b""
+    deadline = time.monotonic() + TIMEOUT
+    while len(data) < count and time.monotonic() < deadline:
+        if select.select([port], [], [], 1.0)[0]:
+            data += os.read(port, 4096)
+    return data
+
+
+def test_a_wrong_baud_rate_garbles_both_directions(own_emulator: Emulated, wrong_baud: int) -> None:
+    for _ in range(10):
+        os.write(wrong_baud, FORWARD)
+        data = heard(wrong_baud, 200)
+        assert len(data) >= 200
+    assert Decoder().feed(data) == []
+    wait_until(lambda: own_emulator.received() == FORWARD * 10, "all that was sent")
+    wait_for_log(own_emulator, last_received(own_emulator) + 0.2)
+    assert set(own_emulator.poses()) == {(0.0, 0.0, 0.0)}
+
+
+def test_time_lost_in_a_stall_is_not_replayed(emulator: Emulated) -> None:
+    emulator.pause()
+    time.sleep(0.5)
+    resumed = time.monotonic()
+    emulator.resume()
+    wait_for_log(emulator, resumed + 0.2)
+    loops = [e["t"] for e in emulator.events() if "pose" in e and e["t"] > resumed]
+    assert len(loops) * LOOP < loops[-1] - resumed + STALL + LOOP
+
+
+def test_sigterm_ends_it_cleanly(own_emulator: Emulated) -> None:
+    wait_until(lambda: len(own_emulator.poses()) > 10, "poses")
+    assert own_emulator.end() == 0
+    assert own_emulator.log.read_text(encoding="ascii").endswith("\n")
+
+
+def test_ctrl_c_ends_it() -> None:
+    with program(HEEDING_CTRL_C, "emulate") as process:
+        assert first_line(process).startswith("serving a robot on /dev/")
+        process.send_signal(signal.SIGINT)
+        _, error = process.communicate(timeout=TIMEOUT)
+    assert process.returncode == 130
+    assert "Traceback" not in error
+
+
+def test_a_duration_ends_it(tmp_path: Path) -> None:
+    log = tmp_path / "log.jsonl"
+    done = cli("emulate", "--duration", "0.2", "--log", log)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("serving a robot on /dev/")
+    assert 1 <= log.read_text(encoding="ascii").count('"pose"') <= 41
+
+
+def test_closing_it_twice_is_once(config: RobotConfig, tmp_path: Path) -> None:
+    with no_leak(), Emulator(config, log=tmp_path / "log.jsonl") as emulator:
+        emulator.run(duration=0.05)
+        emulator.close()
+
+
+def test_what_it_refuses(config: RobotConfig, tmp_path: Path) -> None:
+    with no_leak():
+        with pytest.raises(ConfigError, match="balloon"):
+            Emulator(config, body="balloon")
+        with pytest.raises(ConfigError, match="can't be written"):
+            Emulator(config, log=tmp_path / "missing" / "log.jsonl")

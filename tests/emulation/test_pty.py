@@ -1,0 +1,247 @@
+"""A pseudo-terminal that is pulled and plugged in again, and its lasting name."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import select
+import stat
+import termios
+import tty
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from serial_tools import TIMEOUT, StartEmulator, cli, no_leak, wait_until
+
+from acsar_gym import RobotConfig
+from acsar_gym.emulation.board import Emulator
+from acsar_gym.emulation.pty import Cable
+from acsar_gym.errors import ConfigError
+
+BAUD_RATE = 115200
+NONBLOCKING = os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK
+
+
+@pytest.fixture
+def name(tmp_path: Path) -> Path:
+    return tmp_path / "usb-acsar"
+
+
+@pytest.fixture
+def cable(name: Path) -> Iterator[Cable]:
+    with no_leak():
+        cable = Cable(BAUD_RATE, name)
+        yield cable
+        cable.pull()
+    assert not name.is_symlink()
+
+
+@contextlib.contextmanager
+def client(device: str | Path) -> Iterator[int]:
+    descriptor = os.open(device, NONBLOCKING)
+    try:
+        yield descriptor
+    finally:
+        os.close(descriptor)
+
+
+def heard(descriptor: int) -> bytes:
+    assert select.select([descriptor], [], [], TIMEOUT)[0], "nothing arrives"
+    return os.read(descriptor, 4096)
+
+
+def test_every_byte_passes_both_ways_as_it_is(cable: Cable) -> None:
+    everything = bytes(range(256))
+    with client(cable.device) as port:
+        assert cable.read() == b""
+        os.write(port, everything)
+        wait_until(lambda: select.select([cable._master], [], [], 0.0)[0] != [], "bytes")
+        assert cable.read() == everything
+        cable.write(everything)
+        assert heard(port) == everything
+
+
+def test_nothing_is_echoed(cable: Cable) -> None:
+    with client(cable.device) as port:
+        os.write(port, b"ap00.00\r\n")
+        assert not select.select([port], [], [], 0.05)[0]
+
+
+def test_a_client_notices_the_pull(cable: Cable) -> None:
+    with client(cable.device) as port:
+        cable.pull()
+        assert cable.device == ""
+        with pytest.raises(OSError, match="Input/output") as caught:
+            os.write(port, b"x")
+        assert caught.value.errno == errno.EIO
+        with contextlib.suppress(OSError):  # Linux says EIO, others the end of the file
+            assert os.read(port, 10) == b""
+
+
+def test_a_pulled_cable_carries_nothing(cable: Cable) -> None:
+    cable.pull()
+    cable.pull()
+    cable.write(b"lost")
+    assert cable.read() == b""
+
+
+def test_plugged_in_again_it_has_another_name(cable: Cable, name: Path) -> None:
+    before = cable.device
+    with client(before):  # who still holds the old one keeps its name from being used again
+        cable.pull()
+        cable.plug()
+        assert cable.device not in ("", before)
+        assert stat.S_ISCHR(name.stat().st_mode)
+        with client(cable.device) as port:
+            cable.write(b"new")
+            assert heard(port) == b"new"
+
+
+def test_plugging_in_twice_is_once(cable: Cable) -> None:
+    before = cable.device
+    with no_leak():
+        cable.plug()
+    assert cable.device == before
+
+
+def test_what_was_sent_before_the_pull_is_gone(cable: Cable) -> None:
+    with client(cable.device) as port:
+        os.write(port, b"old")
+        cable.pull()
+    cable.plug()
+    assert cable.read() == b""
+
+
+def test_many_replugs_leave_nothing_open(cable: Cable) -> None:
+    with no_leak():
+        for _ in range(200):
+            cable.pull()
+            cable.plug()
+
+
+def test_it_is_sound_where_the_baud_rates_agree(cable: Cable) -> None:
+    assert cable.sound
+    with client(cable.device) as port:
+        attributes = termios.tcgetattr(port)
+        for code, sound in ((termios.B57600, False), (termios.B115200, True)):
+            attributes[4] = attributes[5] = code
+            termios.tcsetattr(port, termios.TCSANOW, attributes)
+            assert cable.sound is sound
+    attributes = termios.tcgetattr(cable._slave)
+    attributes[4] = attributes[5] = termios.B9600
+    termios.tcsetattr(cable._slave, termios.TCSANOW, attributes)
+    cable.pull()
+    cable.plug()
+    assert cable.sound  # the next client finds the board's own rate again
+
+
+def test_what_nobody_reads_is_lost_and_holds_nobody_up(cable: Cable) -> None:
+    for _ in range(1000):
+        cable.write(b"x" * 100)
+    with client(cable.device) as port:
+        tty.setraw(port, termios.TCSANOW)
+        assert set(heard(port)) == set(b"x")
+
+
+# The name
+
+
+def test_the_name_follows_the_device(cable: Cable, name: Path) -> None:
+    assert str(name.readlink()) == cable.device
+    cable.pull()
+    assert not name.is_symlink()
+    cable.plug()
+    assert str(name.readlink()) == cable.device
+
+
+def test_a_name_left_behind_is_taken_over(name: Path) -> None:
+    name.symlink_to("/dev/acsar-missing")
+    cable = Cable(BAUD_RATE, name)
+    assert str(name.readlink()) == cable.device
+    cable.pull()
+
+
+def test_a_name_that_another_cable_took_over_stays(cable: Cable, name: Path) -> None:
+    other = Cable(BAUD_RATE, name)
+    cable.pull()
+    assert str(name.readlink()) == other.device
+    other.pull()
+
+
+def test_a_name_that_somebody_removed_is_no_error(cable: Cable, name: Path) -> None:
+    name.unlink()
+    cable.pull()
+    cable.plug()
+    assert str(name.readlink()) == cable.device
+
+
+@pytest.mark.parametrize("kind", ["file", "folder", "missing folder"])
+def test_where_the_name_cannot_be_made_nothing_stays_open_or_is_lost(
+    kind: str, tmp_path: Path
+) -> None:
+    name = {"file": tmp_path / "kept", "folder": tmp_path}.get(kind, tmp_path / "no" / "name")
+    (tmp_path / "kept").write_text("mine")
+    with no_leak(), pytest.raises(ConfigError, match="can't be made a symbolic link") as caught:
+        Cable(BAUD_RATE, name)
+    assert str(name) in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert (tmp_path / "kept").read_text() == "mine"
+
+
+def test_an_emulator_without_its_name_leaves_nothing_open(
+    config: RobotConfig, tmp_path: Path
+) -> None:
+    name, log = tmp_path / "kept", tmp_path / "log.jsonl"
+    name.write_text("mine")
+    with no_leak(), pytest.raises(ConfigError, match="symbolic link"):
+        Emulator(config, log=log, sees=True, name=name)
+    with no_leak(), pytest.raises(ConfigError, match="can't be written"):
+        Emulator(config, log=tmp_path / "no" / "log.jsonl", sees=True)
+
+
+# The emulator's cable
+
+
+def test_an_emulator_is_pulled_and_plugged_in_while_it_runs(
+    config: RobotConfig, name: Path
+) -> None:
+    with no_leak(), Emulator(config, name=name) as emulator:
+        before = emulator.device
+        with client(before):
+            emulator.plugged = False
+            emulator.run(duration=0.02)
+            assert emulator.device == ""
+            assert not name.is_symlink()
+            emulator.plugged = True
+            emulator.run(duration=0.02)
+            assert emulator.device not in ("", before)
+            assert str(name.readlink()) == emulator.device
+    assert not name.is_symlink()
+
+
+@pytest.mark.usefixtures("deadline")
+def test_signals_move_the_cable_and_the_log_tells(start_emulator: StartEmulator) -> None:
+    emulator = start_emulator()
+    before = emulator.device
+    with client(before) as port:
+        emulator.pull()
+        with pytest.raises(OSError, match="Input/output"):
+            os.write(port, b"x")
+        emulator.plug()
+    assert emulator.devices() == ["", emulator.device]
+    assert emulator.device != before
+    with client(emulator.device) as port:
+        tty.setraw(port, termios.TCSANOW)
+        assert heard(port)
+
+
+def test_the_command_line_refuses_a_name_that_is_taken(tmp_path: Path) -> None:
+    kept = tmp_path / "kept"
+    kept.write_text("mine")
+    done = cli("emulate", "--duration", "0.1", "--name", kept)
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"acsar-gym: {kept}: can't be made a symbolic link")
+    assert done.stderr.count("\n") == 1
+    assert kept.read_text() == "mine"

@@ -1,0 +1,257 @@
+"""The RPLIDAR's twin: every byte as published, and understood by a library that isn't ours."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+import struct
+import termios
+import tty
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+from lds2d.drivers.rplidar import RPLIDAR_A1
+from lidar_tools import Floats, nothing, room
+from serial_tools import no_leak
+
+from acsar_gym.emulation.rplidar import RplidarEmulator, RplidarTwin
+from acsar_gym.errors import ConfigError
+
+SCAN = b"\xa5\x20"
+SCAN_DESCRIPTOR = bytes.fromhex("a5 5a 05 00 00 40 81")
+STOP = b"\xa5\x25"
+STOP_MOTOR = bytes.fromhex("a5 f0 02 00 00 57")
+START_MOTOR = bytes.fromhex("a5 f0 02 94 02 c1")
+
+
+def at(distance: float) -> Callable[[Floats], Floats]:
+    return lambda bearings: np.full(len(bearings), distance)
+
+
+def scanning(look: Callable[[Floats], Floats], **options: float) -> RplidarTwin:
+    twin = RplidarTwin(look, **options)  # type: ignore[arg-type]
+    assert twin.receive(SCAN) == SCAN_DESCRIPTOR
+    return twin
+
+
+def nodes(data: bytes) -> list[tuple[int, int, int]]:
+    """Head byte, angle word and distance word of each measurement."""
+    assert len(data) % 5 == 0
+    return list(struct.iter_unpack("<BHH", data))
+
+
+def starts(data: bytes) -> list[int]:
+    """The places of the start flags."""
+    return [place for place, (head, _, _) in enumerate(nodes(data)) if head & 1]
+
+
+@pytest.mark.parametrize(
+    ("request_", "answer"),
+    [
+        ("a5 50", "a5 5a 14 00 00 00 04 18 10 01 07 " + bytes(range(16)).hex()),
+        ("a5 52", "a5 5a 03 00 00 00 06 00 00 00"),
+        ("a5 59", "a5 5a 04 00 00 00 15 f9 01 f9 01"),
+        ("a5 20", "a5 5a 05 00 00 40 81"),
+        ("a5 21", "a5 5a 05 00 00 40 81"),
+        ("a5 25", ""),
+        ("a5 40", ""),
+        ("a5 82 05 00 00 00 00 00 22", ""),
+        ("a5 f0 02 94 02 c1", ""),
+        ("00 5a a5 52", "a5 5a 03 00 00 00 06 00 00 00"),
+    ],
+)
+def test_requests_are_answered_as_published(request_: str, answer: str) -> None:
+    whole, in_pieces = RplidarTwin(nothing), RplidarTwin(nothing)
+    data = bytes.fromhex(request_)
+    assert whole.receive(data) == bytes.fromhex(answer)
+    assert b"".join(in_pieces.receive(bytes([b])) for b in data) == bytes.fromhex(answer)
+
+
+def test_a_broken_one_says_so_and_does_not_scan() -> None:
+    twin = RplidarTwin(nothing, broken=True)
+    assert twin.receive(b"\xa5\x52") == bytes.fromhex("a5 5a 03 00 00 00 06 02 01 80")
+    assert twin.receive(SCAN) == b""
+    assert twin.advance(1.0) == b""
+
+
+def test_a_measurement_is_five_bytes_as_published() -> None:
+    twin = scanning(at(1.0), rate=1.0, samples=4)
+    assert twin.advance(1.0) == bytes.fromhex(
+        "3e 01 2d a0 0f"  # 90 deg * 64 = 0x1680, and the check bit; 1000 mm * 4 = 0x0fa0
+        "3e 01 5a a0 0f"  # quality 15, and no start: 0b111110
+        "3e 01 87 a0 0f"
+        "3d 01 00 a0 0f"  # 0 deg begins a turn: 0b111101
+    )
+
+
+@pytest.mark.parametrize("distance", [np.inf, np.nan, -1.0, 0.0, 12.001])
+def test_what_is_not_measured_has_distance_and_quality_zero(distance: float) -> None:
+    with np.errstate(all="raise"):
+        assert {
+            (head & ~3, word) for head, _, word in nodes(scanning(at(distance)).advance(1.0))
+        } == {(0, 0)}
+
+
+def test_it_looks_counter_clockwise_and_reports_clockwise() -> None:
+    asked: list[float] = []
+
+    def look(bearings: Floats) -> Floats:
+        asked.extend(bearings)
+        return room(bearings)
+
+    reported = nodes(scanning(look, rate=1.0, samples=8).advance(1.0))
+    angles = [(word >> 1) / 64.0 for _, word, _ in reported]
+    assert angles == [45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0, 0.0]
+    assert np.degrees(asked) == pytest.approx([-angle for angle in angles])
+    assert [reported[n][2] / 4000.0 for n in (1, 3, 5, 7)] == [0.9, 1.3, 2.1, 2.7]
+
+
+@pytest.mark.parametrize("step", [0.001, 0.005, 0.0173, 1.0])
+def test_measurements_come_at_their_rate_whatever_the_steps(step: float) -> None:
+    twin = scanning(room, rate=10.0, samples=200)
+    data = b"".join(twin.advance(step) for _ in range(round(3.0 / step)))
+    places = starts(data)
+    assert len(nodes(data)) == pytest.approx(6000, abs=200 * 10.0 * step + 1)
+    assert set(np.diff(places)) == {200}
+
+
+def test_any_request_but_the_motors_ends_a_scan() -> None:
+    for request in (STOP, b"\xa5\x50", b"\xa5\x52", b"\xa5\x59", b"\xa5\x40"):
+        twin = scanning(room)
+        twin.receive(request)
+        assert twin.advance(0.1) == b""
+    twin = scanning(room)
+    twin.receive(START_MOTOR)
+    assert twin.advance(0.1)
+
+
+def test_without_its_motor_it_measures_only_where_it_is_forced_to() -> None:
+    twin = scanning(room, rate=10.0, samples=360)
+    twin.receive(STOP_MOTOR)
+    assert twin.advance(0.5) == b""
+    twin.receive(b"\xa5\x21")
+    forced = nodes(twin.advance(0.5))
+    assert len(forced) == 1800
+    assert len(set(forced)) == 1
+
+
+def test_the_motor_spins_up_before_the_first_measurement() -> None:
+    twin = scanning(room, spin_up=1.0)
+    assert twin.advance(1.0) == b""
+    assert twin.advance(0.1)
+    twin.receive(STOP_MOTOR + START_MOTOR)
+    assert twin.advance(1.0) == b""
+    assert twin.advance(0.1)
+
+
+def test_a_request_with_a_wrong_checksum_is_ignored() -> None:
+    twin = RplidarTwin(room)
+    twin.receive(STOP_MOTOR[:-1] + b"\x58")
+    assert twin.pwm == 660
+    twin.receive(STOP_MOTOR)
+    assert twin.pwm == 0
+
+
+def test_what_cannot_be_is_refused() -> None:
+    for options in ({"rate": 0.0}, {"samples": 0}, {"max_range": 17.0}, {"rate": math.inf}):
+        with pytest.raises(ConfigError, match="must be positive"):
+            RplidarTwin(room, **options)
+    with pytest.raises(ConfigError, match="baud = 12345"):
+        RplidarEmulator(RplidarTwin(room), baud=12345)
+    with pytest.raises(ConfigError, match="'silent', 'garbage' or None"):
+        RplidarEmulator(RplidarTwin(room), fault="loud")  # type: ignore[arg-type]
+
+
+class Wire:
+    """A twin as lds2d's drivers want a port to be."""
+
+    def __init__(self, twin: RplidarTwin) -> None:
+        self.twin = twin
+        self.answers = b""
+
+    def write(self, data: bytes) -> None:
+        self.answers += self.twin.receive(data)
+
+    def read(self, size: int) -> bytes:
+        answers, self.answers = self.answers, b""
+        return answers + self.twin.advance(0.005)
+
+
+def test_another_library_understands_it() -> None:
+    driver = RPLIDAR_A1(Wire(RplidarTwin(room, rate=10.0, samples=360)))
+    _, whole = itertools.islice(driver.scans(), 2)
+    assert len(whole) == 360
+    for point in whole:
+        expected = room(np.array([-math.radians(point.angle_deg)]))[0]
+        assert point.dist_mm / 1000.0 == pytest.approx(expected, abs=0.0011)
+
+
+@pytest.fixture
+def emulator() -> Iterator[RplidarEmulator]:
+    with RplidarEmulator(RplidarTwin(room, rate=10.0, samples=360)) as emulator:
+        yield emulator
+
+
+def opened(device: str, speed: int = termios.B115200) -> int:
+    port = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    tty.setraw(port)
+    attributes = termios.tcgetattr(port)
+    attributes[4] = attributes[5] = speed
+    termios.tcsetattr(port, termios.TCSANOW, attributes)
+    return port
+
+
+def test_it_serves_whoever_opens_its_device(emulator: RplidarEmulator) -> None:
+    port = opened(emulator.device)
+    os.write(port, SCAN)
+    emulator.serve_once(0.1)
+    data = os.read(port, 4096)
+    assert data.startswith(SCAN_DESCRIPTOR)
+    assert len(nodes(data[7:])) == 360
+    os.close(port)
+
+
+def test_what_nobody_reads_is_dropped(emulator: RplidarEmulator) -> None:
+    port = opened(emulator.device)
+    os.write(port, SCAN)
+    for _ in range(1000):
+        emulator.serve_once(0.05)
+    assert emulator.twin.scanning
+    os.write(port, STOP)
+    emulator.serve_once(0.05)
+    assert not emulator.twin.scanning
+    os.close(port)
+
+
+def test_a_wrong_baud_garbles_both_directions(emulator: RplidarEmulator) -> None:
+    port = opened(emulator.device, termios.B57600)
+    os.write(port, SCAN)
+    emulator.serve_once(0.05)
+    assert not emulator.twin.scanning
+    emulator.twin.receive(SCAN)
+    emulator.serve_once(0.05)
+    assert min(os.read(port, 4096)) >= 0x80
+    os.close(port)
+
+
+def test_faults_are_silence_and_another_device() -> None:
+    for fault, expected in (("silent", None), ("garbage", b"$GPGGA")):
+        with RplidarEmulator(RplidarTwin(room), fault=fault) as emulator:  # type: ignore[arg-type]
+            port = opened(emulator.device)
+            os.write(port, SCAN)
+            emulator.serve_once(0.05)
+            if expected is None:
+                with pytest.raises(BlockingIOError):
+                    os.read(port, 4096)
+            else:
+                assert os.read(port, 4096).startswith(expected)
+            os.close(port)
+
+
+def test_closing_twice_is_once_and_leaves_nothing_open() -> None:
+    with no_leak():
+        emulator = RplidarEmulator(RplidarTwin(room))
+        emulator.close()
+        emulator.close()

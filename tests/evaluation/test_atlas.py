@@ -1,0 +1,119 @@
+"""`acsar-gym worlds show|check|convert`, as a user calls it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from serial_tools import cli
+
+from acsar_gym import RobotConfig
+from acsar_gym.errors import WorldError
+from acsar_gym.evaluation import atlas
+from acsar_gym.worlds import World, files, generators
+from acsar_gym.worlds.search import footprint_radius
+
+BARN = Path(__file__).parents[3] / "shared" / "barn"
+
+
+def test_a_sheet_shows_every_world(tmp_path: Path) -> None:
+    out = tmp_path / "sheet.png"
+    done = cli("worlds", "show", "rooms:3", "--columns", "2", "--size", "200", "--out", out)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.strip() == f"drawn: {out}"
+    with Image.open(out) as picture:
+        assert picture.size == (400, 400)
+        tiles = np.asarray(picture.convert("L"))
+    dark = [(tiles[y : y + 200, x : x + 200] < 90).sum() for y in (0, 200) for x in (0, 200)]
+    assert min(dark[:3]) > 500  # walls
+    assert dark[3] < 50
+
+
+def test_a_check_says_what_a_world_is_like(tmp_path: Path) -> None:
+    out = tmp_path / "check.json"
+    done = cli("worlds", "check", "barn:2", "--json", out)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "barn 0" in done.stdout
+    assert "worlds: barn 0 to 1 (test split); lengths in m" in done.stdout
+    told = json.loads(out.read_text())
+    assert (told["source"], told["split"]) == ("barn 0 to 1 (test split)", "test")
+    one, _ = told["worlds"]
+    assert 10.0 <= one["shortest"] <= one["path"] + 1e-6
+    assert one["fault"] == ""
+    assert 0.0 < one["closest_obstacle"] < 3.0
+
+
+@pytest.mark.parametrize(
+    ("source", "name", "split"),
+    [
+        ("clutter:train", "clutter 1000 to 1399 (train split)", "train"),
+        ("clutter", "clutter 0 to 11 (test split)", "test"),
+        ("clutter:150-250", "clutter 150 to 250", None),
+        ("my/worlds", "my/worlds", None),
+    ],
+)
+def test_checked_worlds_are_named_with_their_split(
+    source: str, name: str, split: str | None
+) -> None:
+    assert atlas.told(source, 12) == {"source": name, "split": split}
+
+
+def test_a_world_that_cannot_be_crossed_fails_the_check(tmp_path: Path) -> None:
+    path = tmp_path / "blocked.json"
+    world = generators.generate("barn", 0)
+    wall = np.array([[-9.0, 6.0, 9.0, 6.0], [-9.0, 6.0, -9.0, -9.0], [9.0, 6.0, 9.0, -9.0]])
+    files.save(World(world.circles, wall, world.start, world.goal), path)
+    done = cli("worlds", "check", path)
+    assert done.returncode == 1
+    assert "no way from start to goal" in " ".join(done.stdout.split())
+
+
+def test_a_world_becomes_json_and_back(tmp_path: Path) -> None:
+    radius = footprint_radius(RobotConfig.preset("acsar"))
+    expected = generators.generate("clutter", 7, None, radius)
+    for name in ("w.json", "w.yaml"):
+        done = cli("worlds", "convert", "clutter:7-7", tmp_path / name)
+        assert (done.returncode, done.stderr) == (0, "")
+        world = files.load(tmp_path / name)
+        assert (world.segments == expected.segments).all()
+        assert world.length == expected.length
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("check", "maze"), "known: barn, clutter"),
+        (("check", "no/such.world"), "no/such.world"),
+        (("convert", "clutter:2", "two.json"), "holds 2 worlds"),
+        (("convert", "open:1", "world.txt"), "world.txt"),
+        (("show", "open:500"), "500 worlds are too many"),
+        (("show", "open:1", "--out", "picture.gif"), "picture.gif"),
+        (("check", "clutter:1", "--difficulty", "3"), "from 0 to 1"),
+    ],
+)
+def test_mistakes_are_one_line_and_exit_code_two(arguments: tuple[str, ...], message: str) -> None:
+    done = cli("worlds", *arguments)
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert done.stderr.startswith("acsar-gym: ")
+    assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.skipif(not BARN.is_dir(), reason="no published worlds here")
+def test_the_published_worlds_can_be_crossed_and_drawn(tmp_path: Path) -> None:
+    worlds = atlas.raw(str(BARN), None, None, 1)
+    findings = atlas.check(worlds, None)
+    assert [finding.obstacles for finding in findings] == [237, 208, 209, 236, 277]
+    assert all(finding.fault == "" for finding in findings)
+    assert all(finding.shortest <= finding.path for finding in findings)
+    atlas.draw(worlds, 5, 200, tmp_path / "published.png")
+    with Image.open(tmp_path / "published.png") as picture:
+        assert picture.size == (1000, 200)
+
+
+def test_a_folder_without_worlds_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(WorldError, match="world"):
+        atlas.raw(str(tmp_path), None, None, 1)

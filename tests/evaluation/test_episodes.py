@@ -1,0 +1,338 @@
+"""Sums over episodes, with and without truth."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import re
+import time
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+from acsar_gym import RobotConfig
+from acsar_gym.envs import PointGoalEnv
+from acsar_gym.errors import ConfigError
+from acsar_gym.evaluation import provenance, runs
+from acsar_gym.evaluation.episodes import EpisodeResult, episodes, odometry_errors
+from acsar_gym.evaluation.metrics import per_episode, summarise
+from acsar_gym.evaluation.report import summary_table, write_json
+from acsar_gym.policies import FilePolicy
+from acsar_gym.resources import AGENTS
+from acsar_gym.worlds import Pose, Region, World
+
+
+def result(*, success: bool = True, pose: Pose = (1.0, 0.0, 0.0), late: int = 0) -> EpisodeResult:
+    return EpisodeResult(
+        success=success,
+        collision=False,
+        started=10.0,
+        ended=14.0 if success else 30.0,
+        path=1.5 if success else 9.0,
+        pose=pose,
+        odometry_error=0.02,
+        ticks=400,
+        late_ticks=late,
+    )
+
+
+def test_times_and_paths_are_means_over_successes() -> None:
+    summary = summarise([result(), result(late=3), result(success=False)])
+    assert summary.success_rate == pytest.approx(2.0 / 3.0)
+    assert summary.time_to_goal == pytest.approx(4.0)
+    assert summary.path == pytest.approx(1.5)
+    assert (summary.ticks, summary.late_ticks) == (1200, 3)
+
+
+def test_without_a_success_there_is_no_time_to_goal() -> None:
+    summary = summarise([result(success=False)])
+    assert math.isnan(summary.time_to_goal)
+    assert summary.as_dict()["time_to_goal"] is None
+
+
+def test_odometry_errors_come_from_the_emulators_log(tmp_path: Path) -> None:
+    """The robot stood at (5, 5) looking along +y and ended 1 m ahead and 3 cm to the left."""
+    log = tmp_path / "log.jsonl"
+    events = [
+        {"t": 9.9, "pose": [5.0, 5.0, math.pi / 2.0]},
+        {"t": 10.5, "rx": "ap00.00\r\n"},
+        {"t": 13.9, "pose": [4.97, 6.0, math.pi / 2.0]},
+        {"t": 99.0, "pose": [0.0, 0.0, 0.0]},
+    ]
+    log.write_text("\n".join(map(json.dumps, events)))
+    assert odometry_errors([result()], log) == pytest.approx([0.03])
+
+
+def test_a_log_without_poses_is_an_error(tmp_path: Path) -> None:
+    log = tmp_path / "log.jsonl"
+    log.write_text('{"t": 1.0, "rx": ""}\n')
+    with pytest.raises(ConfigError, match="no true poses"):
+        odometry_errors([result()], log)
+
+
+def test_json_that_cannot_be_written_says_so(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="can't be written"):
+        write_json(tmp_path / "no" / "folder.json", {})
+
+
+def test_an_episode_that_runs_out_of_time_leaves_the_robot_stopping() -> None:
+    env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar", max_episode_steps=5)
+    (episode,) = episodes(env, lambda _: np.array([1.0, 0.0], np.float32), 1, seed=0)
+    assert not episode.success
+    assert isinstance(env.unwrapped, PointGoalEnv)
+    link = env.unwrapped.robot.link
+    link.advance(0.4)  # less than the board's own command time-out
+    assert link.truth is not None
+    assert abs(link.truth.twist[0]) < 0.1
+    env.close()
+
+
+# Timing, and what goes wrong on hardware
+
+CURVE = np.array([0.1, 0.1], np.float32)
+serial = pytest.mark.xdist_group("serial")
+
+
+def slow(_: Any) -> Any:
+    """A policy that thinks for longer than a tick lasts."""
+    time.sleep(0.03)
+    return CURVE
+
+
+def run(link: str, policy: Any = lambda _: CURVE, **options: Any) -> EpisodeResult:
+    """One short episode of a robot that has a busy machine's patience."""
+    robot = RobotConfig.preset("acsar").with_(
+        connect_timeout=20.0, feedback_timeout=5.0, watchdog_timeout=None
+    )
+    judged = {key: options.pop(key) for key in ("late_share",) if key in options}
+    chosen: dict[str, Any] = {"max_episode_steps": 3, "robot": robot} | options
+    env = gymnasium.make("acsar_gym/PointGoal-v0", link=link, **chosen)
+    (episode,) = episodes(env, policy, 1, seed=0, **judged)
+    env.close()
+    return episode
+
+
+def as_json(episode: EpisodeResult) -> dict[str, Any]:
+    """The episode as strict JSON has it: without NaN."""
+    (read,) = json.loads(json.dumps(per_episode([episode]), allow_nan=False))
+    assert isinstance(read, dict)
+    return read
+
+
+@serial
+def test_an_episode_with_many_late_ticks_is_not_valid(shared_device: str) -> None:
+    episode = run(shared_device, slow)
+    assert not episode.valid
+    assert episode.fault == ""
+    assert episode.timing is not None
+    lateness = episode.timing.lateness
+    assert lateness.late_ticks == episode.late_ticks >= 2  # the first tick isn't judged
+    assert lateness.worst > 0.01  # the policy alone takes 20 ms too long
+    assert lateness.missed_ticks >= 2
+    assert lateness.ticks == episode.ticks - 1
+    summary = summarise([episode])
+    assert (summary.invalid, summary.late_ticks) == (1, episode.late_ticks)
+    assert (summary.missed_ticks, summary.worst_lateness) == (lateness.missed_ticks, lateness.worst)
+    assert summary.lateness_p99 == lateness.p99
+    assert "Invalid" in str(summary_table("slow", [("wire", summary)]).caption)
+
+
+@serial
+def test_who_allows_late_ticks_gets_a_valid_episode(shared_device: str) -> None:
+    episode = run(shared_device, slow, late_share=1.0)
+    assert episode.valid
+    assert episode.late_ticks > 0
+    assert summary_table("slow", [("wire", summarise([episode]))]).caption is None
+
+
+@serial
+def test_timing_is_stored_as_json_without_nan(shared_device: str) -> None:
+    timing = as_json(run(shared_device, max_episode_steps=10))["timing"]
+    assert timing["lateness"]["ticks"] == 99
+    assert timing["lateness"]["worst"] >= timing["lateness"]["p99"] >= timing["lateness"]["p50"]
+    assert timing["feedback_age"]["count"] == 99
+    assert timing["round_trip"]["count"] >= 1
+    assert timing["round_trip"]["worst"] > 0.0
+    nothing = as_json(run(shared_device, lambda _: np.zeros(2, np.float32)))["timing"]
+    assert nothing["round_trip"] == {"count": 0, "p50": None, "p99": None, "worst": None}
+
+
+def test_in_simulation_timing_is_perfect_and_untold() -> None:
+    episode = run("planar", slow)
+    assert episode.timing is None
+    assert episode.valid
+    assert episode.late_ticks == 0
+    assert as_json(episode)["timing"] is None
+    assert math.isnan(summarise([episode]).worst_lateness)
+
+
+def test_a_fault_is_told_and_makes_the_episode_invalid() -> None:
+    episode = run("planar", faults={"unplug_at": 0.25, "replug_time": 0.1})
+    assert "lost while in use" in episode.fault
+    assert (episode.valid, episode.success) == (False, False)
+    assert as_json(episode)["fault"] == episode.fault
+    assert summarise([episode]).invalid == 1
+    assert run("planar", faults={"unplug_at": 60.0}).valid
+
+
+@serial
+def test_a_fault_on_hardware_keeps_the_timing_up_to_it(shared_device: str) -> None:
+    episode = run(shared_device, faults={"unplug_at": 0.5}, late_share=1.0, max_episode_steps=50)
+    assert "lost while in use" in episode.fault
+    assert not episode.valid
+    assert episode.timing is not None
+    assert 0 < episode.timing.lateness.ticks < 499  # the whole episode has 500
+    as_json(episode)
+
+
+def test_after_a_fault_the_next_episode_connects_again() -> None:
+    env = gymnasium.make(
+        "acsar_gym/PointGoal-v0",
+        link="planar",
+        faults={"unplug_at": 0.25, "replug_time": 0.1},
+        max_episode_steps=5,
+    )
+    results = list(episodes(env, lambda _: CURVE, 3, seed=0))
+    env.close()
+    assert [bool(one.fault) for one in results] == [True] * 3
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.1, math.nan])
+def test_a_share_of_late_ticks_is_a_share(share: float) -> None:
+    with pytest.raises(ConfigError, match="must be a share, 0 to 1"):
+        run("planar", late_share=share)
+
+
+# Worlds, seeds, and what figures were measured with
+
+POINT_GOAL = AGENTS / "policies" / "point_goal.onnx"
+OBSTACLES = "acsar_gym/ObstacleGoal-v0"
+
+
+class Idle(FilePolicy):
+    """A policy that stands still."""
+
+    path = Path("nowhere.onnx")
+    env_id = OBSTACLES
+    layout = ""
+
+    def __call__(self, observation: Any) -> Any:
+        return np.zeros(2, np.float32)
+
+
+def drive(count: int, seed: int = 3, **options: Any) -> runs.Run:
+    """Episodes of a policy that stands still, in worlds that are quick to make."""
+    return runs.drive(Idle(), "planar", None, count, seed, **options)
+
+
+@pytest.mark.parametrize(
+    ("env_id", "asked", "worlds"),
+    [
+        ("acsar_gym/PointGoal-v0", None, None),
+        (OBSTACLES, None, "clutter:test"),
+        (f"acsar_gym:{OBSTACLES}", None, "clutter:test"),
+        ("acsar_gym/Barn-v0", None, "barn:test"),
+        ("acsar_gym/PathFollow-v0", None, "smooth_path:test"),
+        (OBSTACLES, "rooms", "rooms:test"),
+        (OBSTACLES, "rooms:5", "rooms:5"),
+        (OBSTACLES, "clutter:train", "clutter:train"),
+    ],
+)
+def test_policies_are_evaluated_in_the_test_split(env_id: str, asked: Any, worlds: Any) -> None:
+    assert runs.tested(env_id, asked) == worlds
+
+
+def test_the_training_split_is_evaluated_where_it_is_asked_for() -> None:
+    run = drive(1, worlds="open:train")
+    assert run.worlds == "open 1000 to 1399 (train split)"
+    assert run.header["worlds"]["split"] == "train"
+
+
+def test_an_evaluation_says_what_it_was_measured_with() -> None:
+    run = drive(2, worlds="open", goal_tolerance=0.2)
+    data = json.loads(json.dumps(run.as_dict(), allow_nan=False))
+    header = data["header"]
+    assert {"acsar_gym", "gymnasium", "numpy", "python"} <= header["versions"].keys()
+    assert header["versions"]["onnxruntime"] == metadata.version("onnxruntime")
+    policy = {"file": "nowhere.onnx", "sha256": None, "function": None, "env": OBSTACLES}
+    assert header["policy"] == policy
+    assert header["env"]["id"] == OBSTACLES
+    assert header["env"]["kwargs"] == {"robot": None, "worlds": "open:test", "goal_tolerance": 0.2}
+    assert header["env"]["max_episode_steps"] == 400
+    assert (header["link"], header["seeds"]) == ("planar", {"first": 3, "last": 4})
+    told = {key: header["worlds"][key] for key in ("kind", "split", "first", "last")}
+    assert told == {"kind": "open", "split": "test", "first": 0, "last": 199}
+    assert run.worlds == "open 0 to 199 (test split)"
+    for part in (header["robot"], header["worlds"]):
+        assert re.fullmatch("[0-9a-f]{64}", part["sha256"])
+    for number, episode in enumerate(data["per_episode"]):
+        assert (episode["seed"], episode["length"]) == (3 + number, 400)
+        assert 0 <= episode["world"] < 200
+        assert episode["episode_return"] == pytest.approx(-0.02 * 400)
+    assert data["episode_return"] == pytest.approx(-8.0)
+
+
+def test_hashes_tell_worlds_and_robots_apart(tmp_path: Path) -> None:
+    world = World(np.array([[1.0, 1.0, 0.1]]), goal=Region(2.0, 0.0))
+    moved = World(np.array([[1.0, 1.1, 0.1]]), goal=Region(2.0, 0.0))
+    kinds: list[dict[str, Any]] = [
+        {"worlds": "open:5"},
+        {"worlds": "open:6"},
+        {"worlds": "open:5", "difficulty": 0.5},
+        {"worlds": world},
+        {"worlds": moved},
+    ]
+    headers = []
+    for options in kinds:
+        env = gymnasium.make(OBSTACLES, link="planar", **options)
+        headers.append(provenance.header(env, Idle(), "planar", range(1), {}))
+    assert len({header["worlds"]["sha256"] for header in headers}) == len(kinds)
+    assert len({header["robot"]["sha256"] for header in headers}) == 1
+    env = gymnasium.make(OBSTACLES, link="planar", robot={"max_linear": 0.1})
+    other = provenance.header(env, Idle(), "planar", range(1), {})
+    assert other["robot"] != headers[0]["robot"]
+
+
+def test_the_hash_of_a_policy_is_that_of_what_was_read(tmp_path: Path) -> None:
+    """Though the file is another one by now, or gone."""
+    file = tmp_path / "policy.onnx"
+    file.write_bytes(POINT_GOAL.read_bytes())
+    policy = runs.load(str(file), trust=False)
+    file.write_bytes(b"of a later training")
+    env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar")
+    header = provenance.header(env, policy, "planar", range(1), {})
+    sha256 = hashlib.sha256(POINT_GOAL.read_bytes()).hexdigest()
+    assert header["policy"]["sha256"] == sha256
+    assert header["worlds"]["kind"] == "none"
+
+
+def test_the_function_of_a_python_file_is_told(tmp_path: Path) -> None:
+    source = b"def act(observation):\n    return 0.0, 0.0\n"
+    (tmp_path / "mine.py").write_bytes(source)
+    policy = runs.load(f"{tmp_path / 'mine.py'}:act", trust=False, env="point_goal")
+    env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar")
+    told = provenance.header(env, policy, "planar", range(1), {})["policy"]
+    assert (told["function"], told["sha256"]) == ("act", hashlib.sha256(source).hexdigest())
+
+
+def test_generated_worlds_have_the_hash_of_their_generators(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    env = gymnasium.make(OBSTACLES, link="planar", worlds="open:5")
+    before = provenance.header(env, Idle(), "planar", range(1), {})
+    monkeypatch.setattr(provenance, "generators_hash", lambda: "changed")
+    after = provenance.header(env, Idle(), "planar", range(1), {})
+    assert before["worlds"]["sha256"] != after["worlds"]["sha256"]
+
+
+def test_worlds_in_order_have_their_own_numbers() -> None:
+    run = drive(2, worlds="open:1250-1251", how={"in_order": True})
+    assert [episode.world for episode in run.results] == [1250, 1251]
+    assert run.header["options"] == {"in_order": True}
+    with pytest.raises(ConfigError, match="need as many worlds, but there are 2"):
+        drive(3, worlds="open:1250-1251", how={"in_order": True})

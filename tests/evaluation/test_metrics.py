@@ -1,0 +1,165 @@
+"""Rates, path lengths and intervals, against hand-made and independent figures."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+from acsar_gym.evaluation.episodes import EpisodeResult, episodes
+from acsar_gym.evaluation.metrics import bootstrap, soft_spl, spl, summarise, wilson
+from acsar_gym.worlds import Region, World
+
+FORWARD = np.array([1.0, 0.0], np.float32)
+
+
+def result(**known: Any) -> EpisodeResult:
+    fields: dict[str, Any] = {
+        "success": True,
+        "collision": False,
+        "started": 10.0,
+        "ended": 20.0,
+        "path": 5.0,
+        "pose": (4.0, 0.0, 0.0),
+        "odometry_error": 0.05,
+        "ticks": 1000,
+        "late_ticks": 0,
+        "shortest": 4.0,
+        "left": 0.0,
+        "driven": 5.0,
+        "turning": 2.5,
+        "episode_return": 4.0,
+        "length": 60,
+    }
+    return EpisodeResult(**{**fields, **known})
+
+
+LOST = {
+    "success": False,
+    "left": 4.0,
+    "path": 0.0,
+    "driven": 0.0,
+    "episode_return": 1.0,
+    "length": 30,
+}
+CRASH = {"success": False, "collision": True, "left": 3.0, "driven": 1.0, "path": 1.0}
+
+
+@pytest.mark.parametrize(("wins", "crashes", "losses"), [(1, 0, 0), (0, 3, 0), (2, 4, 1)])
+def test_the_three_rates_add_up_to_one(wins: int, crashes: int, losses: int) -> None:
+    runs = [result()] * wins + [result(**CRASH)] * crashes + [result(**LOST)] * losses
+    summary = summarise(runs)
+    assert (summary.success_rate + summary.collision_rate + summary.timeout_rate) == pytest.approx(
+        1.0
+    )
+    assert summary.success_rate == wins / len(runs)
+    assert summary.collision_rate == crashes / len(runs)
+
+
+def test_spl_of_hand_made_episodes() -> None:
+    assert spl(result()) == pytest.approx(0.8)
+    assert spl(result(driven=3.9)) == 1.0  # the tolerance makes ways a little shorter
+    assert spl(result(**CRASH)) == 0.0
+    assert spl(result(driven=math.nan)) == pytest.approx(0.8)  # hardware: by odometry
+    assert math.isnan(spl(result(shortest=math.nan)))
+
+
+def test_soft_spl_weighs_progress() -> None:
+    assert soft_spl(result(**CRASH)) == pytest.approx(0.25)
+    assert soft_spl(result(left=2.0, driven=8.0)) == pytest.approx(0.25)
+    assert soft_spl(result(left=6.0)) == 0.0
+    assert soft_spl(result(left=math.inf)) == 0.0
+
+
+def test_wilson_is_the_published_example() -> None:
+    """45 of 50 is 0.79 to 0.96."""
+    assert wilson(45, 50) == pytest.approx((0.786, 0.957), abs=1e-3)
+    assert wilson(0, 10)[0] == 0.0
+    assert wilson(10, 10)[1] == 1.0
+    assert wilson(0, 0) == (0.0, 1.0)
+
+
+def test_a_bootstrap_interval_holds_the_mean_and_repeats() -> None:
+    values = np.random.default_rng(0).normal(3.0, 1.0, 200).tolist()
+    low, high = bootstrap(values)
+    assert low < np.mean(values) < high
+    assert high - low == pytest.approx(4.0 / math.sqrt(200), rel=0.15)  # 2 * 1.96 sigma
+    assert bootstrap(values) == (low, high)
+    assert bootstrap([2.0, 2.0, 2.0]) == (2.0, 2.0)
+    assert all(map(math.isnan, bootstrap([1.0])))
+    assert bootstrap([1.0, math.nan, 3.0]) == bootstrap([1.0, 3.0])
+
+
+def test_means_have_intervals_and_json_is_clean() -> None:
+    summary = summarise([result(), result(path=6.0, cross_track=math.nan), result(**LOST)])
+    assert summary.path == pytest.approx(5.5)
+    assert summary.time_to_goal == pytest.approx(10.0)
+    assert (summary.episode_return, summary.length) == pytest.approx((3.0, 50.0))
+    assert summary.odometry_drift == pytest.approx(0.05 / 1e-9 / 3.0, rel=1e-3)
+    data = json.loads(json.dumps(summary.as_dict(), allow_nan=False))
+    assert data["cross_track"] is None
+    low, high = data["intervals"]["success_rate"]
+    assert low < 2.0 / 3.0 < high
+
+
+def test_barn_scores_are_averaged_over_all_runs() -> None:
+    runs = [result(scores=(0.5, 0.25, 0.5, 0.25)), result(**CRASH, scores=(0.0,) * 4)]
+    summary = summarise(runs)
+    assert summary.scores["barn_score"] == pytest.approx(0.25)
+    assert summary.scores["barn_score_k4"] == pytest.approx(0.125)
+    assert summarise([result()]).scores == {}
+
+
+def test_nothing_at_all_is_no_error() -> None:
+    summary = summarise([])
+    assert summary.episodes == 0
+    assert math.isnan(summary.success_rate)
+
+
+def drive(world: World, action: Any = FORWARD, link: str = "planar") -> EpisodeResult:
+    env = gymnasium.make("acsar_gym/ObstacleGoal-v0", link=link, worlds=world)
+    (episode,) = episodes(env, lambda _: action, 1, seed=0)
+    env.close()
+    return episode
+
+
+def ahead(*circles: tuple[float, float, float]) -> World:
+    return World(np.array(circles).reshape(-1, 3), start=Region(0, 0, 0, 0), goal=Region(2.0, 0.0))
+
+
+def test_a_straight_drive_is_perfect() -> None:
+    episode = drive(ahead())
+    assert episode.success
+    assert episode.shortest == pytest.approx(2.0)
+    assert episode.left == pytest.approx(0.3, abs=0.06)
+    assert spl(episode) == 1.0
+    assert episode.turning == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("link", ["planar", "bullet"])
+def test_a_crash_is_a_collision_with_its_progress(link: str) -> None:
+    episode = drive(ahead((1.0, 0.0, 0.2)), link=link)
+    assert (episode.success, episode.collision) == (False, True)
+    assert episode.shortest > 2.05  # round the pillar
+    assert 1.4 < episode.left < 1.9
+    assert 0.15 < soft_spl(episode) < 0.4
+
+
+def test_standing_still_is_neither() -> None:
+    episode = drive(ahead(), np.zeros(2, np.float32))
+    summary = summarise([episode])
+    assert (summary.success_rate, summary.collision_rate, summary.timeout_rate) == (0.0, 0.0, 1.0)
+    assert summary.soft_spl == pytest.approx(0.0, abs=1e-6)
+
+
+def test_paths_are_judged_by_the_distance_beside_them() -> None:
+    env = gymnasium.make("acsar_gym/PathFollow-v0", link="planar")
+    (episode,) = episodes(env, lambda _: FORWARD, 1, seed=0, path=[(0.0, 0.1), (1.0, 0.1)])
+    env.close()
+    assert episode.success
+    assert episode.cross_track == pytest.approx(0.1, abs=0.01)
+    assert math.isnan(episode.shortest)

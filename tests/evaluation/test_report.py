@@ -1,0 +1,23 @@
+"""What the tables say."""
+
+from __future__ import annotations
+
+from acsar_gym.envs import PointGoalEnv
+from acsar_gym.evaluation import episodes as evaluation
+from acsar_gym.evaluation import metrics, report, runs
+from acsar_gym.policies import OnnxPolicy
+
+
+def caption(robot: str | None, multiplier: float) -> str:
+    env = PointGoalEnv("planar", robot=robot)
+    config = env.robot.config.with_(wheel_separation_multiplier=multiplier)
+    env = PointGoalEnv("planar", robot=config)
+    results = runs.track("test", evaluation.episodes(env, OnnxPolicy("point_goal"), 3, 0), 3)
+    env.close()
+    table = report.summary_table("test", [("planar", metrics.summarise(results))])
+    return str(table.caption or "")
+
+
+def test_a_robot_whose_odometry_is_far_off_is_pointed_out() -> None:
+    assert "calibrate" in caption(None, 1.0)
+    assert caption(None, 1.5378) == ""

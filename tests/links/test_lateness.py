@@ -1,0 +1,189 @@
+"""Percentiles against sorted lists, exact counts, bounded memory."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import pickle
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from acsar_gym.links.lateness import (
+    LATE,
+    LONGEST,
+    SHORTEST,
+    Durations,
+    Lateness,
+    Spread,
+    Stopwatch,
+    Timing,
+)
+
+PERIOD = 0.01
+SLACK = 1.0 + 1.0 / 32.0 + 1e-9
+"""How much too large a percentile may be."""
+
+measurable = st.floats(SHORTEST, LONGEST, exclude_max=True)
+anything = st.floats(allow_nan=False)
+
+
+def recorded(seconds: list[float]) -> Durations:
+    durations = Durations()
+    for one in seconds:
+        durations.add(one)
+    return durations
+
+
+def lateness(*seconds: float) -> Lateness:
+    record = Lateness(PERIOD)
+    for one in seconds:
+        record.add(one)
+    return record
+
+
+def nearest_rank(seconds: list[float], q: float) -> float:
+    return sorted(seconds)[max(1, math.ceil(q / 100.0 * len(seconds))) - 1]
+
+
+@given(st.lists(measurable, min_size=1), st.floats(0.0, 100.0))
+def test_percentiles_are_those_of_a_sorted_list(seconds: list[float], q: float) -> None:
+    exact = nearest_rank(seconds, q)
+    assert exact <= recorded(seconds).percentile(q) <= exact * SLACK
+
+
+@given(st.lists(anything, min_size=1))
+def test_the_extremes_are_exact_and_percentiles_lie_between(seconds: list[float]) -> None:
+    durations = recorded(seconds)
+    worst = max(0.0, *seconds)
+    assert (durations.count, durations.worst) == (len(seconds), worst)
+    assert durations.percentile(100.0) in (worst, 0.0)
+    assert 0.0 <= durations.percentile(50.0) <= durations.percentile(99.0) <= worst
+
+
+@given(st.lists(st.floats(-1.0, 1e6)))
+def test_counts_are_exact(seconds: list[float]) -> None:
+    record = lateness(*seconds)
+    assert record.count == len(seconds)
+    assert record.late == sum(one > LATE for one in seconds)
+    assert record.missed == sum(int(one / PERIOD) for one in seconds if one > PERIOD)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "late", "missed"),
+    [(-1.0, 0, 0), (0.0, 0, 0), (0.001, 0, 0), (0.0011, 1, 0), (0.0101, 1, 1), (0.035, 1, 3)],
+)
+def test_late_and_missed_ticks(seconds: float, late: int, missed: int) -> None:
+    record = lateness(seconds)
+    assert (record.late, record.missed) == (late, missed)
+
+
+@pytest.mark.parametrize("seconds", [0.0, -0.5, SHORTEST / 2.0])
+def test_what_is_shorter_than_a_microsecond_counts_as_zero(seconds: float) -> None:
+    assert recorded([seconds]).percentile(99.0) == 0.0
+
+
+@pytest.mark.parametrize("seconds", [LONGEST, 1e6])
+def test_what_is_very_long_is_told_by_the_worst(seconds: float) -> None:
+    durations = recorded([0.01, seconds])
+    assert durations.worst == durations.percentile(99.0) == seconds
+
+
+def test_nothing_recorded_is_nan() -> None:
+    timing = Lateness(PERIOD).summary()
+    assert (timing.ticks, timing.late_ticks, timing.missed_ticks) == (0, 0, 0)
+    assert all(map(math.isnan, (timing.p50, timing.p99, timing.worst)))
+    assert timing.late_share == 0.0
+    assert Durations().spread().count == 0
+
+
+def test_a_summary_of_a_known_episode() -> None:
+    record = lateness(*[1e-4] * 98, 0.002, 0.025)
+    timing = record.summary()
+    assert (timing.ticks, timing.late_ticks, timing.missed_ticks) == (100, 2, 2)
+    assert timing.late_share == 0.02
+    assert timing.p50 == pytest.approx(1e-4, rel=1.0 / 32.0)
+    assert timing.p99 == pytest.approx(0.002, rel=1.0 / 32.0)
+    assert timing.worst == 0.025
+    assert Timing(**dataclasses.asdict(timing)) == timing
+    spread = record.spread()
+    assert (spread.count, spread.p99, spread.worst) == (100, timing.p99, timing.worst)
+
+
+def test_a_reset_forgets_everything() -> None:
+    record = lateness(0.5)
+    record.reset()
+    assert (record.count, record.late, record.missed) == (0, 0, 0)
+    assert math.isnan(record.worst)
+    record.add(1e-4)
+    assert record.percentile(99.0) == record.worst == 1e-4
+
+
+def test_memory_is_bounded() -> None:
+    once, often = Lateness(PERIOD), Lateness(PERIOD)
+    for number in range(100_000):
+        often.add(number * 1e-6)
+    assert len(pickle.dumps(often)) < len(pickle.dumps(once)) + 4_000
+
+
+# One episode
+
+
+def trips(*asked: tuple[float, bool, bool]) -> Spread:
+    """Round trips of an episode with these stamps, whether they drive, whether wheels turn."""
+    watch = Stopwatch(PERIOD)
+    for stamp, drives, turns in asked:
+        watch.asked(stamp, drives=drives, turns=turns)
+    return watch.summary().round_trip
+
+
+def test_a_stopwatch_that_saw_nothing_is_nan() -> None:
+    timing = Stopwatch(PERIOD).summary()
+    assert timing.lateness.ticks == timing.feedback_age.count == timing.round_trip.count == 0
+    assert math.isnan(timing.lateness.worst)
+    assert math.isnan(timing.feedback_age.worst)
+    assert math.isnan(timing.round_trip.p50)
+
+
+def test_the_time_before_the_first_tick_is_nobodys_fault() -> None:
+    watch = Stopwatch(PERIOD)
+    watch.tick(3.0, 2.0)
+    assert watch.summary().lateness.ticks == 0
+    watch.tick(0.002, 0.01)
+    watch.tick(0.025, 0.0)
+    timing = watch.summary()
+    lateness = timing.lateness
+    assert (lateness.ticks, lateness.late_ticks, lateness.missed_ticks) == (2, 2, 2)
+    assert (lateness.worst, timing.feedback_age.worst) == (0.025, 0.01)
+    assert timing.feedback_age.count == 2
+
+
+def test_a_round_trip_begins_with_the_command_and_ends_with_turning_wheels() -> None:
+    spread = trips(
+        (1.0, False, False), (1.01, True, False), (1.02, True, False), (1.05, True, True)
+    )
+    assert spread.count == 1
+    assert spread.worst == pytest.approx(0.04)
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        [(1.0, True, False), (1.01, True, False)],  # they never turn
+        [(1.0, True, True), (1.01, True, True)],  # they turn already
+        [(1.0, True, False), (1.01, False, False), (1.02, False, True)],  # called off
+        [(1.0, False, False), (1.01, False, True)],  # pushed by hand
+    ],
+    ids=["dead", "turning", "called off", "pushed"],
+)
+def test_nothing_else_is_a_round_trip(asked: list[tuple[float, bool, bool]]) -> None:
+    assert trips(*asked).count == 0
+
+
+def test_every_start_from_standstill_is_one() -> None:
+    one = [(1.0, True, False), (1.03, True, True), (1.04, False, True), (1.2, False, False)]
+    other = [(2.0, True, False), (2.05, True, True)]
+    spread = trips(*one, *other)
+    assert spread.count == 2
+    assert spread.worst == pytest.approx(0.05)

@@ -1,0 +1,315 @@
+"""Whatever file a user names ends in one error line, soon and in little memory."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, get_args
+
+import gymnasium
+import numpy as np
+import pytest
+
+from acsar_gym import RobotConfig, demo
+from acsar_gym.cli import main
+from acsar_gym.config import (
+    BodyConfig,
+    EncoderConfig,
+    FirmwareConfig,
+    Geofence,
+    LidarConfig,
+    MotorConfig,
+    SpeedLimits,
+)
+from acsar_gym.errors import AcsarError, ConfigError, PolicyError, printable
+from acsar_gym.reading import bounded
+from acsar_gym.worlds import generators
+
+Call = Callable[..., tuple[int, str, str]]
+SECTIONS = (MotorConfig, EncoderConfig, FirmwareConfig, BodyConfig, SpeedLimits, LidarConfig)
+
+
+def assert_one_line(code: int, error: str, found: str) -> None:
+    assert code == 2, error
+    assert error.startswith("acsar-gym: ")
+    assert error.count("\n") == 1
+    assert found in error
+
+
+def test_a_file_within_the_limit_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(b"12345")
+    assert bounded.read(path, 5) == b"12345"
+
+
+def test_a_file_over_the_limit_is_refused_unread(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(b"12345")
+    with pytest.raises(PolicyError, match=r"file: is larger than 4 bytes"):
+        bounded.read(path, 4, PolicyError)
+    os.truncate(path, 10**12)
+    with pytest.raises(ConfigError, match="is larger than 8 MB"):
+        bounded.read(path, 8_000_000)
+
+
+def test_what_grows_while_it_is_read_is_refused() -> None:
+    with pytest.raises(ConfigError, match="is larger than 2 bytes"):
+        bounded.read(Path("/proc/self/status"), 2)  # its size is 0
+
+
+def _special(tmp_path: Path) -> list[Path]:
+    pipe, link = tmp_path / "pipe", tmp_path / "link"
+    os.mkfifo(pipe)
+    link.symlink_to("/dev/zero")
+    return [pipe, link, tmp_path, Path("/dev/zero"), Path("/dev/full"), Path("/dev/tty")]
+
+
+def test_only_regular_files_are_read(tmp_path: Path) -> None:
+    for path in _special(tmp_path):
+        with pytest.raises(ConfigError, match=f"^{path}: isn't a regular file$"):
+            bounded.read(path, 100)
+
+
+def test_a_path_that_cannot_be_is_one_error(tmp_path: Path) -> None:
+    for name in ("missing", "a\0b", "x" * 5000, "\ud800"):
+        with pytest.raises(AcsarError, match=r"there is no such file|can't be read"):
+            bounded.read(tmp_path / name, 100)
+
+
+def test_a_pipe_that_nobody_reads_is_an_error(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", tmp_path, tmp_path / "no" / "file", tmp_path / "a\0b"):
+        with pytest.raises(ConfigError, match="can't be written: "):
+            bounded.write(path, b"data")
+    bounded.write(tmp_path / "file", b"data")
+    assert (tmp_path / "file").read_bytes() == b"data"
+
+
+MERGES = "a0: &a0 {x: 1}\n" + "".join(
+    f"a{i}: &a{i} {{<<: [*a{i - 1}, *a{i - 1}], k{i}: 1}}\n" for i in range(1, 25)
+)
+DIGITS = "9" * 400
+ROBOTS = {
+    "merges.yaml": (MERGES, "has an alias"),
+    "merge.yaml": ("motor: {<<: {max_speed: 1}}", "merges (<<) are refused"),
+    "digits.yaml": (f"encoder: {{counts_per_revolution: {DIGITS}}}", "number of 400 characters"),
+    "sixty.yaml": ("wheel_radius: 1" + ":1" * 4_000, "number of 8,001 characters"),
+    "keys.yaml": (f"{{{', '.join(f'{i}: 1' for i in range(9))}}}", "a key must be text"),
+    "text.yaml": (f"odom_frame: {'x' * 20_000}", "a text of 20,000 characters"),
+    "many.yaml": ("[" + "[]," * 200_000 + "]", "too many values"),
+    "loop.yaml": ("firmware: {loop_rate: 1e8}", "firmware.loop_rate = 100000000.0: must be less"),
+    "window.yaml": ("{firmware: {loop_rate: 2000}, encoder: {window: 5}}", "2,000 periods"),
+    "slow.yaml": ("{control_rate: 1e-3, firmware: {feedback_rate: 9}}", "at least 0.01 Hz"),
+    "unknown.yaml": ("\n".join(f"k{i}: 1" for i in range(5_000)), "unknown field 'k0'"),
+    "params.urdf": (
+        f"<r><ros2_control><hardware>{'<param/>' * 2_000}</hardware></ros2_control></r>",
+        "2,000 params",
+    ),
+}
+START = '{"reset": 0}\n'
+TAPES = {
+    "brackets.jsonl": "[" * 100_000,
+    "inner.jsonl": '{"reset": ' + "[" * 90_000,
+    "digits.jsonl": f'{{"reset": {DIGITS}}}',
+    "late.jsonl": START + f'{{"sent": "", "got": "", "t": {DIGITS}}}',
+    "lists.jsonl": START + '{"sent": ["a"], "got": [1], "t": 1}',
+    "nan.jsonl": '{"reset": NaN}',
+    "infinite.jsonl": START + '{"sent": "", "got": "", "t": 1e999}',
+    "backwards.jsonl": '{"reset": 5}\n{"sent": "", "got": "", "t": 4}',
+    "true.jsonl": '{"reset": true}',
+    "text.jsonl": '{"reset": "1"}',
+    "long.jsonl": START + f'{{"sent": "", "got": "{"x" * 200_000}", "t": 1}}',
+    "half.jsonl": START + '{"sent": "\\ud800", "got": "", "t": 1}',
+}
+WORLD = '{{"name": {}, "start": {{"x": 0, "y": 0}}, "goal": {{"x": 4, "y": 0}}}}'
+
+
+@pytest.fixture
+def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Call:
+    def run(*arguments: str | Path) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["acsar-gym", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        assert isinstance(ended.value.code, int)
+        return ended.value.code, *capsys.readouterr()
+
+    return run
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_hostile_robots_are_one_line(name: str, tmp_path: Path, call: Call) -> None:
+    text, found = ROBOTS[name]
+    path = tmp_path / name
+    path.write_text(text)
+    code, _, error = call("run", "1", "0", "--link", "planar", "--robot", path)
+    assert_one_line(code, error, found)
+
+
+@pytest.mark.parametrize("name", TAPES)
+def test_hostile_recordings_are_one_line(name: str, tmp_path: Path, call: Call) -> None:
+    path = tmp_path / name
+    path.write_text(TAPES[name] + "\n")
+    code, _, error = call("run", "1", "0", "--link", f"replay:{path}")
+    assert_one_line(code, error, f"{path}: line ")
+
+
+@pytest.mark.parametrize("option", ["--robot", "--worlds", "--link"])
+def test_pipes_and_devices_are_not_read(option: str, tmp_path: Path, call: Call) -> None:
+    suffix = {"--robot": ".yaml", "--worlds": ".json", "--link": ".jsonl"}[option]
+    replay = "replay:" if option == "--link" else ""
+    for path in _special(tmp_path)[: 2 if option == "--worlds" else 4]:
+        named = tmp_path / f"name{suffix}"
+        named.unlink(missing_ok=True)
+        named.symlink_to(path)
+        policy = "obstacle_goal" if option == "--worlds" else "point_goal"
+        link = () if option == "--link" else ("--link", "planar")
+        arguments = ("evaluate", "--policy", policy, *link, option, f"{replay}{named}")
+        code, _, error = call(*arguments)
+        assert_one_line(code, error, f"{named}: isn't a regular file")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "found"),
+    [
+        (("show", "clutter:1000000"), "1,000,000 worlds are too many, at most 100"),
+        (("show", "clutter:100", "--size", "4096"), "at most 2"),
+        (("check", "clutter:1000000"), "1,000,000 worlds are too many, at most 10,000"),
+        (("convert", "clutter:1000000", "x.json"), "holds 1,000,000 worlds"),
+        (("check", f"clutter:{'9' * 5000}"), "can't be read: File name too long"),
+        (("check", f"clutter:{'9' * 30}-{'9' * 30}"), "must be like 'clutter:test'"),
+        (("show", "clutter:1", "--out", "/missing/x.png"), "can't be written"),
+    ],
+    ids=lambda value: " ".join(value)[:40] if isinstance(value, tuple) else "",
+)
+def test_too_much_is_told_before_anything_is_made(
+    arguments: tuple[str, ...], found: str, call: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(generators, "generate", None)
+    code, _, error = call("worlds", *arguments)
+    assert_one_line(code, error, found)
+
+
+@pytest.mark.parametrize("option", ["--steps", "--episodes", "--serial-episodes"])
+def test_a_demo_checks_its_counts_first(
+    option: str, call: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(demo, "run", None)
+    for count in ("-1", "0", "9" * 400):
+        code, _, error = call("demo", option, count)
+        assert_one_line(code, error, f"{option} = ")
+
+
+@pytest.mark.parametrize("name", ["\x1b]0;title\x07\x9b31m\r", "\ud800", "a\u202eb"])
+def test_no_control_character_of_a_name_reaches_the_terminal(
+    name: str, tmp_path: Path, call: Call
+) -> None:
+    path = tmp_path / "world.json"
+    path.write_text(WORLD.format(json.dumps(name)))
+    code, out, _ = call("worlds", "check", path)
+    assert code == 0
+    assert printable(name) in out
+    assert all(c.isprintable() or c == "\n" for c in out)
+    _, _, error = call("run", "1", "0", "--link", f"\x1b[31m{name}")
+    assert error.startswith("acsar-gym: unknown link '\\x1b[31m")
+    assert all(c.isprintable() or c == "\n" for c in error)
+
+
+def test_a_terminal_without_unicode_gets_what_it_can_show(tmp_path: Path) -> None:
+    path = tmp_path / "world.json"
+    path.write_text(WORLD.format('"\\u4e16\\ud800"'))
+    ascii_only = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    command = [sys.executable, "-m", "acsar_gym", "worlds", "check", str(path)]
+    done = subprocess.run(command, env=ascii_only, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "\\u4e16\\ud800" in done.stdout
+
+
+HUNGRY = """
+import json, re, sys
+from pathlib import Path
+from acsar_gym import RobotConfig, atlas, pictures
+from acsar_gym.errors import AcsarError
+from acsar_gym.links import recording
+from acsar_gym.worlds import World, files
+folder = Path(sys.argv[1])
+
+def most_memory():  # getrusage would count what the parent had before it became this program
+    return int(re.search(r"VmHWM:\\s+(\\d+) kB", Path("/proc/self/status").read_text())[1])
+
+for path in folder.iterdir():
+    try:
+        if path.suffix == ".json":
+            found = atlas.check(atlas.raw(str(path), None, None, 1), None)[0].shortest
+        elif path.suffix == ".jsonl":
+            found = len(recording.read(path))
+        else:
+            found = str(RobotConfig.load(path))
+    except AcsarError as error:
+        found = str(error)
+    print(json.dumps([path.name, found, most_memory() / 1024.0]))
+"""
+
+
+def test_hostile_files_take_less_than_half_a_gigabyte(tmp_path: Path) -> None:
+    for suffix in ("yaml", "urdf", "jsonl"):
+        (tmp_path / f"endless.{suffix}").symlink_to("/dev/zero")
+        (tmp_path / f"sparse.{suffix}").touch()
+        os.truncate(tmp_path / f"sparse.{suffix}", 10**11)
+    ends = {"start": {"x": 0, "y": 0}, "goal": {"x": 4, "y": 0}}
+    far = {**ends, "circles": [[2, 0, 0.3], [9000, 9000, 1], [-9000, -9000, 1]]}
+    (tmp_path / "far.json").write_text(json.dumps(far))
+    (tmp_path / "resets.jsonl").write_text('{"reset": 0}\n' * 400_000)
+    command = [sys.executable, "-c", HUNGRY, str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    found = {name: (value, peak) for name, value, peak in map(json.loads, done.stdout.splitlines())}
+    assert len(found) == 8, done.stdout
+    assert max(peak for _, peak in found.values()) < 500.0
+    assert found["far.json"][0] == pytest.approx(4.15, abs=0.05)
+    assert "isn't a regular file" in found["endless.yaml"][0]
+    assert "is larger than 40 MB" in found["sparse.jsonl"][0]
+    assert "more than 360,000 lines" in found["resets.jsonl"][0]
+
+
+@pytest.mark.parametrize("model", [RobotConfig, *SECTIONS], ids=lambda model: model.__name__)
+def test_every_number_of_a_config_has_an_upper_bound(model: Any) -> None:
+    for name, field in model.model_fields.items():
+        kinds = {int, float} & {field.annotation, *get_args(field.annotation)}
+        if not kinds or model is Geofence or name in ("baud_rate", "watchdog_timeout"):
+            continue
+        for value in (1e30, 10**400):
+            with pytest.raises(ConfigError, match=f"{name} = ") as caught:
+                model(**{name: value if float in kinds or value > 1e30 else 10**30})
+            assert len(str(caught.value)) < 200
+
+
+@pytest.mark.parametrize("rate", [10**400, 1e-9, 0, -1, math.nan, "10", [10], np.zeros(2), None])
+def test_a_policy_rate_is_a_sensible_number(rate: Any) -> None:
+    for name in ("PointGoal", "Barn"):
+        with pytest.raises(ConfigError, match="policy_rate = ") as caught:
+            gymnasium.make(f"acsar_gym/{name}-v0", link="planar", policy_rate=rate)
+        assert len(str(caught.value)) < 200
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"goal_distance": (10**400, 1)},
+        {"goal_tolerance": 10**400},
+        {"view": np.zeros(2)},
+        {"on_fault": np.zeros(2)},
+        {"link": np.zeros((2, 2, 2))},
+        {"robot": 10**5000},
+        {"faults": {"direction": np.zeros(2)}},
+    ],
+    ids=lambda arguments: next(iter(arguments)),
+)
+def test_arguments_of_any_kind_are_one_error(arguments: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError) as caught:
+        gymnasium.make("acsar_gym/PointGoal-v0", **{"link": "planar", **arguments})
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 300

@@ -1,0 +1,415 @@
+from __future__ import annotations
+
+import io
+import math
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image as Pillow
+
+from acsar_gym import RobotConfig
+from acsar_gym.errors import ConfigError, MissingExtraError
+from acsar_gym.render.backdrop import FLOOR, GOAL, GRID, OBSTACLE, SEEN, START
+from acsar_gym.render.canvas import View, _spaced, round_length, shortened
+from acsar_gym.render.top_view import (
+    CHASSIS,
+    ODOM,
+    RAY,
+    SMALL,
+    TITLE,
+    TRUTH,
+    TYRE,
+    Frame,
+    Image,
+    TopView,
+    _thinned,
+    save,
+    sheet,
+)
+from acsar_gym.worlds import Pose, Region, World
+
+COURT = World(
+    circles=np.array([[2.0, 1.0, 0.25], [3.25, -1.5, 0.5]]),
+    segments=np.array([[-1.0, -2.5, 5.0, -2.5], [-1.0, 2.5, 5.0, 2.5]]),
+    start=Region(0.0, 0.0, 0.0, 0.0),
+    goal=Region(4.0, 0.25, 0.25),
+    name="court",
+)
+FRAME = Frame(world=COURT, goal=(4.0, 0.25), goal_radius=0.25)
+
+
+def colour(image: Image, view: View, x: float, y: float) -> tuple[int, ...]:
+    """The colour of the picture at a place [m]."""
+    column, row = view.pixels(np.array([[x, y]]))[0].astype(int)
+    return tuple(image[row, column].tolist())
+
+
+def near(image: Image, view: View, place: tuple[float, float], wanted: tuple[int, ...]) -> bool:
+    """Whether a pixel at a place, or next to it, has a colour; thin lines are blurred."""
+    column, row = view.pixels(np.array([place]))[0].astype(int)
+    patch = image[row - 1 : row + 2, column - 1 : column + 2].astype(int)
+    return bool((np.abs(patch - wanted[:3]).sum(axis=2) < 60).any())
+
+
+def placed(pose: Pose, x: float, y: float) -> tuple[float, float]:
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    return pose[0] + cos * x - sin * y, pose[1] + sin * x + cos * y
+
+
+@pytest.fixture
+def top(config: RobotConfig) -> TopView:
+    return TopView(config)
+
+
+def test_what_is_where(top: TopView) -> None:
+    image = top.draw(FRAME)
+    assert image.shape == (480, 480, 3)
+    assert image.dtype == np.uint8
+    for x, y in ((2.0, 1.0), (3.25, -1.5), (3.6, -1.5), (2.5, 2.5), (2.5, -2.5)):
+        assert colour(image, top.view, x, y) == OBSTACLE
+    for x, y in ((2.2, 1.4), (2.4, -1.6), (3.25, 1.6)):
+        assert colour(image, top.view, x, y) == FLOOR
+    assert colour(image, top.view, 4.0, 0.25) == GOAL
+    assert colour(image, top.view, 0.0, 0.0) == CHASSIS
+    assert near(image, top.view, (4.25, 0.25), GOAL)
+
+
+def test_ahead_is_up_and_a_map_has_x_to_the_right(config: RobotConfig, top: TopView) -> None:
+    of_map = TopView(config, (400, 300), "y")
+    places = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    for view, ahead, left in ((top, (0, -1), (-1, 0)), (of_map, (1, 0), (0, -1))):
+        image = view.draw(FRAME)
+        origin, *others = view.view.pixels(places)
+        steps = [((other - origin) / view.view.scale).round(6).tolist() for other in others]
+        assert steps == [[*ahead], [*left]]
+        assert colour(image, view.view, 2.0, 1.0) == OBSTACLE
+        assert colour(image, view.view, 4.0, 0.25) == GOAL
+
+
+@pytest.mark.parametrize("size", [(480, 480), (640, 200), (200, 640)])
+def test_the_view_holds_world_start_and_goal_at_one_scale(
+    config: RobotConfig, size: tuple[int, int]
+) -> None:
+    top = TopView(config, size)
+    far = replace(FRAME, world=COURT.seen_from((-3.0, 0.0, 0.0)), goal=(9.0, 1.0))
+    assert top.draw(far).shape == (size[1], size[0], 3)
+    left, low, right, high = COURT.seen_from((-3.0, 0.0, 0.0)).bounds
+    for place in ((left, low), (right, high), (0.0, 0.0), (9.0, 1.0)):
+        assert top.view.shows(*place, 10.0)
+    spans = np.ptp(top.view.pixels(np.array([[0.0, 0.0], [1.0, 1.0]])), axis=0)
+    assert spans.tolist() == pytest.approx([top.view.scale] * 2)
+
+
+@pytest.mark.parametrize("theta", [0.0, 0.7, -2.4])
+def test_the_robot_has_wheels_and_a_heading(
+    config: RobotConfig, top: TopView, theta: float
+) -> None:
+    pose = (0.5, -0.4, theta)
+    big = TopView(config, (960, 960))
+    image = big.draw(Frame(odom=pose))
+    a, b = config.wheelbase / 2.0, config.wheel_separation / 2.0
+    for x, y in ((a, b), (a, -b), (-a, b), (-a, -b)):
+        assert colour(image, big.view, *placed(pose, x, y)) == TYRE
+    nose = 0.25 * config.body.length
+    assert colour(image, big.view, *placed(pose, nose, 0.0)) == FLOOR
+    assert colour(image, big.view, *placed(pose, 0.0, 0.0)) == CHASSIS
+    assert colour(image, big.view, *placed(pose, config.lidar_x_offset, 0.0)) == TYRE
+
+
+def test_a_moved_world_looks_the_same_from_its_start(config: RobotConfig) -> None:
+    moved = COURT.seen_from((-16.0, 8.0, 0.0))
+    seen = moved.seen_from((16.0, -8.0, 0.0))
+    assert seen is not COURT
+    assert TopView(config).draw(replace(FRAME, world=seen)).tobytes() == (
+        TopView(config).draw(FRAME).tobytes()
+    )
+    assert TopView(config).draw(replace(FRAME, world=moved)).tobytes() != (
+        TopView(config).draw(FRAME).tobytes()
+    )
+    assert sheet([moved], 1, 200).tobytes() == sheet([COURT], 1, 200).tobytes()
+
+
+def test_the_same_frame_is_the_same_picture(config: RobotConfig, top: TopView) -> None:
+    frame = replace(
+        FRAME,
+        odom=(1.0, 0.2, 0.3),
+        truth=(1.1, 0.1, 0.2),
+        odom_path=[(0.0, 0.0), (1.0, 0.2)],
+        true_path=[(0.0, 0.0), (1.1, 0.1)],
+        rays=(np.linspace(-1.0, 1.0, 9), np.full(9, 0.8)),
+        caption="t 1.0 s",
+    )
+    first = top.draw(frame)
+    assert first.tobytes() == top.draw(frame).tobytes() == TopView(config).draw(frame).tobytes()
+    for change in ({"caption": ""}, {"rays": None}, {"true_path": ()}, {"odom_path": ()}):
+        assert first.tobytes() != top.draw(replace(frame, **change)).tobytes()
+    first[:] = 0
+    assert top.draw(frame).any(), "a picture is the caller's own"
+
+
+def test_odometry_is_seen_only_where_it_differs(config: RobotConfig, top: TopView) -> None:
+    pose = (1.0, 0.0, 0.4)
+    alone = top.draw(replace(FRAME, odom=pose))
+    assert top.draw(replace(FRAME, odom=pose, truth=pose)).tobytes() == alone.tobytes()
+    barely = (1.0 + 0.5 / top.view.scale, 0.0, 0.4)
+    assert top.draw(replace(FRAME, odom=barely, truth=pose)).tobytes() == alone.tobytes()
+    odom = (1.5, 0.5, 0.9)
+    image = top.draw(replace(FRAME, odom=odom, truth=pose))
+    assert colour(image, top.view, 1.0, 0.0) == CHASSIS
+    length, width = config.body.length / 2.0, config.body.width / 2.0
+    for x, y in ((length, 0.0), (-length, 0.0), (0.0, width), (0.0, -width), (length / 2.0, 0.0)):
+        assert near(image, top.view, placed(odom, x, y), ODOM)
+        assert not near(alone, top.view, placed(odom, x, y), ODOM)
+    turned = top.draw(replace(FRAME, odom=(1.0, 0.0, 1.2), truth=pose))
+    assert turned.tobytes() != alone.tobytes()
+
+
+def test_paths_are_drawn_in_their_colours(top: TopView) -> None:
+    odom_path, true_path = [(0.0, 0.0), (1.0, 1.5)], [(0.0, 0.0), (1.0, -1.5)]
+    image = top.draw(replace(FRAME, odom_path=odom_path, true_path=true_path))
+    assert near(image, top.view, (0.8, 1.2), ODOM)
+    assert colour(image, top.view, 0.8, -1.2) == TRUTH
+    assert not near(image, top.view, (0.8, -1.2), ODOM)
+
+
+def test_the_worlds_path_is_dashed(top: TopView) -> None:
+    way = np.array([[0.0, 0.0], [0.0, 1.5], [3.5, 1.5]])
+    image = top.draw(replace(FRAME, world=replace(COURT, path=way)))
+    along = np.linspace(0.3, 3.4, 400)
+    inked = [colour(image, top.view, x, 1.5) not in (FLOOR, GRID) for x in along]
+    assert 0.3 < np.mean(inked) < 0.7
+    assert any(inked[:40])
+    assert any(inked[-40:])
+
+
+def test_long_paths_are_thinned_but_end_where_they_end() -> None:
+    assert _thinned([]).shape == (0, 2)
+    for count in (1, 2, 999, 1000, 1001, 4097, 100_003):
+        path = [(float(i), -float(i)) for i in range(count)]
+        thin = _thinned(path)
+        assert len(thin) == count if count <= 1000 else 500 <= len(thin) <= 1001
+        assert thin[0].tolist() == [0.0, 0.0]
+        assert thin[-1].tolist() == list(path[-1])
+
+
+def test_points_within_a_pixel_are_drawn_as_one() -> None:
+    way = np.column_stack([np.linspace(0.0, 100.0, 1001), np.zeros(1001)])
+    spaced = _spaced(way, 2.0)
+    assert len(spaced) == pytest.approx(51, abs=2)
+    assert spaced[0].tolist() == [0.0, 0.0]
+    assert spaced[-1].tolist() == [100.0, 0.0]
+    assert np.diff(spaced[:, 0]).max() == pytest.approx(2.0, abs=0.11)
+    far = way[::100]
+    assert np.array_equal(_spaced(far, 2.0), far)
+    assert len(_spaced(np.zeros((5, 2)), 2.0)) == 2
+
+
+def test_a_thinned_path_looks_the_same(top: TopView) -> None:
+    turns = np.linspace(0.0, 6.0, 50_001)
+    path = list(zip(1.5 + np.cos(turns), np.sin(turns), strict=True))
+    image = top.draw(replace(FRAME, true_path=path))
+    for x, y in path[::2500]:
+        assert near(image, top.view, (x, y), TRUTH)
+
+
+def test_rays_light_the_floor_and_end_in_dots(config: RobotConfig, top: TopView) -> None:
+    pose, offset = (1.3, 0.0, math.pi / 2), config.lidar_x_offset
+    angles = np.array([-0.6, -0.2, 0.2, 0.6])
+    ranges = np.array([2.0, 1.5, 1.5, 2.0])
+    frame = replace(FRAME, world=None, goal=(3.0, 0.0), odom=pose, rays=(angles, ranges), reach=2.0)
+    image = top.draw(frame)
+
+    def at(angle: float, away: float) -> tuple[float, float]:
+        return placed(pose, offset + away * math.cos(angle), away * math.sin(angle))
+
+    assert colour(image, top.view, *at(0.2, 1.5)) == RAY
+    assert colour(image, top.view, *at(0.6, 2.0)) != RAY, "it met nothing"
+    assert colour(image, top.view, *at(0.0, 1.0)) == SEEN[0]
+    for angle, away in ((0.0, 1.7), (0.9, 1.0), (math.pi, 0.5)):
+        assert colour(image, top.view, *at(angle, away)) == FLOOR
+
+
+def test_a_range_that_is_none_reaches_as_far_as_the_lidar(top: TopView) -> None:
+    angles = np.linspace(-0.5, 0.5, 5)
+    pictures = [
+        top.draw(Frame(rays=(angles, np.full(5, away)), reach=0.5)) for away in (math.inf, 9.0, 0.5)
+    ]
+    assert pictures[0].tobytes() == pictures[1].tobytes() == pictures[2].tobytes()
+    assert pictures[0].tobytes() != top.draw(Frame()).tobytes()
+
+
+def test_a_full_turn_has_no_gap_and_truth_carries_the_lidar(
+    config: RobotConfig, top: TopView
+) -> None:
+    angles = -math.pi + np.arange(64) * math.tau / 64
+    rays = (angles, np.full(64, 0.9))
+    frame = replace(FRAME, odom=(0.0, 0.0, 0.0), truth=(2.5, 0.0, 0.0), rays=rays, reach=5.0)
+    image = top.draw(frame)
+    x = 2.5 + config.lidar_x_offset
+    for angle in (*angles, math.pi - math.pi / 64):
+        place = (x + 0.7 * math.cos(angle + 0.02), 0.7 * math.sin(angle + 0.02))
+        assert colour(image, top.view, *place) not in (FLOOR, OBSTACLE)
+    assert near(image, top.view, (x - 0.9, 0.0), RAY)
+    goal = top.draw(replace(frame, goal=(2.2, 0.6)))
+    assert colour(goal, top.view, 2.2, 0.6) == GOAL, "the light doesn't hide it"
+
+
+def test_numbers_that_are_none_are_left_out(top: TopView) -> None:
+    nan = math.nan
+    top.draw(
+        replace(
+            FRAME,
+            odom=(nan, nan, nan),
+            truth=(1.0, 0.0, 0.0),
+            odom_path=[(0.0, 0.0), (nan, 1.0), (1.0, 1.0)],
+            rays=(np.linspace(-1.0, 1.0, 4), np.array([1.0, nan, math.inf, 0.5])),
+            reach=5.0,
+        )
+    )
+    top.draw(replace(FRAME, rays=(np.zeros(0), np.zeros(0))))
+    top.draw(replace(FRAME, odom=(nan, 0.0, 0.0)))
+    assert top.layers == 2
+
+
+def test_what_stands_still_is_drawn_once(top: TopView) -> None:
+    assert top.layers == 1
+    for step in range(20):
+        top.draw(replace(FRAME, odom=(0.2 * step, 0.0, 0.1), odom_path=[(0.0, 0.0), (0.1, 0.0)]))
+    assert top.layers == 2
+    for step in range(20):
+        top.draw(replace(FRAME, goal=(0.2 * step, 1.0)))
+    assert top.layers == 2, "a goal may move through a world"
+    top.draw(replace(FRAME, world=COURT.seen_from((0.0, 0.0, 0.0))))
+    assert top.layers == 3
+    view = top.view
+    top.draw(FRAME)
+    assert (top.layers, top.view) == (4, view)
+
+
+def test_a_goal_that_moves_through_a_world_is_kept_in_view(top: TopView) -> None:
+    top.draw(replace(FRAME, odom=(-9.0, 0.0, 0.0)))
+    grown, layers = top.view, top.layers
+    top.draw(replace(FRAME, goal=(1.0, 1.0)))
+    assert (top.view, top.layers) == (grown, layers)
+    top.draw(replace(FRAME, goal=(1.0, 30.0)))
+    assert top.layers == layers + 1
+    assert top.view.shows(1.0, 30.0, 10.0)
+
+
+def test_the_view_grows_after_a_robot_that_strays(config: RobotConfig) -> None:
+    top = TopView(config)
+    frame = Frame(goal=(1.0, 1.0))
+    first = top.draw(frame).tobytes()
+    for step in range(200):
+        away = (-0.1 * step, 0.0, 0.0)
+        image = top.draw(replace(frame, odom=away))
+        assert top.view.shows(*away[:2], 10.0)
+    assert top.layers < 12
+    assert near(image, top.view, (1.0, 1.0), GOAL)
+    assert near(image, top.view, away[:2], CHASSIS)
+    layers = top.layers
+    top.draw(frame)
+    assert top.layers == layers, "it doesn't shrink before the next episode"
+    top.draw(replace(frame, goal=(0.5, 0.0)))
+    assert top.layers == layers + 1
+    assert top.draw(frame).tobytes() == first
+
+
+def test_tiny_robots_are_ringed(config: RobotConfig) -> None:
+    top = TopView(config, (200, 200))
+    image = top.draw(Frame(goal=(40.0, 0.0)))
+    ring = SMALL / top.view.scale
+    for x, y in ((ring, 0.0), (-ring, 0.0), (0.0, ring), (0.0, -ring)):
+        assert near(image, top.view, (x, y), CHASSIS)
+
+
+@pytest.mark.parametrize("size", [(480,), (63, 480), (480, 5000), (480.5, 480), 480, "ab", None])
+def test_sizes_that_cannot_be(config: RobotConfig, size: object) -> None:
+    with pytest.raises(ConfigError, match=r"size = .*64 to 4096 pixels"):
+        TopView(config, size)  # type: ignore[arg-type]
+
+
+def test_a_sheet_has_a_tile_for_each_world() -> None:
+    turned = replace(COURT, start=Region(0.0, 0.0, 0.0, math.pi / 2))
+    bare = World(goal=Region(3.0, 1.0), path=np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 1.0]]))
+    image = sheet([COURT, turned, bare], 2, 200)
+    assert image.shape == (400, 400, 3)
+    assert (image[200:, 200:] == FLOOR).all(), "the fourth tile is empty"
+    tiles = [image[:200, :200], image[:200, 200:], image[200:, :200]]
+    inks = [(tile[4 : TITLE - 4, 8:100].sum(axis=2) < 450).sum() for tile in tiles]
+    assert inks[0] == inks[1] > 20
+    assert inks[2] == 0, "it has no name"
+    assert all((tile == START).all(axis=2).any() for tile in tiles)
+    assert all((tile == GOAL).all(axis=2).any() for tile in tiles)
+    blue = [np.argwhere((tile == START).all(axis=2)) for tile in tiles]
+    assert np.ptp(blue[0], axis=0).argmax() == 1, "x is to the right"
+    assert np.ptp(blue[1], axis=0).argmax() == 0, "y is up"
+    assert blue[1].mean(axis=0)[0] < blue[0].mean(axis=0)[0] - 2, "it points up"
+    walls = np.argwhere((tiles[0] == OBSTACLE).all(axis=2))[:, 0]
+    assert walls.min() > TITLE
+    assert abs((walls.min() - TITLE) - (199 - walls.max())) < 3, "it is centred below the title"
+    goal = np.argwhere((tiles[2] == GOAL).all(axis=2)).mean(axis=0)
+    start = blue[2].mean(axis=0)
+    assert goal[0] < start[0], "the goal is above"
+    assert goal[1] > start[1]
+
+
+@pytest.mark.parametrize(("count", "columns"), [(0, 2), (2, 0), (1, -1)])
+def test_sheets_of_nothing(count: int, columns: int) -> None:
+    with pytest.raises(ConfigError, match=r"no worlds to draw|must be at least 1"):
+        sheet([COURT] * count, columns, 100)
+    with pytest.raises(ConfigError, match="size"):
+        sheet([COURT], 1, 10)
+
+
+def test_more_columns_than_worlds_make_one_row() -> None:
+    assert sheet([COURT], 1000, 100).shape == (100, 100, 3)
+
+
+def test_long_names_are_shortened() -> None:
+    assert shortened("court", 12.0, 100.0) == "court"
+    short = shortened("a very long name of a world" * 9, 12.0, 100.0)
+    assert short.startswith("a very")
+    assert short.endswith("…")
+    assert len(short) < 30
+
+
+@pytest.mark.parametrize(
+    ("most", "length"), [(1.0, 1.0), (1.99, 1.0), (2.0, 2.0), (7.0, 5.0), (0.3, 0.2), (99.0, 50.0)]
+)
+def test_scale_bars_are_of_round_lengths(most: float, length: float) -> None:
+    assert round_length(most) == pytest.approx(length)
+
+
+def test_pictures_are_saved_as_png(tmp_path: Path, top: TopView) -> None:
+    image = top.draw(FRAME)
+    for name in ("a.png", "B.PNG"):
+        save(image, tmp_path / name)
+        file = io.BytesIO((tmp_path / name).read_bytes())
+        with Pillow.open(file) as read:
+            assert read.format == "PNG"
+            assert np.array_equal(np.asarray(read), image)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [("a.jpg", "PNG"), ("a", "PNG"), ("none/a.png", "No such file"), (".png", "PNG")],
+)
+def test_pictures_that_cannot_be_saved(tmp_path: Path, name: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=f"{name}: .*{message}") as caught:
+        save(np.zeros((2, 2, 3), np.uint8), tmp_path / name)
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / name).exists()
+
+
+def test_without_pillow_the_extra_is_named(
+    config: RobotConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "PIL", None)
+    with pytest.raises(MissingExtraError, match=r"acsar_gym\[pictures\]"):
+        TopView(config)
+    with pytest.raises(MissingExtraError, match=r"acsar_gym\[pictures\]"):
+        sheet([COURT], 1, 100)

@@ -1,0 +1,144 @@
+from __future__ import annotations
+
+import gc
+import os
+import sys
+import weakref
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from acsar_gym.errors import RenderError
+from acsar_gym.render.window import Window
+
+HALVES = np.zeros((60, 100, 3), np.uint8)
+HALVES[:, :50] = (200, 30, 40)
+
+
+def _has_display() -> bool:
+    if not os.environ.get("DISPLAY"):
+        return False
+    try:
+        import tkinter as tk
+
+        tk.Tk().destroy()
+    except (ImportError, RuntimeError):
+        return False
+    except tk.TclError:
+        return False
+    return True
+
+
+needs_display = pytest.mark.skipif(not _has_display(), reason="no display")
+
+
+@pytest.fixture
+def window() -> Iterator[Window]:
+    window = Window("a title", (100, 60))
+    yield window
+    window.close()
+
+
+@pytest.mark.parametrize("display", [None, "", ":999"])
+def test_without_a_display_it_says_what_to_do(
+    monkeypatch: pytest.MonkeyPatch, display: str | None
+) -> None:
+    pytest.importorskip("tkinter")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    if display is not None:
+        monkeypatch.setenv("DISPLAY", display)
+    window = Window("a title", (100, 60))
+    for _ in range(2):
+        with pytest.raises(RenderError, match="needs a display") as caught:
+            window.show(HALVES)
+        assert str(caught.value) == (
+            "render_mode='human' needs a display; use render_mode='rgb_array'"
+        )
+    assert not window.closed
+    window.close()
+    window.close()
+    window.show(HALVES)
+
+
+def test_without_tkinter_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "tkinter", None)
+    with pytest.raises(RenderError, match=r"needs tkinter.*python3-tk.*rgb_array"):
+        Window("a title", (100, 60)).show(HALVES)
+
+
+@pytest.mark.parametrize(
+    "image", [np.zeros((4, 4), np.uint8), np.zeros((4, 4, 4), np.uint8), np.zeros((4, 4, 3))]
+)
+def test_what_is_no_picture(image: NDArray[np.uint8]) -> None:
+    with pytest.raises(ValueError, match="height x width x 3 of uint8"):
+        Window("a title", (100, 60)).show(image)
+
+
+def test_a_window_that_never_opened_is_closed_quietly() -> None:
+    window = Window("a title", (100, 60))
+    window.close()
+    window.close()
+    window.show(HALVES)
+    assert window.closed
+
+
+@needs_display
+def test_it_shows_the_pixels(window: Window) -> None:
+    window.show(HALVES)
+    opened = window._open
+    assert opened is not None
+    root, photo = opened._root, opened._photo
+    assert root.title() == "a title"
+    assert (root.winfo_width(), root.winfo_height()) == (100, 60)
+    assert [photo.get(x, 30) for x in (0, 49, 50, 99)] == [(200, 30, 40)] * 2 + [(0, 0, 0)] * 2
+    window.show(np.full((30, 40, 3), 255, np.uint8)[::-1, ::-1])
+    assert (root.winfo_width(), root.winfo_height()) == (40, 30)
+    assert photo.get(39, 29) == (255, 255, 255)
+    del root, photo, opened
+
+
+@needs_display
+def test_the_user_may_close_it(window: Window) -> None:
+    window.show(HALVES)
+    assert window._open is not None
+    root = window._open._root
+    call, button = root.tk.call, root.protocol("WM_DELETE_WINDOW")
+    root.after(1, lambda: call(button))
+    del root
+    for _ in range(1000):
+        window.show(HALVES)
+    assert window.closed
+    window.show(HALVES)
+    window.close()
+
+
+@needs_display
+@pytest.mark.parametrize("how", ["closed", "dropped"])
+def test_nothing_is_left_behind(how: str) -> None:
+    gc.disable()
+    try:
+        window = Window("a title", (100, 60))
+        window.show(HALVES)
+        assert window._open is not None
+        root = weakref.ref(window._open._root)
+        if how == "closed":
+            window.close()
+            window.close()
+        else:
+            del window
+        assert root() is None
+    finally:
+        gc.enable()
+
+
+@needs_display
+def test_two_windows_live_side_by_side() -> None:
+    one, other = Window("one", (100, 60)), Window("other", (100, 60))
+    one.show(HALVES)
+    other.show(HALVES)
+    one.close()
+    other.show(HALVES)
+    assert not other.closed
+    other.close()

@@ -1,0 +1,359 @@
+"""An emergency stop from another terminal, over a real pty with the emulator in another process."""
+
+from __future__ import annotations
+
+import os
+import re
+import socket
+import stat
+import sys
+import tempfile
+import threading
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from serial_tools import TIMEOUT, Emulated, RobotFile, no_leak, program, wait_until
+
+from acsar_gym import Robot, RobotConfig
+from acsar_gym.__main__ import main
+from acsar_gym.doctor import checks as doctor
+from acsar_gym.errors import LinkError, SafetyWarning
+from acsar_gym.links import open_link
+from acsar_gym.protocol import ZERO
+from acsar_gym.safety import estop
+from acsar_gym.safety.layer import Reason
+
+pytestmark = [pytest.mark.xdist_group("serial"), pytest.mark.usefixtures("deadline")]
+
+DRIVING = """
+import sys
+from acsar_gym.cli import main
+sys.argv = ["acsar-gym", *sys.argv[1:]]
+main()
+"""
+
+
+@pytest.fixture(autouse=True)
+def place(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A folder of this test alone, with time to answer; paths of sockets must be short."""
+    monkeypatch.setattr(estop, "ANSWER", TIMEOUT)
+    with tempfile.TemporaryDirectory(prefix="acsar-", dir="/tmp") as base:
+        monkeypatch.setenv("ACSAR_GYM_RUNTIME_DIR", base)
+        yield Path(base)
+
+
+def folder() -> Path:
+    """Where the sockets of this test are."""
+    (usable,), wrong = estop.folders()
+    assert not wrong
+    return usable
+
+
+def estop_command(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> tuple[object, str, str]:
+    """`acsar-gym estop`: exit code, output, errors."""
+    monkeypatch.setattr(sys, "argv", ["acsar-gym", "estop"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    return ended.value.code, *capsys.readouterr()
+
+
+def test_the_command_stops_a_robot_that_another_process_drives(
+    emulator: Emulated,
+    robot_file: RobotFile,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    options = ("--link", emulator.device, "--linear", "0.2", "--robot", str(robot_file()))
+    with program(DRIVING, "drive", *options) as process:
+        wait_until(emulator.is_driven, "a command that turns the wheels")
+        done = estop_command(capsys, monkeypatch)
+        assert done == (0, f"process {process.pid}: stopped\n", "")
+        wait_until(emulator.is_stopped, "zero as the newest command")
+        emulator.forget()
+        wait_until(lambda: len(emulator.commands()) > 50, "more commands")
+        assert set(emulator.commands()) == {ZERO}
+        assert process.poll() is None  # it goes on, latched
+        process.terminate()
+        process.wait(TIMEOUT)
+
+
+def test_a_run_ends_with_one_line(emulator: Emulated, robot_file: RobotFile) -> None:
+    options = ("--link", emulator.device, "--robot", str(robot_file()))
+    with program(DRIVING, "run", "3", "0", *options) as process:
+        wait_until(emulator.is_driven, "a command that turns the wheels")
+        assert [each.answered for each in estop.stop_all()] == [True]
+        _, error = process.communicate(timeout=TIMEOUT)
+    assert process.returncode == 3
+    assert error.strip() == "acsar-gym: emergency stop: look after the robot, then start again"
+
+
+def test_without_a_robot_the_command_says_so(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    code, output, error = estop_command(capsys, monkeypatch)
+    assert (code, error) == (1, "")
+    assert "no robot is being driven" in output
+
+
+def test_sockets_belong_to_their_owner_alone(config: RobotConfig, shared_device: str) -> None:
+    with no_leak():
+        robot = Robot(open_link(shared_device, config), config)
+        robot.activate()
+        (path,) = folder().iterdir()
+        assert stat.S_IMODE(path.stat().st_mode) == 0o600
+        assert stat.S_IMODE(path.parent.stat().st_mode) == 0o700
+        robot.deactivate()
+        assert not list(folder().iterdir())
+
+
+def listener(name: str) -> socket.socket:
+    """The socket of a process that drives, or has driven."""
+    heard = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    heard.bind(str(folder() / name))
+    return heard
+
+
+def answering(ears: estop.Ears) -> threading.Thread:
+    """A control loop that heeds one stop."""
+
+    def loop() -> None:
+        while not ears.heard():
+            pass
+        ears.answer()
+
+    thread = threading.Thread(target=loop, daemon=True)
+    thread.start()
+    return thread
+
+
+def test_the_socket_of_a_dead_process_is_forgotten() -> None:
+    listener("99999999-1").close()
+    assert estop.stop_all() == []
+    assert not (folder() / "99999999-1").exists()
+
+
+def test_what_an_ended_stop_has_left_is_in_nobodys_way() -> None:
+    listener(f"estop-{os.getpid()}").close()
+    ears = estop.Ears()
+    thread = answering(ears)
+    assert estop.stop_all() == [estop.Stopped(os.getpid(), answered=True)]
+    thread.join()
+    ears.close()
+    assert not list(folder().iterdir())
+
+
+def test_what_is_no_socket_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor does a folder in place of the asker's own socket keep it from asking."""
+    monkeypatch.setattr(estop, "ANSWER", 0.01)
+    for name in ("1234-1", f"estop-{os.getpid()}", "1x-1", "²-1"):
+        (folder() / name).mkdir()
+    (folder() / "1235-1").write_text("")
+    ears = estop.Ears()
+    assert estop.stop_all() == [estop.Stopped(os.getpid(), answered=False)]
+    assert ears.heard()
+    ears.answer()
+    ears.close()
+    assert len(list(folder().iterdir())) == 5
+
+
+def test_a_process_that_hangs_does_not_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(estop, "ANSWER", 0.01)
+    ears = estop.Ears()
+    assert estop.stop_all() == [estop.Stopped(os.getpid(), answered=False)]
+    assert ears.heard()
+    ears.close()
+    ears.close()
+
+
+def test_processes_of_one_number_in_two_containers_hear_both() -> None:
+    with listener(f"{os.getpid()}-1"):
+        ears = estop.Ears()
+        assert ears.paths == [folder() / f"{os.getpid()}-2"]
+        ears.close()
+        assert (folder() / f"{os.getpid()}-1").is_socket()
+    other = estop.Ears()
+    ears = estop.Ears()
+    assert not set(other.paths) & set(ears.paths)
+    threads = [answering(each) for each in (other, ears)]
+    assert [found.answered for found in estop.stop_all()] == [True, True]
+    for thread in threads:
+        thread.join()
+    ears.close()
+    assert other.paths[0].is_socket()
+    other.close()
+
+
+def test_a_suspended_process_with_a_full_queue_is_listed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(estop, "ANSWER", 0.01)
+    with listener("1-1") as full, socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other:
+        other.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            while True:
+                other.sendto(b"stop", full.getsockname())
+        ears = estop.Ears()
+        thread = answering(ears)
+        first, second = estop.stop_all()
+        thread.join()  # it was asked although the one before it took nothing
+        assert first == estop.Stopped(1, answered=False)
+        assert second.process == os.getpid()
+        ears.close()
+
+
+BAD = {
+    "too open": lambda path: path.mkdir(mode=0o755),
+    "a link": lambda path: path.symlink_to("/tmp"),  # noqa: S108
+    "a file": lambda path: path.write_text(""),
+}
+
+
+@pytest.mark.parametrize("kind", BAD)
+def test_a_folder_that_cannot_be_trusted_is_told_of(
+    kind: str,
+    place: Path,
+    config: RobotConfig,
+    shared_device: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """By a warning at activation, by the doctor, and by the command."""
+    (path,) = estop.candidates()
+    BAD[kind](path)
+    robot = Robot(open_link(shared_device, config), config)
+    with no_leak():
+        with pytest.warns(SafetyWarning, match=f"can't stop this robot: {path}") as told:
+            robot.activate()
+        assert len(told) == 1
+        robot.drive(0.0, 0.0)
+        robot.deactivate()
+    check = doctor.emergency_stop()
+    assert check.status == "warn"
+    assert str(path) in check.found
+    assert check.fix
+    code, output, error = estop_command(capsys, monkeypatch)
+    assert (code, output) == (3, "")
+    assert re.fullmatch(f"acsar-gym: {path}: .*\n", error)
+
+
+def test_a_folder_of_somebody_else_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    mine = os.getuid()
+    monkeypatch.setattr(os, "getuid", lambda: mine + 1)
+    with pytest.raises(LinkError, match="yours alone"):
+        estop.stop_all()
+    assert "yours alone" in estop.Ears().deaf
+
+
+def test_a_warning_that_is_an_error_leaves_nothing_open(
+    place: Path, config: RobotConfig, shared_device: str
+) -> None:
+    estop.candidates()[0].write_text("")
+    robot = Robot(open_link(shared_device, config), config)
+    with no_leak(), warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(SafetyWarning):
+            robot.activate()
+        assert not robot.active
+
+
+def test_the_command_line_warns_in_one_line(
+    place: Path, emulator: Emulated, robot_file: RobotFile
+) -> None:
+    estop.candidates()[0].write_text("")
+    options = ("--link", emulator.device, "--linear", "0.2", "--duration", "0.05")
+    with program(DRIVING, "drive", *options, "--robot", str(robot_file())) as process:
+        _, error = process.communicate(timeout=TIMEOUT)
+    assert process.returncode == 0
+    assert re.fullmatch("acsar-gym: 'acsar-gym estop' can't stop this robot: .*\n", error)
+
+
+@pytest.mark.parametrize(
+    ("base", "said"),
+    [("/acsar-missing", "can't be made a folder"), ("/tmp/" + "long" * 30, "too long")],  # noqa: S108
+)
+def test_a_folder_that_cannot_be_is_one_line(
+    base: str,
+    said: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("ACSAR_GYM_RUNTIME_DIR", base)
+    code, output, error = estop_command(capsys, monkeypatch)
+    assert (code, output, error.count("\n")) == (3, "", 1)
+    assert error.startswith(f"acsar-gym: {base}/acsar_gym-{os.getuid()}: {said}")
+    assert said in estop.Ears().deaf
+
+
+@pytest.fixture
+def usual(place: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Path]:
+    """The folder of the user's sessions, and the one that all share."""
+    monkeypatch.delenv("ACSAR_GYM_RUNTIME_DIR")
+    monkeypatch.setattr(estop, "SESSIONS", place / "user")
+    monkeypatch.setattr(estop, "SHARED", place / "tmp")
+    session = place / "user" / str(os.getuid())
+    session.mkdir(0o700, parents=True)
+    (place / "tmp").mkdir()
+    return session, place / "tmp"
+
+
+def test_a_process_of_two_folders_is_one(usual: tuple[Path, Path]) -> None:
+    ears = estop.Ears()
+    assert {path.parent.parent for path in ears.paths} == set(usual)
+    thread = answering(ears)
+    assert estop.stop_all() == [estop.Stopped(os.getpid(), answered=True)]
+    thread.join()
+    assert doctor.emergency_stop().status == "ok"
+    ears.close()
+
+
+@pytest.mark.parametrize("missing", [0, 1], ids=["before the login", "somebody else's"])
+def test_one_of_the_folders_is_enough(missing: int, usual: tuple[Path, Path]) -> None:
+    name = f"acsar_gym-{os.getuid()}"
+    (usual[missing] / name).write_text("")  # a driver that can't use it
+    ears = estop.Ears()
+    assert not ears.deaf
+    (usual[missing] / name).unlink()
+    thread = answering(ears)
+    assert estop.stop_all() == [estop.Stopped(os.getpid(), answered=True)]
+    thread.join()
+    ears.close()
+
+
+def test_a_session_that_others_can_write_to_is_not_used(usual: tuple[Path, Path]) -> None:
+    session, shared = usual
+    session.chmod(0o777)
+    assert [path.parent for path in estop.candidates()] == [shared]
+
+
+def test_other_messages_are_ignored(config: RobotConfig, shared_device: str) -> None:
+    with Robot(open_link(shared_device, config), config) as robot:
+        (path,) = folder().iterdir()
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other:
+            other.sendto(b"go on", str(path))
+        robot.drive(0.0, 0.0)
+        assert robot.safety.reason is Reason.NONE
+
+
+def test_simulated_robots_have_no_socket(config: RobotConfig) -> None:
+    with Robot(open_link("planar", config), config):
+        assert not list(folder().iterdir())
+
+
+def test_the_folders_are_the_same_in_every_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    places = estop.candidates()
+    monkeypatch.setenv("XDG_RUNTIME_DIR", "/elsewhere")
+    monkeypatch.setenv("TMPDIR", "/elsewhere")
+    assert estop.candidates() == places
+
+
+def test_the_doctor_heeds_it(emulator: Emulated, robot_file: RobotFile) -> None:
+    options = ("--spin", "--robot", str(robot_file()))
+    with program(DRIVING, "doctor", emulator.device, *options) as process:
+        wait_until(emulator.is_driven, "a command that turns the wheels")
+        assert estop.stop_all() == [estop.Stopped(process.pid, answered=True)]
+        output, _ = process.communicate(timeout=TIMEOUT)
+    assert process.returncode == 1
+    assert "emergency stop" in output
+    wait_until(emulator.is_stopped, "zero as the newest command")

@@ -1,0 +1,255 @@
+"""The safety layer on a simulated robot: what is sent, why, and until when."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from acsar_gym import Robot, RobotConfig, kinematics
+from acsar_gym.envs.base import RobotEnv
+from acsar_gym.links import open_link
+from acsar_gym.protocol import Decoder
+from acsar_gym.resources import ASSETS
+from acsar_gym.safety.layer import Reason, Safety
+from acsar_gym.worlds import Scene
+
+ACSAR = RobotConfig.preset("acsar")
+URDF = ASSETS / "robots" / "acsar.urdf"
+AT_ONCE: dict[str, Any] = {
+    "linear_limits": {"max_acceleration": None},
+    "angular_limits": {"max_acceleration": None},
+}
+"""No limit of acceleration."""
+
+
+class Tapped:
+    """A planar link that remembers what was written to it, and can fall silent."""
+
+    def __init__(self, config: RobotConfig) -> None:
+        self._link = open_link("planar", config)
+        self.written = b""
+        self.silent = False
+
+    def write(self, data: bytes) -> None:
+        self.written += data
+        self._link.write(data)
+
+    def advance(self, period: float) -> bytes:
+        got = self._link.advance(period)
+        return b"" if self.silent else got
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._link, name)
+
+    def last(self) -> tuple[float | None, ...]:
+        """The newest command's wheel speeds."""
+        return Decoder().feed(self.written)[-1].speeds
+
+
+def robot(**fields: Any) -> tuple[Robot, Tapped]:
+    """An active one, without limits of acceleration but for those of `fields`."""
+    config = ACSAR.with_(**AT_ONCE).with_(**fields)
+    link = Tapped(config)
+    made = Robot(link, config)
+    made.activate()
+    return made, link
+
+
+def test_what_is_sent_is_what_was_asked() -> None:
+    driver, _ = robot()
+    driver.drive(0.3, -0.5)
+    assert driver.safety.sent == pytest.approx((0.3, -0.5))
+    assert driver.safety.reason is Reason.NONE
+
+
+def test_wheels_at_their_top_are_a_limit() -> None:
+    driver, _ = robot(max_wheel_speed=2.0)
+    driver.drive(0.5, 0.0)
+    assert driver.safety.sent == pytest.approx((0.1, 0.0))
+    assert driver.safety.reason is Reason.LIMITS
+
+
+def twist(speeds: tuple[float | None, ...]) -> tuple[float, float]:
+    """Of four wheel speeds on the wire [m/s, rad/s]."""
+    return kinematics.forward(
+        [speed or 0.0 for speed in speeds], ACSAR.wheel_radius, ACSAR.effective_separation
+    )
+
+
+WIRE = 0.002
+"""What the wire's two decimals change of a twist, at most [m/s, rad/s]."""
+
+
+@pytest.mark.parametrize(
+    ("linear", "angular"), [(2.0, 0.0), (-2.0, 0.0), (0.0, 9.0), (0.4, -7.0), (1e6, 1e6)]
+)
+def test_no_twist_exceeds_the_full_speeds(linear: float, angular: float) -> None:
+    driver, link = robot()
+    driver.drive(linear, angular)
+    assert driver.safety.reason is Reason.LIMITS
+    assert abs(driver.safety.sent[0]) <= ACSAR.max_linear + 1e-9
+    assert abs(driver.safety.sent[1]) <= ACSAR.max_angular + 1e-9
+    assert twist(link.last()) == pytest.approx(driver.safety.sent, abs=WIRE)
+
+
+@given(st.lists(st.floats(-1e307, 1e307), min_size=4, max_size=4))
+def test_raw_wheel_speeds_shrink_alike(speeds: list[float]) -> None:
+    safety = Safety(ACSAR)
+    sent = list(safety.bounded(speeds))
+    linear, angular = twist(tuple(sent))
+    assert abs(linear) <= ACSAR.max_linear + 1e-9
+    assert abs(angular) <= ACSAR.max_angular + 1e-9
+    assert max(map(abs, sent)) <= ACSAR.max_wheel_speed + 1e-9
+    assert safety.sent == pytest.approx((linear, angular), abs=1e-9)
+    shares = [
+        after / before for before, after in zip(speeds, sent, strict=True) if abs(before) > 1e-6
+    ]
+    assert shares == pytest.approx([shares[0]] * len(shares)) if shares else True
+    assert (safety.reason is Reason.LIMITS) == (sent != speeds)
+
+
+def test_raw_wheel_speeds_are_bounded_on_the_wire() -> None:
+    driver, link = robot()
+    for asked, sent, reason in ((30.0, 10.0, Reason.LIMITS), (4.0, 4.0, Reason.NONE)):
+        driver.tick((asked,) * 4)
+        assert link.last() == pytest.approx((sent,) * 4)  # 0.5 m/s at a radius of 0.05 m
+        assert driver.safety.reason is reason
+
+
+def test_a_robot_that_must_not_reverse_stands_instead() -> None:
+    driver, link = robot(linear_limits={"min_velocity": 0.0})
+    driver.tick((-3.0, -3.0, -3.0, -3.0))
+    assert link.last() == (0.0,) * 4
+
+
+@pytest.mark.parametrize(
+    "config", [ACSAR, RobotConfig(), RobotConfig.load(URDF)], ids=["preset", "default", "URDF"]
+)
+def test_a_first_command_is_slow(config: RobotConfig) -> None:
+    """At the full twist the first command turns no wheel at more than 0.8 rad/s; it was 17."""
+    safety, full = Safety(config), (config.max_linear, config.max_angular)
+    first = safety.speeds(*full)
+    reasons = [safety.reason]
+    for _ in range(30):
+        safety.speeds(*full)
+        reasons.append(safety.reason)
+    assert max(map(abs, first)) < 0.8
+    assert (reasons[0], reasons[-1]) == (Reason.LIMITS, Reason.NONE)
+
+
+def test_a_wanted_twist_of_zero_is_sent_at_once() -> None:
+    driver, link = robot(linear_limits={"max_acceleration": 1.0})
+    for _ in range(40):
+        driver.drive(0.3, 0.0)
+    driver.drive(0.0, 0.0)
+    assert link.last() == (0.0,) * 4
+    assert driver.safety.reason is Reason.NONE
+
+
+def test_a_ramp_begins_where_raw_wheel_speeds_have_ended() -> None:
+    driver, link = robot(linear_limits={"max_acceleration": 1.0})
+    driver.tick((6.0, 6.0, 6.0, 6.0))
+    driver.drive(0.5, 0.0)
+    assert link.last()[0] == pytest.approx(6.2)
+
+
+def test_a_held_twist_costs_no_new_line() -> None:
+    """Once it is reached, the same tuple of speeds is sent, which is encoded once."""
+    safety = Safety(ACSAR)
+    for _ in range(60):
+        reached = safety.speeds(0.37, -0.9)
+    assert safety.speeds(0.37, -0.9) is reached
+    assert safety.sent == pytest.approx((0.37, -0.9))
+    safety.halt(Reason.STALE_FEEDBACK)
+    assert safety.speeds(0.37, -0.9) != reached
+
+
+def test_acceleration_limits_ramp_the_commands_on_the_wire() -> None:
+    driver, link = robot(linear_limits={"max_acceleration": 1.0})
+    seen = []
+    for _ in range(40):
+        driver.drive(0.3, 0.0)
+        seen.append(link.last()[0])
+    assert seen[:3] == pytest.approx([0.2, 0.4, 0.6])  # 0.01 m/s a tick, radius 0.05 m
+    assert seen[-1] == pytest.approx(6.0)
+    assert driver.safety.reason is Reason.NONE
+
+
+def test_a_stop_is_no_ramp() -> None:
+    driver, link = robot(linear_limits={"max_acceleration": 1.0})
+    for _ in range(40):
+        driver.drive(0.3, 0.0)
+    driver.stop()
+    assert link.last() == (0.0,) * 4
+    driver.drive(0.3, 0.0)
+    assert link.last()[0] == pytest.approx(0.2)  # from standstill again
+
+
+def test_the_geofence_stops_until_the_reset() -> None:
+    driver, link = robot(geofence={"max_x": 0.2})
+    for _ in range(300):
+        driver.drive(0.4, 0.0)
+    assert driver.safety.reason is Reason.GEOFENCE
+    assert driver.safety.sent == (0.0, 0.0)
+    assert link.last() == (0.0,) * 4
+    assert 0.2 < driver.odometry.pose[0] < 0.3
+    driver.drive(-0.4, 0.0)  # not even back
+    assert link.last() == (0.0,) * 4
+    driver.tick((5.0, 5.0, 5.0, 5.0))
+    assert link.last() == (0.0,) * 4
+    driver.reset(Scene())
+    driver.drive(0.4, 0.0)
+    assert link.last()[0] == pytest.approx(8.0)
+
+
+def test_stale_feedback_stops_until_it_is_fresh() -> None:
+    driver, link = robot(feedback_timeout=1.0)
+    driver.drive(0.4, 0.0)
+    link.silent = True
+    reasons = []
+    for _ in range(95):
+        driver.drive(0.4, 0.0)
+        reasons.append(driver.safety.reason)
+    assert reasons.count(Reason.STALE_FEEDBACK) == pytest.approx(15, abs=2)
+    assert link.last() == (0.0,) * 4
+    link.silent = False
+    driver.drive(0.4, 0.0)
+    driver.drive(0.4, 0.0)
+    assert driver.safety.reason is Reason.NONE
+    assert link.last()[0] == pytest.approx(8.0)
+
+
+def test_an_emergency_stop_is_latched() -> None:
+    driver, link = robot()
+    driver.drive(0.4, 0.0)
+    driver.estop()
+    assert link.last() == (0.0,) * 4
+    for _ in range(50):
+        driver.drive(0.4, 0.0)
+    assert driver.safety.reason is Reason.EMERGENCY_STOP
+    assert link.last() == (0.0,) * 4
+    assert max(map(abs, driver.speeds)) < 0.1
+    driver.reset(Scene())
+    driver.drive(0.4, 0.0)
+    assert link.last()[0] == pytest.approx(8.0)
+
+
+@pytest.mark.parametrize("link", ["planar", "bullet"])
+def test_info_says_what_was_sent_and_why(link: str) -> None:
+    config = ACSAR.with_(linear_limits={"max_velocity": 0.2})  # reached within the step
+    env = gymnasium.make("acsar_gym/PointGoal-v0", link=link, robot=config)
+    _, info = env.reset(seed=0)
+    assert (info["sent_linear"], info["sent_reason"]) == (0.0, 0.0)
+    *_, info = env.step(np.array([1.0, 0.0], np.float32))
+    assert info["sent_linear"] == pytest.approx(0.2)
+    assert info["sent_reason"] == Reason.LIMITS
+    assert isinstance(env.unwrapped, RobotEnv)
+    env.unwrapped.robot.estop()
+    *_, info = env.step(np.array([1.0, 0.0], np.float32))
+    assert (info["sent_linear"], info["sent_reason"]) == (0.0, 4.0)
+    env.close()

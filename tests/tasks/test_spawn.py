@@ -1,0 +1,91 @@
+"""Draws of a world, and of a start and a goal in its regions."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from acsar_gym.errors import ConfigError, WorldError
+from acsar_gym.tasks.spawn import drawn
+from acsar_gym.worlds import Region, World
+from acsar_gym.worlds.pool import Pool
+
+WIDE = World(start=Region(-4.0, 1.0, 0.5), goal=Region(4.0, -1.0, 1.0), name="wide")
+
+
+def test_starts_and_goals_fill_their_regions() -> None:
+    rng, pool = np.random.default_rng(0), Pool.of(WIDE)
+    starts, goals, headings = [], [], []
+    for _ in range(400):
+        world = drawn(pool, rng, {}).world
+        assert world is not None
+        # The world as seen from the start: its own start region tells where the robot stands.
+        theta = -math.atan2(world.goal.y - world.start.y, world.goal.x - world.start.x)
+        headings.append(theta + math.atan2(-2.0, 8.0))
+        starts.append(math.hypot(world.start.x, world.start.y))
+        goals.append(drawn(pool, rng, {}).goal)
+    assert 0.45 < max(starts) <= 0.5
+    assert np.mean(np.array(starts) < 0.5 / math.sqrt(2.0)) == pytest.approx(0.5, abs=0.08)
+    counts, _ = np.histogram(np.mod(headings, math.tau), 4, (0.0, math.tau))
+    assert counts.min() > 60
+    distances = np.hypot(*np.array(goals).T)
+    assert distances.min() > math.hypot(8.0, 2.0) - 1.5
+    assert distances.max() < math.hypot(8.0, 2.0) + 1.5
+
+
+def test_every_world_of_the_pool_is_drawn() -> None:
+    rng, pool = np.random.default_rng(0), Pool.of("open:5")
+    numbers = {drawn(pool, rng, {}).number for _ in range(100)}
+    assert numbers == {0, 1, 2, 3, 4}
+
+
+def test_options_choose_the_world_and_the_goal() -> None:
+    rng, pool = np.random.default_rng(0), Pool.of("open:5")
+    for number in (3, 3.0, np.int64(3), np.float32(3.0)):  # info tells it as a float
+        assert drawn(pool, rng, {"world": number}).number == 3
+    assert drawn(pool, rng, {"world": WIDE}).number == -1
+    assert drawn(pool, rng, {"goal": (1, 2)}).goal == (1.0, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "error"),
+    [
+        ({"world": 5}, WorldError),
+        ({"world": -1}, WorldError),
+        ({"world": "three"}, ConfigError),
+        ({"world": 2.5}, ConfigError),
+        ({"world": math.nan}, ConfigError),
+        ({"world": math.inf}, ConfigError),
+        ({"goal": (1.0, math.inf)}, ConfigError),
+    ],
+)
+def test_bad_options_are_one_clear_error(options: dict[str, Any], error: type[Exception]) -> None:
+    with pytest.raises(error) as caught:
+        drawn(Pool.of("open:5"), np.random.default_rng(0), options)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_path_to_follow_begins_at_the_robot() -> None:
+    assignment = drawn(Pool.of("smooth_path:3"), np.random.default_rng(1), {}, follow=True)
+    assert assignment.path is not None
+    assert assignment.path[0] == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
+    assert assignment.path[-1, :2] == pytest.approx(assignment.goal)
+
+
+def test_a_world_without_a_path_cannot_be_followed() -> None:
+    world = World(goal=Region(1.0, 0.0), name="pathless")
+    pool = Pool("given", range(1), lambda _: world)
+    with pytest.raises(WorldError, match="pathless: has no path to follow"):
+        drawn(pool, np.random.default_rng(0), {}, follow=True)
+
+
+def test_a_path_is_followed_from_its_own_start_to_its_own_end() -> None:
+    path = np.array([[1.0, 1.0], [2.0, 1.0], [2.0, 2.0]])
+    world = World(start=Region(0.0, 0.0), goal=Region(5.0, 5.0, 0.5), path=path)
+    assignment = drawn(Pool.of(world), np.random.default_rng(0), {}, follow=True)
+    assert assignment.goal == pytest.approx((1.0, 1.0))
+    assert assignment.path is not None
+    assert assignment.path[0] == pytest.approx([0.0, 0.0, 0.0])

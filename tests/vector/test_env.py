@@ -1,0 +1,361 @@
+"""The batch of planar robots against the single environment, and Gymnasium's rules for batches."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import threading
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+from acsar_gym.envs import ObstacleGoalVectorEnv, PointGoalVectorEnv
+from acsar_gym.errors import CommandError, ConfigError
+from acsar_gym.vector.env import RobotVectorEnv
+from acsar_gym.vector.kernel import episode, layout
+from acsar_gym.vector.threads import Crew
+
+ENV_ID = "acsar_gym/PointGoal-v0"
+
+
+def batch(num: int = 4, **options: Any) -> PointGoalVectorEnv:
+    return PointGoalVectorEnv(num, **{"max_episode_steps": 200, **options})
+
+
+def test_make_vec_finds_the_batch() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env = gymnasium.make_vec(ENV_ID, 8, vectorization_mode="vector_entry_point")
+    assert isinstance(env.unwrapped, PointGoalVectorEnv)
+    assert env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
+    obs, infos = env.reset(seed=0)
+    assert env.observation_space.contains(obs)
+    assert infos["_goal_distance"].all()
+    obs, rewards, terminated, truncated, _ = env.step(env.action_space.sample())
+    assert env.observation_space.contains(obs)
+    assert (rewards.dtype, terminated.dtype, truncated.dtype) == (np.float64, np.bool_, np.bool_)
+    env.close()
+    env.close()
+
+
+def reference(mode: AutoresetMode) -> Any:
+    return gymnasium.make_vec(
+        ENV_ID,
+        4,
+        vectorization_mode="sync",
+        vector_kwargs={"autoreset_mode": mode},
+        link="planar",
+        goal_distance=(0.3, 0.6),
+        max_episode_steps=25,
+    )
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+def test_autoreset_is_gymnasiums_own(mode: AutoresetMode) -> None:
+    """Step for step what SyncVectorEnv makes of four single environments, infos included."""
+    ours = batch(goal_distance=(0.3, 0.6), max_episode_steps=25, autoreset_mode=mode)
+    theirs = reference(mode)
+    ours.reset(seed=7)
+    theirs.reset(seed=7)
+    rng, ended = np.random.default_rng(1), 0
+    for _ in range(120):
+        acts = rng.uniform(-1.0, 1.0, (4, 2)).astype(np.float32)
+        mine, expected = ours.step(acts), theirs.step(acts)
+        for have, want in zip(mine[:4], expected[:4], strict=True):
+            assert have == pytest.approx(want, abs=1e-6)
+        compare_infos(mine[4], expected[4])
+        ended += int((mine[2] | mine[3]).sum())
+    ours.close()
+    theirs.close()
+    assert ended > 10
+
+
+def compare_infos(mine: dict[str, Any], expected: dict[str, Any]) -> None:
+    """What Gymnasium reports we report, too, wherever its mask is set."""
+    for key, want in expected.items():
+        if key.startswith("_"):
+            continue
+        mask = expected[f"_{key}"]
+        assert (mine[f"_{key}"] == mask).all()
+        if isinstance(want, dict):
+            compare_infos(mine[key], want)
+        elif want.dtype == object:
+            for index in np.flatnonzero(mask):
+                assert mine[key][index] == pytest.approx(want[index], abs=1e-6)
+        else:
+            assert mine[key][mask] == pytest.approx(want[mask], abs=1e-6)
+
+
+def test_without_autoreset_the_user_resets_by_mask() -> None:
+    env = batch(max_episode_steps=5, autoreset_mode="Disabled")
+    env.reset(seed=0)
+    for _ in range(5):
+        env.step(np.zeros((4, 2)))
+    with pytest.raises(ConfigError, match="env 0 has ended"):
+        env.step(np.zeros((4, 2)))
+    before = env.batch.state.copy()
+    mask = np.array([True, False, True, False])
+    env.reset(options={"reset_mask": mask})
+    assert (env.batch.state[:, ~mask] == before[:, ~mask]).all()
+    with pytest.raises(ConfigError, match="env 1 has ended"):
+        env.step(np.zeros((4, 2)))
+    env.close()
+
+
+def rollout(env: RobotVectorEnv, seed: int = 3) -> np.ndarray[Any, Any]:
+    first = env.reset(seed=seed)[0]
+    rng = np.random.default_rng(9)
+    acts = rng.uniform(-1.0, 1.0, (50, env.num_envs, 2))
+    return np.array([first, *(env.step(act)[0] for act in acts)])
+
+
+EVERYTHING = {
+    "mass": (0.7, 1.4),
+    "friction": (0.4, 1.2),
+    "motor_gain": (0.9, 1.1),
+    "motor_lag": (0.5, 2.0),
+    "deadband": (0.0, 0.5),
+    "wheel_radius": (0.95, 1.05),
+    "latency": (0.0, 0.04),
+    "feedback_rate": (15.0, 100.0),
+    "dropped_lines": (0.0, 0.2),
+}
+
+
+@pytest.mark.parametrize("randomization", [None, EVERYTHING], ids=["plain", "randomized"])
+def test_results_do_not_depend_on_threads_or_history(randomization: Any) -> None:
+    one = rollout(batch(300, threads=1, randomization=randomization))
+    two = rollout(batch(300, threads=2, randomization=randomization))
+    again = batch(300, threads=1, randomization=randomization)
+    rollout_twice = (rollout(again, seed=99), rollout(again))[1]
+    assert (one == two).all()
+    assert (one == rollout_twice).all()
+
+
+class Interrupted:
+    """A batch in which Ctrl-C comes within the call with this number, in the midst of a share."""
+
+    def __init__(self, env: RobotVectorEnv, name: str, call: int) -> None:
+        self.whole, self.left = getattr(env.batch, name), call
+        setattr(env.batch, name, self)
+
+    def __call__(self, *arguments: Any) -> None:
+        *others, first, last = arguments
+        self.left -= threading.current_thread() is threading.main_thread()
+        if self.left == 0:
+            self.left = -1
+            self.whole(*others, first, (first + last) // 2)
+            signal.raise_signal(signal.SIGINT)
+        self.whole(*others, first, last)
+
+
+class LostReport:
+    """Reports of a batch's threads; Ctrl-C comes twice while one of them is waited for."""
+
+    def __init__(self, env: RobotVectorEnv, call: int) -> None:
+        self.reports, self.calls = env._crew._reports, call
+        env._crew._reports = self  # type: ignore[assignment]
+
+    def get(self) -> Any:
+        self.calls -= 1
+        if self.calls in (0, -1):
+            raise KeyboardInterrupt
+        return self.reports.get()
+
+
+INTERRUPTS: dict[str, Callable[[RobotVectorEnv], object]] = {
+    "in a reset": lambda env: Interrupted(env, "reset", 1),
+    "in the caller's share": lambda env: Interrupted(env, "step", 1),
+    "waiting": lambda env: LostReport(env, 2),
+    "waiting, later": lambda env: LostReport(env, 5),
+}
+
+
+@pytest.mark.parametrize("place", INTERRUPTS)
+def test_after_ctrl_c_a_seeded_reset_begins_anew(place: str) -> None:
+    """Whatever it interrupts, the next seeded rollout is that of a new batch."""
+    options: dict[str, Any] = {"worlds": "open:3", "max_episode_steps": 20, "threads": 1}
+    expected = rollout(ObstacleGoalVectorEnv(40, **options))
+    env = ObstacleGoalVectorEnv(40, **options)
+    env._crew = Crew(3)
+    INTERRUPTS[place](env)
+    with pytest.raises(KeyboardInterrupt):
+        rollout(env, seed=99)
+    with pytest.raises(ConfigError, match="reset"):
+        env.step(np.zeros((40, 2)))
+    if env.batch.seeded:
+        with pytest.raises(ConfigError, match="after an interrupt"):
+            env.reset(options={"reset_mask": np.arange(40) < 20})
+    assert (rollout(env) == expected).all()
+    env.close()
+
+
+def test_actions_of_any_layout_use_the_same_loops() -> None:
+    env = batch(4)
+    env.reset(seed=0)
+    env.step(np.zeros((4, 2)))
+    known = len(getattr(episode.step, "signatures", ()))
+    rows = np.zeros((2, 4)).T
+    rows.setflags(write=False)
+    many: list[Any] = [rows, rows.astype(np.float32), rows.tolist(), np.zeros((8, 4))[::2, ::2]]
+    for actions in many:
+        env.step(actions)
+    env.reset(options={"reset_mask": np.ones(8, np.bool_)[::2]})
+    assert len(getattr(episode.step, "signatures", ())) == known
+    assert len(getattr(episode.reset, "signatures", ())) <= 1
+
+
+@pytest.mark.parametrize("randomization", [None, EVERYTHING], ids=["plain", "randomized"])
+def test_a_robots_fate_does_not_depend_on_its_neighbours(randomization: Any) -> None:
+    """Nor on whether commands take equally long to all of them."""
+    alone, crowd = (batch(number, randomization=randomization) for number in (1, 200))
+    for env in (alone, crowd):
+        env.reset(seed=[17, *range(1000, 999 + env.num_envs)])
+    for step in range(60):
+        act = np.array([[np.sin(step), np.cos(step)]])
+        single = alone.step(act)[0][0]
+        assert (single == crowd.step(np.repeat(act, 200, axis=0))[0][0]).all()
+
+
+@pytest.mark.parametrize("key", EVERYTHING)
+def test_each_randomization_makes_robots_differ(key: str) -> None:
+    """Two robots with one command differ through what is randomized, and its info says by what."""
+    env = batch(2, randomization={key: EVERYTHING[key]})
+    env.reset(seed=[1, 2])
+    for _ in range(20):
+        env.step(np.array([[0.6, 0.9]] * 2))
+    true, odometry = env.batch.state[layout.X : layout.VX], env.batch.state[layout.ODOM_X :]
+    seen_by_odometry = key not in ("mass", "friction", "wheel_radius")
+    differs = np.ptp(odometry[:3], axis=1).max() if seen_by_odometry else np.ptp(true, axis=1).max()
+    if key == "mass":  # mass and grip cancel under Coulomb friction
+        differs = np.ptp(env.batch.state[layout.MASS])
+    assert differs > 1e-7
+    env.close()
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_what_is_drawn_is_told_at_every_step(mode: AutoresetMode) -> None:
+    """The same keys always; new values with every episode, those of the state's own physics."""
+    env = batch(30, randomization=EVERYTHING, max_episode_steps=4, autoreset_mode=mode)
+    _, first = env.reset(seed=1)
+    drawn = {key: first[f"drawn_{key}"] for key in EVERYTHING}
+    for key, (low, high) in EVERYTHING.items():
+        assert drawn[key].shape == ((30, 4) if key in ("motor_gain", "motor_lag") else (30,))
+        assert (drawn[key] >= low - 0.005).all()  # delays are whole loops of the firmware
+        assert (drawn[key] <= high * 1.2 + 0.005).all()  # and so are the lines' intervals
+        assert np.ptp(drawn[key]) > 0.3 * (high - low)
+        assert first[f"_drawn_{key}"].all()
+    for step in range(1, 7):
+        if mode is AutoresetMode.DISABLED and step == 5:
+            _, info = env.reset(options={"reset_mask": np.arange(30) > 0})
+            assert [info[f"drawn_{key}"][0] for key in ("mass", "latency")] == [
+                drawn[key][0] for key in ("mass", "latency")
+            ]
+            env.reset(options={"reset_mask": np.arange(30) == 0})
+        *_, info = env.step(np.zeros((30, 2)))
+        assert first.keys() <= info.keys()
+        anew = step >= (4 if mode is AutoresetMode.SAME_STEP else 5)
+        for key in EVERYTHING:
+            assert (info[f"drawn_{key}"] == drawn[key]).all() != anew
+    state, nominal = env.batch.state, env.batch._nominal
+    told = env.batch.info()
+    grip = nominal[layout.GRIP] * told["drawn_mass"] * told["drawn_friction"]
+    assert state[layout.GRIP] == pytest.approx(grip, rel=1e-12)
+    assert pytest.approx(told["drawn_motor_gain"]) == state[layout.GAIN : layout.GAIN + 4].T
+    env.close()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"num_envs": 0}, "num_envs = 0"),
+        ({"num_envs": 2.5}, "num_envs = 2.5"),
+        ({"num_envs": 10**11}, "num_envs = 100000000000: must be .* 1 to 1,000,000"),
+        ({"max_episode_steps": 10**400}, "max_episode_steps = 1000.*: must be .* 1 to 1,000,000"),
+        ({"max_episode_steps": 0}, "max_episode_steps = 0"),
+        ({"threads": 0}, "threads = 0"),
+        ({"threads": 10_000}, "the cores of this machine"),
+        ({"randomization": {"frictoin": (0.5, 1.0)}}, "did you mean 'friction'"),
+        ({"randomization": {"mass": (2.0, 1.0)}}, "low <= high"),
+        ({"randomization": {"mass": 3}}, "must be \\(low, high\\)"),
+        ({"randomization": {"dropped_lines": (0.0, 0.9)}}, "<= 0.5"),
+        ({"randomization": {"latency": (0.0, 0.5)}}, "shorter than a step"),
+        ({"render_mode": "rgb_array"}, "no pictures"),
+        ({"link": "bullet"}, "vectorization_mode='sync'"),
+        ({"autoreset_mode": "Sometimes"}, "autoreset_mode"),
+    ],
+)
+def test_bad_options_are_one_clear_error(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        PointGoalVectorEnv(**{"num_envs": 2, **options})
+
+
+def test_bad_actions_name_the_first_bad_env() -> None:
+    env = batch()
+    env.reset(seed=0)
+    with pytest.raises(CommandError, match=r"\(3, 2\): must be \(4, 2\)"):
+        env.step(np.zeros((3, 2)))
+    bad = np.zeros((4, 2))
+    bad[2, 1] = bad[3, 0] = np.nan
+    with pytest.raises(CommandError, match="env 2"):
+        env.step(bad)
+    env.close()
+
+
+@pytest.mark.parametrize("seed", [[1, 2], "abc", "abcd", -5, [0, 1, 2, -1], 2.5])
+def test_bad_seeds_are_one_clear_error(seed: Any) -> None:
+    """The robots go on as if nobody had asked."""
+    env = batch()
+    env.reset(seed=0)
+    with pytest.raises(ConfigError, match="seed"):
+        env.reset(seed=seed)
+    env.step(np.zeros((4, 2)))
+    env.close()
+
+
+def test_a_robot_takes_less_than_two_kilobytes() -> None:
+    assert batch(64).batch.bytes_per_robot < 2048
+
+
+PLAIN = """
+import sys, warnings
+sys.modules["numba"] = None
+import numpy as np
+from acsar_gym.envs import ObstacleGoalVectorEnv
+with warnings.catch_warnings(record=True) as caught:
+    warnings.simplefilter("always")
+    env = ObstacleGoalVectorEnv(2, **{options})
+    seen = [env.reset(seed=1)[0]]
+    seen += [env.step(np.full((2, 2), 0.5))[0] for _ in range(9)]
+print(*(warning.message for warning in caught), sep="\\n")
+np.save(sys.argv[1], np.array(seen))
+"""
+
+
+def test_without_numba_everything_is_the_same_with_one_warning(tmp_path: Path) -> None:
+    options: dict[str, Any] = {
+        "max_episode_steps": 6,
+        "worlds": "clutter:2",
+        "randomization": {"dropped_lines": (0.0, 0.2), "mass": (0.9, 1.1)},
+    }
+    file = tmp_path / "plain.npy"
+    command = [sys.executable, "-c", PLAIN.format(options=options), str(file)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+    assert done.stdout.startswith("numba isn't installed")
+    assert done.stdout.count("\n") == 1
+    env = ObstacleGoalVectorEnv(2, **options)
+    seen = [env.reset(seed=1)[0]]
+    seen += [env.step(np.full((2, 2), 0.5))[0] for _ in range(9)]
+    assert np.load(file) == pytest.approx(np.array(seen), abs=1e-6)
+
+
+def test_a_step_before_the_reset_is_one_clear_error() -> None:
+    with pytest.raises(ConfigError, match="call reset"):
+        batch().step(np.zeros((4, 2)))
