@@ -40,7 +40,8 @@ def test_indices_older_than_any_source_are_dropped(tmp_path: Path) -> None:
 COMPILE = """
 import sys
 import numpy as np
-from acsar_gym import compiled, kinematics
+from acsar_gym import kinematics
+from acsar_gym import jit as compiled
 from acsar_gym.vector.kernel import layout
 compiled.jit(kinematics.twist)(*range(1, 7))
 print("small", file=sys.stderr)

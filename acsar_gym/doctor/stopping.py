@@ -277,7 +277,7 @@ class _Programs:
 
 @contextlib.contextmanager
 def _programs(device: str, config: RobotConfig) -> Iterator[_Programs]:
-    code = "import sys; from acsar_gym import stopping_programs as s; s.serve(*sys.argv[1:])"
+    code = "import sys; from acsar_gym.doctor import stopping_programs as s; s.serve(*sys.argv[1:])"
     with _process(["-c", code, device, config.model_dump_json()]) as process:
         try:
             yield _Programs(process)

@@ -17,7 +17,7 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import RecordVideo
 
-from acsar_gym import Robot, RobotConfig, World, vectors
+from acsar_gym import Robot, RobotConfig, World
 from acsar_gym.envs.base import RobotEnv
 from acsar_gym.errors import (
     AcsarError,
@@ -442,7 +442,7 @@ def test_ids_train_in_the_training_split(env_id: str) -> None:
     _, info = env.reset(seed=0)
     assert 1000 <= info["world"] < 1400
     env.close()
-    batch = getattr(vectors, type(env.unwrapped).__name__.replace("Env", "VectorEnv"))
+    batch = getattr(acsar_gym.envs, type(env.unwrapped).__name__.replace("Env", "VectorEnv"))
     defaults = [
         inspect.signature(made).parameters["worlds"].default for made in (type(inner(env)), batch)
     ]

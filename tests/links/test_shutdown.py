@@ -131,7 +131,7 @@ def test_ctrl_z_stops_the_robot_until_the_program_goes_on(emulator: Emulated) ->
 
 CONTAINED = """
 import sys
-from acsar_gym import stopping_programs
+from acsar_gym.doctor import stopping_programs
 
 print(stopping_programs.no_namespace() or "can be had", flush=True)
 stopping_programs._become_pid_1(1)

@@ -709,7 +709,8 @@ def test_it_is_ahead_of_a_program_with_real_time_priority(shared_device: str) ->
     code = (
         DRIVER
         + """
-from acsar_gym import errors, realtime
+from acsar_gym import errors
+from acsar_gym.doctor import host as realtime
 robot.activate()
 try:
     realtime.prepare(priority=10)

@@ -232,7 +232,8 @@ def test_a_terminal_without_unicode_gets_what_it_can_show(tmp_path: Path) -> Non
 HUNGRY = """
 import json, re, sys
 from pathlib import Path
-from acsar_gym import RobotConfig, atlas, pictures
+from acsar_gym import RobotConfig
+from acsar_gym.evaluation import atlas
 from acsar_gym.errors import AcsarError
 from acsar_gym.links import recording
 from acsar_gym.worlds import World, files
