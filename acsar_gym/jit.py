@@ -25,13 +25,22 @@ NEW: list[str] = []
 """Functions that this process has compiled so far, because the cache didn't have them."""
 
 
+def _newest(package: Path) -> int:
+    """When the newest source file of a package was written [ns]."""
+    return max(source.stat().st_mtime_ns for source in package.rglob("*.py"))
+
+
+FINGERPRINT = f"{_newest(Path(__file__).parent):x}"
+"""Of this package's sources: part of the names under which other packages' caches are kept."""
+
+
 def forget_stale(package: Path) -> list[Path]:
     """Delete the cache indices below `package` that are older than its newest source file."""
-    newest = max(source.stat().st_mtime for source in package.rglob("*.py"))
+    newest = _newest(package)
     stale = []
     for index in package.rglob("*.nbi"):
         with contextlib.suppress(OSError):  # gone meanwhile, or not ours to delete
-            if index.stat().st_mtime < newest:
+            if index.stat().st_mtime_ns < newest:
                 index.unlink()
                 stale.append(index)
     return stale
@@ -39,7 +48,8 @@ def forget_stale(package: Path) -> list[Path]:
 
 try:
     import numba
-    from numba.core import event
+    import numba.extending
+    from numba.core import errors, event
 except ImportError:
     COMPILED = False
     """Whether numba compiles."""
@@ -48,9 +58,13 @@ except ImportError:
         """The function as it is: numba isn't installed."""
         return function
 
-    loop = jit
+    loop = compilable = jit
+
+    NumbaError: type[Exception] = type("NumbaError", (Exception,), {})
+    """Is never raised: numba isn't installed."""
 else:
     COMPILED = True
+    NumbaError = errors.NumbaError
     forget_stale(Path(__file__).parent)
 
     def jit(function: Callable[P, R]) -> Callable[P, R]:
@@ -63,6 +77,11 @@ else:
         """A loop over scalar functions, compiled on its own; it runs without the GIL."""
         compiled: Callable[P, R] = numba.njit(cache=True, error_model="numpy", nogil=True)(function)
         return compiled
+
+    def compilable(function: Callable[P, R]) -> Callable[P, R]:
+        """A function that Python calls as it is, and that compiled functions may call, too."""
+        same: Callable[P, R] = numba.extending.register_jitable(function)
+        return same
 
     class _Announcer(event.Listener):  # type: ignore[misc]
         """Says once that loops of batches are going to be compiled."""

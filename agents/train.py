@@ -32,7 +32,8 @@ from acsar_gym.errors import (
 from acsar_gym.policies import ZipPolicy
 from acsar_gym.training import held_out, threads
 from acsar_gym.training.signals import StopRequest
-from acsar_gym.vector.env import FAIR_SHARE, RobotVectorEnv
+from acsar_gym.vector.env import RobotVectorEnv
+from acsar_gym.vector.settings import FAIR_SHARE
 
 if TYPE_CHECKING:  # torch takes seconds to import, and isn't needed for --help
     from stable_baselines3 import PPO

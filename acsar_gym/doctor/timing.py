@@ -24,6 +24,7 @@ from acsar_gym.policies import OnnxPolicy, Policy
 from acsar_gym.robot import Robot
 from acsar_gym.safety.layer import Reason
 from acsar_gym.tasks import State
+from acsar_gym.tasks.base import remembered
 from acsar_gym.tasks.goal import PointGoal
 
 BLOCK = 0.5
@@ -174,12 +175,14 @@ class _ControlLoop:
 
 def _thoughts(policy: Policy, robot: Robot) -> Iterator[float]:
     """How long each decision on the way to a goal takes [s], observation included."""
-    task = PointGoal.of((0.5, 3.0), 0.15, robot.config)
-    course = task.begin(np.random.default_rng(0), {"goal": (2.0, 1.0)})
-    action = (0.0, 0.0)
+    task, goal = PointGoal(), (2.0, 1.0)
+    memory, action = remembered(task), (0.0, 0.0)
+    top = (robot.config.max_linear, robot.config.max_angular)
     while True:
         begin = time.perf_counter()
-        state = State(robot.odometry.pose, robot.odometry.twist, action)
-        linear, angular = policy(np.array(course.observe(state), np.float32)).tolist()
+        pose, twist = robot.odometry.pose, robot.odometry.twist
+        state = State(pose=pose, twist=twist, action=action, goal=goal, max_twist=top)
+        numbers = np.array(task.observe(state, memory), np.float32)
+        linear, angular = policy(numbers).tolist()
         action = (linear, angular)
         yield time.perf_counter() - begin

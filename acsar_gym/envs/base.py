@@ -6,7 +6,7 @@ import contextlib
 import copy
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, Self
 
 import gymnasium
@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.bodies import display
-from acsar_gym.bodies.base import GroundTruth, Image
+from acsar_gym.bodies.base import Image
 from acsar_gym.config import RobotConfig, RobotSource, whole_ratio
+from acsar_gym.envs.options import RENDER_MODES, EnvOptions
 from acsar_gym.errors import (
     AcsarError,
     BoardGarbledError,
@@ -34,8 +35,12 @@ from acsar_gym.links.fault_injection import FaultyLink
 from acsar_gym.links.faults import Faults
 from acsar_gym.render.renderer import Screen
 from acsar_gym.robot import Robot
-from acsar_gym.tasks import Course, Observation, Outcome, State, Task
+from acsar_gym.tasks import Observation, Outcome, State, Task
+from acsar_gym.tasks.base import NO_PATH, NO_RANGES
+from acsar_gym.tasks.episode import Episode
+from acsar_gym.tasks.made import made, named
 from acsar_gym.tasks.spaces import task_spaces
+from acsar_gym.tasks.spawn import Spawn
 from acsar_gym.vector.specs import PlainSpec
 from acsar_gym.worlds import Pose, Scene
 
@@ -49,12 +54,6 @@ def _faulty(link: Link, faults: Faults) -> FaultyLink | None:
     return FaultyLink(link, faults) if faults.possible else None
 
 
-def _truncates(on_fault: str) -> bool:
-    if not isinstance(on_fault, str) or on_fault not in ("raise", "truncate"):
-        raise ConfigError(f"on_fault = {shown(on_fault)}: must be raise or truncate")
-    return on_fault == "truncate"
-
-
 def fault_code(error: LinkError) -> int:
     """A number for what went wrong: 1 silent, 2 garbled, 3 link lost, 4 LiDAR, 5 anything else."""
     kinds = (BoardGarbledError, 2), (BoardSilentError, 1), (LinkLostError, 3), (LidarError, 4)
@@ -62,57 +61,66 @@ def fault_code(error: LinkError) -> int:
 
 
 class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
-    """A four-wheel skid-steer robot with a task; `acsar_gym.envs` has the manuals of the ids."""
+    """A four-wheel skid-steer robot with a task; `acsar_gym.envs` has the manuals of the ids.
+
+    Attributes: `task`; `robot`, the driver; `episode`, what the current one is about and remembers;
+    `pool`, the worlds, None on an open floor.
+    """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - as gymnasium.Env declares it
-        "render_modes": ["human", "rgb_array"],
+        "render_modes": list(RENDER_MODES),
         "render_fps": 10,
     }
 
     def __init__(
         self,
-        task: Callable[[RobotConfig], Task],
+        task: Task | type[Task] | str,
         link: str | Link = "bullet",
         robot: RobotSource = None,
-        *,
-        lidar: str | Lidar | None = None,
-        policy_rate: float = 10.0,
-        render_mode: str | None = None,
-        view: str = "top",
-        faults: Mapping[str, Any] | Faults | None = None,
-        on_fault: str = "truncate",
+        **options: Any,
     ) -> None:
+        """Make the environment; nothing is opened before the first reset.
+
+        Args:
+            task: a task, its class, or "module:Class".
+            link: what stands behind the wire.
+            robot: its configuration.
+            **options: of the env (see `EnvOptions` and the manual of PointGoal), and the task's.
+
+        Raises:
+            ConfigError, RenderError, WorldError: for options that make no sense.
+        """
         config = RobotConfig.of(robot)
-        self.render_mode = render_mode
+        self._options, rest = EnvOptions.split(options)
+        self.render_mode = self._options.render_mode
         self.ticks_per_step = whole_ratio(
-            "control_rate", config.control_rate, "policy_rate", policy_rate
+            "control_rate", config.control_rate, "policy_rate", self._options.policy_rate
         )
-        self.task = task(config)
-        self._check_rendering(link, view)
+        self.task = made(task, rest, config)
+        self._spawn = Spawn(self.task, self._options.worlds, self._options.difficulty, config)
+        self.pool = self._spawn.pool
+        self._options.check_view(link)
         wire = self._link(link, config)
-        self._faulty = _faulty(wire, Faults.of(faults))
-        self._truncates = _truncates(on_fault)
+        self._faulty = _faulty(wire, Faults.of(self._options.faults))
         self.robot = Robot(self._faulty or wire, config)
-        if lidar is not None and not self.task.sees:
-            raise ConfigError(f"lidar = {shown(lidar)}: {self.task.id} uses none")
-        self.lidar = open_lidar(lidar, self.robot.link, config) if self.task.sees else None
+        self.lidar = self._lidar(self._options.lidar)
         self.action_space: Any
         self.observation_space: Any
         self.action_space, self.observation_space = task_spaces(self.task, config)
-        self._screen = Screen(config, None if self._bullets_window(link) else render_mode, view)
-        self._course: Course | None = None
+        mode = None if self._bullets_window(link) else self.render_mode
+        self._top = (config.max_linear, config.max_angular)
+        self._screen = Screen(config, mode, self._options.view)
+        self._episode: Episode | None = None
         self._scan: Scan | None = None
         self._told_last: tuple[Observation, Info] | None = None
 
-    def _check_rendering(self, link: Any, view: str) -> None:
-        if self.render_mode not in (None, *self.metadata["render_modes"]):
-            raise ConfigError(
-                f"render_mode = {shown(self.render_mode)}: must be None, human or rgb_array"
-            )
-        if not isinstance(view, str) or view not in ("top", "camera"):
-            raise ConfigError(f"view = {shown(view)}: must be top or camera")
-        if view == "camera" and isinstance(link, str) and link != "bullet":
-            raise RenderError(f"link {link!r} has no camera; view='camera' needs link='bullet'")
+    def _lidar(self, lidar: Any) -> Lidar | None:
+        """The LiDAR, where the task uses it."""
+        if "lidar" in self.task.sensors:
+            return open_lidar(lidar, self.robot.link, self.robot.config)
+        if lidar is not None:
+            raise ConfigError(f"lidar = {shown(lidar)}: {named(self.task)} uses none")
+        return None
 
     def _link(self, link: Any, config: RobotConfig) -> Link:
         if not isinstance(link, str | os.PathLike) and hasattr(link, "advance"):
@@ -134,34 +142,37 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         super().reset(seed=seed)
         if self._faulty is not None:
             self._faulty.seed(self.np_random)
-        self._course = course = self.task.begin(self.np_random, {} if options is None else options)
-        scene = Scene(goal=course.assignment.goal, world=course.assignment.world)
+        assignment = self._spawn.draw(self.np_random, {} if options is None else options)
+        self._episode = episode = Episode(self.task, assignment)
+        scene = Scene(goal=assignment.goal, world=assignment.world)
         self.robot.reset(scene)
         if self.lidar is not None:
             self._see(lambda lidar: lidar.reset(scene, self.np_random))
             self._see(self._look)
-        state = self._state((0.0, 0.0), self.robot.link.truth)
-        self._screen.begin(course.assignment, course.tolerance)
-        return self._told(course, state, Outcome.GOING)
+        self._screen.begin(assignment, self.task.goal_tolerance)
+        state = self._state(episode, (0.0, 0.0))
+        episode.begin(state)
+        return self._told(episode, state)
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, Info]:
         """Drive for one step of the policy; see the class for spaces, reward and end."""
-        if self._course is None:
+        episode = self._episode
+        if episode is None:
             raise ConfigError("step() before reset(): call reset() first")
         linear, angular = self._checked(action)
         try:
-            self._drive(linear * self.task.max_linear, angular * self.task.max_angular)
+            self._drive(linear * self._top[0], angular * self._top[1])
         except LinkError as error:
-            if self._told_last is None or not self._truncates:
+            if self._told_last is None or self._options.on_fault == "raise":
                 raise
             return self._cut_short(error)
-        state = self._state((linear, angular), self.robot.link.truth)
-        reward, outcome = self._course.judge(state)
-        terminated = outcome is not Outcome.GOING
-        observation, info = self._told(self._course, state, outcome)
-        if terminated:
+        episode.steps += 1
+        state = self._state(episode, (linear, angular))
+        reward, outcome = episode.step(state)
+        observation, info = self._told(episode, state)
+        if outcome is not Outcome.GOING:
             self._halt()
-        return observation, reward, terminated, False, info
+        return observation, reward, outcome is not Outcome.GOING, False, info
 
     def _halt(self) -> None:
         """Stop between episodes; a link that is lost is closed, for the next reset to open."""
@@ -210,46 +221,62 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
             )
         return min(max(linear, -1.0), 1.0), min(max(angular, -1.0), 1.0)
 
-    def _state(self, action: tuple[float, float], truth: GroundTruth | None) -> State:
-        odometry = self.robot.odometry
-        return State(odometry.pose, odometry.twist, action, truth)
+    def _state(self, episode: Episode, action: tuple[float, float]) -> State:
+        """What the task is told."""
+        robot, assignment = self.robot, episode.assignment
+        truth, limits = robot.link.truth, robot.config.lidar
+        scan = NO_RANGES if self._scan is None else self._scan.ranges
+        return State(
+            pose=robot.odometry.pose,
+            twist=robot.odometry.twist,
+            wheel_speeds=robot.speeds,
+            action=action,
+            sent=robot.safety.sent,
+            reason=int(robot.safety.reason),
+            ranges=scan,
+            sensed=(scan / limits.max_range).astype(np.float32),
+            time=episode.steps * self.ticks_per_step * robot.config.period,
+            feedback_age=robot.feedback_age,
+            contact=truth is not None and truth.contact,
+            goal=assignment.goal,
+            path=NO_PATH if assignment.path is None else assignment.path,
+            length=assignment.length,
+            max_twist=self._top,
+            period=self.ticks_per_step * robot.config.period,
+        )
 
-    def _told(self, course: Course, state: State, outcome: Outcome) -> tuple[Observation, Info]:
+    def _told(self, episode: Episode, state: State) -> tuple[Observation, Info]:
         """What the agent gets, and what the screen shows."""
         try:
-            self._screen.show(state, self._scan)
+            self._screen.show(state, self.robot.link.truth, self._scan)
         except BaseException:
             self.robot.deactivate()
             raise
-        told = self._observation(course, state), self._info(course, state, outcome)
+        numbers = np.array(episode.observe(state), np.float32)
+        told = np.concatenate([numbers, state.sensed]), self._info(episode, state)
         self._told_last = told
         return told
 
-    def _observation(self, course: Course, state: State) -> Observation:
-        numbers = course.observe(state)
-        if self._scan is None:
-            return np.array(numbers, np.float32)
-        shares = self._scan.ranges / self.robot.config.lidar.max_range
-        return np.concatenate([numbers, shares]).astype(np.float32)
-
-    def _info(self, course: Course, state: State, outcome: Outcome) -> Info:
-        (x, y, theta), truth = state.pose, state.truth
-        true_pose = truth.pose if truth else NOWHERE
+    def _info(self, episode: Episode, state: State) -> Info:
+        (x, y, theta), truth = state.pose, self.robot.link.truth
+        true_x, true_y, true_theta = truth.pose if truth else NOWHERE
+        goal_x, goal_y = state.goal
         info = {
-            "is_success": float(outcome is Outcome.SUCCESS),
+            "is_success": float(episode.outcome is Outcome.SUCCESS),
             "odom_x": x,
             "odom_y": y,
             "odom_theta": theta,
-            "feedback_age": self.robot.feedback_age,
-            "sent_linear": self.robot.safety.sent[0],
-            "sent_angular": self.robot.safety.sent[1],
-            "sent_reason": float(self.robot.safety.reason),
-            "true_x": true_pose[0],
-            "true_y": true_pose[1],
-            "true_theta": true_pose[2],
+            "feedback_age": state.feedback_age,
+            "sent_linear": state.sent[0],
+            "sent_angular": state.sent[1],
+            "sent_reason": float(state.reason),
+            "true_x": true_x,
+            "true_y": true_y,
+            "true_theta": true_theta,
             "true_contact": float(truth.contact) if truth else math.nan,
-            "odometry_error": math.hypot(true_pose[0] - x, true_pose[1] - y),
-        } | course.info(state, true_pose)
+            "true_goal_distance": math.hypot(goal_x - true_x, goal_y - true_y),
+            "odometry_error": math.hypot(true_x - x, true_y - y),
+        } | episode.info()
         if self._faulty is not None or truth is None:
             info["fault"] = 0.0
         if self._scan is not None:
@@ -259,11 +286,11 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         return info
 
     @property
-    def course(self) -> Course:
-        """The episode's course: its world, goal and path. ConfigError before the first reset."""
-        if self._course is None:
+    def episode(self) -> Episode:
+        """The current episode. ConfigError before the first reset."""
+        if self._episode is None:
             raise ConfigError("there is no episode before reset(): call it first")
-        return self._course
+        return self._episode
 
     def render(self) -> Image | None:
         """A picture, height x width x 3 uint8, in mode rgb_array; windows draw themselves."""
@@ -285,7 +312,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def __getstate__(self) -> dict[str, Any]:
         """Copies and pickles have a robot of their own and are in no episode: reset them first."""
-        return self.__dict__ | {"_course": None, "_scan": None, "_told_last": None}
+        return self.__dict__ | {"_episode": None, "_scan": None, "_told_last": None}
 
     def __copy__(self) -> Self:
         """Two environments never share a robot, so that every copy is a deep one."""

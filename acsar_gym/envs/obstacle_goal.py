@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 from acsar_gym.config import RobotSource
 from acsar_gym.envs.base import RobotEnv
-from acsar_gym.lidars.base import Lidar
 from acsar_gym.links import Link
-from acsar_gym.links.faults import Faults
 from acsar_gym.tasks import ObstacleGoal
-from acsar_gym.tasks.spawn import pool
 from acsar_gym.vector.env import RobotVectorEnv
-from acsar_gym.worlds.generators import Level
-from acsar_gym.worlds.pool import Source
 
 
 class ObstacleGoalEnv(RobotEnv):
@@ -83,49 +77,13 @@ class ObstacleGoalEnv(RobotEnv):
     """
 
     def __init__(
-        self,
-        link: str | Link = "bullet",
-        robot: RobotSource = None,
-        *,
-        worlds: Source = "clutter:train",
-        difficulty: Level = None,
-        goal_tolerance: float = 0.3,
-        lidar: str | Lidar | None = None,
-        policy_rate: float = 10.0,
-        render_mode: str | None = None,
-        view: str = "top",
-        faults: Mapping[str, Any] | Faults | None = None,
-        on_fault: str = "truncate",
+        self, link: str | Link = "bullet", robot: RobotSource = None, **options: Any
     ) -> None:
-        super().__init__(
-            lambda c: ObstacleGoal.of(pool(worlds, difficulty, c), goal_tolerance, c),
-            link,
-            robot,
-            lidar=lidar,
-            policy_rate=policy_rate,
-            render_mode=render_mode,
-            view=view,
-            faults=faults,
-            on_fault=on_fault,
-        )
+        super().__init__(ObstacleGoal, link, robot, **options)
 
 
 class ObstacleGoalVectorEnv(RobotVectorEnv):
     """Many robots of `acsar_gym/ObstacleGoal-v0`; see `RobotVectorEnv` for the other arguments."""
 
-    def __init__(
-        self,
-        num_envs: int = 1,
-        robot: RobotSource = None,
-        *,
-        worlds: Source = "clutter:train",
-        difficulty: Level = None,
-        goal_tolerance: float = 0.3,
-        **options: Any,
-    ) -> None:
-        super().__init__(
-            lambda c: ObstacleGoal.of(pool(worlds, difficulty, c), goal_tolerance, c),
-            num_envs,
-            robot,
-            **options,
-        )
+    def __init__(self, num_envs: int = 1, robot: RobotSource = None, **options: Any) -> None:
+        super().__init__(ObstacleGoal, num_envs, robot, **options)

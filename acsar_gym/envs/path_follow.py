@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 from acsar_gym.config import RobotSource
 from acsar_gym.envs.base import RobotEnv
 from acsar_gym.links import Link
-from acsar_gym.links.faults import Faults
 from acsar_gym.tasks import PathFollow
-from acsar_gym.tasks.spawn import pool
 from acsar_gym.vector.env import RobotVectorEnv
-from acsar_gym.worlds.generators import Level
-from acsar_gym.worlds.pool import Source
 
 
 class PathFollowEnv(RobotEnv):
@@ -73,47 +68,13 @@ class PathFollowEnv(RobotEnv):
     """
 
     def __init__(
-        self,
-        link: str | Link = "bullet",
-        robot: RobotSource = None,
-        *,
-        worlds: Source = "smooth_path:train",
-        difficulty: Level = None,
-        max_cross_track: float = 0.5,
-        policy_rate: float = 10.0,
-        render_mode: str | None = None,
-        view: str = "top",
-        faults: Mapping[str, Any] | Faults | None = None,
-        on_fault: str = "truncate",
+        self, link: str | Link = "bullet", robot: RobotSource = None, **options: Any
     ) -> None:
-        super().__init__(
-            lambda c: PathFollow.of(pool(worlds, difficulty, c), max_cross_track, c),
-            link,
-            robot,
-            policy_rate=policy_rate,
-            render_mode=render_mode,
-            view=view,
-            faults=faults,
-            on_fault=on_fault,
-        )
+        super().__init__(PathFollow, link, robot, **options)
 
 
 class PathFollowVectorEnv(RobotVectorEnv):
     """Many robots of `acsar_gym/PathFollow-v0`; see `RobotVectorEnv` for the other arguments."""
 
-    def __init__(
-        self,
-        num_envs: int = 1,
-        robot: RobotSource = None,
-        *,
-        worlds: Source = "smooth_path:train",
-        difficulty: Level = None,
-        max_cross_track: float = 0.5,
-        **options: Any,
-    ) -> None:
-        super().__init__(
-            lambda c: PathFollow.of(pool(worlds, difficulty, c), max_cross_track, c),
-            num_envs,
-            robot,
-            **options,
-        )
+    def __init__(self, num_envs: int = 1, robot: RobotSource = None, **options: Any) -> None:
+        super().__init__(PathFollow, num_envs, robot, **options)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 from acsar_gym.config import RobotSource
 from acsar_gym.envs.base import RobotEnv
 from acsar_gym.links import Link
-from acsar_gym.links.faults import Faults
 from acsar_gym.tasks import PointGoal
 from acsar_gym.vector.env import RobotVectorEnv
 
@@ -89,45 +87,13 @@ class PointGoalEnv(RobotEnv):
     """
 
     def __init__(
-        self,
-        link: str | Link = "bullet",
-        robot: RobotSource = None,
-        *,
-        goal_distance: tuple[float, float] = (0.5, 3.0),
-        goal_tolerance: float = 0.15,
-        policy_rate: float = 10.0,
-        render_mode: str | None = None,
-        view: str = "top",
-        faults: Mapping[str, Any] | Faults | None = None,
-        on_fault: str = "truncate",
+        self, link: str | Link = "bullet", robot: RobotSource = None, **options: Any
     ) -> None:
-        super().__init__(
-            lambda config: PointGoal.of(goal_distance, goal_tolerance, config),
-            link,
-            robot,
-            policy_rate=policy_rate,
-            render_mode=render_mode,
-            view=view,
-            faults=faults,
-            on_fault=on_fault,
-        )
+        super().__init__(PointGoal, link, robot, **options)
 
 
 class PointGoalVectorEnv(RobotVectorEnv):
     """Many robots of `acsar_gym/PointGoal-v0`; see `RobotVectorEnv` for the other arguments."""
 
-    def __init__(
-        self,
-        num_envs: int = 1,
-        robot: RobotSource = None,
-        *,
-        goal_distance: tuple[float, float] = (0.5, 3.0),
-        goal_tolerance: float = 0.15,
-        **options: Any,
-    ) -> None:
-        super().__init__(
-            lambda config: PointGoal.of(goal_distance, goal_tolerance, config),
-            num_envs,
-            robot,
-            **options,
-        )
+    def __init__(self, num_envs: int = 1, robot: RobotSource = None, **options: Any) -> None:
+        super().__init__(PointGoal, num_envs, robot, **options)

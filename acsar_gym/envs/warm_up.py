@@ -69,4 +69,4 @@ def _use(name: str, robot: RobotConfig | str | Path | None, options: Mapping[str
     many.reset(seed=0)
     many.step(np.zeros((2, 2)))
     many.close()
-    return len(getattr(many.task, "pool", ()))
+    return 0 if many.pool is None else len(many.pool)

@@ -170,7 +170,7 @@ def _turning(headings: Sequence[float]) -> float:
 def _ways(env: RobotEnv, steps: Sequence[dict[str, float]]) -> dict[str, float]:
     """Shortest way, way that is left, and way driven, all in truth where there is one [m]."""
     frame = "odom" if math.isnan(steps[-1]["true_x"]) else "true"
-    assignment = env.course.assignment
+    assignment = env.episode.assignment
     if assignment.path is not None:
         return {"driven": _length(steps, frame)}
     if frame == "odom" and assignment.world is not None:

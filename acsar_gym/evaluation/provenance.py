@@ -83,8 +83,7 @@ def _versions() -> dict[str, str]:
 
 def worlds_of(env: RobotEnv) -> Pool | None:
     """The worlds of an environment; None on an open floor."""
-    pool: Pool | None = getattr(env.task, "pool", None)
-    return pool
+    return env.pool
 
 
 def _env(env: gymnasium.Env[Any, Any]) -> dict[str, Any]:

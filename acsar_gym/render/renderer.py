@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from acsar_gym.bodies.base import Image
+from acsar_gym.bodies.base import GroundTruth, Image
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import OffScreenWarning, RenderError
 from acsar_gym.lidars.base import Scan, ray_spec
@@ -33,6 +33,7 @@ class Screen:
         self._odom_path: list[tuple[float, float]] = []
         self._true_path: list[tuple[float, float]] = []
         self._state: State | None = None
+        self._truth: GroundTruth | None = None
         self._scan: Scan | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -44,14 +45,14 @@ class Screen:
         self._assignment, self._tolerance = assignment, tolerance
         self._odom_path, self._true_path = [], []
 
-    def show(self, state: State, scan: Scan | None) -> None:
+    def show(self, state: State, truth: GroundTruth | None, scan: Scan | None) -> None:
         """The robot's new state; a window shows it at once."""
         if self._mode is None:
             return
-        self._state, self._scan = state, scan
+        self._state, self._truth, self._scan = state, truth, scan
         self._odom_path.append(state.pose[:2])
-        if state.truth is not None:
-            self._true_path.append(state.truth.pose[:2])
+        if truth is not None:
+            self._true_path.append(truth.pose[:2])
         if self._mode == "human":
             self._on_window(self._drawn())
 
@@ -75,7 +76,7 @@ class Screen:
         frame = Frame(
             world=assignment.world,
             odom=state.pose,
-            truth=None if state.truth is None else state.truth.pose,
+            truth=None if self._truth is None else self._truth.pose,
             goal=assignment.goal,
             goal_radius=self._tolerance,
             odom_path=self._odom_path,

@@ -2,8 +2,6 @@
 
 from acsar_gym.tasks.base import (
     OBSERVATION_LIMIT,
-    Assignment,
-    Course,
     Goal,
     Observation,
     Outcome,
@@ -13,12 +11,12 @@ from acsar_gym.tasks.base import (
 )
 from acsar_gym.tasks.goal import Barn, ObstacleGoal, PointGoal
 from acsar_gym.tasks.path import PathFollow
+from acsar_gym.tasks.spawn import Assignment
 
 __all__ = [
     "OBSERVATION_LIMIT",
     "Assignment",
     "Barn",
-    "Course",
     "Goal",
     "Observation",
     "ObstacleGoal",

@@ -7,7 +7,7 @@ OT, the optimal time, is the length of the world's path over a speed, AT the tim
 
 from __future__ import annotations
 
-from acsar_gym.jit import jit
+from acsar_gym.jit import compilable
 
 TOLERANCE = 1.0
 """An odometry position this close to the goal is a success [m]."""
@@ -17,14 +17,14 @@ SCORES = ("barn_score", "barn_score_k4", "barn_score_own", "barn_score_own_k4")
 """k = 2 (since 2024) and k = 4 (2022), at 2 m/s and at the robot's own top speed."""
 
 
-@jit
+@compilable
 def score(success: float, time: float, length: float, speed: float, k: float) -> float:
     """From 0 to 1 / k; `success` is 1 or 0, `time` in s, `length` in m, `speed` in m/s."""
     optimal = length / speed
     return success * optimal / min(max(time, k * optimal), 8.0 * optimal)
 
 
-@jit
+@compilable
 def scores(
     success: float, time: float, length: float, top_speed: float
 ) -> tuple[float, float, float, float]:

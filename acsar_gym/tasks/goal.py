@@ -8,248 +8,150 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
-import numpy as np
-
-from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, shown
-from acsar_gym.jit import jit
+from acsar_gym.jit import compilable
 from acsar_gym.tasks import barn
-from acsar_gym.tasks import spawn as place
 from acsar_gym.tasks.base import (
     OBSERVATION_LIMIT,
-    Assignment,
     Goal,
-    Info,
     Outcome,
     State,
+    Task,
     clipped,
-    known,
-    point,
-    positive,
     relative,
-    world_info,
 )
-from acsar_gym.worlds import Pose
-from acsar_gym.worlds.pool import Pool
+from acsar_gym.tasks.options import positive
 
-GOAL_LAYOUT = (
-    "goal_distance",
-    "goal_cos",
-    "goal_sin",
-    "linear_velocity",
-    "angular_velocity",
-    "last_linear",
-    "last_angular",
-)
-COLLISION_PENALTY = 5.0
-"""What a collision costs among obstacles, where it is what a policy must learn to avoid."""
+GOAL_OBSERVATION: Mapping[str, tuple[float, float]] = {
+    "goal_distance": (0.0, OBSERVATION_LIMIT),
+    "goal_cos": (-1.0, 1.0),
+    "goal_sin": (-1.0, 1.0),
+    "linear_velocity": (-OBSERVATION_LIMIT, OBSERVATION_LIMIT),
+    "angular_velocity": (-OBSERVATION_LIMIT, OBSERVATION_LIMIT),
+    "last_linear": (-1.0, 1.0),
+    "last_angular": (-1.0, 1.0),
+}
 
 
-@dataclass(frozen=True)
-class _GoalTask:
-    """What tasks with a goal share. Lengths in m, speeds in m/s and rad/s."""
+class GoalTask(Task):
+    """What tasks with a goal share."""
 
-    tolerance: float
-    scale: float
-    """Scales the observed distance."""
-    max_linear: float
-    max_angular: float
-    boundary: float
-    """An episode ends without success this far from the start."""
-    end: float
+    observation = GOAL_OBSERVATION
+    memory: ClassVar[Mapping[str, float]] = {"goal_distance": 0.0}
+    compiled = True
+    scale: float = 10.0
+    """Observed distances are divided by it [m]."""
+    boundary: float = math.inf
+    """An episode ends without success this far from the start [m]."""
+    end: float = 5.0
     """Reward at the goal; a collision, or leaving the bounds, costs as much."""
-    layout: tuple[str, ...] = field(default=GOAL_LAYOUT, init=False)
 
-    def low(self) -> tuple[float, ...]:
-        """Least value of each of the observation's numbers."""
-        return (0.0, *(-high for high in self.high()[1:]))
+    def begin(self, state: State, memory: Any) -> None:
+        """Note the distance to the goal."""
+        memory.goal_distance = goal_distance(state.pose[0], state.pose[1], state.goal)
 
-    def high(self) -> tuple[float, ...]:
-        """Largest value of each of them."""
-        limit = OBSERVATION_LIMIT
-        return (limit, 1.0, 1.0, limit, limit, 1.0, 1.0)
+    def outcome(self, state: State, memory: Any) -> Outcome:
+        """Success within the tolerance, out of bounds beyond the boundary, collision by contact."""
+        x, y, _ = state.pose
+        distance, start = goal_distance(x, y, state.goal), math.sqrt(x * x + y * y)
+        return goal_outcome(  # type: ignore[return-value]  # its number
+            distance, start, self.goal_tolerance, self.boundary, state.contact
+        )
+
+    def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
+        """See `goal_reward`."""
+        before = memory.goal_distance
+        memory.goal_distance = goal_distance(state.pose[0], state.pose[1], state.goal)
+        return goal_reward(before, memory.goal_distance, state.action[0], outcome, self.end)
+
+    def observe(self, state: State, memory: Any) -> tuple[float, ...]:
+        """As GOAL_OBSERVATION; distance and speeds scaled."""
+        return goal_numbers(
+            state.pose, state.twist, state.goal, (self.scale, *state.max_twist), state.action
+        )
 
 
-@dataclass(frozen=True)
-class PointGoal(_GoalTask):
+@dataclass(frozen=True, kw_only=True)
+class PointGoal(GoalTask):
     """Reach a point of an open floor."""
 
-    min_distance: float
-    """Goals are drawn at least this far from the start."""
-    max_distance: float
-    """Goals are drawn at most this far from the start."""
     id = "acsar_gym/PointGoal-v0"
-    sees = False
+    goal_distance: tuple[float, float] = (0.5, 3.0)
+    goal_tolerance: float = 0.15
+    end = 2.0
 
-    @classmethod
-    def of(
-        cls, goal_distance: tuple[float, float], goal_tolerance: float, config: RobotConfig
-    ) -> PointGoal:
-        """From an env's arguments. Raises ConfigError where they make no sense."""
+    def __post_init__(self) -> None:
         try:
-            nearest, farthest = (float(distance) for distance in goal_distance)
-            tolerance = float(goal_tolerance)
+            nearest, farthest = (float(distance) for distance in self.goal_distance)
+            tolerance = float(self.goal_tolerance)
         except (TypeError, ValueError, OverflowError):
             raise ConfigError(
-                f"goal_distance = {shown(goal_distance)}, goal_tolerance = "
-                f"{shown(goal_tolerance)}: must be (nearest, farthest) and one number [m]"
+                f"goal_distance = {shown(self.goal_distance)}, goal_tolerance = "
+                f"{shown(self.goal_tolerance)}: must be (nearest, farthest) and one number [m]"
             ) from None
         if not 0.0 < tolerance < nearest <= farthest < math.inf:
             raise ConfigError(
                 f"goal_tolerance = {tolerance}, goal_distance = ({nearest}, {farthest}): must be "
                 "0 < tolerance < nearest <= farthest [m]"
             )
-        return cls(
-            tolerance=tolerance,
-            scale=farthest,
-            max_linear=config.max_linear,
-            max_angular=config.max_angular,
-            boundary=OBSERVATION_LIMIT * farthest,
-            end=2.0,
-            min_distance=nearest,
-            max_distance=farthest,
-        )
+        object.__setattr__(self, "goal_distance", (nearest, farthest))
+        object.__setattr__(self, "goal_tolerance", tolerance)
 
-    def begin(self, rng: np.random.Generator, options: Mapping[str, Any]) -> GoalCourse:
-        """A goal in any direction, its distance uniform between the limits; option "goal"."""
-        goal = known(options, ("goal",)).get("goal")
-        goal = self._drawn(rng) if goal is None else self.checked(point("goal", goal))
-        return GoalCourse(self, Assignment(goal))
+    @property
+    def scale(self) -> float:  # type: ignore[override]
+        """The largest goal distance [m]."""
+        return self.goal_distance[1]
 
-    def _drawn(self, rng: np.random.Generator) -> Goal:
-        distance = rng.uniform(self.min_distance, self.max_distance)
-        return goal_at(distance, rng.uniform(-math.pi, math.pi))
-
-    def checked(self, goal: Goal) -> Goal:
-        """A goal (x, y) [m] that this task may have. ConfigError for one too near or too far."""
-        if not self.min_distance <= math.hypot(*goal) <= self.max_distance:
-            raise ConfigError(
-                f"goal = ({goal[0]:g}, {goal[1]:g}): must lie {self.min_distance:g} to "
-                f"{self.max_distance:g} m from the start (goal_distance of the env)"
-            )
-        return goal
+    @property
+    def boundary(self) -> float:  # type: ignore[override]
+        """Twice that [m]."""
+        return OBSERVATION_LIMIT * self.goal_distance[1]
 
 
-@dataclass(frozen=True)
-class ObstacleGoal(_GoalTask):
+@dataclass(frozen=True, kw_only=True)
+class ObstacleGoal(GoalTask):
     """Reach a point among obstacles that a LiDAR sees."""
 
-    pool: Pool
     id = "acsar_gym/ObstacleGoal-v0"
-    sees = True
+    sensors = ("lidar",)
+    worlds = "clutter:train"
+    goal_tolerance: float = 0.3
 
-    @classmethod
-    def of(cls, pool: Pool, goal_tolerance: float, config: RobotConfig) -> ObstacleGoal:
-        """From an env's arguments. Raises ConfigError for a bad tolerance."""
-        return cls(**_among_obstacles(goal_tolerance, config), pool=pool)
-
-    def begin(self, rng: np.random.Generator, options: Mapping[str, Any]) -> GoalCourse:
-        """A world of the pool; options "world", "difficulty" and "goal"."""
-        return GoalCourse(self, place.drawn(self.pool, rng, known(options, place.OPTIONS)))
+    def __post_init__(self) -> None:
+        tolerance = positive("goal_tolerance", self.goal_tolerance)
+        object.__setattr__(self, "goal_tolerance", tolerance)
 
 
-@dataclass(frozen=True)
-class Barn(_GoalTask):
+class Barn(GoalTask):
     """BARN: 10 m through a field of cylinders, scored by the time it took."""
 
-    pool: Pool
-    period: float
-    """Of a step of the policy [s]."""
     id = "acsar_gym/Barn-v0"
-    sees = True
+    sensors = ("lidar",)
+    worlds = "barn:train"
+    goal_tolerance = barn.TOLERANCE
+    memory: ClassVar[Mapping[str, float]] = {"goal_distance": 0.0} | dict.fromkeys(barn.SCORES, 0.0)
+    compiled = True
 
-    @classmethod
-    def of(cls, pool: Pool, policy_rate: float, config: RobotConfig) -> Barn:
-        """From an env's arguments."""
-        period = 1.0 / positive("policy_rate", policy_rate)
-        return cls(**_among_obstacles(barn.TOLERANCE, config), pool=pool, period=period)
+    def begin(self, state: State, memory: Any) -> None:
+        """Note the distance to the goal; the scores are zero until it is reached."""
+        memory.goal_distance = goal_distance(state.pose[0], state.pose[1], state.goal)
+        score(state, memory, 0)
 
-    def begin(self, rng: np.random.Generator, options: Mapping[str, Any]) -> GoalCourse:
-        """A world of the pool; options "world", "difficulty" and "goal"."""
-        return BarnCourse(self, place.drawn(self.pool, rng, known(options, place.OPTIONS)))
-
-
-def _among_obstacles(tolerance: float, config: RobotConfig) -> dict[str, float]:
-    return {
-        "tolerance": positive("goal_tolerance", tolerance),
-        "scale": 10.0,
-        "max_linear": config.max_linear,
-        "max_angular": config.max_angular,
-        "boundary": math.inf,
-        "end": COLLISION_PENALTY,
-    }
-
-
-class GoalCourse:
-    """An episode of a task with a goal: it remembers the distance at the last step."""
-
-    def __init__(self, task: _GoalTask, assignment: Assignment) -> None:
-        self.assignment = assignment
-        self.tolerance = task.tolerance
-        self._task = task
-        self._goal = assignment.goal
-        self._distance = math.hypot(*assignment.goal)
-
-    def judge(self, state: State) -> tuple[float, Outcome]:
-        """Success within the tolerance, out of bounds beyond the boundary, collision by contact."""
-        task, (x, y, _) = self._task, state.pose
-        before, self._distance = self._distance, goal_distance(state.pose, self._goal)
-        number = goal_outcome(
-            self._distance, math.sqrt(x * x + y * y), task.tolerance, task.boundary, state.contact
-        )
-        reward = goal_reward(before, self._distance, state.action[0], number, task.end)
-        return reward, Outcome(number)
-
-    def observe(self, state: State) -> tuple[float, ...]:
-        """As GOAL_LAYOUT; distance and speeds scaled."""
-        (x, y, theta), task = state.pose, self._task
-        seen = seen_from(x, y, math.cos(theta), math.sin(theta), *self._goal)
-        scales = (task.scale, task.max_linear, task.max_angular)
-        return (*goal_numbers(*seen, state.twist, scales), *state.action)
-
-    def info(self, state: State, truth: Pose) -> Info:
-        """Distances to the goal by odometry and in truth [m]."""
-        return {
-            "goal_distance": self._distance,
-            "true_goal_distance": goal_distance(truth, self._goal),
-        } | world_info(self.assignment)
-
-
-class BarnCourse(GoalCourse):
-    """An episode of BARN: it counts the steps and keeps the score."""
-
-    def __init__(self, task: Barn, assignment: Assignment) -> None:
-        super().__init__(task, assignment)
-        self._period, self._top = task.period, task.max_linear
-        self._steps, self._success = 0, 0.0
-
-    def judge(self, state: State) -> tuple[float, Outcome]:
-        """As among obstacles; the time goes on."""
-        reward, outcome = super().judge(state)
-        self._steps += 1
-        self._success = float(outcome is Outcome.SUCCESS)
-        return reward, outcome
-
-    def info(self, state: State, truth: Pose) -> Info:
-        """Distances and BARN's scores, which are zero until the goal is reached."""
-        time = self._steps * self._period
-        scores = barn.scores(self._success, time, self.assignment.length, self._top)
-        return super().info(state, truth) | dict(zip(barn.SCORES, scores, strict=True))
+    def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
+        """As among obstacles; the score is kept."""
+        before = memory.goal_distance
+        memory.goal_distance = goal_distance(state.pose[0], state.pose[1], state.goal)
+        score(state, memory, outcome)
+        return goal_reward(before, memory.goal_distance, state.action[0], outcome, self.end)
 
 
 # The functions below are compiled, for whole batches of robots, too: scalars in, scalars out.
 
 
-@jit
-def goal_at(distance: float, bearing: float) -> Goal:
-    """The point at a distance [m] and a bearing [rad] from the origin."""
-    return (distance * math.cos(bearing), distance * math.sin(bearing))
-
-
-@jit
+@compilable
 def seen_from(
     x: float, y: float, cos: float, sin: float, goal_x: float, goal_y: float
 ) -> tuple[float, float, float]:
@@ -261,25 +163,45 @@ def seen_from(
     return distance, clipped(ahead / near, 1.0), clipped(left / near, 1.0)
 
 
-@jit
+@compilable
 def goal_numbers(
-    distance: float,
-    ahead: float,
-    left: float,
+    pose: tuple[float, float, float],
     twist: tuple[float, float],
+    goal: Goal,
     scales: tuple[float, float, float],
-) -> tuple[float, float, float, float, float]:
-    """The observation's first five numbers; `scales` of distance, linear and angular velocity."""
+    action: tuple[float, float],
+) -> tuple[float, float, float, float, float, float, float]:
+    """As GOAL_OBSERVATION; `scales` of distance, linear and angular velocity."""
+    x, y, theta = pose
+    distance, ahead, left = seen_from(x, y, math.cos(theta), math.sin(theta), goal[0], goal[1])
     return (
         min(distance / scales[0], OBSERVATION_LIMIT),
         ahead,
         left,
         clipped(twist[0] / scales[1], OBSERVATION_LIMIT),
         clipped(twist[1] / scales[2], OBSERVATION_LIMIT),
+        action[0],
+        action[1],
     )
 
 
-@jit
+@compilable
+def goal_distance(x: float, y: float, goal: Goal) -> float:
+    """Straight-line distance to the goal [m]."""
+    dx, dy = goal[0] - x, goal[1] - y
+    return math.sqrt(dx * dx + dy * dy)
+
+
+@compilable
+def score(state: State, memory: Any, outcome: int) -> None:
+    """Note BARN's scores at the end of a step."""
+    success = 1.0 if outcome == 1 else 0.0
+    s2, s4, own2, own4 = barn.scores(success, state.time, state.length, state.max_twist[0])
+    memory.barn_score, memory.barn_score_k4 = s2, s4
+    memory.barn_score_own, memory.barn_score_own_k4 = own2, own4
+
+
+@compilable
 def goal_outcome(
     distance: float, from_start: float, tolerance: float, boundary: float, contact: bool
 ) -> int:
@@ -291,7 +213,7 @@ def goal_outcome(
     return 2 if from_start > boundary else 0
 
 
-@jit
+@compilable
 def goal_reward(before: float, after: float, linear: float, outcome: int, end: float) -> float:
     """Twice the metres gained on the goal, less 0.02 a step and up to 0.05 for driving backwards.
 
@@ -301,9 +223,3 @@ def goal_reward(before: float, after: float, linear: float, outcome: int, end: f
     """
     last = end if outcome == 1 else (-end if outcome > 1 else 0.0)
     return 2.0 * (before - after) - 0.02 + 0.05 * min(linear, 0.0) + last
-
-
-def goal_distance(pose: Pose, goal: Goal) -> float:
-    """Straight-line distance to the goal [m]."""
-    dx, dy = goal[0] - pose[0], goal[1] - pose[1]
-    return math.sqrt(dx * dx + dy * dy)

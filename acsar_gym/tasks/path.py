@@ -5,42 +5,34 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
-import numpy as np
-
-from acsar_gym.config import RobotConfig
-from acsar_gym.jit import jit, loop
-from acsar_gym.tasks import spawn as place
+from acsar_gym.jit import compilable
 from acsar_gym.tasks.base import (
     OBSERVATION_LIMIT,
-    Assignment,
-    Info,
+    Floats,
     Outcome,
     State,
+    Task,
     clipped,
-    known,
-    positive,
     relative,
-    world_info,
 )
-from acsar_gym.worlds import Pose
-from acsar_gym.worlds.pool import Pool
-from acsar_gym.worlds.world import Floats
+from acsar_gym.tasks.options import positive
 
-PATH_LAYOUT = (
-    "cross_track_error",
-    "heading_cos",
-    "heading_sin",
-    "remaining",
-    *(f"{axis}_{number}" for number in range(1, 5) for axis in ("ahead", "left")),
-    "linear_velocity",
-    "angular_velocity",
-    "last_linear",
-    "last_angular",
-)
+_SCALED = (-OBSERVATION_LIMIT, OBSERVATION_LIMIT)
 LOOKAHEAD = 4
 """Points of the path ahead that the robot sees."""
+PATH_OBSERVATION: Mapping[str, tuple[float, float]] = {
+    "cross_track_error": _SCALED,
+    "heading_cos": (-1.0, 1.0),
+    "heading_sin": (-1.0, 1.0),
+    "remaining": (0.0, OBSERVATION_LIMIT),
+    **{f"{axis}_{n}": _SCALED for n in range(1, LOOKAHEAD + 1) for axis in ("ahead", "left")},
+    "linear_velocity": _SCALED,
+    "angular_velocity": _SCALED,
+    "last_linear": (-1.0, 1.0),
+    "last_angular": (-1.0, 1.0),
+}
 STRIDE = 5
 """Samples of the path between two of them: 0.25 m."""
 BACK, AHEAD = 10, 20
@@ -53,112 +45,115 @@ TOLERANCE = 0.15
 """An odometry position this close to the end of the path is a success [m]."""
 
 
-@dataclass(frozen=True)
-class PathFollow:
+@dataclass(frozen=True, kw_only=True)
+class PathFollow(Task):
     """Follow a smooth path, or straight pieces between waypoints."""
 
-    max_cross_track: float
+    max_cross_track: float = 0.5
     """An episode ends without success this far beside the path; also scales what is seen [m]."""
-    max_linear: float
-    max_angular: float
-    pool: Pool
     id = "acsar_gym/PathFollow-v0"
-    sees = False
-    layout = PATH_LAYOUT
+    observation = PATH_OBSERVATION
+    memory: ClassVar[Mapping[str, float]] = {
+        "cross_track_error": 0.0,
+        "heading_error": 0.0,
+        "path_progress": 0.0,
+        "mean_cross_track_error": 0.0,
+        "mean_heading_error": 0.0,
+        "progress": 0.0,  # samples of the path
+        "gain": 0.0,  # in the last step [m]
+        "bearing": 0.0,
+        "cross_sum": 0.0,
+        "heading_sum": 0.0,
+    }
+    told = (
+        "cross_track_error",
+        "heading_error",
+        "path_progress",
+        "mean_cross_track_error",
+        "mean_heading_error",
+    )
+    worlds = "smooth_path:train"
+    goal_tolerance = TOLERANCE
+    follows = True
+    compiled = True
 
-    @classmethod
-    def of(cls, pool: Pool, max_cross_track: float, config: RobotConfig) -> PathFollow:
-        """From an env's arguments. Raises ConfigError for a bad distance."""
-        most = positive("max_cross_track", max_cross_track)
-        return cls(most, config.max_linear, config.max_angular, pool)
+    def __post_init__(self) -> None:
+        most = positive("max_cross_track", self.max_cross_track)
+        object.__setattr__(self, "max_cross_track", most)
 
-    def low(self) -> tuple[float, ...]:
-        """Least value of each of the observation's numbers."""
-        low = [-high for high in self.high()]
-        low[3] = 0.0
-        return tuple(low)
+    def begin(self, state: State, memory: Any) -> None:
+        """Find the robot's place at the path's beginning."""
+        locate(state, memory)
 
-    def high(self) -> tuple[float, ...]:
-        """Largest value of each of them."""
-        limit = OBSERVATION_LIMIT
-        return (limit, 1.0, 1.0, limit, *(limit,) * (2 * LOOKAHEAD), limit, limit, 1.0, 1.0)
-
-    def begin(self, rng: np.random.Generator, options: Mapping[str, Any]) -> PathCourse:
-        """A path of the pool; options "world", "difficulty", or "path": points (x, y) [m]."""
-        options = known(options, ("world", "difficulty", "path"))
-        if options.get("path") is not None:
-            return PathCourse(self, place.given(options["path"]))
-        return PathCourse(self, place.drawn(self.pool, rng, options, follow=True))
-
-
-class PathCourse:
-    """An episode: it remembers the progress along the path, and adds up the errors."""
-
-    tolerance = TOLERANCE
-
-    def __init__(self, task: PathFollow, assignment: Assignment) -> None:
-        self.assignment = assignment
-        self._task = task
-        self._path = np.zeros((2, 3)) if assignment.path is None else assignment.path
-        self._last = len(self._path) - 1
-        self._spacing = assignment.length / self._last
-        self._place, self._cross, self._bearing = nearest(self._path, self._last, 0.0, 0.0, 0.0)
-        self._sums, self._steps = (0.0, 0.0), 0
-
-    def judge(self, state: State) -> tuple[float, Outcome]:
+    def outcome(self, state: State, memory: Any) -> Outcome:
         """Success near the path's end, out of bounds too far beside it."""
-        x, y, theta = state.pose
-        before = self._place
-        self._place, self._cross, self._bearing = nearest(self._path, self._last, before, x, y)
-        heading = heading_error(theta, self._bearing)
-        self._sums = (self._sums[0] + abs(self._cross), self._sums[1] + abs(heading))
-        self._steps += 1
-        end_x, end_y = self.assignment.goal
-        remaining = (self._last - self._place) * self._spacing
-        far = math.sqrt((end_x - x) ** 2 + (end_y - y) ** 2)
-        number = path_outcome(remaining, far, abs(self._cross), self._task.max_cross_track)
-        gain = (self._place - before) * self._spacing
-        return path_reward(gain, self._cross, state.action[0], number), Outcome(number)
+        locate(state, memory)
+        steps = math.floor(state.time / state.period + 0.5)
+        memory.cross_sum += abs(memory.cross_track_error)
+        memory.heading_sum += abs(memory.heading_error)
+        memory.mean_cross_track_error = memory.cross_sum / steps
+        memory.mean_heading_error = memory.heading_sum / steps
+        x, y, _ = state.pose
+        far = math.sqrt((state.goal[0] - x) ** 2 + (state.goal[1] - y) ** 2)
+        return path_outcome(  # type: ignore[return-value]  # its number
+            remaining(state, memory), far, abs(memory.cross_track_error), self.max_cross_track
+        )
 
-    def observe(self, state: State) -> tuple[float, ...]:
-        """As PATH_LAYOUT; lengths and speeds scaled."""
-        (x, y, theta), task = state.pose, self._task
-        heading = heading_error(theta, self._bearing)
-        cos, sin = math.cos(theta), math.sin(theta)
-        seen: list[float] = []
-        for number in range(1, LOOKAHEAD + 1):
-            k = min(int(self._place) + number * STRIDE, self._last)
-            px, py = self._path[k, 0], self._path[k, 1]
-            ahead, left = relative(x, y, cos, sin, px, py)
-            seen += [clipped(ahead, OBSERVATION_LIMIT), clipped(left, OBSERVATION_LIMIT)]
-        remaining = (self._last - self._place) * self._spacing / LENGTH_SCALE
+    def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
+        """See `path_reward`."""
+        gain, cross = memory.gain, memory.cross_track_error
+        return path_reward(gain, cross, state.action[0], outcome)
+
+    def observe(self, state: State, memory: Any) -> tuple[float, ...]:
+        """As PATH_OBSERVATION; lengths and speeds scaled."""
+        limit = OBSERVATION_LIMIT
         return (
-            clipped(self._cross / task.max_cross_track, OBSERVATION_LIMIT),
-            math.cos(heading),
-            math.sin(heading),
-            min(remaining, OBSERVATION_LIMIT),
-            *seen,
-            clipped(state.twist[0] / task.max_linear, OBSERVATION_LIMIT),
-            clipped(state.twist[1] / task.max_angular, OBSERVATION_LIMIT),
+            clipped(memory.cross_track_error / self.max_cross_track, limit),
+            math.cos(memory.heading_error),
+            math.sin(memory.heading_error),
+            min(remaining(state, memory) / LENGTH_SCALE, limit),
+            *point_ahead(state, memory, 1),
+            *point_ahead(state, memory, 2),
+            *point_ahead(state, memory, 3),
+            *point_ahead(state, memory, 4),
+            clipped(state.twist[0] / state.max_twist[0], limit),
+            clipped(state.twist[1] / state.max_twist[1], limit),
             *state.action,
         )
 
-    def info(self, state: State, truth: Pose) -> Info:
-        """Errors now and their means over the steps so far, and the share of the path done."""
-        steps = max(self._steps, 1)
-        return {
-            "cross_track_error": self._cross,
-            "heading_error": heading_error(state.pose[2], self._bearing),
-            "path_progress": self._place / self._last,
-            "mean_cross_track_error": self._sums[0] / steps,
-            "mean_heading_error": self._sums[1] / steps,
-        } | world_info(self.assignment)
+
+@compilable
+def locate(state: State, memory: Any) -> None:
+    """Note where the robot is on its path, from where it was before."""
+    x, y, theta = state.pose
+    last, before = len(state.path) - 1, memory.progress
+    progress, cross, bearing = nearest(state.path, last, before, x, y)
+    memory.progress, memory.bearing = progress, bearing
+    memory.gain = (progress - before) * (state.length / last)
+    memory.cross_track_error = cross
+    memory.heading_error = heading_error(theta, bearing)
+    memory.path_progress = progress / last
 
 
-# The functions below are compiled for whole batches of robots, too.
+@compilable
+def remaining(state: State, memory: Any) -> float:
+    """Length of the path that the robot hasn't driven yet [m]."""
+    last = len(state.path) - 1
+    length: float = (last - memory.progress) * (state.length / last)
+    return length
 
 
-@loop
+@compilable
+def point_ahead(state: State, memory: Any, number: int) -> tuple[float, float]:
+    """A point of the path as the robot sees it: ahead and left [m], bounded."""
+    x, y, theta = state.pose
+    k = min(int(memory.progress) + number * STRIDE, len(state.path) - 1)
+    px, py = state.path[k, 0], state.path[k, 1]
+    ahead, left = relative(x, y, math.cos(theta), math.sin(theta), px, py)
+    return clipped(ahead, OBSERVATION_LIMIT), clipped(left, OBSERVATION_LIMIT)
+
+
+@compilable
 def nearest(
     path: Floats, last: int, progress: float, x: float, y: float
 ) -> tuple[float, float, float]:
@@ -182,14 +177,14 @@ def nearest(
     return place, side * math.sqrt(best), bearing
 
 
-@jit
+@compilable
 def heading_error(theta: float, bearing: float) -> float:
     """Heading against the path's direction [rad], within -pi to pi; positive to the left."""
     error = theta - bearing
     return error - 2.0 * math.pi * math.floor(error / (2.0 * math.pi) + 0.5)
 
 
-@jit
+@compilable
 def path_outcome(remaining: float, far: float, beside: float, most: float) -> int:
     """The Outcome's number: success near the end [m] both along the path and straight."""
     if remaining <= TOLERANCE and far <= TOLERANCE:
@@ -197,7 +192,7 @@ def path_outcome(remaining: float, far: float, beside: float, most: float) -> in
     return 2 if beside > most else 0
 
 
-@jit
+@compilable
 def path_reward(gain: float, cross: float, linear: float, outcome: int) -> float:
     """Twice the metres gained along the path, less 0.02 and 0.5 a metre beside it, a step.
 

@@ -11,7 +11,7 @@ from acsar_gym.tasks.base import Task
 
 def task_spaces(task: Task, config: RobotConfig) -> tuple[Box, Box]:
     """Action and observation space of a task, single or one row of many."""
-    rays = config.lidar.rays if task.sees else 0
-    low = np.array([*task.low(), *([0.0] * rays)], np.float32)
-    high = np.array([*task.high(), *([1.0] * rays)], np.float32)
-    return Box(-1.0, 1.0, (2,), np.float32), Box(low, high, dtype=np.float32)
+    rays = config.lidar.rays if "lidar" in task.sensors else 0
+    bounds = [*task.observation.values(), *([(0.0, 1.0)] * rays)]
+    low, high = np.array(bounds, np.float32).reshape(-1, 2).T
+    return Box(-1.0, 1.0, (2,), np.float32), Box(low.copy(), high.copy(), dtype=np.float32)

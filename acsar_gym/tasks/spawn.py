@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, shown
-from acsar_gym.tasks.base import Assignment, Goal, point, relative, within
+from acsar_gym.errors import ConfigError, WorldError, shown
+from acsar_gym.jit import jit
+from acsar_gym.tasks.base import Goal, Info, Task, relative, within
+from acsar_gym.tasks.options import known, point
 from acsar_gym.worlds import Pose, Region, World
 from acsar_gym.worlds.generators import Level
 from acsar_gym.worlds.paths import along, sampled, to_follow
@@ -19,15 +21,100 @@ from acsar_gym.worlds.pool import Pool, Source, checked
 from acsar_gym.worlds.search import footprint_radius
 from acsar_gym.worlds.world import Floats
 
-OPTIONS = "world", "difficulty", "goal"
-"""Of a reset, for tasks with worlds and goals."""
 DRAWS = 6
 """Numbers of [0, 1) that a place takes: world, start (2), heading, goal (2)."""
 
 
-def pool(source: Source, difficulty: Level, config: RobotConfig) -> Pool:
-    """An env's worlds, made for its robot's footprint. Raises WorldError for a bad source."""
-    return Pool.of(source, difficulty, footprint_radius(config))
+@dataclass(frozen=True, slots=True)
+class Assignment:
+    """What one episode is about, in the odometry frame, in which the robot starts at the origin."""
+
+    goal: Goal
+    """[m]"""
+    world: World | None = None
+    path: Floats | None = None
+    """N x 3: x, y [m] and direction [rad] of a path to follow."""
+    length: float = math.nan
+    """Of the world's own path from start to goal [m]."""
+    number: int = -1
+    """Of the world: its generator's number, its place in a list or folder, or -1."""
+
+    @property
+    def info(self) -> Info:
+        """The number of the world; -1 for one that was given. Nothing where there are no worlds."""
+        return {} if self.world is None else {"world": float(self.number)}
+
+
+class Spawn:
+    """Draws what the episodes of a task are about.
+
+    Attributes: `pool`, the worlds, None on an open floor; `options`, those of a reset.
+    """
+
+    def __init__(
+        self, task: Task, worlds: Source | None, difficulty: Level, config: RobotConfig
+    ) -> None:
+        """Make the pool.
+
+        Args:
+            task: has the worlds where none are given here.
+            worlds: see `Pool.of`; None for the task's own.
+            difficulty: of generated worlds; None for the task's own.
+            config: of the robot, whose footprint the worlds are made for.
+
+        Raises:
+            ConfigError, WorldError: for values that make no sense.
+        """
+        self._task = task
+        source = task.worlds if worlds is None else worlds
+        level = task.difficulty if difficulty is None else difficulty
+        if source is None and level is not None:
+            raise ConfigError(f"difficulty = {shown(level)}: {task.id} has no worlds")
+        self.pool = None if source is None else Pool.of(source, level, footprint_radius(config))
+        self.options: tuple[str, ...] = ("goal",)
+        if self.pool is not None:
+            self.options = ("world", "difficulty", "path" if task.follows else "goal")
+
+    def draw(self, rng: np.random.Generator, options: Mapping[str, Any]) -> Assignment:
+        """What the next episode is about.
+
+        Args:
+            rng: the env's generator.
+            options: of the reset: "goal", (x, y) in the odometry frame [m]; in worlds "world", a
+                number or a World, and "difficulty", (low, high) of the worlds to draw from; for
+                tasks that follow "path", points (x, y) [m], instead of "goal".
+
+        Raises:
+            ConfigError, WorldError: for options that make no sense.
+        """
+        options = known(options, self.options)
+        if options.get("path") is not None:
+            return given(options["path"])
+        if self.pool is not None:
+            return drawn(self.pool, rng, options, follow=self._task.follows)
+        goal = options.get("goal")
+        return Assignment(self._goal(rng) if goal is None else self.checked(point("goal", goal)))
+
+    def _goal(self, rng: np.random.Generator) -> Goal:
+        """A goal in any direction, its distance uniform between the task's limits."""
+        distance = rng.uniform(*self._task.goal_distance)
+        return goal_at(distance, rng.uniform(-math.pi, math.pi))
+
+    def checked(self, goal: Goal) -> Goal:
+        """A goal (x, y) [m] on an open floor. ConfigError for one too near or too far."""
+        nearest, farthest = self._task.goal_distance
+        if not nearest <= math.hypot(*goal) <= farthest:
+            raise ConfigError(
+                f"goal = ({goal[0]:g}, {goal[1]:g}): must lie {nearest:g} to {farthest:g} m from "
+                "the start (goal_distance of the env)"
+            )
+        return goal
+
+
+@jit
+def goal_at(distance: float, bearing: float) -> Goal:
+    """The point at a distance [m] and a bearing [rad] from the origin."""
+    return (distance * math.cos(bearing), distance * math.sin(bearing))
 
 
 def chosen(worlds: Pool, share: float, options: Mapping[str, Any]) -> tuple[int, World]:
@@ -79,7 +166,7 @@ def drawn(
     if options.get("goal") is not None:  # the world's own path leads elsewhere
         return Assignment(point("goal", options["goal"]), world.seen_from(pose), number=number)
     goal: Goal = relative(x, y, math.cos(theta), math.sin(theta), goal_x, goal_y)
-    path = _followed(world.path, pose) if follow and world.path is not None else None
+    path = followed(world) if follow else None
     return Assignment(goal, world.seen_from(pose), path, world.length, number)
 
 
@@ -89,13 +176,17 @@ def given(path: Any) -> Assignment:
     goal = (world.goal.x, world.goal.y)
     start = Region(0.0, 0.0, 0.0, 0.0)
     world = replace(world, start=start, name="given")
-    followed = None if world.path is None else _followed(world.path, (0.0, 0.0, 0.0))
-    return Assignment(goal, world, followed, world.length)
+    return Assignment(goal, world, followed(world), world.length)
 
 
-def _followed(path: Floats, pose: Pose) -> Floats:
-    """N x 3: the samples of a path, in the frame of the pose."""
-    samples = sampled(path)
-    cos, sin = math.cos(pose[2]), math.sin(pose[2])
-    points = (samples[:, :2] - pose[:2]) @ np.array([[cos, -sin], [sin, cos]])
-    return np.column_stack([points, samples[:, 2] - pose[2]])
+def followed(world: World) -> Floats:
+    """N x 3: the samples of a world's path, seen from its start, which is at the path's beginning.
+
+    Raises WorldError where it has no path.
+    """
+    if world.path is None or world.start.theta is None:
+        raise WorldError(f"{world.name or 'the world'}: has no path to follow")
+    samples, start, theta = sampled(world.path), world.start, world.start.theta
+    cos, sin = math.cos(theta), math.sin(theta)
+    points = (samples[:, :2] - (start.x, start.y)) @ np.array([[cos, -sin], [sin, cos]])
+    return np.column_stack([points, samples[:, 2] - theta])

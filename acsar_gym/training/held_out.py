@@ -74,7 +74,7 @@ def measured(batch: RobotVectorEnv) -> str:
 
 def told(learning: RobotVectorEnv, batch: RobotVectorEnv) -> str:
     """Where the robots learn and where they are evaluated, for people."""
-    pools = [getattr(one.task, "pool", None) for one in (learning, batch)]
+    pools = [one.pool for one in (learning, batch)]
     if pools[0] is None:
         return "training on an open floor, held out: other seeds"
     apart = (
@@ -85,7 +85,7 @@ def told(learning: RobotVectorEnv, batch: RobotVectorEnv) -> str:
 
 def _others(batch: RobotVectorEnv) -> bool:
     """Whether its episodes are in other worlds, or to other goals on the open floor."""
-    pool = getattr(batch.task, "pool", None)
+    pool = batch.pool
     return pool is None or pool.generated
 
 

@@ -12,53 +12,72 @@ from acsar_gym.config import BITS_PER_BYTE, LINE_BYTES, Geofence, RobotConfig, w
 from acsar_gym.errors import ConfigError
 from acsar_gym.lidars.base import draws, stale_after
 from acsar_gym.safety import limiter
+from acsar_gym.tasks.base import Task
+from acsar_gym.tasks.spawn import Spawn
 from acsar_gym.vector import pcg
 from acsar_gym.vector.drawn import Drawn
 from acsar_gym.vector.kernel import episode, layout
 from acsar_gym.vector.options import Wishes
 from acsar_gym.vector.randomization import Randomization
-from acsar_gym.vector.tables import BatchTask, first_number, job, surroundings, told, worlds_of
+from acsar_gym.vector.tables import spawns, surroundings, worlds_of
+from acsar_gym.vector.task import Loops, loops_of
 
 Mask = NDArray[np.bool_]
 
 
 class Batch:
-    """Robots are columns of `state` and `ends`, rows of `observations`."""
+    """Robots are columns of the state, and rows of all other tables."""
 
     def __init__(
         self,
         robots: int,
         config: RobotConfig,
-        task: BatchTask,
+        task: Task,
+        spawn: Spawn,
         ticks: int,
         max_steps: int | None,
         randomization: Randomization,
     ) -> None:
-        self._setup = _setup(config, ticks, max_steps, task.sees)
-        worlds = worlds_of(task)
-        self._job = job(task, worlds)
-        around = surroundings(worlds, config, sees=task.sees)
-        self.told = told(task)
-        self._first_world = first_number(task)
-        self._nominal = _nominal(config)
-        self._ranges = randomization.table()
-        self._drawn = Drawn(randomization, self._nominal, self._setup.dt, robots)
-        self._around = around
-        self._slot = 0
-        slots = _slots(self._setup, self._nominal, self._ranges)
-        columns = _columns(robots)
-        self._state = np.zeros((layout.ROWS, columns))
-        self._counts = np.zeros((slots, 4, columns))
-        lines = _lines(self._setup, self._nominal, self._ranges)
-        self._commands = np.zeros((lines, 2, columns if self._setup.guarded else 0))
-        self._line = 0
-        self.state = self._state[:, :robots]
-        self._random = np.zeros((robots, 4), np.uint64)
-        numbers = len(task.layout) + len(around.directions)
-        self.observations = np.zeros((robots, numbers), np.float32)
-        self.rewards = np.zeros(robots)
-        self.ends = np.zeros((2, robots), np.bool_)
+        sees = "lidar" in task.sensors
+        self.robots, self._config = robots, config
+        self._setup = _setup(config, ticks, max_steps, sees)
+        self._pool, worlds = spawn.pool, worlds_of(spawn.pool, follow=task.follows)
+        self._spawns = spawns(task, spawn.pool, worlds)
+        self._around = surroundings(worlds, config, sees=sees)
+        self.tables = self._tables(randomization, len(task.observation))
+        nominal = self.tables.nominal
+        self._drawn = Drawn(randomization, nominal, self._setup.dt, robots)
+        self._loops: Loops = loops_of(task, self.tables, self._setup, self._spawns)
+        self._rows = dict(layout.INFO)
+        self._rows |= {} if spawn.pool is None else layout.WORLD_INFO
+        self._rows |= layout.SCAN_INFO if sees else {}
         self.seeded = False
+
+    def _tables(self, randomization: Randomization, numbers: int) -> layout.Tables:
+        robots, setup = self.robots, self._setup
+        nominal, varied = _nominal(self._config), randomization.table()
+        columns, rays = _columns(robots), len(self._around.directions)
+        lines = _lines(setup, nominal, varied)
+        return layout.Tables(
+            state=np.zeros((layout.ROWS, columns)),
+            counts=np.zeros((_slots(setup, nominal, varied), 4, columns)),
+            commands=np.zeros((lines, 2, columns if setup.guarded else 0)),
+            random=np.zeros((robots, 4), np.uint64),
+            nominal=nominal,
+            varied=varied,
+            actions=np.zeros((robots, 2)),
+            over=np.zeros(robots, np.bool_),
+            ranges=np.zeros((robots, rays)),
+            observations=np.zeros((robots, numbers + rays), np.float32),
+            rewards=np.zeros(robots),
+            ends=np.zeros((2, robots), np.bool_),
+            ring=np.zeros(2, np.int64),
+        )
+
+    @property
+    def state(self) -> NDArray[np.float64]:
+        """Rows as `layout` names them, a column for each robot."""
+        return self.tables.state[:, : self.robots]
 
     def seed(self, seeds: list[int | None] | None, mask: Mask) -> None:
         """New generators for the robots in the mask; the first time also without seeds."""
@@ -67,7 +86,7 @@ class Batch:
         for robot in np.flatnonzero(mask):
             seed = None if seeds is None else seeds[robot]
             if seed is not None or not self.seeded:
-                self._random[robot] = pcg.seeded(seed)
+                self.tables.random[robot] = pcg.seeded(seed)
         self.seeded = True
 
     def wish(self, wishes: Wishes, mask: Mask) -> None:
@@ -75,83 +94,50 @@ class Batch:
         for row in range(layout.WISHED_WORLD, layout.LAST_RANK + 1):
             self.state[row, mask] = wishes[row][mask] if row in wishes else 0.0
 
-    def began(self, mask: Mask) -> None:
-        """Robots in the mask have begun an episode: their physics has been drawn anew."""
-        self._drawn.update(self.state, mask)
-
     def reset(self, mask: Mask, first: int, last: int) -> None:
         """New episodes for robots in the mask, among first to last."""
-        episode.reset(
-            self._state,
-            self._counts,
-            self._commands,
-            self._random,
-            self._nominal,
-            self._ranges,
-            self.observations,
-            mask,
-            first,
-            last,
-            self._setup,
-            self._job,
-            self._around,
-        )
+        episode.reset(self.tables, mask, first, last, self._setup, self._spawns, self._around)
+        if self._loops.compiled:
+            self._loops.start(mask, first, last)
 
-    def step(self, actions: NDArray[np.float64], over: Mask, first: int, last: int) -> None:
-        """An env step of robots first to last; those in `over` begin a new episode instead."""
-        episode.step(
-            self._state,
-            self._counts,
-            self._commands,
-            self._random,
-            self._nominal,
-            self._ranges,
-            actions,
-            over,
-            self.observations,
-            self.rewards,
-            self.ends,
-            first,
-            last,
-            self._slot,
-            self._line,
-            self._setup,
-            self._job,
-            self._around,
-        )
+    def began(self, mask: Mask) -> None:
+        """All robots in the mask have a new episode."""
+        if not self._loops.compiled:
+            self._loops.start(mask, 0, self.robots)
+        self._drawn.update(self.state, mask)
+
+    def step(self, first: int, last: int) -> None:
+        """An env step of robots first to last, as `tables.actions` and `tables.over` say."""
+        episode.step(self.tables, first, last, self._setup, self._spawns, self._around)
+        if self._loops.compiled:
+            self._loops.step(first, last)
+
+    def stepped(self) -> None:
+        """All robots have done their step: move on in the rings."""
+        if not self._loops.compiled:
+            self._loops.step(0, self.robots)
+        self._drawn.update(self.state, self.tables.over)
+        ring, setup = self.tables.ring, self._setup
+        ring[0] = (ring[0] + setup.ticks * setup.loops) % self.tables.counts.shape[0]
+        ring[1] = (ring[1] + setup.ticks) % self.tables.commands.shape[0]
 
     def info(self) -> dict[str, NDArray[np.float64]]:
         """What the single env's info says, an array for each of its keys."""
-        rows = self.state[list(self.told.values())]
-        info = dict(zip(self.told, rows, strict=True))
-        if "world" in info:
-            info["world"] += self._first_world
-        return info | self._drawn.info
+        rows = self.state[list(self._rows.values())]
+        info = dict(zip(self._rows, rows, strict=True))
+        if self._pool is not None:
+            info["world"] += self._pool.numbers[0]
+        return info | self._loops.info() | self._drawn.info
 
     @property
     def names(self) -> tuple[str, ...]:
         """The keys of info."""
-        return (*self.told, *self._drawn.info)
-
-    def turn(self) -> None:
-        """All robots have done their step: move on in the ring of encoder counts."""
-        loops = self._setup.ticks * self._setup.loops
-        self._slot = (self._slot + loops) % self._counts.shape[0]
-        self._line = (self._line + self._setup.ticks) % self._commands.shape[0]
+        return tuple(self.info())
 
     @property
     def bytes_per_robot(self) -> float:
         """Memory that a robot takes in all arrays."""
-        arrays = (
-            self._state,
-            self._counts,
-            self._commands,
-            self._random,
-            self.observations,
-            self.rewards,
-            self.ends,
-        )
-        return sum(array.nbytes for array in arrays) / len(self.rewards)
+        return sum(array.nbytes for array in self.tables) / self.robots
 
 
 def _columns(robots: int) -> int:

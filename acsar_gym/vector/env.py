@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,26 +10,20 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from acsar_gym import jit as compiled
 from acsar_gym.config import RobotConfig, RobotSource, whole_ratio
 from acsar_gym.errors import CommandError, ConfigError, shown
-from acsar_gym.tasks.base import known
+from acsar_gym.tasks.base import Task
+from acsar_gym.tasks.made import made
+from acsar_gym.tasks.options import known
 from acsar_gym.tasks.spaces import task_spaces
-from acsar_gym.tasks.spawn import OPTIONS
+from acsar_gym.tasks.spawn import Spawn
 from acsar_gym.vector.batch import Batch
 from acsar_gym.vector.kernel import layout
 from acsar_gym.vector.options import Wishes, wishes
 from acsar_gym.vector.randomization import Randomization
+from acsar_gym.vector.settings import MOST_ROBOTS, BatchOptions, count, threads_for
 from acsar_gym.vector.specs import PlainSpec
-from acsar_gym.vector.tables import BatchTask
 from acsar_gym.vector.threads import Crew
-
-MOST_ROBOTS = 1_000_000
-"""They take about 2 GB."""
-MOST_STEPS = 10**9
-"""Of an episode."""
-FAIR_SHARE = 256
-"""Robots for which another thread is worth its start."""
 
 MASK = "reset_mask"
 
@@ -90,35 +82,39 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
 
     def __init__(
         self,
-        task: Callable[[RobotConfig], BatchTask],
-        num_envs: int,
-        robot: RobotSource,
-        *,
-        policy_rate: float = 10.0,
-        max_episode_steps: int | None = None,
-        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        threads: int | None = None,
-        randomization: Mapping[str, tuple[float, float]] | None = None,
-        link: str = "planar",
-        render_mode: str | None = None,
+        task: Task | type[Task] | str,
+        num_envs: int = 1,
+        robot: RobotSource = None,
+        **options: Any,
     ) -> None:
+        """Make the batch, and all its worlds.
+
+        Args:
+            task: a task, its class, or "module:Class".
+            num_envs: robots.
+            robot: their configuration.
+            **options: of the batch, see above, and of the task.
+
+        Raises:
+            ConfigError, WorldError: for options that make no sense.
+        """
         config = RobotConfig.of(robot)
-        _check(link, render_mode)
-        self.num_envs = _count("num_envs", num_envs, MOST_ROBOTS)
-        if max_episode_steps is not None:
-            max_episode_steps = _count("max_episode_steps", max_episode_steps, MOST_STEPS)
-        self.autoreset_mode = _autoreset(autoreset_mode)
+        asked, rest = BatchOptions.split(options)
+        self.num_envs = count("num_envs", num_envs, MOST_ROBOTS)
+        self.autoreset_mode = asked.autoreset_mode
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
-        self.task = task(config)
+        self.task = made(task, rest, config)
+        self._spawn = Spawn(self.task, asked.worlds, asked.difficulty, config)
+        self.pool = self._spawn.pool
         self.config = config
         self.single_action_space, self.single_observation_space = task_spaces(self.task, config)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-        ticks = whole_ratio("control_rate", config.control_rate, "policy_rate", policy_rate)
-        randomized = Randomization.of(randomization)
-        self.batch = Batch(self.num_envs, config, self.task, ticks, max_episode_steps, randomized)
+        ticks = whole_ratio("control_rate", config.control_rate, "policy_rate", asked.policy_rate)
+        steps, randomized = asked.max_episode_steps, Randomization.of(asked.randomization)
+        self.batch = Batch(self.num_envs, config, self.task, self._spawn, ticks, steps, randomized)
         self._masks = tuple(f"_{name}" for name in self.batch.names)
-        self._crew = Crew(_threads(threads, self.num_envs))
+        self._crew = Crew(threads_for(asked.threads, self.num_envs))
         self._done = np.zeros(self.num_envs, np.bool_)
         self._whole = True
         """Whether no call was interrupted since all robots were reset."""
@@ -143,11 +139,10 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         self._whole = False
         self.batch.seed(seeds, mask)
         self.batch.wish(asked, mask)
-        self._crew.share(lambda first, last: self.batch.reset(mask, first, last), self.num_envs)
-        self.batch.began(mask)
+        self._begin(mask)
         self._done = self._done & ~mask
         self._whole = True
-        return self.batch.observations.copy(), self._info(mask)
+        return self.batch.tables.observations.copy(), self._info(mask)
 
     def set_options(self, options: Mapping[str, Any]) -> None:
         """Options as in `reset`, for the episodes to come; those that run go on."""
@@ -160,9 +155,9 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         Threads of an interrupted call have ended, so that the state can be written.
         """
         self._crew.wait()
-        given = known(options or {}, (MASK, *OPTIONS))
+        given = known(options or {}, (MASK, *self._spawn.options))
         rest = {name: value for name, value in given.items() if name != MASK}
-        return _mask(given.get(MASK), self.num_envs), wishes(self.task, rest, self.num_envs)
+        return _mask(given.get(MASK), self.num_envs), wishes(self._spawn, rest, self.num_envs)
 
     def step(self, actions: Array) -> tuple[Array, Array, Array, Array, Info]:
         """One env step of every robot; `actions` is num_envs x 2.
@@ -178,24 +173,26 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
             raise ConfigError(
                 f"env {int(self._done.argmax())} has ended: reset it with options['reset_mask']"
             )
-        next_step = self.autoreset_mode is AutoresetMode.NEXT_STEP
-        over = self._done if next_step else np.zeros(self.num_envs, np.bool_)
-        batch, self._whole = self.batch, False
-        self._crew.share(lambda first, last: batch.step(actions, over, first, last), self.num_envs)
-        batch.turn()
-        batch.began(over)
-        terminated, truncated = batch.ends.copy()
+        batch, tables, self._whole = self.batch, self.batch.tables, False
+        tables.actions[:] = actions
+        tables.over[:] = self.autoreset_mode is AutoresetMode.NEXT_STEP and self._done
+        self._crew.share(batch.step, self.num_envs)
+        batch.stepped()
+        terminated, truncated = tables.ends.copy()
         self._done = terminated | truncated
-        rewards, info = batch.rewards.copy(), {}
+        rewards, info = tables.rewards.copy(), {}
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._done.any():
             info = self._finals(self._done)
-            self._crew.share(
-                lambda first, last: batch.reset(self._done, first, last), self.num_envs
-            )
-            batch.began(self._done)
+            self._begin(self._done)
         self._whole = True
         info |= self._info(np.ones(self.num_envs, np.bool_))
-        return batch.observations.copy(), rewards, terminated, truncated, info
+        return tables.observations.copy(), rewards, terminated, truncated, info
+
+    def _begin(self, mask: Array) -> None:
+        """New episodes for the robots in the mask."""
+        batch = self.batch
+        self._crew.share(lambda first, last: batch.reset(mask, first, last), self.num_envs)
+        batch.began(mask)
 
     def _checked(self, actions: Array) -> Array:
         actions = np.array(actions, np.float64, order="C")  # others would compile loops anew
@@ -210,7 +207,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         """What Gymnasium wants to know of episodes that ended in this very step."""
         final = np.full(self.num_envs, None, object)
         for index in np.flatnonzero(done):
-            final[index] = self.batch.observations[index].copy()
+            final[index] = self.batch.tables.observations[index].copy()
         info = self._info(done)
         state = self.batch.state
         info |= {"episode_return": state[layout.RETURN].copy(), "_episode_return": done}
@@ -224,50 +221,6 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
     def close_extras(self, **_: Any) -> None:
         """End the threads."""
         self._crew.close()
-
-
-def _check(link: str, render_mode: str | None) -> None:
-    if link != "planar":
-        raise ConfigError(
-            f"link = {link!r}: a batch has planar robots; for others make_vec with "
-            "vectorization_mode='sync' or 'async'"
-        )
-    if render_mode is not None:
-        raise ConfigError("a batch of robots has no pictures: render a single env instead")
-    if not compiled.COMPILED:
-        warnings.warn(
-            "numba isn't installed, so batches are slow: pip install 'acsar_gym[fast]'",
-            RuntimeWarning,
-            stacklevel=4,
-        )
-
-
-def _autoreset(mode: AutoresetMode | str) -> AutoresetMode:
-    try:
-        return AutoresetMode(mode)
-    except ValueError:
-        known = ", ".join(repr(known.value) for known in AutoresetMode)
-        raise ConfigError(f"autoreset_mode = {mode!r}: must be one of {known}") from None
-
-
-def _count(name: str, value: int, most: int) -> int:
-    if not isinstance(value, int | np.integer) or not 1 <= value <= most:
-        raise ConfigError(f"{name} = {shown(value)}: must be a whole number from 1 to {most:,}")
-    return int(value)
-
-
-def _threads(asked: int | None, robots: int) -> int:
-    """Threads to use: as asked, or all cores where every thread gets a fair share."""
-    cores = (
-        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    )
-    if asked is None:
-        return max(1, min(cores, robots // FAIR_SHARE))
-    if not isinstance(asked, int | np.integer) or not 1 <= asked <= cores:
-        raise ConfigError(
-            f"threads = {shown(asked)}: must be 1 to {cores}, the cores of this machine"
-        )
-    return min(int(asked), robots)
 
 
 def _mask(mask: Any, robots: int) -> Array:

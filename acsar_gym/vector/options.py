@@ -9,11 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.errors import ConfigError
-from acsar_gym.tasks import PathFollow, PointGoal
-from acsar_gym.tasks.base import known
-from acsar_gym.tasks.spawn import OPTIONS
+from acsar_gym.tasks.options import known
+from acsar_gym.tasks.spawn import Spawn
 from acsar_gym.vector.kernel import layout
-from acsar_gym.vector.tables import BatchTask
 from acsar_gym.worlds.pool import Pool
 
 Array = NDArray[Any]
@@ -21,29 +19,23 @@ Wishes = dict[int, Array]
 """Rows of the state, a number for each robot; those that aren't there are zero."""
 
 
-def wishes(task: BatchTask, options: Mapping[str, Any], robots: int) -> Wishes:
+def wishes(spawn: Spawn, options: Mapping[str, Any], robots: int) -> Wishes:
     """The options "world", "difficulty" and "goal" of a reset, as far as the task has them.
 
     Raises ConfigError for an unknown option or a value that makes no sense, naming the robot.
     """
-    given = known(options, _known(task))
+    given = known(options, tuple(name for name in spawn.options if name != "path"))
     found: Wishes = {}
     if given.get("goal") is not None:
-        found |= _goals(task, _numbers("goal", given["goal"], robots, 2))
-    if isinstance(task, PointGoal):
+        found |= _goals(spawn, _numbers("goal", given["goal"], robots, 2))
+    if spawn.pool is None:
         return found
     if given.get("world") is not None:
         worlds = _numbers("world", given["world"], robots, 1)[:, 0]
-        found[layout.WISHED_WORLD] = _worlds(task.pool, worlds)
+        found[layout.WISHED_WORLD] = _worlds(spawn.pool, worlds)
     if given.get("difficulty") is not None:
-        found |= _ranks(task.pool, _numbers("difficulty", given["difficulty"], robots, 2))
+        found |= _ranks(spawn.pool, _numbers("difficulty", given["difficulty"], robots, 2))
     return found
-
-
-def _known(task: BatchTask) -> tuple[str, ...]:
-    if isinstance(task, PointGoal):
-        return ("goal",)
-    return OPTIONS[:2] if isinstance(task, PathFollow) else OPTIONS
 
 
 def _numbers(name: str, value: Any, robots: int, width: int) -> Array:
@@ -59,15 +51,15 @@ def _numbers(name: str, value: Any, robots: int, width: int) -> Array:
     return np.broadcast_to(array.reshape(-1, width), (robots, width))
 
 
-def _goals(task: BatchTask, goals: Array) -> Wishes:
+def _goals(spawn: Spawn, goals: Array) -> Wishes:
     """Goals (x, y) in the odometry frame [m]; NaN for robots that draw theirs."""
     asked = ~np.isnan(goals).all(axis=1)
     for robot in np.flatnonzero(asked):
         x, y = goals[robot].tolist()
         if not np.isfinite(x + y):
             raise ConfigError(f"goal of robot {robot} = ({x}, {y}): must be finite numbers [m]")
-        if isinstance(task, PointGoal):
-            task.checked((x, y))
+        if spawn.pool is None:
+            spawn.checked((x, y))
     x, y = np.where(asked, goals.T, 0.0)
     return {layout.WISHED_GOAL: asked * 1.0, layout.WISHED_X: x, layout.WISHED_Y: y}
 

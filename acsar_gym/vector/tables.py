@@ -1,4 +1,4 @@
-"""A task and its worlds as the arrays that compiled loops need."""
+"""The worlds of a task as the arrays that compiled loops need."""
 
 from __future__ import annotations
 
@@ -11,15 +11,14 @@ from numpy.typing import NDArray
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import WorldError
 from acsar_gym.lidars.base import ray_spec
-from acsar_gym.tasks import Barn, ObstacleGoal, PathFollow, PointGoal
-from acsar_gym.tasks.barn import SCORES
+from acsar_gym.tasks.base import Task
+from acsar_gym.tasks.spawn import followed
 from acsar_gym.vector.kernel import layout
 from acsar_gym.worlds import World, cache, geometry
-from acsar_gym.worlds.paths import sampled, to_follow
+from acsar_gym.worlds.paths import to_follow
+from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.world import Floats
 
-BatchTask = PointGoal | ObstacleGoal | Barn | PathFollow
-"""Tasks that batches know."""
 Integers = NDArray[np.int64]
 MOST_WORLDS = 10_000
 """Of a batch."""
@@ -27,68 +26,44 @@ FAR = 1e6
 """Where unused circles and segments lie [m]."""
 
 
-def worlds_of(task: BatchTask) -> list[World]:
-    """All worlds of a task; none for goals on an open floor.
+def worlds_of(pool: Pool | None, *, follow: bool) -> list[World]:
+    """All worlds of a pool; none on an open floor.
 
     Raises WorldError for more than 10,000, before any is made.
     """
-    if isinstance(task, PointGoal):
+    if pool is None:
         return []
-    if len(task.pool) > MOST_WORLDS:
+    if len(pool) > MOST_WORLDS:
         raise WorldError(
-            f"worlds: {len(task.pool):,} of {task.pool.kind} are too many for a batch, which makes "
+            f"worlds: {len(pool):,} of {pool.kind} are too many for a batch, which makes "
             f"them all when it begins: at most {MOST_WORLDS:,}"
         )
     with cache.keeping():
-        worlds = list(task.pool)
-    return [to_follow(world) for world in worlds] if isinstance(task, PathFollow) else worlds
+        worlds = list(pool)
+    return [to_follow(world) for world in worlds] if follow else worlds
 
 
-def first_number(task: BatchTask) -> int:
-    """The number of a task's first world."""
-    return 0 if isinstance(task, PointGoal) else task.pool.numbers[0]
-
-
-def told(task: BatchTask) -> dict[str, int]:
-    """Keys of the task's info, and the rows of the state that hold them."""
-    rows = dict(layout.INFO)
-    rows |= layout.PATH_INFO if isinstance(task, PathFollow) else layout.GOAL_INFO
-    rows |= {} if isinstance(task, PointGoal) else layout.WORLD_INFO
-    rows |= layout.SCAN_INFO if task.sees else {}
-    if isinstance(task, Barn):
-        rows |= {name: layout.SCORE + number for number, name in enumerate(SCORES)}
-    return rows
-
-
-def job(task: BatchTask, worlds: Sequence[World]) -> layout.Job:
-    """The task's figures, and starts, goals and paths of its worlds."""
-    follows = isinstance(task, PathFollow)
-    paths, lasts = _paths(worlds if follows else ())
-    return layout.Job(
-        follows=follows,
-        scored=isinstance(task, Barn),
-        min_distance=task.min_distance if isinstance(task, PointGoal) else 0.0,
-        max_distance=task.max_distance if isinstance(task, PointGoal) else 0.0,
-        scale=1.0 if isinstance(task, PathFollow) else task.scale,
-        tolerance=1.0 if isinstance(task, PathFollow) else task.tolerance,
-        boundary=math.inf if isinstance(task, PathFollow) else task.boundary,
-        end=0.0 if isinstance(task, PathFollow) else task.end,
-        max_cross_track=task.max_cross_track if isinstance(task, PathFollow) else 1.0,
+def spawns(task: Task, pool: Pool | None, worlds: Sequence[World]) -> layout.Spawns:
+    """Starts, goals and paths of the worlds, and how goals are drawn where there are none."""
+    paths, samples = _paths(worlds if task.follows else ())
+    low, high = task.goal_distance
+    return layout.Spawns(
+        min_distance=float(low),
+        max_distance=float(high),
         starts=np.array([_start(world) for world in worlds]).reshape(-1, 4),
         goals=np.array([(w.goal.x, w.goal.y, w.goal.radius) for w in worlds]).reshape(-1, 3),
-        lengths=np.array([world.length for world in worlds]),
+        lengths=np.array([world.length for world in worlds], np.float64),
         paths=paths,
-        lasts=lasts,
-        order=_order(task),
+        samples=samples,
+        order=_order(pool),
     )
 
 
-def _order(task: BatchTask) -> Integers:
+def _order(pool: Pool | None) -> Integers:
     """The worlds from the easiest to the hardest; as they are where they have no difficulty."""
-    if isinstance(task, PointGoal):
+    if pool is None:
         return np.zeros(0, np.int64)
-    ranked = task.pool.generated
-    return task.pool.by_difficulty[0] if ranked else np.arange(len(task.pool), dtype=np.int64)
+    return pool.by_difficulty[0] if pool.generated else np.arange(len(pool), dtype=np.int64)
 
 
 def _start(world: World) -> tuple[float, float, float, float]:
@@ -97,13 +72,13 @@ def _start(world: World) -> tuple[float, float, float, float]:
 
 
 def _paths(worlds: Sequence[World]) -> tuple[Floats, Integers]:
-    """Samples of every world's path, padded to the longest, and the number of each one's last."""
-    every = [sampled(world.path) for world in worlds if world.path is not None]
+    """Samples of every world's path, padded to the longest, and how many they are."""
+    every = [followed(world) for world in worlds]
     longest = max((len(samples) for samples in every), default=0)
-    padded = np.zeros((len(every), longest, 3))
+    padded = np.zeros((max(len(every), 1), longest, 3))
     for number, samples in enumerate(every):
         padded[number, : len(samples)] = samples
-    return padded, np.array([len(samples) - 1 for samples in every], np.int64)
+    return padded, np.array([len(samples) for samples in every], np.int64)
 
 
 def surroundings(

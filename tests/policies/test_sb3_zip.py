@@ -52,7 +52,8 @@ def test_the_poison_of_these_tests_works(good: Path, tmp_path: Path) -> None:
 
 def test_refusing_needs_neither_stable_baselines3_nor_torch(good: Path) -> None:
     code = (
-        "import sys; from acsar_gym.errors import PolicyError; from acsar_gym.evaluation import runs\n"
+        "import sys; from acsar_gym.errors import PolicyError\n"
+        "from acsar_gym.evaluation import runs\n"
         f"try: runs.load({str(good)!r}, trust=False)\n"
         "except PolicyError: sys.exit(bool({'torch', 'stable_baselines3'} & set(sys.modules)))\n"
         "sys.exit(2)"

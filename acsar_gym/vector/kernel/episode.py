@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from acsar_gym.jit import jit, loop
 from acsar_gym.tasks.base import relative, within
-from acsar_gym.tasks.goal import goal_at
+from acsar_gym.tasks.spawn import goal_at
 from acsar_gym.vector.kernel.dynamics import command
 from acsar_gym.vector.kernel.layout import (
     BLEND,
@@ -17,8 +17,8 @@ from acsar_gym.vector.kernel.layout import (
     COMMAND_LOOPS,
     DEADBAND,
     DELAY_LOOPS,
-    DISTANCE,
     DROPPED,
+    ERROR,
     FEEDBACK_LOOPS,
     FIRST_RANK,
     GAIN,
@@ -31,24 +31,38 @@ from acsar_gym.vector.kernel.layout import (
     LAST_RANK,
     LOOPS,
     MASS,
+    ODOM_X,
+    ODOM_Y,
+    OUTCOME,
     RADIUS,
+    SCAN_AGE,
+    SCAN_TICK,
+    STALE,
     START_COS,
     START_SIN,
     START_THETA,
     START_X,
     START_Y,
+    STEPS,
+    SUCCESS,
+    THETA,
+    TRUE_DISTANCE,
+    TRUE_THETA,
+    TURN,
     WISHED_GOAL,
     WISHED_WORLD,
     WISHED_X,
     WISHED_Y,
     WORLD,
     Floats,
-    Job,
     Setup,
+    Spawns,
+    Tables,
+    X,
+    Y,
+    row,
 )
 from acsar_gym.vector.kernel.lidars import look
-from acsar_gym.vector.kernel.outcome import judge, observe, report
-from acsar_gym.vector.kernel.path import progress
 from acsar_gym.vector.kernel.robot import drive, newest_line
 from acsar_gym.vector.pcg import uniform
 from acsar_gym.worlds.geometry import Surroundings
@@ -72,8 +86,8 @@ def draw(  # noqa: C901 - nine keys, one condition each
     setup: Setup,
 ) -> None:
     """Robot i's own physics: nominal values, varied within `ranges` (see `Randomization`)."""
-    for row in range(MASS, WISHED_WORLD):
-        state[row, i] = nominal[row]
+    for number in range(MASS, WISHED_WORLD):
+        state[number, i] = nominal[number]
     if ranges[0, 0] <= ranges[0, 1]:
         factor = between(ranges, 0, random, i)
         state[MASS, i] *= factor
@@ -112,35 +126,37 @@ def between(ranges: Floats, key: int, random: NDArray[np.uint64], i: int) -> flo
 
 
 @jit
-def aim(state: Floats, random: NDArray[np.uint64], i: int, job: Job) -> None:
+def aim(state: Floats, random: NDArray[np.uint64], i: int, spawns: Spawns) -> None:
     """Robot i's goal on an open floor, in any direction."""
     state[START_COS, i] = 1.0
     if state[WISHED_GOAL, i] > 0.0:
         state[GOAL_X, i], state[GOAL_Y, i] = state[WISHED_X, i], state[WISHED_Y, i]
         return
-    distance = job.min_distance + (job.max_distance - job.min_distance) * uniform(random, i)
+    distance = spawns.min_distance + (spawns.max_distance - spawns.min_distance) * uniform(
+        random, i
+    )
     bearing = -math.pi + (math.pi - -math.pi) * uniform(random, i)
     state[GOAL_X, i], state[GOAL_Y, i] = goal_at(distance, bearing)
 
 
 @jit
-def choose(state: Floats, i: int, share: float, job: Job) -> int:
+def choose(state: Floats, i: int, share: float, spawns: Spawns) -> int:
     """Robot i's world, as `tasks.place.chosen` does it, for a number of [0, 1)."""
     first, last = int(state[FIRST_RANK, i]), int(state[LAST_RANK, i])
     if state[WISHED_WORLD, i] > 0.0:
         return int(state[WISHED_WORLD, i]) - 1
     if last > first:
-        return int(job.order[first + min(int(share * (last - first)), last - first - 1)])
-    return min(int(share * len(job.starts)), len(job.starts) - 1)
+        return int(spawns.order[first + min(int(share * (last - first)), last - first - 1)])
+    return min(int(share * len(spawns.starts)), len(spawns.starts) - 1)
 
 
 @jit
-def settle(state: Floats, random: NDArray[np.uint64], i: int, job: Job) -> None:
+def settle(state: Floats, random: NDArray[np.uint64], i: int, spawns: Spawns) -> None:
     """Robot i's world, and its start and goal there, as `tasks.place.drawn` does it."""
     u0, u1, u2 = uniform(random, i), uniform(random, i), uniform(random, i)
     u3, u4, u5 = uniform(random, i), uniform(random, i), uniform(random, i)
-    world = choose(state, i, u0, job)
-    start, goal = job.starts[world], job.goals[world]
+    world = choose(state, i, u0, spawns)
+    start, goal = spawns.starts[world], spawns.goals[world]
     x, y = within(start[0], start[1], start[2], u1, u2)
     theta = (2.0 * u3 - 1.0) * math.pi if np.isnan(start[3]) else start[3]
     goal_x, goal_y = within(goal[0], goal[1], goal[2], u4, u5)
@@ -156,115 +172,95 @@ def settle(state: Floats, random: NDArray[np.uint64], i: int, job: Job) -> None:
 
 
 @loop
-def begin(
-    state: Floats,
-    counts: Floats,
-    commands: Floats,
-    random: NDArray[np.uint64],
-    i: int,
-    nominal: Floats,
-    ranges: Floats,
-    setup: Setup,
-    job: Job,
-) -> None:
+def begin(tables: Tables, i: int, setup: Setup, spawns: Spawns) -> None:
     """A new episode of robot i: at rest, in a place of its own generator's making."""
-    for row in range(MASS):
-        state[row, i] = 0.0
-    counts[:, :, i] = 0.0
+    state, random = tables.state, tables.random
+    for number in range(MASS):
+        state[number, i] = 0.0
+    tables.counts[:, :, i] = 0.0
     if setup.guarded:
-        commands[:, :, i] = 0.0
-    if len(job.starts) == 0:
-        aim(state, random, i, job)
+        tables.commands[:, :, i] = 0.0
+    if len(spawns.starts) == 0:
+        aim(state, random, i, spawns)
     else:
-        settle(state, random, i, job)
-    draw(state, random, i, nominal, ranges, setup)
-    state[DISTANCE, i] = math.sqrt(state[GOAL_X, i] ** 2 + state[GOAL_Y, i] ** 2)
+        settle(state, random, i, spawns)
+    draw(state, random, i, tables.nominal, tables.varied, setup)
     settled = settle_ticks(state[DELAY_LOOPS, i], state[FEEDBACK_LOOPS, i], setup.loops)
     state[LOOPS, i] = settled * setup.loops
     every = state[FEEDBACK_LOOPS, i]
     state[LAST_LINE, i] = newest_line(state[LOOPS, i], state[DELAY_LOOPS, i], every)
-    if job.follows:
-        progress(state, i, job)
 
 
 @loop
 def reset(
-    state: Floats,
-    counts: Floats,
-    commands: Floats,
-    random: NDArray[np.uint64],
-    nominal: Floats,
-    ranges: Floats,
-    observations: NDArray[np.float32],
+    tables: Tables,
     mask: NDArray[np.bool_],
     first: int,
     last: int,
     setup: Setup,
-    job: Job,
+    spawns: Spawns,
     around: Surroundings,
 ) -> None:
     """New episodes for the robots in the mask."""
+    anew = False
     for i in range(first, last):
         if mask[i]:
-            begin(state, counts, commands, random, i, nominal, ranges, setup, job)
-    if setup.lidar_rate > 0.0:
-        look(state, random, observations, ~mask, first, last, -1, setup, around)
-    for i in range(first, last):
-        if mask[i]:
-            observe(state, observations, i, i + 1, setup, job)
-            report(state, i, i + 1, setup, job)
+            begin(tables, i, setup, spawns)
+            anew = True
+    if anew and setup.lidar_rate > 0.0:
+        look(tables, mask, True, first, last, -1, setup, around)
 
 
 @loop
 def step(
-    state: Floats,
-    counts: Floats,
-    commands: Floats,
-    random: NDArray[np.uint64],
-    nominal: Floats,
-    ranges: Floats,
-    actions: Floats,
-    over: NDArray[np.bool_],
-    observations: NDArray[np.float32],
-    rewards: Floats,
-    ends: NDArray[np.bool_],
-    first: int,
-    last: int,
-    slot: int,
-    line: int,
-    setup: Setup,
-    job: Job,
-    around: Surroundings,
+    tables: Tables, first: int, last: int, setup: Setup, spawns: Spawns, around: Surroundings
 ) -> None:
-    """An env step of robots first to last; those that were over begin anew instead."""
-    lossy = ranges[8, 0] <= ranges[8, 1]
+    """Physics and driver of robots first to last over an env step; those over begin anew instead.
+
+    The task's loops come after it.
+    """
+    state, lossy = tables.state, tables.varied[8, 0] <= tables.varied[8, 1]
     for low in range(first, last, BLOCK):
         high = min(low + BLOCK, last)
-        command(state, actions, low, high, setup)
-        drive(
-            state,
-            counts,
-            random,
-            observations,
-            over,
-            low,
-            high,
-            slot,
-            commands,
-            line,
-            lossy,
-            setup,
-            around,
-        )
-        judge(state, rewards, ends, low, high, setup, job)
-        anew = False
-        for i in range(low, high):
-            if over[i]:
-                begin(state, counts, commands, random, i, nominal, ranges, setup, job)
-                rewards[i] = 0.0
-                ends[0, i] = ends[1, i] = False
-                anew = True
-        if anew and setup.lidar_rate > 0.0:
-            look(state, random, observations, ~over, low, high, -1, setup, around)
-        observe(state, observations, low, high, setup, job)
-        report(state, low, high, setup, job)
+        command(state, tables.actions, low, high, setup)
+        drive(tables, low, high, lossy, setup, around)
+        steps = row(state, STEPS, low, high)
+        for i in range(high - low):
+            steps[i] += 1.0
+        reset(tables, tables.over, low, high, setup, spawns, around)
+
+
+@loop
+def report(state: Floats, first: int, last: int, setup: Setup) -> None:
+    """Rows of info that nothing else needs."""
+    xs, ys, thetas = (
+        row(state, X, first, last),
+        row(state, Y, first, last),
+        row(state, THETA, first, last),
+    )
+    goal_xs, goal_ys = row(state, GOAL_X, first, last), row(state, GOAL_Y, first, last)
+    odom_xs, odom_ys = row(state, ODOM_X, first, last), row(state, ODOM_Y, first, last)
+    headings, distances = (
+        row(state, TRUE_THETA, first, last),
+        row(state, TRUE_DISTANCE, first, last),
+    )
+    errors, outcomes = row(state, ERROR, first, last), row(state, OUTCOME, first, last)
+    successes = row(state, SUCCESS, first, last)
+    for i in range(last - first):
+        x, y, theta = xs[i], ys[i], thetas[i]
+        gx, gy, ox, oy = goal_xs[i] - x, goal_ys[i] - y, odom_xs[i] - x, odom_ys[i] - y
+        headings[i] = theta - TURN * np.floor(theta / TURN + 0.5)
+        distances[i] = math.sqrt(gx * gx + gy * gy)
+        errors[i] = math.sqrt(ox * ox + oy * oy)
+        successes[i] = 1.0 if outcomes[i] == 1.0 else 0.0
+    if setup.lidar_rate > 0.0:
+        scan_ages(state, first, last, setup)
+
+
+@loop
+def scan_ages(state: Floats, first: int, last: int, setup: Setup) -> None:
+    """How old every robot's newest scan is [s]."""
+    for i in range(first, last):
+        age = (state[STEPS, i] * setup.ticks - state[SCAN_TICK, i]) * setup.period
+        state[SCAN_AGE, i] = age
+        state[STALE, i] = 1.0 if age > setup.stale else 0.0

@@ -24,26 +24,24 @@ OLD_RIGHT, OLD_LEFT, NEW_RIGHT, NEW_LEFT, HEARD = range(18, 23)
 # What the driver knows:
 LOOPS, LAST_LINE, AGE, READ = 23, 24, 25, 26  # four readings
 ODOM_X, ODOM_Y, ODOM_THETA, LINEAR, ANGULAR = range(30, 35)
-# The task and the episode:
-GOAL_X, GOAL_Y, DISTANCE, LAST_LINEAR, LAST_ANGULAR, STEPS, RETURN, OUTCOME = range(35, 43)
-CONTACT, WORLD, START_X, START_Y, START_THETA, START_COS, START_SIN = range(43, 50)
-SCANS, SCAN_TICK = 50, 51
-PROGRESS, CROSS, BEARING, CROSS_SUM, HEADING_SUM = range(52, 57)
+# The episode:
+GOAL_X, GOAL_Y, LAST_LINEAR, LAST_ANGULAR, STEPS, RETURN, OUTCOME = range(35, 42)
+CONTACT, WORLD, START_X, START_Y, START_THETA, START_COS, START_SIN = range(42, 49)
+SCANS, SCAN_TICK = 49, 50
 # The safety layer: the twists sent last and before that, and why they aren't those asked for.
-SENT_LINEAR, SENT_ANGULAR, REASON, PAST_LINEAR, PAST_ANGULAR, FENCED = range(57, 63)
-NEW_LINEAR, NEW_ANGULAR = 63, 64
+SENT_LINEAR, SENT_ANGULAR, REASON, PAST_LINEAR, PAST_ANGULAR, FENCED = range(51, 57)
+NEW_LINEAR, NEW_ANGULAR = 57, 58
 # What is only told:
-TRUE_THETA, TRUE_DISTANCE, ERROR, SUCCESS, SCAN_AGE, STALE = range(65, 71)
-HEADING, SHARE, MEAN_CROSS, MEAN_HEADING, SCORE = 71, 72, 73, 74, 75  # four scores
+TRUE_THETA, TRUE_DISTANCE, ERROR, SUCCESS, SCAN_AGE, STALE = range(59, 65)
+GOAL_GIVEN = 65
+"""Whether this episode's goal was given, so that the world's path doesn't lead there."""
 # The robot's own physics, drawn anew with every episode where it is randomized:
-MASS, INERTIA, GRIP, RADIUS, DEADBAND, BLEND, GAIN = 79, 80, 81, 82, 83, 84, 88
-COMMAND_LOOPS, DELAY_LOOPS, FEEDBACK_LOOPS, DROPPED = range(92, 96)
+MASS, INERTIA, GRIP, RADIUS, DEADBAND, BLEND, GAIN = 66, 67, 68, 69, 70, 71, 75
+COMMAND_LOOPS, DELAY_LOOPS, FEEDBACK_LOOPS, DROPPED = range(79, 83)
 # What options of a reset ask for, in this and all later episodes; zero where they don't. A world is
 # its place from 1 on; worlds of a range of difficulty have ranks from FIRST_RANK up to LAST_RANK.
-WISHED_WORLD, WISHED_GOAL, WISHED_X, WISHED_Y, FIRST_RANK, LAST_RANK = range(96, 102)
-GOAL_GIVEN = 102
-"""Whether this episode's goal was given, so that the world's path doesn't lead there."""
-ROWS = 103
+WISHED_WORLD, WISHED_GOAL, WISHED_X, WISHED_Y, FIRST_RANK, LAST_RANK = range(83, 89)
+ROWS = 89
 INFO = {
     "is_success": SUCCESS,
     "odom_x": ODOM_X,
@@ -57,17 +55,10 @@ INFO = {
     "true_y": Y,
     "true_theta": TRUE_THETA,
     "true_contact": CONTACT,
+    "true_goal_distance": TRUE_DISTANCE,
     "odometry_error": ERROR,
 }
 """Rows of info that every task has."""
-GOAL_INFO = {"goal_distance": DISTANCE, "true_goal_distance": TRUE_DISTANCE}
-PATH_INFO = {
-    "cross_track_error": CROSS,
-    "heading_error": HEADING,
-    "path_progress": SHARE,
-    "mean_cross_track_error": MEAN_CROSS,
-    "mean_heading_error": MEAN_HEADING,
-}
 WORLD_INFO = {"world": WORLD}
 SCAN_INFO = {"scan_age": SCAN_AGE, "scan_stale": STALE}
 BLOCK = 128
@@ -121,21 +112,12 @@ class Setup(NamedTuple):
     """Numbers that the noise of a scan takes."""
 
 
-class Job(NamedTuple):
-    """The task's figures, and the worlds it takes place in."""
+class Spawns(NamedTuple):
+    """Where episodes begin, and where they lead."""
 
-    follows: bool
-    """A path, instead of driving to a goal."""
-    scored: bool
-    """By the rules of BARN."""
     min_distance: float
     max_distance: float
     """Of goals drawn on an open floor, where there are no worlds [m]."""
-    scale: float
-    tolerance: float
-    boundary: float
-    end: float
-    max_cross_track: float
     starts: Floats
     """W x 4: x, y, radius [m] and theta [rad], NaN for any."""
     goals: Floats
@@ -143,11 +125,42 @@ class Job(NamedTuple):
     lengths: Floats
     """W: lengths of the worlds' paths [m]."""
     paths: Floats
-    """W x N x 3: samples of the paths to follow."""
-    lasts: NDArray[np.int64]
-    """W: number of the last sample of each path."""
+    """W x N x 3: samples of the paths to follow, in the odometry frame; no worlds otherwise."""
+    samples: NDArray[np.int64]
+    """W: samples of each path."""
     order: NDArray[np.int64]
     """W: the worlds from the easiest to the hardest."""
+
+
+class Tables(NamedTuple):
+    """All arrays that change, of a batch of R robots."""
+
+    state: Floats
+    """ROWS x columns: at least R, see above."""
+    counts: Floats
+    """loops x 4 x columns: a ring of encoder counts."""
+    commands: Floats
+    """ticks x 2 x columns: a ring of command lines; empty where nothing limits commands."""
+    random: NDArray[np.uint64]
+    """R x 4: generators, see `pcg`."""
+    nominal: Floats
+    """ROWS: physics of the configured robot."""
+    varied: Floats
+    """9 x 2: see `Randomization`."""
+    actions: Floats
+    """R x 2"""
+    over: NDArray[np.bool_]
+    """R: whether the robot begins a new episode in this step."""
+    ranges: Floats
+    """R x rays: the LiDAR's newest scan [m]."""
+    observations: NDArray[np.float32]
+    """R x numbers."""
+    rewards: Floats
+    """R"""
+    ends: NDArray[np.bool_]
+    """2 x R: terminated, truncated."""
+    ring: NDArray[np.int64]
+    """2: where the last loop wrote its counts, and the last tick its command line."""
 
 
 @jit

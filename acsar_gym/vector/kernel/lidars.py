@@ -19,6 +19,7 @@ from acsar_gym.vector.kernel.layout import (
     WORLD,
     Floats,
     Setup,
+    Tables,
     X,
     Y,
     to_world,
@@ -50,18 +51,10 @@ def touch(state: Floats, first: int, last: int, around: Surroundings) -> None:
 
 @loop
 def scan(
-    state: Floats,
-    random: NDArray[np.uint64],
-    observations: NDArray[np.float32],
-    i: int,
-    tick: int,
-    numbers: int,
-    ranges: Floats,
-    uniforms: Floats,
-    setup: Setup,
-    around: Surroundings,
+    tables: Tables, i: int, tick: int, uniforms: Floats, setup: Setup, around: Surroundings
 ) -> None:
     """Robot i's scan, if one is due by the end of this tick of its step; -1 is the reset."""
+    state = tables.state
     ticks = state[STEPS, i] * setup.ticks + tick + 1
     elapsed = ticks * setup.period
     if elapsed <= state[SCANS, i] / setup.lidar_rate - 1e-9:
@@ -69,30 +62,29 @@ def scan(
     state[SCANS, i] = 1.0 + np.floor(elapsed * setup.lidar_rate + 1e-9)
     state[SCAN_TICK, i] = ticks
     x, y, cos, sin = true_pose(state, i)
+    ranges = tables.ranges[i]
     cast(x, y, cos, sin, int(state[WORLD, i]), around, ranges)
     for k in range(setup.draws):
-        uniforms[k] = uniform(random, i)
+        uniforms[k] = uniform(tables.random, i)
     measure(ranges, uniforms, setup.noise, setup.dropouts, setup.min_range, around.reach)
+    first = tables.observations.shape[1] - len(ranges)
     for k in range(len(ranges)):
-        observations[i, numbers + k] = ranges[k] / around.reach
+        tables.observations[i, first + k] = ranges[k] / around.reach
 
 
 @loop
 def look(
-    state: Floats,
-    random: NDArray[np.uint64],
-    observations: NDArray[np.float32],
-    over: NDArray[np.bool_],
+    tables: Tables,
+    mask: NDArray[np.bool_],
+    wanted: bool,
     first: int,
     last: int,
     tick: int,
     setup: Setup,
     around: Surroundings,
 ) -> None:
-    """Scans that are due, of robots whose episode goes on."""
-    rays = around.directions.shape[0]
-    ranges, uniforms = np.empty(rays), np.empty(setup.draws)
-    numbers = observations.shape[1] - rays
+    """Scans that are due, of robots whose place in the mask is as wanted."""
+    uniforms = np.empty(setup.draws)
     for i in range(first, last):
-        if not over[i]:
-            scan(state, random, observations, i, tick, numbers, ranges, uniforms, setup, around)
+        if mask[i] == wanted:
+            scan(tables, i, tick, uniforms, setup, around)

@@ -26,6 +26,7 @@ from acsar_gym.vector.kernel.layout import (
     TURN,
     Floats,
     Setup,
+    Tables,
     row,
 )
 from acsar_gym.vector.kernel.lidars import look, touch
@@ -109,25 +110,11 @@ def drop_lines(
 
 @loop
 def drive(
-    state: Floats,
-    counts: Floats,
-    random: NDArray[np.uint64],
-    observations: NDArray[np.float32],
-    over: NDArray[np.bool_],
-    first: int,
-    last: int,
-    slot: int,
-    commands: Floats,
-    line: int,
-    lossy: bool,
-    setup: Setup,
-    around: Surroundings,
+    tables: Tables, first: int, last: int, lossy: bool, setup: Setup, around: Surroundings
 ) -> None:
-    """All ticks of an env step.
-
-    `slot` is where the last loop wrote its counts, and `line` where the last tick its command.
-    """
-    slots = counts.shape[0]
+    """All ticks of an env step."""
+    state, counts, commands, random = tables.state, tables.counts, tables.commands, tables.random
+    slots, slot, line = counts.shape[0], tables.ring[0], tables.ring[1]
     crowded = around.circles.shape[1] + around.segments.shape[1] > 0
     for tick in range(setup.ticks):
         if setup.guarded:
@@ -150,6 +137,6 @@ def drive(
         feedback(state, counts, first, last, slot, setup)
         dead_reckoning(state, first, last, setup)
         if setup.lidar_rate > 0.0:
-            look(state, random, observations, over, first, last, tick, setup, around)
+            look(tables, tables.over, False, first, last, tick, setup, around)
     if setup.guarded:
         explain(state, first, last, setup)

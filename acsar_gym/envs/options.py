@@ -1,0 +1,51 @@
+"""The options that all environments have, beside those of their task."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any, Self
+
+from acsar_gym.errors import ConfigError, RenderError, shown
+
+RENDER_MODES = ("human", "rgb_array")
+
+
+@dataclass(frozen=True, kw_only=True)
+class EnvOptions:
+    """Of a single environment; see the manual of `acsar_gym/PointGoal-v0`."""
+
+    worlds: Any = None
+    difficulty: Any = None
+    lidar: Any = None
+    policy_rate: float = 10.0
+    render_mode: str | None = None
+    view: str = "top"
+    faults: Any = None
+    on_fault: str = "truncate"
+
+    def __post_init__(self) -> None:
+        if self.render_mode not in (None, *RENDER_MODES):
+            raise ConfigError(
+                f"render_mode = {shown(self.render_mode)}: must be None, human or rgb_array"
+            )
+        if not isinstance(self.view, str) or self.view not in ("top", "camera"):
+            raise ConfigError(f"view = {shown(self.view)}: must be top or camera")
+        if not isinstance(self.on_fault, str) or self.on_fault not in ("raise", "truncate"):
+            raise ConfigError(f"on_fault = {shown(self.on_fault)}: must be raise or truncate")
+
+    @classmethod
+    def split(cls, given: Mapping[str, Any]) -> tuple[Self, dict[str, Any]]:
+        """These options, and the others, which are the task's.
+
+        Raises:
+            ConfigError: for values that make no sense.
+        """
+        own = {field.name for field in fields(cls)}
+        rest = {name: value for name, value in given.items() if name not in own}
+        return cls(**{name: value for name, value in given.items() if name in own}), rest
+
+    def check_view(self, link: Any) -> None:
+        """Raise RenderError where a link has no camera for view="camera"."""
+        if self.view == "camera" and isinstance(link, str) and link != "bullet":
+            raise RenderError(f"link {link!r} has no camera; view='camera' needs link='bullet'")

@@ -1,0 +1,124 @@
+"""From what a user names to a task that is sound."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import ConfigError, shown, suggestion
+from acsar_gym.tasks.base import Outcome, State, Task, remembered
+
+
+def made(task: Any, options: Mapping[str, Any], config: RobotConfig) -> Task:
+    """A task that has been tried once.
+
+    Args:
+        task: a Task, a subclass of it, or "module:Class".
+        options: fields of the class.
+        config: of the robot.
+
+    Raises:
+        ConfigError: for anything else, for options that the class doesn't know, and for methods
+            that are missing or don't return what they should.
+    """
+    if isinstance(task, str):
+        task = _imported(task)
+    if isinstance(task, type) and issubclass(task, Task):
+        task = _built(task, options)
+    elif options:
+        raise ConfigError(f"{_listed(options)}: no option of the env, and the task is made already")
+    if not isinstance(task, Task):
+        raise ConfigError(f"task = {shown(task)}: must be an acsar_gym.Task or a subclass of it")
+    _check_class(task)
+    _try(task, config)
+    return task
+
+
+def _imported(name: str) -> Any:
+    module, _, attribute = name.partition(":")
+    try:
+        found: Any = importlib.import_module(module)
+        for part in attribute.split("."):
+            found = getattr(found, part)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ConfigError(f"task = {shown(name)}: {error}; must be like 'module:Class'") from None
+    return found
+
+
+def _built(task: type[Task], options: Mapping[str, Any]) -> Task:
+    known = [name for name in inspect.signature(task).parameters if name != "self"]
+    for name in options:
+        if name not in known:
+            raise ConfigError(
+                f"unknown option {shown(name)} of {named(task)}{suggestion(str(name)[:40], known)}"
+            )
+    try:
+        return task(**options)
+    except TypeError as error:
+        raise ConfigError(f"{named(task)}: {error}") from None
+
+
+def _listed(options: Mapping[str, Any]) -> str:
+    return ", ".join(str(name)[:40] for name in options)
+
+
+def named(task: Task | type[Task]) -> str:
+    """The id of a task, or its class's name, for messages."""
+    kind = task if isinstance(task, type) else type(task)
+    return kind.id or kind.__qualname__
+
+
+def _check_class(task: Task) -> None:
+    for name in ("reward", "observe"):
+        if getattr(type(task), name) is getattr(Task, name):
+            raise ConfigError(f"{named(task)}: has no method {name}()")
+    for name, bounds in task.observation.items():
+        try:
+            low, high = (float(bound) for bound in bounds)
+        except (TypeError, ValueError):
+            low, high = math.nan, math.nan
+        if not low <= high:
+            raise ConfigError(
+                f"{named(task)}: observation {name!r}: {shown(bounds)}: must be (least, largest)"
+            )
+    for name in task.told or ():
+        if name not in task.memory:
+            raise ConfigError(f"{named(task)}: told {name!r}: isn't in memory")
+
+
+def _try(task: Task, config: RobotConfig) -> None:
+    """Call all methods once, at the beginning of an episode that nobody drives."""
+    state, memory = _example(task, config), remembered(task)
+    task.begin(state, memory)
+    outcome = task.outcome(state, memory)
+    if outcome not in tuple(Outcome):
+        raise ConfigError(f"{named(task)}.outcome returned {shown(outcome)}: must be an Outcome")
+    reward = task.reward(state, memory, Outcome(outcome))
+    if not isinstance(reward, float | int | np.floating | np.integer):
+        raise ConfigError(f"{named(task)}.reward returned {shown(reward)}: must be a number")
+    numbers = task.observe(state, memory)
+    if np.shape(numbers) != (len(task.observation),):
+        raise ConfigError(
+            f"{named(task)}.observe returned numbers of shape {np.shape(numbers)}: must be "
+            f"{len(task.observation)}, as `observation` has names"
+        )
+
+
+def _example(task: Task, config: RobotConfig) -> State:
+    """A robot that has stood for one step, a metre from its goal."""
+    rays = config.lidar.rays if "lidar" in task.sensors else 0
+    path = np.column_stack([np.linspace(0.0, 1.0, 21), np.zeros((21, 2))])
+    return State(
+        ranges=np.full(rays, config.lidar.max_range),
+        sensed=np.ones(rays, np.float32),
+        time=0.1,
+        path=path if task.follows else path[:0],
+        length=1.0,
+        max_twist=(config.max_linear, config.max_angular),
+    )

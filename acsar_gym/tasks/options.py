@@ -1,0 +1,45 @@
+"""Checks of what users pass: options of tasks and of resets."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from acsar_gym.errors import ConfigError, shown, suggestion
+from acsar_gym.tasks.base import Goal
+
+
+def known(options: Mapping[str, Any], names: tuple[str, ...]) -> Mapping[str, Any]:
+    """The options of a reset; ConfigError for one that the task doesn't know."""
+    if not isinstance(options, Mapping):
+        raise ConfigError(f"options = {shown(options)}: must be a mapping of names to values")
+    for name in options:
+        if name not in names:
+            raise ConfigError(
+                f"unknown reset option {shown(name)}{suggestion(str(name)[:40], names)}"
+            )
+    return options
+
+
+def positive(name: str, value: Any) -> float:
+    """A positive number; ConfigError for anything else."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError, OverflowError):
+        number = math.nan
+    if not 0.0 < number < math.inf:
+        raise ConfigError(f"{name} = {shown(value)}: must be a positive number")
+    return number
+
+
+def point(name: str, value: Any) -> Goal:
+    """A point as two finite floats; ConfigError where it is malformed."""
+    try:
+        x, y = (float(number) for number in value)
+        sound = math.isfinite(x + y)
+    except (TypeError, ValueError, OverflowError):
+        sound = False
+    if not sound:
+        raise ConfigError(f"{name} = {shown(value)}: must be two finite numbers (x, y) [m]")
+    return (x, y)

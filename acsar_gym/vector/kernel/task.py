@@ -1,0 +1,217 @@
+"""The loops that call a task's compiled methods for every robot.
+
+`bound` makes copies of them whose `task_*` names are those of one task. numba keeps what it has
+compiled of a copy in the cache of the task's own file, under the task's name.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from types import FunctionType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym.errors import ConfigError
+from acsar_gym.jit import COMPILED, FINGERPRINT, jit
+from acsar_gym.tasks.base import METHODS, State, Task
+from acsar_gym.tasks.made import named
+from acsar_gym.vector.kernel.episode import report
+from acsar_gym.vector.kernel.layout import (
+    AGE,
+    ANGULAR,
+    CONTACT,
+    GOAL_GIVEN,
+    GOAL_X,
+    GOAL_Y,
+    LAST_ANGULAR,
+    LAST_LINEAR,
+    LINEAR,
+    ODOM_THETA,
+    ODOM_X,
+    ODOM_Y,
+    OUTCOME,
+    READ,
+    REASON,
+    RETURN,
+    SENT_ANGULAR,
+    SENT_LINEAR,
+    STEPS,
+    WORLD,
+    Setup,
+    Spawns,
+    Tables,
+)
+
+STATE_ROWS = [
+    ODOM_X,
+    ODOM_Y,
+    ODOM_THETA,
+    LINEAR,
+    ANGULAR,
+    *range(READ, READ + 4),
+    LAST_LINEAR,
+    LAST_ANGULAR,
+    SENT_LINEAR,
+    SENT_ANGULAR,
+    REASON,
+    STEPS,
+    AGE,
+    CONTACT,
+    GOAL_X,
+    GOAL_Y,
+    WORLD,
+    GOAL_GIVEN,
+]
+"""What a State is made of, for tasks in Python."""
+
+# What the copies that `bound` makes have in their place:
+task_begin: Any = Task.begin
+task_outcome: Any = Task.outcome
+task_reward: Any = Task.reward
+task_observe: Any = Task.observe
+
+
+@jit
+def state_of(tables: Tables, i: int, numbers: int, setup: Setup, spawns: Spawns) -> State:
+    """What robot i's task is told; `numbers` of its observation are the task's own."""
+    s, world = tables.state, int(tables.state[WORLD, i])
+    path = spawns.paths[0 if len(spawns.samples) == 0 else world]
+    samples = 0 if len(spawns.samples) == 0 else spawns.samples[world]
+    known = len(spawns.lengths) > 0 and s[GOAL_GIVEN, i] == 0.0
+    return State(
+        (s[ODOM_X, i], s[ODOM_Y, i], s[ODOM_THETA, i]),
+        (s[LINEAR, i], s[ANGULAR, i]),
+        (s[READ, i], s[READ + 1, i], s[READ + 2, i], s[READ + 3, i]),
+        (s[LAST_LINEAR, i], s[LAST_ANGULAR, i]),
+        (s[SENT_LINEAR, i], s[SENT_ANGULAR, i]),
+        int(s[REASON, i]),
+        tables.ranges[i],
+        tables.observations[i, numbers:],
+        s[STEPS, i] * setup.ticks * setup.period,
+        s[AGE, i],
+        s[CONTACT, i] > 0.0,
+        (s[GOAL_X, i], s[GOAL_Y, i]),
+        path[:samples],
+        spawns.lengths[world] if known else np.nan,
+        (setup.max_linear, setup.max_angular),
+        setup.ticks * setup.period,
+    )
+
+
+@jit
+def ended(tables: Tables, i: int, reward: float, outcome: int, setup: Setup) -> None:
+    """Note what robot i's step was worth, and whether its episode has ended with it."""
+    state = tables.state
+    state[OUTCOME, i] = outcome
+    state[RETURN, i] += reward
+    tables.rewards[i] = reward
+    tables.ends[0, i] = outcome != 0
+    tables.ends[1, i] = state[STEPS, i] >= setup.max_steps
+
+
+def start(
+    task: Any,
+    memory: NDArray[Any],
+    tables: Tables,
+    mask: NDArray[np.bool_],
+    first: int,
+    last: int,
+    setup: Setup,
+    spawns: Spawns,
+) -> None:
+    """The first observations of robots in the mask; the last memory holds the first values."""
+    numbers = tables.observations.shape[1] - tables.ranges.shape[1]
+    for i in range(first, last):
+        if mask[i]:
+            memory[i] = memory[len(memory) - 1]
+            state = state_of(tables, i, numbers, setup, spawns)
+            task_begin(task, state, memory[i])
+            store(tables.observations, i, 0, task_observe(task, state, memory[i]))
+    report(tables.state, first, last, setup)
+
+
+def step(
+    task: Any,
+    memory: NDArray[Any],
+    tables: Tables,
+    first: int,
+    last: int,
+    setup: Setup,
+    spawns: Spawns,
+) -> None:
+    """Reward, end and observation of robots first to last; some of them have begun anew."""
+    numbers = tables.observations.shape[1] - tables.ranges.shape[1]
+    for i in range(first, last):
+        if tables.over[i]:
+            memory[i] = memory[len(memory) - 1]
+        state, own = state_of(tables, i, numbers, setup, spawns), memory[i]
+        if tables.over[i]:
+            task_begin(task, state, own)
+            tables.rewards[i] = 0.0
+            tables.ends[0, i] = tables.ends[1, i] = False
+        else:
+            outcome = int(task_outcome(task, state, own))
+            ended(tables, i, task_reward(task, state, own, outcome), outcome, setup)
+        store(tables.observations, i, 0, task_observe(task, state, own))
+    report(tables.state, first, last, setup)
+
+
+def store(rows: NDArray[np.float32], i: int, k: int, numbers: Any) -> None:
+    """Put numbers into row i, from column k on."""
+    for number, value in enumerate(numbers):
+        rows[i, k + number] = value
+
+
+if COMPILED:
+    import numba
+    from numba.extending import overload
+
+    HEAD = "def unrolled(rows: Any, i: Any, k: Any, numbers: Any):"
+    """numba compares it with the head of `_store`."""
+
+    @overload(store)  # type: ignore[untyped-decorator]
+    def _store(rows: Any, i: Any, k: Any, numbers: Any) -> Callable[..., None]:
+        """One number after the other: they may be of different types."""
+        lines = [f"    rows[i, k + {n}] = numbers[{n}]" for n in range(len(numbers))] or [
+            "    pass"
+        ]
+        made: dict[str, Any] = {}
+        exec("\n".join([HEAD, *lines, "    return"]), made)  # noqa: S102 - our own
+        unrolled: Callable[..., None] = made["unrolled"]
+        return unrolled
+
+
+def bound(loop: Callable[..., None], task: Task) -> Callable[..., None]:
+    """A copy of `start` or `step` for one class of task, compiled.
+
+    Compilation happens with the first call; `explained` makes a message of what numba says then.
+    """
+    kind = type(task)
+    module = sys.modules[kind.__module__]
+    names = {
+        f"task_{name}": numba.njit(forceinline=True, error_model="numpy", nogil=True)(
+            getattr(kind, name)
+        )
+        for name in METHODS
+    }
+    template: Any = loop
+    file = getattr(module, "__file__", None) or __file__
+    code = template.__code__.replace(co_filename=file, co_firstlineno=1)
+    copy = FunctionType(code, template.__globals__ | names, loop.__name__)
+    copy.__module__ = kind.__module__
+    copy.__qualname__ = f"{kind.__qualname__}.{loop.__name__}.{FINGERPRINT}"
+    keep = getattr(module, "__file__", None) is not None
+    compiled: Callable[..., None] = numba.njit(cache=keep, error_model="numpy", nogil=True)(copy)
+    return compiled
+
+
+def explained(task: Task, error: Exception) -> ConfigError:
+    """What numba says of a task that it can't compile, in one line."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    said = "; ".join(lines[:3])[:300]
+    return ConfigError(
+        f"{named(task)}: numba can't compile it: {said} - mend it, or set compiled = False"
+    )

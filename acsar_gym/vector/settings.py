@@ -1,0 +1,95 @@
+"""The options that all batches have, beside those of their task."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any, Self
+
+import numpy as np
+from gymnasium.vector import AutoresetMode
+
+from acsar_gym import jit
+from acsar_gym.errors import ConfigError, shown
+
+MOST_ROBOTS = 1_000_000
+"""They take about 2 GB."""
+MOST_STEPS = 10**9
+"""Of an episode."""
+FAIR_SHARE = 256
+"""Robots for which another thread is worth its start."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatchOptions:
+    """Of a batch; see `RobotVectorEnv`."""
+
+    worlds: Any = None
+    difficulty: Any = None
+    policy_rate: float = 10.0
+    max_episode_steps: int | None = None
+    autoreset_mode: Any = AutoresetMode.NEXT_STEP
+    threads: int | None = None
+    randomization: Any = None
+    link: str = "planar"
+    render_mode: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.link != "planar":
+            raise ConfigError(
+                f"link = {self.link!r}: a batch has planar robots; for others make_vec with "
+                "vectorization_mode='sync' or 'async'"
+            )
+        if self.render_mode is not None:
+            raise ConfigError("a batch of robots has no pictures: render a single env instead")
+        if self.max_episode_steps is not None:
+            count("max_episode_steps", self.max_episode_steps, MOST_STEPS)
+        object.__setattr__(self, "autoreset_mode", _autoreset(self.autoreset_mode))
+        if not jit.COMPILED:
+            warnings.warn(
+                "numba isn't installed, so batches are slow: pip install 'acsar_gym[fast]'",
+                RuntimeWarning,
+                stacklevel=6,
+            )
+
+    @classmethod
+    def split(cls, given: Mapping[str, Any]) -> tuple[Self, dict[str, Any]]:
+        """These options, and the others, which are the task's.
+
+        Raises:
+            ConfigError: for values that make no sense.
+        """
+        own = {field.name for field in fields(cls)}
+        rest = {name: value for name, value in given.items() if name not in own}
+        return cls(**{name: value for name, value in given.items() if name in own}), rest
+
+
+def _autoreset(mode: AutoresetMode | str) -> AutoresetMode:
+    try:
+        return AutoresetMode(mode)
+    except ValueError:
+        known = ", ".join(repr(known.value) for known in AutoresetMode)
+        raise ConfigError(f"autoreset_mode = {mode!r}: must be one of {known}") from None
+
+
+def count(name: str, value: int, most: int) -> int:
+    """A whole number from 1 to `most`. Raises ConfigError for anything else."""
+    if not isinstance(value, int | np.integer) or not 1 <= value <= most:
+        raise ConfigError(f"{name} = {shown(value)}: must be a whole number from 1 to {most:,}")
+    return int(value)
+
+
+def threads_for(asked: int | None, robots: int) -> int:
+    """Threads to use: as asked, or all cores where every thread gets a fair share."""
+    cores = (
+        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    )
+    if asked is None:
+        return max(1, min(cores, robots // FAIR_SHARE))
+    if not isinstance(asked, int | np.integer) or not 1 <= asked <= cores:
+        raise ConfigError(
+            f"threads = {shown(asked)}: must be 1 to {cores}, the cores of this machine"
+        )
+    return min(int(asked), robots)

@@ -1,0 +1,207 @@
+"""A task over a batch: compiled loops, or its own Python for one robot after the other."""
+
+from __future__ import annotations
+
+from collections import namedtuple
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym.errors import ConfigError
+from acsar_gym.jit import COMPILED, NumbaError
+from acsar_gym.tasks.base import Memory, Outcome, State, Task, is_compiled, remembered, told
+from acsar_gym.vector.kernel import layout
+from acsar_gym.vector.kernel import task as kernel
+from acsar_gym.vector.kernel.episode import report
+from acsar_gym.vector.kernel.layout import Setup, Spawns, Tables
+
+Mask = NDArray[np.bool_]
+Info = dict[str, NDArray[np.float64]]
+
+
+class Loops(Protocol):
+    """What a batch asks of its task."""
+
+    compiled: bool
+    """Whether `start` and `step` run without the GIL, for shares of the robots at once."""
+
+    def start(self, mask: Mask, first: int, last: int) -> None:
+        """First observations of robots in the mask, whose places have been drawn."""
+
+    def step(self, first: int, last: int) -> None:
+        """Rewards, ends and observations of robots first to last, after their physics."""
+
+    def info(self) -> Info:
+        """What the task tells, an array for each key."""
+
+
+def loops_of(task: Task, tables: Tables, setup: Setup, spawns: Spawns) -> Loops:
+    """Compiled where the task can be and numba is installed, otherwise in Python."""
+    kind = CompiledLoops if COMPILED and is_compiled(task) else PythonLoops
+    return kind(task, tables, setup, spawns)
+
+
+class CompiledLoops:
+    """Loops that call the task's methods, compiled for the class of the task."""
+
+    compiled = True
+
+    def __init__(self, task: Task, tables: Tables, setup: Setup, spawns: Spawns) -> None:
+        self._task, self._tables, self._setup, self._spawns = task, tables, setup, spawns
+        self._numbers = numbers_of(task)
+        kinds = [(name, np.float64) for name in task.memory] or [("nothing", np.float64)]
+        self._memory = np.zeros(len(tables.rewards) + 1, kinds)
+        for name, value in task.memory.items():
+            self._memory[name][-1] = value
+        self._start = kernel.bound(kernel.start, task)
+        self._step = kernel.bound(kernel.step, task)
+
+    def start(self, mask: Mask, first: int, last: int) -> None:
+        """First observations of robots in the mask. Raises ConfigError where numba fails."""
+        self._call(self._start, mask, first, last)
+
+    def step(self, first: int, last: int) -> None:
+        """Rewards, ends and observations of robots first to last."""
+        self._call(self._step, first, last)
+
+    def _call(self, loop: Callable[..., None], *share: Any) -> None:
+        try:
+            loop(self._numbers, self._memory, self._tables, *share, self._setup, self._spawns)
+        except NumbaError as error:
+            raise kernel.explained(self._task, error) from None
+
+    def info(self) -> Info:
+        """What the task remembers."""
+        return {name: self._memory[name][:-1].copy() for name in told(self._task)}
+
+
+def numbers_of(task: Task) -> Any:
+    """What compiled methods have for `self`: the task's numbers, under their names."""
+    found = {}
+    for name in dir(task):
+        value = None if name.startswith("_") else getattr(task, name)
+        if isinstance(value, bool | int | float | np.ndarray | np.generic) or _is_numbers(value):
+            found[name] = value
+    kind: Any = type(task)
+    made: Any = vars(kind).get("TaskParams")
+    if made is None or made._fields != tuple(found):
+        make: Any = namedtuple  # its fields are found at run time
+        made = make("TaskParams", list(found))
+        made.__module__, made.__qualname__ = kind.__module__, f"{kind.__qualname__}.TaskParams"
+        kind.TaskParams = made  # where numba's cache finds it again
+    return made(**found)
+
+
+def _is_numbers(value: Any) -> bool:
+    return (
+        isinstance(value, tuple)
+        and bool(value)
+        and all(isinstance(n, bool | int | float) for n in value)
+    )
+
+
+class PythonLoops:
+    """The task's methods in Python, for one robot after the other."""
+
+    compiled = False
+
+    def __init__(self, task: Task, tables: Tables, setup: Setup, spawns: Spawns) -> None:
+        self._task, self._tables, self._setup, self._spawns = task, tables, setup, spawns
+        self._memory: list[Memory] = [remembered(task) for _ in tables.rewards]
+        self._numbers = len(task.observation)
+        self._constants = (
+            (setup.max_linear, setup.max_angular),
+            setup.ticks * setup.period,
+        )
+
+    def start(self, mask: Mask, first: int, last: int) -> None:
+        """First observations of robots in the mask."""
+        robots = np.flatnonzero(mask[first:last]) + first
+        rows = []
+        for robot, state in zip(robots.tolist(), self._states(robots), strict=True):
+            self._memory[robot] = memory = remembered(self._task)
+            self._task.begin(state, memory)
+            rows.append(self._task.observe(state, memory))
+        self._observed(robots, rows)
+        report(self._tables.state, first, last, self._setup)
+
+    def step(self, first: int, last: int) -> None:
+        """Rewards, ends and observations of robots first to last."""
+        tables, over = self._tables, self._tables.over
+        tables.rewards[first:last], tables.ends[:, first:last] = 0.0, False
+        self._judge(np.flatnonzero(~over[first:last]) + first)
+        self.start(over, first, last)
+
+    def _judge(self, robots: NDArray[np.int64]) -> None:
+        """Outcome, reward and observation of robots that have driven."""
+        task, memories = self._task, self._memory
+        rewards, outcomes, rows = [], [], []
+        for robot, state in zip(robots.tolist(), self._states(robots), strict=True):
+            memory = memories[robot]
+            outcome = task.outcome(state, memory)
+            rewards.append(task.reward(state, memory, outcome))
+            outcomes.append(outcome)
+            rows.append(task.observe(state, memory))
+        self._observed(robots, rows)
+        tables, values = self._tables, np.array(rewards, np.float64)
+        tables.rewards[robots] = values
+        tables.state[layout.RETURN, robots] += values
+        tables.state[layout.OUTCOME, robots] = outcomes
+        tables.ends[0, robots] = np.array(outcomes, np.int64) != Outcome.GOING
+        tables.ends[1, robots] = tables.state[layout.STEPS, robots] >= self._setup.max_steps
+
+    def _observed(self, robots: NDArray[np.int64], rows: list[tuple[float, ...]]) -> None:
+        if rows and self._numbers:
+            try:
+                self._tables.observations[robots, : self._numbers] = rows
+            except ValueError as error:
+                raise ConfigError(f"{type(self._task).__qualname__}.observe: {error}") from None
+
+    def _states(self, robots: NDArray[np.int64]) -> list[State]:
+        """What the task is told of each of these robots."""
+        tables, numbers = self._tables, self._numbers
+        rows = tables.state[:, robots][kernel.STATE_ROWS].T.tolist()
+        ranges, sensed = tables.ranges, tables.observations[:, numbers:]
+        max_twist, period = self._constants
+        return [
+            State(
+                (x, y, theta),
+                (linear, angular),
+                (a, b, c, d),
+                (ahead, turn),
+                (sent_linear, sent_angular),
+                int(reason),
+                ranges[robot],
+                sensed[robot],
+                steps * self._setup.ticks * self._setup.period,
+                age,
+                contact > 0.0,
+                (goal_x, goal_y),
+                *self._way(int(world), given > 0.0),
+                max_twist,
+                period,
+            )
+            for robot, (
+                x, y, theta, linear, angular, a, b, c, d, ahead, turn, sent_linear, sent_angular,
+                reason, steps, age, contact, goal_x, goal_y, world, given,
+            ) in zip(robots.tolist(), rows, strict=True)
+        ]  # fmt: skip
+
+    def _way(self, world: int, given: bool) -> tuple[NDArray[np.float64], float]:
+        """A world's path and its length, as far as they are known."""
+        spawns = self._spawns
+        known = len(spawns.lengths) > 0 and not given
+        length = float(spawns.lengths[world]) if known else float("nan")
+        if len(spawns.samples) == 0:
+            return spawns.paths[0, :0], length
+        return spawns.paths[world, : spawns.samples[world]], length
+
+    def info(self) -> Info:
+        """What the task remembers."""
+        memories = [vars(memory) for memory in self._memory]
+        return {
+            name: np.array([memory[name] for memory in memories], np.float64)
+            for name in told(self._task)
+        }
