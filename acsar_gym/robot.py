@@ -94,7 +94,7 @@ class Robot:
             self.deactivate()
             raise
         self.odometry.reset()
-        if hasattr(self.link, "lateness"):
+        if self.link.lateness is not None:
             gc.collect()  # takes 60 ms: better now than while the wheels turn
             self._stopwatch = Stopwatch(self._period)
 
@@ -203,7 +203,7 @@ class Robot:
         self.feedback_age = 0.0 if readings else self.feedback_age + dt
         self._integrate(readings, dt)
         if self._stopwatch is not None:
-            self._stopwatch.tick(getattr(link, "lateness", 0.0), self.feedback_age)
+            self._stopwatch.tick(link.lateness or 0.0, self.feedback_age)
         if self.feedback_age > self._patience:
             raise self._silence()
 

@@ -10,11 +10,9 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
-from acsar_gym.bodies.base import Image
 from acsar_gym.config import BAUD_RATES, RobotConfig
 from acsar_gym.errors import BoardGarbledError, BoardSilentError, LinkError, LinkLostError
 from acsar_gym.links import watchdog
-from acsar_gym.links.lateness import LATE
 from acsar_gym.links.ports import PORT_ERRORS, Place, Port, put, translated
 from acsar_gym.links.shutdown import guard, install, is_ending, unguard
 from acsar_gym.protocol import ZERO, Decoder, encode
@@ -39,9 +37,8 @@ class SerialLink:
 
     `device` is a device, a URL, or "usb:" and the serial number of a USB adapter. A port that was
     lost is looked for under the same adapter's name, wherever it was plugged in again.
-    `lateness` is how long after its deadline the newest period ended [s], and `late_ticks` how many
-    did so by more than a millisecond since the last reset. While it is driven, no call takes longer
-    than a period.
+    `lateness` is how long after its deadline the newest period ended [s]. While it is driven, no
+    call takes longer than a period.
 
     While it is open, a process of its own commands zero where this one dies, or hangs for longer
     than the config's `watchdog_timeout` while wheels turn; `watched` tells whether there is one.
@@ -61,7 +58,6 @@ class SerialLink:
         self._zeros = encode(ZERO, trailing_comma=config.trailing_comma)
         self._nap = math.inf
         self._deadline = 0.0
-        self.late_ticks = 0
         self.lateness = 0.0
         install()
 
@@ -164,7 +160,7 @@ class SerialLink:
         self.reset_input()
         self._moved, self._heard = False, self.now()
         self._deadline = self.now()
-        self.late_ticks = 0
+        self.lateness = 0.0
 
     def _watch_anew(self) -> None:
         dog = self._watchdog
@@ -222,8 +218,6 @@ class SerialLink:
             time.sleep(min(remaining, self._nap))
             self._beat()
         self.lateness = self.now() - self._deadline
-        if self.lateness > LATE:
-            self.late_ticks += 1
         if self.lateness > period:
             self._deadline = self.now()
         return self.read_now()
@@ -255,10 +249,6 @@ class SerialLink:
     def now(self) -> float:
         """The monotonic clock [s]."""
         return time.monotonic()
-
-    def image(self, width: int, height: int) -> Image | None:
-        """A serial port has no camera."""
-        return None
 
     def close(self) -> None:
         """Command zero, let it leave the port, close; idempotent.

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.tasks.spaces import task_spaces
 from acsar_gym.errors import MissingExtraError, PolicyError
 from acsar_gym.policies import graph, limits, trial
 from acsar_gym.policies.base import (
@@ -26,6 +25,7 @@ from acsar_gym.policies.base import (
 )
 from acsar_gym.reading import bounded
 from acsar_gym.tasks import Observation, Task
+from acsar_gym.tasks.spaces import task_spaces
 
 MAX_BYTES = 32_000_000
 """Of a file: 8 million weights."""

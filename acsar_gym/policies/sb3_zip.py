@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.tasks.spaces import task_spaces
 from acsar_gym.errors import AcsarError, MissingExtraError, PolicyError
 from acsar_gym.policies.base import ENV_KEY, LAYOUT_KEY, FilePolicy, one_line, resolve
 from acsar_gym.reading import bounded
 from acsar_gym.tasks import Observation, Task
+from acsar_gym.tasks.spaces import task_spaces
 
 if TYPE_CHECKING:
     from stable_baselines3.common.policies import BasePolicy

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.tasks.spaces import task_spaces
 from acsar_gym.errors import MissingExtraError, PolicyError
 from acsar_gym.policies.base import ENV_KEY, LAYOUT_KEY, one_line
 from acsar_gym.policies.onnx import inspected
 from acsar_gym.tasks import Task, signature
+from acsar_gym.tasks.spaces import task_spaces
 
 try:
     import onnx
