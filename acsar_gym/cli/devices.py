@@ -120,15 +120,15 @@ def doctor(
 
 
 def _checks(device: str | None, config: RobotConfig, json: Path | None, *, spin: bool) -> int:
-    from acsar_gym.doctor import checks as doctors  # noqa: PLC0415
+    from acsar_gym.doctor import checks, wire  # noqa: PLC0415
     from acsar_gym.evaluation import report  # noqa: PLC0415
 
-    checks = [doctors.port_list(), doctors.emergency_stop()]
+    found = [checks.port_list(), checks.emergency_stop()]
     if device is not None:
-        checks += doctors.examine(device, config, spin=spin)
-    report.show(doctors.table(checks))
-    report.write_json(json, doctors.as_json(checks))
-    return 1 if any(check.status == "fail" for check in checks) else 0
+        found += wire.examine(device, config, spin=spin)
+    report.show(checks.table(found))
+    report.write_json(json, checks.as_json(found))
+    return 1 if any(check.status == "fail" for check in found) else 0
 
 
 def _stopping(config: RobotConfig, options: StoppingOptions, json: Path | None) -> int:

@@ -24,7 +24,7 @@ from acsar_gym.vector.options import Wishes, wishes
 from acsar_gym.vector.randomization import Randomization
 from acsar_gym.vector.specs import PlainSpec
 from acsar_gym.vector.tables import BatchTask
-from acsar_gym.vector.threads import Crew
+from acsar_gym.vector.threads import Threads
 
 MOST_ROBOTS = 1_000_000
 """They take about 2 GB."""
@@ -118,7 +118,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         randomized = Randomization.of(randomization)
         self.batch = Batch(self.num_envs, config, self.task, ticks, max_episode_steps, randomized)
         self._masks = tuple(f"_{name}" for name in self.batch.names)
-        self._crew = Crew(_threads(threads, self.num_envs))
+        self._threads = Threads(_threads(threads, self.num_envs))
         self._done = np.zeros(self.num_envs, np.bool_)
         self._whole = True
         """Whether no call was interrupted since all robots were reset."""
@@ -143,7 +143,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         self._whole = False
         self.batch.seed(seeds, mask)
         self.batch.wish(asked, mask)
-        self._crew.share(lambda first, last: self.batch.reset(mask, first, last), self.num_envs)
+        self._threads.share(lambda first, last: self.batch.reset(mask, first, last), self.num_envs)
         self.batch.began(mask)
         self._done = self._done & ~mask
         self._whole = True
@@ -159,7 +159,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
 
         Threads of an interrupted call have ended, so that the state can be written.
         """
-        self._crew.wait()
+        self._threads.wait()
         given = known(options or {}, (MASK, *OPTIONS))
         rest = {name: value for name, value in given.items() if name != MASK}
         return _mask(given.get(MASK), self.num_envs), wishes(self.task, rest, self.num_envs)
@@ -181,7 +181,9 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         next_step = self.autoreset_mode is AutoresetMode.NEXT_STEP
         over = self._done if next_step else np.zeros(self.num_envs, np.bool_)
         batch, self._whole = self.batch, False
-        self._crew.share(lambda first, last: batch.step(actions, over, first, last), self.num_envs)
+        self._threads.share(
+            lambda first, last: batch.step(actions, over, first, last), self.num_envs
+        )
         batch.turn()
         batch.began(over)
         terminated, truncated = batch.ends.copy()
@@ -189,7 +191,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         rewards, info = batch.rewards.copy(), {}
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._done.any():
             info = self._finals(self._done)
-            self._crew.share(
+            self._threads.share(
                 lambda first, last: batch.reset(self._done, first, last), self.num_envs
             )
             batch.began(self._done)
@@ -223,7 +225,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
 
     def close_extras(self, **_: Any) -> None:
         """End the threads."""
-        self._crew.close()
+        self._threads.close()
 
 
 def _check(link: str, render_mode: str | None) -> None:

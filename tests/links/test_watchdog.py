@@ -198,7 +198,7 @@ def test_a_policy_that_hangs_is_told_so(emulator: Emulated) -> None:
 import time
 robot.activate()
 drive(30)
-while not robot.link._watchdog.tripped:
+while not robot.link._watch.dog.tripped:
     time.sleep(0.01)
 drive(1)
 """
@@ -212,7 +212,7 @@ drive(1)
 STRAY = """
 import subprocess
 robot.activate()
-lifeline = robot.link._watchdog._lifeline
+lifeline = robot.link._watch.dog._lifeline
 stray = subprocess.Popen(["sleep", "60"], pass_fds=(lifeline,), stdout=subprocess.DEVNULL,
                          stderr=subprocess.DEVNULL)
 drive(30)
@@ -284,8 +284,8 @@ def hasty(shared_device: str, config: RobotConfig) -> Iterator[SerialLink]:
 
 
 def dog_of(link: SerialLink) -> Watchdog:
-    assert link._watchdog is not None
-    return link._watchdog
+    assert link._watch.dog is not None
+    return link._watch.dog
 
 
 def test_after_a_trip_only_zeros_go_out_until_the_reset(hasty: SerialLink) -> None:
@@ -352,8 +352,8 @@ def test_reading_is_a_sign_of_life(link: SerialLink) -> None:
 def test_periods_longer_than_the_timeout_are_no_pause(
     link: SerialLink, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert link._nap == pytest.approx(60.0 / 3.0)
-    link._nap = 0.01
+    assert link._watch.nap == pytest.approx(60.0 / 3.0)
+    link._watch.nap = 0.01
     beats: list[float] = []
     monkeypatch.setattr(link, "_beat", lambda: beats.append(time.monotonic()))
     link.advance(0.05)
@@ -719,7 +719,7 @@ except errors.ConfigError:
     sys.exit()
 robot.deactivate()
 robot.activate()
-print(os.sched_getparam(robot.link._watchdog.pid).sched_priority, flush=True)
+print(os.sched_getparam(robot.link._watch.dog.pid).sched_priority, flush=True)
 """
     )
     with program(code, shared_device) as process:
