@@ -24,7 +24,7 @@ from rich.console import Console
 from serial_tools import BRIDGE, DRIVER, Emulated, no_leak, wait_until
 
 from acsar_gym import Robot, RobotConfig, open_link
-from acsar_gym.doctor import stopping
+from acsar_gym.doctor import stopping, stopping_processes
 from acsar_gym.doctor.stopping_programs import KINDS
 from acsar_gym.errors import AcsarError, ConfigError, LinkError
 from acsar_gym.links import ports, watchdog
@@ -101,7 +101,7 @@ def drives(emulator: Emulated) -> None:
 
 def test_every_kind_of_fault_ends_in_a_zero_command(monkeypatch: pytest.MonkeyPatch) -> None:
     """`acsar-gym doctor --stopping` tells how soon, on a machine with nothing else to do."""
-    monkeypatch.setattr(stopping, "SURE", 0.1)
+    monkeypatch.setattr(stopping_processes, "SURE", 0.1)
     told: list[str] = []
     config = RobotConfig.preset("acsar").with_(watchdog_timeout=HASTY)
     stops = stopping.measure(1, config=config, progress=lambda kind, _: told.append(kind))
@@ -116,7 +116,7 @@ def test_every_kind_of_fault_ends_in_a_zero_command(monkeypatch: pytest.MonkeyPa
 
 def test_without_a_watchdog_the_measurement_finds_no_zero(monkeypatch: pytest.MonkeyPatch) -> None:
     """So it can fail."""
-    monkeypatch.setattr(stopping, "PATIENCE", 0.5)
+    monkeypatch.setattr(stopping_processes, "PATIENCE", 0.5)
     config = RobotConfig.preset("acsar").with_(watchdog_timeout=None)
     (kill,) = stopping.measure(1, ["kill"], config)
     assert kill.times == (math.inf,)
