@@ -87,6 +87,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         self.ticks_per_step = whole_ratio(
             "control_rate", config.control_rate, "policy_rate", policy_rate
         )
+        self.metadata = {**type(self).metadata, "render_fps": policy_rate}
         self.task = task(config)
         self._check_rendering(link, view)
         wire = self._link(link, config)
