@@ -49,7 +49,7 @@ def run(steps: int, episodes: int, serial_episodes: int, out: Path) -> list[tupl
     policy = OnnxPolicy(policy_file)
     gc.freeze()  # what training left behind isn't searched for garbage while the robot drives
     console.rule(f"2. drive {policy_file.name} in PyBullet", align="left")
-    simulated = runs.drive(policy, "bullet", None, episodes, seed=10_000)
+    simulated = runs.drive(policy, "bullet", None, range(10_000, 10_000 + episodes))
     console.rule(f"3. drive {policy_file.name} over a serial device", align="left")
     serial = _over_serial(policy, serial_episodes, out / "emulator.jsonl")
     return [("PyBullet", simulated), ("serial device (emulator)", serial)]
@@ -67,7 +67,7 @@ def train(steps: int, out: Path) -> Path:
 def _over_serial(policy: OnnxPolicy, count: int, log: Path) -> Run:
     """The emulator runs in another process; its log tells how far odometry was off."""
     with emulator("--body", "bullet", "--log", str(log)) as device:
-        run = runs.drive(policy, device, None, count, seed=20_000)
+        run = runs.drive(policy, device, None, range(20_000, 20_000 + count))
     return replace(run, results=with_truth(run.results, log))
 
 

@@ -16,7 +16,7 @@ from acsar_gym.links.base import Link
 from acsar_gym.links.lateness import EpisodeTiming, Stopwatch
 from acsar_gym.odometry import Odometry
 from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds, encode
-from acsar_gym.safety.estop import Ears
+from acsar_gym.safety.estop import StopListener
 from acsar_gym.safety.layer import Safety
 from acsar_gym.worlds import Scene
 
@@ -52,7 +52,7 @@ class Robot:
         self.feedback_age = 0.0
         self.active = False
         self.safety = Safety(self.config)
-        self._ears: Ears | None = None
+        self._listener: StopListener | None = None
         self._stopwatch: Stopwatch | None = None
         self._stamp = 0.0
         self._period = self.config.period
@@ -80,7 +80,7 @@ class Robot:
             self.link.open()
             self.active = True
         try:
-            if self.link.truth is None and self._ears is None:
+            if self.link.truth is None and self._listener is None:
                 self._listen()
             self.link.reset(scene)
             self.decoder.reset()
@@ -94,15 +94,15 @@ class Robot:
             self.deactivate()
             raise
         self.odometry.reset()
-        if hasattr(self.link, "lateness"):
+        if self.link.lateness is not None:
             gc.collect()  # takes 60 ms: better now than while the wheels turn
             self._stopwatch = Stopwatch(self._period)
 
     def _listen(self) -> None:
-        """Heed `acsar-gym estop`; a warning where that is impossible."""
-        self._ears = Ears()
-        if self._ears.deaf:
-            said = f"'acsar-gym estop' can't stop this robot: {self._ears.deaf}"
+        """Listen for `acsar-gym estop`; a warning where that is impossible."""
+        self._listener = StopListener()
+        if self._listener.unavailable:
+            said = f"'acsar-gym estop' can't stop this robot: {self._listener.unavailable}"
             warnings.warn(said, SafetyWarning, stacklevel=4)
 
     def _settle(self) -> None:
@@ -146,9 +146,9 @@ class Robot:
         if not self.active:
             raise LinkError("the robot isn't active", "call activate() or env.reset() first")
         try:
-            if self._ears is not None and self._ears.heard():
+            if self._listener is not None and self._listener.is_requested():
                 self.estop()
-                self._ears.answer()
+                self._listener.confirm()
             speeds = allowed(*wanted)
             reason = self.safety.hold(self.odometry.pose, self.feedback_age)
             self._exchange(self.safety.halt(reason) if reason else speeds)
@@ -185,9 +185,9 @@ class Robot:
                 self.stop()
         finally:
             self.active = False
-            if self._ears is not None:
-                self._ears.close()
-                self._ears = None
+            if self._listener is not None:
+                self._listener.close()
+                self._listener = None
             self.link.close()
 
     def _exchange(self, speeds: Sequence[float]) -> None:
@@ -203,7 +203,7 @@ class Robot:
         self.feedback_age = 0.0 if readings else self.feedback_age + dt
         self._integrate(readings, dt)
         if self._stopwatch is not None:
-            self._stopwatch.tick(getattr(link, "lateness", 0.0), self.feedback_age)
+            self._stopwatch.tick(link.lateness or 0.0, self.feedback_age)
         if self.feedback_age > self._patience:
             raise self._silence()
 

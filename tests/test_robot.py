@@ -7,7 +7,7 @@ import math
 import pytest
 
 from acsar_gym import Robot, RobotConfig, open_link
-from acsar_gym.bodies.base import GroundTruth, Image
+from acsar_gym.bodies.base import GroundTruth
 from acsar_gym.config import FirmwareConfig
 from acsar_gym.errors import BoardGarbledError, BoardSilentError, CommandError, LinkError
 from acsar_gym.protocol import ZERO, Decoder
@@ -20,7 +20,7 @@ class ScriptedLink:
     """Answers with what it is told to; keeps what was written."""
 
     truth: GroundTruth | None = None
-    late_ticks = 0
+    lateness: float | None = None
 
     def __init__(self, *answers: bytes, then: bytes = b"") -> None:
         self.answers = list(answers)
@@ -46,9 +46,6 @@ class ScriptedLink:
 
     def now(self) -> float:
         return self._now
-
-    def image(self, width: int, height: int) -> Image | None:
-        return None
 
     def close(self) -> None:
         self.closed += 1

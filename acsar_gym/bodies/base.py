@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,11 +49,16 @@ class Body(Protocol):
     def truth(self) -> GroundTruth:
         """The state of the robot now."""
 
-    def image(self, width: int, height: int) -> Image | None:
-        """A camera's picture of the scene; None where the body has no camera."""
-
     def close(self) -> None:
         """Free the engine; twice is once."""
+
+
+@runtime_checkable
+class Camera(Protocol):
+    """Takes pictures of the robot and its scene."""
+
+    def image(self, width: int, height: int) -> Image:
+        """A picture, height x width x 3, RGB."""
 
 
 def wrapped(theta: float) -> float:

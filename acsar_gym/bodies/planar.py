@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from acsar_gym import dynamics
-from acsar_gym.bodies.base import GroundTruth, Image, wrapped
+from acsar_gym.bodies.base import GroundTruth, wrapped
 from acsar_gym.config import RobotConfig
 from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.worlds import Scene
@@ -62,10 +62,6 @@ class PlanarBody:
         vx, vy, rate = self._velocity
         forward = vx * math.cos(theta) + vy * math.sin(theta)
         return GroundTruth((x, y, wrapped(theta)), (forward, rate), self._touched)
-
-    def image(self, width: int, height: int) -> Image | None:
-        """The planar robot has no camera."""
-        return None
 
     def close(self) -> None:
         """Nothing to free."""

@@ -1,30 +1,14 @@
-"""What is wrong with the serial link, and what to do: one check after the other."""
+"""Findings of the doctor, for people and for programs, and those about this computer."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from rich.table import Table
 
-from acsar_gym.config import RobotConfig
-from acsar_gym.errors import BoardSilentError, LinkError
 from acsar_gym.links.ports import ports
-from acsar_gym.links.serial import SerialLink
-from acsar_gym.protocol import MAX_LINE, ZERO, Decoder, Speeds, encode
-from acsar_gym.safety.estop import Ears
-from acsar_gym.safety.layer import Safety
-
-LISTEN = 2.0
-"""How long feedback is counted [s]."""
-SPIN = 3.0
-"""Wheel speed of the moving checks [rad/s]."""
-POLL = 0.0005
-"""Resolution of the round-trip time [s]."""
-PATIENCE = 3.0
-"""Longest wait for wheels to start or to stop by themselves [s]."""
+from acsar_gym.safety.estop import StopListener
 
 MARKS = {
     "ok": "[green]ok[/]",
@@ -44,46 +28,6 @@ class Check:
     fix: str = ""
 
 
-def examine(device: str, config: RobotConfig, *, spin: bool) -> Iterator[Check]:
-    """The checks of one device, in order; the first failure ends them. `spin` turns the wheels."""
-    link = _Stoppable(device, config)
-    begin = time.monotonic()
-    try:
-        link.open()
-    except LinkError as error:
-        yield _failed_to_open(error)
-        return
-    try:
-        took = time.monotonic() - begin
-        yield Check("open", "ok", f"{device}, {config.baud_rate} baud, held exclusively")
-        yield Check("first valid line", "ok", f"after {took:.2f} s")
-        yield from _feedback(link, config)
-        yield from _moving(link, config) if spin else _standing()
-    except LinkError as error:
-        yield Check("connection", "fail", error.found, error.fix)
-    finally:
-        link.close()
-
-
-class _Stoppable(SerialLink):
-    """Heeds `acsar-gym estop`, as a Robot does."""
-
-    def __init__(self, device: str, config: RobotConfig) -> None:
-        super().__init__(device, config)
-        self._ears = Ears()
-
-    def read_now(self) -> bytes:
-        if self._ears.heard():
-            self.stop()
-            self._ears.answer()
-            raise LinkError("emergency stop", "start again when all is well")
-        return super().read_now()
-
-    def close(self) -> None:
-        super().close()
-        self._ears.close()
-
-
 def port_list() -> Check:
     """The ports of this computer."""
     found = [f"{port.device} ({port.description})" for port in ports()]
@@ -96,106 +40,15 @@ def port_list() -> Check:
 
 def emergency_stop() -> Check:
     """Whether `acsar-gym estop` can stop what is driven from here."""
-    ears = Ears()
-    folders = ", ".join(str(path.parent) for path in ears.paths)
-    faults = "; ".join(fault.found for fault in ears.faults)
-    fixes = "; ".join(fault.fix for fault in ears.faults)
-    ears.close()
+    listener = StopListener()
+    folders = ", ".join(str(path.parent) for path in listener.paths)
+    faults = "; ".join(fault.found for fault in listener.faults)
+    fixes = "; ".join(fault.fix for fault in listener.faults)
+    listener.close()
     if not folders:
         return Check("emergency stop", "warn", f"'acsar-gym estop' won't be heard: {faults}", fixes)
     found = f"listens in {folders}" + (f"; not everywhere: {faults}" if faults else "")
     return Check("emergency stop", "warn" if faults else "ok", found, fixes)
-
-
-def _failed_to_open(error: LinkError) -> Check:
-    name = "first valid line" if isinstance(error, BoardSilentError) else "open"
-    return Check(name, "fail", error.found, error.fix)
-
-
-def _feedback(link: SerialLink, config: RobotConfig) -> Iterator[Check]:
-    """Lines a second and refused parts while the robot stands."""
-    decoder = Decoder()
-    decoder.feed(b"-" * (MAX_LINE + 1))  # whatever line is under way is cut: skip to its end
-    decoder.refused.clear()
-    begin = time.monotonic()
-    while time.monotonic() - begin < LISTEN:
-        link.write(_line(ZERO, config))
-        decoder.feed(link.advance(config.period))
-    rate = decoder.lines / (time.monotonic() - begin)
-    expected = config.feedback_rate
-    slow = rate < 0.9 * expected
-    yield Check(
-        "feedback rate",
-        "warn" if slow else "ok",
-        f"{rate:.1f} lines/s, {expected:g} expected",
-        "set firmware.feedback_rate to what the board sends, or speed the board up" if slow else "",
-    )
-    refused = sum(decoder.refused.values())
-    yield Check(
-        "line quality",
-        "warn" if refused else "ok",
-        f"{refused} bad parts in {decoder.lines} lines",
-        "check the cable, ground and baud rate" if refused else "",
-    )
-
-
-def _standing() -> Iterator[Check]:
-    for name in ("command to feedback", "stops when commands stop"):
-        yield Check(name, "skip", "needs turning wheels", "lift the robot and add --spin")
-
-
-def _moving(link: SerialLink, config: RobotConfig) -> Iterator[Check]:
-    """Round trip of a command, then whether the firmware's own time-out stops the wheels."""
-    spin = min(Safety(config).bounded((SPIN, SPIN, SPIN, SPIN)))
-    line = _line((spin, spin, spin, spin), config)
-    round_trip = _until(link, line, lambda speeds: min(speeds) > 0.0)
-    if round_trip is None:
-        yield Check(
-            "command to feedback",
-            "fail",
-            "not all wheels turn",
-            "check the motors' power and every encoder",
-        )
-        return
-    fine = round_trip < 0.1
-    yield Check(
-        "command to feedback",
-        "ok" if fine else "warn",
-        f"{round_trip * 1000.0:.1f} ms from command to its first effect in feedback",
-        "" if fine else "raise the baud rate; set the USB adapter's latency timer to 1 ms",
-    )
-    _until(link, line, lambda speeds: min(speeds) > 0.9 * spin)
-    stopped = _until(link, b"", lambda speeds: max(speeds) == 0.0)
-    yield Check(
-        "stops when commands stop",
-        "fail" if stopped is None else "ok",
-        "the wheels keep turning" if stopped is None else f"{stopped:.2f} s after the last command",
-        "add a command time-out to the firmware" if stopped is None else "",
-    )
-
-
-def _until(link: SerialLink, line: bytes, reached: Callable[[list[float]], bool]) -> float | None:
-    """Seconds until the four wheels' absolute speeds satisfy `reached`; None after PATIENCE.
-
-    `line` is sent again every 50 ms, so that the firmware's time-out doesn't end the check.
-    """
-    decoder = Decoder()
-    begin = sent = time.monotonic()
-    link.reset_input()
-    link.write(line)
-    while (now := time.monotonic()) - begin < PATIENCE:
-        if now - sent > 0.05:
-            link.write(line)
-            sent = now
-        for reading in decoder.feed(link.read_now()):
-            if reached([abs(speed or 0.0) for speed in reading.speeds]):
-                return time.monotonic() - begin
-        time.sleep(POLL)
-    return None
-
-
-def _line(speeds: Speeds, config: RobotConfig) -> bytes:
-    return encode(speeds, trailing_comma=config.trailing_comma)
 
 
 def as_json(checks: list[Check]) -> dict[str, Any]:

@@ -70,24 +70,28 @@ def measure(
         for _ in range(math.ceil(duration * config.control_rate / ticks)):
             bare.run(ticks)
             loop.run(ticks)
-        seconds = link.woke - begin
-        decoder = loop.robot.decoder
-        return Report(
-            device=device,
-            rate=config.control_rate,
-            lateness=loop.record.lateness.summary(),
-            bare=bare.record.lateness.summary(),
-            histogram=tuple(loop.record.bars),
-            bare_histogram=tuple(bare.record.bars),
-            seconds=seconds,
-            lines=decoder.lines - start,
-            lines_expected=seconds * config.feedback_rate,
-            refused=sum(decoder.refused.values()),
-            feedback_age=loop.ages.spread(),
-            cpu_share=loop.processor / loop.seconds,
-            policy_time=loop.thinking.spread() if loop.thinking.count else None,
-            findings=tuple(realtime.machine(device, config)),
-        )
+        return _report(loop, bare, link.woke - begin, start)
+
+
+def _report(loop: _ControlLoop, bare: _Sleeps, seconds: float, first_line: int) -> Report:
+    """What both loops have measured in so many seconds, since the line with this number."""
+    config, decoder, device = loop.robot.config, loop.robot.decoder, loop.device
+    return Report(
+        device=device,
+        rate=config.control_rate,
+        lateness=loop.record.lateness.summary(),
+        bare=bare.record.lateness.summary(),
+        histogram=tuple(loop.record.bars),
+        bare_histogram=tuple(bare.record.bars),
+        seconds=seconds,
+        lines=decoder.lines - first_line,
+        lines_expected=seconds * config.feedback_rate,
+        refused=sum(decoder.refused.values()),
+        feedback_age=loop.ages.spread(),
+        cpu_share=loop.processor / loop.seconds,
+        policy_time=loop.thinking.spread() if loop.thinking.count else None,
+        findings=tuple(realtime.machine(device, config)),
+    )
 
 
 def _packaged() -> Policy | None:
@@ -142,6 +146,7 @@ class _ControlLoop:
 
     def __init__(self, link: _Stopwatch, config: RobotConfig, policy: Policy | None) -> None:
         self.robot = Robot(link, config)
+        self.device = link.device
         self.record = _Record(config.period)
         self.ages, self.thinking = Durations(), Durations()
         self.processor = self.seconds = 0.0

@@ -96,6 +96,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         self.ticks_per_step = whole_ratio(
             "control_rate", config.control_rate, "policy_rate", self._options.policy_rate
         )
+        self.metadata = {**type(self).metadata, "render_fps": self._options.policy_rate}
         self.task = made(task, rest, config)
         self._spawn = Spawn(self.task, self._options.worlds, self._options.difficulty, config)
         self.pool = self._spawn.pool

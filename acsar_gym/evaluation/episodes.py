@@ -121,8 +121,7 @@ def _episode(
     if not isinstance(unwrapped, RobotEnv):
         raise ConfigError(f"{env}: only environments of acsar_gym can be evaluated")
     observation, info = env.reset(seed=seed, options=options)
-    link, steps, rewards = unwrapped.robot.link, [info], 0.0
-    started, done = link.now(), False
+    steps, rewards, started, done = [info], 0.0, unwrapped.robot.link.now(), False
     while not done:
         observation, reward, terminated, truncated, info = env.step(policy(observation))
         steps.append(info)
@@ -132,19 +131,32 @@ def _episode(
         done = terminated or truncated
     with contextlib.suppress(LinkError):  # the next reset's affair
         unwrapped.robot.stop()  # a time limit is no concern of the env below it
-    timing, fault = unwrapped.robot.timing, info.get("fault_reason", "")
+    return _result(unwrapped, seed, steps, rewards, started, late_share)
+
+
+def _result(
+    env: RobotEnv,
+    seed: int,
+    steps: Sequence[dict[str, Any]],
+    rewards: float,
+    started: float,
+    late_share: float,
+) -> EpisodeResult:
+    """What the infos of an episode come to."""
+    info, timing = steps[-1], env.robot.timing
+    fault = info.get("fault_reason", "")
     late = timing.lateness.late_share if timing else 0.0
     return EpisodeResult(
         success=info["is_success"] == 1.0,
         collision=info["is_success"] != 1.0 and info["true_contact"] == 1.0,
         started=started,
-        ended=link.now(),
+        ended=env.robot.link.now(),
         path=_length(steps, "odom"),
         pose=(info["odom_x"], info["odom_y"], info["odom_theta"]),
         odometry_error=info["odometry_error"],
-        ticks=(len(steps) - 1) * unwrapped.ticks_per_step,
+        ticks=(len(steps) - 1) * env.ticks_per_step,
         late_ticks=timing.lateness.late_ticks if timing else 0,
-        **_ways(unwrapped, steps),
+        **_ways(env, steps),
         turning=_turning([step["odom_theta"] for step in steps]),
         scores=tuple(info[name] for name in SCORES if name in info),
         cross_track=info.get("mean_cross_track_error", math.nan),

@@ -135,45 +135,33 @@ def tested(env_id: str, worlds: Any) -> Any:
     return splits.tested(own, default=True)
 
 
-def evaluate(
-    policy: str,
-    link: str,
-    robot: str | None,
-    episodes: int,
-    seed: int,
-    *,
-    trust: bool = False,
-    env: str = "",
-    how: Mapping[str, Any] | None = None,
-    **options: Any,
-) -> Run:
-    """Episodes with random goals in worlds of the test split, behind a progress bar.
-
-    `how` goes to `evaluation.episodes`, other options to the environment.
-    """
-    if not 1 <= episodes <= MOST_EPISODES:
-        raise ConfigError(f"--episodes {shown(episodes)}: must be 1 to {MOST_EPISODES:,}")
-    if not 0 <= seed < SEEDS:
-        raise ConfigError(f"--seed {shown(seed)}: must be 0 to 2^63 - 1")
-    actor = load(policy, trust=trust, env=env)
-    return drive(actor, link, robot, episodes, seed, how=how, **options)
+def seeds(first: int, count: int) -> range:
+    """Seeds of so many episodes; ConfigError where there are too many, or none."""
+    if not 1 <= count <= MOST_EPISODES:
+        raise ConfigError(f"--episodes {shown(count)}: must be 1 to {MOST_EPISODES:,}")
+    if not 0 <= first < SEEDS:
+        raise ConfigError(f"--seed {shown(first)}: must be 0 to 2^63 - 1")
+    return range(first, first + count)
 
 
 def drive(
     policy: FilePolicy,
     link: str,
     robot: str | None,
-    count: int,
-    seed: int,
+    seeds: range,
     *,
     how: Mapping[str, Any] | None = None,
     **options: Any,
 ) -> Run:
-    """Episodes of a loaded policy behind a link, which is closed whatever happens."""
-    env, how = made(policy, link, robot, options), how or {}
+    """Episodes of a policy in worlds of the test split, behind a link and a progress bar.
+
+    The link is closed whatever happens. `how` goes to `evaluation.episodes`, other options to the
+    environment.
+    """
+    env, how, count = made(policy, link, robot, options), how or {}, len(seeds)
     try:
-        running = evaluation.episodes(env, policy, count, seed, **how)
-        return _run(env, policy, link, range(seed, seed + count), how, track(link, running, count))
+        running = evaluation.episodes(env, policy, count, seeds.start, **how)
+        return _run(env, policy, link, seeds, how, track(link, running, count))
     finally:
         env.close()
 
@@ -193,28 +181,24 @@ def _run(
 
 
 def to_goal(
-    policy: str,
+    policy: FilePolicy,
     link: str,
     robot: str | None,
     goal: tuple[float, float],
     record: Path | None,
-    *,
-    trust: bool = False,
-    env: str = "",
     **options: Any,
 ) -> Run:
     """One episode to a given goal, recorded to a file on request."""
     config = RobotConfig.of(robot)
-    actor = load(policy, trust=trust, env=env)
     wire: Link = open_link(link, config)
     if record is not None:
         wire = RecordingLink(wire, record)
-    world = made(actor, wire, config, options | {"on_fault": "raise"})
+    env = made(policy, wire, config, options | {"on_fault": "raise"})
     try:
-        results = list(evaluation.episodes(world, actor, 1, seed=0, goal=goal))
-        return _run(world, actor, link, range(1), {"goal": goal}, results)
+        results = list(evaluation.episodes(env, policy, 1, seed=0, goal=goal))
+        return _run(env, policy, link, range(1), {"goal": goal}, results)
     finally:
-        world.close()
+        env.close()
 
 
 def export(

@@ -21,8 +21,8 @@ from acsar_gym.config import LidarConfig, RobotConfig
 from acsar_gym.errors import LidarError, LinkError, MissingExtraError
 from acsar_gym.lidars.base import Scan
 from acsar_gym.lidars.revolutions import Turn, Turns, binned
-from acsar_gym.links.ports import PORT_ERRORS, Place, put
-from acsar_gym.links.shutdown import guard, install, unguard
+from acsar_gym.links.ports import PORT_ERRORS, Location, put
+from acsar_gym.links.shutdown import close_at_exit, forget, install
 from acsar_gym.worlds import Scene
 
 GET_INFO = b"\xa5\x50"
@@ -62,7 +62,7 @@ class RplidarLidar:
         self.device = device
         self._config = config
         self._now = now
-        self._place = Place(device)
+        self._location = Location(device)
         self._port: Any = None
         self._driver: Any = None
         self._reader: _Reader | None = None
@@ -87,10 +87,10 @@ class RplidarLidar:
 
     def _open(self, library: Any) -> None:
         try:
-            self._port = self._place.opened(self._config.with_(baud_rate=115200))
+            self._port = self._location.opened(self._config.with_(baud_rate=115200))
         except LinkError as error:
             raise LidarError(f"LiDAR {error.found}", error.fix) from None
-        guard(self)
+        close_at_exit(self)
         with _translated(self.device):
             self._driver = _greeted(self._port, self.device, library)
             _check_health(self._port, self.device)
@@ -167,9 +167,9 @@ class RplidarLidar:
         _hold_motor(port)
 
     def _release(self, port: Any) -> None:
-        self._place.left(lost=self._reader is not None and bool(self._reader.lost))
+        self._location.left(lost=self._reader is not None and bool(self._reader.lost))
         self._port = self._driver = self._reader = None
-        unguard(self)
+        forget(self)
         with contextlib.suppress(*PORT_ERRORS):
             port.close()
 

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
-from acsar_gym.bodies.base import GroundTruth, Image
+from acsar_gym.bodies.base import Camera, GroundTruth
 from acsar_gym.worlds import Scene
 
 
 class Link(Protocol):
-    """A wire to a robot, real or simulated. `advance` is the only place in which time passes.
-
-    A link on which that is the wall clock's time also has `lateness`: how long after its deadline
-    the newest period ended [s].
-    """
+    """A wire to a robot, real or simulated. `advance` is the only place in which time passes."""
 
     @property
-    def late_ticks(self) -> int:
-        """Periods that ended over a millisecond after their deadline; always 0 in simulation."""
+    def lateness(self) -> float | None:
+        """How long after its deadline the newest period ended [s]; None where time is simulated."""
 
     @property
     def truth(self) -> GroundTruth | None:
@@ -41,8 +37,19 @@ class Link(Protocol):
     def now(self) -> float:
         """Seconds on the link's own clock."""
 
-    def image(self, width: int, height: int) -> Image | None:
-        """A camera's picture of the scene, height x width x 3; None where there is no camera."""
-
     def close(self) -> None:
-        """Stop the motors, then close; twice is once."""
+        """Stop the motors, then close; idempotent."""
+
+
+@runtime_checkable
+class CameraLink(Protocol):
+    """A link behind which a camera may stand: a simulated one, or one that passes on to it."""
+
+    @property
+    def camera(self) -> Camera | None:
+        """The camera; None where there is none."""
+
+
+def camera_of(link: Link) -> Camera | None:
+    """The camera that sees the robot behind a link; None where there is none, as on hardware."""
+    return link.camera if isinstance(link, CameraLink) else None

@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from acsar_gym.bodies.base import GroundTruth, Image
+from acsar_gym.bodies.base import Camera, GroundTruth
 from acsar_gym.errors import ConfigError, LinkLostError, PortNotFoundError
-from acsar_gym.links.base import Link
+from acsar_gym.links.base import Link, camera_of
 from acsar_gym.links.faults import EPSILON, LINE_FAULTS, Faults, Lines, WheelEditor, WheelFaults
 from acsar_gym.protocol import ZERO, Decoder, encode
 from acsar_gym.worlds import Scene
@@ -153,19 +153,14 @@ class FaultyLink:
         return self.link.truth
 
     @property
-    def lateness(self) -> float:
-        """The link's lateness, where it has one."""
-        lateness: float = getattr(self.link, "lateness")  # noqa: B009 - not every link has one
-        return lateness
+    def lateness(self) -> float | None:
+        """The link's lateness."""
+        return self.link.lateness
 
     @property
-    def late_ticks(self) -> int:
-        """The link's late ticks."""
-        return self.link.late_ticks
-
-    def image(self, width: int, height: int) -> Image | None:
+    def camera(self) -> Camera | None:
         """The link's camera."""
-        return self.link.image(width, height)
+        return camera_of(self.link)
 
     def __reduce__(self) -> tuple[type[FaultyLink], tuple[object, ...]]:
         """Copies have a link of their own and begin with the first seed."""

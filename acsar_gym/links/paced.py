@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 
-from acsar_gym.bodies.base import GroundTruth, Image
-from acsar_gym.links.base import Link
+from acsar_gym.bodies.base import Camera, GroundTruth
+from acsar_gym.links.base import Link, camera_of
 from acsar_gym.worlds import Scene
 
 
@@ -14,8 +14,6 @@ class PacedLink:
 
     The clock and the bytes stay those of the link behind it.
     """
-
-    late_ticks = 0
 
     def __init__(self, link: Link) -> None:
         self._link = link
@@ -50,9 +48,15 @@ class PacedLink:
         """The link's truth."""
         return self._link.truth
 
-    def image(self, width: int, height: int) -> Image | None:
+    @property
+    def lateness(self) -> float | None:
+        """The link's lateness: its time stays simulated, however long it is held up."""
+        return self._link.lateness
+
+    @property
+    def camera(self) -> Camera | None:
         """The link's camera."""
-        return self._link.image(width, height)
+        return camera_of(self._link)
 
     def close(self) -> None:
         """Close the link."""

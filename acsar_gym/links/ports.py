@@ -116,7 +116,7 @@ def _has_its_own_number(path: Path) -> bool:
     return bool(mine) and [port.serial_number for port in known].count(mine[0]) == 1
 
 
-class Place:
+class Location:
     """Where a port is, and where it comes back when it was lost.
 
     `path` is the name that it was opened under, None before that; set `lost` where it went away.

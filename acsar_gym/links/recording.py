@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
-from acsar_gym.bodies.base import GroundTruth, Image
+from acsar_gym.bodies.base import Camera, GroundTruth
 from acsar_gym.errors import ConfigError
-from acsar_gym.links.base import Link
+from acsar_gym.links.base import Link, camera_of
 from acsar_gym.reading import bounded, structured
 from acsar_gym.worlds import Scene
 
@@ -100,19 +100,14 @@ class RecordingLink:
         return self._link.truth
 
     @property
-    def lateness(self) -> float:
-        """The link's lateness, where it has one."""
-        lateness: float = getattr(self._link, "lateness")  # noqa: B009 - not every link has one
-        return lateness
+    def lateness(self) -> float | None:
+        """The link's lateness."""
+        return self._link.lateness
 
     @property
-    def late_ticks(self) -> int:
-        """The link's late ticks."""
-        return self._link.late_ticks
-
-    def image(self, width: int, height: int) -> Image | None:
+    def camera(self) -> Camera | None:
         """The link's camera."""
-        return self._link.image(width, height)
+        return camera_of(self._link)
 
     def __reduce__(self) -> tuple[type[RecordingLink], tuple[Link, Path]]:
         """Copies record a link of their own."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Protocol
 
-from acsar_gym.bodies.base import Image
 from acsar_gym.errors import LinkLostError
 from acsar_gym.links import recording
 from acsar_gym.worlds import Scene
@@ -29,7 +28,7 @@ class ReplayLink:
     """
 
     truth = None
-    late_ticks = 0
+    lateness = None
 
     def __init__(self, path: Path, port: Port | None = None) -> None:
         self._path = path
@@ -91,10 +90,6 @@ class ReplayLink:
     def now(self) -> float:
         """The recorded clock [s]."""
         return self._now
-
-    def image(self, width: int, height: int) -> Image | None:
-        """A recording holds no pictures."""
-        return None
 
     def __reduce__(self) -> tuple[type[ReplayLink], tuple[Path, Port | None]]:
         """Copies play from the beginning."""

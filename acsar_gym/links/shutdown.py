@@ -61,31 +61,31 @@ def install() -> None:
                 signal.signal(number, handler)
 
 
-def guard(link: Closable) -> None:
+def close_at_exit(link: Closable) -> None:
     """Close `link` when the process ends."""
     _open.add(link)
     install()
 
 
-def unguard(link: Closable) -> None:
+def forget(link: Closable) -> None:
     """The link is closed; forget it."""
     _open.discard(link)
 
 
-def _guarded() -> list[Closable]:
+def _links() -> list[Closable]:
     while True:
         with contextlib.suppress(RuntimeError):  # another thread opened or closed one meanwhile
             return list(_open)
 
 
 def close_all() -> None:
-    """Stop every guarded link, then close them, whatever goes wrong with one of them.
+    """Stop every open link, then close them, whatever goes wrong with one of them.
 
     For the end of the program: nothing can turn wheels afterwards.
     """
     _ending[0] = True
     with contextlib.ExitStack() as stack:
-        for link in _guarded():
+        for link in _links():
             stack.callback(link.close)
             stack.enter_context(link.held())
 
@@ -109,14 +109,14 @@ def _exit(status: int) -> None:
 
 def _on_suspend(number: int, frame: FrameType | None) -> None:
     with contextlib.ExitStack() as stack:
-        for link in _guarded():
+        for link in _links():
             stack.enter_context(link.held())
         signal.raise_signal(signal.SIGSTOP)  # to this thread, so that no other one runs after it
 
 
 def _in_child() -> None:
     _ending[0] = False
-    for link in _guarded():
+    for link in _links():
         link.abandon()
     for name in (*ENDING, *SUSPENDING):
         number = getattr(signal, name, None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from acsar_gym.bodies import Body, GroundTruth
-from acsar_gym.bodies.base import Image
+from acsar_gym.bodies.base import Camera
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import LinkLostError
 from acsar_gym.firmware import Firmware
@@ -15,7 +15,7 @@ from acsar_gym.worlds import Scene
 class SimulatedLink:
     """Runs firmware and physics as fast as they go. Its clock starts at zero with every reset."""
 
-    late_ticks = 0
+    lateness = None
 
     def __init__(self, config: RobotConfig, make_body: Callable[[], Body]) -> None:
         self._config = config
@@ -68,9 +68,10 @@ class SimulatedLink:
         """The body's state; the origin before the link is opened."""
         return self._body.truth if self._body else GroundTruth()
 
-    def image(self, width: int, height: int) -> Image | None:
-        """The body's camera, if it has one."""
-        return self._body.image(width, height) if self._body else None
+    @property
+    def camera(self) -> Camera | None:
+        """The body's camera; None where it has none, or the link is closed."""
+        return self._body if isinstance(self._body, Camera) else None
 
     def __reduce__(self) -> tuple[type[SimulatedLink], tuple[RobotConfig, Callable[[], Body]]]:
         """Copies are closed links to a robot of their own."""

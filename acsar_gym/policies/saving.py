@@ -49,20 +49,26 @@ def save(
     from acsar_gym.policies import torch_export  # noqa: PLC0415 - optional
 
     before = torch_export.normalizing(normalizer)
+    env = _made(env_id, robot, env_kwargs)
     try:
-        env = gymnasium.make(full_id(env_id), link="planar", robot=robot, **env_kwargs)
+        notes = _notes(env)
+        torch_export.write(module, Path(path), env.task, env.robot.config, before, notes)
+    finally:
+        env.close()
+
+
+def _made(env_id: str, robot: Any, env_kwargs: dict[str, Any]) -> RobotEnv:
+    """The environment; ConfigError where there is none of that id, or it takes other arguments."""
+    try:
+        env = gymnasium.make(full_id(env_id), link="planar", robot=robot, **env_kwargs).unwrapped
     except (gymnasium.error.Error, ImportError) as error:
         raise ConfigError(f"{env_id}: {error}") from None
     except TypeError as error:
         raise ConfigError(f"{env_id}: doesn't take these arguments: {one_line(error)}") from None
-    inner = env.unwrapped
-    try:
-        if not isinstance(inner, RobotEnv):
-            raise ConfigError(f"{env_id}: not an environment of acsar_gym")
-        notes = _notes(inner)
-        torch_export.write(module, Path(path), inner.task, inner.robot.config, before, notes)
-    finally:
+    if not isinstance(env, RobotEnv):
         env.close()
+        raise ConfigError(f"{env_id}: not an environment of acsar_gym")
+    return env
 
 
 def _notes(env: RobotEnv) -> dict[str, str]:

@@ -12,6 +12,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import OffScreenWarning, RenderError
 from acsar_gym.lidars.base import Scan, ray_spec
 from acsar_gym.links import Link
+from acsar_gym.links.base import camera_of
 from acsar_gym.tasks import Assignment, State
 
 TOP_SIZE = (480, 480)
@@ -60,10 +61,10 @@ class Screen:
         """The picture of the state that was shown last. RenderError where there is no camera."""
         if self._view == "top":
             return self._drawn()
-        image = link.image(*CAMERA_SIZE)
-        if image is None:
+        camera = camera_of(link)
+        if camera is None:
             raise RenderError("this link has no camera; view='camera' needs link='bullet'")
-        return image
+        return camera.image(*CAMERA_SIZE)
 
     def _drawn(self) -> Image:
         from acsar_gym.render.top_view import Frame, TopView  # noqa: PLC0415 - optional

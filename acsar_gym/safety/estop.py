@@ -1,7 +1,7 @@
 """Emergency stop from another terminal: owner-only sockets in the file system, no network port.
 
-Every process that drives a real robot listens on sockets of its own, which its control loop looks
-at once a tick. A datagram there stops its robots, and is answered when they have been stopped. The
+Every process that drives a real robot listens on sockets of its own, which its control loop reads
+once a tick. A datagram there stops its robots, and is answered when they have been stopped. The
 standard library is all that this module needs, so that `acsar-gym estop` acts at once.
 """
 
@@ -34,7 +34,7 @@ ELSEWHERE = "ACSAR_GYM_RUNTIME_DIR"
 LONGEST = 80
 """Bytes of a folder's path: an address of a socket has at most 103 on every system."""
 DRIVER = re.compile(r"[0-9]+-[0-9]+")
-"""Name of a socket that hears: process and number."""
+"""Name of a listener's socket: process and number."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,11 +105,11 @@ def folders() -> tuple[list[Path], list[LinkError]]:
     return usable, wrong
 
 
-class Ears:
-    """Sockets that hear an emergency stop, one in each usable folder.
+class StopListener:
+    """Receives emergency stops, on one socket in each usable folder.
 
-    Where none can be opened it is deaf, and `deaf` says why: a robot must be drivable on a computer
-    without such sockets, and Ctrl-C stops it everywhere.
+    Where no socket can be opened nothing is received, and `unavailable` says why: a robot must be
+    drivable on a computer without such sockets, and Ctrl-C stops it everywhere.
 
     Attributes: `paths`, the addresses; `faults`, what is wrong with each folder that isn't used.
     """
@@ -130,11 +130,11 @@ class Ears:
                 self.faults.append(LinkError(f"{path}: no socket: {error.strerror}", "make room"))
 
     @property
-    def deaf(self) -> str:
-        """Why nothing can be heard; empty where it can."""
+    def unavailable(self) -> str:
+        """Why no stop can be received; empty where one can."""
         return "" if self._sockets else "; ".join(map(str, self.faults))
 
-    def heard(self) -> bool:
+    def is_requested(self) -> bool:
         """Whether somebody has asked for a stop; waits for nothing."""
         self._askers = []
         for each in self._sockets if self._process == os.getpid() else ():
@@ -144,7 +144,7 @@ class Ears:
                     self._askers.append((each, sender))
         return bool(self._askers)
 
-    def answer(self) -> None:
+    def confirm(self) -> None:
         """Tell whoever asked that the wheels have been commanded to stop."""
         for each, sender in self._askers:
             with contextlib.suppress(OSError, TypeError):  # gone, or one without an address
@@ -152,17 +152,17 @@ class Ears:
 
     def close(self) -> None:
         """Idempotent; a forked child leaves its parent's sockets alone."""
-        ears, self._sockets = self._sockets, []
-        for each, path in zip(ears, self.paths, strict=True):
+        sockets, self._sockets = self._sockets, []
+        for each, path in zip(sockets, self.paths, strict=True):
             each.close()
             if self._process == os.getpid():
                 with contextlib.suppress(OSError):
                     path.unlink()
         self.paths = []
 
-    def __reduce__(self) -> tuple[type[Ears], tuple[()]]:
+    def __reduce__(self) -> tuple[type[StopListener], tuple[()]]:
         """Copies listen on sockets of their own."""
-        return Ears, ()
+        return StopListener, ()
 
     def __del__(self) -> None:
         if hasattr(self, "faults"):
@@ -175,10 +175,10 @@ def _free_name(usable: list[Path]) -> str:
     Containers that share a folder have processes of the same number.
     """
     names = (f"{os.getpid()}-{number}" for number in itertools.count(1))
-    return next(name for name in names if not any(_is_heard(path / name) for path in usable))
+    return next(name for name in names if not any(_is_taken(path / name) for path in usable))
 
 
-def _is_heard(path: Path) -> bool:
+def _is_taken(path: Path) -> bool:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect(str(path))

@@ -23,7 +23,7 @@ from acsar_gym.vector.options import Wishes, wishes
 from acsar_gym.vector.randomization import Randomization
 from acsar_gym.vector.settings import MOST_ROBOTS, BatchOptions, count, threads_for
 from acsar_gym.vector.specs import PlainSpec
-from acsar_gym.vector.threads import Crew
+from acsar_gym.vector.threads import Threads
 
 MASK = "reset_mask"
 
@@ -114,7 +114,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         steps, randomized = asked.max_episode_steps, Randomization.of(asked.randomization)
         self.batch = Batch(self.num_envs, config, self.task, self._spawn, ticks, steps, randomized)
         self._masks = tuple(f"_{name}" for name in self.batch.names)
-        self._crew = Crew(threads_for(asked.threads, self.num_envs))
+        self._threads = Threads(threads_for(asked.threads, self.num_envs))
         self._done = np.zeros(self.num_envs, np.bool_)
         self._whole = True
         """Whether no call was interrupted since all robots were reset."""
@@ -154,7 +154,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
 
         Threads of an interrupted call have ended, so that the state can be written.
         """
-        self._crew.wait()
+        self._threads.wait()
         given = known(options or {}, (MASK, *self._spawn.options))
         rest = {name: value for name, value in given.items() if name != MASK}
         return _mask(given.get(MASK), self.num_envs), wishes(self._spawn, rest, self.num_envs)
@@ -176,7 +176,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         batch, tables, self._whole = self.batch, self.batch.tables, False
         tables.actions[:] = actions
         tables.over[:] = self.autoreset_mode is AutoresetMode.NEXT_STEP and self._done
-        self._crew.share(batch.step, self.num_envs)
+        self._threads.share(batch.step, self.num_envs)
         batch.stepped()
         terminated, truncated = tables.ends.copy()
         self._done = terminated | truncated
@@ -191,7 +191,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
     def _begin(self, mask: Array) -> None:
         """New episodes for the robots in the mask."""
         batch = self.batch
-        self._crew.share(lambda first, last: batch.reset(mask, first, last), self.num_envs)
+        self._threads.share(lambda first, last: batch.reset(mask, first, last), self.num_envs)
         batch.began(mask)
 
     def _checked(self, actions: Array) -> Array:
@@ -220,7 +220,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
 
     def close_extras(self, **_: Any) -> None:
         """End the threads."""
-        self._crew.close()
+        self._threads.close()
 
 
 def _mask(mask: Any, robots: int) -> Array:

@@ -1,4 +1,4 @@
-"""Threads that share out loops which run without the GIL.
+"""Run a compiled loop, which holds no GIL, over slices of the robots on several threads.
 
 `concurrent.futures` takes 70 us to hand out one piece of work and to hear of its end, which is a
 tenth of a step of a thousand robots; bare queues take 20.
@@ -24,18 +24,18 @@ HEAD_START = 48
 """Items that the caller takes on top of its share, for it begins before the others wake up."""
 
 
-class Crew:
-    """The calling thread and `threads` - 1 others, which end with `close` or with the crew.
+class Threads:
+    """The calling thread and `count` - 1 others, which end with `close` or when this is freed.
 
     Orders are numbered, and so are the reports on them: a report on a call that was interrupted,
     by Ctrl-C for instance, isn't taken for one on a later call.
     """
 
-    def __init__(self, threads: int) -> None:
+    def __init__(self, count: int) -> None:
         self._numbers = itertools.count()
-        self._hire(threads - 1)
+        self._start(count - 1)
 
-    def _hire(self, others: int) -> None:
+    def _start(self, others: int) -> None:
         self._process = os.getpid()
         self._idle = True
         self._orders: list[SimpleQueue[Order | None]] = []
@@ -62,7 +62,7 @@ class Crew:
             for orders, other in zip(self._orders, others, strict=True):
                 orders.put((number, work, *other))
             work(*first)
-            errors = self._heard(number)
+            errors = self._errors_of(number)
         except BaseException:  # some may have no order, or have been heard already
             self.wait()
             raise
@@ -73,15 +73,15 @@ class Crew:
     def wait(self) -> None:
         """Wait until no thread works on an order of a call that was interrupted."""
         if self._process != os.getpid():  # a forked child has none of its parent's threads
-            self._hire(len(self._orders))
+            self._start(len(self._orders))
         if not self._idle:
             number = next(self._numbers)
             for orders in self._orders:
                 orders.put((number, _nothing, 0, 0))  # done once all orders before it are
-            self._heard(number)
+            self._errors_of(number)
             self._idle = True
 
-    def _heard(self, number: int) -> list[BaseException]:
+    def _errors_of(self, number: int) -> list[BaseException]:
         """What the others raised, once all have reported on this order; older reports are lost."""
         errors, missing = [], len(self._orders)
         while missing:
@@ -92,22 +92,22 @@ class Crew:
         return errors
 
     def close(self) -> None:
-        """Send the others home; the caller goes on alone. Idempotent."""
+        """End the other threads; the caller goes on alone. Idempotent."""
         self.wait()
-        self._dismiss()
+        self._end()
 
-    def _dismiss(self) -> None:
+    def _end(self) -> None:
         for orders in self._orders:
             orders.put(None)
         self._orders = []
 
-    def __reduce__(self) -> tuple[type[Crew], tuple[int]]:
+    def __reduce__(self) -> tuple[type[Threads], tuple[int]]:
         """Copies have threads of their own."""
-        return Crew, (len(self._orders) + 1,)
+        return Threads, (len(self._orders) + 1,)
 
     def __del__(self) -> None:
         if hasattr(self, "_orders"):
-            self._dismiss()
+            self._end()
 
 
 def _nothing(first: int, last: int) -> None:

@@ -6,6 +6,7 @@ import math
 
 import pytest
 
+from acsar_gym.bodies.base import Camera
 from acsar_gym.bodies.planar import PlanarBody
 from acsar_gym.config import RobotConfig
 from acsar_gym.protocol import ZERO
@@ -25,4 +26,4 @@ def test_reset_puts_the_robot_at_the_start_at_rest() -> None:
 
 
 def test_the_planar_robot_has_no_camera() -> None:
-    assert PlanarBody(RobotConfig()).image(10, 10) is None
+    assert not isinstance(PlanarBody(RobotConfig()), Camera)

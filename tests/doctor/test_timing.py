@@ -22,7 +22,7 @@ from acsar_gym.doctor.timing_report import EDGES, Report
 from acsar_gym.errors import ConfigError, LinkError, MissingExtraError, PortNotFoundError
 from acsar_gym.links.lateness import Spread, Timing
 from acsar_gym.protocol import ZERO
-from acsar_gym.safety.estop import Ears
+from acsar_gym.safety.estop import StopListener
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
@@ -151,7 +151,7 @@ def test_a_device_that_goes_away(config: RobotConfig, own_emulator: Emulated) ->
 def test_an_emergency_stop_ends_it(
     config: RobotConfig, shared_device: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(Ears, "heard", lambda _: True)
+    monkeypatch.setattr(StopListener, "is_requested", lambda _: True)
     with no_leak(), pytest.raises(LinkError, match="emergency stop"):
         measure(shared_device, config, 5.0, forwards)
 

@@ -227,7 +227,7 @@ class Idle(FilePolicy):
 
 def drive(count: int, seed: int = 3, **options: Any) -> runs.Run:
     """Episodes of a policy that stands still, in worlds that are quick to make."""
-    return runs.drive(Idle(), "planar", None, count, seed, **options)
+    return runs.drive(Idle(), "planar", None, range(seed, seed + count), **options)
 
 
 @pytest.mark.parametrize(

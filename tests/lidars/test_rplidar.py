@@ -29,8 +29,7 @@ from acsar_gym.lidars import rplidar
 from acsar_gym.lidars.base import Lidar, Scan
 from acsar_gym.lidars.revolutions import Turns, binned
 from acsar_gym.lidars.rplidar import RplidarLidar
-from acsar_gym.links import ports
-from acsar_gym.links import shutdown as guard
+from acsar_gym.links import ports, shutdown
 from acsar_gym.worlds import Scene
 
 pytestmark = pytest.mark.usefixtures("deadline")
@@ -531,7 +530,7 @@ print("goes on", flush=True)
 def test_a_suspended_process_keeps_its_sensor(sensor: Emulated, make: Open) -> None:
     lidar = make(sensor)
     reset(lidar)
-    assert lidar in guard._open
+    assert lidar in shutdown._open
     with lidar.held():
         newer(lidar, time.monotonic())
 

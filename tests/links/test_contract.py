@@ -12,6 +12,7 @@ from tapes import taped
 
 from acsar_gym import Link, Robot, RobotConfig, open_link
 from acsar_gym.errors import LinkError
+from acsar_gym.links.base import camera_of
 from acsar_gym.links.fault_injection import FaultyLink
 from acsar_gym.protocol import ZERO, Decoder, Reading, encode
 from acsar_gym.worlds import Scene
@@ -30,6 +31,7 @@ DORMANT = {"dropped_lines": 1e-12, "unplug_at": 1e6, "dead_wheels": "a", "wheel_
 """Faults that are configured, but none of them due."""
 
 MakeLink = Callable[[], Link]
+Request = pytest.FixtureRequest
 
 
 def exchange(link: Link, command: bytes, periods: int) -> list[tuple[bytes, float]]:
@@ -133,7 +135,29 @@ def test_the_clock_never_runs_back_and_follows_the_periods(make_link: MakeLink) 
     assert stamps[-1] - start >= 57 * PERIOD
     median = statistics.median(steps)
     assert median > 0.5 * PERIOD
-    assert median < 2.0 * PERIOD or getattr(link, "lateness", None) is not None
+    assert median < 2.0 * PERIOD or link.lateness is not None
+
+
+@every_link
+def test_only_links_in_real_time_are_late(make_link: MakeLink, request: Request) -> None:
+    link = make_link()
+    assert (link.lateness is not None) == ("serial" in request.node.callspec.id)
+    link.open()
+    link.reset(Scene())
+    link.advance(PERIOD)
+    lateness = link.lateness
+    link.close()
+    assert lateness is None or lateness >= 0.0
+
+
+@every_link
+def test_only_pybullet_has_a_camera(make_link: MakeLink, request: Request) -> None:
+    link = make_link()
+    link.open()
+    camera = camera_of(link)
+    assert (camera is not None) == ("bullet" in request.node.callspec.id)
+    assert camera is None or camera.image(4, 3).shape == (3, 4, 3)
+    link.close()
 
 
 @every_link

@@ -16,7 +16,7 @@ from serial_tools import Emulated, StartEmulator, no_leak, wait_until
 from tapes import TICKS, taped
 
 from acsar_gym import Link, Robot, RobotConfig, open_link
-from acsar_gym.bodies.base import GroundTruth, Image
+from acsar_gym.bodies.base import Camera, GroundTruth, Image
 from acsar_gym.errors import BoardSilentError, ConfigError, LinkLostError, PortNotFoundError
 from acsar_gym.links.fault_injection import BUFFER, FaultyLink, Seed
 from acsar_gym.links.recording import RecordingLink
@@ -53,7 +53,7 @@ class Board:
     """Says one numbered line a period, and keeps what it hears and when."""
 
     truth: GroundTruth | None = None
-    late_ticks = 0
+    lateness: float | None = 0.004
     device = "/dev/board0"
 
     def __init__(self) -> None:
@@ -80,7 +80,11 @@ class Board:
     def now(self) -> float:
         return self.clock
 
-    def image(self, width: int, height: int) -> Image | None:
+    @property
+    def camera(self) -> Camera | None:
+        return self
+
+    def image(self, width: int, height: int) -> Image:
         return np.zeros((height, width, 3), np.uint8)
 
     def close(self) -> None:
@@ -154,10 +158,8 @@ def test_what_stands_behind_shows_through() -> None:
     link, board = on_board(dropped_lines=1.0)
     assert link.device == "/dev/board0"
     assert link.link is board
-    image = link.image(4, 3)
-    assert image is not None
-    assert image.shape == (3, 4, 3)
-    assert (link.truth, link.late_ticks, link.now()) == (None, 0, 0.0)
+    assert link.camera is board
+    assert (link.truth, link.lateness, link.now()) == (None, 0.004, 0.0)
     simulated = FaultyLink(open_link("planar"), None)
     simulated.reset(Scene(start=(1.0, 2.0, 0.0)))
     assert simulated.truth is not None

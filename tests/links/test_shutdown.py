@@ -165,14 +165,14 @@ def test_pid_1_ends_too(number: signal.Signals, emulator: Emulated) -> None:
 
 THREAD = """
 import atexit, threading, time
-from acsar_gym.links import guard
+from acsar_gym.links import shutdown
 
 # The end of the program takes a while when the ports are closed.
 kill = os.kill
 os.kill = lambda *arguments: (time.sleep(0.7), kill(*arguments))
-atexit.unregister(guard.close_all)
+atexit.unregister(shutdown.close_all)
 atexit.register(time.sleep, 0.7)
-atexit.register(guard.close_all)
+atexit.register(shutdown.close_all)
 thread = threading.Thread(target=insist, daemon=True)
 thread.start()
 """
@@ -270,7 +270,7 @@ def test_without_a_watchdog_the_boards_own_timeout_is_left(emulator: Emulated) -
 
 TWO_SIGNALS = """
 import contextlib, os, resource, signal, sys, time
-from acsar_gym.links import guard
+from acsar_gym.links import shutdown
 
 resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
@@ -291,7 +291,7 @@ def interrupt_at(line):
 
     def trace(frame, event, _):
         nonlocal lines
-        if event == "line" and frame.f_code.co_filename.endswith(("guard.py", "threading.py")):
+        if event == "line" and frame.f_code.co_filename.endswith(("shutdown.py", "threading.py")):
             lines += 1
             if lines == line:
                 sys.settrace(None)
@@ -308,7 +308,7 @@ for line in range(1, 17):
         link = Link()
         for number in (signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, signal.SIG_DFL)
-        guard.guard(link)
+        shutdown.close_at_exit(link)
         sys.settrace(interrupt_at(line))
         signal.raise_signal(signal.SIGTERM)
         os._exit(0)

@@ -24,7 +24,7 @@ from rich.console import Console
 from serial_tools import BRIDGE, DRIVER, Emulated, no_leak, wait_until
 
 from acsar_gym import Robot, RobotConfig, open_link
-from acsar_gym.doctor import stopping
+from acsar_gym.doctor import stopping, stopping_processes
 from acsar_gym.doctor.stopping_programs import KINDS
 from acsar_gym.errors import AcsarError, ConfigError, LinkError
 from acsar_gym.links import ports, watchdog
@@ -101,7 +101,7 @@ def drives(emulator: Emulated) -> None:
 
 def test_every_kind_of_fault_ends_in_a_zero_command(monkeypatch: pytest.MonkeyPatch) -> None:
     """`acsar-gym doctor --stopping` tells how soon, on a machine with nothing else to do."""
-    monkeypatch.setattr(stopping, "SURE", 0.1)
+    monkeypatch.setattr(stopping_processes, "SURE", 0.1)
     told: list[str] = []
     config = RobotConfig.preset("acsar").with_(watchdog_timeout=HASTY)
     stops = stopping.measure(1, config=config, progress=lambda kind, _: told.append(kind))
@@ -116,7 +116,7 @@ def test_every_kind_of_fault_ends_in_a_zero_command(monkeypatch: pytest.MonkeyPa
 
 def test_without_a_watchdog_the_measurement_finds_no_zero(monkeypatch: pytest.MonkeyPatch) -> None:
     """So it can fail."""
-    monkeypatch.setattr(stopping, "PATIENCE", 0.5)
+    monkeypatch.setattr(stopping_processes, "PATIENCE", 0.5)
     config = RobotConfig.preset("acsar").with_(watchdog_timeout=None)
     (kill,) = stopping.measure(1, ["kill"], config)
     assert kill.times == (math.inf,)
@@ -135,8 +135,8 @@ def test_bad_questions_to_the_measurement_are_errors() -> None:
 
 def test_the_table_says_what_could_not_be_measured_here(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stopping, "no_namespace", lambda: "no PID namespace here (not permitted)")
-    monkeypatch.setattr(stopping, "_emulator", lambda config: contextlib.nullcontext(Unused()))
-    monkeypatch.setattr(stopping, "_programs", lambda *_: contextlib.nullcontext())
+    monkeypatch.setattr(stopping, "emulator", lambda config: contextlib.nullcontext(Unused()))
+    monkeypatch.setattr(stopping, "programs", lambda *_: contextlib.nullcontext())
     stops = stopping.measure(1, ["pid1-term", "pid1-hup"])
     stops.append(stopping.Stops("fork", (0.01, math.inf)))
     console = Console(record=True, width=100, file=open(os.devnull, "w"))  # noqa: SIM115
@@ -198,7 +198,7 @@ def test_a_policy_that_hangs_is_told_so(emulator: Emulated) -> None:
 import time
 robot.activate()
 drive(30)
-while not robot.link._watchdog.tripped:
+while not robot.link._watch.dog.tripped:
     time.sleep(0.01)
 drive(1)
 """
@@ -212,7 +212,7 @@ drive(1)
 STRAY = """
 import subprocess
 robot.activate()
-lifeline = robot.link._watchdog._lifeline
+lifeline = robot.link._watch.dog._lifeline
 stray = subprocess.Popen(["sleep", "60"], pass_fds=(lifeline,), stdout=subprocess.DEVNULL,
                          stderr=subprocess.DEVNULL)
 drive(30)
@@ -284,8 +284,8 @@ def hasty(shared_device: str, config: RobotConfig) -> Iterator[SerialLink]:
 
 
 def dog_of(link: SerialLink) -> Watchdog:
-    assert link._watchdog is not None
-    return link._watchdog
+    assert link._watch.dog is not None
+    return link._watch.dog
 
 
 def test_after_a_trip_only_zeros_go_out_until_the_reset(hasty: SerialLink) -> None:
@@ -352,8 +352,8 @@ def test_reading_is_a_sign_of_life(link: SerialLink) -> None:
 def test_periods_longer_than_the_timeout_are_no_pause(
     link: SerialLink, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert link._nap == pytest.approx(60.0 / 3.0)
-    link._nap = 0.01
+    assert link._watch.nap == pytest.approx(60.0 / 3.0)
+    link._watch.nap = 0.01
     beats: list[float] = []
     monkeypatch.setattr(link, "_beat", lambda: beats.append(time.monotonic()))
     link.advance(0.05)
@@ -719,7 +719,7 @@ except errors.ConfigError:
     sys.exit()
 robot.deactivate()
 robot.activate()
-print(os.sched_getparam(robot.link._watchdog.pid).sched_priority, flush=True)
+print(os.sched_getparam(robot.link._watch.dog.pid).sched_priority, flush=True)
 """
     )
     with program(code, shared_device) as process:

@@ -40,5 +40,6 @@ def test_torch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_function(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(snippets.snippets()["mine.py"][1])
-    results = runs.evaluate(f"{tmp_path / 'mine.py'}:act", "planar", None, 3, 0)
+    policy = runs.load(f"{tmp_path / 'mine.py'}:act", trust=False)
+    results = runs.drive(policy, "planar", None, range(3))
     assert all(result.success for result in results.results)

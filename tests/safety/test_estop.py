@@ -110,20 +110,20 @@ def test_sockets_belong_to_their_owner_alone(config: RobotConfig, shared_device:
         assert not list(folder().iterdir())
 
 
-def listener(name: str) -> socket.socket:
+def socket_at(name: str) -> socket.socket:
     """The socket of a process that drives, or has driven."""
     heard = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     heard.bind(str(folder() / name))
     return heard
 
 
-def answering(ears: estop.Ears) -> threading.Thread:
+def answering(listener: estop.StopListener) -> threading.Thread:
     """A control loop that heeds one stop."""
 
     def loop() -> None:
-        while not ears.heard():
+        while not listener.is_requested():
             pass
-        ears.answer()
+        listener.confirm()
 
     thread = threading.Thread(target=loop, daemon=True)
     thread.start()
@@ -131,18 +131,18 @@ def answering(ears: estop.Ears) -> threading.Thread:
 
 
 def test_the_socket_of_a_dead_process_is_forgotten() -> None:
-    listener("99999999-1").close()
+    socket_at("99999999-1").close()
     assert estop.stop_all() == []
     assert not (folder() / "99999999-1").exists()
 
 
 def test_what_an_ended_stop_has_left_is_in_nobodys_way() -> None:
-    listener(f"estop-{os.getpid()}").close()
-    ears = estop.Ears()
-    thread = answering(ears)
+    socket_at(f"estop-{os.getpid()}").close()
+    listener = estop.StopListener()
+    thread = answering(listener)
     assert estop.stop_all() == [estop.Stopped(os.getpid(), answered=True)]
     thread.join()
-    ears.close()
+    listener.close()
     assert not list(folder().iterdir())
 
 
@@ -152,55 +152,55 @@ def test_what_is_no_socket_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> Non
     for name in ("1234-1", f"estop-{os.getpid()}", "1x-1", "²-1"):
         (folder() / name).mkdir()
     (folder() / "1235-1").write_text("")
-    ears = estop.Ears()
+    listener = estop.StopListener()
     assert estop.stop_all() == [estop.Stopped(os.getpid(), answered=False)]
-    assert ears.heard()
-    ears.answer()
-    ears.close()
+    assert listener.is_requested()
+    listener.confirm()
+    listener.close()
     assert len(list(folder().iterdir())) == 5
 
 
 def test_a_process_that_hangs_does_not_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(estop, "ANSWER", 0.01)
-    ears = estop.Ears()
+    listener = estop.StopListener()
     assert estop.stop_all() == [estop.Stopped(os.getpid(), answered=False)]
-    assert ears.heard()
-    ears.close()
-    ears.close()
+    assert listener.is_requested()
+    listener.close()
+    listener.close()
 
 
 def test_processes_of_one_number_in_two_containers_hear_both() -> None:
-    with listener(f"{os.getpid()}-1"):
-        ears = estop.Ears()
-        assert ears.paths == [folder() / f"{os.getpid()}-2"]
-        ears.close()
+    with socket_at(f"{os.getpid()}-1"):
+        listener = estop.StopListener()
+        assert listener.paths == [folder() / f"{os.getpid()}-2"]
+        listener.close()
         assert (folder() / f"{os.getpid()}-1").is_socket()
-    other = estop.Ears()
-    ears = estop.Ears()
-    assert not set(other.paths) & set(ears.paths)
-    threads = [answering(each) for each in (other, ears)]
+    other = estop.StopListener()
+    listener = estop.StopListener()
+    assert not set(other.paths) & set(listener.paths)
+    threads = [answering(each) for each in (other, listener)]
     assert [found.answered for found in estop.stop_all()] == [True, True]
     for thread in threads:
         thread.join()
-    ears.close()
+    listener.close()
     assert other.paths[0].is_socket()
     other.close()
 
 
 def test_a_suspended_process_with_a_full_queue_is_listed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(estop, "ANSWER", 0.01)
-    with listener("1-1") as full, socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other:
+    with socket_at("1-1") as full, socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other:
         other.setblocking(False)
         with pytest.raises(BlockingIOError):
             while True:
                 other.sendto(b"stop", full.getsockname())
-        ears = estop.Ears()
-        thread = answering(ears)
+        listener = estop.StopListener()
+        thread = answering(listener)
         first, second = estop.stop_all()
         thread.join()  # it was asked although the one before it took nothing
         assert first == estop.Stopped(1, answered=False)
         assert second.process == os.getpid()
-        ears.close()
+        listener.close()
 
 
 BAD = {
@@ -243,7 +243,7 @@ def test_a_folder_of_somebody_else_is_refused(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(os, "getuid", lambda: mine + 1)
     with pytest.raises(LinkError, match="yours alone"):
         estop.stop_all()
-    assert "yours alone" in estop.Ears().deaf
+    assert "yours alone" in estop.StopListener().unavailable
 
 
 def test_a_warning_that_is_an_error_leaves_nothing_open(
@@ -283,7 +283,7 @@ def test_a_folder_that_cannot_be_is_one_line(
     code, output, error = estop_command(capsys, monkeypatch)
     assert (code, output, error.count("\n")) == (3, "", 1)
     assert error.startswith(f"acsar-gym: {base}/acsar_gym-{os.getuid()}: {said}")
-    assert said in estop.Ears().deaf
+    assert said in estop.StopListener().unavailable
 
 
 @pytest.fixture
@@ -299,26 +299,26 @@ def usual(place: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Path]:
 
 
 def test_a_process_of_two_folders_is_one(usual: tuple[Path, Path]) -> None:
-    ears = estop.Ears()
-    assert {path.parent.parent for path in ears.paths} == set(usual)
-    thread = answering(ears)
+    listener = estop.StopListener()
+    assert {path.parent.parent for path in listener.paths} == set(usual)
+    thread = answering(listener)
     assert estop.stop_all() == [estop.Stopped(os.getpid(), answered=True)]
     thread.join()
     assert doctor.emergency_stop().status == "ok"
-    ears.close()
+    listener.close()
 
 
 @pytest.mark.parametrize("missing", [0, 1], ids=["before the login", "somebody else's"])
 def test_one_of_the_folders_is_enough(missing: int, usual: tuple[Path, Path]) -> None:
     name = f"acsar_gym-{os.getuid()}"
     (usual[missing] / name).write_text("")  # a driver that can't use it
-    ears = estop.Ears()
-    assert not ears.deaf
+    listener = estop.StopListener()
+    assert not listener.unavailable
     (usual[missing] / name).unlink()
-    thread = answering(ears)
+    thread = answering(listener)
     assert estop.stop_all() == [estop.Stopped(os.getpid(), answered=True)]
     thread.join()
-    ears.close()
+    listener.close()
 
 
 def test_a_session_that_others_can_write_to_is_not_used(usual: tuple[Path, Path]) -> None:

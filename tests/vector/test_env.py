@@ -20,7 +20,7 @@ from acsar_gym.envs import ObstacleGoalVectorEnv, PointGoalVectorEnv
 from acsar_gym.errors import CommandError, ConfigError
 from acsar_gym.vector.env import RobotVectorEnv
 from acsar_gym.vector.kernel import episode, layout
-from acsar_gym.vector.threads import Crew
+from acsar_gym.vector.threads import Threads
 
 ENV_ID = "acsar_gym/PointGoal-v0"
 
@@ -160,8 +160,8 @@ class LostReport:
     """Reports of a batch's threads; Ctrl-C comes twice while one of them is waited for."""
 
     def __init__(self, env: RobotVectorEnv, call: int) -> None:
-        self.reports, self.calls = env._crew._reports, call
-        env._crew._reports = self  # type: ignore[assignment]
+        self.reports, self.calls = env._threads._reports, call
+        env._threads._reports = self  # type: ignore[assignment]
 
     def get(self) -> Any:
         self.calls -= 1
@@ -184,7 +184,7 @@ def test_after_ctrl_c_a_seeded_reset_begins_anew(place: str) -> None:
     options: dict[str, Any] = {"worlds": "open:3", "max_episode_steps": 20, "threads": 1}
     expected = rollout(ObstacleGoalVectorEnv(40, **options))
     env = ObstacleGoalVectorEnv(40, **options)
-    env._crew = Crew(3)
+    env._threads = Threads(3)
     INTERRUPTS[place](env)
     with pytest.raises(KeyboardInterrupt):
         rollout(env, seed=99)

@@ -11,12 +11,12 @@ from typing import Any
 
 import pytest
 
-from acsar_gym.vector.threads import Crew
+from acsar_gym.vector.threads import Threads
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3, 7])
 def test_every_item_is_done_once(threads: int) -> None:
-    crew = Crew(threads)
+    pool = Threads(threads)
     done = [0] * 100
 
     def work(first: int, last: int) -> None:
@@ -24,13 +24,13 @@ def test_every_item_is_done_once(threads: int) -> None:
             done[item] += 1
 
     for _ in range(50):
-        crew.share(work, 100)
-    crew.close()
+        pool.share(work, 100)
+    pool.close()
     assert done == [50] * 100
 
 
-def test_an_error_of_any_share_is_raised_and_the_crew_goes_on() -> None:
-    crew = Crew(3)
+def test_an_error_of_any_share_is_raised_and_the_pool_goes_on() -> None:
+    pool = Threads(3)
 
     def fail(first: int, last: int) -> None:
         if last == 30:
@@ -38,31 +38,31 @@ def test_an_error_of_any_share_is_raised_and_the_crew_goes_on() -> None:
 
     for _ in range(3):
         with pytest.raises(ValueError, match="the last share"):
-            crew.share(fail, 30)
-    crew.share(lambda *_: None, 30)
-    crew.close()
+            pool.share(fail, 30)
+    pool.share(lambda *_: None, 30)
+    pool.close()
 
 
-def test_a_closed_crew_leaves_no_thread_and_works_on_alone() -> None:
+def test_a_closed_pool_leaves_no_thread_and_works_on_alone() -> None:
     before = threading.active_count()
-    crew = Crew(4)
-    crew.close()
-    crew.close()
+    pool = Threads(4)
+    pool.close()
+    pool.close()
     for thread in threading.enumerate():
         if thread is not threading.current_thread() and thread.daemon:
             thread.join(0.2)
     assert threading.active_count() <= before
     seen: list[tuple[int, int]] = []
-    crew.share(lambda first, last: seen.append((first, last)), 9)
+    pool.share(lambda first, last: seen.append((first, last)), 9)
     assert seen == [(0, 9)]
 
 
-def test_a_crew_that_is_dropped_leaves_no_thread() -> None:
+def test_a_pool_that_is_dropped_leaves_no_thread() -> None:
     before = set(threading.enumerate())
-    crew = Crew(3)
+    pool = Threads(3)
     new = [thread for thread in threading.enumerate() if thread not in before]
     assert len(new) == 2
-    del crew
+    del pool
     for thread in new:
         thread.join(5.0)
     assert not any(thread.is_alive() for thread in new)
@@ -85,7 +85,7 @@ class Interrupted:
 @pytest.mark.parametrize("old", [False, True], ids=["at once", "after an old report"])
 def test_no_thread_works_on_after_an_interrupt(old: bool) -> None:
     """However the wait for the others ends, the next orders wait for the old ones."""
-    crew, held, ended = Crew(3), threading.Event(), []
+    pool, held, ended = Threads(3), threading.Event(), []
 
     def slow(first: int, last: int) -> None:
         if first > 0:
@@ -93,22 +93,22 @@ def test_no_thread_works_on_after_an_interrupt(old: bool) -> None:
             ended.append(first)
 
     if old:
-        crew._reports.put((-1, None))
-        crew._reports = Interrupted(crew._reports, 2, 3)  # type: ignore[assignment]
+        pool._reports.put((-1, None))
+        pool._reports = Interrupted(pool._reports, 2, 3)  # type: ignore[assignment]
     else:
-        crew._reports = Interrupted(crew._reports, 1, 2)  # type: ignore[assignment]
+        pool._reports = Interrupted(pool._reports, 1, 2)  # type: ignore[assignment]
     with pytest.raises(KeyboardInterrupt):
-        crew.share(slow, 90)
+        pool.share(slow, 90)
     assert ended == []
     seen: list[int] = []
     threading.Timer(0.05, held.set).start()
-    crew.share(lambda first, _: seen.append(len(ended)), 90)
+    pool.share(lambda first, _: seen.append(len(ended)), 90)
     assert seen == [2, 2, 2]
-    crew.close()
+    pool.close()
 
 
 def test_an_interrupt_of_the_callers_own_share_waits_for_the_others() -> None:
-    crew, ended = Crew(3), []
+    pool, ended = Threads(3), []
 
     def work(first: int, last: int) -> None:
         if first == 0:
@@ -117,14 +117,14 @@ def test_an_interrupt_of_the_callers_own_share_waits_for_the_others() -> None:
 
     for number in range(1, 4):
         with pytest.raises(KeyboardInterrupt):
-            crew.share(work, 90)
+            pool.share(work, 90)
         assert len(ended) == 2 * number
-    crew.close()
+    pool.close()
 
 
 def test_an_interrupt_while_orders_are_handed_out_leaves_nothing_behind() -> None:
-    crew, done = Crew(3), []
-    orders = crew._orders[1]
+    pool, done = Threads(3), []
+    orders = pool._orders[1]
     put, calls = orders.put, []
 
     class Once:
@@ -136,40 +136,40 @@ def test_an_interrupt_while_orders_are_handed_out_leaves_nothing_behind() -> Non
                 raise KeyboardInterrupt
             put(order)
 
-    crew._orders[1] = Once()  # type: ignore[call-overload]
+    pool._orders[1] = Once()  # type: ignore[call-overload]
     with pytest.raises(KeyboardInterrupt):
-        crew.share(lambda *_: None, 90)
+        pool.share(lambda *_: None, 90)
     for _ in range(3):
-        crew.share(lambda first, last: done.append(last - first), 90)
+        pool.share(lambda first, last: done.append(last - first), 90)
     assert sum(done) == 270
-    crew.close()
+    pool.close()
 
 
 def test_an_old_error_is_not_raised_by_a_later_call() -> None:
-    crew = Crew(2)
+    pool = Threads(2)
 
     def fail(first: int, last: int) -> None:
         if first > 0:
             raise ValueError("of an interrupted call")
 
-    crew._reports = Interrupted(crew._reports, 1, 2)  # type: ignore[assignment]
+    pool._reports = Interrupted(pool._reports, 1, 2)  # type: ignore[assignment]
     with pytest.raises(KeyboardInterrupt):
-        crew.share(fail, 90)
-    crew.share(lambda *_: None, 90)
-    crew.close()
+        pool.share(fail, 90)
+    pool.share(lambda *_: None, 90)
+    pool.close()
 
 
 FORK = """
 import os, sys
-from acsar_gym.vector.threads import Crew
-crew = Crew(3)
+from acsar_gym.vector.threads import Threads
+pool = Threads(3)
 def total(first, last):
     done.append(last - first)
 done = []
-crew.share(total, 90)
+pool.share(total, 90)
 if os.fork() == 0:
     done = []
-    crew.share(total, 90)
+    pool.share(total, 90)
     os._exit(0 if sum(done) == 90 else 1)
 sys.exit(os.waitstatus_to_exitcode(os.wait()[1]))
 """

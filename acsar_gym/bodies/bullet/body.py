@@ -149,7 +149,7 @@ class BulletBody:
         forward = vx * math.cos(theta) + vy * math.sin(theta)
         return GroundTruth((x, y, theta), (forward, rate), self._touched)
 
-    def image(self, width: int, height: int) -> Image | None:
+    def image(self, width: int, height: int) -> Image:
         """PyBullet's camera, behind and above the robot."""
         self._seen = True
         self._statics.paint()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, ParseError
@@ -10,7 +11,6 @@ from xml.etree.ElementTree import Element, ParseError
 import defusedxml.ElementTree
 from defusedxml.common import DefusedXmlException
 
-from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, shown, suggestion
 from acsar_gym.reading import bounded, structured
 from acsar_gym.resources import ASSETS
@@ -25,27 +25,24 @@ DRIVER_CONTROL_RATE = "20"
 """A rate that this baud rate can carry, where the URDF has none either [Hz]."""
 
 
-def preset(name: str) -> RobotConfig:
-    """The preset of that name in assets/robots; ConfigError names the nearest one."""
+def preset(name: str) -> Path:
+    """The file of the preset of that name; ConfigError names the nearest one."""
     known = {path.stem: path for path in (ASSETS / "robots").glob("*.yaml")}
     if not isinstance(name, str) or name not in known:
         near = suggestion(str(name)[:40] if isinstance(name, str) else "", known)
         raise ConfigError(f"unknown robot preset {shown(name)}{near}")
-    return load(known[name])
+    return known[name]
 
 
-def load(path: Path) -> RobotConfig:
-    """A RobotConfig from a `.yaml`, `.yml` or `.urdf` file."""
-    readers = {".yaml": _from_yaml, ".yml": _from_yaml, ".urdf": _from_urdf}
-    reader = readers.get(path.suffix)
-    if reader is None:
-        raise ConfigError(
-            f"{path}: a robot is read from .yaml, .yml or .urdf (expand .xacro first)"
-        )
-    try:
-        return RobotConfig(**reader(structured.decoded(bounded.content(path, MOST_BYTES))))
-    except ConfigError as error:
-        raise ConfigError(f"{path}: {error}") from None
+def fields(path: Path, params: Sequence[str]) -> dict[str, Any]:
+    """Fields of a robot from a `.yaml`, `.yml` or `.urdf` file, not validated yet.
+
+    `params` are the names that a URDF may use. Raises ConfigError, without the file's name.
+    """
+    if path.suffix not in (".yaml", ".yml", ".urdf"):
+        raise ConfigError("a robot is read from .yaml, .yml or .urdf (expand .xacro first)")
+    text = structured.decoded(bounded.content(path, MOST_BYTES))
+    return _from_urdf(text, params) if path.suffix == ".urdf" else _from_yaml(text)
 
 
 def _from_yaml(text: str) -> dict[str, Any]:
@@ -56,13 +53,13 @@ def _from_yaml(text: str) -> dict[str, Any]:
     return data
 
 
-def _from_urdf(text: str) -> dict[str, Any]:
+def _from_urdf(text: str, names: Sequence[str]) -> dict[str, Any]:
     try:
         root = defusedxml.ElementTree.fromstring(text)
     except (ParseError, DefusedXmlException, ValueError) as error:
         raise ConfigError(f"not a valid URDF: {error}") from None
     # A robot with an arm has several blocks: ours is the one whose parameters we know.
-    blocks = [_params(hardware) for hardware in root.iterfind(".//ros2_control/hardware")]
+    blocks = [_params(hardware, names) for hardware in root.iterfind(".//ros2_control/hardware")]
     if not blocks:
         raise ConfigError("has no <ros2_control><hardware> block to take the parameters from")
     known: dict[str, Any] = max(blocks, key=len)
@@ -71,24 +68,21 @@ def _from_urdf(text: str) -> dict[str, Any]:
     return {"baud_rate": DRIVER_BAUD_RATE, "control_rate": DRIVER_CONTROL_RATE, **known}
 
 
-def _params(hardware: Element) -> dict[str, Any]:
+def _params(hardware: Element, names: Sequence[str]) -> dict[str, Any]:
     params = hardware.findall("param")
     if len(params) > MOST_PARAMS:
         raise ConfigError(f"has a hardware block of {len(params):,} params: remove those not used")
-    found = map(_param, params)
+    found = (_param(param, names) for param in params)
     return {name: value for name, value in found if name is not None}
 
 
-def _param(element: Element) -> tuple[str | None, str]:
+def _param(element: Element, names: Sequence[str]) -> tuple[str | None, str]:
     """Name and value; the name is None for a parameter that belongs to some other plugin."""
     name = element.get("name", "")
     value = (element.text or "").strip()
-    fields = [
-        f for f in RobotConfig.model_fields if f not in ("motor", "encoder", "firmware", "body")
-    ]
-    if name in fields:
+    if name in names:
         return name, value
-    near = difflib.get_close_matches(name, fields, n=1, cutoff=0.85)
+    near = difflib.get_close_matches(name, names, n=1, cutoff=0.85)
     if near:
         raise ConfigError(f"unknown param {name!r}; did you mean {near[0]!r}?")
     return None, value

@@ -1,0 +1,75 @@
+"""The table of commands, and the entry point that runs one of them."""
+
+from __future__ import annotations
+
+import io
+import sys
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import tyro
+
+import acsar_gym
+from acsar_gym.cli.devices import doctor, drive, emulate, estop
+from acsar_gym.cli.policies import evaluate, export, run, train
+from acsar_gym.cli.tools import bench, demo, warm_up
+from acsar_gym.cli.worlds import worlds
+from acsar_gym.errors import AcsarError, SafetyWarning, printable
+
+FORMAT = warnings.formatwarning
+
+COMMANDS: dict[str, Callable[..., Any]] = {
+    "demo": demo,
+    "bench": bench,
+    "emulate": emulate,
+    "doctor": doctor,
+    "drive": drive,
+    "estop": estop,
+    "train": train,
+    "evaluate": evaluate,
+    "run": run,
+    "export": export,
+    "worlds": worlds,
+    "warm-up": warm_up,
+}
+
+
+def _one_line(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    line: str | None = None,
+) -> str:
+    """A warning of this package for the terminal; others as Python shows them."""
+    if issubclass(category, SafetyWarning):
+        return f"acsar-gym: {printable(str(message))}\n"
+    return FORMAT(message, category, filename, lineno, line)
+
+
+def main() -> None:
+    """Entry point: errors of this package become one line and an exit code."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # what a terminal can't show is no error
+            stream.reconfigure(errors="backslashreplace")
+    warnings.formatwarning = _one_line
+    try:
+        if sys.argv[1:] == ["--version"]:
+            print(f"acsar-gym {acsar_gym.__version__}")
+            code = 0
+        elif sys.argv[1:2] == ["train"]:
+            code = train()
+        elif sys.argv[1:2] == ["worlds"]:
+            code = worlds()
+        else:
+            code = tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="acsar-gym")
+    except AcsarError as error:
+        print(f"acsar-gym: {printable(str(error))}", file=sys.stderr)
+        code = error.exit_code
+    except KeyboardInterrupt:
+        driving = sys.argv[1:2] in (["drive"], ["run"], ["evaluate"], ["doctor"])
+        stopped = ", the wheels were commanded to stop" if driving else ""
+        print(f"\nacsar-gym: interrupted{stopped}", file=sys.stderr)
+        code = 130
+    sys.exit(code)

@@ -1,0 +1,194 @@
+"""One robot, real or emulated: emulate it, examine it, drive it, stop it."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from acsar_gym.cli.options import (
+    File,
+    HostArgs,
+    Json,
+    RobotArg,
+    Seconds,
+    StoppingArgs,
+    StoppingOptions,
+    TimingArgs,
+    TimingOptions,
+    Worlds,
+)
+from acsar_gym.config import RobotConfig
+
+if TYPE_CHECKING:
+    from acsar_gym.emulation.board import Emulator
+
+Device = Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="DEVICE")]
+
+
+def emulate(
+    robot: RobotArg = None,
+    body: str = "planar",
+    log: File = None,
+    duration: Seconds = None,
+    silent: bool = False,
+    world: Worlds = None,
+    lidar: bool = False,
+    name: File = None,
+) -> int:
+    """Run the microcontroller's twin on a pseudo-terminal and print its device path.
+
+    SIGUSR1 pulls the cable, SIGUSR2 plugs it in again as another device.
+
+    Args:
+        robot: preset or config file of the emulated robot.
+        body: physics behind it, planar or bullet.
+        log: write commands and true poses here, one JSON line each.
+        duration: seconds to run; without it, until Ctrl-C.
+        silent: never answer, as a board without power.
+        world: where the robot stands: a file, or a generated world like clutter:7-7.
+        lidar: emulate an RPLIDAR on a pseudo-terminal of its own, too.
+        name: symbolic link to the device, wherever it is plugged in.
+    """
+    from acsar_gym.emulation.board import Emulator  # noqa: PLC0415
+    from acsar_gym.worlds.pool import Pool  # noqa: PLC0415
+    from acsar_gym.worlds.search import footprint_radius  # noqa: PLC0415
+
+    config = RobotConfig.of(robot)
+    worlds = None if world is None else Pool.of(world, None, footprint_radius(config), 1)
+    one = next(iter(worlds)) if worlds else None
+    with Emulator(
+        config, body=body, log=log, silent=silent, world=one, sees=lidar, name=name
+    ) as emulator:
+        ended = _heeded(emulator)
+        print(f"serving a robot on {emulator.device}", flush=True)
+        if lidar:
+            print(f"serving a LiDAR on {emulator.lidar_device}", flush=True)
+        emulator.run(duration, until=lambda: bool(ended))
+    return 0
+
+
+def _heeded(emulator: Emulator) -> list[int]:
+    """Let signals pull and plug the cable; the list gets SIGTERM's number when it comes.
+
+    An exception from a signal's handler may be swallowed.
+    """
+    ended: list[int] = []
+    signal.signal(signal.SIGTERM, lambda number, _: ended.append(number))
+    for number, plugged in ((signal.SIGUSR1, False), (signal.SIGUSR2, True)):
+        signal.signal(number, lambda *_, to=plugged: setattr(emulator, "plugged", to))
+    return ended
+
+
+def doctor(
+    timing: TimingArgs,
+    stopping: StoppingArgs,
+    host: HostArgs,
+    device: Device = None,
+    robot: RobotArg = None,
+    baud_rate: int | None = None,
+    spin: bool = False,
+    json: Json = None,
+) -> int:
+    """List the serial ports, examine one, and say what to fix.
+
+    Args:
+        timing: of the control loop.
+        stopping: of an emulated robot.
+        host: this computer.
+        device: serial device to open; without it, ports are only listed.
+        robot: preset or config file.
+        baud_rate: instead of the robot's own.
+        spin: turn the wheels to measure the round trip and the command time-out: lift the robot!
+        json: write the findings here too.
+    """
+    from acsar_gym.evaluation import report  # noqa: PLC0415
+
+    config = RobotConfig.of(robot)
+    if baud_rate is not None:
+        config = config.with_(baud_rate=baud_rate)
+    device = device or config.serial_port
+    report.check_writable(json)
+    host.prepare()
+    if stopping.stopping:
+        return _stopping(config, stopping, json)
+    if timing.timing:
+        return _timing(device, config, timing, json)
+    return _checks(device, config, json, spin=spin)
+
+
+def _checks(device: str | None, config: RobotConfig, json: Path | None, *, spin: bool) -> int:
+    from acsar_gym.doctor import checks, wire  # noqa: PLC0415
+    from acsar_gym.evaluation import report  # noqa: PLC0415
+
+    found = [checks.port_list(), checks.emergency_stop()]
+    if device is not None:
+        found += wire.examine(device, config, spin=spin)
+    report.show(checks.table(found))
+    report.write_json(json, checks.as_json(found))
+    return 1 if any(check.status == "fail" for check in found) else 0
+
+
+def _stopping(config: RobotConfig, options: StoppingOptions, json: Path | None) -> int:
+    from acsar_gym.doctor import stopping  # noqa: PLC0415
+    from acsar_gym.evaluation import report  # noqa: PLC0415
+
+    stops = stopping.measure_visibly(options.trials, options.kinds, config)
+    report.show(stopping.table(stops))
+    report.write_json(json, stopping.as_json(stops))
+    return 0 if all(one.sound for one in stops) else 1
+
+
+def _timing(
+    device: str | None, config: RobotConfig, options: TimingOptions, json: Path | None
+) -> int:
+    from acsar_gym.doctor import timing  # noqa: PLC0415
+    from acsar_gym.evaluation import report  # noqa: PLC0415
+
+    found = timing.examine(device, config, options.duration)
+    report.show(*found.tables())
+    report.write_json(json, found.as_dict())
+    return 0
+
+
+def drive(
+    host: HostArgs,
+    link: str = "bullet",
+    robot: RobotArg = None,
+    linear: float | None = None,
+    angular: float | None = None,
+    duration: Seconds = None,
+    window: bool = False,
+) -> int:
+    """Drive with the keyboard, or hold a fixed twist, over any link.
+
+    Args:
+        host: this computer.
+        link: bullet, planar, or a serial device.
+        robot: preset or config file.
+        linear: fixed linear speed, at most the robot's max_linear [m/s].
+        angular: fixed angular speed, at most the robot's max_angular [rad/s].
+        duration: seconds to hold the fixed twist; without it, until Ctrl-C.
+        window: open PyBullet's window.
+    """
+    from acsar_gym import teleop  # noqa: PLC0415
+    from acsar_gym.links import open_link  # noqa: PLC0415
+    from acsar_gym.robot import Robot  # noqa: PLC0415
+
+    config = RobotConfig.of(robot)
+    driver = Robot(open_link(link, config, window=window, realtime=True), config)
+    host.prepare()
+    if linear is None and angular is None:
+        teleop.keyboard(driver)
+    else:
+        teleop.fixed(driver, linear or 0.0, angular or 0.0, duration)
+    return 0
+
+
+def estop() -> int:
+    """Stop every real robot that you are driving from this computer, whatever drives it."""
+    from acsar_gym.safety import estop as stops  # noqa: PLC0415
+
+    return stops.command()

@@ -1,0 +1,123 @@
+"""Policies: train one, evaluate it, drive it to a goal, convert it."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from acsar_gym.cli.options import (
+    EnvArg,
+    File,
+    HostArgs,
+    Json,
+    OutFile,
+    PolicyArgs,
+    RobotArg,
+    RobotArgs,
+    WorldArgs,
+)
+from acsar_gym.errors import printable
+
+
+def train() -> int:
+    """Train PPO and export the policy: agents/train.py, with its own options."""
+    from acsar_gym.resources import agent  # noqa: PLC0415
+
+    return int(agent("train").main(sys.argv[2:]))
+
+
+def evaluate(
+    policy: PolicyArgs,
+    robot: RobotArgs,
+    worlds: WorldArgs,
+    host: HostArgs,
+    episodes: int = 100,
+    seed: int = 0,
+    late_share: float = 0.01,
+    json: Json = None,
+) -> int:
+    """Run a policy for some episodes behind any link and print what it reached.
+
+    Args:
+        policy: what decides.
+        robot: link, robot and LiDAR.
+        worlds: where.
+        host: this computer.
+        episodes: how many.
+        seed: of the first episode; the next ones count up.
+        late_share: an episode of which more ticks were late is marked as invalid.
+        json: write the figures and every episode here too.
+    """
+    from acsar_gym.evaluation import report, runs  # noqa: PLC0415
+
+    report.check_writable(json)
+    host.prepare()
+    seeds = runs.seeds(seed, episodes)
+    loaded = runs.load(policy.policy, trust=policy.trust, env=policy.env)
+    options = {"worlds": worlds.worlds, "difficulty": worlds.difficulty, "lidar": robot.lidar}
+    how = {"in_order": worlds.in_order, "late_share": late_share}
+    done = runs.drive(loaded, robot.link, robot.robot, seeds, how=how, **options)
+    title = f"{policy.policy}, seeds {seed} to {seed + episodes - 1}, worlds: {done.worlds}"
+    report.show(report.summary_table(title, [(robot.link, done.summary)]))
+    report.show(report.interval_table(title, done.summary))
+    report.write_json(json, done.as_dict())
+    return 0
+
+
+def run(
+    goal: Annotated[tuple[float, float], tyro.conf.Positional, tyro.conf.arg(metavar="X Y")],
+    policy: PolicyArgs,
+    robot: RobotArgs,
+    host: HostArgs,
+    record: File = None,
+    json: Json = None,
+) -> int:
+    """Drive a policy to one goal (x y, in m, from where the robot stands).
+
+    Args:
+        goal: x and y in the odometry frame [m]: x ahead, y to the left.
+        policy: what decides.
+        robot: link, robot and LiDAR.
+        host: this computer.
+        record: write everything on the wire here; replay it with --link replay:FILE.
+        json: write the figures here too.
+    """
+    from acsar_gym.evaluation import report, runs  # noqa: PLC0415
+
+    report.check_writable(json)
+    host.prepare()
+    loaded = runs.load(policy.policy, trust=policy.trust, env=policy.env)
+    done = runs.to_goal(loaded, robot.link, robot.robot, goal, record, lidar=robot.lidar)
+    title = f"{policy.policy} to ({goal[0]:g}, {goal[1]:g}), worlds: {done.worlds}"
+    report.show(report.summary_table(title, [(robot.link, done.summary)]))
+    report.write_json(json, done.as_dict())
+    return 0 if done.results[0].success else 1
+
+
+def export(
+    model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")],
+    out: OutFile,
+    trust: bool = False,
+    env: EnvArg = "",
+    robot: RobotArg = None,
+    vecnormalize: Annotated[str | None, tyro.conf.arg(metavar="FILE|none")] = None,
+) -> int:
+    """Convert a stable-baselines3 zip to an ONNX policy, which runs no code when it's loaded.
+
+    Args:
+        model: zip of PPO, A2C, SAC, TD3 or DDPG.
+        out: the ONNX file.
+        trust: let the zip run its code: only your own, or whose you trust.
+        env: what it was trained for, such as point_goal; models of 'acsar-gym train' know it.
+        robot: preset or config file of the robot that it was trained on.
+        vecnormalize: statistics of the VecNormalize that it was trained with; run as code, too.
+    """
+    from acsar_gym.evaluation import report, runs  # noqa: PLC0415
+
+    report.check_writable(out)
+    runs.export(model, out, env, robot, trust=trust, vecnormalize=vecnormalize)
+    print(printable(f"written: {out}"))
+    return 0

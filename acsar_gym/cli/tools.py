@@ -1,0 +1,84 @@
+"""The demo, the benchmark, and compiling ahead of time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from acsar_gym.cli.options import File, Json, RobotArg
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import ConfigError, printable, shown
+
+MOST_COUNT = 10**9
+"""Of what a command counts: steps, episodes."""
+
+
+def demo(
+    steps: int = 600_000,
+    episodes: int = 100,
+    serial_episodes: int = 16,
+    out: Path = Path("runs/demo"),
+    json: Json = None,
+) -> int:
+    """Train a policy, drive it in PyBullet, then over a serial device; print one table.
+
+    Args:
+        steps: env steps of training.
+        episodes: episodes in PyBullet.
+        serial_episodes: episodes over the emulator's tty, in real time.
+        out: folder for the policy and the logs.
+        json: write the table's figures here too.
+    """
+    from acsar_gym import demo as demos  # noqa: PLC0415
+    from acsar_gym.evaluation import report  # noqa: PLC0415
+
+    report.check_writable(json)
+    counts = {"--steps": steps, "--episodes": episodes, "--serial-episodes": serial_episodes}
+    for name, count in counts.items():
+        if not 1 <= count <= MOST_COUNT:
+            raise ConfigError(f"{name} = {shown(count)}: must be 1 to {MOST_COUNT:,}")
+    report.make_folder(out)
+    runs = demos.run(steps, episodes, serial_episodes, out)
+    rows = [(name, run.summary) for name, run in runs]
+    title = f"One policy file, {out / 'policy.onnx'}, worlds: {runs[0][1].worlds}"
+    report.show(report.summary_table(title, rows))
+    report.write_json(json, {name: run.as_dict() for name, run in runs})
+    return 0 if all(summary.success_rate >= 0.95 for _, summary in rows) else 1
+
+
+def bench(json: Json = None, plots: File = None) -> int:
+    """Measure env, wire and engine side by side.
+
+    Args:
+        json: write the figures here too.
+        plots: folder for plots of the planar robot against PyBullet's.
+    """
+    from acsar_gym.bench import comparison  # noqa: PLC0415
+    from acsar_gym.bench import env as benchmark  # noqa: PLC0415
+    from acsar_gym.evaluation import report  # noqa: PLC0415
+
+    report.check_writable(json)
+    figures = benchmark.measure()
+    report.show(benchmark.table(figures))
+    report.write_json(json, {f"{f.name} [{f.unit}]": f.value for f in figures})
+    for file in comparison.plot(plots, RobotConfig.of(None)) if plots else ():
+        print(printable(f"drawn: {file}"))
+    return 0
+
+
+def warm_up(robot: RobotArg = None) -> int:
+    """Compile all loops and make the default worlds now, instead of when they are first used.
+
+    Args:
+        robot: preset or config file; generated worlds fit its footprint.
+    """
+    from acsar_gym.envs import warm_up as warm  # noqa: PLC0415
+
+    found = []
+    for name in warm.BATCHES:
+        print(f"{name}: ", end="", flush=True)
+        found.append(done := warm.run(name, robot))
+        worlds = f", {done.worlds} worlds at hand" if done.worlds else ""
+        print(f"{done.functions} functions compiled{worlds}, {done.seconds:.1f} s", flush=True)
+    total, seconds = sum(done.functions for done in found), sum(done.seconds for done in found)
+    print(f"ready in {seconds:.1f} s" + ("" if total else ": everything had been compiled before"))
+    return 0

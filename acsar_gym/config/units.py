@@ -1,0 +1,19 @@
+"""Types of fields: numbers with a unit and a range, and names."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+Length = Annotated[float, Field(gt=0.0, le=100.0)]
+"""[m]"""
+Offset = Annotated[float, Field(ge=-100.0, le=100.0)]
+"""[m]"""
+Speed = Annotated[float, Field(gt=0.0, le=1e3)]
+"""[m/s] or [rad/s]"""
+Rate = Annotated[float, Field(gt=0.0, le=1e4)]
+"""[Hz]"""
+Wait = Annotated[float, Field(gt=0.0, le=3600.0)]
+"""At most an hour [s]."""
+Name = Annotated[str, Field(max_length=1000)]

@@ -1,0 +1,44 @@
+"""The wait for a board that has just been opened, and what its silence may mean."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from acsar_gym.config import BAUD_RATES, RobotConfig
+from acsar_gym.errors import BoardGarbledError, BoardSilentError
+from acsar_gym.protocol import Decoder
+
+POLL = 0.01
+"""How often activation looks for the first valid line [s]."""
+
+
+def wait_for_board(read: Callable[[], bytes], device: str, config: RobotConfig) -> None:
+    """Return with the board's first valid line; `read` gives what has arrived.
+
+    Raises BoardSilentError or BoardGarbledError after the config's `connect_timeout`.
+    """
+    decoder = Decoder()
+    heard = 0
+    deadline = time.monotonic() + config.connect_timeout
+    while not decoder.lines:
+        if time.monotonic() > deadline:
+            raise _no_board(device, config, heard)
+        time.sleep(POLL)
+        data = read()
+        heard += len(data)
+        decoder.feed(data)
+
+
+def _no_board(device: str, config: RobotConfig, heard: int) -> BoardSilentError:
+    waited, baud = config.connect_timeout, config.baud_rate
+    if heard:
+        others = ", ".join(str(rate) for rate in BAUD_RATES if rate != baud)
+        return BoardGarbledError(
+            f"{device}: {heard} bytes in {waited:g} s at {baud} baud, but no valid line",
+            f"the board probably uses another baud_rate ({others})",
+        )
+    return BoardSilentError(
+        f"{device}: no byte from the board in {waited:g} s",
+        "check its power and cable, and the port's name (acsar-gym doctor lists them)",
+    )
