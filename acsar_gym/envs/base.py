@@ -6,7 +6,7 @@ import contextlib
 import copy
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Self
 
 import gymnasium
@@ -28,12 +28,14 @@ from acsar_gym.errors import (
     RenderError,
     shown,
 )
-from acsar_gym.lidars.base import Lidar, Scan, open_lidar, stale_after
+from acsar_gym.lidars.base import Lidar, LidarSensor, Scan
+from acsar_gym.lidars.factory import factories
 from acsar_gym.links import Link, open_link
 from acsar_gym.links.fault_injection import FaultyLink
 from acsar_gym.links.faults import Faults
 from acsar_gym.render.renderer import Screen
 from acsar_gym.robot import Robot
+from acsar_gym.sensors import Factory, Sensor
 from acsar_gym.tasks import Course, Observation, Outcome, State, Task
 from acsar_gym.tasks.spaces import task_spaces
 from acsar_gym.vector.specs import PlainSpec
@@ -76,6 +78,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         robot: RobotSource = None,
         *,
         lidar: str | Lidar | None = None,
+        sensors: Sequence[str | Sensor | Factory] = (),
         policy_rate: float = 10.0,
         render_mode: str | None = None,
         view: str = "top",
@@ -92,16 +95,17 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         wire = self._link(link, config)
         self._faulty = _faulty(wire, Faults.of(faults))
         self._truncates = _truncates(on_fault)
-        self.robot = Robot(self._faulty or wire, config)
-        if lidar is not None and not self.task.sees:
+        named = (*(("lidar",) if self.task.sees else ()), *sensors)
+        if lidar is not None and "lidar" not in named:
             raise ConfigError(f"lidar = {shown(lidar)}: {self.task.id} uses none")
-        self.lidar = open_lidar(lidar, self.robot.link, config) if self.task.sees else None
+        self.robot = Robot(self._faulty or wire, config, factories(named, lidar))
         self.action_space: Any
         self.observation_space: Any
-        self.action_space, self.observation_space = task_spaces(self.task, config)
+        self.action_space, self.observation_space = task_spaces(
+            self.task, config, self.robot.sensors
+        )
         self._screen = Screen(config, None if self._bullets_window(link) else render_mode, view)
         self._course: Course | None = None
-        self._scan: Scan | None = None
         self._told_last: tuple[Observation, Info] | None = None
 
     def _check_rendering(self, link: Any, view: str) -> None:
@@ -128,7 +132,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, Info]:
-        """Begin an episode; opens link and LiDAR the first time. See the class for `options`."""
+        """Begin an episode; opens link and sensors the first time. See the class for `options`."""
         self._halt()
         self._told_last = None
         super().reset(seed=seed)
@@ -136,10 +140,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
             self._faulty.seed(self.np_random)
         self._course = course = self.task.begin(self.np_random, {} if options is None else options)
         scene = Scene(goal=course.assignment.goal, world=course.assignment.world)
-        self.robot.reset(scene)
-        if self.lidar is not None:
-            self._see(lambda lidar: lidar.reset(scene, self.np_random))
-            self._see(self._look)
+        self.robot.reset(scene, self.np_random)
         state = self._state((0.0, 0.0), self.robot.link.truth)
         self._screen.begin(course.assignment, course.tolerance)
         return self._told(course, state, Outcome.GOING)
@@ -181,20 +182,12 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
     def _drive(self, linear: float, angular: float) -> None:
         for _ in range(self.ticks_per_step):
             self.robot.drive(linear, angular)
-            if self.lidar is not None:
-                self._see(self._look)
 
-    def _look(self, lidar: Lidar) -> None:
-        self._scan = lidar.scan()
-
-    def _see(self, use: Callable[[Lidar], None]) -> None:
-        """Use the LiDAR; whatever goes wrong with it stops the robot."""
-        try:
-            if self.lidar is not None:
-                use(self.lidar)
-        except BaseException:
-            self.robot.deactivate()
-            raise
+    @property
+    def _scan(self) -> Scan | None:
+        """The LiDAR's newest scan; None without one."""
+        first = self.robot.sensors[0] if self.robot.sensors else None
+        return first.scan if isinstance(first, LidarSensor) else None
 
     def _checked(self, action: NDArray[np.float32]) -> tuple[float, float]:
         """The action as two floats in [-1, 1]; stops the wheels and raises for anything else."""
@@ -226,11 +219,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         return told
 
     def _observation(self, course: Course, state: State) -> Observation:
-        numbers = course.observe(state)
-        if self._scan is None:
-            return np.array(numbers, np.float32)
-        shares = self._scan.ranges / self.robot.config.lidar.max_range
-        return np.concatenate([numbers, shares]).astype(np.float32)
+        return np.concatenate([course.observe(state), self.robot.read()]).astype(np.float32)
 
     def _info(self, course: Course, state: State, outcome: Outcome) -> Info:
         (x, y, theta), truth = state.pose, state.truth
@@ -252,10 +241,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         } | course.info(state, true_pose)
         if self._faulty is not None or truth is None:
             info["fault"] = 0.0
-        if self._scan is not None:
-            age = self.robot.link.now() - self._scan.stamp
-            info["scan_age"] = age
-            info["scan_stale"] = float(age > stale_after(self.robot.config))
+        self.robot.tell(info)
         return info
 
     @property
@@ -274,18 +260,16 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         return self._screen.picture(self.robot.link)
 
     def close(self) -> None:
-        """Stop the wheels, close link, LiDAR and window; twice is once."""
+        """Stop the wheels, close link, sensors and window; idempotent."""
         self._told_last = None
         try:
-            self.robot.deactivate()
+            self.robot.close()
         finally:
-            if self.lidar is not None:
-                self.lidar.close()
             self._screen.close()
 
     def __getstate__(self) -> dict[str, Any]:
         """Copies and pickles have a robot of their own and are in no episode: reset them first."""
-        return self.__dict__ | {"_course": None, "_scan": None, "_told_last": None}
+        return self.__dict__ | {"_course": None, "_told_last": None}
 
     def __copy__(self) -> Self:
         """Two environments never share a robot, so that every copy is a deep one."""

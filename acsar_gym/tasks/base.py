@@ -15,6 +15,7 @@ from acsar_gym.bodies.base import GroundTruth
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, shown, suggestion
 from acsar_gym.jit import jit
+from acsar_gym.lidars.base import lidar_layout
 from acsar_gym.worlds import Pose, World
 from acsar_gym.worlds.world import Floats
 
@@ -125,9 +126,7 @@ class Task(Protocol):
 
 def signature(task: Task, config: RobotConfig) -> str:
     """What an observation consists of, in words; a policy fits an env that has the same."""
-    lidar = config.lidar
-    rays = f"{lidar.rays} ranges over {lidar.field_of_view:.4g} rad to {lidar.max_range:g} m"
-    return ",".join([*task.layout, *([rays] if task.sees else [])])
+    return ",".join([*task.layout, *([lidar_layout(config)] if task.sees else [])])
 
 
 def known(options: Mapping[str, Any], names: tuple[str, ...]) -> Mapping[str, Any]:

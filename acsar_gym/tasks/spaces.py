@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from gymnasium.spaces import Box
 
 from acsar_gym.config import RobotConfig
+from acsar_gym.sensors import Sensor
 from acsar_gym.tasks.base import Task
 
 
-def task_spaces(task: Task, config: RobotConfig) -> tuple[Box, Box]:
-    """Action and observation space of a task, single or one row of many."""
+def task_spaces(
+    task: Task, config: RobotConfig, sensors: Sequence[Sensor] | None = None
+) -> tuple[Box, Box]:
+    """Action and observation space of a task, single or one row of many.
+
+    `sensors` are those of the env's robot; without them the observation has the task's own ones.
+    """
     rays = config.lidar.rays if task.sees else 0
-    low = np.array([*task.low(), *([0.0] * rays)], np.float32)
-    high = np.array([*task.high(), *([1.0] * rays)], np.float32)
+    bounds = [(np.zeros(rays), np.ones(rays))]
+    if sensors is not None:
+        bounds = [sensor.bounds for sensor in sensors]
+    low = np.concatenate([task.low(), *(low for low, _ in bounds)]).astype(np.float32)
+    high = np.concatenate([task.high(), *(high for _, high in bounds)]).astype(np.float32)
     return Box(-1.0, 1.0, (2,), np.float32), Box(low, high, dtype=np.float32)
