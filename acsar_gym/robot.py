@@ -6,7 +6,7 @@ import contextlib
 import gc
 import math
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from types import TracebackType
 from typing import Any, Self
 
@@ -117,8 +117,11 @@ class Robot:
         if hasattr(self.link, "lateness"):
             gc.collect()  # takes 60 ms: better now than while the wheels turn
             self._stopwatch = Stopwatch(self._period)
-        with self._stopped_by_errors():
+        try:
             self.sensors.reset(scene, np.random.default_rng(0) if rng is None else rng)
+        except BaseException:
+            self.deactivate()
+            raise
 
     def read(self) -> NDArray[np.float64]:
         """The numbers of all sensors, in order, as they stand in an observation.
@@ -126,19 +129,16 @@ class Robot:
         Raises SensorError for numbers that can't be, and what a sensor raises; the robot is stopped
         and the link closed then.
         """
-        with self._stopped_by_errors():
+        try:
             return self.sensors.read()
+        except BaseException:
+            self.deactivate()
+            raise
 
     def tell(self, info: dict[str, float]) -> None:
         """Add what the sensors tell to an env's info. Errors as `read`."""
-        with self._stopped_by_errors():
-            self.sensors.info(info)
-
-    @contextlib.contextmanager
-    def _stopped_by_errors(self) -> Iterator[None]:
-        """Any error inside the block stops the robot."""
         try:
-            yield
+            self.sensors.info(info)
         except BaseException:
             self.deactivate()
             raise

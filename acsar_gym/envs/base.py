@@ -106,6 +106,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         )
         self._screen = Screen(config, None if self._bullets_window(link) else render_mode, view)
         self._course: Course | None = None
+        self._sensed = np.zeros(0)
         self._told_last: tuple[Observation, Info] | None = None
 
     def _check_rendering(self, link: Any, view: str) -> None:
@@ -141,6 +142,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         self._course = course = self.task.begin(self.np_random, {} if options is None else options)
         scene = Scene(goal=course.assignment.goal, world=course.assignment.world)
         self.robot.reset(scene, self.np_random)
+        self._sensed = self.robot.read()
         state = self._state((0.0, 0.0), self.robot.link.truth)
         self._screen.begin(course.assignment, course.tolerance)
         return self._told(course, state, Outcome.GOING)
@@ -182,6 +184,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
     def _drive(self, linear: float, angular: float) -> None:
         for _ in range(self.ticks_per_step):
             self.robot.drive(linear, angular)
+        self._sensed = self.robot.read()
 
     @property
     def _scan(self) -> Scan | None:
@@ -219,7 +222,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         return told
 
     def _observation(self, course: Course, state: State) -> Observation:
-        return np.concatenate([course.observe(state), self.robot.read()]).astype(np.float32)
+        return np.concatenate([course.observe(state), self._sensed]).astype(np.float32)
 
     def _info(self, course: Course, state: State, outcome: Outcome) -> Info:
         (x, y, theta), truth = state.pose, state.truth

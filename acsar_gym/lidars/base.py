@@ -53,7 +53,7 @@ class LidarSensor(Sensor):
     """
 
     name, low, high = LIDAR, 0.0, 1.0
-    polls_truth = False
+    uses_truth = False
 
     def __init__(self, lidar: Lidar, config: RobotConfig) -> None:
         self.lidar = lidar

@@ -15,6 +15,7 @@ from acsar_gym.links.base import Link
 from acsar_gym.worlds import Scene
 
 Floats = NDArray[np.float64]
+Numbers = NDArray[np.floating | np.integer | np.bool_]
 Bound = float | Sequence[float] | Floats
 """One number for all numbers of a sensor, or one for each."""
 LIDAR = "lidar"
@@ -42,7 +43,7 @@ class Sensor(ABC):
         size: How many numbers it adds to the observation.
         low: Their least values, as they stand in the observation: a number, or (size,).
         high: Their largest values.
-        polls_truth: Whether `poll` uses `truth`. Without it a tick costs some microseconds less.
+        uses_truth: Whether `poll` and `read` use `truth`; without it a tick costs a little less.
         link: The wire to the robot.
         config: The robot's parameters.
         scene: The episode's world and start; set by `reset`.
@@ -53,7 +54,7 @@ class Sensor(ABC):
     size: int
     low: Bound = -math.inf
     high: Bound = math.inf
-    polls_truth = True
+    uses_truth = True
     scene: Scene
     rng: np.random.Generator
 
@@ -84,7 +85,7 @@ class Sensor(ABC):
         """
 
     @abstractmethod
-    def read(self, truth: GroundTruth | None, now: float) -> Floats:
+    def read(self, truth: GroundTruth | None, now: float) -> Numbers:
         """The sensor's numbers as they stand in the observation: once a step, after its last tick.
 
         Args:

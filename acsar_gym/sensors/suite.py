@@ -8,6 +8,7 @@ from typing import Any, overload
 
 import numpy as np
 
+from acsar_gym.bodies.base import GroundTruth
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, SensorError, shown
 from acsar_gym.links.base import Link
@@ -26,7 +27,7 @@ class Sensors(Sequence[Sensor]):
         self._link = link
         self._sensors = sorted(made, key=lambda sensor: sensor.name != LIDAR)
         self._polled = [one for one in self._sensors if type(one).poll is not Sensor.poll]
-        self._polls_truth = any(sensor.polls_truth for sensor in self._polled)
+        self._uses_truth = any(sensor.uses_truth for sensor in self._sensors)
         check_names(self._sensors)
 
     @overload
@@ -54,12 +55,11 @@ class Sensors(Sequence[Sensor]):
         for sensor in self._sensors:
             sensor.reset(scene, rng)
             if sensor in self._polled:
-                sensor.poll(self._link.truth, self._link.now())
+                sensor.poll(self._truth(), self._link.now())
 
     def poll(self) -> None:
         """After a tick: those with a clock of their own measure, if it is time."""
-        truth = self._link.truth if self._polls_truth else None
-        now = self._link.now()
+        truth, now = self._truth(), self._link.now()
         for sensor in self._polled:
             sensor.poll(truth, now)
 
@@ -70,8 +70,12 @@ class Sensors(Sequence[Sensor]):
         """
         if not self._sensors:
             return np.zeros(0)
-        truth, now = self._link.truth, self._link.now()
-        return np.concatenate([checked(one, one.read(truth, now)) for one in self._sensors])
+        truth, now = self._truth(), self._link.now()
+        parts = [checked(sensor, sensor.read(truth, now)) for sensor in self._sensors]
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+    def _truth(self) -> GroundTruth | None:
+        return self._link.truth if self._uses_truth else None
 
     def info(self, told: dict[str, float]) -> None:
         """Add what they tell to an env's info. Raises ConfigError for a key that is there."""
