@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, overload
 
 import numpy as np
@@ -151,9 +151,14 @@ def checked(sensor: Sensor, numbers: Any) -> Floats:
 def add_info(told: dict[str, float], sensor: Sensor, now: float) -> None:
     """Add what a sensor tells. Raises ConfigError for a key that is there already."""
     for key, value in sensor.info(now).items():
-        if key in told:
-            raise ConfigError(
-                f"sensor {sensor.name!r}: info tells {key!r}, which is there already: "
-                f"name it {sensor.name}_{key}"
-            )
+        unused(told, sensor, key)
         told[key] = float(value)
+
+
+def unused(told: Mapping[str, Any], sensor: Sensor, key: str) -> None:
+    """ConfigError where info has the key already."""
+    if key in told:
+        raise ConfigError(
+            f"sensor {sensor.name!r}: info tells {key!r}, which is there already: "
+            f"name it {sensor.name}_{key}"
+        )
