@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from acsar_gym.config import RobotConfig
     from acsar_gym.links import Link, open_link
     from acsar_gym.robot import Robot
+    from acsar_gym.sensors import Sensor
     from acsar_gym.worlds import World
 
 __version__ = "0.1.0"
@@ -23,6 +24,7 @@ __all__ = [
     "Link",
     "Robot",
     "RobotConfig",
+    "Sensor",
     "World",
     "envs",
     "errors",
@@ -35,6 +37,7 @@ _HOMES = {
     "Link": "links",
     "Robot": "robot",
     "RobotConfig": "config",
+    "Sensor": "sensors",
     "World": "worlds",
     "open_link": "links",
 }

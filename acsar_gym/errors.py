@@ -96,6 +96,10 @@ class LinkLostError(LinkError):
     """The device went away while it was in use."""
 
 
+class SensorError(AcsarError):
+    """What a sensor has read can't be in an observation: a wrong number of numbers, or NaN."""
+
+
 class LidarError(LinkError):
     """The LiDAR can't be opened, isn't one, or has fallen silent."""
 

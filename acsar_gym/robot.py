@@ -6,18 +6,23 @@ import contextlib
 import gc
 import math
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from types import TracebackType
 from typing import Any, Self
 
+import numpy as np
+from numpy.typing import NDArray
+
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import BoardGarbledError, BoardSilentError, LinkError, SafetyWarning
+from acsar_gym.lidars.factory import factories
 from acsar_gym.links.base import Link
 from acsar_gym.links.lateness import EpisodeTiming, Stopwatch
 from acsar_gym.odometry import Odometry
 from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds, encode
 from acsar_gym.safety.estop import StopListener
 from acsar_gym.safety.layer import Safety
+from acsar_gym.sensors import Factory, Sensor, Sensors
 from acsar_gym.worlds import Scene
 
 STANDSTILL = 0.1
@@ -34,14 +39,27 @@ class Robot:
     Attributes: `link`, `config`, `odometry`; `speeds`, the newest wheel speeds [rad/s], of which a
     motor keeps its last one where a line doesn't name it; `feedback_age`, seconds since the last
     valid line; `decoder`, with the counters of refused input; `safety`, with the twist that was
-    really sent and the reason where it isn't the one that was asked for.
+    really sent and the reason where it isn't the one that was asked for; `sensors`, the list of its
+    sensors, the LiDAR first.
 
-    As a context manager it is active inside the block and stopped on any way out of it.
+    As a context manager it is active inside the block, and stopped and closed on any way out of it.
+
+    Args:
+        link: The wire to the robot.
+        config: Its parameters; None is the ACSAR robot.
+        sensors: Names ("lidar"), factories (subclasses of Sensor) or ready sensors. They are the
+            robot's from now on: reset and polled with it, and closed by `close`.
     """
 
-    def __init__(self, link: Link, config: RobotConfig | None = None) -> None:
+    def __init__(
+        self,
+        link: Link,
+        config: RobotConfig | None = None,
+        sensors: Iterable[str | Sensor | Factory] = (),
+    ) -> None:
         self.link = link
         self.config = RobotConfig.of(config)
+        self.sensors = Sensors(factories(sensors), link, self.config)
         self.odometry = Odometry(
             self.config.wheel_radius,
             self.config.wheel_separation,
@@ -60,6 +78,7 @@ class Robot:
         self._encoded: Sequence[float] = ()
         self._command = b""
         self._patience = self.config.feedback_timeout
+        self._clocked = self.sensors.clocked
 
     def activate(self) -> None:
         """Zero the states, open the link and wait until the board answers and stands still.
@@ -69,11 +88,12 @@ class Robot:
         if not self.active:
             self.reset(Scene())
 
-    def reset(self, scene: Scene) -> None:
+    def reset(self, scene: Scene, rng: np.random.Generator | None = None) -> None:
         """Stop, wait for standstill, and set the odometry to zero: the same on every link.
 
-        Opens the link where it isn't open. Raises LinkError where it can't be opened, the board is
-        silent or the wheels keep turning; the link is closed then. Warns (SafetyWarning) where
+        Then the sensors begin an episode, with `rng` for their noise. Opens the link where it isn't
+        open. Raises LinkError where it can't be opened, the board is silent, the wheels keep
+        turning or a sensor doesn't measure; the link is closed then. Warns (SafetyWarning) where
         `acsar-gym estop` can't reach a real robot.
         """
         if not self.active:
@@ -97,6 +117,31 @@ class Robot:
         if self.link.lateness is not None:
             gc.collect()  # takes 60 ms: better now than while the wheels turn
             self._stopwatch = Stopwatch(self._period)
+        try:
+            self.sensors.reset(scene, np.random.default_rng(0) if rng is None else rng)
+        except BaseException:
+            self.deactivate()
+            raise
+
+    def read(self) -> NDArray[np.float64]:
+        """The numbers of all sensors, in order, as they stand in an observation.
+
+        Raises SensorError for numbers that can't be, and what a sensor raises; the robot is stopped
+        and the link closed then.
+        """
+        try:
+            return self.sensors.read()
+        except BaseException:
+            self.deactivate()
+            raise
+
+    def tell(self, info: dict[str, float]) -> None:
+        """Add what the sensors tell to an env's info. Errors as `read`."""
+        try:
+            self.sensors.info(info)
+        except BaseException:
+            self.deactivate()
+            raise
 
     def _listen(self) -> None:
         """Listen for `acsar-gym estop`; a warning where that is impossible."""
@@ -130,7 +175,8 @@ class Robot:
         robot's speed limits; acceleration is limited by `drive` alone. Zeros are sent instead while
         `safety` holds the robot. Raises CommandError for speeds that aren't four finite numbers,
         and LinkError where the robot isn't active or the link is lost or silent for longer than
-        `feedback_timeout`. On any error the wheels are commanded to stop and the link is closed.
+        `feedback_timeout`, and what a sensor raises. On any error the wheels are commanded to stop
+        and the link is closed.
         """
         self._tick(self.safety.bounded, speeds)
 
@@ -152,6 +198,8 @@ class Robot:
             speeds = allowed(*wanted)
             reason = self.safety.hold(self.odometry.pose, self.feedback_age)
             self._exchange(self.safety.halt(reason) if reason else speeds)
+            if self._clocked:
+                self.sensors.poll()
         except BaseException:
             self.deactivate()
             raise
@@ -176,8 +224,15 @@ class Robot:
         if self.active:
             self.link.write(encode(ZERO, trailing_comma=self._comma))
 
+    def close(self) -> None:
+        """Command zero, close the link and the sensors; idempotent."""
+        try:
+            self.deactivate()
+        finally:
+            self.sensors.close()
+
     def deactivate(self) -> None:
-        """Command zero, then close the link; twice is once."""
+        """Command zero, then close the link; idempotent. Sensors stay open for the next reset."""
         if not self.active:
             return
         try:
@@ -234,9 +289,9 @@ class Robot:
             f"no feedback for {self.feedback_age:.2f} s", "check the board's power and the cable"
         )
 
-    def __reduce__(self) -> tuple[type[Robot], tuple[Link, RobotConfig]]:
-        """Copies and pickles are inactive robots with a link of their own."""
-        return Robot, (self.link, self.config)
+    def __reduce__(self) -> tuple[type[Robot], tuple[Link, RobotConfig, tuple[Sensor, ...]]]:
+        """Copies and pickles are inactive robots with a link and sensors of their own."""
+        return Robot, (self.link, self.config, tuple(self.sensors))
 
     def __enter__(self) -> Self:
         self.activate()
@@ -248,7 +303,7 @@ class Robot:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self.deactivate()
+        self.close()
 
 
 def _listed(speeds: Speeds) -> str:

@@ -6,7 +6,6 @@ import contextlib
 import copy
 import math
 import os
-from collections.abc import Callable
 from typing import Any, Self
 
 import gymnasium
@@ -29,14 +28,16 @@ from acsar_gym.errors import (
     RenderError,
     shown,
 )
-from acsar_gym.lidars.base import Lidar, Scan, open_lidar, stale_after
+from acsar_gym.lidars.base import LidarSensor, Scan
+from acsar_gym.lidars.factory import factories
 from acsar_gym.links import Link, open_link
 from acsar_gym.links.fault_injection import FaultyLink
 from acsar_gym.links.faults import Faults
 from acsar_gym.render.renderer import Screen
 from acsar_gym.robot import Robot
+from acsar_gym.sensors import Factory, Sensor
 from acsar_gym.tasks import Observation, Outcome, State, Task
-from acsar_gym.tasks.base import NO_PATH, NO_RANGES
+from acsar_gym.tasks.base import NO_PATH, NO_RANGES, NOTHING_SENSED
 from acsar_gym.tasks.episode import Episode
 from acsar_gym.tasks.made import made, named
 from acsar_gym.tasks.spaces import task_spaces
@@ -103,25 +104,25 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         self._options.check_view(link)
         wire = self._link(link, config)
         self._faulty = _faulty(wire, Faults.of(self._options.faults))
-        self.robot = Robot(self._faulty or wire, config)
-        self.lidar = self._lidar(self._options.lidar)
+        self.robot = Robot(self._faulty or wire, config, self._sensors())
         self.action_space: Any
         self.observation_space: Any
-        self.action_space, self.observation_space = task_spaces(self.task, config)
+        self.action_space, self.observation_space = task_spaces(
+            self.task, config, self.robot.sensors
+        )
         mode = None if self._bullets_window(link) else self.render_mode
         self._top = (config.max_linear, config.max_angular)
         self._screen = Screen(config, mode, self._options.view)
         self._episode: Episode | None = None
-        self._scan: Scan | None = None
+        self._sensed: Observation = NOTHING_SENSED
         self._told_last: tuple[Observation, Info] | None = None
 
-    def _lidar(self, lidar: Any) -> Lidar | None:
-        """The LiDAR, where the task uses it."""
-        if "lidar" in self.task.sensors:
-            return open_lidar(lidar, self.robot.link, self.robot.config)
-        if lidar is not None:
+    def _sensors(self) -> list[Sensor | Factory]:
+        """Factories of the task's sensors and the env's."""
+        names, lidar = (*self.task.sensors, *self._options.sensors), self._options.lidar
+        if lidar is not None and "lidar" not in names:
             raise ConfigError(f"lidar = {shown(lidar)}: {named(self.task)} uses none")
-        return None
+        return factories(names, lidar)
 
     def _link(self, link: Any, config: RobotConfig) -> Link:
         if not isinstance(link, str | os.PathLike) and hasattr(link, "advance"):
@@ -146,10 +147,8 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         assignment = self._spawn.draw(self.np_random, {} if options is None else options)
         self._episode = episode = Episode(self.task, assignment)
         scene = Scene(goal=assignment.goal, world=assignment.world)
-        self.robot.reset(scene)
-        if self.lidar is not None:
-            self._see(lambda lidar: lidar.reset(scene, self.np_random))
-            self._see(self._look)
+        self.robot.reset(scene, self.np_random)
+        self._sensed = self.robot.read().astype(np.float32)
         self._screen.begin(assignment, self.task.goal_tolerance)
         state = self._state(episode, (0.0, 0.0))
         episode.begin(state)
@@ -193,20 +192,13 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
     def _drive(self, linear: float, angular: float) -> None:
         for _ in range(self.ticks_per_step):
             self.robot.drive(linear, angular)
-            if self.lidar is not None:
-                self._see(self._look)
+        self._sensed = self.robot.read().astype(np.float32)
 
-    def _look(self, lidar: Lidar) -> None:
-        self._scan = lidar.scan()
-
-    def _see(self, use: Callable[[Lidar], None]) -> None:
-        """Use the LiDAR; whatever goes wrong with it stops the robot."""
-        try:
-            if self.lidar is not None:
-                use(self.lidar)
-        except BaseException:
-            self.robot.deactivate()
-            raise
+    @property
+    def _scan(self) -> Scan | None:
+        """The LiDAR's newest scan; None without one."""
+        first = self.robot.sensors[0] if self.robot.sensors else None
+        return first.scan if isinstance(first, LidarSensor) else None
 
     def _checked(self, action: NDArray[np.float32]) -> tuple[float, float]:
         """The action as two floats in [-1, 1]; stops the wheels and raises for anything else."""
@@ -225,8 +217,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
     def _state(self, episode: Episode, action: tuple[float, float]) -> State:
         """What the task is told."""
         robot, assignment = self.robot, episode.assignment
-        truth, limits = robot.link.truth, robot.config.lidar
-        scan = NO_RANGES if self._scan is None else self._scan.ranges
+        truth, scan = robot.link.truth, self._scan
         return State(
             pose=robot.odometry.pose,
             twist=robot.odometry.twist,
@@ -234,8 +225,8 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
             action=action,
             sent=robot.safety.sent,
             reason=int(robot.safety.reason),
-            ranges=scan,
-            sensed=(scan / limits.max_range).astype(np.float32),
+            ranges=NO_RANGES if scan is None else scan.ranges,
+            sensed=self._sensed,
             time=episode.steps * self.ticks_per_step * robot.config.period,
             feedback_age=robot.feedback_age,
             contact=truth is not None and truth.contact,
@@ -280,10 +271,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         } | episode.info()
         if self._faulty is not None or truth is None:
             info["fault"] = 0.0
-        if self._scan is not None:
-            age = self.robot.link.now() - self._scan.stamp
-            info["scan_age"] = age
-            info["scan_stale"] = float(age > stale_after(self.robot.config))
+        self.robot.tell(info)
         return info
 
     @property
@@ -302,18 +290,16 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         return self._screen.picture(self.robot.link)
 
     def close(self) -> None:
-        """Stop the wheels, close link, LiDAR and window; twice is once."""
+        """Stop the wheels, close link, sensors and window; idempotent."""
         self._told_last = None
         try:
-            self.robot.deactivate()
+            self.robot.close()
         finally:
-            if self.lidar is not None:
-                self.lidar.close()
             self._screen.close()
 
     def __getstate__(self) -> dict[str, Any]:
         """Copies and pickles have a robot of their own and are in no episode: reset them first."""
-        return self.__dict__ | {"_episode": None, "_scan": None, "_told_last": None}
+        return self.__dict__ | {"_episode": None, "_told_last": None}
 
     def __copy__(self) -> Self:
         """Two environments never share a robot, so that every copy is a deep one."""

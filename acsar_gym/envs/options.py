@@ -18,6 +18,7 @@ class EnvOptions:
     worlds: Any = None
     difficulty: Any = None
     lidar: Any = None
+    sensors: Any = ()
     policy_rate: float = 10.0
     render_mode: str | None = None
     view: str = "top"

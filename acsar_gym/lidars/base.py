@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.config import LidarConfig, RobotConfig
-from acsar_gym.errors import ConfigError, shown
-from acsar_gym.jit import loop
-from acsar_gym.links.base import Link
+from acsar_gym.bodies.base import GroundTruth
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import LidarError
+from acsar_gym.sensors import LIDAR, Sensor
 from acsar_gym.worlds import Scene
-from acsar_gym.worlds.geometry import Obstacles, RaySpec, cast, surroundings
+from acsar_gym.worlds.geometry import RaySpec
 
 STALE = 2.0
 """A scan that is older than so many periods of the sensor is stale."""
@@ -44,7 +43,62 @@ class Lidar(Protocol):
         """
 
     def close(self) -> None:
-        """Stop the motor and let go of the device; twice is once."""
+        """Stop the motor and let go of the device; idempotent."""
+
+
+class LidarSensor(Sensor):
+    """A LiDAR's ranges in the observation: shares of `max_range`, 0 to 1, one for each ray.
+
+    Attributes: `lidar`, which measures, at its own rate; `scan`, its newest scan.
+    """
+
+    name, low, high = LIDAR, 0.0, 1.0
+    uses_truth = False
+
+    def __init__(self, lidar: Lidar, config: RobotConfig) -> None:
+        self.lidar = lidar
+        self.config = config
+        self.size = config.lidar.rays
+        self._scan: Scan | None = None
+
+    @property
+    def scan(self) -> Scan:
+        """The newest scan at the end of the last tick. Raises LidarError before a reset."""
+        if self._scan is None:
+            raise LidarError("the LiDAR has no scan yet", "call reset() first")
+        return self._scan
+
+    def reset(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Begin an episode; opens a closed device. Raises LidarError, which says what to do."""
+        self.lidar.reset(scene, rng)
+
+    def poll(self, truth: GroundTruth | None, now: float) -> None:
+        """Take the newest scan. Raises LidarError where it is too old, or the device is gone."""
+        self._scan = self.lidar.scan()
+
+    def read(self, truth: GroundTruth | None, now: float) -> NDArray[np.float64]:
+        """Each ray's range / `max_range`, (rays,)."""
+        return self.scan.ranges / self.config.lidar.max_range
+
+    def info(self, now: float) -> dict[str, float]:
+        """`scan_age` [s], and `scan_stale`: 1 where that is over two periods of the LiDAR."""
+        age = now - self.scan.stamp
+        return {"scan_age": age, "scan_stale": float(age > stale_after(self.config))}
+
+    def close(self) -> None:
+        """Stop the motor and let go of the device; idempotent."""
+        self.lidar.close()
+
+    @property
+    def layout(self) -> str:
+        """How many ranges, over which angle, up to which distance."""
+        return lidar_layout(self.config)
+
+
+def lidar_layout(config: RobotConfig) -> str:
+    """The ranges of a robot's LiDAR in words."""
+    lidar = config.lidar
+    return f"{lidar.rays} ranges over {lidar.field_of_view:.4g} rad to {lidar.max_range:g} m"
 
 
 def ray_spec(config: RobotConfig) -> RaySpec:
@@ -56,118 +110,3 @@ def ray_spec(config: RobotConfig) -> RaySpec:
 def stale_after(config: RobotConfig) -> float:
     """Age at which a scan counts as stale [s]."""
     return STALE / config.lidar.rate
-
-
-def open_lidar(url: Any, link: Link, config: RobotConfig) -> Lidar:
-    """The LiDAR that `url` names; it opens nothing before `reset`.
-
-    None or "simulated" is the analytic one of a simulated link, "rplidar:///dev/ttyUSB1" an
-    RPLIDAR on a serial device; a Lidar is taken as it is. Raises ConfigError for anything else,
-    and where a link without a simulated world needs a real device.
-    """
-    if hasattr(url, "scan"):
-        ready: Lidar = url
-        return ready
-    if url is None or (isinstance(url, str) and url == "simulated"):
-        if link.truth is None:
-            raise ConfigError(
-                "this env needs a LiDAR and this link simulates none: "
-                "pass lidar='rplidar:///dev/ttyUSB1'"
-            )
-        return SimulatedLidar(link, config)
-    if isinstance(url, str) and url.startswith("rplidar://") and len(url) > len("rplidar://"):
-        from acsar_gym.lidars.rplidar import RplidarLidar  # noqa: PLC0415 - optional
-
-        return RplidarLidar(url.removeprefix("rplidar://"), config, link.now)
-    raise ConfigError(
-        f"lidar = {shown(url)}: must be like 'rplidar:///dev/ttyUSB1', or 'simulated'"
-    )
-
-
-class SimulatedLidar:
-    """Analytic rays from the true pose of a simulated robot, with noise and drop-outs.
-
-    A scan is taken at the reset and then at the first tick of every period of the sensor; the robot
-    counts as standing still during a turn.
-    """
-
-    def __init__(self, link: Link, config: RobotConfig) -> None:
-        self._link = link
-        self._config = config
-        self._settings = config.lidar
-        self._around = surroundings(Obstacles(), ray_spec(config), 1, config)
-        self._rng = np.random.default_rng(0)
-        self._scan = Scan(np.full(config.lidar.rays, config.lidar.max_range), 0.0)
-        self._first, self._taken = 0.0, 0
-
-    def reset(self, scene: Scene, rng: np.random.Generator) -> None:
-        """The scene's obstacles, and the generator of the noise."""
-        world = scene.world
-        obstacles = Obstacles() if world is None else Obstacles(world.circles, world.segments)
-        self._around = surroundings(obstacles, ray_spec(self._config), 1, self._config)
-        self._rng = rng
-        self._first, self._taken = self._link.now(), 0
-
-    def scan(self) -> Scan:
-        """The newest scan."""
-        now = self._link.now()
-        if now - self._first > self._taken / self._settings.rate - 1e-9:
-            self._taken = 1 + math.floor((now - self._first) * self._settings.rate + 1e-9)
-            self._scan = Scan(self._ranges(), now)
-        return self._scan
-
-    def _ranges(self) -> NDArray[np.float64]:
-        truth = self._link.truth
-        x, y, theta = truth.pose if truth else (0.0, 0.0, 0.0)
-        ranges = np.empty(self._settings.rays)
-        cast(x, y, math.cos(theta), math.sin(theta), 0, self._around, ranges)
-        if draws(self._settings):
-            uniforms = self._rng.random(draws(self._settings))
-            measure(ranges, uniforms, *measured(self._settings))
-        else:
-            np.maximum(ranges, self._settings.min_range, out=ranges)
-        return ranges
-
-    def close(self) -> None:
-        """Nothing to close."""
-
-
-def draws(lidar: LidarConfig) -> int:
-    """Numbers of [0, 1) that the noise of a scan takes."""
-    pairs = (lidar.rays + 1) // 2 if lidar.noise > 0.0 else 0
-    return 2 * pairs + (lidar.rays if lidar.dropouts > 0.0 else 0)
-
-
-def measured(lidar: LidarConfig) -> tuple[float, float, float, float]:
-    """Noise, drop-outs, and the two limits of a range, as `measure` takes them."""
-    return lidar.noise, lidar.dropouts, lidar.min_range, lidar.max_range
-
-
-@loop
-def measure(
-    ranges: NDArray[np.float64],
-    uniforms: NDArray[np.float64],
-    noise: float,
-    dropouts: float,
-    nearest: float,
-    farthest: float,
-) -> None:
-    """What a sensor makes of true ranges [m]: normal noise on what it meets, drop-outs, limits.
-
-    `uniforms` are numbers of [0, 1), as many as `draws` says: two for a pair of rays (Box and
-    Muller 1958), then one for each ray that may drop out.
-    """
-    rays, used = len(ranges), 0
-    if noise > 0.0:
-        for pair in range((rays + 1) // 2):
-            radius = noise * math.sqrt(-2.0 * math.log(1.0 - uniforms[2 * pair]))
-            angle = 2.0 * math.pi * uniforms[2 * pair + 1]
-            for k in range(2 * pair, min(2 * pair + 2, rays)):
-                if ranges[k] < farthest:
-                    turned = math.cos(angle) if k == 2 * pair else math.sin(angle)
-                    ranges[k] += radius * turned
-        used = 2 * ((rays + 1) // 2)
-    for k in range(rays):
-        ranges[k] = min(max(ranges[k], nearest), farthest)
-        if dropouts > 0.0 and uniforms[used + k] < dropouts:
-            ranges[k] = farthest

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.jit import compilable
+from acsar_gym.lidars.base import lidar_layout
 
 Observation = NDArray[np.float32]
 Floats = NDArray[np.float64]
@@ -195,9 +196,8 @@ def told(task: Task) -> tuple[str, ...]:
 
 def signature(task: Task, config: RobotConfig) -> str:
     """What an observation consists of, in words; a policy fits an env that has the same."""
-    lidar = config.lidar
-    rays = f"{lidar.rays} ranges over {lidar.field_of_view:.4g} rad to {lidar.max_range:g} m"
-    return ",".join([*task.observation, *([rays] if "lidar" in task.sensors else [])])
+    rays = [lidar_layout(config)] if "lidar" in task.sensors else []
+    return ",".join([*task.observation, *rays])
 
 
 # Compiled functions for tasks: scalars in, scalars out.

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from acsar_gym import dynamics
 from acsar_gym.config import BITS_PER_BYTE, LINE_BYTES, Geofence, RobotConfig, whole_ratio
 from acsar_gym.errors import ConfigError
-from acsar_gym.lidars.base import draws, stale_after
+from acsar_gym.lidars.base import stale_after
+from acsar_gym.lidars.simulated import draws
 from acsar_gym.safety import limiter
 from acsar_gym.tasks.base import Task
 from acsar_gym.tasks.spawn import Spawn

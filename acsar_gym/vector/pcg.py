@@ -6,6 +6,9 @@ PCG XSL RR 128/64 of O'Neill (2014), as NumPy documents it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any, overload
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,11 +29,57 @@ def seeded(seed: int | None) -> tuple[int, int, int, int]:
     return of_state(np.random.PCG64(seed))
 
 
-def of_state(bits: np.random.PCG64) -> tuple[int, int, int, int]:
-    """A generator's row with the state of NumPy's one."""
-    inner = bits.state["state"]
+def of_state(bits: np.random.BitGenerator) -> tuple[int, int, int, int]:
+    """A generator's row with the state of NumPy's one, a PCG64."""
+    inner: Any = bits.state["state"]
     state, increment = inner["state"], inner["inc"]
     return state >> 64, state & _WORD, increment >> 64, increment & _WORD
+
+
+class Lent(Sequence[np.random.Generator]):
+    """Generators of some rows, as NumPy's: they go on where the rows are, until `give_back`."""
+
+    def __init__(
+        self, rows: Generators, which: Sequence[int], made: dict[int, np.random.Generator]
+    ) -> None:
+        """`made` keeps a generator for each row: half a number of 64 bits may be left in it."""
+        self._rows, self._which, self._made = rows, which, made
+        self._lent: dict[int, np.random.Generator] = {}
+
+    def __len__(self) -> int:
+        return len(self._which)
+
+    @overload
+    def __getitem__(self, index: int) -> np.random.Generator: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[np.random.Generator]: ...
+
+    def __getitem__(
+        self, index: int | slice
+    ) -> np.random.Generator | Sequence[np.random.Generator]:
+        if isinstance(index, slice):
+            return [self[place] for place in range(*index.indices(len(self)))]
+        row = self._which[index]
+        if row not in self._lent:
+            if row not in self._made:
+                self._made[row] = np.random.Generator(np.random.PCG64(0))
+            generator = self._lent[row] = self._made[row]
+            _go_on(generator.bit_generator, self._rows[row].tolist())
+        return self._lent[row]
+
+    def give_back(self) -> None:
+        """Let the rows go on where the generators are now."""
+        for row, generator in self._lent.items():
+            self._rows[row] = of_state(generator.bit_generator)
+        self._lent = {}
+
+
+def _go_on(bits: np.random.BitGenerator, row: Sequence[int]) -> None:
+    """Put NumPy's generator where a row is."""
+    state: Any = bits.state
+    state["state"] = {"state": row[0] << 64 | row[1], "inc": row[2] << 64 | row[3]}
+    bits.state = state
 
 
 @jit

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import gymnasium
 import numpy as np
@@ -31,6 +31,7 @@ from acsar_gym.errors import (
 from acsar_gym.lidars.base import Scan
 from acsar_gym.links import open_link
 from acsar_gym.links.faults import Faults
+from acsar_gym.vector.env import RobotVectorEnv
 from acsar_gym.worlds import Region, Scene
 
 IDS = {

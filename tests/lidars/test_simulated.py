@@ -10,8 +10,9 @@ import pytest
 
 from acsar_gym.config import LidarConfig, RobotConfig
 from acsar_gym.errors import ConfigError
-from acsar_gym.lidars.base import SimulatedLidar, draws, measure, measured, open_lidar
+from acsar_gym.lidars.factory import open_lidar
 from acsar_gym.lidars.rplidar import RplidarLidar
+from acsar_gym.lidars.simulated import SimulatedLidar, draws, measure, measured
 from acsar_gym.links import open_link
 from acsar_gym.worlds import Scene, World
 

@@ -1,0 +1,64 @@
+"""Which LiDAR a URL means, and the sensors that a name stands for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import ConfigError, shown, suggestion
+from acsar_gym.lidars.base import Lidar, LidarSensor
+from acsar_gym.lidars.simulated import SimulatedLidar
+from acsar_gym.links.base import Link
+from acsar_gym.sensors import LIDAR, Factory, Sensor
+
+
+def open_lidar(url: Any, link: Link, config: RobotConfig) -> Lidar:
+    """The LiDAR that `url` names; it opens nothing before `reset`.
+
+    None or "simulated" is the analytic one of a simulated link, "rplidar:///dev/ttyUSB1" an
+    RPLIDAR on a serial device; a Lidar is taken as it is. Raises ConfigError for anything else,
+    and where a link without a simulated world needs a real device.
+    """
+    if hasattr(url, "scan"):
+        ready: Lidar = url
+        return ready
+    if url is None or (isinstance(url, str) and url == "simulated"):
+        if link.truth is None:
+            raise ConfigError(
+                "this env needs a LiDAR and this link simulates none: "
+                "pass lidar='rplidar:///dev/ttyUSB1'"
+            )
+        return SimulatedLidar(link, config)
+    if isinstance(url, str) and url.startswith("rplidar://") and len(url) > len("rplidar://"):
+        from acsar_gym.lidars.rplidar import RplidarLidar  # noqa: PLC0415 - optional
+
+        return RplidarLidar(url.removeprefix("rplidar://"), config, link.now)
+    raise ConfigError(
+        f"lidar = {shown(url)}: must be like 'rplidar:///dev/ttyUSB1', or 'simulated'"
+    )
+
+
+def factories(
+    sensors: Iterable[str | Sensor | Factory], lidar: Any = None
+) -> list[Sensor | Factory]:
+    """The sensors of a task or an env, with a factory in place of each name.
+
+    Args:
+        sensors: "lidar", factories and ready sensors.
+        lidar: What "lidar" means, as `open_lidar` takes it.
+
+    Raises:
+        ConfigError: A name is unknown.
+    """
+    return [_named(one, lidar) if isinstance(one, str) else one for one in sensors]
+
+
+def _named(name: str, lidar: Any) -> Factory:
+    if name != LIDAR:
+        raise ConfigError(f"unknown sensor {shown(name)}{suggestion(name, [LIDAR])}")
+
+    def make(link: Link, config: RobotConfig) -> Sensor:
+        return LidarSensor(open_lidar(lidar, link, config), config)
+
+    return make

@@ -1,0 +1,164 @@
+"""The sensors of one robot as one list: made, reset, polled, read, checked and closed together."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, overload
+
+import numpy as np
+
+from acsar_gym.bodies.base import GroundTruth
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import ConfigError, SensorError, shown
+from acsar_gym.links.base import Link
+from acsar_gym.sensors.base import LIDAR, Factory, Floats, Sensor
+from acsar_gym.worlds import Scene
+
+
+class Sensors(Sequence[Sensor]):
+    """The sensors of a robot, in the order in which their numbers follow the task's; LiDAR first.
+
+    Raises ConfigError for a sensor that is none, or whose name, size or bounds can't be used.
+    """
+
+    def __init__(self, wanted: Iterable[Sensor | Factory], link: Link, config: RobotConfig) -> None:
+        made = [made_by(factory, link, config) for factory in wanted]
+        self._link = link
+        self._sensors = sorted(made, key=lambda sensor: sensor.name != LIDAR)
+        self._polled = [one for one in self._sensors if type(one).poll is not Sensor.poll]
+        self._uses_truth = any(sensor.uses_truth for sensor in self._sensors)
+        check_names(self._sensors)
+
+    @overload
+    def __getitem__(self, index: int) -> Sensor: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Sensor]: ...
+
+    def __getitem__(self, index: int | slice) -> Sensor | Sequence[Sensor]:
+        return self._sensors[index]
+
+    def __len__(self) -> int:
+        return len(self._sensors)
+
+    def __iter__(self) -> Iterator[Sensor]:
+        return iter(self._sensors)
+
+    @property
+    def clocked(self) -> bool:
+        """Whether any of them has a clock of its own, and so must be polled at every tick."""
+        return bool(self._polled)
+
+    def reset(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Begin an episode: each one is reset and takes its first measurement, one by one."""
+        for sensor in self._sensors:
+            sensor.reset(scene, rng)
+            if sensor in self._polled:
+                sensor.poll(self._truth(), self._link.now())
+
+    def poll(self) -> None:
+        """After a tick: those with a clock of their own measure, if it is time."""
+        truth, now = self._truth(), self._link.now()
+        for sensor in self._polled:
+            sensor.poll(truth, now)
+
+    def read(self) -> Floats:
+        """The numbers of all of them, of shape (sum of sizes,).
+
+        Raises SensorError, which names the sensor, for anything but its `size` finite numbers.
+        """
+        if not self._sensors:
+            return np.zeros(0)
+        truth, now = self._truth(), self._link.now()
+        parts = [checked(sensor, sensor.read(truth, now)) for sensor in self._sensors]
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+    def _truth(self) -> GroundTruth | None:
+        return self._link.truth if self._uses_truth else None
+
+    def info(self, told: dict[str, float]) -> None:
+        """Add what they tell to an env's info. Raises ConfigError for a key that is there."""
+        now = self._link.now()
+        for sensor in self._sensors:
+            add_info(told, sensor, now)
+
+    def close(self) -> None:
+        """Close them all, also where one can't be closed; idempotent."""
+        with contextlib.ExitStack() as stack:
+            for sensor in reversed(self._sensors):
+                stack.callback(sensor.close)
+
+
+def made_by(factory: Any, link: Link, config: RobotConfig) -> Sensor:
+    """The sensor that a factory makes, or that is ready already."""
+    if not callable(factory) and not isinstance(factory, Sensor):
+        raise ConfigError(f"sensors: {shown(factory)} must be a subclass of Sensor or a factory")
+    sensor = factory if isinstance(factory, Sensor) else factory(link, config)
+    if not isinstance(sensor, Sensor):
+        raise ConfigError(f"sensors: {shown(sensor)}, made by {shown(factory)}, is no Sensor")
+    check_layout(sensor)
+    return sensor
+
+
+def check_layout(sensor: Sensor) -> None:
+    """ConfigError for a name, size or bounds that can't be used."""
+    name, size = getattr(sensor, "name", None), getattr(sensor, "size", None)
+    if not isinstance(name, str) or not name.isidentifier():
+        raise ConfigError(
+            f"{type(sensor).__name__}.name = {shown(name)}: must be a word of letters, digits and _"
+        )
+    if not isinstance(size, int | np.integer) or isinstance(size, bool) or size < 1:
+        raise ConfigError(f"sensor {name!r}: size = {shown(size)} must be a whole number from 1")
+    try:
+        low, high = sensor.bounds
+        sound = bool((low <= high).all())
+    except (TypeError, ValueError):
+        sound = False
+    if not sound:
+        raise ConfigError(
+            f"sensor {name!r}: low = {shown(sensor.low)}, high = {shown(sensor.high)} must be "
+            f"numbers or ({size},) arrays, low <= high"
+        )
+
+
+def check_names(sensors: Sequence[Sensor]) -> None:
+    """ConfigError where two have one name."""
+    names = [sensor.name for sensor in sensors]
+    for name in names:
+        if names.count(name) > 1:
+            raise ConfigError(f"sensors: two are named {name!r}: give each a name of its own")
+
+
+def checked(sensor: Sensor, numbers: Any) -> Floats:
+    """What a sensor has read, as float64. Raises SensorError for anything but finite (size,)."""
+    try:
+        array = np.asarray(numbers)
+    except ValueError:  # lists of lists of unequal lengths
+        array = np.zeros((), object)
+    if array.shape != (sensor.size,) or array.dtype.kind not in "fiub":
+        raise SensorError(
+            f"sensor {sensor.name!r}: read() gave {array.dtype} of shape {array.shape}: must be "
+            f"numbers of shape ({sensor.size},)"
+        )
+    if not np.isfinite(array).all():
+        raise SensorError(
+            f"sensor {sensor.name!r}: read() gave {shown(array.tolist())}: must be finite numbers"
+        )
+    return array.astype(np.float64, copy=False)
+
+
+def add_info(told: dict[str, float], sensor: Sensor, now: float) -> None:
+    """Add what a sensor tells. Raises ConfigError for a key that is there already."""
+    for key, value in sensor.info(now).items():
+        unused(told, sensor, key)
+        told[key] = float(value)
+
+
+def unused(told: Mapping[str, Any], sensor: Sensor, key: str) -> None:
+    """ConfigError where info has the key already."""
+    if key in told:
+        raise ConfigError(
+            f"sensor {sensor.name!r}: info tells {key!r}, which is there already: "
+            f"name it {sensor.name}_{key}"
+        )

@@ -1,0 +1,240 @@
+"""Sensors written in Python, in a batch: they run over the robots behind the compiled physics.
+
+The LiDAR isn't among them: it is compiled.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym.bodies.base import GroundTruth
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import ConfigError, SensorError, shown
+from acsar_gym.sensors import Factory, Sensor
+from acsar_gym.sensors.suite import add_info, check_names, checked, made_by, unused
+from acsar_gym.vector.links import Floats, RobotLink, Robots, Source, Truths
+from acsar_gym.vector.pcg import Lent
+from acsar_gym.worlds import Scene
+
+Observations = NDArray[np.float32]
+"""(robots, numbers): rows of those numbers of an observation that these sensors give."""
+
+
+class Moment(NamedTuple):
+    """What sensors of some robots are told, one row or item each."""
+
+    robots: list[int]
+    truths: Truths
+    now: Floats
+    scenes: Sequence[Scene]
+    rngs: Sequence[np.random.Generator]
+
+    def each(self) -> Iterator[tuple[int, GroundTruth, float]]:
+        """Number, truth and time of robot after robot, as in the single env."""
+        rows = (self.robots, *(array.tolist() for array in (*self.truths, self.now)))
+        for robot, pose, twist, contact, now in zip(*rows, strict=True):
+            yield robot, GroundTruth(tuple(pose), tuple(twist), contact), now
+
+
+class BatchSensors:
+    """The sensors of all robots of a batch, but for the LiDAR.
+
+    Attributes: `kinds`, one of each; `size`, how many numbers they give; `info`, an array for each
+    key that they tell.
+    """
+
+    def __init__(
+        self, wanted: Iterable[Sensor | Factory], config: RobotConfig, robots: int, source: Source
+    ) -> None:
+        self._source = source
+        self._groups = [_group(factory, config, robots, source) for factory in wanted]
+        self.kinds: list[Sensor] = [group.kind for group in self._groups]
+        check_names(self.kinds)
+        self.size = sum(kind.size for kind in self.kinds)
+        self.info: dict[str, Floats] = {}
+        self._scenes = [Scene()] * robots
+        self._generators: dict[int, np.random.Generator] = {}
+
+    def __len__(self) -> int:
+        return len(self._groups)
+
+    @property
+    def clocked(self) -> bool:
+        """Whether any of them must be polled at every tick."""
+        return any(overrides(kind, "poll") for kind in self.kinds)
+
+    def seeded(self, robots: Robots) -> None:
+        """The generators of these robots have been seeded anew."""
+        for robot in robots.tolist():
+            self._generators.pop(robot, None)
+
+    def reset(self, robots: Robots, observations: Observations) -> None:
+        """These robots begin an episode: reset their sensors, and read them."""
+        for robot, scene in zip(robots.tolist(), self._source.scenes(robots), strict=True):
+            self._scenes[robot] = scene
+        with self._moment(robots) as moment:
+            for group in self._groups:
+                group.reset(moment)
+            self._read(moment, observations)
+
+    def poll(self, robots: Robots) -> None:
+        """A tick of these robots has passed."""
+        with self._moment(robots) as moment:
+            for group in self._groups:
+                group.poll(moment)
+
+    def read(self, robots: Robots, observations: Observations) -> None:
+        """The last tick of a step of these robots has passed."""
+        with self._moment(robots) as moment:
+            self._read(moment, observations)
+
+    def _read(self, moment: Moment, observations: Observations) -> None:
+        first = 0
+        for group in self._groups:
+            out = np.full((len(moment.robots), group.kind.size), np.nan)
+            group.read(moment, out)
+            observations[moment.robots, first : first + group.kind.size] = out
+            first += group.kind.size
+        self._tell(moment)
+
+    def _tell(self, moment: Moment) -> None:
+        """What they tell to info: new arrays, for those that were told once never change."""
+        told: dict[str, list[float]] = {}
+        for group in self._groups:
+            group.tell(moment, told)
+        for key, values in told.items():
+            array = self.info[key].copy() if key in self.info else np.zeros(len(self._scenes))
+            array[moment.robots] = values
+            self.info[key] = array
+
+    @contextlib.contextmanager
+    def _moment(self, robots: Robots) -> Iterator[Moment]:
+        """What the sensors are told now; the numbers that they draw are the robots' own."""
+        numbers = robots.tolist()
+        whole = len(numbers) == len(self._scenes)
+        scenes = self._scenes if whole else [self._scenes[robot] for robot in numbers]
+        rngs = Lent(self._source.random, numbers, self._generators)
+        try:
+            truths, now = self._source.truths(robots), self._source.now(robots)
+            yield Moment(numbers, truths, now, scenes, rngs)
+        finally:
+            rngs.give_back()
+
+
+class _Each:
+    """A sensor for each robot, as in the single env."""
+
+    def __init__(self, sensors: Sequence[Sensor]) -> None:
+        self.kind = sensors[0]
+        self._sensors = sensors
+        self._polled = overrides(self.kind, "poll")
+        self._tells = overrides(self.kind, "info")
+
+    def reset(self, moment: Moment) -> None:
+        """Reset them and let them take their first measurement."""
+        with _named(self.kind) as at:
+            for place, (robot, truth, now) in enumerate(moment.each()):
+                at[0] = robot
+                self._sensors[robot].reset(moment.scenes[place], moment.rngs[place])
+                if self._polled:
+                    self._sensors[robot].poll(truth, now)
+
+    def poll(self, moment: Moment) -> None:
+        """Let them measure, if it is time."""
+        if self._polled:
+            self._lend(moment)
+            with _named(self.kind) as at:
+                for robot, truth, now in moment.each():
+                    at[0] = robot
+                    self._sensors[robot].poll(truth, now)
+
+    def read(self, moment: Moment, out: Floats) -> None:
+        """Their numbers, a row each."""
+        self._lend(moment)
+        with _named(self.kind) as at:
+            for row, (robot, truth, now) in zip(out, moment.each(), strict=True):
+                at[0] = robot
+                sensor = self._sensors[robot]
+                row[:] = checked(sensor, sensor.read(truth, now))
+
+    def _lend(self, moment: Moment) -> None:
+        """Sensors keep the generators of their reset: those are to go on where the batch is."""
+        for _ in moment.rngs:
+            pass
+
+    def tell(self, moment: Moment, told: dict[str, list[float]]) -> None:
+        """Add what they tell, a number for each robot. ConfigError for a key that is there."""
+        if self._tells:
+            rows: list[dict[str, float]] = []
+            for robot, now in zip(moment.robots, moment.now.tolist(), strict=True):
+                rows.append({})
+                add_info(rows[-1], self._sensors[robot], now)
+            for key in rows[0]:
+                unused(told, self.kind, key)
+                told[key] = [row[key] for row in rows]
+
+
+class _Whole:
+    """One sensor whose `read_batch` reads all robots at once."""
+
+    def __init__(self, sensor: Any) -> None:
+        self.kind = sensor
+
+    def reset(self, moment: Moment) -> None:
+        """Nothing: it remembers nothing."""
+
+    def poll(self, moment: Moment) -> None:
+        """Nothing: it has no clock of its own."""
+
+    def read(self, moment: Moment, out: Floats) -> None:
+        """The numbers of all robots, a row each."""
+        self.kind.read_batch(moment.truths, moment.scenes, moment.now, moment.rngs, out)
+        sound = np.isfinite(out).all(axis=1)
+        if not sound.all():
+            place = int(sound.argmin())
+            raise SensorError(
+                f"sensor {self.kind.name!r}: read_batch() left {shown(out[place].tolist())} for "
+                f"robot {moment.robots[place]}: must be finite numbers"
+            )
+
+    def tell(self, moment: Moment, told: dict[str, list[float]]) -> None:
+        """Nothing."""
+
+
+def _group(factory: Any, config: RobotConfig, robots: int, source: Source) -> _Each | _Whole:
+    """The sensors that a factory makes for a batch."""
+    one = made_by(factory, RobotLink(source, 0), config)
+    if hasattr(one, "read_batch"):
+        if overrides(one, "poll") or overrides(one, "info"):
+            raise ConfigError(
+                f"sensor {one.name!r}: has read_batch, so poll and info aren't used in a batch: "
+                "leave one or the other away"
+            )
+        return _Whole(one)
+    if one is factory:
+        raise ConfigError(
+            f"sensor {one.name!r}: a batch needs one for each robot: pass its class or a factory"
+        )
+    sensors = [made_by(factory, RobotLink(source, robot), config) for robot in range(1, robots)]
+    return _Each([one, *sensors])
+
+
+def overrides(sensor: Sensor, method: str) -> bool:
+    """Whether a sensor has a method of its own, and not Sensor's."""
+    return getattr(type(sensor), method) is not getattr(Sensor, method)
+
+
+@contextlib.contextmanager
+def _named(kind: Sensor) -> Iterator[list[int]]:
+    """Errors inside the block say which robot's sensor it was: the number put into the list."""
+    at = [0]
+    try:
+        yield at
+    except Exception as error:
+        error.add_note(f"sensor {kind.name!r} of robot {at[0]}")
+        raise

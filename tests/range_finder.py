@@ -1,0 +1,33 @@
+"""A sensor of a user's own: one file, in the public names alone."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+import acsar_gym
+from acsar_gym.bodies.base import GroundTruth
+from acsar_gym.worlds.geometry import look
+
+BEARINGS = np.radians([-30.0, 0.0, 30.0])
+REACH = 3.0
+"""[m]"""
+
+
+class ThreeRays(acsar_gym.Sensor):
+    """Three noisy rays ahead, as shares of their reach."""
+
+    name, size, low, high = "three_rays", 3, 0.0, 1.0
+    noise = 0.01
+    """[m]"""
+
+    def read(self, truth: GroundTruth | None, now: float) -> NDArray[np.float64]:
+        """Ranges / REACH, right to left."""
+        assert truth is not None
+        x, y, theta = truth.pose
+        ranges = look((x, y), theta + BEARINGS, self.scene.world)
+        return np.clip(ranges + self.rng.normal(0.0, self.noise, 3), 0.0, REACH) / REACH
+
+    def info(self, now: float) -> dict[str, float]:
+        """When it was read."""
+        return {"three_rays_time": now}

@@ -1,0 +1,167 @@
+"""The list of a robot's sensors: who may be on it, in which order, and who closes them."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from range_finder import ThreeRays
+
+import acsar_gym
+from acsar_gym import Robot, RobotConfig, Sensor, open_link
+from acsar_gym.errors import ConfigError, SensorError
+from acsar_gym.lidars.base import LidarSensor
+
+ACSAR = RobotConfig.preset("acsar")
+
+
+def robot(*sensors: Any) -> Robot:
+    return Robot(open_link("planar", ACSAR), ACSAR, sensors)
+
+
+def special(**changes: Any) -> type[Sensor]:
+    return type("Special", (ThreeRays,), changes)
+
+
+def test_a_robot_has_none_but_those_it_is_given() -> None:
+    assert list(robot().sensors) == []
+    assert robot().read().shape == (0,)
+
+
+def test_the_lidar_is_the_first_one() -> None:
+    one = robot(ThreeRays, "lidar")
+    assert [sensor.name for sensor in one.sensors] == ["lidar", "three_rays"]
+    assert isinstance(one.sensors[0], LidarSensor)
+    with one:
+        assert one.read().shape == (64 + 3,)
+        assert (one.read()[:64] == 1.0).all()
+
+
+def test_a_ready_one_and_a_factory_do_as_well_as_a_class() -> None:
+    link = open_link("planar", ACSAR)
+    ready = ThreeRays(link, ACSAR)
+    other = special(name="other")
+    made = Robot(link, ACSAR, [ready, functools.partial(other)])
+    assert made.sensors[0] is ready
+    assert [sensor.name for sensor in made.sensors] == ["three_rays", "other"]
+
+
+@pytest.mark.parametrize(
+    ("sensors", "message"),
+    [
+        ((ThreeRays, ThreeRays), "two are named 'three_rays'"),
+        (("lidar", "lidar"), "two are named 'lidar'"),
+        (("lidr",), "unknown sensor 'lidr'; did you mean 'lidar'"),
+        ((3,), "3 must be a subclass of Sensor or a factory"),
+        ((lambda link, config: 3,), "is no Sensor"),
+        ((special(name=""),), "Special.name = ''"),
+        ((special(name="a b"),), "must be a word"),
+        ((special(name=None),), "must be a word"),
+        ((special(size=0),), "sensor 'three_rays': size = 0"),
+        ((special(size=2.0),), "size = 2.0"),
+        ((special(size=True),), "size = True"),
+        ((special(low=2.0),), "low = 2.0, high = 1.0 must be"),
+        ((special(low=[0.0, 0.0]),), r"\(3,\) arrays"),
+        ((special(high="x"),), "high = 'x'"),
+        ((special(high=np.nan),), "high = nan"),
+    ],
+)
+def test_what_cannot_be_on_it_is_named(sensors: tuple[Any, ...], message: str) -> None:
+    with pytest.raises(ConfigError, match=message) as caught:
+        robot(*sensors)
+    assert "\n" not in str(caught.value)
+
+
+def test_bounds_are_arrays_and_the_layout_names_them() -> None:
+    sensor = special(low=[0.0, -1.0, 0.0])(open_link("planar", ACSAR), ACSAR)
+    assert [bound.tolist() for bound in sensor.bounds] == [[0.0, -1.0, 0.0], [1.0, 1.0, 1.0]]
+    assert sensor.layout == "three_rays[3] from -1 to 1"
+
+
+class Device(ThreeRays):
+    """Counts what is done with it, and fails where it is told to."""
+
+    def __init__(self, link: Any, config: RobotConfig) -> None:
+        super().__init__(link, config)
+        self.calls: list[str] = []
+        self.fails_in = ""
+
+    def _do(self, what: str) -> None:
+        self.calls.append(what)
+        if what == self.fails_in:
+            raise SensorError(what)
+
+    def reset(self, scene: Any, rng: Any) -> None:
+        super().reset(scene, rng)
+        self._do("reset")
+
+    def poll(self, truth: Any, now: float) -> None:
+        self._do("poll")
+
+    def read(self, truth: Any, now: float) -> Any:
+        self._do("read")
+        return np.zeros(3)
+
+    def info(self, now: float) -> dict[str, float]:
+        self._do("info")
+        return {}
+
+    def close(self) -> None:
+        self._do("close")
+
+
+def test_it_is_reset_polled_at_every_tick_and_closed_with_the_robot() -> None:
+    one = robot(Device)
+    device: Any = one.sensors[0]
+    with one:
+        assert device.calls == ["reset", "poll"]
+        one.drive(0.1, 0.0)
+        one.tick([0.0] * 4)
+        one.read()
+    assert device.calls == ["reset", "poll", "poll", "poll", "read", "close"]
+
+
+def test_it_stays_open_while_the_robot_only_stops() -> None:
+    one = robot(Device)
+    device: Any = one.sensors[0]
+    one.activate()
+    one.deactivate()
+    one.activate()
+    assert device.calls == ["reset", "poll"] * 2
+    one.close()
+    one.close()
+    assert device.calls[-2:] == ["close", "close"]
+
+
+@pytest.mark.parametrize("what", ["reset", "poll", "read", "info"])
+def test_any_error_of_it_stops_the_robot(what: str) -> None:
+    one = robot(Device)
+    device: Any = one.sensors[0]
+    if what != "reset":
+        one.activate()
+    device.fails_in = what
+    use: dict[str, Callable[[], object]] = {
+        "reset": one.activate,
+        "poll": lambda: one.drive(0.1, 0.0),
+        "read": one.read,
+        "info": lambda: one.tell({}),
+    }
+    with pytest.raises(SensorError, match=what):
+        use[what]()
+    assert not one.active
+
+
+def test_one_that_cannot_be_closed_keeps_none_open() -> None:
+    one = robot(Device, type("Second", (Device,), {"name": "second"}))
+    first, second = (vars(sensor) for sensor in one.sensors)
+    first["fails_in"] = "close"
+    with pytest.raises(SensorError):
+        one.close()
+    assert (first["calls"], second["calls"]) == (["close"], ["close"])
+
+
+def test_the_name_is_public() -> None:
+    assert acsar_gym.Sensor is Sensor

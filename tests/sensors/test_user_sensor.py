@@ -1,0 +1,237 @@
+"""A user's range finder in one env after the other: simulated twice, and on a real terminal."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from numpy.typing import NDArray
+from range_finder import REACH, ThreeRays
+from serial_tools import Emulated, no_leak
+
+from acsar_gym import RobotConfig, Sensor, World
+from acsar_gym.bodies.base import GroundTruth
+from acsar_gym.envs.base import RobotEnv
+from acsar_gym.errors import ConfigError, LinkError, SensorError
+from acsar_gym.links.base import Link
+from acsar_gym.tasks import ObstacleGoal, PointGoal
+from acsar_gym.tasks.spawn import pool
+from acsar_gym.worlds import Region, Scene
+
+WALL = World(
+    segments=np.array([[2.0, -9.0, 2.0, 9.0]]),
+    start=Region(0.5, 0.0, 0.0, 0.0),
+    goal=Region(1.5, 0.0),
+)
+FORWARD = np.array([0.4, 0.0], np.float32)
+Make = Callable[..., RobotEnv]
+
+
+@pytest.fixture
+def make() -> Iterator[Make]:
+    """`make(link, *sensors, lidar=False, ...)` is an env before a wall; closed with the test."""
+    made: list[RobotEnv] = []
+
+    def begin(link: str, *sensors: Any, sees: bool = False, **options: Any) -> RobotEnv:
+        def task(config: RobotConfig) -> Any:
+            if sees:
+                return ObstacleGoal.of(pool(WALL, None, config), 0.2, config)
+            return PointGoal.of((0.5, 3.0), 0.15, config)
+
+        made.append(RobotEnv(task, link, sensors=sensors, **options))
+        return made[-1]
+
+    yield begin
+    for env in made:
+        env.close()
+
+
+class Quiet(ThreeRays):
+    noise = 0.0
+
+
+@pytest.mark.parametrize("link", ["planar", "bullet"])
+def test_it_sees_the_wall_in_both_simulations(make: Make, link: str) -> None:
+    env = make(link, Quiet, sees=True, robot={"lidar": {"noise": 0.0, "rays": 4}})
+    side = 1.5 / math.cos(math.radians(30.0))
+    observation, info = env.reset(seed=0)
+    assert observation.shape == (7 + 4 + 3,)
+    assert observation[-3:] == pytest.approx(np.array([side, 1.5, side]) / REACH, abs=0.01)
+    assert info["three_rays_time"] == env.robot.link.now()
+    for _ in range(10):
+        observation, *_, info = env.step(FORWARD)
+    assert observation[-2] * REACH == pytest.approx(1.5 - info["odom_x"], abs=0.02)
+    assert [sensor.name for sensor in env.robot.sensors] == ["lidar", "three_rays"]
+    assert "scan_age" in info
+
+
+def test_the_space_and_the_checker_know_it(make: Make) -> None:
+    env = make("planar", ThreeRays)
+    space: Any = env.observation_space
+    assert (space.low[-3:].tolist(), space.high[-3:].tolist()) == ([0.0] * 3, [1.0] * 3)
+    assert space.shape == (10,)
+    check_env(env, skip_render_check=True)
+
+
+def test_its_noise_comes_from_the_envs_generator(make: Make) -> None:
+    seen = []
+    for seed in (1, 1, 2):
+        env = make("planar", ThreeRays, sees=True)
+        rows = [env.reset(seed=seed)[0]]
+        rows += [env.step(FORWARD)[0] for _ in range(5)]
+        seen.append(np.array(rows))
+    assert (seen[0] == seen[1]).all()
+    assert (seen[0] != seen[2]).any()
+
+
+def test_a_copy_has_a_sensor_of_its_own(make: Make) -> None:
+    env = make("planar", ThreeRays)
+    first, _ = env.reset(seed=3)
+    other = copy.deepcopy(env)
+    assert other.robot.sensors[0] is not env.robot.sensors[0]
+    assert other.robot.sensors[0].link is other.robot.link
+    assert (other.reset(seed=3)[0] == first).all()
+    other.close()
+
+
+class Thermometer(Sensor):
+    """What measures on the real robot, with a clock of its own."""
+
+    name, size, low, high = "thermometer", 2, 0.0, 100.0
+
+    def __init__(self, link: Link, config: RobotConfig) -> None:
+        super().__init__(link, config)
+        self.polls, self.closed = 0, 0
+
+    def poll(self, truth: GroundTruth | None, now: float) -> None:
+        self.polls += 1
+
+    def read(self, truth: GroundTruth | None, now: float) -> NDArray[np.int64]:
+        assert truth is None
+        return np.array([20, min(self.polls, 100)])
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+def by_link(link: Link, config: RobotConfig) -> Sensor:
+    """A factory that chooses."""
+    return Thermometer(link, config) if link.truth is None else ThreeRays(link, config)
+
+
+@pytest.mark.usefixtures("deadline")
+def test_a_real_robot_may_have_another_one(
+    make: Make, emulator: Emulated, config: RobotConfig
+) -> None:
+    with no_leak():
+        env = make(emulator.device, by_link, robot=config)
+        first, _ = env.reset(seed=0)
+        assert first[-2:].tolist() == [20.0, 1.0]
+        observation, *_ = env.step(FORWARD * 0.25)
+        assert observation[-2:].tolist() == [20.0, 1.0 + env.ticks_per_step]
+        sensor: Any = env.robot.sensors[0]
+        env.reset()
+        assert sensor.closed == 0
+        env.close()
+        assert sensor.closed == 1
+    assert make("planar", by_link).robot.sensors[0].name == "three_rays"
+
+
+class Broken(ThreeRays):
+    """Fails from the fifth reading on."""
+
+    left = 5
+    failure: Any = None
+
+    def read(self, truth: GroundTruth | None, now: float) -> Any:
+        self.left -= 1
+        if self.left > 0:
+            return super().read(truth, now)
+        if isinstance(self.failure, Exception):
+            raise self.failure
+        return self.failure
+
+
+def broken(what: Any) -> type[Broken]:
+    class Special(Broken):
+        failure = what
+
+    return Special
+
+
+FAILURES: list[tuple[Any, type[Exception], str]] = [
+    (
+        np.zeros(2),
+        SensorError,
+        r"sensor 'three_rays': read\(\) gave float64 of shape \(2,\): must ",
+    ),
+    (np.zeros((3, 1)), SensorError, r"shape \(3, 1\)"),
+    (None, SensorError, "object"),
+    (["a", "b", "c"], SensorError, "must be numbers"),
+    ([[1.0], [1.0, 2.0], []], SensorError, "must be numbers"),
+    (np.zeros(3, np.complex128), SensorError, "complex128"),
+    ([0.5, np.nan, 0.5], SensorError, r"gave \[0.5, nan, 0.5\]: must be finite numbers"),
+    ([0.5, np.inf, 0.5], SensorError, "must be finite numbers"),
+    (ValueError("too hot"), ValueError, "too hot"),
+]
+
+
+@pytest.mark.parametrize(("what", "kind", "message"), FAILURES)
+def test_what_it_cannot_give_stops_the_robot(
+    make: Make, what: Any, kind: type[Exception], message: str
+) -> None:
+    env = make("planar", broken(what))
+    env.reset(seed=0)
+    for _ in range(3):
+        env.step(FORWARD)
+    with pytest.raises(kind, match=message) as caught:
+        env.step(FORWARD)
+    assert "\n" not in str(caught.value)
+    assert not env.robot.active
+
+
+def test_huge_numbers_are_finite(make: Make) -> None:
+    env = make("planar", broken([1e200, -1e200, 0.0]))
+    env.reset(seed=0)
+    for _ in range(3):
+        env.step(FORWARD)
+    assert env.robot.read()[0] == 1e200
+
+
+def test_a_device_that_falls_silent_truncates_the_episode(make: Make) -> None:
+    env = make("planar", broken(LinkError("the sonar is silent", "check its cable")))
+    env.reset(seed=0)
+    for _ in range(3):
+        env.step(FORWARD)
+    *_, truncated, info = env.step(FORWARD)
+    assert truncated
+    assert info["fault_reason"] == "the sonar is silent: check its cable"
+
+
+class Other(ThreeRays):
+    name = "other"
+
+
+class Shadow(ThreeRays):
+    def info(self, now: float) -> dict[str, float]:
+        return {"odom_x": 0.0}
+
+
+def test_an_info_key_is_told_once(make: Make) -> None:
+    with pytest.raises(ConfigError, match="sensor 'three_rays': info tells 'odom_x', which is"):
+        make("planar", Shadow).reset(seed=0)
+    with pytest.raises(ConfigError, match="'other': info tells 'three_rays_time'"):
+        make("planar", ThreeRays, Other).reset(seed=0)
+
+
+def test_the_scene_is_told_at_a_reset(make: Make) -> None:
+    env = make("planar", ThreeRays, sees=True)
+    env.reset(seed=0)
+    scene = env.robot.sensors[1].scene
+    assert isinstance(scene, Scene)
+    assert scene.world is not None
