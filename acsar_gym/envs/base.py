@@ -7,6 +7,7 @@ import copy
 import math
 import os
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, Self
 
 import gymnasium
@@ -38,6 +39,7 @@ from acsar_gym.tasks import Course, Observation, Outcome, State, Task
 from acsar_gym.tasks.spaces import task_spaces
 from acsar_gym.vector.specs import PlainSpec
 from acsar_gym.worlds import Pose, Scene
+from acsar_gym.worlds.scene import point_in_world, to_odometry
 
 Info = dict[str, Any]
 NOWHERE: Pose = (math.nan, math.nan, math.nan)
@@ -135,7 +137,8 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         if self._faulty is not None:
             self._faulty.seed(self.np_random)
         self._course = course = self.task.begin(self.np_random, {} if options is None else options)
-        scene = Scene(goal=course.assignment.goal, world=course.assignment.world)
+        task = course.assignment
+        scene = Scene(task.start, point_in_world(task.start, task.goal), task.world)
         self.robot.reset(scene)
         if self.lidar is not None:
             self._see(lambda lidar: lidar.reset(scene, self.np_random))
@@ -212,6 +215,9 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def _state(self, action: tuple[float, float], truth: GroundTruth | None) -> State:
         odometry = self.robot.odometry
+        if truth is not None and self._course is not None:
+            start = self._course.assignment.start
+            truth = replace(truth, pose=to_odometry(start, truth.pose))
         return State(odometry.pose, odometry.twist, action, truth)
 
     def _told(self, course: Course, state: State, outcome: Outcome) -> tuple[Observation, Info]:

@@ -13,6 +13,8 @@ from acsar_gym.errors import OffScreenWarning, RenderError
 from acsar_gym.lidars.base import Scan, ray_spec
 from acsar_gym.links import Link
 from acsar_gym.tasks import Assignment, State
+from acsar_gym.worlds import Pose
+from acsar_gym.worlds.scene import point_in_world, to_world
 
 TOP_SIZE = (480, 480)
 """Width and height of the top view [pixels]."""
@@ -49,11 +51,15 @@ class Screen:
         if self._mode is None:
             return
         self._state, self._scan = state, scan
-        self._odom_path.append(state.pose[:2])
+        self._odom_path.append(self._placed(state.pose)[:2])
         if state.truth is not None:
-            self._true_path.append(state.truth.pose[:2])
+            self._true_path.append(self._placed(state.truth.pose)[:2])
         if self._mode == "human":
             self._on_window(self._drawn())
+
+    def _placed(self, pose: Pose) -> Pose:
+        """A pose of the odometry frame in the frame of the world, which pictures show."""
+        return to_world(self._assignment.start, pose) if self._assignment else pose
 
     def picture(self, link: Link) -> Image:
         """The picture of the state that was shown last. RenderError where there is no camera."""
@@ -74,9 +80,9 @@ class Screen:
             raise RenderError("there is nothing to see before reset(): call it first")
         frame = Frame(
             world=assignment.world,
-            odom=state.pose,
-            truth=None if state.truth is None else state.truth.pose,
-            goal=assignment.goal,
+            odom=self._placed(state.pose),
+            truth=None if state.truth is None else self._placed(state.truth.pose),
+            goal=point_in_world(assignment.start, assignment.goal),
             goal_radius=self._tolerance,
             odom_path=self._odom_path,
             true_path=self._true_path,

@@ -37,17 +37,19 @@ class Outcome(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Assignment:
-    """What one episode is about, in the odometry frame, in which the robot starts at the origin."""
+    """What one episode is about."""
 
     goal: Goal
-    """[m]"""
+    """In the odometry frame, in which the robot starts at the origin [m]."""
     world: World | None = None
     path: Floats | None = None
-    """N x 3: x, y [m] and direction [rad] of a path to follow."""
+    """N x 3: x, y [m] and direction [rad] of a path to follow, in the odometry frame."""
     length: float = math.nan
     """Of the world's own path from start to goal [m]."""
     number: int = -1
     """Of the world: its generator's number, its place in a list or folder, or -1."""
+    start: Pose = (0.0, 0.0, 0.0)
+    """Where the robot starts, in the frame of the world."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -61,26 +61,27 @@ def _drawn(worlds: Pool, share: float, difficulty: Level) -> int:
 def drawn(
     worlds: Pool, rng: np.random.Generator, options: Mapping[str, Any], *, follow: bool = False
 ) -> Assignment:
-    """A world of the pool with a start and a goal in it, in the frame of the start.
+    """A world of the pool, where in it the robot starts, and where its goal is.
 
-    `follow` asks for the world's path, sampled; ConfigError where it has none.
+    `follow` asks for the world's path, sampled, from one end to the other; WorldError where it has
+    none.
 
     Options: "world", a number or a World; "difficulty", (low, high) of the worlds to draw from;
     "goal", (x, y) in the odometry frame [m].
     """
     u = rng.random(DRAWS).tolist()
     number, world = chosen(worlds, u[0], options)
-    world = to_follow(world) if follow else world
-    x, y = within(world.start.x, world.start.y, world.start.radius, u[1], u[2])
-    theta = world.start.theta
+    ends = to_follow(world) if follow else world
+    x, y = within(ends.start.x, ends.start.y, ends.start.radius, u[1], u[2])
+    theta = ends.start.theta
     theta = (2.0 * u[3] - 1.0) * math.pi if theta is None else theta
-    goal_x, goal_y = within(world.goal.x, world.goal.y, world.goal.radius, u[4], u[5])
-    pose: Pose = (x, y, theta)
+    start: Pose = (x, y, theta)
     if options.get("goal") is not None:  # the world's own path leads elsewhere
-        return Assignment(point("goal", options["goal"]), world.seen_from(pose), number=number)
+        return Assignment(point("goal", options["goal"]), world, number=number, start=start)
+    goal_x, goal_y = within(ends.goal.x, ends.goal.y, ends.goal.radius, u[4], u[5])
     goal: Goal = relative(x, y, math.cos(theta), math.sin(theta), goal_x, goal_y)
-    path = _followed(world.path, pose) if follow and world.path is not None else None
-    return Assignment(goal, world.seen_from(pose), path, world.length, number)
+    path = _followed(ends.path, start) if follow and ends.path is not None else None
+    return Assignment(goal, world, path, ends.length, number, start)
 
 
 def given(path: Any) -> Assignment:
@@ -94,7 +95,7 @@ def given(path: Any) -> Assignment:
 
 
 def _followed(path: Floats, pose: Pose) -> Floats:
-    """N x 3: the samples of a path, in the frame of the pose."""
+    """N x 3: the samples of a path, in the odometry frame that begins at the pose."""
     samples = sampled(path)
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     points = (samples[:, :2] - pose[:2]) @ np.array([[cos, -sin], [sin, cos]])

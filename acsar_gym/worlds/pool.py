@@ -140,8 +140,9 @@ def _generated(kind: str, difficulty: Level, radius: float, number: int) -> Worl
     return cache.world(kind, number, difficulty, radius)
 
 
+@lru_cache(maxsize=16)
 def checked(world: World, radius: float) -> World:
-    """The world with a path, where it had none.
+    """The world with a path, where it had none; the same object for the same world.
 
     Raises WorldError where start or goal aren't free for a footprint of this radius [m], or there
     is no way between them.

@@ -215,7 +215,7 @@ def _near(world: World, box: Floats) -> World:
     high = np.maximum(world.segments[:, :2], world.segments[:, 2:])
     circles = ((centres + radii >= box[:2]) & (centres - radii <= box[2:])).all(axis=1)
     segments = ((high >= box[:2]) & (low <= box[2:])).all(axis=1)
-    return World(world.circles[circles], world.segments[segments], turned=world.turned)
+    return World(world.circles[circles], world.segments[segments])
 
 
 def free_cells(
