@@ -35,7 +35,7 @@ def parsed(text: str) -> Name | None:
     if match:
         return Name("", match[1], match[2] or "")
     match = _FOREIGN.fullmatch(text)
-    if match is None or match[1] in registry.kinds():
+    if match is None or match[1] in registry.BUILT_IN:
         return None
     return Name(match[1], match[2], match[3] or "")
 

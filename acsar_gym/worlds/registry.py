@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from acsar_gym.errors import ConfigError, WorldError, shown, suggestion
+from acsar_gym.errors import ConfigError, WorldError, shortened, shown, suggestion
 from acsar_gym.worlds import sources
 from acsar_gym.worlds.world import World
 
@@ -51,8 +51,7 @@ class Own:
         except WorldError:
             raise
         except Exception as error:
-            said = " ".join(f"{type(error).__name__}: {error}".split())
-            raise GeneratorError(f"{self}: raised {said[:300]}") from error
+            raise GeneratorError(f"{self}: raised {one_line(error)}") from error
         if not isinstance(made, World):
             raise GeneratorError(f"{self}: returned {shown(made)}, must return a World")
         return made
@@ -121,6 +120,11 @@ def _called(make: Maker) -> str:
     return str(getattr(make, "__qualname__", type(make).__qualname__))
 
 
+def one_line(error: Exception) -> str:
+    """What others' code raised, on one line."""
+    return shortened(" ".join(f"{type(error).__name__}: {error}".split()), 300)
+
+
 def kinds() -> tuple[str, ...]:
     """Names of all generators, those of this package first."""
     return (*BUILT_IN, *_OWN)
@@ -155,7 +159,14 @@ def imported(module: str, kind: str) -> None:
     try:
         importlib.import_module(module)
     except ImportError as error:
-        raise WorldError(f"worlds = '{module}:{kind}': can't import {module}: {error}") from None
+        raise WorldError(
+            f"worlds = '{module}:{kind}': can't import {module}: {one_line(error)}; install it, or "
+            "name its folder in PYTHONPATH"
+        ) from None
+    except Exception as error:
+        raise WorldError(
+            f"worlds = '{module}:{kind}': importing {module} raised {one_line(error)}"
+        ) from error
     if kind not in _OWN:
         raise WorldError(
             f"worlds = '{module}:{kind}': importing {module} registers no {kind!r}"
