@@ -37,8 +37,8 @@ class Emulator:
     """A simulated robot on a pseudo-terminal; `device` is what a SerialLink opens.
 
     `silent` never answers; `log` gets one JSON line per piece of input and, every loop, the true
-    pose. The robot stands at the start of `world`, or on an open floor; with `sees`, an RPLIDAR's
-    twin looks around in it, and `lidar_device` is what its driver opens.
+    pose in the world. The robot stands at the start of `world`, or at the origin of an open floor;
+    with `sees`, an RPLIDAR's twin looks around in it, and `lidar_device` is what its driver opens.
 
     `plugged` may be set to False and True at any time, from signal handlers too: the cable is
     pulled, and plugged in again as another device, which `name`, a symbolic link, follows.
@@ -64,9 +64,8 @@ class Emulator:
             self._link: Link = open_link(body, config)
             ours.callback(self._link.close)
             self._link.open()
-            around = world and world.seen_from(_start(world))
-            self._link.reset(Scene(world=around))
-            self._lidar = _lidar(self._link, around, config) if sees else None
+            self._link.reset(Scene() if world is None else Scene(_start(world), world=world))
+            self._lidar = _lidar(self._link, world, config) if sees else None
             if self._lidar is not None:
                 ours.callback(self._lidar.close)
             self.lidar_device = self._lidar.device if self._lidar else None

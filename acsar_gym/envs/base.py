@@ -44,6 +44,7 @@ from acsar_gym.tasks.spaces import task_spaces
 from acsar_gym.tasks.spawn import Spawn
 from acsar_gym.vector.specs import PlainSpec
 from acsar_gym.worlds import Pose, Scene
+from acsar_gym.worlds.scene import point_in_world, to_odometry
 
 Info = dict[str, Any]
 NOWHERE: Pose = (math.nan, math.nan, math.nan)
@@ -146,7 +147,8 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
             self._faulty.seed(self.np_random)
         assignment = self._spawn.draw(self.np_random, {} if options is None else options)
         self._episode = episode = Episode(self.task, assignment)
-        scene = Scene(goal=assignment.goal, world=assignment.world)
+        start = assignment.start
+        scene = Scene(start, point_in_world(start, assignment.goal), assignment.world)
         self.robot.reset(scene, self.np_random)
         self._sensed = self.robot.read().astype(np.float32)
         self._screen.begin(assignment, self.task.goal_tolerance)
@@ -251,7 +253,8 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def _info(self, episode: Episode, state: State) -> Info:
         (x, y, theta), truth = state.pose, self.robot.link.truth
-        true_x, true_y, true_theta = truth.pose if truth else NOWHERE
+        start = episode.assignment.start
+        true_x, true_y, true_theta = to_odometry(start, truth.pose) if truth else NOWHERE
         goal_x, goal_y = state.goal
         info = {
             "is_success": float(episode.outcome is Outcome.SUCCESS),

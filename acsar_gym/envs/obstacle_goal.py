@@ -59,8 +59,8 @@ class ObstacleGoalEnv(RobotEnv):
     - `worlds`: "clutter:train" by default, the 400 worlds to train in; "clutter:test" are the 200
       that `acsar-gym evaluate` tests in. "clutter:50" means the first 50, "clutter:100-149" those
       with these numbers, "clutter" alone the training split; so with the other kinds ("open",
-      "rooms", "barn"). Or a file (.world, ROS map, .json, .yaml), a folder of them, a World, or a
-      list of World.
+      "rooms", "barn"), and with those that `acsar_gym.worlds.register` adds. Or a file (.world, ROS
+      map, .json, .yaml), a folder of them, a World, or a list of World.
     - `difficulty` of generated worlds, 0 to 1; None or a range (low, high) varies it.
     - `lidar`: None for the simulated one, "rplidar:///dev/ttyUSB1" on hardware, or a Lidar.
 

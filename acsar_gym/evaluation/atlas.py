@@ -15,7 +15,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, WorldError
 from acsar_gym.evaluation import report
 from acsar_gym.render import top_view as pictures
-from acsar_gym.worlds import World, difficulty, files, generators
+from acsar_gym.worlds import World, difficulty, files, names
 from acsar_gym.worlds.pool import Pool, read
 from acsar_gym.worlds.search import footprint_radius, path_length, shortest_path
 
@@ -72,7 +72,7 @@ def told(source: str, count: int) -> dict[str, str | None]:
 
     That's None where the worlds aren't all of one.
     """
-    if source.partition(":")[0] not in generators.kinds():
+    if names.generated(source) is None:
         return {"source": source, "split": None}
     pool = Pool.of(source, count=count)
     return {"source": str(pool), "split": pool.split or None}

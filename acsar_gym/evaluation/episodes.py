@@ -20,6 +20,7 @@ from acsar_gym.policies import Policy
 from acsar_gym.safety.layer import Reason
 from acsar_gym.tasks.barn import SCORES
 from acsar_gym.worlds import Pose, Region, World
+from acsar_gym.worlds.scene import point_in_world
 from acsar_gym.worlds.search import footprint_radius, path_length, way_left
 
 Way = list[tuple[float, float]]
@@ -187,9 +188,11 @@ def _ways(env: RobotEnv, steps: Sequence[dict[str, float]]) -> dict[str, float]:
         return {"driven": _length(steps, frame)}
     if frame == "odom" and assignment.world is not None:
         return {"driven": _length(steps, frame)}  # nobody knows what stands around a real robot
-    radius, goal = footprint_radius(env.robot.config), Region(*assignment.goal)
-    world = assignment.world or World()
-    ends = [Region(step[f"{frame}_x"], step[f"{frame}_y"]) for step in (steps[0], steps[-1])]
+    radius, world = footprint_radius(env.robot.config), assignment.world or World()
+    places = [(step[f"{frame}_x"], step[f"{frame}_y"]) for step in (steps[0], steps[-1])]
+    *ends, goal = (
+        Region(*point_in_world(assignment.start, place)) for place in (*places, assignment.goal)
+    )
     shortest, left = (way_left(world, radius, end, goal) for end in ends)
     return {"shortest": shortest, "left": left, "driven": _length(steps, frame)}
 

@@ -38,7 +38,7 @@ from acsar_gym.envs.base import RobotEnv
 from acsar_gym.policies import FilePolicy
 from acsar_gym.vector.specs import plain
 from acsar_gym.worlds import World
-from acsar_gym.worlds.cache import generators_hash
+from acsar_gym.worlds.cache import source_hash
 from acsar_gym.worlds.pool import Pool
 
 
@@ -115,8 +115,8 @@ def _worlds(pool: Pool | None) -> dict[str, Any]:
         "difficulty": pool.difficulty,
         "radius": pool.radius,
     }
-    known: list[Any] = [told, generators_hash()]
-    if not pool.generated:
+    known: list[Any] = [told, source_hash(pool.kind)]
+    if not (pool.generated and source_hash(pool.kind)):
         known = [_contents(world) for world in pool]
     return told | {"sha256": _sha256(json.dumps(known, sort_keys=True))}
 

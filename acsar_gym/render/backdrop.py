@@ -96,11 +96,11 @@ def scale_bar(canvas: Canvas, row: float, share: float, *, right: bool = False) 
 
 
 def episode_bounds(world: World | None, goal: Point | None) -> Bounds:
-    """What to show of an episode that starts at the origin [m]."""
+    """What to show of an episode: world and goal; without a world goal and origin [m]."""
+    if world is not None:
+        return wider(_union(world.bounds, (*goal, *goal) if goal else world.bounds), MARGIN)
     points = np.array([(0.0, 0.0), goal or (0.0, 0.0)])
     (left, low), (right, high) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
-    if world is not None:
-        return wider(_union(world.bounds, (left, low, right, high)), MARGIN)
     longest = max(right - left, high - low)
     x, y, side = (left + right) / 2.0, (low + high) / 2.0, max(STRAY, 0.25 * longest)
     return wider((x, y, x, y), longest / 2.0 + side)

@@ -14,6 +14,8 @@ from acsar_gym.lidars.base import Scan, ray_spec
 from acsar_gym.links import Link
 from acsar_gym.links.base import camera_of
 from acsar_gym.tasks import Assignment, State
+from acsar_gym.worlds import Pose
+from acsar_gym.worlds.scene import point_in_world, to_world
 
 TOP_SIZE = (480, 480)
 """Width and height of the top view [pixels]."""
@@ -51,11 +53,15 @@ class Screen:
         if self._mode is None:
             return
         self._state, self._truth, self._scan = state, truth, scan
-        self._odom_path.append(state.pose[:2])
+        self._odom_path.append(self._placed(state.pose)[:2])
         if truth is not None:
             self._true_path.append(truth.pose[:2])
         if self._mode == "human":
             self._on_window(self._drawn())
+
+    def _placed(self, pose: Pose) -> Pose:
+        """A pose of the odometry frame in the frame of the world, which pictures show."""
+        return to_world(self._assignment.start, pose) if self._assignment else pose
 
     def picture(self, link: Link) -> Image:
         """The picture of the state that was shown last. RenderError where there is no camera."""
@@ -76,9 +82,9 @@ class Screen:
             raise RenderError("there is nothing to see before reset(): call it first")
         frame = Frame(
             world=assignment.world,
-            odom=state.pose,
+            odom=self._placed(state.pose),
             truth=None if self._truth is None else self._truth.pose,
-            goal=assignment.goal,
+            goal=point_in_world(assignment.start, assignment.goal),
             goal_radius=self._tolerance,
             odom_path=self._odom_path,
             true_path=self._true_path,

@@ -48,7 +48,7 @@ TITLE = 24
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Frame:
-    """What one picture shows, in the odometry frame: the robot starts at the origin along +x."""
+    """What one picture shows, in the frame of the world, or without one in the odometry frame."""
 
     world: World | None = None
     odom: Pose = (0.0, 0.0, 0.0)
@@ -71,25 +71,27 @@ class Frame:
 class TopView:
     """Draws frames of one robot from above, on a view that stays as long as world and goal do.
 
-    The view is fitted to the world, the start and the goal; without a world it is a square around
-    start and goal. It grows where the robot leaves it. `up` is the axis that points up.
+    The view is fitted to the world and the goal; without a world it is a square around the origin
+    and the goal. It grows where the robot leaves it. `up` is the axis that points up; None: y in a
+    world, as on a map, and x without one, so that a robot drives off upwards.
 
     Raises ConfigError for a `size` (width, height) that isn't 64 to 4096 pixels, MissingExtraError
     without Pillow.
     """
 
     def __init__(
-        self, config: RobotConfig, size: tuple[int, int] = (480, 480), up: Up = "x"
+        self, config: RobotConfig, size: tuple[int, int] = (480, 480), up: Up | None = None
     ) -> None:
         check_size("size", size)
         self.layers = 0
         """How often what stands still was drawn."""
         self._config = config
+        self._up = up
         self._parts = _parts(config)
         self._footprint = _box(0.0, 0.0, config.body.length, config.body.width)
         self._goal: Point | None = None
         self._bounds = scenery.episode_bounds(None, None)
-        self._draw_still(None, View.fitted(self._bounds, size, up, INSET))
+        self._draw_still(None, View.fitted(self._bounds, size, up or "x", INSET))
 
     @property
     def view(self) -> View:
@@ -119,7 +121,8 @@ class TopView:
         view, bounds = self.view, self._bounds
         if frame.world is not self._world or not self._same_goal(frame):
             bounds = scenery.episode_bounds(frame.world, frame.goal)
-            view = View.fitted(bounds, view.size, view.up, INSET)
+            up = self._up or ("x" if frame.world is None else "y")
+            view = View.fitted(bounds, view.size, up, INSET)
         for x, y, _ in (frame.odom, frame.truth or frame.odom):
             if math.isfinite(x + y) and not view.shows(x, y, INSET):
                 bounds = scenery.grown(bounds, x, y)

@@ -27,17 +27,19 @@ DRAWS = 6
 
 @dataclass(frozen=True, slots=True)
 class Assignment:
-    """What one episode is about, in the odometry frame, in which the robot starts at the origin."""
+    """What one episode is about."""
 
     goal: Goal
-    """[m]"""
+    """In the odometry frame, in which the robot starts at the origin [m]."""
     world: World | None = None
     path: Floats | None = None
-    """N x 3: x, y [m] and direction [rad] of a path to follow."""
+    """N x 3: x, y [m] and direction [rad] of a path to follow, in the odometry frame."""
     length: float = math.nan
     """Of the world's own path from start to goal [m]."""
     number: int = -1
     """Of the world: its generator's number, its place in a list or folder, or -1."""
+    start: Pose = (0.0, 0.0, 0.0)
+    """Where the robot starts, in the frame of the world."""
 
     @property
     def info(self) -> Info:
@@ -148,26 +150,27 @@ def _drawn(worlds: Pool, share: float, difficulty: Level) -> int:
 def drawn(
     worlds: Pool, rng: np.random.Generator, options: Mapping[str, Any], *, follow: bool = False
 ) -> Assignment:
-    """A world of the pool with a start and a goal in it, in the frame of the start.
+    """A world of the pool, where in it the robot starts, and where its goal is.
 
-    `follow` asks for the world's path, sampled; ConfigError where it has none.
+    `follow` asks for the world's path, sampled, from one end to the other; WorldError where it has
+    none.
 
     Options: "world", a number or a World; "difficulty", (low, high) of the worlds to draw from;
     "goal", (x, y) in the odometry frame [m].
     """
     u = rng.random(DRAWS).tolist()
     number, world = chosen(worlds, u[0], options)
-    world = to_follow(world) if follow else world
-    x, y = within(world.start.x, world.start.y, world.start.radius, u[1], u[2])
-    theta = world.start.theta
+    ends = to_follow(world) if follow else world
+    x, y = within(ends.start.x, ends.start.y, ends.start.radius, u[1], u[2])
+    theta = ends.start.theta
     theta = (2.0 * u[3] - 1.0) * math.pi if theta is None else theta
-    goal_x, goal_y = within(world.goal.x, world.goal.y, world.goal.radius, u[4], u[5])
-    pose: Pose = (x, y, theta)
+    start: Pose = (x, y, theta)
     if options.get("goal") is not None:  # the world's own path leads elsewhere
-        return Assignment(point("goal", options["goal"]), world.seen_from(pose), number=number)
+        return Assignment(point("goal", options["goal"]), world, number=number, start=start)
+    goal_x, goal_y = within(ends.goal.x, ends.goal.y, ends.goal.radius, u[4], u[5])
     goal: Goal = relative(x, y, math.cos(theta), math.sin(theta), goal_x, goal_y)
-    path = followed(world) if follow else None
-    return Assignment(goal, world.seen_from(pose), path, world.length, number)
+    path = followed(ends) if follow else None
+    return Assignment(goal, world, path, ends.length, number, start)
 
 
 def given(path: Any) -> Assignment:

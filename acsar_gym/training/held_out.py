@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.vector.env import RobotVectorEnv
-from acsar_gym.worlds import generators
+from acsar_gym.worlds import names
 
 ROBOTS = 64
 """Robots, and so episodes, of an evaluation during training."""
@@ -94,12 +94,12 @@ def worlds_beside(source: str) -> str:
 
     A file or a folder stays as it is: there are no others, only other seeds.
     """
-    kind, _, numbers = source.partition(":")
-    if kind not in generators.kinds():
+    name = names.generated(source)
+    if name is None:
         return source
     first = FIRST_WORLD
-    if given := re.fullmatch(r"(?:(\d+)-)?(\d+)", numbers):
+    if given := re.fullmatch(r"(?:(\d+)-)?(\d+)", name.numbers):
         low, high = int(given[1] or 0), int(given[2]) - (given[1] is None)
         if low < FIRST_WORLD + ROBOTS and high >= FIRST_WORLD:
             first = high + 1
-    return f"{kind}:{first}-{first + ROBOTS - 1}"
+    return f"{name.generator}:{first}-{first + ROBOTS - 1}"

@@ -1,6 +1,7 @@
 """Where a robot drives: worlds and scenes, in frames of REP 105 (x, y [m], theta [rad])."""
 
+from acsar_gym.worlds.registry import register
 from acsar_gym.worlds.scene import Pose, Scene
 from acsar_gym.worlds.world import Region, World
 
-__all__ = ["Pose", "Region", "Scene", "World"]
+__all__ = ["Pose", "Region", "Scene", "World", "register"]

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.errors import WorldError
+from acsar_gym.worlds.registry import GeneratorError
 from acsar_gym.worlds.search import Grid, search, shortest_path
 from acsar_gym.worlds.world import Floats, Region, World
 
@@ -40,10 +41,6 @@ MOST_TRIED = 50
 """Fields that BARN's robot can cross, and a larger footprint can't, before it is too large."""
 
 
-class NoWayThroughError(WorldError):
-    """Many fields have been looked at: another attempt won't find one, either."""
-
-
 def barn(rng: np.random.Generator, difficulty: float, radius: float) -> World:
     """A world that the 5 x 5-cell robot of BARN can cross, and a footprint of this radius, too.
 
@@ -63,7 +60,7 @@ def barn(rng: np.random.Generator, difficulty: float, radius: float) -> World:
                 return world
         if tried > MOST_TRIED:
             break
-    raise NoWayThroughError(
+    raise GeneratorError(
         f"no BARN world lets a footprint of radius {radius:g} m through; use another kind of world"
     )
 

@@ -1,7 +1,7 @@
 """Generated worlds kept on disk: a batch needs hundreds of them, which take seconds to make.
 
 A file holds up to 100 neighbouring worlds of one kind, difficulty and footprint. Its name contains
-a hash of these and of the generators' source, so a changed generator never finds old worlds. What
+a hash of these and of the generator's source, so a changed generator never finds old worlds. What
 is broken, can't be read or can't be written counts as absent: the worlds are made again.
 
 The files are in the user's cache folder, or where ACSAR_GYM_CACHE says; "off" keeps none.
@@ -27,7 +27,7 @@ import numpy as np
 
 from acsar_gym.errors import ConfigError
 from acsar_gym.reading import bounded
-from acsar_gym.worlds import generators
+from acsar_gym.worlds import generators, registry
 from acsar_gym.worlds.world import Floats, Region, World
 
 VARIABLE = "ACSAR_GYM_CACHE"
@@ -89,7 +89,7 @@ def keeping() -> Iterator[None]:
 
 def _file(kind: str, number: int, difficulty: generators.Level, radius: float) -> Path | None:
     """The file of a world; None where none is kept."""
-    place, source = folder(), generators_hash()
+    place, source = folder(), source_hash(kind)
     sound = isinstance(number, int | np.integer) and isinstance(radius, SupportsFloat)
     if place is None or not (source and sound):
         return None
@@ -97,6 +97,14 @@ def _file(kind: str, number: int, difficulty: generators.Level, radius: float) -
     key = f"{source} {kind} {fixed} {generators.limits(difficulty)} {float(radius)!r}"
     name = hashlib.sha256(key.encode()).hexdigest()[:24]
     return place / f"{kind}-{name}-{number // BLOCK}.worlds"
+
+
+def source_hash(kind: str) -> str:
+    """Of all that the worlds of a kind depend on; empty where that can't be known."""
+    own = registry.own(kind)
+    if own is None:
+        return generators_hash()
+    return f"{generators_hash()} {own.source}" if generators_hash() and own.source else ""
 
 
 @cache

@@ -8,15 +8,16 @@ from __future__ import annotations
 
 import math
 import zlib
-from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any, SupportsFloat
 
 import numpy as np
 
-from acsar_gym.errors import WorldError, shown, suggestion
-from acsar_gym.worlds import barn, paths, rooms
-from acsar_gym.worlds.search import shortest_path
+from acsar_gym.errors import WorldError, shown
+from acsar_gym.worlds import barn, paths, registry, rooms
+from acsar_gym.worlds.registry import GeneratorError, Maker, Own
+from acsar_gym.worlds.search import check_path, shortest_path
 from acsar_gym.worlds.shapes import box, outline
 from acsar_gym.worlds.world import Region, World
 
@@ -31,8 +32,6 @@ ATTEMPTS = 200
 ARENA = 4.0
 """Half the side of the open and the cluttered floor [m]."""
 
-Maker = Callable[[np.random.Generator, float, float], World]
-"""(rng, difficulty, footprint radius [m]) to a world that may not be solvable yet."""
 Level = float | tuple[float, float] | None
 """Difficulty of worlds: one for all, a range (low, high) in which it varies from world to world, or
 None, which is (0, 1)."""
@@ -41,7 +40,7 @@ None, which is (0, 1)."""
 def generate(
     kind: str, number: int, difficulty: Level = None, radius: float = DEFAULT_RADIUS
 ) -> World:
-    """World `number` of a kind: open, clutter, rooms, barn, smooth_path or waypoint_path.
+    """World `number` of a kind: open, clutter, rooms, barn, smooth_path, waypoint_path, or an own.
 
     `difficulty` is from 0 to 1; None or a range varies it from world to world. `radius` is that of
     the disc around the robot's footprint [m]. Raises WorldError for an unknown kind, a bad number,
@@ -60,7 +59,9 @@ def generate(
     rng = _generator(kind, number)
     hard = low if isinstance(difficulty, SupportsFloat) else low + (high - low) * rng.uniform()
     ease = EASE if high > low else 1.0
-    world = _solvable(_MAKERS[kind], rng, (hard, low, ease), radius)
+    own = registry.own(kind)
+    maker = _MAKERS[kind] if own is None else partial(_crossable, own)
+    world = _solvable(kind, maker, rng, (hard, low, ease), radius)
     return replace(world, name=f"{kind} {number}")
 
 
@@ -79,8 +80,7 @@ def _generator(kind: str, number: int) -> np.random.Generator:
 
 def check(kind: str, difficulty: Level) -> None:
     """WorldError for an unknown kind, or a difficulty that isn't from 0 to 1."""
-    if kind not in _MAKERS:
-        raise WorldError(f"unknown kind of world {kind!r}{suggestion(kind, _MAKERS)}")
+    registry.check(kind)
     limits(difficulty)
 
 
@@ -100,12 +100,16 @@ def limits(difficulty: Level) -> tuple[float, float]:
     return low, high
 
 
-def kinds() -> tuple[str, ...]:
-    """Names that `generate` knows."""
-    return tuple(_MAKERS)
+def _crossable(own: Own, rng: np.random.Generator, difficulty: float, radius: float) -> World:
+    """An attempt of a generator of others, whose path is checked."""
+    world = own.world(rng, difficulty, radius)
+    if world.path is not None:
+        check_path(world, radius)
+    return world
 
 
 def _solvable(
+    kind: str,
     maker: Maker,
     rng: np.random.Generator,
     levels: tuple[float, float, float],
@@ -120,16 +124,17 @@ def _solvable(
     for attempt in range(ATTEMPTS):
         try:
             world = maker(rng, max(hard * ease**attempt, least), radius)
-            if world.path is not None:
-                return world
-            return replace(world, path=shortest_path(world, radius + MARGIN, cuts=0))
-        except barn.NoWayThroughError:
+            if world.path is None:
+                world = replace(world, path=shortest_path(world, radius + MARGIN, cuts=0))
+        except GeneratorError:
             raise
-        except WorldError:
-            continue
+        except WorldError as error:
+            last = error
+        else:
+            return world
     raise WorldError(
-        f"no world of this kind and difficulty lets a footprint of radius {radius:g} m through; "
-        "use a lower difficulty"
+        f"{kind}: no world of this difficulty lets a footprint of radius {radius:g} m through; "
+        f"use a lower difficulty (the last of {ATTEMPTS} attempts: {last})"
     )
 
 

@@ -6,7 +6,6 @@ of files and lists are counted from 0.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache, partial
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 
 from acsar_gym.errors import WorldError, shown
 from acsar_gym.reading.bounded import reason
-from acsar_gym.worlds import cache, files, generators, splits
+from acsar_gym.worlds import cache, files, generators, names, registry, splits
 from acsar_gym.worlds.generators import Level
 from acsar_gym.worlds.search import check_region, shortest_path
 from acsar_gym.worlds.world import World
@@ -28,7 +27,6 @@ KEPT = 512
 """Generated worlds that a pool remembers."""
 RANKED = 100_000
 """A larger pool can't be ordered by difficulty."""
-_KINDS = re.compile(r"([a-z_]+)(?::(?:(train|test)|(\d{1,15})(?:-(\d{1,15}))?))?")
 
 Source = str | Path | World | Sequence[World]
 """What users may pass as `worlds=`."""
@@ -73,16 +71,18 @@ class Pool:
 
         "clutter:train" and "clutter:test" mean the worlds of these splits, "clutter:50" the first
         50 and "clutter:100-149" those with these numbers. "clutter" alone means the training split,
-        or the first `count`. Raises WorldError for anything else.
+        or the first `count`. "mine.module:corridors:50" imports the module first, which registers
+        the generator. Raises WorldError for anything else.
         """
         worlds = _given(source)
         if worlds is not None:
-            name = str(source) if isinstance(source, str | Path) else "given"
+            given = str(source) if isinstance(source, str | Path) else "given"
             ready = [checked(world, radius) for world in worlds]
-            return cls(name, range(len(ready)), ready.__getitem__, radius)
-        kind, numbers = _numbers(str(source), count)
-        generators.check(kind, difficulty)
-        make = partial(_generated, kind, difficulty, radius)
+            return cls(given, range(len(ready)), ready.__getitem__, radius)
+        name, numbers = _numbers(str(source), count)
+        generators.check(name.kind, difficulty)
+        module = name.module or registry.home(name.kind)
+        make, kind = partial(_generated, module, name.kind, difficulty, radius), name.kind
         return cls(kind, numbers, make, radius, difficulty, generated=True)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -136,12 +136,15 @@ class Pool:
         return range(int(first), int(last))
 
 
-def _generated(kind: str, difficulty: Level, radius: float, number: int) -> World:
+def _generated(module: str, kind: str, difficulty: Level, radius: float, number: int) -> World:
+    """A world, also in another process, which hasn't imported the generator's module yet."""
+    registry.imported(module, kind)
     return cache.world(kind, number, difficulty, radius)
 
 
+@lru_cache(maxsize=16)
 def checked(world: World, radius: float) -> World:
-    """The world with a path, where it had none.
+    """The world with a path, where it had none; the same object for the same world.
 
     Raises WorldError where start or goal aren't free for a footprint of this radius [m], or there
     is no way between them.
@@ -163,17 +166,15 @@ def _given(source: Any) -> list[World] | None:
     if not worlds or not all(isinstance(world, World) for world in worlds):
         raise WorldError(
             f"worlds = {shown(source)}: must be a file, a folder, a list of World, or a kind of "
-            f"world ({', '.join(generators.kinds())})"
+            f"world ({', '.join(registry.kinds())})"
         )
     return worlds
 
 
 def read(source: str | Path) -> list[World] | None:
     """Worlds of a file or a folder; None for the name of a generator."""
-    if isinstance(source, str):
-        kind = _KINDS.fullmatch(source)
-        if not source or (kind and kind[1] in generators.kinds()):
-            return None
+    if isinstance(source, str) and (not source or names.generated(source)):
+        return None
     path = Path(source)
     named = isinstance(source, Path) or path.suffix != "" or "/" in source
     try:
@@ -184,25 +185,26 @@ def read(source: str | Path) -> list[World] | None:
         raise WorldError(f"worlds = {shown(str(source))}: can't be read: {reason(error)}") from None
 
 
-def _numbers(text: str, count: int | None) -> tuple[str, range]:
-    """Kind and world numbers."""
-    match = _KINDS.fullmatch(text)
-    if match is None:
+def _numbers(text: str, count: int | None) -> tuple[names.Name, range]:
+    """The generator's name, and world numbers."""
+    name = names.parsed(text)
+    if name is None:
         raise WorldError(
             f"worlds = {shown(text)}: must be like 'clutter:test', 'clutter:50', 'clutter:50-99' "
             "or a path"
         )
-    kind, split, one, other = match.groups()
-    if other is not None:
-        numbers = range(int(one), int(other) + 1)
-    elif one is not None:
-        numbers = range(int(one))
-    elif split is None and count is not None:
+    said = name.numbers
+    first, _, last = said.partition("-")
+    if last:
+        numbers = range(int(first), int(last) + 1)
+    elif first.isdigit():
+        numbers = range(int(first))
+    elif not said and count is not None:
         numbers = range(count)
     else:
-        numbers = splits.numbers(kind, split or splits.TRAIN)
+        numbers = splits.numbers(name.kind, said or splits.TRAIN)
     if not numbers:
         raise WorldError(f"worlds = {text!r}: holds no world")
     if numbers[-1] - numbers[0] >= MOST:
         raise WorldError(f"worlds = {text[:60]!r}: must hold at most {MOST:,} worlds")
-    return kind, numbers
+    return name, numbers

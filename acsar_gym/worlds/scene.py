@@ -1,7 +1,8 @@
-"""What a simulated link builds when it is reset."""
+"""What a simulated link builds when it is reset, and its two frames: the world's and odometry's."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -16,10 +17,35 @@ Pose = tuple[float, float, float]
 class Scene:
     """A robot at rest at `start`, a world around it, and a marker at `goal` for pictures only.
 
-    Everything is in one frame. Environments use the odometry frame, in which the robot starts at
-    the origin.
+    Everything is in the frame of the world, and so is what a simulator then tells as truth. The
+    odometry frame begins at `start`.
     """
 
     start: Pose = (0.0, 0.0, 0.0)
     goal: tuple[float, float] | None = None
     world: World | None = None
+
+
+def to_world(start: Pose, pose: Pose) -> Pose:
+    """A pose of the odometry frame that begins at `start`, in the frame of the world."""
+    x, y, theta = start
+    cos, sin = math.cos(theta), math.sin(theta)
+    return (
+        x + cos * pose[0] - sin * pose[1],
+        y + sin * pose[0] + cos * pose[1],
+        math.remainder(theta + pose[2], math.tau),
+    )
+
+
+def to_odometry(start: Pose, pose: Pose) -> Pose:
+    """A pose of the world's frame, in the odometry frame that begins at `start`."""
+    dx, dy = pose[0] - start[0], pose[1] - start[1]
+    cos, sin = math.cos(start[2]), math.sin(start[2])
+    theta = math.remainder(pose[2] - start[2], math.tau)
+    return cos * dx + sin * dy, cos * dy - sin * dx, theta
+
+
+def point_in_world(start: Pose, point: tuple[float, float]) -> tuple[float, float]:
+    """A point of the odometry frame that begins at `start`, in the frame of the world [m]."""
+    x, y, _ = to_world(start, (*point, 0.0))
+    return x, y

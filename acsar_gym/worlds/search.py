@@ -157,6 +157,19 @@ def check_region(world: World, name: str, region: Region, radius: float) -> None
         )
 
 
+def check_path(world: World, radius: float) -> None:
+    """WorldError where a disc of this radius [m] can't follow the world's own path."""
+    path = np.zeros((0, 2)) if world.path is None else world.path
+    if len(path) < 2:
+        raise WorldError(f"{_named(world)}the path must have at least two points")
+    free = float(segment_clearance(path[:-1], path[1:], world).min())
+    if free < radius - SLACK:
+        raise WorldError(
+            f"{_named(world)}the path passes {max(free, 0.0):.2f} m from an obstacle, a footprint "
+            f"of radius {radius:.2f} m needs {radius:.2f} m"
+        )
+
+
 def _named(world: World) -> str:
     return f"{world.name}: " if world.name else ""
 
@@ -215,7 +228,7 @@ def _near(world: World, box: Floats) -> World:
     high = np.maximum(world.segments[:, :2], world.segments[:, 2:])
     circles = ((centres + radii >= box[:2]) & (centres - radii <= box[2:])).all(axis=1)
     segments = ((high >= box[:2]) & (low <= box[2:])).all(axis=1)
-    return World(world.circles[circles], world.segments[segments], turned=world.turned)
+    return World(world.circles[circles], world.segments[segments])
 
 
 def free_cells(

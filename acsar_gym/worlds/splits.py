@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from acsar_gym.worlds import generators
+from acsar_gym.worlds import names
 
 TRAIN, TEST = "train", "test"
 NAMES = (TRAIN, TEST)
@@ -33,6 +33,6 @@ def tested(source: Any, *, default: bool) -> Any:
 
     As the `default` of an environment, which trains in it, so is a kind's training split.
     """
-    kind = source if isinstance(source, str) else ""
-    kind = kind.removesuffix(f":{TRAIN}") if default else kind
-    return f"{kind}:{TEST}" if kind in generators.kinds() else source
+    name = names.generated(source) if isinstance(source, str) else None
+    alone = name is not None and name.numbers in ("", TRAIN if default else "")
+    return f"{name.generator}:{TEST}" if name and alone else source

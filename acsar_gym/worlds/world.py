@@ -12,13 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.errors import WorldError, shown
-from acsar_gym.worlds.scene import Pose
 
 Floats = NDArray[np.float64]
 MOST_OBSTACLES = 20_000
 """A world with more circles and segments than this is refused."""
-TURNED = 3.0
-"""Of a world that is seen from elsewhere, coordinates may be so many times as large."""
 FARTHEST = 1e4
 """Coordinates beyond this are refused [m]."""
 
@@ -67,15 +64,12 @@ class World:
     """P x 2: a way from the start to the goal: the shortest one for the footprint that the world
     was made for, the published one, or the one to follow [m]."""
     name: str = ""
-    turned: bool = field(default=False, kw_only=True, repr=False)
-    """Whether this is a world as seen from elsewhere."""
 
     def __post_init__(self) -> None:
-        far = FARTHEST * (TURNED if self.turned else 1.0)
-        object.__setattr__(self, "circles", _rows("circles", self.circles, 3, far))
-        object.__setattr__(self, "segments", _rows("segments", self.segments, 4, far))
+        object.__setattr__(self, "circles", _rows("circles", self.circles, 3))
+        object.__setattr__(self, "segments", _rows("segments", self.segments, 4))
         if self.path is not None:
-            object.__setattr__(self, "path", _rows("path", self.path, 2, far))
+            object.__setattr__(self, "path", _rows("path", self.path, 2))
         if (self.circles[:, 2] < 0.0).any():
             raise WorldError("circles: a radius must not be negative")
         if self.obstacles > MOST_OBSTACLES:
@@ -108,38 +102,8 @@ class World:
         (left, low), (right, high) = every.min(axis=0), every.max(axis=0)
         return float(left), float(low), float(right), float(high)
 
-    def seen_from(self, pose: Pose) -> World:
-        """The same world in the frame of a pose: a robot standing there is at the origin."""
-        x, y, theta = pose
-        cos, sin = math.cos(theta), math.sin(theta)
-        turn = np.array([[cos, -sin], [sin, cos]])
 
-        def moved(points: Floats) -> Floats:
-            shifted: Floats = (points - (x, y)) @ turn
-            return shifted
-
-        def region(old: Region) -> Region:
-            new_x, new_y = moved(np.array([[old.x, old.y]]))[0].tolist()
-            heading = None if old.theta is None else math.remainder(old.theta - theta, math.tau)
-            seen: Region = object.__new__(Region)  # it may lie farther away than a given one
-            for name, value in zip(
-                Region.__slots__, (new_x, new_y, old.radius, heading), strict=True
-            ):
-                object.__setattr__(seen, name, value)
-            return seen
-
-        return World(
-            np.column_stack([moved(self.circles[:, :2]), self.circles[:, 2]]),
-            np.column_stack([moved(self.segments[:, :2]), moved(self.segments[:, 2:])]),
-            region(self.start),
-            region(self.goal),
-            None if self.path is None else moved(self.path),
-            self.name,
-            turned=True,
-        )
-
-
-def _rows(name: str, rows: Floats | Sequence[Any], width: int, farthest: float) -> Floats:
+def _rows(name: str, rows: Floats | Sequence[Any], width: int) -> Floats:
     """An own, read-only copy of n x `width` finite numbers."""
     try:
         array = np.full(1, np.nan) if np.iscomplexobj(rows) else np.array(rows, np.float64)
@@ -151,7 +115,7 @@ def _rows(name: str, rows: Floats | Sequence[Any], width: int, farthest: float) 
         raise WorldError(f"{name}: must be rows of {width} numbers, have shape {array.shape}")
     if len(array) > MOST_OBSTACLES:
         raise WorldError(f"{name}: {len(array):,} are too many, at most {MOST_OBSTACLES:,}")
-    if not (np.abs(array) <= farthest).all():
-        raise WorldError(f"{name}: must be finite numbers of at most {farthest:g} m")
+    if not (np.abs(array) <= FARTHEST).all():
+        raise WorldError(f"{name}: must be finite numbers of at most {FARTHEST:g} m")
     array.setflags(write=False)
     return array

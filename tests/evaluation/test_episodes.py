@@ -325,7 +325,7 @@ def test_generated_worlds_have_the_hash_of_their_generators(
 ) -> None:
     env = gymnasium.make(OBSTACLES, link="planar", worlds="open:5")
     before = provenance.header(env, Idle(), "planar", range(1), {})
-    monkeypatch.setattr(provenance, "generators_hash", lambda: "changed")
+    monkeypatch.setattr(provenance, "source_hash", lambda kind: "changed")
     after = provenance.header(env, Idle(), "planar", range(1), {})
     assert before["worlds"]["sha256"] != after["worlds"]["sha256"]
 

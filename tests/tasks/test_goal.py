@@ -143,7 +143,8 @@ def test_a_goal_of_a_world_is_seen_from_its_start() -> None:
     assert assignment.goal == pytest.approx((3.0, 0.0))
     assert assignment.number == 0
     assert assignment.world is not None
-    assert (assignment.world.start.x, assignment.world.start.y) == pytest.approx((0.0, 0.0))
+    assert assignment.start == (1.0, 2.0, math.pi / 2.0)
+    assert (assignment.world.start.x, assignment.world.start.y) == (1.0, 2.0)
 
 
 @pytest.mark.parametrize("tolerance", [0.0, -1.0, math.nan, "wide"])

@@ -12,6 +12,7 @@ from acsar_gym.errors import ConfigError, WorldError
 from acsar_gym.tasks.spawn import drawn
 from acsar_gym.worlds import Region, World
 from acsar_gym.worlds.pool import Pool
+from acsar_gym.worlds.scene import to_world
 
 WIDE = World(start=Region(-4.0, 1.0, 0.5), goal=Region(4.0, -1.0, 1.0), name="wide")
 
@@ -20,12 +21,9 @@ def test_starts_and_goals_fill_their_regions() -> None:
     rng, pool = np.random.default_rng(0), Pool.of(WIDE)
     starts, goals, headings = [], [], []
     for _ in range(400):
-        world = drawn(pool, rng, {}).world
-        assert world is not None
-        # The world as seen from the start: its own start region tells where the robot stands.
-        theta = -math.atan2(world.goal.y - world.start.y, world.goal.x - world.start.x)
-        headings.append(theta + math.atan2(-2.0, 8.0))
-        starts.append(math.hypot(world.start.x, world.start.y))
+        x, y, heading = drawn(pool, rng, {}).start
+        headings.append(heading)
+        starts.append(math.dist((x, y), (WIDE.start.x, WIDE.start.y)))
         goals.append(drawn(pool, rng, {}).goal)
     assert 0.45 < max(starts) <= 0.5
     assert np.mean(np.array(starts) < 0.5 / math.sqrt(2.0)) == pytest.approx(0.5, abs=0.08)
@@ -73,6 +71,23 @@ def test_the_path_to_follow_begins_at_the_robot() -> None:
     assert assignment.path is not None
     assert assignment.path[0] == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
     assert assignment.path[-1, :2] == pytest.approx(assignment.goal)
+
+
+def test_worlds_do_not_move() -> None:
+    """Every episode gets the pool's own world, and says where in it the robot starts."""
+    rng, pool = np.random.default_rng(0), Pool.of("clutter:2")
+    for follow in (False, True):
+        for _ in range(5):
+            assignment = drawn(pool, rng, {}, follow=follow)
+            world = pool[assignment.number]
+            assert assignment.world is world
+            assert world.path is not None
+            place = to_world(assignment.start, (*assignment.goal, 0.0))
+            assert place[:2] == pytest.approx((world.goal.x, world.goal.y))
+            assert assignment.start[:2] == pytest.approx(world.path[0])
+    given = World(start=Region(-4.0, 1.0), goal=Region(4.0, -1.0))
+    worlds = [drawn(pool, rng, {"world": given}).world for _ in range(2)]
+    assert worlds[0] is worlds[1], "nothing has to be built again"
 
 
 def test_a_world_without_a_path_cannot_be_followed() -> None:

@@ -139,7 +139,7 @@ def test_what_pybullet_hits_in_the_envs_bodies_lies_on_our_surfaces() -> None:
     angles = RaySpec(64, REACH).angles()
     hits = 0
     for number in range(10):
-        world = generate("clutter", number).seen_from((0.0, 0.0, 0.0))
+        world = generate("clutter", number)
         place = rng.uniform(-3.0, 3.0, 2)
         if clearance(place[None], world)[0] < 0.3:
             continue

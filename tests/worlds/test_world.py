@@ -1,4 +1,4 @@
-"""Worlds: what they refuse, that they never change, and how they look from another pose."""
+"""Worlds: what they refuse, that they never change, and what they tell."""
 
 from __future__ import annotations
 
@@ -9,36 +9,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 
 from acsar_gym.errors import ConfigError, WorldError
-from acsar_gym.worlds.clearance import clearance
 from acsar_gym.worlds.world import FARTHEST, MOST_OBSTACLES, Region, World
 
 WIDTHS = {"circles": 3, "segments": 4, "path": 2}
-coordinates = st.floats(-100.0, 100.0)
-angles = st.floats(-10.0, 10.0)
 
 
 def array(*rows: Any) -> Any:
     return np.array(rows, np.float64)
-
-
-def rows(width: int) -> st.SearchStrategy[Any]:
-    shape = st.tuples(st.integers(1, 4), st.just(width))
-    return shape.flatmap(lambda shape: arrays(np.float64, shape, elements=coordinates))
-
-
-@st.composite
-def worlds(draw: st.DrawFn) -> World:
-    circles = draw(rows(3))
-    circles[:, 2] = np.abs(circles[:, 2]) / 10.0
-    theta = draw(st.none() | angles)
-    start = Region(draw(coordinates), draw(coordinates), draw(st.floats(0.0, 5.0)), theta)
-    goal = Region(draw(coordinates), draw(coordinates), draw(st.floats(0.0, 5.0)))
-    return World(circles, draw(rows(4)), start, goal, draw(st.none() | rows(2)), "drawn")
 
 
 def points(world: World) -> Any:
@@ -47,10 +26,6 @@ def points(world: World) -> Any:
     ends = world.segments.reshape(-1, 2)
     path = np.zeros((0, 2)) if world.path is None else world.path
     return np.concatenate([regions, world.circles[:, :2], ends, path])
-
-
-def apart(places: Any) -> Any:
-    return np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1))
 
 
 def zeros(count: int, width: int) -> Any:
@@ -139,8 +114,6 @@ def test_worlds_never_change(name: str) -> None:
         setattr(world, name, given_rows)
     with pytest.raises(FrozenInstanceError):
         world.start.x = 1.0  # type: ignore[misc]
-    seen = world.seen_from((1.0, 2.0, 3.0))
-    assert not getattr(seen, name).flags.writeable
     assert not getattr(replace(world, name="other"), name).flags.writeable
 
 
@@ -223,64 +196,3 @@ def test_the_length_is_that_of_the_path() -> None:
 )
 def test_bounds_hold_everything_and_no_more(world: World, bounds: Any) -> None:
     assert world.bounds == bounds
-
-
-@given(world=worlds(), x=coordinates, y=coordinates, theta=angles)
-def test_seen_from_a_pose_nothing_changes_but_the_frame(
-    world: World, x: float, y: float, theta: float
-) -> None:
-    seen = world.seen_from((x, y, theta))
-    cos, sin = math.cos(theta), math.sin(theta)
-    for old, new in zip(points(world).tolist(), points(seen).tolist(), strict=True):
-        dx, dy = old[0] - x, old[1] - y
-        assert new == pytest.approx([cos * dx + sin * dy, cos * dy - sin * dx], abs=1e-9)
-    np.testing.assert_allclose(apart(points(seen)), apart(points(world)), atol=1e-9)
-    assert seen.circles[:, 2].tolist() == world.circles[:, 2].tolist()
-    assert (seen.start.radius, seen.goal.radius) == (world.start.radius, world.goal.radius)
-    assert (seen.goal.theta, seen.name) == (None, "drawn")
-    assert seen.length == pytest.approx(world.length, abs=1e-9, nan_ok=True)
-    np.testing.assert_allclose(
-        clearance(points(seen), seen), clearance(points(world), world), atol=1e-9
-    )
-
-
-@given(world=worlds(), x=coordinates, y=coordinates, theta=angles)
-def test_seen_from_a_pose_and_back_is_the_same_world(
-    world: World, x: float, y: float, theta: float
-) -> None:
-    cos, sin = math.cos(theta), math.sin(theta)
-    back = (-cos * x - sin * y, sin * x - cos * y, -theta)  # the world's frame, seen from the pose
-    again = world.seen_from((x, y, theta)).seen_from(back)
-    np.testing.assert_allclose(points(again), points(world), atol=1e-9)
-    if world.start.theta is None or again.start.theta is None:
-        assert again.start.theta is world.start.theta
-    else:
-        turned = math.remainder(again.start.theta - world.start.theta, math.tau)
-        assert turned == pytest.approx(0.0, abs=1e-9)
-
-
-@given(world=worlds(), theta=angles)
-def test_seen_from_its_start_the_start_is_the_origin(world: World, theta: float) -> None:
-    world = replace(world, start=replace(world.start, theta=theta))
-    seen = world.seen_from((world.start.x, world.start.y, theta)).start
-    assert (seen.x, seen.y, seen.theta) == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
-
-
-def test_what_is_ahead_of_a_pose_lies_on_its_x_axis() -> None:
-    world = World(array([3.0, 4.0, 0.5]), array([3.0, 5.0, 2.0, 2.0]), Region(3.0, 2.0, 0.1, 3.0))
-    seen = world.seen_from((3.0, 2.0, math.pi / 2.0))  # looking along +y
-    assert seen.circles[0].tolist() == pytest.approx([2.0, 0.0, 0.5])
-    assert seen.segments[0].tolist() == pytest.approx([3.0, 0.0, 0.0, 1.0])
-    assert seen.start.theta == pytest.approx(3.0 - math.pi / 2.0)
-    assert world.seen_from((0.0, 0.0, -3.0)).start.theta == pytest.approx(6.0 - math.tau)
-
-
-def test_a_world_as_large_as_allowed_is_seen_from_anywhere_in_it() -> None:
-    world = World(array([9_000.0, 9_000.0, 1.0]), start=Region(0.0, 0.0, 0.0, math.pi / 4.0))
-    assert world.seen_from((0.0, 0.0, math.pi / 4.0)).circles[0, 0] == pytest.approx(12_727.9, 1e-3)
-
-
-@pytest.mark.parametrize("pose", [(math.nan, 0.0, 0.0), (0.0, 0.0, math.nan), (1e9, 0.0, 0.0)])
-def test_a_pose_that_is_nowhere_is_refused(pose: Any) -> None:
-    with pytest.raises(WorldError):
-        World(array([1.0, 2.0, 3.0])).seen_from(pose)

@@ -1,0 +1,78 @@
+"""A hash of the source code that a function depends on, as far as that can be known."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import importlib.util
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import FunctionType
+from typing import Any
+
+
+def fingerprint(function: Any) -> str:
+    """A hash of the source of a function's module, and of the user's own modules that it imports.
+
+    Of other installed packages only the versions count; this package has a hash of its own. Empty
+    for what isn't a plain function of a module, such as a closure, and where there is no source
+    file, as for what is typed into a notebook.
+    """
+    if not isinstance(function, FunctionType) or function.__closure__:
+        return ""
+    said = hashlib.sha256(function.__qualname__.encode())
+    try:
+        for name, content in sorted(_sources(function.__module__).items()):
+            said.update(f"{name} {len(content)} ".encode() + content)
+    except (OSError, SyntaxError, ValueError):
+        return ""
+    return said.hexdigest()
+
+
+def _sources(first: str) -> dict[str, bytes]:
+    """Contents of a module and of those that it imports, and these in turn, by their names."""
+    found: dict[str, bytes] = {}
+    waiting = [first]
+    while waiting:
+        name = waiting.pop()
+        file = _file(name)
+        if name in found or (file is None and name != first):
+            continue
+        if file is None:
+            raise OSError(name)
+        if _installed(file) and name.partition(".")[0] != first.partition(".")[0]:
+            found[name] = str(getattr(sys.modules.get(name), "__version__", "")).encode()
+            continue
+        found[name] = file.read_bytes()
+        package = name if file.name == "__init__.py" else name.rpartition(".")[0]
+        waiting += _imported(found[name], package)
+    return found
+
+
+def _imported(source: bytes, package: str) -> Iterator[str]:
+    """Names of modules that some source code may import, not those of Python or this package."""
+    for node in ast.walk(ast.parse(source)):
+        names: list[str] = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = importlib.util.resolve_name("." * node.level + (node.module or ""), package)
+            names = [base, *(f"{base}.{alias.name}" for alias in node.names)]
+        for name in names:
+            if name.partition(".")[0] not in {*sys.stdlib_module_names, "acsar_gym"}:
+                yield name
+
+
+def _file(name: str) -> Path | None:
+    """The source file of a module; None where it has none, or there is no such module."""
+    module = sys.modules.get(name)
+    try:
+        file = module.__file__ if module else getattr(importlib.util.find_spec(name), "origin", "")
+    except (ImportError, AttributeError, ValueError):
+        return None
+    return Path(file) if file and file.endswith(".py") else None
+
+
+def _installed(file: Path) -> bool:
+    return bool({"site-packages", "dist-packages"} & {*file.parts})

@@ -1,0 +1,286 @@
+"""Generators that other packages register work wherever those of this package do."""
+
+from __future__ import annotations
+
+import functools
+import json
+import math
+import os
+import pickle
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import corridors as example
+import gymnasium
+import numpy as np
+import pytest
+
+import acsar_gym
+from acsar_gym.errors import ConfigError, WorldError
+from acsar_gym.evaluation import atlas
+from acsar_gym.training import held_out
+from acsar_gym.worlds import Region, World, cache, generators, registry, splits
+from acsar_gym.worlds.clearance import segment_clearance
+from acsar_gym.worlds.pool import Pool
+from acsar_gym.worlds.registry import GeneratorError, register
+from acsar_gym.worlds.shapes import outline
+
+RADIUS = 0.25
+FOLDER = Path(example.__file__).parent
+GAP = World(
+    segments=np.array([[1.0, -1.0, 1.0, -0.2], [1.0, 0.2, 1.0, 1.0], *outline(-1, -1, 3, 1)]),
+    goal=Region(2.0, 0.0),
+)
+CLOSED = World(segments=np.array([[-1.0, y, 3.0, y] for y in (-0.1, 0.1)]), goal=Region(2.0, 0.0))
+THROUGH = World(GAP.circles, GAP.segments, goal=GAP.goal, path=np.array([[0.0, 0.0], [2.0, 0.0]]))
+
+
+@pytest.fixture(autouse=True)
+def registered() -> Iterator[None]:
+    """What a test registers is forgotten after it."""
+    before = dict(registry._OWN)
+    yield
+    registry._OWN.clear()
+    registry._OWN.update(before)
+
+
+def same(one: World, other: World) -> bool:
+    assert one.path is not None
+    assert other.path is not None
+    return (one.segments.tobytes(), one.path.tobytes(), one.name) == (
+        other.segments.tobytes(),
+        other.path.tobytes(),
+        other.name,
+    )
+
+
+def test_the_names_of_this_package() -> None:
+    assert tuple(generators._MAKERS) == registry.BUILT_IN
+
+
+def test_it_is_found_where_the_manual_says() -> None:
+    assert acsar_gym.worlds.register is register
+
+
+@pytest.mark.parametrize(
+    ("source", "numbers"),
+    [
+        ("corridors", range(1000, 1400)),
+        ("corridors:train", range(1000, 1400)),
+        ("corridors:test", range(200)),
+        ("corridors:7", range(7)),
+        ("corridors:0-99", range(100)),
+        ("corridors:corridors:5-6", range(5, 7)),
+        ("corridors:corridors", range(1000, 1400)),
+    ],
+)
+def test_names_work_as_those_of_built_in_generators(source: str, numbers: range) -> None:
+    pool = Pool.of(source, None, RADIUS)
+    assert (pool.kind, pool.numbers, pool.generated) == ("corridors", numbers, True)
+    assert pool.split == ("train" if 1000 in numbers else "" if 99 < numbers[-1] < 0 else "test")
+
+
+def test_a_world_is_always_the_same_and_solvable() -> None:
+    seen = set()
+    for number in range(5):
+        world = generators.generate("corridors", number, None, RADIUS)
+        assert same(world, generators.generate("corridors", number, None, RADIUS))
+        assert world.name == f"corridors {number}"
+        assert world.path is not None
+        assert segment_clearance(world.path[:-1], world.path[1:], world).min() > RADIUS
+        seen.add(world.segments.tobytes())
+    assert len(seen) == 5
+
+
+def test_difficulty_is_one_number_or_varies() -> None:
+    easy, hard = (generators.generate("corridors", 0, level, RADIUS) for level in (0.0, 1.0))
+    assert len(easy.segments) < len(hard.segments)
+    pool = Pool.of("corridors:20", (0.2, 0.8), RADIUS)
+    places = pool.ranks((0.5, 0.8))
+    assert 0 < len(places) < 20
+    levels = pool.by_difficulty[1]
+    assert 0.2 <= levels[0] <= levels[-1] <= 0.8
+
+
+def test_envs_and_batches_drive_in_them() -> None:
+    for worlds in ("corridors:3-4", "corridors:corridors:3-4"):
+        env: Any = gymnasium.make("acsar_gym/ObstacleGoal-v0", link="planar", worlds=worlds)
+        batch: Any = gymnasium.make_vec(
+            "acsar_gym/ObstacleGoal-v0", 4, vectorization_mode="vector_entry_point", worlds=worlds
+        )
+        observation, info = env.reset(seed=3)
+        observations, infos = batch.reset(seed=0)
+        assert info["world"] == infos["world"][3]
+        assert observations[3] == pytest.approx(observation, abs=1e-6)
+        assert json.loads(env.spec.to_json())["kwargs"]["worlds"] == worlds
+        env.close()
+        batch.close()
+
+
+def test_tools_know_the_names() -> None:
+    assert splits.tested("corridors", default=False) == "corridors:test"
+    assert splits.tested("corridors:corridors:train", default=True) == "corridors:corridors:test"
+    assert held_out.worlds_beside("corridors:corridors:train") == "corridors:corridors:900-963"
+    assert atlas.told("corridors:test", 12) == {
+        "source": "corridors 0 to 199 (test split)",
+        "split": "test",
+    }
+
+
+def elsewhere(*program: str) -> subprocess.CompletedProcess[str]:
+    """A program in a process that knows no generator yet."""
+    environment = {**os.environ, "PYTHONPATH": str(FOLDER)}
+    return subprocess.run(
+        [sys.executable, *program], capture_output=True, text=True, env=environment, check=False
+    )
+
+
+@pytest.mark.xdist_group("serial")
+def test_the_command_line_names_the_module(tmp_path: Path) -> None:
+    out = tmp_path / "found.json"
+    command = ("-m", "acsar_gym", "worlds", "check")
+    done = elsewhere(*command, "corridors:corridors:0-2", "--json", str(out))
+    assert done.returncode == 0, done.stderr
+    assert json.loads(out.read_text())["source"] == "corridors 0 to 2 (test split)"
+
+
+@pytest.mark.xdist_group("serial")
+def test_another_process_imports_the_module_itself(tmp_path: Path) -> None:
+    pool = Pool.of("corridors:3", None, RADIUS)
+    file = tmp_path / "pool"
+    file.write_bytes(pickle.dumps(pool))
+    code = f"import pickle; print(len(pickle.load(open({str(file)!r}, 'rb'))[2].segments))"
+    done = elsewhere("-c", code)
+    assert done.stdout.split() == [str(len(pool[2].segments))], done.stderr
+
+
+def test_a_generator_may_be_replaced_by_itself_only() -> None:
+    register("corridors", example.corridors)
+    with pytest.raises(ConfigError, match="corridors has a generator of this name; use another"):
+        register("corridors", lambda rng, difficulty, radius: GAP)
+    with pytest.raises(ConfigError, match="acsar_gym has a generator of this name"):
+        register("clutter", example.corridors)
+
+
+@pytest.mark.parametrize(
+    "name", ["", "Mine", "my-worlds", "a:b", "2d", "_x", "é", "a" * 41, None, 3]
+)
+def test_bad_names_are_refused(name: Any) -> None:
+    with pytest.raises(ConfigError, match="must be lower-case letters") as caught:
+        register(name, example.corridors)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("make", [None, 3, lambda: GAP, lambda rng, difficulty: GAP])
+def test_what_cannot_be_called_is_refused(make: Any) -> None:
+    with pytest.raises(ConfigError, match=r"make\(rng, difficulty, footprint_radius\)"):
+        register("mine", make)
+
+
+def raising(rng: Any, difficulty: float, radius: float) -> World:
+    raise KeyError("no\nsuch thing")
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (raising, r"'mine' of .*test_registry: raised KeyError: 'no\\nsuch thing'"),
+        (lambda rng, difficulty, radius: None, r"'mine' of .*test_registry: returned None, must"),
+        (lambda rng, difficulty, radius: [GAP], r"returned \[World.*, must return a World"),
+    ],
+)
+def test_what_goes_wrong_is_one_line_that_names_the_generator(make: Any, message: str) -> None:
+    register("mine", make)
+    with pytest.raises(GeneratorError, match=message) as caught:
+        Pool.of("mine:1", None, RADIUS)[0]
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("world", "reason"),
+    [
+        (GAP, "no way from start to goal"),
+        (CLOSED, "the start .* lies 0.10 m from an obstacle"),
+        (THROUGH, "the path passes 0.20 m from an obstacle"),
+        (World(path=np.array([[0.0, 0.0]])), "the path must have at least two points"),
+    ],
+)
+def test_worlds_that_nobody_can_cross_are_one_line_that_says_why(
+    world: World, reason: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(generators, "ATTEMPTS", 3)
+    calls = []
+
+    def make(rng: Any, difficulty: float, radius: float) -> World:
+        calls.append(difficulty)
+        return world
+
+    register("mine", make)
+    with pytest.raises(WorldError, match=f"^mine: no world of this .*{reason}") as caught:
+        generators.generate("mine", 0, 0.5, RADIUS)
+    assert "\n" not in str(caught.value)
+    assert calls == [0.5] * 3
+
+
+def test_a_world_error_means_try_again() -> None:
+    calls = []
+
+    def make(rng: np.random.Generator, difficulty: float, radius: float) -> World:
+        calls.append(difficulty)
+        if len(calls) < 4:
+            raise WorldError("not this one")
+        return World(goal=Region(rng.uniform(1.0, 2.0), 0.0))
+
+    register("mine", make)
+    assert generators.generate("mine", 0, None, RADIUS).goal.x >= 1.0
+    assert len(calls) == 4
+    assert sorted(calls, reverse=True) == calls, "each one easier than the one before"
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        ("no_such.module:mine", "can't import no_such.module: .*; install it, or name its folder"),
+        ("math:mine:0-9", "importing math registers no 'mine'"),
+        ("math:clutter", "importing math registers no 'clutter'"),
+        ("corridor:5", "unknown kind of world 'corridor'; did you mean 'corridors'"),
+        ("hallways:5", "unknown kind of world 'hallways'.*, as in 'mine.module:hallways'"),
+    ],
+)
+def test_modules_that_register_nothing_are_one_clear_error(source: str, message: str) -> None:
+    with pytest.raises(WorldError, match=message) as caught:
+        Pool.of(source)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_module_that_fails_is_one_clear_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "failing_maker.py").write_text("1 / 0\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(WorldError, match="importing failing_maker raised ZeroDivisionError"):
+        Pool.of("failing_maker:mine")
+
+
+def test_worlds_are_kept_where_the_source_is_known(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(cache.VARIABLE, str(tmp_path))
+    cache._known.cache_clear()
+    with cache.keeping():
+        first = list(Pool.of("corridors:3", None, RADIUS))
+    assert len(list((tmp_path / "worlds").iterdir())) == 1
+    monkeypatch.setattr(generators, "generate", None)
+    assert all(map(same, first, Pool.of("corridors:3", None, RADIUS)))
+
+
+def test_what_has_no_known_source_is_made_anew() -> None:
+    register("mine", functools.partial(example.corridors))
+    assert registry.own("mine") is not None
+    assert cache.source_hash("mine") == ""
+    assert cache._file("mine", 0, None, RADIUS) is None
+    assert cache.source_hash("corridors") != cache.source_hash("clutter") != ""
+    assert math.isfinite(Pool.of("mine:1", None, RADIUS)[0].length)
