@@ -12,19 +12,26 @@ from typing import TYPE_CHECKING, Any
 from acsar_gym import registration
 
 if TYPE_CHECKING:
-    from acsar_gym import envs, errors, kinematics, odometry, protocol
+    from acsar_gym import envs, errors, kinematics, odometry, protocol, worlds
     from acsar_gym.config import RobotConfig
+    from acsar_gym.envs.base import RobotEnv
     from acsar_gym.links import Link, open_link
+    from acsar_gym.registration import register
     from acsar_gym.robot import Robot
     from acsar_gym.sensors import Sensor
+    from acsar_gym.tasks import Outcome, State, Task
     from acsar_gym.worlds import World
 
 __version__ = "0.1.0"
 __all__ = [
     "Link",
+    "Outcome",
     "Robot",
     "RobotConfig",
+    "RobotEnv",
     "Sensor",
+    "State",
+    "Task",
     "World",
     "envs",
     "errors",
@@ -32,14 +39,21 @@ __all__ = [
     "odometry",
     "open_link",
     "protocol",
+    "register",
+    "worlds",
 ]
 _HOMES = {
     "Link": "links",
+    "Outcome": "tasks",
     "Robot": "robot",
     "RobotConfig": "config",
+    "RobotEnv": "envs.base",
     "Sensor": "sensors",
+    "State": "tasks",
+    "Task": "tasks",
     "World": "worlds",
     "open_link": "links",
+    "register": "registration",
 }
 """The modules in which names are defined; every other name is a module's."""
 

@@ -10,12 +10,16 @@ from __future__ import annotations
 
 import importlib
 import itertools
+import re
 import sys
 from collections.abc import Sequence
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from acsar_gym.tasks import Task
 
 GYMNASIUM = "gymnasium"
 IDS: dict[str, dict[str, Any]] = {
@@ -27,17 +31,56 @@ IDS: dict[str, dict[str, Any]] = {
 """What `gymnasium.register` is told of each."""
 
 
-def register() -> None:
-    """Register all ids; idempotent. Waits for another thread that is importing Gymnasium."""
+def register(
+    id: str,  # noqa: A002 - Gymnasium's own name
+    *,
+    task: type[Task] | str,
+    max_episode_steps: int | None = None,
+    reward_threshold: float | None = None,
+    **options: Any,
+) -> None:
+    """Register a task of one's own with Gymnasium: one id for a single env and for batches.
+
+    Args:
+        id: such as "mine/Clearance-v0".
+        task: the class of the task, a subclass of `acsar_gym.Task`, or "module:Class".
+        max_episode_steps: after so many steps an episode is truncated; None is never.
+        reward_threshold: from this mean return on the task counts as solved.
+        **options: defaults of the env's options and the task's, such as worlds="clutter:train".
+
+    Raises:
+        ConfigError: for anything else than a class of tasks.
+    """
+    from acsar_gym.tasks.made import importable  # noqa: PLC0415 - this module is light
+
+    gymnasium = importlib.import_module(GYMNASIUM)
+    gymnasium.register(
+        id=id,
+        entry_point="acsar_gym.envs.base:RobotEnv",
+        vector_entry_point="acsar_gym.vector.env:RobotVectorEnv",
+        max_episode_steps=max_episode_steps,
+        reward_threshold=reward_threshold,
+        kwargs={"task": importable(task), **options},
+    )
+
+
+def register_all() -> None:
+    """Register this package's ids; idempotent. Waits for a thread that is importing Gymnasium."""
     gymnasium = importlib.import_module(GYMNASIUM)
     for name, options in IDS.items():
         if f"acsar_gym/{name}-v0" not in gymnasium.registry:
+            home = f"acsar_gym.envs.{_snake(name)}"
             gymnasium.register(
                 id=f"acsar_gym/{name}-v0",
-                entry_point=f"acsar_gym.envs:{name}Env",
-                vector_entry_point=f"acsar_gym.envs:{name}VectorEnv",
+                entry_point=f"{home}:{name}Env",
+                vector_entry_point=f"{home}:{name}VectorEnv",
                 **options,
             )
+
+
+def _snake(name: str) -> str:
+    """PointGoal as point_goal."""
+    return re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()
 
 
 def when_gymnasium_is_imported() -> None:
@@ -46,7 +89,7 @@ def when_gymnasium_is_imported() -> None:
     sys.meta_path.insert(0, finder)  # first, for another thread may begin to import it here
     if sys.modules.get(GYMNASIUM) is not None:
         sys.meta_path.remove(finder)
-        register()
+        register_all()
 
 
 class _Finder(MetaPathFinder):
@@ -75,6 +118,6 @@ class _Finder(MetaPathFinder):
                 vars(loader).pop("exec_module", None)
                 if self in sys.meta_path:
                     sys.meta_path.remove(self)
-                register()
+                register_all()
 
         loader.exec_module = exec_module  # type: ignore[method-assign]

@@ -87,6 +87,6 @@ def test_names_are_there_as_if_they_had_been_imported() -> None:
 
 
 def test_a_second_registration_changes_nothing(recwarn: pytest.WarningsRecorder) -> None:
-    registration.register()
+    registration.register_all()
     registration.when_gymnasium_is_imported()
     assert not recwarn.list

@@ -109,7 +109,7 @@ class Task:
         goal_tolerance: radius of the goal in pictures [m].
         follows: whether the robot follows the world's path, and starts on it, looking along it.
         compiled: whether numba compiles the methods for batches.
-        id: of the registered environment.
+        id: of the environment; `gymnasium.make` sets it.
     """
 
     observation: ClassVar[Mapping[str, tuple[float, float]]] = {}
@@ -122,7 +122,7 @@ class Task:
     goal_tolerance: float = 0.15
     follows: ClassVar[bool] = False
     compiled: ClassVar[bool] = False
-    id: ClassVar[str] = ""
+    id: str = ""
 
     def begin(self, state: State, memory: Any) -> None:
         """Note what an episode begins with.

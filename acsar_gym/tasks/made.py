@@ -40,6 +40,18 @@ def made(task: Any, options: Mapping[str, Any], config: RobotConfig) -> Task:
     return task
 
 
+def importable(task: Any) -> Any:
+    """A class of tasks as "module:Class" where others can import it so, otherwise itself.
+
+    Raises ConfigError for anything else.
+    """
+    kind = _imported(task) if isinstance(task, str) else task
+    if not (isinstance(kind, type) and issubclass(kind, Task)):
+        raise ConfigError(f"task = {shown(task)}: must be a subclass of acsar_gym.Task")
+    local = kind.__module__ == "__main__" or "<locals>" in kind.__qualname__
+    return kind if local else f"{kind.__module__}:{kind.__qualname__}"
+
+
 def _imported(name: str) -> Any:
     module, _, attribute = name.partition(":")
     try:
@@ -71,7 +83,7 @@ def _listed(options: Mapping[str, Any]) -> str:
 def named(task: Task | type[Task]) -> str:
     """The id of a task, or its class's name, for messages."""
     kind = task if isinstance(task, type) else type(task)
-    return kind.id or kind.__qualname__
+    return task.id or kind.__qualname__
 
 
 def _check_class(task: Task) -> None:

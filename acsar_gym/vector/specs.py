@@ -14,11 +14,13 @@ from gymnasium.envs.registration import EnvSpec
 from pydantic import BaseModel
 
 from acsar_gym.links.faults import Faults
+from acsar_gym.tasks.base import Task
 
 
 class PlainSpec:
     """Mixin of an environment: `gymnasium.make` sets its `spec`, which keeps plain arguments."""
 
+    task: Task
     _spec: EnvSpec | None = None
 
     @property
@@ -31,6 +33,7 @@ class PlainSpec:
         if spec is not None:
             spec = copy.copy(spec)
             spec.kwargs = {name: plain(value) for name, value in spec.kwargs.items()}
+            object.__setattr__(self.task, "id", spec.id)  # a task's class may have several ids
         self._spec = spec
 
 

@@ -153,7 +153,7 @@ def step(
             tables.rewards[i] = 0.0
             tables.ends[0, i] = tables.ends[1, i] = False
         else:
-            outcome = int(task_outcome(task, state, own))
+            outcome = 0 + task_outcome(task, state, own)  # an Outcome, or its number
             ended(tables, i, task_reward(task, state, own, outcome), outcome, setup)
         store(tables.observations, i, 0, task_observe(task, state, own))
     report(tables.state, first, last, setup)
