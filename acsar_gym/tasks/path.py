@@ -106,16 +106,17 @@ class PathFollow(Task):
 
     def observe(self, state: State, memory: Any) -> tuple[float, ...]:
         """As PATH_OBSERVATION; lengths and speeds scaled."""
-        limit = OBSERVATION_LIMIT
+        limit, theta = OBSERVATION_LIMIT, state.pose[2]
+        cos, sin = math.cos(theta), math.sin(theta)
         return (
             clipped(memory.cross_track_error / self.max_cross_track, limit),
             math.cos(memory.heading_error),
             math.sin(memory.heading_error),
             min(remaining(state, memory) / LENGTH_SCALE, limit),
-            *point_ahead(state, memory, 1),
-            *point_ahead(state, memory, 2),
-            *point_ahead(state, memory, 3),
-            *point_ahead(state, memory, 4),
+            *point_ahead(state, memory, cos, sin, 1),
+            *point_ahead(state, memory, cos, sin, 2),
+            *point_ahead(state, memory, cos, sin, 3),
+            *point_ahead(state, memory, cos, sin, 4),
             clipped(state.twist[0] / state.max_twist[0], limit),
             clipped(state.twist[1] / state.max_twist[1], limit),
             *state.action,
@@ -144,12 +145,16 @@ def remaining(state: State, memory: Any) -> float:
 
 
 @compilable
-def point_ahead(state: State, memory: Any, number: int) -> tuple[float, float]:
-    """A point of the path as the robot sees it: ahead and left [m], bounded."""
-    x, y, theta = state.pose
+def point_ahead(
+    state: State, memory: Any, cos: float, sin: float, number: int
+) -> tuple[float, float]:
+    """A point of the path as the robot sees it: ahead and left [m], bounded.
+
+    `cos` and `sin` are those of the robot's heading.
+    """
     k = min(int(memory.progress) + number * STRIDE, len(state.path) - 1)
-    px, py = state.path[k, 0], state.path[k, 1]
-    ahead, left = relative(x, y, math.cos(theta), math.sin(theta), px, py)
+    x, y = state.path[k, 0], state.path[k, 1]
+    ahead, left = relative(state.pose[0], state.pose[1], cos, sin, x, y)
     return clipped(ahead, OBSERVATION_LIMIT), clipped(left, OBSERVATION_LIMIT)
 
 

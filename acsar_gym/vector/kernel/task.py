@@ -178,7 +178,7 @@ if COMPILED:
         lines = [f"    rows[i, k + {n}] = numbers[{n}]" for n in range(len(numbers))] or [
             "    pass"
         ]
-        made: dict[str, Any] = {}
+        made: dict[str, Any] = {"__name__": __name__}
         exec("\n".join([HEAD, *lines, "    return"]), made)  # noqa: S102 - our own
         unrolled: Callable[..., None] = made["unrolled"]
         return unrolled
