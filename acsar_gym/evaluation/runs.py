@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import inspect
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.envs.base import RobotEnv
+from acsar_gym.envs.ids import registered
 from acsar_gym.errors import ConfigError, PolicyError, shown
 from acsar_gym.evaluation import episodes as evaluation
 from acsar_gym.evaluation import metrics, provenance, report
@@ -27,12 +27,11 @@ from acsar_gym.policies import (
     FilePolicy,
     OnnxPolicy,
     ZipPolicy,
-    full_id,
     is_callable,
     resolve,
     statistics_beside,
 )
-from acsar_gym.policies.base import quoted
+from acsar_gym.policies.base import one_line, quoted
 from acsar_gym.worlds import splits
 
 Env = gymnasium.Env[Any, Any]
@@ -68,9 +67,10 @@ def load(policy: str, *, trust: bool, env: str = "") -> FilePolicy:
 
     With `trust` it may be a stable-baselines3 zip. `env` is the environment that it's for, instead
     of the one that it names. Raises PolicyError where there is none, and for a zip without `trust`
-    or with statistics of VecNormalize beside it, which only `export` can use.
+    or with statistics of VecNormalize beside it, which only `export` can use, and ConfigError for
+    an `env` that nothing registers.
     """
-    env_id = full_id(env)
+    env_id = registered(env) if env else ""
     if is_callable(policy):
         return CallablePolicy(policy, env_id)
     path = resolve(policy)
@@ -101,14 +101,18 @@ def made(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[str,
             "package, name it with --env"
         )
     try:
-        options = {**options, "worlds": tested(env_id, options.get("worlds"))}
-        given = {name: value for name, value in options.items() if value is not None}
+        registered(env_id)
+    except ConfigError as error:
+        raise PolicyError(f"{policy.path}: {error}") from None
+    options = {**options, "worlds": tested(env_id, options.get("worlds"))}
+    given = {name: value for name, value in options.items() if value is not None}
+    try:
         env = gymnasium.make(env_id, link=link, robot=robot, **given)
     except (gymnasium.error.Error, ImportError) as error:
         raise PolicyError(f"{policy.path}: made for {env_id}: {error}") from None
-    except TypeError:
-        names = ", ".join(given)
-        raise ConfigError(f"{env_id} doesn't take all of: {names}") from None
+    except TypeError as error:
+        names = ", ".join(("link", "robot", *given))
+        raise ConfigError(f"{env_id} doesn't take all of: {names} ({one_line(error)})") from None
     inner = env.unwrapped
     if isinstance(inner, RobotEnv):
         config = inner.robot.config
@@ -124,10 +128,7 @@ def tested(env_id: str, worlds: Any) -> Any:
     """
     if worlds is not None:
         return splits.tested(worlds, default=False)
-    module, _, name = env_id.rpartition(":")
-    if module:
-        importlib.import_module(module)
-    spec = gymnasium.spec(name)
+    spec = gymnasium.spec(env_id.rpartition(":")[2])
     maker: Any = spec.entry_point
     maker = load_env_creator(maker) if isinstance(maker, str) else maker
     known = inspect.signature(maker).parameters
@@ -215,7 +216,7 @@ def export(
     An empty `env_id` is the zip's own. `vecnormalize` is the file of a VecNormalize that it was
     trained with, or "none"; PolicyError where one lies beside the zip and isn't named.
     """
-    policy = ZipPolicy(model, trust=trust, env_id=full_id(env_id))
+    policy = ZipPolicy(model, trust=trust, env_id=registered(env_id) if env_id else "")
     statistics = _statistics(model, vecnormalize)
     env = made(policy, "planar", robot, {})
     from acsar_gym.policies import sb3_export  # noqa: PLC0415 - optional
@@ -224,7 +225,9 @@ def export(
     width = env.observation_space.shape[0] if env.observation_space.shape else 0
     try:
         before = sb3_export.normalizer(statistics, width) if statistics else None
-        sb3_export.export(policy.network, out, inner.task, inner.robot.config, before)
+        sb3_export.export(
+            policy.network, out, policy.env_id, inner.task, inner.robot.config, before
+        )
     finally:
         env.close()
 

@@ -95,13 +95,6 @@ def scale_of(task: Task) -> float | None:
     return scale
 
 
-def full_id(env: str) -> str:
-    """An env's id: "point_goal" is short for "acsar_gym/PointGoal-v0"."""
-    if not env or "/" in env or ":" in env:
-        return env
-    return f"acsar_gym/{env.title().replace('_', '')}-v0"
-
-
 def quoted(text: str) -> str:
     """What a file says, in one short line without control characters, for a message."""
     return textwrap.shorten(text.encode("unicode_escape").decode("ascii"), 300, placeholder="...")
