@@ -108,7 +108,7 @@ class Job:
     def of(cls, options: Options) -> Job:
         """ConfigError for an env that isn't registered or has no time limit, and a bad folder."""
         env_id = ids.registered(options.env)
-        own = env_id.rpartition(":")[2]
+        own = ids.without_module(env_id)
         limit = gymnasium.spec(own).max_episode_steps
         if limit is None:
             raise ConfigError(f"env {options.env}: has no max_episode_steps, training needs one")

@@ -26,6 +26,11 @@ def full_id(name: str) -> str:
     return f"acsar_gym/{name.title().replace('_', '')}-v0"
 
 
+def without_module(env_id: str) -> str:
+    """The id alone, as files keep it: what a file says imports nothing."""
+    return env_id.rpartition(":")[2]
+
+
 def registered(name: str) -> str:
     """The full id of an environment that exists; its module, where one is named, is imported.
 
@@ -41,11 +46,11 @@ def registered(name: str) -> str:
         ConfigError: the module can't be imported, or nothing has registered the id.
     """
     env_id = full_id(name)
-    module, _, own = env_id.rpartition(":")
+    module = env_id.rpartition(":")[0]
     if module:
         _import(module, name)
     try:
-        gymnasium.spec(own)
+        gymnasium.spec(without_module(env_id))
     except gymnasium.error.Error as error:
         how = f"importing {module} doesn't register it: " if module else ""
         raise ConfigError(f"env {name}: {how}{_one_line(error)}") from None

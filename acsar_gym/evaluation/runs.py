@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import gymnasium
-from gymnasium.envs.registration import load_env_creator
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from acsar_gym.config import RobotConfig
@@ -87,8 +85,29 @@ def made(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[str,
     """The environment that a policy was trained for; PolicyError where it is another one now.
 
     A file can only choose among those of acsar_gym; others are imported where the user names them.
-    Options whose value is None are left to the environment, but for `worlds`: see `tested`.
+    Options whose value is None are left to the environment. Worlds of a kind alone are its test
+    split, and so are those of an environment that trains in a training split: that has to be asked
+    for by name, as in "clutter:train".
     """
+    env_id = _allowed(policy)
+    given = {name: value for name, value in options.items() if value is not None}
+    given = {"link": link, "robot": robot, **given}
+    if "worlds" in given:
+        given["worlds"] = splits.tested(given["worlds"])
+    env = _made(policy, env_id, given)
+    pool = getattr(env.unwrapped, "pool", None)
+    if "worlds" not in given and pool is not None and pool.split == splits.TRAIN:
+        env.close()
+        env = _made(policy, env_id, given | {"worlds": f"{pool.kind}:{splits.TEST}"})
+    inner = env.unwrapped
+    if isinstance(inner, RobotEnv):
+        config = inner.robot.config
+        policy.check(inner.task, config, config.control_rate / inner.ticks_per_step)
+    return env
+
+
+def _allowed(policy: FilePolicy) -> str:
+    """The id that a policy is for; PolicyError where it names none that it may."""
     env_id = quoted(policy.env_id)
     if not env_id:
         raise PolicyError(
@@ -101,39 +120,19 @@ def made(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[str,
             "package, name it with --env"
         )
     try:
-        registered(env_id)
+        return registered(env_id)
     except ConfigError as error:
         raise PolicyError(f"{policy.path}: {error}") from None
-    options = {**options, "worlds": tested(env_id, options.get("worlds"))}
-    given = {name: value for name, value in options.items() if value is not None}
+
+
+def _made(policy: FilePolicy, env_id: str, options: Mapping[str, Any]) -> Env:
     try:
-        env = gymnasium.make(env_id, link=link, robot=robot, **given)
+        return gymnasium.make(env_id, **options)
     except (gymnasium.error.Error, ImportError) as error:
         raise PolicyError(f"{policy.path}: made for {env_id}: {error}") from None
     except TypeError as error:
-        names = ", ".join(("link", "robot", *given))
+        names = ", ".join(options)
         raise ConfigError(f"{env_id} doesn't take all of: {names} ({one_line(error)})") from None
-    inner = env.unwrapped
-    if isinstance(inner, RobotEnv):
-        config = inner.robot.config
-        policy.check(inner.task, config, config.control_rate / inner.ticks_per_step)
-    return env
-
-
-def tested(env_id: str, worlds: Any) -> Any:
-    """Worlds to evaluate in: as asked for, or the test split of the kind that the env trains in.
-
-    A kind alone means its test split, too; its training split has to be asked for by name, as in
-    "clutter:train". None where the env has no worlds.
-    """
-    if worlds is not None:
-        return splits.tested(worlds, default=False)
-    spec = gymnasium.spec(env_id.rpartition(":")[2])
-    maker: Any = spec.entry_point
-    maker = load_env_creator(maker) if isinstance(maker, str) else maker
-    known = inspect.signature(maker).parameters
-    own = spec.kwargs.get("worlds", known["worlds"].default if "worlds" in known else None)
-    return splits.tested(own, default=True)
 
 
 def seeds(first: int, count: int) -> range:

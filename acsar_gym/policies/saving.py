@@ -10,7 +10,7 @@ import gymnasium
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.envs.base import RobotEnv
-from acsar_gym.envs.ids import full_id, registered
+from acsar_gym.envs.ids import full_id, registered, without_module
 from acsar_gym.errors import ConfigError
 from acsar_gym.policies.base import ENV_KEY, RATE_KEY, SCALE_KEY, one_line, scale_of
 
@@ -52,7 +52,7 @@ def save(
     before = torch_export.normalizing(normalizer)
     env = _made(env_id, robot, env_kwargs)
     try:
-        notes = {ENV_KEY: full_id(env_id), **_notes(env)}
+        notes = {ENV_KEY: without_module(full_id(env_id)), **_notes(env)}
         torch_export.write(module, Path(path), env.task, env.robot.config, before, notes)
     finally:
         env.close()

@@ -150,5 +150,5 @@ _GOES_ON: dict[str, Any] = {}
 
 def label(model: BaseAlgorithm, env_id: str, task: Task, config: RobotConfig) -> None:
     """Note in a model which env and observation it is for; `model.save` keeps the note."""
-    setattr(model, ENV_KEY, env_id)
+    setattr(model, ENV_KEY, ids.without_module(env_id))
     setattr(model, LAYOUT_KEY, signature(task, config))
