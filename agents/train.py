@@ -1,6 +1,7 @@
 """Train PPO on thousands of planar robots and export the actor as one ONNX file.
 
     python agents/train.py --env obstacle_goal --out runs/obstacle_goal
+    python agents/train.py --env mine.module:mine/Clearance-v0 --steps 2000000
 
 writes policy.onnx (what drives the robot), model.zip (to train on), checkpoints and TensorBoard
 logs into the folder. --resume model.zip --trust trains one of those zips on. Ctrl-C and SIGTERM end
@@ -11,26 +12,26 @@ others, so it's measured in the same worlds, from other seeds.
 
 from __future__ import annotations
 
+import contextlib
 import sys
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from importlib.util import find_spec
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
+import gymnasium
 import tyro
 
-from acsar_gym import envs
+from acsar_gym.envs import ids
 from acsar_gym.errors import (
     AcsarError,
     ConfigError,
-    MissingExtraError,
     PolicyError,
     printable,
-    shown,
 )
 from acsar_gym.policies import ZipPolicy
 from acsar_gym.training import held_out, threads
+from acsar_gym.training.options import Options
 from acsar_gym.training.signals import StopRequest
 from acsar_gym.vector.env import RobotVectorEnv
 from acsar_gym.vector.settings import FAIR_SHARE
@@ -39,9 +40,8 @@ if TYPE_CHECKING:  # torch takes seconds to import, and isn't needed for --help
     from stable_baselines3 import PPO
     from stable_baselines3.common.callbacks import BaseCallback
 
-MOST_STEPS = 10**10
-MOST_ROBOTS = 16_384
-"""A rollout of so many takes 0.2 to 1 GB."""
+    from acsar_gym.training import callbacks
+
 MOST_TORCH_THREADS = 2
 """More, where --threads doesn't ask for them, aren't worth it for nets as small as these."""
 RANDOMIZATION = {
@@ -56,11 +56,9 @@ RANDOMIZATION = {
 
 @dataclass(frozen=True)
 class Recipe:
-    """What works for one environment."""
+    """What works for one environment; what it is by itself, for those of other packages."""
 
-    env: Callable[..., RobotVectorEnv]
-    steps: int
-    episode_steps: int
+    steps: int = 1_000_000
     net: tuple[int, ...] = (64, 64)
     gamma: float = 0.98
     rollout_steps: int = 64
@@ -69,73 +67,79 @@ class Recipe:
     learning_rate: float = 1e-3
     evaluations: int = 16
     """How often held-out robots are evaluated in between; that takes 3 to 5 % of the time."""
-    options: dict[str, Any] = field(default_factory=dict)
-    """Arguments of the env."""
 
 
 RECIPES = {
-    "point_goal": Recipe(envs.PointGoalVectorEnv, 600_000, 200, evaluations=6),
-    "path_follow": Recipe(
-        envs.PathFollowVectorEnv,
-        1_000_000,
-        400,
-        evaluations=3,
-        options={"worlds": "smooth_path:train"},
-    ),
-    "obstacle_goal": Recipe(
-        envs.ObstacleGoalVectorEnv,
+    "acsar_gym/PointGoal-v0": Recipe(600_000, evaluations=6),
+    "acsar_gym/PathFollow-v0": Recipe(1_000_000, evaluations=3),
+    "acsar_gym/ObstacleGoal-v0": Recipe(
         6_000_000,
-        400,
         net=(128, 128),
         gamma=0.99,
         batch_size=8192,
         epochs=5,
         learning_rate=7e-4,
-        options={"worlds": "clutter:train"},
     ),
-    "barn": Recipe(
-        envs.BarnVectorEnv,
+    "acsar_gym/Barn-v0": Recipe(
         15_000_000,
-        1000,
         net=(256, 128),
         gamma=0.99,
         batch_size=8192,
         epochs=5,
         learning_rate=5e-4,
-        options={"worlds": "barn:train"},
     ),
 }
-"""Worlds to train in begin at number 1000: the first ones are left to be evaluated in."""
+"""All train in the worlds of the training split: the first ones are left to be evaluated in."""
 
 
 @dataclass(frozen=True)
-class Options:
-    """PPO on one of the environments."""
+class Job:
+    """A training: what was asked for, and what follows from it."""
 
-    env: Literal["point_goal", "path_follow", "obstacle_goal", "barn"] = "point_goal"
-    """What to learn; each has its own hyperparameters (see RECIPES)."""
-    steps: int | None = None
-    """Env steps to train, at most 10 billion; the recipe's where it isn't given."""
-    out: Path | None = None
-    """Folder for the policy, checkpoints and logs; runs/ENV where it isn't given."""
-    robots: int = 512
-    """Robots stepped together, at most 16,384."""
-    seed: int = 0
-    """Seed of everything random, 0 to 2^32 - 1."""
-    threads: int | None = None
-    """Cores to use; as many as are free when the training begins where it isn't given."""
-    worlds: str | None = None
-    """Kind, file or folder of worlds, instead of the recipe's."""
-    robot: str | None = None
-    """Preset or config file."""
-    randomize: bool = True
-    """Vary the robots' physics (see RANDOMIZATION)."""
-    progress: bool = True
-    """Show a progress bar."""
-    resume: Path | None = None
-    """PPO's model.zip to train on, with the hyperparameters that are in it; needs --trust."""
-    trust: bool = False
-    """Let the zip of --resume run its code: only your own, or whose you trust."""
+    options: Options
+    env_id: str
+    recipe: Recipe
+    episode_steps: int
+    """Time limit of an episode [steps]."""
+    threads: int
+    out: Path
+
+    @classmethod
+    def of(cls, options: Options) -> Job:
+        """ConfigError for an env that isn't registered or has no time limit, and a bad folder."""
+        env_id = ids.registered(options.env)
+        own = ids.without_module(env_id)
+        limit = gymnasium.spec(own).max_episode_steps
+        if limit is None:
+            raise ConfigError(f"env {options.env}: has no max_episode_steps, training needs one")
+        if options.worlds is not None and own == "acsar_gym/PointGoal-v0":
+            raise ConfigError("--worlds: point_goal has none")
+        named = {
+            name: getattr(options, name) for name in ("steps", "gamma", "learning_rate", "net")
+        }
+        chosen = {name: value for name, value in named.items() if value is not None}
+        recipe = replace(RECIPES.get(own, Recipe()), **chosen)
+        count = threads.chosen(options.threads)
+        return cls(options, env_id, recipe, limit, count, _folder(options, own))
+
+    @property
+    def worlds(self) -> dict[str, Any]:
+        """What the env is told of worlds."""
+        return {} if self.options.worlds is None else {"worlds": self.options.worlds}
+
+    def __str__(self) -> str:
+        cores = "1 thread" if self.threads == 1 else f"{self.threads} threads"
+        return f"{cores}, seed {self.options.seed}"
+
+
+def _folder(options: Options, env_id: str) -> Path:
+    short = options.env if "/" not in options.env else env_id.rpartition("/")[2]
+    out = options.out or Path("runs") / short
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"--out {out}: can't be written: {error.strerror}") from None
+    return out
 
 
 def train(options: Options) -> int:
@@ -144,103 +148,48 @@ def train(options: Options) -> int:
     Returns:
         The exit code: 130 where Ctrl-C ended the training early, 143 where SIGTERM did.
     """
-    _check(options)
+    options.check()
     threads.wait_passively()
-    with StopRequest() as stop:
-        recipe, out = RECIPES[options.env], _folder(options)
-        count = threads.chosen(options.threads)
+    with StopRequest() as stop, contextlib.ExitStack() as batches:
+        job = Job.of(options)
         saved = ZipPolicy(options.resume, trust=options.trust) if options.resume else None
-        env, apart = _env(recipe, options, count), _held_out(recipe, options)
-        try:
-            _begin(env, apart, options, count)
-            model = _model(recipe, env, options, saved, out / "tensorboard", count)
-            _learn(model, recipe, options, apart, stop, out)
-        finally:
-            env.close()
-            apart.close()
+        env = batches.enter_context(contextlib.closing(_learning(job)))
+        apart = batches.enter_context(contextlib.closing(_held_out(job, env)))
+        print(printable(f"{held_out.told(env, apart)}; {job}"), flush=True)
+        _learn(job, _model(job, env, saved), apart, stop)
         return stop.exit_code
 
 
-def _check(options: Options) -> None:
-    """Whatever can be known to be wrong before anything is started."""
-    ranges = (
-        ("steps", options.steps, 1, MOST_STEPS),
-        ("robots", options.robots, 1, MOST_ROBOTS),
-        ("seed", options.seed, 0, held_out.FIRST_SEED - 1),
-    )
-    for name, value, least, most in ranges:
-        if value is not None and not least <= value <= most:
-            raise ConfigError(f"--{name} {shown(value)}: must be {least:,} to {most:,}")
-    if options.env == "point_goal" and options.worlds is not None:
-        raise ConfigError("--worlds: point_goal has none")
-    for module in ("torch", "stable_baselines3", "tensorboard", "onnx", "onnxscript"):
-        try:
-            missing = find_spec(module) is None
-        except ImportError:
-            missing = True
-        if missing:
-            raise MissingExtraError("training", "train")
-
-
-def _folder(options: Options) -> Path:
-    out = options.out or Path("runs") / options.env
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"--out {out}: can't be written: {error.strerror}") from None
-    return out
-
-
-def _env(recipe: Recipe, options: Options, count: int) -> RobotVectorEnv:
+def _learning(job: Job) -> RobotVectorEnv:
     """The robots that learn."""
-    return recipe.env(
+    options = job.options
+    return ids.make_vec(
+        job.env_id,
         options.robots,
-        options.robot,
-        max_episode_steps=recipe.episode_steps,
+        robot=options.robot,
         autoreset_mode="SameStep",
-        threads=max(1, min(count, options.robots // FAIR_SHARE)),
+        threads=max(1, min(job.threads, options.robots // FAIR_SHARE)),
         randomization=RANDOMIZATION if options.randomize else None,
-        **_arguments(recipe, options),
+        **job.worlds,
     )
 
 
-def _held_out(recipe: Recipe, options: Options) -> RobotVectorEnv:
+def _held_out(job: Job, learning: RobotVectorEnv) -> RobotVectorEnv:
     """Robots that tell how good the policy is: as configured, in worlds that aren't trained in."""
-    arguments = _arguments(recipe, options)
-    if "worlds" in arguments:
-        arguments["worlds"] = held_out.worlds_beside(arguments["worlds"])
-    steps = recipe.episode_steps
-    return recipe.env(
-        held_out.ROBOTS, options.robot, max_episode_steps=steps, threads=1, **arguments
-    )
+    beside = held_out.worlds_beside(learning.pool)
+    worlds = job.worlds if beside is None else {"worlds": beside}
+    return ids.make_vec(job.env_id, held_out.ROBOTS, robot=job.options.robot, threads=1, **worlds)
 
 
-def _arguments(recipe: Recipe, options: Options) -> dict[str, Any]:
-    chosen = {} if options.worlds is None else {"worlds": options.worlds}
-    return recipe.options | chosen
-
-
-def _begin(env: RobotVectorEnv, apart: RobotVectorEnv, options: Options, count: int) -> None:
-    """Say what is trained in, evaluated in, and with."""
-    cores = "1 thread" if count == 1 else f"{count} threads"
-    print(printable(f"{held_out.told(env, apart)}; {cores}, seed {options.seed}"), flush=True)
-
-
-def _model(
-    recipe: Recipe,
-    env: RobotVectorEnv,
-    options: Options,
-    saved: ZipPolicy | None,
-    logs: Path,
-    count: int,
-) -> PPO:
+def _model(job: Job, env: RobotVectorEnv, saved: ZipPolicy | None) -> PPO:
     import torch  # noqa: PLC0415
     from stable_baselines3 import PPO  # noqa: PLC0415
 
     from acsar_gym.policies import sb3  # noqa: PLC0415
 
-    torch.set_num_threads(min(count, options.threads or MOST_TORCH_THREADS))
-    always: dict[str, Any] = {"device": "cpu", "seed": options.seed, "tensorboard_log": str(logs)}
+    options, recipe, logs = job.options, job.recipe, str(job.out / "tensorboard")
+    torch.set_num_threads(min(job.threads, options.threads or MOST_TORCH_THREADS))
+    always: dict[str, Any] = {"device": "cpu", "seed": options.seed, "tensorboard_log": logs}
     batch = sb3.BatchVecEnv(env)
     if saved is not None:
         _check_resumable(saved, env)
@@ -260,7 +209,7 @@ def _model(
             stats_window_size=options.robots,
             **always,
         )
-    sb3.label(model, env.task, env.config)
+    sb3.label(model, job.env_id, env.task, env.config)
     return model
 
 
@@ -272,72 +221,49 @@ def _check_resumable(saved: ZipPolicy, env: RobotVectorEnv) -> None:
         raise PolicyError(f"{saved.path}: only PPO's models can be trained on")
 
 
-def _learn(
-    model: PPO,
-    recipe: Recipe,
-    options: Options,
-    apart: RobotVectorEnv,
-    stop: StopRequest,
-    out: Path,
-) -> None:
+def _learn(job: Job, model: PPO, apart: RobotVectorEnv, stop: StopRequest) -> None:
+    from acsar_gym.training import callbacks, saving  # noqa: PLC0415
+
+    scores = callbacks.HeldOut(apart, job.recipe.steps, job.recipe.evaluations)
+    watching = _callbacks(job, scores, stop)
+    fresh = job.options.resume is None
+    try:
+        model.learn(job.recipe.steps, callback=watching, reset_num_timesteps=fresh)
+    finally:
+        for each in watching:  # gives the terminal back, however it ended; idempotent
+            each.on_training_end()
+    if stop.number is not None:
+        print(f"interrupted at {model.num_timesteps:,} steps: saving what there is")
+    policy, zipped = saving.save(model, job.env_id, apart, job.out)
+    print(printable(f"written: {policy} (to drive with), {zipped} (to train on)"))
+    if stop.number is None:
+        _tell(job, scores.finish(), scores.name, policy)
+
+
+def _callbacks(job: Job, scores: callbacks.HeldOut, stop: StopRequest) -> list[BaseCallback]:
     from stable_baselines3.common.callbacks import CheckpointCallback  # noqa: PLC0415
 
     from acsar_gym.training import callbacks  # noqa: PLC0415
 
-    steps = options.steps or recipe.steps
-    scores = callbacks.HeldOut(apart, steps, recipe.evaluations)
+    recipe = job.recipe
     checkpoints = CheckpointCallback(
-        save_freq=max(steps // (4 * options.robots), recipe.rollout_steps),
-        save_path=str(out / "checkpoints"),
+        save_freq=max(recipe.steps // (4 * job.options.robots), recipe.rollout_steps),
+        save_path=str(job.out / "checkpoints"),
     )
-    watching: list[BaseCallback] = [
-        callbacks.EndOnSignal(stop),
-        callbacks.WholeCohorts(recipe.episode_steps),
-        scores,
-        checkpoints,
-    ]
-    if options.progress:
-        watching.append(callbacks.TrainingProgress(steps, scores))
-    try:
-        model.learn(steps, callback=watching, reset_num_timesteps=options.resume is None)
-    finally:
-        for each in watching:  # gives the terminal back, however it ended; twice is once
-            each.on_training_end()
-    if stop.number is not None:
-        print(f"interrupted at {model.num_timesteps:,} steps: saving what there is")
-    _save(model, apart, out)
-    if stop.number is None:
-        _tell(scores.finish(), scores.name, options, out)
+    cohorts = callbacks.WholeCohorts(job.episode_steps)
+    watching: list[BaseCallback] = [callbacks.EndOnSignal(stop), cohorts, scores, checkpoints]
+    if job.options.progress:
+        watching.append(callbacks.TrainingProgress(recipe.steps, scores))
+    return watching
 
 
-def _save(model: PPO, env: RobotVectorEnv, out: Path) -> None:
-    from acsar_gym.policies import sb3_export  # noqa: PLC0415
-
-    _replace(out / "model.zip", model.save)
-    _replace(
-        out / "policy.onnx",
-        lambda path: sb3_export.export(model.policy, path, env.task, env.config),
-    )
-    files = f"{out / 'policy.onnx'} (to drive with), {out / 'model.zip'} (to train on)"
-    print(printable(f"written: {files}"))
-
-
-def _replace(path: Path, write: Callable[[Path], object]) -> None:
-    """Write a file whole or not at all: what was there before stays until then."""
-    new = path.with_name(f".{path.name}")
-    try:
-        write(new)
-        new.replace(path)
-    finally:
-        new.unlink(missing_ok=True)
-
-
-def _tell(score: held_out.Score, name: str, options: Options, out: Path) -> None:
+def _tell(job: Job, score: held_out.Score, name: str, policy: Path) -> None:
     """How good the policy is, and what to do next."""
     wins = round(score.success_rate * score.episodes)
     print(f"{name}: {wins} of {score.episodes} episodes ({score.success_rate:.1%})")
-    robot = f" --robot {options.robot}" if options.robot else ""
-    print(printable(f"next: acsar-gym evaluate --policy {out / 'policy.onnx'}{robot}"))
+    env = "" if job.env_id.startswith("acsar_gym/") else f" --env {job.env_id}"
+    robot = f" --robot {job.options.robot}" if job.options.robot else ""
+    print(printable(f"next: acsar-gym evaluate --policy {policy}{env}{robot}"))
 
 
 def main(arguments: Sequence[str]) -> int:

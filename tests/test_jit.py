@@ -67,7 +67,7 @@ def test_compiling_a_batch_is_announced_before_and_only_where_the_cache_has_none
 
 
 @needs_numba
-@pytest.mark.parametrize("name", warm_up.BATCHES)
+@pytest.mark.parametrize("name", warm_up.NAMES)
 def test_warming_up_leaves_nothing_to_compile(name: str, caplog: pytest.LogCaptureFixture) -> None:
     worlds = {"Barn": "barn:1", "ObstacleGoal": "open:2", "PathFollow": "smooth_path:2"}.get(name)
     options = {"worlds": worlds} if worlds else {}
@@ -82,7 +82,7 @@ def test_warming_up_leaves_nothing_to_compile(name: str, caplog: pytest.LogCaptu
 def test_the_command_says_what_it_did(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(warm_up, "BATCHES", {"PointGoal": warm_up.BATCHES["PointGoal"]})
+    monkeypatch.setattr(warm_up, "NAMES", ("PointGoal",))
     warm_up.run("PointGoal")
     assert cli.COMMANDS["warm-up"]() == 0
     done, ready = capsys.readouterr().out.splitlines()

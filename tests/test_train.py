@@ -14,6 +14,7 @@ from serial_tools import CLI, TIMEOUT
 import acsar_gym
 from acsar_gym.errors import ConfigError
 from acsar_gym.resources import AGENTS, agent
+from acsar_gym.training import saving
 
 pytestmark = pytest.mark.xdist_group("torch")
 
@@ -124,9 +125,9 @@ def test_a_file_is_written_whole_or_stays_as_it_was(tmp_path: Path) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        agent("train")._replace(path, half)
+        saving.replace(path, half)
     assert [(file.name, file.read_bytes()) for file in tmp_path.iterdir()] == [
         ("model.zip", b"before")
     ]
-    agent("train")._replace(path, lambda new: new.write_bytes(b"after"))
+    saving.replace(path, lambda new: new.write_bytes(b"after"))
     assert path.read_bytes() == b"after"

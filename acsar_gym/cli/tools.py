@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from acsar_gym.cli.options import File, Json, RobotArg
+from acsar_gym.cli.options import EnvArg, File, Json, RobotArg
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, printable, shown
 
@@ -65,16 +65,17 @@ def bench(json: Json = None, plots: File = None) -> int:
     return 0
 
 
-def warm_up(robot: RobotArg = None) -> int:
+def warm_up(env: EnvArg = "", robot: RobotArg = None) -> int:
     """Compile all loops and make the default worlds now, instead of when they are first used.
 
     Args:
+        env: only this one: point_goal, ..., or mine.module:mine/Task-v0.
         robot: preset or config file; generated worlds fit its footprint.
     """
     from acsar_gym.envs import warm_up as warm  # noqa: PLC0415
 
     found = []
-    for name in warm.BATCHES:
+    for name in (env,) if env else warm.NAMES:
         print(f"{name}: ", end="", flush=True)
         found.append(done := warm.run(name, robot))
         worlds = f", {done.worlds} worlds at hand" if done.worlds else ""

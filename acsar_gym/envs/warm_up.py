@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,21 +13,12 @@ import numpy as np
 
 from acsar_gym import jit as compiled
 from acsar_gym.config import RobotConfig
-from acsar_gym.envs import (
-    BarnVectorEnv,
-    ObstacleGoalVectorEnv,
-    PathFollowVectorEnv,
-    PointGoalVectorEnv,
-)
+from acsar_gym.envs import ids
 from acsar_gym.errors import MissingExtraError
-from acsar_gym.vector.env import RobotVectorEnv
+from acsar_gym.registration import IDS
 
-BATCHES: dict[str, Callable[..., RobotVectorEnv]] = {
-    "PointGoal": PointGoalVectorEnv,
-    "ObstacleGoal": ObstacleGoalVectorEnv,
-    "Barn": BarnVectorEnv,
-    "PathFollow": PathFollowVectorEnv,
-}
+NAMES = tuple(IDS)
+"""What is warmed up where nothing is named."""
 
 
 class Warm(NamedTuple):
@@ -45,7 +36,14 @@ def run(
 ) -> Warm:
     """Reset and step an env and a batch of one id.
 
-    Raises MissingExtraError without numba: nothing is ever compiled.
+    Args:
+        name: such as "PointGoal" or "mine.module:mine/Clearance-v0".
+        robot: preset or config file.
+        options: of the env, such as worlds.
+
+    Raises:
+        MissingExtraError: without numba nothing is ever compiled.
+        ConfigError: there is no such env.
     """
     if not compiled.COMPILED:
         raise MissingExtraError("compiling ahead of time", "fast")
@@ -61,11 +59,12 @@ def run(
 
 def _use(name: str, robot: RobotConfig | str | Path | None, options: Mapping[str, Any]) -> int:
     """How many worlds a batch of this id has."""
-    one = gymnasium.make(f"acsar_gym/{name}-v0", link="planar", robot=robot, **options)
+    env_id = ids.registered(f"acsar_gym/{name}-v0" if name in NAMES else name)
+    one = gymnasium.make(env_id, link="planar", robot=robot, **options)
     one.reset(seed=0)
     one.step(np.zeros(2, np.float32))
     one.close()
-    many = BATCHES[name](2, robot, **options)
+    many = ids.make_vec(env_id, 2, robot=robot, **options)
     many.reset(seed=0)
     many.step(np.zeros((2, 2)))
     many.close()

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import importlib
-import inspect
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import gymnasium
-from gymnasium.envs.registration import load_env_creator
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.envs.base import RobotEnv
+from acsar_gym.envs.ids import registered
 from acsar_gym.errors import ConfigError, PolicyError, shown
 from acsar_gym.evaluation import episodes as evaluation
 from acsar_gym.evaluation import metrics, provenance, report
@@ -27,12 +25,11 @@ from acsar_gym.policies import (
     FilePolicy,
     OnnxPolicy,
     ZipPolicy,
-    full_id,
     is_callable,
     resolve,
     statistics_beside,
 )
-from acsar_gym.policies.base import quoted
+from acsar_gym.policies.base import one_line, quoted
 from acsar_gym.worlds import splits
 
 Env = gymnasium.Env[Any, Any]
@@ -68,9 +65,10 @@ def load(policy: str, *, trust: bool, env: str = "") -> FilePolicy:
 
     With `trust` it may be a stable-baselines3 zip. `env` is the environment that it's for, instead
     of the one that it names. Raises PolicyError where there is none, and for a zip without `trust`
-    or with statistics of VecNormalize beside it, which only `export` can use.
+    or with statistics of VecNormalize beside it, which only `export` can use, and ConfigError for
+    an `env` that nothing registers.
     """
-    env_id = full_id(env)
+    env_id = registered(env) if env else ""
     if is_callable(policy):
         return CallablePolicy(policy, env_id)
     path = resolve(policy)
@@ -87,8 +85,29 @@ def made(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[str,
     """The environment that a policy was trained for; PolicyError where it is another one now.
 
     A file can only choose among those of acsar_gym; others are imported where the user names them.
-    Options whose value is None are left to the environment, but for `worlds`: see `tested`.
+    Options whose value is None are left to the environment. Worlds of a kind alone are its test
+    split, and so are those of an environment that trains in a training split: that has to be asked
+    for by name, as in "clutter:train".
     """
+    env_id = _allowed(policy)
+    given = {name: value for name, value in options.items() if value is not None}
+    given = {"link": link, "robot": robot, **given}
+    if "worlds" in given:
+        given["worlds"] = splits.tested(given["worlds"])
+    env = _made(policy, env_id, given)
+    pool = getattr(env.unwrapped, "pool", None)
+    if "worlds" not in given and pool is not None and pool.split == splits.TRAIN:
+        env.close()
+        env = _made(policy, env_id, given | {"worlds": f"{pool.kind}:{splits.TEST}"})
+    inner = env.unwrapped
+    if isinstance(inner, RobotEnv):
+        config = inner.robot.config
+        policy.check(inner.task, config, config.control_rate / inner.ticks_per_step)
+    return env
+
+
+def _allowed(policy: FilePolicy) -> str:
+    """The id that a policy is for; PolicyError where it names none that it may."""
     env_id = quoted(policy.env_id)
     if not env_id:
         raise PolicyError(
@@ -101,38 +120,19 @@ def made(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[str,
             "package, name it with --env"
         )
     try:
-        options = {**options, "worlds": tested(env_id, options.get("worlds"))}
-        given = {name: value for name, value in options.items() if value is not None}
-        env = gymnasium.make(env_id, link=link, robot=robot, **given)
+        return registered(env_id)
+    except ConfigError as error:
+        raise PolicyError(f"{policy.path}: {error}") from None
+
+
+def _made(policy: FilePolicy, env_id: str, options: Mapping[str, Any]) -> Env:
+    try:
+        return gymnasium.make(env_id, **options)
     except (gymnasium.error.Error, ImportError) as error:
         raise PolicyError(f"{policy.path}: made for {env_id}: {error}") from None
-    except TypeError:
-        names = ", ".join(given)
-        raise ConfigError(f"{env_id} doesn't take all of: {names}") from None
-    inner = env.unwrapped
-    if isinstance(inner, RobotEnv):
-        config = inner.robot.config
-        policy.check(inner.task, config, config.control_rate / inner.ticks_per_step)
-    return env
-
-
-def tested(env_id: str, worlds: Any) -> Any:
-    """Worlds to evaluate in: as asked for, or the test split of the kind that the env trains in.
-
-    A kind alone means its test split, too; its training split has to be asked for by name, as in
-    "clutter:train". None where the env has no worlds.
-    """
-    if worlds is not None:
-        return splits.tested(worlds, default=False)
-    module, _, name = env_id.rpartition(":")
-    if module:
-        importlib.import_module(module)
-    spec = gymnasium.spec(name)
-    maker: Any = spec.entry_point
-    maker = load_env_creator(maker) if isinstance(maker, str) else maker
-    known = inspect.signature(maker).parameters
-    own = spec.kwargs.get("worlds", known["worlds"].default if "worlds" in known else None)
-    return splits.tested(own, default=True)
+    except TypeError as error:
+        names = ", ".join(options)
+        raise ConfigError(f"{env_id} doesn't take all of: {names} ({one_line(error)})") from None
 
 
 def seeds(first: int, count: int) -> range:
@@ -215,7 +215,7 @@ def export(
     An empty `env_id` is the zip's own. `vecnormalize` is the file of a VecNormalize that it was
     trained with, or "none"; PolicyError where one lies beside the zip and isn't named.
     """
-    policy = ZipPolicy(model, trust=trust, env_id=full_id(env_id))
+    policy = ZipPolicy(model, trust=trust, env_id=registered(env_id) if env_id else "")
     statistics = _statistics(model, vecnormalize)
     env = made(policy, "planar", robot, {})
     from acsar_gym.policies import sb3_export  # noqa: PLC0415 - optional
@@ -224,7 +224,9 @@ def export(
     width = env.observation_space.shape[0] if env.observation_space.shape else 0
     try:
         before = sb3_export.normalizer(statistics, width) if statistics else None
-        sb3_export.export(policy.network, out, inner.task, inner.robot.config, before)
+        sb3_export.export(
+            policy.network, out, policy.env_id, inner.task, inner.robot.config, before
+        )
     finally:
         env.close()
 

@@ -3,7 +3,7 @@
 Importing this imports neither torch nor onnxruntime.
 """
 
-from acsar_gym.policies.base import FilePolicy, Policy, full_id, resolve
+from acsar_gym.policies.base import FilePolicy, Policy, resolve
 from acsar_gym.policies.callables import CallablePolicy, is_callable
 from acsar_gym.policies.onnx import OnnxPolicy
 from acsar_gym.policies.saving import save
@@ -15,7 +15,6 @@ __all__ = [
     "OnnxPolicy",
     "Policy",
     "ZipPolicy",
-    "full_id",
     "is_callable",
     "resolve",
     "save",

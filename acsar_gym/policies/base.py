@@ -15,6 +15,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import PolicyError
 from acsar_gym.resources import AGENTS
 from acsar_gym.tasks import Observation, Task, signature
+from acsar_gym.tasks.made import named
 
 ENV_KEY = "acsar_gym.env"
 LAYOUT_KEY = "acsar_gym.observation"
@@ -59,7 +60,7 @@ class FilePolicy(ABC):
         if self.layout and self.layout != wanted:
             raise PolicyError(
                 f"{self.path}: made for {quoted(self.env_id)} and the observation "
-                f"({quoted(self.layout)}), but {task.id} gives ({wanted}): train it again, or "
+                f"({quoted(self.layout)}), but {named(task)} gives ({wanted}): train it again, or "
                 "choose its robot with --robot"
             )
         for name, own, given in (
@@ -68,7 +69,7 @@ class FilePolicy(ABC):
         ):
             if own is not None and given is not None and not math.isclose(own, given, rel_tol=1e-6):
                 raise PolicyError(
-                    f"{self.path}: made for {name} {own:g}, but this {task.id} has {given:g}: "
+                    f"{self.path}: made for {name} {own:g}, but this {named(task)} has {given:g}: "
                     "give the env the arguments that the policy was trained with"
                 )
 
@@ -93,13 +94,6 @@ def scale_of(task: Task) -> float | None:
     """What a task divides the distances by that it observes [m]; None where it doesn't say."""
     scale: float | None = getattr(task, "scale", getattr(task, "max_cross_track", None))
     return scale
-
-
-def full_id(env: str) -> str:
-    """An env's id: "point_goal" is short for "acsar_gym/PointGoal-v0"."""
-    if not env or "/" in env or ":" in env:
-        return env
-    return f"acsar_gym/{env.title().replace('_', '')}-v0"
 
 
 def quoted(text: str) -> str:

@@ -25,6 +25,7 @@ from acsar_gym.policies.base import (
 )
 from acsar_gym.reading import bounded
 from acsar_gym.tasks import Observation, Task
+from acsar_gym.tasks.made import named
 from acsar_gym.tasks.spaces import task_spaces
 
 MAX_BYTES = 32_000_000
@@ -75,7 +76,7 @@ class OnnxPolicy(FilePolicy):
         wanted = (task_spaces(task, config)[1].shape or (0,))[0]
         if self.width != wanted:
             raise PolicyError(
-                f"{self.path}: takes {self.width} numbers, but {task.id} gives {wanted}"
+                f"{self.path}: takes {self.width} numbers, but {named(task)} gives {wanted}"
             )
 
     def __call__(self, observation: Observation) -> NDArray[np.float32]:

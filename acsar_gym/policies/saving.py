@@ -10,8 +10,9 @@ import gymnasium
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.envs.base import RobotEnv
+from acsar_gym.envs.ids import full_id, registered, without_module
 from acsar_gym.errors import ConfigError
-from acsar_gym.policies.base import RATE_KEY, SCALE_KEY, full_id, one_line, scale_of
+from acsar_gym.policies.base import ENV_KEY, RATE_KEY, SCALE_KEY, one_line, scale_of
 
 if TYPE_CHECKING:
     import torch
@@ -51,7 +52,7 @@ def save(
     before = torch_export.normalizing(normalizer)
     env = _made(env_id, robot, env_kwargs)
     try:
-        notes = _notes(env)
+        notes = {ENV_KEY: without_module(full_id(env_id)), **_notes(env)}
         torch_export.write(module, Path(path), env.task, env.robot.config, before, notes)
     finally:
         env.close()
@@ -60,7 +61,7 @@ def save(
 def _made(env_id: str, robot: Any, env_kwargs: dict[str, Any]) -> RobotEnv:
     """The environment; ConfigError where there is none of that id, or it takes other arguments."""
     try:
-        env = gymnasium.make(full_id(env_id), link="planar", robot=robot, **env_kwargs).unwrapped
+        env = gymnasium.make(registered(env_id), link="planar", robot=robot, **env_kwargs).unwrapped
     except (gymnasium.error.Error, ImportError) as error:
         raise ConfigError(f"{env_id}: {error}") from None
     except TypeError as error:

@@ -6,14 +6,14 @@ import time
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
+from acsar_gym.envs import ids
 from acsar_gym.errors import ConfigError, MissingExtraError
-from acsar_gym.policies.base import ENV_KEY, LAYOUT_KEY, full_id
+from acsar_gym.policies.base import ENV_KEY, LAYOUT_KEY
 from acsar_gym.tasks import Task, signature
 from acsar_gym.vector.env import RobotVectorEnv
 
@@ -133,7 +133,8 @@ def make_batch(env_id: str, num_envs: int, **options: Any) -> BatchVecEnv:
     """Many planar robots to train stable-baselines3 on, in one process.
 
     Args:
-        env_id: such as "acsar_gym/PointGoal-v0", or "point_goal" for short.
+        env_id: "point_goal", "acsar_gym/PointGoal-v0", or another package's id with the module
+            that registers it, as in "mine.module:mine/Clearance-v0".
         num_envs: robots.
         **options: of the env and of `RobotVectorEnv`: robot, worlds, randomization, threads, ...
 
@@ -141,18 +142,13 @@ def make_batch(env_id: str, num_envs: int, **options: Any) -> BatchVecEnv:
         ConfigError: for unknown ids and options.
     """
     options = {"autoreset_mode": AutoresetMode.SAME_STEP, **options}
-    mode = "vector_entry_point"
-    try:
-        batch = gymnasium.make_vec(full_id(env_id), num_envs, vectorization_mode=mode, **options)
-    except (gymnasium.error.Error, ImportError, TypeError) as error:
-        raise ConfigError(f"make_batch({env_id!r}): {error}") from None
-    return BatchVecEnv(batch)
+    return BatchVecEnv(ids.make_vec(ids.registered(env_id), num_envs, **options))
 
 
 _GOES_ON: dict[str, Any] = {}
 
 
-def label(model: BaseAlgorithm, task: Task, config: RobotConfig) -> None:
+def label(model: BaseAlgorithm, env_id: str, task: Task, config: RobotConfig) -> None:
     """Note in a model which env and observation it is for; `model.save` keeps the note."""
-    setattr(model, ENV_KEY, task.id)
+    setattr(model, ENV_KEY, ids.without_module(env_id))
     setattr(model, LAYOUT_KEY, signature(task, config))

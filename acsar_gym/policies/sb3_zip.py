@@ -16,6 +16,7 @@ from acsar_gym.errors import AcsarError, MissingExtraError, PolicyError
 from acsar_gym.policies.base import ENV_KEY, LAYOUT_KEY, FilePolicy, one_line, resolve
 from acsar_gym.reading import bounded
 from acsar_gym.tasks import Observation, Task
+from acsar_gym.tasks.made import named
 from acsar_gym.tasks.spaces import task_spaces
 
 if TYPE_CHECKING:
@@ -61,7 +62,7 @@ class ZipPolicy(FilePolicy):
         super().check(task, config, policy_rate)
         for space, wanted in zip(self._spaces, task_spaces(task, config), strict=True):
             if space != wanted:
-                raise PolicyError(f"{self.path}: made for {space}, but {task.id} has {wanted}")
+                raise PolicyError(f"{self.path}: made for {space}, but {named(task)} has {wanted}")
 
     @property
     def _spaces(self) -> tuple[Any, Any]:

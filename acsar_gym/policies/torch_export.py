@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import MissingExtraError, PolicyError
-from acsar_gym.policies.base import ENV_KEY, LAYOUT_KEY, one_line
+from acsar_gym.policies.base import LAYOUT_KEY, one_line
 from acsar_gym.policies.onnx import inspected
 from acsar_gym.tasks import Task, signature
 from acsar_gym.tasks.spaces import task_spaces
@@ -85,14 +85,14 @@ def write(
     path: Path,
     task: Task,
     config: RobotConfig,
-    normalizer: torch.nn.Module | None = None,
-    notes: Mapping[str, str] | None = None,
+    normalizer: torch.nn.Module | None,
+    notes: Mapping[str, str],
 ) -> None:
     """Write a network as an ONNX file that `OnnxPolicy` reads.
 
-    The file maps `observation` (batch, n) to `action` (batch, 2), float32, and carries the env's
-    id, the observation's signature, and `notes`, other metadata. Raises PolicyError where the
-    network doesn't fit, or has operations that OnnxPolicy refuses.
+    The file maps `observation` (batch, n) to `action` (batch, 2), float32, and carries the
+    observation's signature and `notes`, other metadata such as the env's id. Raises PolicyError
+    where the network doesn't fit, or has operations that OnnxPolicy refuses.
     """
     whole = _Whole(network, normalizer)
     with _evaluating(whole):
@@ -100,7 +100,7 @@ def write(
         _check(whole, example)
         model: Any = _exported(whole, example)
     _forget_sources(model)
-    facts = {ENV_KEY: task.id, LAYOUT_KEY: signature(task, config), **(notes or {})}
+    facts = {LAYOUT_KEY: signature(task, config), **notes}
     onnx.helper.set_model_props(model, facts)
     data = model.SerializeToString()
     try:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.vector.env import RobotVectorEnv
-from acsar_gym.worlds import names
+from acsar_gym.worlds.pool import Pool
 
 ROBOTS = 64
 """Robots, and so episodes, of an evaluation during training."""
@@ -89,17 +88,14 @@ def _others(batch: RobotVectorEnv) -> bool:
     return pool is None or pool.generated
 
 
-def worlds_beside(source: str) -> str:
-    """ROBOTS worlds of the same kind that aren't among `source`.
+def worlds_beside(pool: Pool | None) -> str | None:
+    """ROBOTS generated worlds of the same kind, none of which is in this pool.
 
-    A file or a folder stays as it is: there are no others, only other seeds.
+    None where there are no others, as for files and on the open floor: only other seeds.
     """
-    name = names.generated(source)
-    if name is None:
-        return source
+    if pool is None or not pool.generated:
+        return None
     first = FIRST_WORLD
-    if given := re.fullmatch(r"(?:(\d+)-)?(\d+)", name.numbers):
-        low, high = int(given[1] or 0), int(given[2]) - (given[1] is None)
-        if low < FIRST_WORLD + ROBOTS and high >= FIRST_WORLD:
-            first = high + 1
-    return f"{name.generator}:{first}-{first + ROBOTS - 1}"
+    if pool.numbers[0] < FIRST_WORLD + ROBOTS and pool.numbers[-1] >= FIRST_WORLD:
+        first = pool.numbers[-1] + 1
+    return f"{pool.kind}:{first}-{first + ROBOTS - 1}"

@@ -28,11 +28,7 @@ def holding(kind: str, some: range) -> str:
     return ""
 
 
-def tested(source: Any, *, default: bool) -> Any:
-    """The test split for a kind of world alone; anything else as it is.
-
-    As the `default` of an environment, which trains in it, so is a kind's training split.
-    """
+def tested(source: Any) -> Any:
+    """The test split for a kind of world alone; anything else as it is."""
     name = names.generated(source) if isinstance(source, str) else None
-    alone = name is not None and name.numbers in ("", TRAIN if default else "")
-    return f"{name.generator}:{TEST}" if name and alone else source
+    return source if name is None or name.numbers else f"{name.generator}:{TEST}"

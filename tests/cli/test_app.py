@@ -4,46 +4,21 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from cli_tools import Call, assert_one_line
 from serial_tools import CLI, TIMEOUT, RobotFile, cli
 from zip_tools import PLACES, poison, save
 
-from acsar_gym.cli import COMMANDS, main
+from acsar_gym.cli import COMMANDS
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
 MISSING = "/dev/acsar-missing"
 HUGE = str(10**400)
 RUN = ("run", "1", "0", "--link", "planar")
-
-Ended = tuple[int, str, str]
-"""Exit code, standard output, standard error."""
-Call = Callable[..., Ended]
-
-
-@pytest.fixture
-def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Call:
-    """`acsar-gym ARGUMENTS` in this process: many calls are faster so."""
-
-    def run(*arguments: str | Path) -> Ended:
-        monkeypatch.setattr(sys, "argv", ["acsar-gym", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        assert isinstance(ended.value.code, int)
-        return ended.value.code, *capsys.readouterr()
-
-    return run
-
-
-def assert_one_line(error: str, said: str) -> None:
-    assert error.startswith("acsar-gym: ")
-    assert error.count("\n") == 1
-    assert said in error
 
 
 @pytest.mark.parametrize(

@@ -233,18 +233,24 @@ def drive(count: int, seed: int = 3, **options: Any) -> runs.Run:
 @pytest.mark.parametrize(
     ("env_id", "asked", "worlds"),
     [
-        ("acsar_gym/PointGoal-v0", None, None),
-        (OBSTACLES, None, "clutter:test"),
-        (f"acsar_gym:{OBSTACLES}", None, "clutter:test"),
-        ("acsar_gym/Barn-v0", None, "barn:test"),
-        ("acsar_gym/PathFollow-v0", None, "smooth_path:test"),
-        (OBSTACLES, "rooms", "rooms:test"),
-        (OBSTACLES, "rooms:5", "rooms:5"),
-        (OBSTACLES, "clutter:train", "clutter:train"),
+        ("acsar_gym/PointGoal-v0", None, "None"),
+        (OBSTACLES, None, "clutter 0 to 199 (test split)"),
+        (f"acsar_gym:{OBSTACLES}", None, "clutter 0 to 199 (test split)"),
+        ("acsar_gym/Barn-v0", None, "barn 0 to 299 (test split)"),
+        ("acsar_gym/PathFollow-v0", None, "smooth_path 0 to 199 (test split)"),
+        (OBSTACLES, "rooms", "rooms 0 to 199 (test split)"),
+        (OBSTACLES, "rooms:5", "rooms 0 to 4 (test split)"),
+        (OBSTACLES, "clutter:train", "clutter 1000 to 1399 (train split)"),
+        (OBSTACLES, "clutter:500-599", "clutter 500 to 599"),
     ],
 )
-def test_policies_are_evaluated_in_the_test_split(env_id: str, asked: Any, worlds: Any) -> None:
-    assert runs.tested(env_id, asked) == worlds
+def test_policies_are_evaluated_in_the_test_split(env_id: str, asked: Any, worlds: str) -> None:
+    policy = Idle()
+    policy.env_id, policy.env_named = env_id, True
+    env = runs.made(policy, "planar", None, {"worlds": asked})
+    inner: Any = env.unwrapped
+    assert str(inner.pool) == worlds
+    env.close()
 
 
 def test_the_training_split_is_evaluated_where_it_is_asked_for() -> None:

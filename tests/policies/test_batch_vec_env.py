@@ -160,8 +160,8 @@ def test_a_batch_is_made_by_its_id() -> None:
     env = make_batch("point_goal", 3, goal_distance=(0.3, 0.6))
     assert (env.num_envs, env.reset().shape) == (3, (3, 7))
     env.close()
-    for env_id, options in (("maze", {}), ("point_goal", {"goals": 1})):
-        with pytest.raises(ConfigError, match="make_batch"):
+    for env_id, options, said in (("maze", {}, "Maze"), ("point_goal", {"goals": 1}, "goals")):
+        with pytest.raises(ConfigError, match=said):
             make_batch(env_id, 2, **options)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from onnx_tools import ENV_ID, GOOD, HOSTILE, Maker, layout, relabelled
 
-from acsar_gym.errors import PolicyError
+from acsar_gym.errors import ConfigError, PolicyError
 from acsar_gym.evaluation import runs
 from acsar_gym.policies import OnnxPolicy, trial
 from acsar_gym.policies.limits import plain
@@ -141,8 +141,8 @@ def test_a_file_chooses_among_the_environments_of_this_package_alone(
     assert "which isn't acsar_gym's: if you trust that package, name it with --env" in refused(path)
     policy = runs.load(str(path), trust=False, env=ENV_ID)
     runs.made(policy, "planar", None, {}).close()
-    with pytest.raises(PolicyError, match="no_such_module"):
-        runs.made(runs.load(str(path), trust=False, env="no_such_module:x-v0"), "planar", None, {})
+    with pytest.raises(ConfigError, match="no_such_module"):
+        runs.load(str(path), trust=False, env="no_such_module:x-v0")
 
 
 def test_what_a_file_says_cannot_steer_a_terminal(tmp_path: Path) -> None:

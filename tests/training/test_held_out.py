@@ -13,6 +13,7 @@ from acsar_gym.envs import ObstacleGoalVectorEnv, PointGoalVectorEnv
 from acsar_gym.evaluation import episodes as evaluation
 from acsar_gym.training import held_out
 from acsar_gym.worlds import Region, World, files
+from acsar_gym.worlds.pool import Pool
 
 WORLDS = "clutter:900-903"
 STEPS = 60
@@ -64,12 +65,15 @@ def test_every_robot_counts_once_and_always_the_same() -> None:
         ("clutter:963-1100", "clutter:1101-1164"),
         ("clutter:964-1100", "clutter:900-963"),
         ("rooms:train", "rooms:900-963"),
-        ("my/worlds", "my/worlds"),
-        ("a.world", "a.world"),
     ],
 )
 def test_held_out_worlds_are_others(trained: str, beside: str) -> None:
-    assert held_out.worlds_beside(trained) == beside
+    assert held_out.worlds_beside(Pool.of(trained)) == beside
+
+
+def test_beside_a_file_and_on_the_open_floor_there_are_no_other_worlds() -> None:
+    assert held_out.worlds_beside(Pool.of(World(goal=Region(3.0, 0.0)))) is None
+    assert held_out.worlds_beside(None) is None
 
 
 def test_people_are_told_which_worlds_are_trained_and_evaluated_in(tmp_path: Path) -> None:

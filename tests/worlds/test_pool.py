@@ -117,15 +117,8 @@ def test_no_world_is_in_both_splits() -> None:
     ],
 )
 def test_the_split_to_test_in(source: Any, tested: Any) -> None:
-    found = splits.tested(source, default=False)
+    found = splits.tested(source)
     assert found is tested or found == tested
-
-
-def test_a_default_to_train_in_becomes_the_test_split() -> None:
-    for source, tested in (("barn", "barn:test"), ("barn:train", "barn:test"), (None, None)):
-        assert splits.tested(source, default=True) == tested
-    for source in ("mine:train", "barn:0-9"):
-        assert splits.tested(source, default=True) == source
 
 
 def test_a_pool_holds_the_generators_worlds() -> None:

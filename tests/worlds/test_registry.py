@@ -121,9 +121,9 @@ def test_envs_and_batches_drive_in_them() -> None:
 
 
 def test_tools_know_the_names() -> None:
-    assert splits.tested("corridors", default=False) == "corridors:test"
-    assert splits.tested("corridors:corridors:train", default=True) == "corridors:corridors:test"
-    assert held_out.worlds_beside("corridors:corridors:train") == "corridors:corridors:900-963"
+    assert splits.tested("corridors") == "corridors:test"
+    assert splits.tested("corridors:corridors") == "corridors:corridors:test"
+    assert held_out.worlds_beside(Pool.of("corridors:corridors:train")) == "corridors:900-963"
     assert atlas.told("corridors:test", 12) == {
         "source": "corridors 0 to 199 (test split)",
         "split": "test",

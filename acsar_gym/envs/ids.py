@@ -1,0 +1,95 @@
+"""Ids of environments: short names of this package's own, and those that other packages register.
+
+| as given | means |
+|---|---|
+| `point_goal` | `acsar_gym/PointGoal-v0` |
+| `acsar_gym/PointGoal-v0` | itself |
+| `mine.module:mine/Clearance-v0` | the id that importing `mine.module` registers |
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from typing import Any
+
+import gymnasium
+
+from acsar_gym.errors import AcsarError, ConfigError
+from acsar_gym.vector.env import RobotVectorEnv
+
+
+def full_id(name: str) -> str:
+    """An env's id: "point_goal" is short for "acsar_gym/PointGoal-v0"."""
+    if not name or "/" in name or ":" in name:
+        return name
+    return f"acsar_gym/{name.title().replace('_', '')}-v0"
+
+
+def without_module(env_id: str) -> str:
+    """The id alone, as files keep it: what a file says imports nothing."""
+    return env_id.rpartition(":")[2]
+
+
+def registered(name: str) -> str:
+    """The full id of an environment that exists; its module, where one is named, is imported.
+
+    Modules are also looked for in the current folder, as Python does for a script there.
+
+    Args:
+        name: as in the table above.
+
+    Returns:
+        The id, with its module, as `gymnasium.make` takes it.
+
+    Raises:
+        ConfigError: the module can't be imported, or nothing has registered the id.
+    """
+    env_id = full_id(name)
+    module = env_id.rpartition(":")[0]
+    if module:
+        _import(module, name)
+    try:
+        gymnasium.spec(without_module(env_id))
+    except gymnasium.error.Error as error:
+        how = f"importing {module} doesn't register it: " if module else ""
+        raise ConfigError(f"env {name}: {how}{_one_line(error)}") from None
+    return env_id
+
+
+def _import(module: str, name: str) -> None:
+    if "" not in sys.path:
+        sys.path.append("")
+    try:
+        importlib.import_module(module)
+    except AcsarError:
+        raise
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a user's module raises
+        said = f"{type(error).__name__}: {_one_line(error)}"
+        raise ConfigError(f"env {name}: the module {module} can't be imported: {said}") from None
+
+
+def make_vec(env_id: str, num_envs: int, **options: Any) -> RobotVectorEnv:
+    """A batch of planar robots of an id that is registered.
+
+    Args:
+        env_id: as `registered` returns it.
+        num_envs: robots.
+        **options: of the env and of `RobotVectorEnv`.
+
+    Raises:
+        ConfigError: there is no such batch, or it doesn't take these options.
+    """
+    mode = "vector_entry_point"
+    try:
+        batch = gymnasium.make_vec(env_id, num_envs, vectorization_mode=mode, **options)
+    except (gymnasium.error.Error, ImportError, TypeError) as error:
+        raise ConfigError(f"{env_id}: no batch of these options: {_one_line(error)}") from None
+    if not isinstance(batch, RobotVectorEnv):
+        batch.close()
+        raise ConfigError(f"{env_id}: its batch isn't one of acsar_gym's robots")
+    return batch
+
+
+def _one_line(error: BaseException) -> str:
+    return " ".join(str(error).split())

@@ -1,0 +1,182 @@
+"""Environments that other packages register: `--env mine.module:mine/Task-v0`."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import gymnasium
+import pytest
+from cli_tools import Call, assert_one_line
+
+from acsar_gym import jit
+
+pytestmark = pytest.mark.xdist_group("torch")
+
+ENV = "mine_of_tests.tasks:mine/Ahead-v0"
+TASKS = """
+from dataclasses import dataclass
+
+import gymnasium
+from acsar_gym.envs.base import RobotEnv
+from acsar_gym.tasks import Outcome, Task
+from acsar_gym.vector.env import RobotVectorEnv
+
+
+@dataclass(frozen=True)
+class Ahead(Task):
+    observation = {"ahead": (-2.0, 2.0), "aside": (-2.0, 2.0)}
+    goal_distance = (0.5, 1.0)
+
+    def outcome(self, state, memory):
+        gap = (state.goal[0] - state.pose[0], state.goal[1] - state.pose[1])
+        return Outcome.SUCCESS if gap[0] ** 2 + gap[1] ** 2 < 0.04 else Outcome.GOING
+
+    def reward(self, state, memory, outcome):
+        return state.twist[0]
+
+    def observe(self, state, memory):
+        return state.goal[0] - state.pose[0], state.goal[1] - state.pose[1]
+
+
+class AheadEnv(RobotEnv):
+    def __init__(self, link="bullet", robot=None, **options):
+        super().__init__(Ahead, link, robot, **options)
+
+
+class AheadVectorEnv(RobotVectorEnv):
+    def __init__(self, num_envs=1, robot=None, **options):
+        super().__init__(Ahead, num_envs, robot, **options)
+
+
+here = __name__
+for name, steps in (("Ahead", 20), ("Endless", None)):
+    gymnasium.register(
+        f"mine/{name}-v0",
+        entry_point=f"{here}:AheadEnv",
+        vector_entry_point=f"{here}:AheadVectorEnv",
+        max_episode_steps=steps,
+    )
+gymnasium.register("mine/Single-v0", entry_point=f"{here}:AheadEnv", max_episode_steps=20)
+"""
+
+
+@pytest.fixture(autouse=True)
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A package of somebody's own, in the current folder, as where a user works."""
+    folder = tmp_path / "mine_of_tests"
+    folder.mkdir()
+    (folder / "__init__.py").write_text("")
+    (folder / "tasks.py").write_text(TASKS)
+    (folder / "broken.py").write_text("import no_such_thing_at_all")
+    (folder / "wrong.py").write_text("raise SystemExit('two\\nlines')")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    importlib.invalidate_caches()
+    yield
+    for name in [name for name in sys.modules if name.startswith("mine_of_tests")]:
+        del sys.modules[name]
+    for env_id in [env_id for env_id in gymnasium.registry if env_id.startswith("mine/")]:
+        del gymnasium.registry[env_id]
+
+
+@pytest.mark.parametrize(
+    ("env", "said"),
+    [
+        ("no_such_module:mine/Ahead-v0", "No module named 'no_such_module'"),
+        ("mine_of_tests.broken:mine/Ahead-v0", "No module named 'no_such_thing_at_all'"),
+        ("mine_of_tests.wrong:mine/Ahead-v0", "can't be imported: SystemExit: two lines"),
+        ("mine_of_tests.tasks:mine/Astern-v0", "importing mine_of_tests.tasks doesn't register it"),
+        ("mine_of_tests.tasks:", "importing mine_of_tests.tasks doesn't register it"),
+        ("..relative:mine/Ahead-v0", "can't be imported"),
+        ("mine/Ahead-v0", "env mine/Ahead-v0: "),
+        ("maze", "`Maze` doesn't exist"),
+    ],
+)
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("train",),
+        ("evaluate", "--link", "planar"),
+        ("run", "1", "0", "--link", "planar"),
+        ("warm-up",),
+    ],
+    ids=lambda command: command[0],
+)
+def test_an_env_that_is_not_there_is_one_line(
+    command: tuple[str, ...], env: str, said: str, call: Call
+) -> None:
+    if command == ("warm-up",) and not jit.COMPILED:
+        pytest.skip("nothing is compiled")
+    code, _, error = call(*command, "--env", env)
+    assert code == 2
+    assert_one_line(error, said)
+
+
+@pytest.mark.parametrize(
+    ("env", "said"),
+    [
+        ("mine_of_tests.tasks:mine/Endless-v0", "has no max_episode_steps"),
+        ("mine_of_tests.tasks:mine/Single-v0", "vector entry point"),
+    ],
+)
+def test_an_env_that_cannot_be_trained_in_is_one_line(env: str, said: str, call: Call) -> None:
+    code, _, error = call("train", "--env", env)
+    assert code == 2
+    assert_one_line(error, said)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--gamma", "1.5"), "--gamma 1.5: must be 0 to 1"),
+        (("--learning-rate", "nan"), "--learning-rate nan: must be"),
+        (("--net", "64", "0"), "--net 0: must be 1 to"),
+    ],
+)
+def test_bad_hyperparameters_are_one_line(options: tuple[str, ...], said: str, call: Call) -> None:
+    code, _, error = call("train", "--env", ENV, *options)
+    assert code == 2
+    assert_one_line(error, said)
+
+
+def test_a_policy_for_it_is_trained_evaluated_driven_and_exported(
+    call: Call, tmp_path: Path
+) -> None:
+    small = ("--steps", "1", "--robots", "4", "--threads", "1", "--net", "8", "--no-progress")
+    code, out, error = call("train", "--env", ENV, *small)
+    assert error == ""
+    assert code == 0
+    assert out.startswith("training on an open floor")
+    policy = Path("runs/Ahead-v0/policy.onnx")
+    following = ("evaluate", "--policy", str(policy), "--env", ENV)
+    assert out.splitlines()[-1] == f"next: acsar-gym {' '.join(following)}"
+
+    code, _, error = call("evaluate", "--policy", policy, "--link", "planar")
+    assert code == 2  # a file imports no package
+    assert_one_line(error, "made for mine/Ahead-v0, which isn't acsar_gym's")
+
+    figures = tmp_path / "figures.json"
+    quick = ("--link", "planar", "--episodes", "2", "--json", str(figures))
+    assert call(*following, *quick)[::2] == (0, "")
+    told = json.loads(figures.read_text())["header"]
+    assert (told["policy"]["env"], told["env"]["id"]) == (ENV, "mine/Ahead-v0")
+
+    code, _, error = call("run", "0.8", "0", "--link", "planar", *following[1:])
+    assert code in (0, 1)
+    assert error == ""
+
+    again = tmp_path / "again.onnx"
+    zipped = policy.with_name("model.zip")
+    assert call("export", zipped, again, "--trust", "--env", ENV)[::2] == (0, "")
+    assert call("evaluate", "--policy", again, *following[3:], *quick)[::2] == (0, "")
+
+
+@pytest.mark.skipif(not jit.COMPILED, reason="nothing is compiled")
+def test_it_is_warmed_up(call: Call) -> None:
+    code, out, error = call("warm-up", "--env", ENV)
+    assert (code, error) == (0, "")
+    assert out.startswith(f"{ENV}: ")
