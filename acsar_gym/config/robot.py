@@ -8,6 +8,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
+from acsar_gym.config.footprint import Corners, Outline, box
 from acsar_gym.config.lidar import LidarConfig
 from acsar_gym.config.limits import (
     ANGULAR_ACCELERATION,
@@ -88,6 +89,10 @@ class RobotConfig(Section):
     """[m] in the base frame, as the two below."""
     lidar_y_offset: Offset = 0.0
     lidar_z_offset: Offset = 0.37
+    footprint: Corners | None = None
+    """What must not touch anything, as a polygon: its corners (x, y) in the base frame, 3 to 100 in
+    order around it, the origin inside [m]. None: the rectangle of the body and of the wheels
+    beyond it. A list, or a text like "[[0.2, 0.1], [-0.2, 0.1], [0.0, -0.2]]"."""
     motor: MotorConfig = MotorConfig()
     encoder: EncoderConfig = EncoderConfig()
     firmware: FirmwareConfig = FirmwareConfig()
@@ -150,12 +155,11 @@ class RobotConfig(Section):
         return 1.0 / self.control_rate
 
     @property
-    def footprint(self) -> tuple[float, float]:
-        """Length and width of what must not touch anything: the body, and wheels beyond it [m]."""
-        return (
-            max(self.body.length, self.wheelbase + FOOT),
-            max(self.body.width, self.wheel_separation + FOOT),
-        )
+    def outline(self) -> Outline:
+        """Corners of what must not touch anything, counter-clockwise, in the base frame [m]."""
+        length = max(self.body.length, self.wheelbase + FOOT)
+        width = max(self.body.width, self.wheel_separation + FOOT)
+        return self.footprint or box(length, width)
 
     @property
     def effective_separation(self) -> float:

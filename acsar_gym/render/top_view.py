@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, shown
+from acsar_gym.config.footprint import border_distance
 from acsar_gym.reading import bounded
 from acsar_gym.render import backdrop as scenery
 from acsar_gym.render.backdrop import FLOOR, GRID, INK, INSET, LABEL, SEEN, TEXT, UNSEEN, Point
@@ -88,7 +89,7 @@ class TopView:
         self._config = config
         self._up = up
         self._parts = _parts(config)
-        self._footprint = _box(0.0, 0.0, config.body.length, config.body.width)
+        self._footprint = _footprint(config)
         self._goal: Point | None = None
         self._bounds = scenery.episode_bounds(None, None)
         self._draw_still(None, View.fitted(self._bounds, size, up or "x", INSET))
@@ -170,7 +171,7 @@ class TopView:
         if apart * canvas.view.scale >= 1.0:
             self._ring(canvas, odom, ODOM)
             canvas.shape(corners, (*ODOM, 30), ODOM, 1.5)
-            nose = np.array([[0.0, 0.0], [self._config.body.length / 2.0, 0.0]])
+            nose = np.array([[0.0, 0.0], [max(self._footprint[:, 0]), 0.0]])
             canvas.line(_placed(nose, odom), ODOM, 1.5)
 
     def _ring(self, canvas: Canvas, pose: Pose, colour: Colour) -> None:
@@ -267,13 +268,25 @@ def _parts(config: RobotConfig) -> list[tuple[Floats, Colour]]:
     nose = np.array([[0.46, 0.0], [0.12, 0.36], [0.12, -0.36]]) * (body.length, inner)
     turn = np.linspace(0.0, math.tau, 16, endpoint=False)
     sensor = np.array([[config.lidar_x_offset, config.lidar_y_offset]])
+    chassis = _box(0.0, 0.0, body.length, inner)
+    if config.footprint is not None:
+        chassis, room = 0.75 * _footprint(config), border_distance(config.footprint, 0.0, 0.0)
+        nose = np.array([[0.6, 0.0], [0.0, 0.4], [0.0, -0.4]]) * room
     return [
-        (_box(0.0, 0.0, body.length, body.width), DECK),
+        (_footprint(config), DECK),
         *wheels,
-        (_box(0.0, 0.0, body.length, inner), CHASSIS),
+        (chassis, CHASSIS),
         (nose, FLOOR),
         (sensor + _polar(turn, np.full(16, 0.035)), TYRE),
     ]
+
+
+def _footprint(config: RobotConfig) -> Floats:
+    """Corners of the robot's polygon, or of its body [m]."""
+    body = config.body
+    if config.footprint is None:
+        return _box(0.0, 0.0, body.length, body.width)
+    return np.array(config.footprint)
 
 
 def _box(x: float, y: float, length: float, width: float) -> Floats:

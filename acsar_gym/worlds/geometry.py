@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.jit import jit, loop
+from acsar_gym.worlds.polygons import circle_meets_polygon, segment_meets_polygon, sides
 from acsar_gym.worlds.world import World
 
 Floats = NDArray[np.float64]
@@ -89,6 +90,9 @@ class Surroundings(NamedTuple):
     mount_y: float
     half_length: float
     half_width: float
+    """Half the sizes of a box around the origin of the base frame that holds the footprint [m]."""
+    sides: Floats
+    """N x 4: the sides (x1, y1, x2, y2) of a footprint that is a polygon; none of that box [m]."""
 
 
 def surroundings(
@@ -106,8 +110,9 @@ def surroundings(
         spec.reach if spec else 1.0,
         config.lidar_x_offset,
         config.lidar_y_offset,
-        config.footprint[0] / 2.0,
-        config.footprint[1] / 2.0,
+        max(abs(x) for x, _ in config.outline),
+        max(abs(y) for _, y in config.outline),
+        sides(config),
     )
 
 
@@ -162,13 +167,15 @@ def collides(x: float, y: float, cos: float, sin: float, which: int, around: Sur
     """Whether the footprint at this pose touches an obstacle of set `which`."""
     half_x, half_y = around.half_length, around.half_width
     outer = math.sqrt(half_x * half_x + half_y * half_y)
-    circles, segments = around.circles, around.segments
+    circles, segments, is_box = around.circles, around.segments, len(around.sides) == 0
     for n in range(circles.shape[1]):
         dx, dy, radius = circles[which, n, 0] - x, circles[which, n, 1] - y, circles[which, n, 2]
         near = outer + radius
         if dx * dx + dy * dy <= near * near:
             ahead, left = dx * cos + dy * sin, dy * cos - dx * sin
-            if circle_meets_box(ahead, left, radius, half_x, half_y):
+            if circle_meets_box(ahead, left, radius, half_x, half_y) and (
+                is_box or circle_meets_polygon(ahead, left, radius, around.sides)
+            ):
                 return True
     for n in range(segments.shape[1]):
         ax, ay = segments[which, n, 0] - x, segments[which, n, 1] - y
@@ -176,7 +183,9 @@ def collides(x: float, y: float, cos: float, sin: float, which: int, around: Sur
         if min(ax, bx) <= outer and max(ax, bx) >= -outer and min(ay, by) <= outer:
             a_x, a_y = ax * cos + ay * sin, ay * cos - ax * sin
             b_x, b_y = bx * cos + by * sin, by * cos - bx * sin
-            if segment_meets_box(a_x, a_y, b_x, b_y, half_x, half_y):
+            if segment_meets_box(a_x, a_y, b_x, b_y, half_x, half_y) and (
+                is_box or segment_meets_polygon(a_x, a_y, b_x, b_y, around.sides)
+            ):
                 return True
     return False
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from acsar_gym.config import footprint
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import WorldError
 from acsar_gym.worlds.clearance import clearance, segment_clearance
@@ -47,7 +48,7 @@ BLOCK = 64
 
 def footprint_radius(config: RobotConfig) -> float:
     """Radius of the disc around a robot's footprint [m]."""
-    return math.hypot(*config.footprint) / 2.0
+    return footprint.radius(config.outline)
 
 
 @dataclass(frozen=True, slots=True)

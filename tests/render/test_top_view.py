@@ -16,6 +16,7 @@ from acsar_gym.render.backdrop import FLOOR, GOAL, GRID, OBSTACLE, SEEN, START
 from acsar_gym.render.canvas import View, _spaced, round_length, shortened
 from acsar_gym.render.top_view import (
     CHASSIS,
+    DECK,
     ODOM,
     RAY,
     SMALL,
@@ -122,6 +123,18 @@ def test_the_robot_has_wheels_and_a_heading(
     assert colour(image, big.view, *placed(pose, nose, 0.0)) == FLOOR
     assert colour(image, big.view, *placed(pose, 0.0, 0.0)) == CHASSIS
     assert colour(image, big.view, *placed(pose, config.lidar_x_offset, 0.0)) == TYRE
+
+
+def test_a_polygon_is_drawn_as_it_is(config: RobotConfig) -> None:
+    notched = config.with_(
+        footprint=[(0.4, 0.3), (-0.2, 0.3), (-0.2, -0.3), (0.4, -0.3), (0.1, 0.0)]
+    )
+    top, pose = TopView(notched, (960, 960)), (0.5, -0.4, 0.7)
+    image = top.draw(Frame(odom=pose))
+    for x, y in ((0.36, 0.25), (-0.18, 0.2), (0.3, -0.28)):
+        assert colour(image, top.view, *placed(pose, x, y)) == DECK
+    for x, y in ((0.3, 0.0), (0.42, 0.2), (-0.24, 0.0)):
+        assert colour(image, top.view, *placed(pose, x, y)) == FLOOR
 
 
 def test_a_world_looks_the_same_wherever_it_lies(config: RobotConfig) -> None:

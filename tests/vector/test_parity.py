@@ -35,6 +35,10 @@ LIMITED = ACSAR.with_(
 UNLIMITED = ACSAR.with_(
     linear_limits={"max_acceleration": None}, angular_limits={"max_acceleration": None}
 )
+FORK = ACSAR.with_(
+    footprint=[(0.4, 0.2), (-0.2, 0.2), (-0.2, -0.2), (0.4, -0.2), (0.05, 0.0)],
+    lidar={"noise": 0.0},
+)
 FENCED = ACSAR.with_(geofence={"max_x": 0.6, "min_y": -0.3, "max_y": 0.3})
 LATE = ACSAR.with_(
     baud_rate=38400, firmware={"processing_time": 0.02}, linear_limits={"max_jerk": 20.0}
@@ -42,6 +46,7 @@ LATE = ACSAR.with_(
 ONES = np.ones(3)
 CASES: dict[str, tuple[str, dict[str, Any], dict[str, Any]]] = {
     "obstacles": ("ObstacleGoal", {"worlds": "clutter:6"}, {}),
+    "a polygon": ("ObstacleGoal", {"worlds": "clutter:6", "robot": FORK}, {}),
     "regions": ("ObstacleGoal", {"worlds": REGIONS}, {}),
     "BARN": ("Barn", {"worlds": "barn:4"}, {}),
     "smooth path": ("PathFollow", {"worlds": "smooth_path:6"}, {}),

@@ -1,0 +1,161 @@
+"""Polygons around a robot: whether they are sound, what lies inside, and their convex pieces.
+
+An outline is a tuple of corners (x, y) in the base frame [m]. Plain Python for a few corners; the
+compiled test for collisions is in `worlds.polygons`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BeforeValidator
+
+from acsar_gym.config.units import Offset
+from acsar_gym.errors import ConfigError
+from acsar_gym.reading import structured
+
+Point = tuple[float, float]
+Outline = tuple[Point, ...]
+MOST_CORNERS = 100
+NEAREST = 1e-3
+"""An outline comes no nearer to the origin [m]."""
+THINNEST = 1e-9
+"""Twice the area of three points below which they lie on one line [m^2]."""
+
+
+def box(length: float, width: float) -> Outline:
+    """A rectangle around the origin, along x and y [m]."""
+    x, y = length / 2.0, width / 2.0
+    return ((x, y), (-x, y), (-x, -y), (x, -y))
+
+
+def checked(corners: Sequence[Point]) -> Outline:
+    """The outline, counter-clockwise, its last corner not its first one again.
+
+    Raises ValueError, which says what is allowed, for less than three corners or more than 100,
+    borders that cross or touch each other, and an origin that doesn't lie inside.
+    """
+    outline = tuple(corners[:-1] if len(corners) > 1 and corners[0] == corners[-1] else corners)
+    if not 3 <= len(outline) <= MOST_CORNERS:
+        raise ValueError(f"must be 3 to {MOST_CORNERS} corners (x, y)")
+    if not _simple(outline):
+        raise ValueError("must be the corners in order around it: its sides cross or touch")
+    if not contains(outline, 0.0, 0.0) or border_distance(outline, 0.0, 0.0) < NEAREST:
+        raise ValueError("must have the origin of the base frame (0, 0) inside")
+    return outline if _twice_area(outline) > 0.0 else outline[::-1]
+
+
+def _listed(given: Any) -> Any:
+    """Pairs of a list, or of a text such as nav2's parameter; ValueError for anything else."""
+    try:
+        listed = structured.from_json(given) if isinstance(given, str) else given
+        return [(x, y) for x, y in listed]
+    except (ConfigError, TypeError, ValueError):
+        raise ValueError(
+            "must be a list of corners (x, y), such as [[0.2, 0.1], [-0.2, 0.1], [0.0, -0.2]]"
+        ) from None
+
+
+Corners = Annotated[
+    tuple[tuple[Offset, Offset], ...], BeforeValidator(_listed), AfterValidator(checked)
+]
+"""A field that holds an outline."""
+
+
+def sides(outline: Outline) -> Iterator[tuple[Point, Point]]:
+    """Pairs of corners that follow each other, the last and the first one at the end."""
+    return zip(outline, (*outline[1:], outline[0]), strict=True)
+
+
+def radius(outline: Outline) -> float:
+    """Of the disc around the origin that holds all of it [m]."""
+    return max(math.hypot(x, y) for x, y in outline)
+
+
+def contains(outline: Outline, x: float, y: float) -> bool:
+    """Whether a point lies inside; on the border it may count as either."""
+    inside = False
+    for (ax, ay), (bx, by) in sides(outline):
+        if (ay > y) != (by > y) and x < ax + (bx - ax) * (y - ay) / (by - ay):
+            inside = not inside
+    return inside
+
+
+def border_distance(outline: Outline, x: float, y: float) -> float:
+    """From a point to the nearest side [m]."""
+    return min(_distance((x, y), a, b) for a, b in sides(outline))
+
+
+def convex_pieces(outline: Outline) -> list[Outline]:
+    """The outline itself where it is convex, triangles that cover it where it isn't."""
+    corners = list(outline)
+    turns = zip(corners[-1:] + corners, corners, corners[1:] + corners[:1], strict=False)
+    if all(_turn(a, b, c) >= 0.0 for a, b, c in turns):
+        return [outline]
+    pieces: list[Outline] = []
+    while len(corners) > 3:
+        ear = next((n for n in range(len(corners)) if _is_ear(corners, n)), 0)
+        pieces.append(_around(corners, ear))
+        del corners[ear]
+    return [piece for piece in (*pieces, tuple(corners)) if _twice_area(piece) > THINNEST]
+
+
+def _around(corners: Sequence[Point], n: int) -> Outline:
+    """A corner between its neighbours."""
+    return (corners[n - 1], corners[n], corners[(n + 1) % len(corners)])
+
+
+def _is_ear(corners: Sequence[Point], n: int) -> bool:
+    """Whether the triangle at a corner can be cut off: it holds no other corner."""
+    a, b, c = _around(corners, n)
+    if _turn(a, b, c) < 0.0:
+        return False
+    others = (corner for corner in corners if corner not in (a, b, c))
+    return not any(
+        _turn(a, b, p) >= 0.0 and _turn(b, c, p) >= 0.0 and _turn(c, a, p) >= 0.0 for p in others
+    )
+
+
+def _simple(outline: Outline) -> bool:
+    """Whether no two sides meet, but for neighbours in their common corner, and it has an area."""
+    every = list(sides(outline))
+    last = len(every) - 1
+    for n, (a, b) in enumerate(every):
+        c = every[n - last][1]  # the end of the next side
+        if a == b or _distance(c, a, b) == 0.0 or _distance(a, b, c) == 0.0:
+            return False
+        far = every[n + 2 : last if n == 0 else None]
+        if any(_meet(a, b, *other) for other in far):
+            return False
+    return abs(_twice_area(outline)) > THINNEST
+
+
+def _meet(a: Point, b: Point, c: Point, d: Point) -> bool:
+    """Whether the pieces a-b and c-d have a point in common."""
+    for axis in (0, 1):
+        if max(a[axis], b[axis]) < min(c[axis], d[axis]):
+            return False
+        if max(c[axis], d[axis]) < min(a[axis], b[axis]):
+            return False
+    apart = _turn(a, b, c) * _turn(a, b, d) > 0.0 or _turn(c, d, a) * _turn(c, d, b) > 0.0
+    return not apart
+
+
+def _turn(a: Point, b: Point, c: Point) -> float:
+    """Twice the area of a triangle, positive where it turns counter-clockwise [m^2]."""
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+def _twice_area(outline: Outline) -> float:
+    return sum(ax * by - ay * bx for (ax, ay), (bx, by) in sides(outline))
+
+
+def _distance(p: Point, a: Point, b: Point) -> float:
+    """From a point to the piece a-b [m]."""
+    ex, ey = b[0] - a[0], b[1] - a[1]
+    square = ex * ex + ey * ey
+    share = ((p[0] - a[0]) * ex + (p[1] - a[1]) * ey) / square if square > 0.0 else 0.0
+    share = min(max(share, 0.0), 1.0)
+    return math.hypot(p[0] - a[0] - share * ex, p[1] - a[1] - share * ey)

@@ -1,0 +1,125 @@
+"""Outlines of robots: what is refused, and the pieces that they fall into."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from acsar_gym import RobotConfig
+from acsar_gym.errors import ConfigError
+from acsar_gym.config.footprint import (
+    Outline,
+    border_distance,
+    box,
+    checked,
+    contains,
+    convex_pieces,
+    radius,
+)
+from acsar_gym.worlds.search import footprint_radius
+
+WEDGE = ((0.3, 0.0), (-0.2, 0.25), (-0.2, -0.25))
+NOTCHED = ((0.3, 0.2), (-0.2, 0.2), (-0.2, -0.2), (0.3, -0.2), (0.05, 0.0))
+STAR = tuple(
+    (r * math.cos(a), r * math.sin(a))
+    for r, a in zip([0.3, 0.1] * 5, np.arange(10) * math.pi / 5.0, strict=True)
+)
+SHAPES = {"box": box(0.4, 0.2), "wedge": WEDGE, "notched": NOTCHED, "star": STAR}
+
+
+def area(outline: Outline) -> float:
+    x, y = np.array(outline).T
+    return float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2.0
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_either_way_around_is_the_same_outline(name: str) -> None:
+    outline = checked(SHAPES[name])
+    assert area(outline) > 0.0
+    back = checked(SHAPES[name][::-1])
+    assert set(back) == set(outline)
+    assert area(back) == pytest.approx(area(outline))
+    assert checked((*outline, outline[0])) == outline, "the first corner may end it again"
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_pieces_are_convex_and_cover_it_once(name: str) -> None:
+    outline = checked(SHAPES[name])
+    pieces = convex_pieces(outline)
+    assert (len(pieces) == 1) == (name in ("box", "wedge"))
+    assert sum(map(area, pieces)) == pytest.approx(area(outline))
+    for piece in pieces:
+        edges = np.roll(np.array(piece), -1, axis=0) - piece
+        after = np.roll(edges, -1, axis=0)
+        assert (edges[:, 0] * after[:, 1] - edges[:, 1] * after[:, 0] > 0.0).all()
+    rng = np.random.default_rng(0)
+    for x, y in rng.uniform(-0.35, 0.35, (300, 2)).tolist():
+        assert contains(outline, x, y) == any(contains(piece, x, y) for piece in pieces)
+
+
+def test_distances() -> None:
+    assert radius(WEDGE) == math.hypot(0.2, 0.25)
+    assert border_distance(box(0.4, 0.2), 0.0, 0.0) == pytest.approx(0.1)
+    assert border_distance(box(0.4, 0.2), 0.5, 0.0) == pytest.approx(0.3)
+
+
+BAD: list[tuple[Any, str]] = [
+    ((), "must be 3 to 100 corners"),
+    (((1, 1), (-1, -1)), "must be 3 to 100 corners"),
+    ([[math.cos(a), math.sin(a)] for a in np.arange(101) / 17.0], "must be 3 to 100 corners"),
+    (((1, 1), (-1, -1), (-1, 1), (1, -1)), "its sides cross or touch"),
+    (((1, 1), (-1, 1), (-1, 1), (-1, -1), (1, -1)), "its sides cross or touch"),
+    (((1, 1), (-1, 1), (-3, 1), (-1, 1), (-1, -1), (1, -1)), "its sides cross or touch"),
+    (((1, 1), (-1, 1), (-1, -1), (1, -1), (1, 3), (1, 1.5)), "its sides cross or touch"),
+    (((-1, 0), (0, 0), (1, 0)), "its sides cross or touch"),
+    (((2, 1), (1, 1), (1, -1), (2, -1)), r"must have the origin .* \(0, 0\) inside"),
+    (((0, 1), (0, -1), (1, 0)), r"must have the origin .* \(0, 0\) inside"),
+    (((1, 1), (-1, 1), (0, math.nan)), "must be a finite number"),
+    (((1, 1), (-1, 1), (0, -101)), "must be greater than or equal to -100"),
+    ("[[1, 1], [-1, 1]", "must be a list of corners"),
+    ("circle", "must be a list of corners"),
+    (0.3, "must be a list of corners"),
+    ([1, 2, 3], "must be a list of corners"),
+    (((1, 1, 0), (-1, 1, 0), (0, -1, 0)), "must be a list of corners"),
+    (((1, "wide"), (-1, 1), (0, -1)), "footprint.0.1 = 'wide': must be a valid number"),
+]
+
+
+@pytest.mark.parametrize(("corners", "message"), BAD)
+def test_bad_outlines_are_one_clear_error(corners: Any, message: str) -> None:
+    with pytest.raises(ConfigError, match=message) as caught:
+        RobotConfig(footprint=corners)
+    assert str(caught.value).startswith("footprint")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_robots_file_has_it(tmp_path: Path) -> None:
+    lists = json.dumps(WEDGE)
+    (tmp_path / "wedge.yaml").write_text(f"footprint: {lists}\nwheelbase: 0.1\n")
+    config = RobotConfig.load(tmp_path / "wedge.yaml")
+    assert config.footprint == config.outline == WEDGE
+    assert footprint_radius(config) == radius(WEDGE)
+    assert RobotConfig.of(config.model_dump(mode="json")) == config
+    assert config.with_(wheelbase=0.2).footprint == WEDGE
+    (tmp_path / "wedge.urdf").write_text(
+        "<robot><ros2_control><hardware>"
+        f'<param name="footprint">{lists}</param></hardware></ros2_control></robot>'
+    )
+    assert RobotConfig.load(tmp_path / "wedge.urdf").footprint == WEDGE
+    (tmp_path / "wedge.yaml").write_text("footprint: [[0.1, 0.0], [0.2, 0.1]]\n")
+    with pytest.raises(ConfigError, match=r"wedge\.yaml: footprint = .*: must be 3 to 100 corners"):
+        RobotConfig.load(tmp_path / "wedge.yaml")
+
+
+def test_without_one_it_is_the_body_and_the_wheels_beyond_it() -> None:
+    config = RobotConfig()
+    assert config.footprint is None
+    assert config.outline == box(config.body.length, config.body.width)
+    wide = config.with_(wheel_separation=0.5, wheelbase=0.6)
+    assert wide.outline == box(0.61, 0.51)
+    assert footprint_radius(wide) == pytest.approx(math.hypot(0.61, 0.51) / 2.0)
