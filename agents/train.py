@@ -260,14 +260,14 @@ def _model(
             stats_window_size=options.robots,
             **always,
         )
-    sb3.label(model, env.task, env.config)
+    sb3.label(model, env.task, env.sensors)
     return model
 
 
 def _check_resumable(saved: ZipPolicy, env: RobotVectorEnv) -> None:
     from stable_baselines3.common.policies import ActorCriticPolicy  # noqa: PLC0415
 
-    saved.check(env.task, env.config)
+    saved.check(env.task, env.sensors)
     if not isinstance(saved.network, ActorCriticPolicy):
         raise PolicyError(f"{saved.path}: only PPO's models can be trained on")
 
@@ -316,7 +316,7 @@ def _save(model: PPO, env: RobotVectorEnv, out: Path) -> None:
     _replace(out / "model.zip", model.save)
     _replace(
         out / "policy.onnx",
-        lambda path: sb3_export.export(model.policy, path, env.task, env.config),
+        lambda path: sb3_export.export(model.policy, path, env.task, env.sensors),
     )
     files = f"{out / 'policy.onnx'} (to drive with), {out / 'model.zip'} (to train on)"
     print(printable(f"written: {files}"))

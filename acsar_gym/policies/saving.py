@@ -52,7 +52,7 @@ def save(
     env = _made(env_id, robot, env_kwargs)
     try:
         notes = _notes(env)
-        torch_export.write(module, Path(path), env.task, env.robot.config, before, notes)
+        torch_export.write(module, Path(path), env.task, env.sensors, before, notes)
     finally:
         env.close()
 

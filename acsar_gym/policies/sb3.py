@@ -11,9 +11,9 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
-from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, MissingExtraError
 from acsar_gym.policies.base import ENV_KEY, LAYOUT_KEY, full_id
+from acsar_gym.sensors import Sensor
 from acsar_gym.tasks import Task, signature
 from acsar_gym.vector.env import RobotVectorEnv
 
@@ -152,7 +152,7 @@ def make_batch(env_id: str, num_envs: int, **options: Any) -> BatchVecEnv:
 _GOES_ON: dict[str, Any] = {}
 
 
-def label(model: BaseAlgorithm, task: Task, config: RobotConfig) -> None:
+def label(model: BaseAlgorithm, task: Task, sensors: Sequence[Sensor]) -> None:
     """Note in a model which env and observation it is for; `model.save` keeps the note."""
     setattr(model, ENV_KEY, task.id)
-    setattr(model, LAYOUT_KEY, signature(task, config))
+    setattr(model, LAYOUT_KEY, signature(task, sensors))

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import pickle
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from acsar_gym.config import RobotConfig
 from acsar_gym.errors import MissingExtraError, PolicyError
 from acsar_gym.policies import torch_export
 from acsar_gym.policies.base import one_line
 from acsar_gym.reading import bounded
+from acsar_gym.sensors import Sensor
 from acsar_gym.tasks import Task
 
 try:
@@ -50,11 +51,11 @@ def export(
     policy: BasePolicy,
     path: Path,
     task: Task,
-    config: RobotConfig,
+    sensors: Sequence[Sensor],
     normalizer: torch.nn.Module | None = None,
 ) -> None:
     """Write the deterministic actor of PPO, A2C, SAC, TD3 or DDPG to one ONNX file at `path`."""
-    torch_export.write(_Actor(policy), path, task, config, normalizer)
+    torch_export.write(_Actor(policy), path, task, sensors, normalizer)
 
 
 def normalizer(path: Path, width: int) -> torch.nn.Module | None:
