@@ -209,14 +209,14 @@ def _model(job: Job, env: RobotVectorEnv, saved: ZipPolicy | None) -> PPO:
             stats_window_size=options.robots,
             **always,
         )
-    sb3.label(model, job.env_id, env.task, env.config)
+    sb3.label(model, job.env_id, env.task, env.sensors)
     return model
 
 
 def _check_resumable(saved: ZipPolicy, env: RobotVectorEnv) -> None:
     from stable_baselines3.common.policies import ActorCriticPolicy  # noqa: PLC0415
 
-    saved.check(env.task, env.config)
+    saved.check(env.task, env.sensors)
     if not isinstance(saved.network, ActorCriticPolicy):
         raise PolicyError(f"{saved.path}: only PPO's models can be trained on")
 

@@ -18,10 +18,7 @@ ENV_ID = "acsar_gym/PointGoal-v0"
 
 def layout() -> str:
     """What PointGoal's observation consists of."""
-    from acsar_gym import RobotConfig
-
-    config = RobotConfig.preset("acsar")
-    return signature(PointGoal.of((0.5, 3.0), 0.15, config), config)
+    return signature(PointGoal(), ())
 
 
 def relabelled(path: Path, env_id: str, layout: str) -> Path:

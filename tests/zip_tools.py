@@ -46,7 +46,7 @@ def save(
     inner = env.unwrapped
     assert isinstance(inner, RobotEnv)
     if label:
-        sb3.label(model, inner.task.id, inner.task, inner.robot.config)
+        sb3.label(model, inner.task.id, inner.task, inner.sensors)
     model.save(path)
     env.close()
     return path

@@ -6,6 +6,7 @@ import contextlib
 import copy
 import math
 import os
+from collections.abc import Sequence
 from typing import Any, Self
 
 import gymnasium
@@ -28,18 +29,18 @@ from acsar_gym.errors import (
     RenderError,
     shown,
 )
-from acsar_gym.lidars.base import LidarSensor, Scan
+from acsar_gym.lidars.base import newest_scan
 from acsar_gym.lidars.factory import factories
 from acsar_gym.links import Link, open_link
 from acsar_gym.links.fault_injection import FaultyLink
 from acsar_gym.links.faults import Faults
 from acsar_gym.render.renderer import Screen
 from acsar_gym.robot import Robot
-from acsar_gym.sensors import Factory, Sensor
+from acsar_gym.sensors import LIDAR, Factory, Sensor
 from acsar_gym.tasks import Observation, Outcome, State, Task
 from acsar_gym.tasks.base import NO_PATH, NO_RANGES, NOTHING_SENSED
 from acsar_gym.tasks.episode import Episode
-from acsar_gym.tasks.made import made, named
+from acsar_gym.tasks.made import made, named, tried
 from acsar_gym.tasks.spaces import task_spaces
 from acsar_gym.tasks.spawn import Spawn
 from acsar_gym.vector.specs import PlainSpec
@@ -99,18 +100,17 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
             "control_rate", config.control_rate, "policy_rate", self._options.policy_rate
         )
         self.metadata = {**type(self).metadata, "render_fps": self._options.policy_rate}
-        self.task = made(task, rest, config)
+        self.task = made(task, rest)
         self._spawn = Spawn(self.task, self._options.worlds, self._options.difficulty, config)
         self.pool = self._spawn.pool
         self._options.check_view(link)
         wire = self._link(link, config)
         self._faulty = _faulty(wire, Faults.of(self._options.faults))
-        self.robot = Robot(self._faulty or wire, config, self._sensors())
+        self.robot = Robot(self._faulty or wire, config, self._factories())
+        tried(self.task, config, self.sensors)
         self.action_space: Any
         self.observation_space: Any
-        self.action_space, self.observation_space = task_spaces(
-            self.task, config, self.robot.sensors
-        )
+        self.action_space, self.observation_space = task_spaces(self.task, self.sensors)
         mode = None if self._bullets_window(link) else self.render_mode
         self._top = (config.max_linear, config.max_angular)
         self._screen = Screen(config, mode, self._options.view)
@@ -118,10 +118,10 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         self._sensed: Observation = NOTHING_SENSED
         self._told_last: tuple[Observation, Info] | None = None
 
-    def _sensors(self) -> list[Sensor | Factory]:
+    def _factories(self) -> list[Sensor | Factory]:
         """Factories of the task's sensors and the env's."""
         names, lidar = (*self.task.sensors, *self._options.sensors), self._options.lidar
-        if lidar is not None and "lidar" not in names:
+        if lidar is not None and LIDAR not in names:
             raise ConfigError(f"lidar = {shown(lidar)}: {named(self.task)} uses none")
         return factories(names, lidar)
 
@@ -139,7 +139,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, Info]:
-        """Begin an episode; opens link and LiDAR the first time. See the class for `options`."""
+        """Begin an episode; opens link and sensors the first time. See the class for `options`."""
         self._halt()
         self._told_last = None
         super().reset(seed=seed)
@@ -196,12 +196,6 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
             self.robot.drive(linear, angular)
         self._sensed = self.robot.read().astype(np.float32)
 
-    @property
-    def _scan(self) -> Scan | None:
-        """The LiDAR's newest scan; None without one."""
-        first = self.robot.sensors[0] if self.robot.sensors else None
-        return first.scan if isinstance(first, LidarSensor) else None
-
     def _checked(self, action: NDArray[np.float32]) -> tuple[float, float]:
         """The action as two floats in [-1, 1]; stops the wheels and raises for anything else."""
         try:
@@ -219,7 +213,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
     def _state(self, episode: Episode, action: tuple[float, float]) -> State:
         """What the task is told."""
         robot, assignment = self.robot, episode.assignment
-        truth, scan = robot.link.truth, self._scan
+        truth, scan = robot.link.truth, newest_scan(robot.sensors)
         return State(
             pose=robot.odometry.pose,
             twist=robot.odometry.twist,
@@ -242,7 +236,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
     def _told(self, episode: Episode, state: State) -> tuple[Observation, Info]:
         """What the agent gets, and what the screen shows."""
         try:
-            self._screen.show(state, self.robot.link.truth, self._scan)
+            self._screen.show(state, self.robot.link.truth, newest_scan(self.robot.sensors))
         except BaseException:
             self.robot.deactivate()
             raise
@@ -276,6 +270,11 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
             info["fault"] = 0.0
         self.robot.tell(info)
         return info
+
+    @property
+    def sensors(self) -> Sequence[Sensor]:
+        """The robot's sensors, in the order of their numbers in the observation."""
+        return self.robot.sensors
 
     @property
     def episode(self) -> Episode:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Self
 
@@ -18,7 +18,7 @@ class EnvOptions:
     worlds: Any = None
     difficulty: Any = None
     lidar: Any = None
-    sensors: Any = ()
+    sensors: Sequence[Any] = ()
     policy_rate: float = 10.0
     render_mode: str | None = None
     view: str = "top"

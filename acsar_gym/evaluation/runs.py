@@ -102,7 +102,7 @@ def made(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[str,
     inner = env.unwrapped
     if isinstance(inner, RobotEnv):
         config = inner.robot.config
-        policy.check(inner.task, config, config.control_rate / inner.ticks_per_step)
+        policy.check(inner.task, inner.sensors, config.control_rate / inner.ticks_per_step)
     return env
 
 
@@ -224,9 +224,7 @@ def export(
     width = env.observation_space.shape[0] if env.observation_space.shape else 0
     try:
         before = sb3_export.normalizer(statistics, width) if statistics else None
-        sb3_export.export(
-            policy.network, out, policy.env_id, inner.task, inner.robot.config, before
-        )
+        sb3_export.export(policy.network, out, policy.env_id, inner.task, inner.sensors, before)
     finally:
         env.close()
 

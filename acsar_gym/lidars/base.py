@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -92,13 +93,14 @@ class LidarSensor(Sensor):
     @property
     def layout(self) -> str:
         """How many ranges, over which angle, up to which distance."""
-        return lidar_layout(self.config)
+        lidar = self.config.lidar
+        return f"{lidar.rays} ranges over {lidar.field_of_view:.4g} rad to {lidar.max_range:g} m"
 
 
-def lidar_layout(config: RobotConfig) -> str:
-    """The ranges of a robot's LiDAR in words."""
-    lidar = config.lidar
-    return f"{lidar.rays} ranges over {lidar.field_of_view:.4g} rad to {lidar.max_range:g} m"
+def newest_scan(sensors: Sequence[Sensor]) -> Scan | None:
+    """The newest scan of the LiDAR among a robot's sensors; None without one."""
+    first = sensors[0] if sensors else None
+    return first.scan if isinstance(first, LidarSensor) else None
 
 
 def ray_spec(config: RobotConfig) -> RaySpec:

@@ -5,15 +5,16 @@ from __future__ import annotations
 import math
 import textwrap
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.config import RobotConfig
 from acsar_gym.errors import PolicyError
 from acsar_gym.resources import AGENTS
+from acsar_gym.sensors import Sensor
 from acsar_gym.tasks import Observation, Task, signature
 from acsar_gym.tasks.made import named
 
@@ -51,12 +52,14 @@ class FilePolicy(ABC):
     function: str | None = None
     """Which one of a Python file it is."""
 
-    def check(self, task: Task, config: RobotConfig, policy_rate: float | None = None) -> None:
+    def check(
+        self, task: Task, sensors: Sequence[Sensor], policy_rate: float | None = None
+    ) -> None:
         """PolicyError where the policy was made for another observation than this env gives.
 
         And for another rate, where the env's `policy_rate` [Hz] is given.
         """
-        wanted = signature(task, config)
+        wanted = signature(task, sensors)
         if self.layout and self.layout != wanted:
             raise PolicyError(
                 f"{self.path}: made for {quoted(self.env_id)} and the observation "

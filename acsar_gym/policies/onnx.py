@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.config import RobotConfig
 from acsar_gym.errors import MissingExtraError, PolicyError
 from acsar_gym.policies import graph, limits, trial
 from acsar_gym.policies.base import (
@@ -24,6 +24,7 @@ from acsar_gym.policies.base import (
     resolve,
 )
 from acsar_gym.reading import bounded
+from acsar_gym.sensors import Sensor
 from acsar_gym.tasks import Observation, Task
 from acsar_gym.tasks.made import named
 from acsar_gym.tasks.spaces import task_spaces
@@ -70,10 +71,12 @@ class OnnxPolicy(FilePolicy):
             raise PolicyError(f"{self.path}: not an ONNX policy: {one_line(error)}") from None
         return session
 
-    def check(self, task: Task, config: RobotConfig, policy_rate: float | None = None) -> None:
+    def check(
+        self, task: Task, sensors: Sequence[Sensor], policy_rate: float | None = None
+    ) -> None:
         """PolicyError where the policy was made for another observation than this env gives."""
-        super().check(task, config, policy_rate)
-        wanted = (task_spaces(task, config)[1].shape or (0,))[0]
+        super().check(task, sensors, policy_rate)
+        wanted = (task_spaces(task, sensors)[1].shape or (0,))[0]
         if self.width != wanted:
             raise PolicyError(
                 f"{self.path}: takes {self.width} numbers, but {named(task)} gives {wanted}"

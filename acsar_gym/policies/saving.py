@@ -53,7 +53,7 @@ def save(
     env = _made(env_id, robot, env_kwargs)
     try:
         notes = {ENV_KEY: without_module(full_id(env_id)), **_notes(env)}
-        torch_export.write(module, Path(path), env.task, env.robot.config, before, notes)
+        torch_export.write(module, Path(path), env.task, env.sensors, before, notes)
     finally:
         env.close()
 

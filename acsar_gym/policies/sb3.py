@@ -10,10 +10,10 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
-from acsar_gym.config import RobotConfig
 from acsar_gym.envs import ids
 from acsar_gym.errors import ConfigError, MissingExtraError
 from acsar_gym.policies.base import ENV_KEY, LAYOUT_KEY
+from acsar_gym.sensors import Sensor
 from acsar_gym.tasks import Task, signature
 from acsar_gym.vector.env import RobotVectorEnv
 
@@ -148,7 +148,7 @@ def make_batch(env_id: str, num_envs: int, **options: Any) -> BatchVecEnv:
 _GOES_ON: dict[str, Any] = {}
 
 
-def label(model: BaseAlgorithm, env_id: str, task: Task, config: RobotConfig) -> None:
+def label(model: BaseAlgorithm, env_id: str, task: Task, sensors: Sequence[Sensor]) -> None:
     """Note in a model which env and observation it is for; `model.save` keeps the note."""
     setattr(model, ENV_KEY, ids.without_module(env_id))
-    setattr(model, LAYOUT_KEY, signature(task, config))
+    setattr(model, LAYOUT_KEY, signature(task, sensors))

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import pickle
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from acsar_gym.config import RobotConfig
 from acsar_gym.envs.ids import without_module
 from acsar_gym.errors import MissingExtraError, PolicyError
 from acsar_gym.policies import torch_export
 from acsar_gym.policies.base import ENV_KEY, one_line
 from acsar_gym.reading import bounded
+from acsar_gym.sensors import Sensor
 from acsar_gym.tasks import Task
 
 try:
@@ -52,12 +53,12 @@ def export(
     path: Path,
     env_id: str,
     task: Task,
-    config: RobotConfig,
+    sensors: Sequence[Sensor],
     normalizer: torch.nn.Module | None = None,
 ) -> None:
     """Write the deterministic actor of PPO, A2C, SAC, TD3 or DDPG to one ONNX file at `path`."""
     notes = {ENV_KEY: without_module(env_id)}
-    torch_export.write(_Actor(policy), path, task, config, normalizer, notes)
+    torch_export.write(_Actor(policy), path, task, sensors, normalizer, notes)
 
 
 def normalizer(path: Path, width: int) -> torch.nn.Module | None:

@@ -5,16 +5,17 @@ from __future__ import annotations
 import hashlib
 import io
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.config import RobotConfig
 from acsar_gym.errors import AcsarError, MissingExtraError, PolicyError
 from acsar_gym.policies.base import ENV_KEY, LAYOUT_KEY, FilePolicy, one_line, resolve
 from acsar_gym.reading import bounded
+from acsar_gym.sensors import Sensor
 from acsar_gym.tasks import Observation, Task
 from acsar_gym.tasks.made import named
 from acsar_gym.tasks.spaces import task_spaces
@@ -57,10 +58,12 @@ class ZipPolicy(FilePolicy):
         self.env_id, self.env_named = env_id or data.get(ENV_KEY, ""), bool(env_id)
         self.layout = data.get(LAYOUT_KEY, "")
 
-    def check(self, task: Task, config: RobotConfig, policy_rate: float | None = None) -> None:
+    def check(
+        self, task: Task, sensors: Sequence[Sensor], policy_rate: float | None = None
+    ) -> None:
         """PolicyError where the policy was made for other spaces than this env has."""
-        super().check(task, config, policy_rate)
-        for space, wanted in zip(self._spaces, task_spaces(task, config), strict=True):
+        super().check(task, sensors, policy_rate)
+        for space, wanted in zip(self._spaces, task_spaces(task, sensors), strict=True):
             if space != wanted:
                 raise PolicyError(f"{self.path}: made for {space}, but {named(task)} has {wanted}")
 

@@ -5,17 +5,17 @@ from __future__ import annotations
 import contextlib
 import logging
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from acsar_gym.config import RobotConfig
 from acsar_gym.errors import MissingExtraError, PolicyError
 from acsar_gym.policies.base import LAYOUT_KEY, one_line
 from acsar_gym.policies.onnx import inspected
+from acsar_gym.sensors import Sensor
 from acsar_gym.tasks import Task, signature
 from acsar_gym.tasks.spaces import task_spaces
 
@@ -84,7 +84,7 @@ def write(
     network: torch.nn.Module,
     path: Path,
     task: Task,
-    config: RobotConfig,
+    sensors: Sequence[Sensor],
     normalizer: torch.nn.Module | None,
     notes: Mapping[str, str],
 ) -> None:
@@ -96,11 +96,13 @@ def write(
     """
     whole = _Whole(network, normalizer)
     with _evaluating(whole):
-        example = torch.zeros(1, *(task_spaces(task, config)[1].shape or ()), device=_device(whole))
+        example = torch.zeros(
+            1, *(task_spaces(task, sensors)[1].shape or ()), device=_device(whole)
+        )
         _check(whole, example)
         model: Any = _exported(whole, example)
     _forget_sources(model)
-    facts = {LAYOUT_KEY: signature(task, config), **notes}
+    facts = {LAYOUT_KEY: signature(task, sensors), **notes}
     onnx.helper.set_model_props(model, facts)
     data = model.SerializeToString()
     try:

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, shown
 from acsar_gym.config.footprint import border_distance
+from acsar_gym.errors import ConfigError, shown
 from acsar_gym.reading import bounded
 from acsar_gym.render import backdrop as scenery
 from acsar_gym.render.backdrop import FLOOR, GRID, INK, INSET, LABEL, SEEN, TEXT, UNSEEN, Point

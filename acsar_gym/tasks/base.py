@@ -7,7 +7,7 @@ every robot, in Python too, or compiled by numba where the task says `compiled =
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from enum import IntEnum
 from types import SimpleNamespace
 from typing import Any, ClassVar, NamedTuple
@@ -15,9 +15,8 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.config import RobotConfig
 from acsar_gym.jit import compilable
-from acsar_gym.lidars.base import lidar_layout
+from acsar_gym.sensors import Sensor
 
 Observation = NDArray[np.float32]
 Floats = NDArray[np.float64]
@@ -194,10 +193,9 @@ def told(task: Task) -> tuple[str, ...]:
     return tuple(task.memory) if task.told is None else task.told
 
 
-def signature(task: Task, config: RobotConfig) -> str:
+def signature(task: Task, sensors: Iterable[Sensor]) -> str:
     """What an observation consists of, in words; a policy fits an env that has the same."""
-    rays = [lidar_layout(config)] if "lidar" in task.sensors else []
-    return ",".join([*task.observation, *rays])
+    return ",".join([*task.observation, *(sensor.layout for sensor in sensors)])
 
 
 # Compiled functions for tasks: scalars in, scalars out.

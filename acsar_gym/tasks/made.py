@@ -5,27 +5,27 @@ from __future__ import annotations
 import importlib
 import inspect
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, shown, suggestion
+from acsar_gym.sensors import LIDAR, Sensor
 from acsar_gym.tasks.base import Outcome, State, Task, remembered
 
 
-def made(task: Any, options: Mapping[str, Any], config: RobotConfig) -> Task:
-    """A task that has been tried once.
+def made(task: Any, options: Mapping[str, Any]) -> Task:
+    """A task of what a user names; see `tried`, too.
 
     Args:
         task: a Task, a subclass of it, or "module:Class".
         options: fields of the class.
-        config: of the robot.
 
     Raises:
         ConfigError: for anything else, for options that the class doesn't know, and for methods
-            that are missing or don't return what they should.
+            that are missing.
     """
     if isinstance(task, str):
         task = _imported(task)
@@ -36,7 +36,6 @@ def made(task: Any, options: Mapping[str, Any], config: RobotConfig) -> Task:
     if not isinstance(task, Task):
         raise ConfigError(f"task = {shown(task)}: must be an acsar_gym.Task or a subclass of it")
     _check_class(task)
-    _try(task, config)
     return task
 
 
@@ -104,9 +103,12 @@ def _check_class(task: Task) -> None:
             raise ConfigError(f"{named(task)}: told {name!r}: isn't in memory")
 
 
-def _try(task: Task, config: RobotConfig) -> None:
-    """Call all methods once, at the beginning of an episode that nobody drives."""
-    state, memory = _example(task, config), remembered(task)
+def tried(task: Task, config: RobotConfig, sensors: Sequence[Sensor]) -> None:
+    """Call all methods once, at the beginning of an episode that nobody drives.
+
+    Raises ConfigError where they don't return what they should.
+    """
+    state, memory = _example(task, config, sensors), remembered(task)
     task.begin(state, memory)
     outcome = task.outcome(state, memory)
     if outcome not in tuple(Outcome):
@@ -122,13 +124,14 @@ def _try(task: Task, config: RobotConfig) -> None:
         )
 
 
-def _example(task: Task, config: RobotConfig) -> State:
-    """A robot that has stood for one step, a metre from its goal."""
-    rays = config.lidar.rays if "lidar" in task.sensors else 0
+def _example(task: Task, config: RobotConfig, sensors: Sequence[Sensor]) -> State:
+    """A robot that has stood for one step, a metre from its goal; its sensors read the most."""
+    rays = sum(sensor.size for sensor in sensors if sensor.name == LIDAR)
+    most = np.concatenate([np.zeros(0), *(sensor.bounds[1] for sensor in sensors)])
     path = np.column_stack([np.linspace(0.0, 1.0, 21), np.zeros((21, 2))])
     return State(
         ranges=np.full(rays, config.lidar.max_range),
-        sensed=np.ones(rays, np.float32),
+        sensed=np.where(np.isfinite(most), most, 0.0).astype(np.float32),
         time=0.1,
         path=path if task.follows else path[:0],
         length=1.0,

@@ -30,7 +30,7 @@ def save(model: PPO, env_id: str, env: RobotVectorEnv, out: Path) -> tuple[Path,
     replace(zipped, model.save)
     replace(
         policy,
-        lambda path: sb3_export.export(model.policy, path, env_id, env.task, env.config),
+        lambda path: sb3_export.export(model.policy, path, env_id, env.task, env.sensors),
     )
     return policy, zipped
 

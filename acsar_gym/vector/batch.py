@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,20 +11,27 @@ from numpy.typing import NDArray
 from acsar_gym import dynamics
 from acsar_gym.config import BITS_PER_BYTE, LINE_BYTES, Geofence, RobotConfig, whole_ratio
 from acsar_gym.errors import ConfigError
-from acsar_gym.lidars.base import stale_after
-from acsar_gym.lidars.simulated import draws
+from acsar_gym.lidars.base import LidarSensor, stale_after
+from acsar_gym.lidars.factory import factories
+from acsar_gym.lidars.simulated import SimulatedLidar, draws
 from acsar_gym.safety import limiter
+from acsar_gym.sensors import LIDAR, Factory, Sensor
+from acsar_gym.sensors.suite import unused
 from acsar_gym.tasks.base import Task
 from acsar_gym.tasks.spawn import Spawn
 from acsar_gym.vector import pcg
 from acsar_gym.vector.drawn import Drawn
 from acsar_gym.vector.kernel import episode, layout
+from acsar_gym.vector.links import RobotLink, View
 from acsar_gym.vector.options import Wishes
 from acsar_gym.vector.randomization import Randomization
+from acsar_gym.vector.sensors import BatchSensors
 from acsar_gym.vector.tables import spawns, surroundings, worlds_of
 from acsar_gym.vector.task import Loops, loops_of
 
 Mask = NDArray[np.bool_]
+Share = Callable[[Callable[[int, int], None], int], None]
+"""Runs a loop, given as a function of its first and last robot, over so many robots."""
 
 
 class Batch:
@@ -35,17 +43,22 @@ class Batch:
         config: RobotConfig,
         task: Task,
         spawn: Spawn,
-        ticks: int,
-        max_steps: int | None,
+        sensors: Sequence[str | Sensor | Factory],
+        setup: layout.Setup,
         randomization: Randomization,
     ) -> None:
-        sees = "lidar" in task.sensors
-        self.robots, self._config = robots, config
-        self._setup = _setup(config, ticks, max_steps, sees)
+        self.robots, self._config, self._setup = robots, config, setup
+        sees = setup.lidar_rate > 0.0
         self._pool, worlds = spawn.pool, worlds_of(spawn.pool, follow=task.follows)
         self._spawns = spawns(task, spawn.pool, worlds)
         self._around = surroundings(worlds, config, sees=sees)
-        self.tables = self._tables(randomization, len(task.observation))
+        self.tables = self._tables(randomization)
+        self._view = View(self.tables.state, self.tables.random, setup.dt, worlds)
+        python = factories([sensor for sensor in sensors if sensor != LIDAR])
+        self.python = BatchSensors(python, config, robots, self._view)
+        width = self._first_python + self.python.size
+        observations = np.zeros((robots, width), np.float32)
+        self.tables = self.tables._replace(observations=observations)
         nominal = self.tables.nominal
         self._drawn = Drawn(randomization, nominal, self._setup.dt, robots)
         self._loops: Loops = loops_of(task, self.tables, self._setup, self._spawns)
@@ -54,7 +67,20 @@ class Batch:
         self._rows |= layout.SCAN_INFO if sees else {}
         self.seeded = False
 
-    def _tables(self, randomization: Randomization, numbers: int) -> layout.Tables:
+    @property
+    def _first_python(self) -> int:
+        """Where in the observation the numbers of sensors in Python begin."""
+        return self._setup.numbers + len(self._around.directions)
+
+    @property
+    def sensors(self) -> list[Sensor]:
+        """One of each of the robots' sensors, in the order of their numbers in the observation."""
+        if self._setup.lidar_rate == 0.0:
+            return self.python.kinds
+        lidar = SimulatedLidar(RobotLink(self._view, 0), self._config)
+        return [LidarSensor(lidar, self._config), *self.python.kinds]
+
+    def _tables(self, randomization: Randomization) -> layout.Tables:
         robots, setup = self.robots, self._setup
         nominal, varied = _nominal(self._config), randomization.table()
         columns, rays = _columns(robots), len(self._around.directions)
@@ -69,10 +95,10 @@ class Batch:
             actions=np.zeros((robots, 2)),
             over=np.zeros(robots, np.bool_),
             ranges=np.zeros((robots, rays)),
-            observations=np.zeros((robots, numbers + rays), np.float32),
+            observations=np.zeros((robots, self._first_python), np.float32),
             rewards=np.zeros(robots),
             ends=np.zeros((2, robots), np.bool_),
-            ring=np.zeros(2, np.int64),
+            ring=np.array([0, 0, 0, setup.ticks], np.int64),
         )
 
     @property
@@ -88,6 +114,7 @@ class Batch:
             seed = None if seeds is None else seeds[robot]
             if seed is not None or not self.seeded:
                 self.tables.random[robot] = pcg.seeded(seed)
+                self.python.forget(int(robot))
         self.seeded = True
 
     def wish(self, wishes: Wishes, mask: Mask) -> None:
@@ -95,29 +122,71 @@ class Batch:
         for row in range(layout.WISHED_WORLD, layout.LAST_RANK + 1):
             self.state[row, mask] = wishes[row][mask] if row in wishes else 0.0
 
-    def reset(self, mask: Mask, first: int, last: int) -> None:
-        """New episodes for robots in the mask, among first to last."""
-        episode.reset(self.tables, mask, first, last, self._setup, self._spawns, self._around)
-        if self._loops.compiled:
-            self._loops.start(mask, first, last)
+    def reset(self, mask: Mask, share: Share) -> None:
+        """New episodes for robots in the mask."""
 
-    def began(self, mask: Mask) -> None:
-        """All robots in the mask have a new episode."""
-        if not self._loops.compiled:
-            self._loops.start(mask, 0, self.robots)
+        def begin(first: int, last: int) -> None:
+            episode.reset(self.tables, mask, first, last, self._setup, self._spawns, self._around)
+            if self._together:
+                self._loops.start(mask, first, last)
+
+        share(begin, self.robots)
+        if not self._together:
+            self._sense(mask, driven=False)
+            self._apart(lambda first, last: self._loops.start(mask, first, last), share)
         self._drawn.update(self.state, mask)
 
-    def step(self, first: int, last: int) -> None:
-        """An env step of robots first to last, as `tables.actions` and `tables.over` say."""
+    def step(self, share: Share) -> None:
+        """An env step of all robots, as `tables.actions` and `tables.over` say."""
+        if self.python.clocked:
+            self._drive_tick_by_tick(share)
+        else:
+            share(self._drive, self.robots)
+        if not self._together:
+            self._sense(self.tables.over, driven=True)
+            self._apart(self._loops.step, share)
+        self._drawn.update(self.state, self.tables.over)
+        self._move_on()
+
+    def _drive(self, first: int, last: int) -> None:
+        """Physics of robots first to last, and their task where no sensor in Python is between."""
         episode.step(self.tables, first, last, self._setup, self._spawns, self._around)
-        if self._loops.compiled:
+        if self._together:
             self._loops.step(first, last)
 
-    def stepped(self) -> None:
+    def _drive_tick_by_tick(self, share: Share) -> None:
+        """A step in which sensors with a clock of their own are polled at every tick."""
+        ring, driving = self.tables.ring, np.flatnonzero(~self.tables.over)
+        try:
+            for tick in range(self._setup.ticks):
+                ring[2:] = tick, tick + 1
+                share(self._drive, self.robots)
+                self.python.poll(driving)
+        finally:
+            ring[2:] = 0, self._setup.ticks
+
+    @property
+    def _together(self) -> bool:
+        """Whether a robot's task can follow its physics at once, on the same thread."""
+        return self._loops.compiled and not len(self.python)
+
+    def _apart(self, loop: Callable[[int, int], None], share: Share) -> None:
+        """Run the task's loop for all robots, on one thread where it is Python."""
+        if self._loops.compiled:
+            share(loop, self.robots)
+        else:
+            loop(0, self.robots)
+
+    def _sense(self, begun: Mask, *, driven: bool) -> None:
+        """Let sensors in Python measure: of robots in the mask anew, of the others after a step."""
+        if len(self.python):
+            columns = self.tables.observations[:, self._first_python :]
+            self.python.reset(np.flatnonzero(begun), columns)
+            if driven:
+                self.python.read(np.flatnonzero(~begun), columns)
+
+    def _move_on(self) -> None:
         """All robots have done their step: move on in the rings."""
-        if not self._loops.compiled:
-            self._loops.step(0, self.robots)
-        self._drawn.update(self.state, self.tables.over)
         ring, setup = self.tables.ring, self._setup
         ring[0] = (ring[0] + setup.ticks * setup.loops) % self.tables.counts.shape[0]
         ring[1] = (ring[1] + setup.ticks) % self.tables.commands.shape[0]
@@ -128,7 +197,10 @@ class Batch:
         info = dict(zip(self._rows, rows, strict=True))
         if self._pool is not None:
             info["world"] += self._pool.numbers[0]
-        return info | self._loops.info() | self._drawn.info
+        info |= self._loops.info() | self._drawn.info
+        for sensor, key in self.python.told:
+            unused(info, sensor, key)
+        return info | self.python.info
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -149,7 +221,10 @@ def _columns(robots: int) -> int:
     return 8 * (math.ceil(robots / 8) | 1)
 
 
-def _setup(config: RobotConfig, ticks: int, max_steps: int | None, sees: bool) -> layout.Setup:
+def setup_of(
+    config: RobotConfig, ticks: int, max_steps: int | None, numbers: int, *, sees: bool
+) -> layout.Setup:
+    """What all robots share: ticks and longest episode [steps], the task's numbers, a LiDAR."""
     params = dynamics.params(config)
     firmware, encoder = config.firmware, config.encoder
     window = round(encoder.window * firmware.loop_rate)
@@ -186,6 +261,7 @@ def _setup(config: RobotConfig, ticks: int, max_steps: int | None, sees: bool) -
         dropouts=config.lidar.dropouts,
         min_range=config.lidar.min_range,
         draws=draws(config.lidar),
+        numbers=numbers,
     )
 
 

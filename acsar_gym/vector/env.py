@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig, RobotSource, whole_ratio
 from acsar_gym.errors import CommandError, ConfigError, shown
+from acsar_gym.sensors import LIDAR
 from acsar_gym.tasks.base import Task
-from acsar_gym.tasks.made import made
+from acsar_gym.tasks.made import made, tried
 from acsar_gym.tasks.options import known
 from acsar_gym.tasks.spaces import task_spaces
 from acsar_gym.tasks.spawn import Spawn
-from acsar_gym.vector.batch import Batch
+from acsar_gym.vector.batch import Batch, setup_of
 from acsar_gym.vector.kernel import layout
 from acsar_gym.vector.options import Wishes, wishes
 from acsar_gym.vector.randomization import Randomization
@@ -103,21 +104,31 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         self.num_envs = count("num_envs", num_envs, MOST_ROBOTS)
         self.autoreset_mode = asked.autoreset_mode
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
-        self.task = made(task, rest, config)
+        self.task = made(task, rest)
         self._spawn = Spawn(self.task, asked.worlds, asked.difficulty, config)
         self.pool = self._spawn.pool
         self.config = config
-        self.single_action_space, self.single_observation_space = task_spaces(self.task, config)
+        ticks = whole_ratio("control_rate", config.control_rate, "policy_rate", asked.policy_rate)
+        self.batch = self._batch(asked, ticks)
+        spaces = task_spaces(self.task, self.sensors)
+        self.single_action_space, self.single_observation_space = spaces
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-        ticks = whole_ratio("control_rate", config.control_rate, "policy_rate", asked.policy_rate)
-        steps, randomized = asked.max_episode_steps, Randomization.of(asked.randomization)
-        self.batch = Batch(self.num_envs, config, self.task, self._spawn, ticks, steps, randomized)
-        self._masks = tuple(f"_{name}" for name in self.batch.names)
         self._threads = Threads(threads_for(asked.threads, self.num_envs))
         self._done = np.zeros(self.num_envs, np.bool_)
         self._whole = True
         """Whether no call was interrupted since all robots were reset."""
+
+    def _batch(self, asked: BatchOptions, ticks: int) -> Batch:
+        """The robots, and `sensors`, one of each of theirs; the task is tried with them."""
+        task, config, steps = self.task, self.config, asked.max_episode_steps
+        sensors = (*task.sensors, *asked.sensors)
+        setup = setup_of(config, ticks, steps, len(task.observation), sees=LIDAR in sensors)
+        varied = Randomization.of(asked.randomization)
+        batch = Batch(self.num_envs, config, task, self._spawn, sensors, setup, varied)
+        self.sensors = batch.sensors
+        tried(task, config, self.sensors)
+        return batch
 
     def reset(
         self,
@@ -139,7 +150,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         self._whole = False
         self.batch.seed(seeds, mask)
         self.batch.wish(asked, mask)
-        self._begin(mask)
+        self.batch.reset(mask, self._threads.share)
         self._done = self._done & ~mask
         self._whole = True
         return self.batch.tables.observations.copy(), self._info(mask)
@@ -176,23 +187,16 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         batch, tables, self._whole = self.batch, self.batch.tables, False
         tables.actions[:] = actions
         tables.over[:] = self.autoreset_mode is AutoresetMode.NEXT_STEP and self._done
-        self._threads.share(batch.step, self.num_envs)
-        batch.stepped()
+        batch.step(self._threads.share)
         terminated, truncated = tables.ends.copy()
         self._done = terminated | truncated
         rewards, info = tables.rewards.copy(), {}
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._done.any():
             info = self._finals(self._done)
-            self._begin(self._done)
+            batch.reset(self._done, self._threads.share)
         self._whole = True
         info |= self._info(np.ones(self.num_envs, np.bool_))
         return tables.observations.copy(), rewards, terminated, truncated, info
-
-    def _begin(self, mask: Array) -> None:
-        """New episodes for the robots in the mask."""
-        batch = self.batch
-        self._threads.share(lambda first, last: batch.reset(mask, first, last), self.num_envs)
-        batch.began(mask)
 
     def _checked(self, actions: Array) -> Array:
         actions = np.array(actions, np.float64, order="C")  # others would compile loops anew
@@ -216,7 +220,8 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
 
     def _info(self, mask: Array) -> Info:
         """The single env's info as arrays, each with its mask."""
-        return self.batch.info() | dict.fromkeys(self._masks, mask)
+        info = self.batch.info()
+        return info | {f"_{name}": mask for name in info}
 
     def close_extras(self, **_: Any) -> None:
         """End the threads."""

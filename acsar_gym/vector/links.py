@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, NoReturn, Protocol
+import math
+from collections.abc import Sequence
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.bodies.base import GroundTruth
 from acsar_gym.errors import LinkError
+from acsar_gym.vector.kernel import layout
 from acsar_gym.vector.pcg import Generators
-from acsar_gym.worlds import Scene
+from acsar_gym.worlds import Scene, World
 
 Floats = NDArray[np.float64]
 Robots = NDArray[np.int64]
@@ -28,19 +31,44 @@ class Truths(NamedTuple):
     """(robots,): whether the robot has touched an obstacle since the reset."""
 
 
-class Source(Protocol):
-    """What sensors need of a batch."""
+class View:
+    """What sensors may know of all robots of a batch. `random` are the robots' generators."""
 
-    random: Generators
+    def __init__(
+        self, state: Floats, random: Generators, dt: float, worlds: Sequence[World]
+    ) -> None:
+        self.random = random
+        self._state, self._dt, self._worlds = state, dt, worlds
 
     def truths(self, robots: Robots) -> Truths:
-        """Of these robots."""
+        """Where these robots are in their worlds, how fast, and whether they have touched."""
+        s = self._state[:, robots]
+        cos, sin = s[layout.START_COS], s[layout.START_SIN]
+        x = s[layout.START_X] + cos * s[layout.X] - sin * s[layout.Y]
+        y = s[layout.START_Y] + sin * s[layout.X] + cos * s[layout.Y]
+        theta = s[layout.START_THETA] + s[layout.THETA]
+        theta -= layout.TURN * np.rint(theta / layout.TURN)
+        ahead = s[layout.VX] * np.cos(s[layout.THETA]) + s[layout.VY] * np.sin(s[layout.THETA])
+        twist = np.column_stack([ahead, s[layout.RATE]])
+        return Truths(np.column_stack([x, y, theta]), twist, s[layout.CONTACT] > 0.0)
 
     def now(self, robots: Robots) -> Floats:
-        """Time on their links' clocks [s], (robots,)."""
+        """Time since these robots' links were reset [s]."""
+        time: Floats = self._state[layout.LOOPS, robots] * self._dt
+        return time
 
     def scenes(self, robots: Robots) -> list[Scene]:
-        """The worlds of their episodes, and their starts in them."""
+        """The worlds of these robots' episodes, with their starts and goals in them."""
+        s = self._state[:, robots]
+        rows = [layout.START_X, layout.START_Y, layout.START_THETA, layout.GOAL_X, layout.GOAL_Y]
+        worlds = s[layout.WORLD].astype(np.int64).tolist()
+        scenes = []
+        for number, (x, y, theta, ahead, left) in zip(worlds, s[rows].T.tolist(), strict=True):
+            cos, sin = math.cos(theta), math.sin(theta)
+            goal = (x + cos * ahead - sin * left, y + sin * ahead + cos * left)
+            world = self._worlds[number] if self._worlds else None
+            scenes.append(Scene((x, y, theta), goal, world))
+        return scenes
 
 
 class RobotLink:
@@ -48,21 +76,21 @@ class RobotLink:
 
     lateness: float | None = None
 
-    def __init__(self, source: Source, robot: int) -> None:
-        self._source = source
+    def __init__(self, view: View, robot: int) -> None:
+        self._view = view
         self._robots = np.array([robot])
 
     @property
     def truth(self) -> GroundTruth:
         """Where the robot is now."""
         (x, y, theta), (forward, rate), contact = (
-            array[0].tolist() for array in self._source.truths(self._robots)
+            array[0].tolist() for array in self._view.truths(self._robots)
         )
         return GroundTruth((x, y, theta), (forward, rate), contact)
 
     def now(self) -> float:
         """Seconds of simulated time since the reset."""
-        return float(self._source.now(self._robots)[0])
+        return float(self._view.now(self._robots)[0])
 
     def open(self) -> None:
         """Nothing to open."""

@@ -17,7 +17,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, SensorError, shown
 from acsar_gym.sensors import Factory, Sensor
 from acsar_gym.sensors.suite import add_info, check_names, checked, made_by, unused
-from acsar_gym.vector.links import Floats, RobotLink, Robots, Source, Truths
+from acsar_gym.vector.links import Floats, RobotLink, Robots, Truths, View
 from acsar_gym.vector.pcg import Lent
 from acsar_gym.worlds import Scene
 
@@ -49,10 +49,10 @@ class BatchSensors:
     """
 
     def __init__(
-        self, wanted: Iterable[Sensor | Factory], config: RobotConfig, robots: int, source: Source
+        self, wanted: Iterable[Sensor | Factory], config: RobotConfig, robots: int, view: View
     ) -> None:
-        self._source = source
-        self._groups = [_group(factory, config, robots, source) for factory in wanted]
+        self._view = view
+        self._groups = [_group(factory, config, robots, view) for factory in wanted]
         self.kinds: list[Sensor] = [group.kind for group in self._groups]
         check_names(self.kinds)
         self.size = sum(kind.size for kind in self.kinds)
@@ -68,14 +68,18 @@ class BatchSensors:
         """Whether any of them must be polled at every tick."""
         return any(overrides(kind, "poll") for kind in self.kinds)
 
-    def seeded(self, robots: Robots) -> None:
-        """The generators of these robots have been seeded anew."""
-        for robot in robots.tolist():
-            self._generators.pop(robot, None)
+    @property
+    def told(self) -> list[tuple[Sensor, str]]:
+        """Who tells info which key."""
+        return [(group.kind, key) for group in self._groups for key in group.keys]
+
+    def forget(self, robot: int) -> None:
+        """The generator of this robot has been seeded anew."""
+        self._generators.pop(robot, None)
 
     def reset(self, robots: Robots, observations: Observations) -> None:
         """These robots begin an episode: reset their sensors, and read them."""
-        for robot, scene in zip(robots.tolist(), self._source.scenes(robots), strict=True):
+        for robot, scene in zip(robots.tolist(), self._view.scenes(robots), strict=True):
             self._scenes[robot] = scene
         with self._moment(robots) as moment:
             for group in self._groups:
@@ -118,9 +122,9 @@ class BatchSensors:
         numbers = robots.tolist()
         whole = len(numbers) == len(self._scenes)
         scenes = self._scenes if whole else [self._scenes[robot] for robot in numbers]
-        rngs = Lent(self._source.random, numbers, self._generators)
+        rngs = Lent(self._view.random, numbers, self._generators)
         try:
-            truths, now = self._source.truths(robots), self._source.now(robots)
+            truths, now = self._view.truths(robots), self._view.now(robots)
             yield Moment(numbers, truths, now, scenes, rngs)
         finally:
             rngs.give_back()
@@ -134,6 +138,7 @@ class _Each:
         self._sensors = sensors
         self._polled = overrides(self.kind, "poll")
         self._tells = overrides(self.kind, "info")
+        self.keys: list[str] = []
 
     def reset(self, moment: Moment) -> None:
         """Reset them and let them take their first measurement."""
@@ -174,13 +179,16 @@ class _Each:
             for robot, now in zip(moment.robots, moment.now.tolist(), strict=True):
                 rows.append({})
                 add_info(rows[-1], self._sensors[robot], now)
-            for key in rows[0]:
+            self.keys = list(rows[0]) if rows else self.keys
+            for key in self.keys if rows else ():
                 unused(told, self.kind, key)
                 told[key] = [row[key] for row in rows]
 
 
 class _Whole:
     """One sensor whose `read_batch` reads all robots at once."""
+
+    keys: Sequence[str] = ()
 
     def __init__(self, sensor: Any) -> None:
         self.kind = sensor
@@ -206,9 +214,9 @@ class _Whole:
         """Nothing."""
 
 
-def _group(factory: Any, config: RobotConfig, robots: int, source: Source) -> _Each | _Whole:
+def _group(factory: Any, config: RobotConfig, robots: int, view: View) -> _Each | _Whole:
     """The sensors that a factory makes for a batch."""
-    one = made_by(factory, RobotLink(source, 0), config)
+    one = made_by(factory, RobotLink(view, 0), config)
     if hasattr(one, "read_batch"):
         if overrides(one, "poll") or overrides(one, "info"):
             raise ConfigError(
@@ -220,7 +228,7 @@ def _group(factory: Any, config: RobotConfig, robots: int, source: Source) -> _E
         raise ConfigError(
             f"sensor {one.name!r}: a batch needs one for each robot: pass its class or a factory"
         )
-    sensors = [made_by(factory, RobotLink(source, robot), config) for robot in range(1, robots)]
+    sensors = [made_by(factory, RobotLink(view, robot), config) for robot in range(1, robots)]
     return _Each([one, *sensors])
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Self
 
@@ -28,6 +28,7 @@ class BatchOptions:
 
     worlds: Any = None
     difficulty: Any = None
+    sensors: Sequence[Any] = ()
     policy_rate: float = 10.0
     max_episode_steps: int | None = None
     autoreset_mode: Any = AutoresetMode.NEXT_STEP

@@ -8,8 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.config import footprint
-from acsar_gym.config import RobotConfig
+from acsar_gym.config import RobotConfig, footprint
 from acsar_gym.jit import jit, loop
 
 Floats = NDArray[np.float64]

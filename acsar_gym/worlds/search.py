@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.config import footprint
-from acsar_gym.config import RobotConfig
+from acsar_gym.config import RobotConfig, footprint
 from acsar_gym.errors import WorldError
 from acsar_gym.worlds.clearance import clearance, segment_clearance
 from acsar_gym.worlds.world import Floats, Region, World

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from acsar_gym import RobotConfig
-from acsar_gym.errors import ConfigError
 from acsar_gym.config.footprint import (
     Outline,
     border_distance,
@@ -21,6 +20,7 @@ from acsar_gym.config.footprint import (
     convex_pieces,
     radius,
 )
+from acsar_gym.errors import ConfigError
 from acsar_gym.worlds.search import footprint_radius
 
 WEDGE = ((0.3, 0.0), (-0.2, 0.25), (-0.2, -0.25))

@@ -94,9 +94,9 @@ def test_a_file_keeps_what_the_envs_arguments_scale(tmp_path: Path) -> None:
     with pytest.raises(PolicyError, match=r"distances divided by 10, but this .* has 3: give"):
         runs.made(policy, "planar", None, {})
     env: Any = runs.made(policy, "planar", None, far | {"policy_rate": 20.0}).unwrapped
-    policy.check(env.task, env.robot.config, policy_rate=20.0)
+    policy.check(env.task, env.sensors, policy_rate=20.0)
     with pytest.raises(PolicyError, match=r"a policy_rate of 20, but this .* has 10: give"):
-        policy.check(env.task, env.robot.config, policy_rate=10.0)
+        policy.check(env.task, env.sensors, policy_rate=10.0)
     packaged = OnnxPolicy("point_goal")
     assert (packaged.scale, packaged.policy_rate) == (None, None)
     runs.made(packaged, "planar", None, far).close()

@@ -20,7 +20,6 @@ from acsar_gym.envs.base import RobotEnv
 from acsar_gym.errors import ConfigError, LinkError, SensorError
 from acsar_gym.links.base import Link
 from acsar_gym.tasks import ObstacleGoal, PointGoal
-from acsar_gym.tasks.spawn import pool
 from acsar_gym.worlds import Region, Scene
 
 WALL = World(
@@ -38,11 +37,9 @@ def make() -> Iterator[Make]:
     made: list[RobotEnv] = []
 
     def begin(link: str, *sensors: Any, sees: bool = False, **options: Any) -> RobotEnv:
-        def task(config: RobotConfig) -> Any:
-            if sees:
-                return ObstacleGoal.of(pool(WALL, None, config), 0.2, config)
-            return PointGoal.of((0.5, 3.0), 0.15, config)
-
+        if sees:
+            options["worlds"] = WALL
+        task = ObstacleGoal if sees else PointGoal
         made.append(RobotEnv(task, link, sensors=sensors, **options))
         return made[-1]
 

@@ -215,15 +215,18 @@ def reset(
 def step(
     tables: Tables, first: int, last: int, setup: Setup, spawns: Spawns, around: Surroundings
 ) -> None:
-    """Physics and driver of robots first to last over an env step; those over begin anew instead.
+    """Physics and driver of robots first to last over the ticks that the ring says, or all.
 
-    The task's loops come after it.
+    With the last one a step ends: robots that are over begin anew. The task's loops come after it.
     """
     state, lossy = tables.state, tables.varied[8, 0] <= tables.varied[8, 1]
     for low in range(first, last, BLOCK):
         high = min(low + BLOCK, last)
-        command(state, tables.actions, low, high, setup)
+        if tables.ring[2] == 0:
+            command(state, tables.actions, low, high, setup)
         drive(tables, low, high, lossy, setup, around)
+        if tables.ring[3] < setup.ticks:
+            continue
         steps = row(state, STEPS, low, high)
         for i in range(high - low):
             steps[i] += 1.0

@@ -110,6 +110,8 @@ class Setup(NamedTuple):
     min_range: float
     draws: int
     """Numbers that the noise of a scan takes."""
+    numbers: int
+    """Of an observation that are the task's own; those of the sensors follow, the LiDAR first."""
 
 
 class Spawns(NamedTuple):
@@ -160,7 +162,8 @@ class Tables(NamedTuple):
     ends: NDArray[np.bool_]
     """2 x R: terminated, truncated."""
     ring: NDArray[np.int64]
-    """2: where the last loop wrote its counts, and the last tick its command line."""
+    """4: where the last loop of the last step wrote its counts, and the last tick its command line;
+    the ticks of a step that the next call drives, from and up to."""
 
 
 @jit

@@ -67,9 +67,8 @@ def scan(
     for k in range(setup.draws):
         uniforms[k] = uniform(tables.random, i)
     measure(ranges, uniforms, setup.noise, setup.dropouts, setup.min_range, around.reach)
-    first = tables.observations.shape[1] - len(ranges)
     for k in range(len(ranges)):
-        tables.observations[i, first + k] = ranges[k] / around.reach
+        tables.observations[i, setup.numbers + k] = ranges[k] / around.reach
 
 
 @loop

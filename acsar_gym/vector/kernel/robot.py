@@ -112,11 +112,13 @@ def drop_lines(
 def drive(
     tables: Tables, first: int, last: int, lossy: bool, setup: Setup, around: Surroundings
 ) -> None:
-    """All ticks of an env step."""
+    """The ticks of an env step that the ring says."""
     state, counts, commands, random = tables.state, tables.counts, tables.commands, tables.random
-    slots, slot, line = counts.shape[0], tables.ring[0], tables.ring[1]
+    slots, line, begin, end = counts.shape[0], tables.ring[1], tables.ring[2], tables.ring[3]
+    slot = (tables.ring[0] + begin * setup.loops) % slots
+    line = (line + begin) % max(commands.shape[0], 1)
     crowded = around.circles.shape[1] + around.segments.shape[1] > 0
-    for tick in range(setup.ticks):
+    for tick in range(begin, end):
         if setup.guarded:
             line = (line + 1) % commands.shape[0]
             guard(state, commands, first, last, line, setup)

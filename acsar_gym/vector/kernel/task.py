@@ -75,8 +75,8 @@ task_observe: Any = Task.observe
 
 
 @jit
-def state_of(tables: Tables, i: int, numbers: int, setup: Setup, spawns: Spawns) -> State:
-    """What robot i's task is told; `numbers` of its observation are the task's own."""
+def state_of(tables: Tables, i: int, setup: Setup, spawns: Spawns) -> State:
+    """What robot i's task is told."""
     s, world = tables.state, int(tables.state[WORLD, i])
     path = spawns.paths[0 if len(spawns.samples) == 0 else world]
     samples = 0 if len(spawns.samples) == 0 else spawns.samples[world]
@@ -89,7 +89,7 @@ def state_of(tables: Tables, i: int, numbers: int, setup: Setup, spawns: Spawns)
         (s[SENT_LINEAR, i], s[SENT_ANGULAR, i]),
         int(s[REASON, i]),
         tables.ranges[i],
-        tables.observations[i, numbers:],
+        tables.observations[i, setup.numbers :],
         s[STEPS, i] * setup.ticks * setup.period,
         s[AGE, i],
         s[CONTACT, i] > 0.0,
@@ -123,11 +123,10 @@ def start(
     spawns: Spawns,
 ) -> None:
     """The first observations of robots in the mask; the last memory holds the first values."""
-    numbers = tables.observations.shape[1] - tables.ranges.shape[1]
     for i in range(first, last):
         if mask[i]:
             memory[i] = memory[len(memory) - 1]
-            state = state_of(tables, i, numbers, setup, spawns)
+            state = state_of(tables, i, setup, spawns)
             task_begin(task, state, memory[i])
             store(tables.observations, i, 0, task_observe(task, state, memory[i]))
     report(tables.state, first, last, setup)
@@ -143,11 +142,10 @@ def step(
     spawns: Spawns,
 ) -> None:
     """Reward, end and observation of robots first to last; some of them have begun anew."""
-    numbers = tables.observations.shape[1] - tables.ranges.shape[1]
     for i in range(first, last):
         if tables.over[i]:
             memory[i] = memory[len(memory) - 1]
-        state, own = state_of(tables, i, numbers, setup, spawns), memory[i]
+        state, own = state_of(tables, i, setup, spawns), memory[i]
         if tables.over[i]:
             task_begin(task, state, own)
             tables.rewards[i] = 0.0

@@ -1,0 +1,257 @@
+"""Sensors of a user's own in a batch: the same numbers as in the single planar env."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from range_finder import BEARINGS, REACH, ThreeRays
+
+from acsar_gym.errors import ConfigError, SensorError
+from acsar_gym.sensors import Sensor
+from acsar_gym.worlds.geometry import look
+
+ENV_ID = "acsar_gym/ObstacleGoal-v0"
+
+
+class Drifting(ThreeRays):
+    """Has a bias of its own in every episode, and a clock: it measures every third tick."""
+
+    name = "drifting"
+
+    def reset(self, scene: Any, rng: Any) -> None:
+        super().reset(scene, rng)
+        self.bias = rng.normal(0.0, 0.1)
+        self.due = 0.0
+        self.numbers = np.zeros(3)
+
+    def poll(self, truth: Any, now: float) -> None:
+        if now >= self.due - 1e-9:
+            self.due = now + 0.03
+            self.numbers = np.clip(super().read(truth, now) + self.bias, 0.0, 1.0)
+
+    def read(self, truth: Any, now: float) -> Any:
+        return self.numbers
+
+    def info(self, now: float) -> dict[str, float]:
+        return {"bias": self.bias}
+
+
+class Coin(ThreeRays):
+    """Draws half a number of 64 bits at a time."""
+
+    name, size = "coin", 1
+
+    def read(self, truth: Any, now: float) -> Any:
+        return self.rng.integers(2, size=1, dtype=np.int32)
+
+    def info(self, now: float) -> dict[str, float]:
+        return {}
+
+
+class AtOnce(Sensor):
+    """The range finder for a whole batch, and for one robot by the same function."""
+
+    name, size, low, high = "at_once", 3, 0.0, 1.0
+
+    def read(self, truth: Any, now: float) -> Any:
+        out = np.zeros((1, 3))
+        self.read_batch(
+            (np.array([truth.pose]), None, None), [self.scene], np.array([now]), [self.rng], out
+        )
+        return out[0]
+
+    def read_batch(self, truths: Any, scenes: Any, now: Any, rngs: Any, out: Any) -> None:
+        for row, pose, scene, rng in zip(out, truths[0].tolist(), scenes, rngs, strict=True):
+            ranges = look((pose[0], pose[1]), pose[2] + BEARINGS, scene.world)
+            row[:] = np.clip(ranges + rng.normal(0.0, 0.01, 3), 0.0, REACH) / REACH
+
+
+CASES: dict[str, tuple[str, tuple[Any, ...], dict[str, Any]]] = {
+    "noisy": (ENV_ID, (ThreeRays,), {"worlds": "clutter:6"}),
+    "with a clock": (ENV_ID, (Drifting,), {"worlds": "clutter:6"}),
+    "several": (ENV_ID, (Coin, ThreeRays, Drifting), {"worlds": "clutter:6"}),
+    "at once": (ENV_ID, (AtOnce, Coin), {"worlds": "clutter:6"}),
+    "no LiDAR": ("acsar_gym/PointGoal-v0", (ThreeRays, Coin), {}),
+    "on a path": ("acsar_gym/PathFollow-v0", (ThreeRays,), {"worlds": "smooth_path:3"}),
+    "a LiDAR of the user's choice": ("acsar_gym/PointGoal-v0", ("lidar", Coin), {}),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+def test_robots_of_a_batch_sense_what_single_ones_do(name: str, mode: str) -> None:
+    env_id, sensors, options = CASES[name]
+    options = {"sensors": sensors, "max_episode_steps": 9, **options}
+    many: Any = gymnasium.make_vec(
+        env_id, 4, vectorization_mode="vector_entry_point", autoreset_mode=mode, **options
+    )
+    ones = [gymnasium.make(env_id, link="planar", **options) for _ in range(4)]
+    same_step, rng = mode == "SameStep", np.random.default_rng(0)
+    assert many.single_observation_space == ones[0].observation_space
+    seen, infos = many.reset(seed=5)
+    expected = [one.reset(seed=5 + i) for i, one in enumerate(ones)]
+    ended = [False] * 4
+    for _ in range(30):
+        for i, (observation, info) in enumerate(expected):
+            assert seen[i] == pytest.approx(observation, abs=1e-6)
+            got = {key: infos[key][i] for key in info}
+            assert got == pytest.approx(info, abs=1e-9)
+            assert all(infos[f"_{key}"][i] for key in info)
+        actions = rng.uniform(-1.0, 1.0, (4, 2))
+        seen, _, _, _, infos = many.step(actions)
+        for i, one in enumerate(ones):
+            if ended[i] and not same_step:
+                expected[i], ended[i] = one.reset(), False
+                continue
+            observation, _, *ends, info = one.step(actions[i])
+            expected[i], ended[i] = (observation, info), any(ends)
+            if any(ends) and same_step:
+                assert infos["final_obs"][i] == pytest.approx(observation, abs=1e-6)
+                expected[i] = one.reset()
+    many.close()
+    for one in ones:
+        one.close()
+
+
+def batch(*sensors: Any, robots: int = 64, **options: Any) -> Any:
+    return gymnasium.make_vec(
+        ENV_ID,
+        robots,
+        vectorization_mode="vector_entry_point",
+        sensors=sensors,
+        **{"worlds": "clutter:3", "threads": 1, **options},
+    )
+
+
+def test_a_batch_of_many_goes_through_its_episodes() -> None:
+    env = batch(ThreeRays, max_episode_steps=5)
+    seen, infos = env.reset(seed=0)
+    assert env.observation_space.contains(seen)
+    told = infos["three_rays_time"]
+    before = told.copy()
+    for _ in range(12):
+        seen, _, _, _, infos = env.step(np.full((64, 2), 0.5))
+        assert env.observation_space.contains(seen)
+    assert (told == before).all()  # what was told never changes
+    assert infos["three_rays_time"].shape == (64,)
+    env.close()
+
+
+def test_only_robots_that_are_reset_are_read_anew() -> None:
+    env = batch(ThreeRays, robots=3)
+    first, _ = env.reset(seed=0)
+    again, _ = env.reset(options={"reset_mask": np.array([False, True, False])})
+    assert (first[[0, 2]] == again[[0, 2]]).all()
+    assert (first[1] != again[1]).any()
+    env.close()
+
+
+def test_results_are_those_of_another_seed_once_reseeded() -> None:
+    env = batch(Coin, robots=2)
+    first, _ = env.reset(seed=3)
+    env.step(np.zeros((2, 2)))
+    assert (env.reset(seed=3)[0] == first).all()
+    env.close()
+
+
+def failing(what: Any, robot: int) -> Any:
+    """Fails at the third reading of one robot."""
+
+    class Failing(ThreeRays):
+        made = 0
+
+        def __init__(self, link: Any, config: Any) -> None:
+            super().__init__(link, config)
+            self.fails, self.read_times = type(self).made == robot, 0
+            type(self).made += 1
+
+        def read(self, truth: Any, now: float) -> Any:
+            self.read_times += 1
+            if self.fails and self.read_times == 3:
+                if isinstance(what, Exception):
+                    raise what
+                return what
+            return super().read(truth, now)
+
+    return Failing
+
+
+@pytest.mark.parametrize(
+    ("what", "kind", "message"),
+    [
+        (np.zeros(2), SensorError, "sensor 'three_rays'.*shape \\(2,\\)"),
+        (np.array([0.0, np.nan, 0.0]), SensorError, "sensor 'three_rays'.*nan"),
+        (ValueError("too hot"), ValueError, "too hot"),
+    ],
+)
+def test_errors_name_the_robot_and_need_a_reset(
+    what: Any, kind: type[Exception], message: str
+) -> None:
+    env = batch(failing(what, 2), robots=4)
+    env.reset(seed=0)
+    env.step(np.zeros((4, 2)))
+    with pytest.raises(kind, match=message) as caught:
+        env.step(np.zeros((4, 2)))
+    assert caught.value.__notes__ == ["sensor 'three_rays' of robot 2"]
+    with pytest.raises(ConfigError, match="interrupted"):
+        env.step(np.zeros((4, 2)))
+    env.reset(seed=0)
+    env.step(np.zeros((4, 2)))
+    env.close()
+
+
+class Lazy(AtOnce):
+    def read_batch(self, truths: Any, scenes: Any, now: Any, rngs: Any, out: Any) -> None:
+        out[:1] = 0.5
+
+
+class Polled(AtOnce):
+    def poll(self, truth: Any, now: float) -> None:
+        """Isn't called in a batch."""
+
+
+class Shadow(ThreeRays):
+    def info(self, now: float) -> dict[str, float]:
+        return {"odom_x": 0.0}
+
+
+class Other(ThreeRays):
+    name = "other"
+
+
+@pytest.mark.parametrize(
+    ("sensors", "message"),
+    [
+        ((ThreeRays, ThreeRays), "two are named 'three_rays'"),
+        ((ThreeRays(None, None),), "needs one for each robot: pass its class"),  # type: ignore[arg-type]
+        ((Polled,), "has read_batch, so poll and info aren't used"),
+        (("lidr",), "unknown sensor 'lidr'"),
+        ((Shadow,), "info tells 'odom_x', which is there already"),
+        ((ThreeRays, Other), "'other': info tells 'three_rays_time'"),
+    ],
+)
+def test_what_cannot_be_in_a_batch_is_named(sensors: tuple[Any, ...], message: str) -> None:
+    with pytest.raises(ConfigError, match=message) as caught:
+        batch(*sensors, robots=2).reset(seed=0)
+    assert "\n" not in str(caught.value)
+
+
+def test_one_for_all_robots_must_fill_all_rows() -> None:
+    env = batch(Lazy, robots=3)
+    with pytest.raises(SensorError, match=r"'at_once'.*left.*nan.*for robot 1: must be finite"):
+        env.reset(seed=0)
+    env.close()
+
+
+def test_results_do_not_depend_on_the_number_of_threads() -> None:
+    seen = []
+    for threads in (1, 2):
+        env = batch(ThreeRays, Drifting, robots=20, threads=threads, max_episode_steps=4)
+        rows = [env.reset(seed=3)[0]]
+        rows += [env.step(np.full((20, 2), 0.3))[0] for _ in range(9)]
+        seen.append(np.array(rows))
+        env.close()
+    assert (seen[0] == seen[1]).all()
