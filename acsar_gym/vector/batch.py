@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym import dynamics
 from acsar_gym.config import BITS_PER_BYTE, LINE_BYTES, Geofence, RobotConfig, whole_ratio
+from acsar_gym.dynamics import model
 from acsar_gym.errors import ConfigError
 from acsar_gym.lidars.base import stale_after
 from acsar_gym.lidars.simulated import draws
@@ -150,22 +150,22 @@ def _columns(robots: int) -> int:
 
 
 def _setup(config: RobotConfig, ticks: int, max_steps: int | None, sees: bool) -> layout.Setup:
-    params = dynamics.params(config)
+    params, dt = model.physics(config), model.substep(config)
     firmware, encoder = config.firmware, config.encoder
     window = round(encoder.window * firmware.loop_rate)
     linear, angular = limiter.both(config)
     fence = config.geofence or Geofence()
     per_radian = encoder.counts_per_revolution / (2.0 * math.pi)
     return layout.Setup(
-        dt=params.dt,
+        dt=dt,
         period=config.period,
         half_wheelbase=params.half_wheelbase,
         half_track=params.half_track,
         slip_speed=params.slip_speed,
-        ramp=config.motor.acceleration * params.dt,
+        ramp=config.motor.acceleration * dt,
         top=params.max_speed,
         counts_per_radian=per_radian,
-        speed_per_count=1.0 / (per_radian * window * params.dt),
+        speed_per_count=1.0 / (per_radian * window * dt),
         window=window,
         ticks=ticks,
         loops=whole_ratio("firmware.loop_rate", firmware.loop_rate, "", config.control_rate),
@@ -191,16 +191,17 @@ def _setup(config: RobotConfig, ticks: int, max_steps: int | None, sees: bool) -
 
 def _nominal(config: RobotConfig) -> NDArray[np.float64]:
     """Rows of the configured robot; only those from MASS on are used."""
-    params, firmware = dynamics.params(config), config.firmware
+    params, firmware = model.physics(config), config.firmware
+    dt = model.substep(config)
     line = (LINE_BYTES + config.trailing_comma) * BITS_PER_BYTE / config.baud_rate
-    delay = math.ceil((line + firmware.processing_time) / params.dt - 1e-6)
+    delay = math.ceil((line + firmware.processing_time) / dt - 1e-6)
     rows = np.zeros(layout.ROWS)
     rows[layout.MASS] = params.mass
     rows[layout.INERTIA] = params.yaw_inertia
     rows[layout.GRIP] = params.grip
     rows[layout.RADIUS] = params.radius
     rows[layout.DEADBAND] = params.deadband
-    rows[layout.BLEND : layout.BLEND + 4] = params.blend
+    rows[layout.BLEND : layout.BLEND + 4] = params.blend_a
     rows[layout.GAIN : layout.GAIN + 4] = 1.0
     rows[layout.COMMAND_LOOPS] = rows[layout.DELAY_LOOPS] = delay
     rows[layout.FEEDBACK_LOOPS] = firmware.loop_rate / config.feedback_rate

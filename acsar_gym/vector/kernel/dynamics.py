@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from acsar_gym import kinematics
-from acsar_gym.dynamics import Params, towards, tyre_step, wheel_speed
+from acsar_gym.dynamics.model import Physics, towards, tyre_step, wheel_speed
 from acsar_gym.jit import jit, loop
 from acsar_gym.protocol import MAX_SPEED
 from acsar_gym.safety.layer import TELLABLE
@@ -204,11 +204,29 @@ def tyres(state: Floats, first: int, last: int, setup: Setup) -> None:
     for i in range(last - first):
         sin, cos = sincos(thetas[i])
         vx, vy = vxs[i], vys[i]
-        params = Params(
-            dt, radii[i], half, side, masses[i], inertias[i], grips[i], slip, 0.0, 0.0, 0.0
+        own = Physics(
+            radii[i],
+            half,
+            side,
+            masses[i],
+            inertias[i],
+            grips[i],
+            slip,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
         )
         ahead, left, rate = tyre_step(
-            cos * vx + sin * vy, cos * vy - sin * vx, rates[i], (a[i], b[i], c[i], d[i]), params
+            cos * vx + sin * vy, cos * vy - sin * vx, rates[i], (a[i], b[i], c[i], d[i]), own, dt
         )
         vx, vy = cos * ahead - sin * left, sin * ahead + cos * left
         vxs[i] = vx

@@ -11,10 +11,14 @@ formula says.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from acsar_gym.config import RobotConfig
-from acsar_gym.jit import jit
+from acsar_gym.jit import COMPILED, jit, leading
 from acsar_gym.protocol import Speeds
 
 GRAVITY = 9.81
@@ -26,10 +30,12 @@ Velocity = tuple[float, float, float]
 """vx, vy [m/s] and yaw rate [rad/s]."""
 
 
-class Params(NamedTuple):
-    """The numbers of a robot that its physics needs; SI units."""
+class Physics(NamedTuple):
+    """The numbers of one robot that its physics needs; SI units, wheels a to d in wheel order.
 
-    dt: float
+    Any of them may vary from episode to episode; see `randomization`.
+    """
+
     radius: float
     half_wheelbase: float
     half_track: float
@@ -38,19 +44,50 @@ class Params(NamedTuple):
     grip: float
     """Greatest friction force of one tyre [N]."""
     slip_speed: float
-    blend: float
-    """Share of the distance to its set point that a wheel's speed covers in dt."""
-    deadband: float
     max_speed: float
+    deadband: float
+    blend_a: float
+    """Share of the distance to its set point that a wheel's speed covers in a loop of the board."""
+    blend_b: float
+    blend_c: float
+    blend_d: float
+    gain_a: float
+    """A wheel's speed for its set point."""
+    gain_b: float
+    gain_c: float
+    gain_d: float
+    latency_loops: float
+    """Delay of commands and of feedback beyond the wire's own, in loops of the board."""
+    feedback_loops: float
+    """Loops of the board from one feedback line to the next."""
 
 
-def params(config: RobotConfig) -> Params:
-    """The physics of a configured robot, for substeps of the firmware's loop period."""
+SIZE = len(Physics._fields)
+Numbers = NDArray[np.float64] | Sequence[float]
+
+
+@jit
+def physics_of(numbers: Numbers) -> Physics:
+    """The numbers with their names; an array is the quickest way into compiled code."""
+    return Physics(*leading(numbers, SIZE))
+
+
+def numbers_of(own: Physics) -> Numbers:
+    """What `robot_step` takes: an array for compiled code, a tuple for plain Python."""
+    return np.array(own, np.float64) if COMPILED else tuple(own)
+
+
+def substep(config: RobotConfig) -> float:
+    """The firmware's loop period, in which physics advances [s]."""
+    return 1.0 / config.firmware.loop_rate
+
+
+def physics(config: RobotConfig) -> Physics:
+    """The physics of a robot as it is configured."""
     body, motor = config.body, config.motor
-    dt = 1.0 / config.firmware.loop_rate
-    lag = motor.time_constant
-    return Params(
-        dt=dt,
+    dt, lag = substep(config), motor.time_constant
+    blend = 1.0 - math.exp(-dt / lag) if lag > 0.0 else 1.0
+    return Physics(
         radius=config.wheel_radius,
         half_wheelbase=config.wheelbase / 2.0,
         half_track=config.wheel_separation / 2.0,
@@ -58,9 +95,18 @@ def params(config: RobotConfig) -> Params:
         yaw_inertia=body.mass * (body.length**2 + body.width**2) / 12.0,
         grip=body.friction * body.mass * GRAVITY / 4.0,
         slip_speed=body.slip_speed,
-        blend=1.0 - math.exp(-dt / lag) if lag > 0.0 else 1.0,
-        deadband=motor.deadband,
         max_speed=motor.max_speed,
+        deadband=motor.deadband,
+        blend_a=blend,
+        blend_b=blend,
+        blend_c=blend,
+        blend_d=blend,
+        gain_a=1.0,
+        gain_b=1.0,
+        gain_c=1.0,
+        gain_d=1.0,
+        latency_loops=0.0,
+        feedback_loops=config.firmware.loop_rate / config.feedback_rate,
     )
 
 
@@ -97,27 +143,28 @@ def tyre_step(
     vy: float,
     yaw_rate: float,
     wheels: Speeds,
-    params: Params,
+    own: Physics,
+    dt: float,
 ) -> Velocity:
     """The body's velocity one substep later, under the forces of four tyres. Body frame.
 
     Solves m (v' - v) / dt = sum F_i(v') with F_i = -D_i slip_i(v') and D_i = grip / |slip_i|, in
     which slip_i is the velocity of contact patch i over the ground.
     """
-    a, b = params.half_wheelbase, params.half_track
-    inertia = params.mass / params.dt
-    yaw_inertia = params.yaw_inertia / params.dt
-    rim_a, rim_b = wheels[0] * params.radius, wheels[1] * params.radius
-    rim_c, rim_d = wheels[2] * params.radius, wheels[3] * params.radius
+    a, b = own.half_wheelbase, own.half_track
+    inertia = own.mass / dt
+    yaw_inertia = own.yaw_inertia / dt
+    rim_a, rim_b = wheels[0] * own.radius, wheels[1] * own.radius
+    rim_c, rim_d = wheels[2] * own.radius, wheels[3] * own.radius
     nx, ny, nw = vx, vy, yaw_rate
-    floor = params.slip_speed * params.slip_speed
+    floor = own.slip_speed * own.slip_speed
     for _ in range(ROUNDS):
         right, left = nx + nw * b, nx - nw * b
         front, rear = ny + nw * a, ny - nw * a
-        d_a = params.grip / math.sqrt(max((right - rim_a) ** 2 + front**2, floor))
-        d_b = params.grip / math.sqrt(max((left - rim_b) ** 2 + front**2, floor))
-        d_c = params.grip / math.sqrt(max((left - rim_c) ** 2 + rear**2, floor))
-        d_d = params.grip / math.sqrt(max((right - rim_d) ** 2 + rear**2, floor))
+        d_a = own.grip / math.sqrt(max((right - rim_a) ** 2 + front**2, floor))
+        d_b = own.grip / math.sqrt(max((left - rim_b) ** 2 + front**2, floor))
+        d_c = own.grip / math.sqrt(max((left - rim_c) ** 2 + rear**2, floor))
+        d_d = own.grip / math.sqrt(max((right - rim_d) ** 2 + rear**2, floor))
         total = d_a + d_b + d_c + d_d
         # Symmetric system [[k, 0, p], [0, k, q], [p, q, s]] (nx, ny, nw) = (fx, fy, fw).
         k = inertia + total
@@ -142,23 +189,24 @@ def robot_step(
     wheels: Speeds,
     angles: Speeds,
     set_points: Speeds,
-    flat: tuple[float, ...],
+    numbers: Numbers,
+    dt: float,
 ) -> tuple[Velocity, Speeds, Speeds]:
     """Motors, then tyres, over one substep, for a robot whose heading has this cosine and sine.
 
     `velocity` is (vx, vy [m/s], yaw rate [rad/s]) in the world frame, before and after. Returns it
-    with the new wheel speeds [rad/s] and the angles turned by the wheels [rad].
-    `flat` is a Params as a plain tuple, which numba takes in half the time.
+    with the new wheel speeds [rad/s] and the angles turned by the wheels [rad]. `numbers` are those
+    of its `Physics`, see `numbers_of`.
     """
-    params = Params(*flat)
-    blend, dead, top, dt = params.blend, params.deadband, params.max_speed, params.dt
-    a = wheel_speed(wheels[0], set_points[0], blend, dead, top)
-    b = wheel_speed(wheels[1], set_points[1], blend, dead, top)
-    c = wheel_speed(wheels[2], set_points[2], blend, dead, top)
-    d = wheel_speed(wheels[3], set_points[3], blend, dead, top)
+    own = physics_of(numbers)
+    dead, top = own.deadband, own.max_speed
+    a = wheel_speed(wheels[0], set_points[0] * own.gain_a, own.blend_a, dead, top)
+    b = wheel_speed(wheels[1], set_points[1] * own.gain_b, own.blend_b, dead, top)
+    c = wheel_speed(wheels[2], set_points[2] * own.gain_c, own.blend_c, dead, top)
+    d = wheel_speed(wheels[3], set_points[3] * own.gain_d, own.blend_d, dead, top)
     vx, vy, rate = velocity
     forward, left, rate = tyre_step(
-        cos * vx + sin * vy, cos * vy - sin * vx, rate, (a, b, c, d), params
+        cos * vx + sin * vy, cos * vy - sin * vx, rate, (a, b, c, d), own, dt
     )
     return (
         (cos * forward - sin * left, sin * forward + cos * left, rate),
