@@ -68,12 +68,42 @@ Numbers = NDArray[np.float64] | Sequence[float]
 
 @jit
 def physics_of(numbers: Numbers) -> Physics:
-    """The numbers with their names; an array is the quickest way into compiled code."""
+    """The numbers with their names."""
     return Physics(*leading(numbers, SIZE))
 
 
+@jit
+def physics_at(rows: NDArray[np.float64], i: int) -> Physics:
+    """Physics of robot i of many: column i of an array that has a row for each number.
+
+    The index is unsigned so that no negative one has to be looked for: loops over robots vectorise.
+    """
+    k = np.uintp(i)
+    return Physics(
+        rows[0, k],
+        rows[1, k],
+        rows[2, k],
+        rows[3, k],
+        rows[4, k],
+        rows[5, k],
+        rows[6, k],
+        rows[7, k],
+        rows[8, k],
+        rows[9, k],
+        rows[10, k],
+        rows[11, k],
+        rows[12, k],
+        rows[13, k],
+        rows[14, k],
+        rows[15, k],
+        rows[16, k],
+        rows[17, k],
+        rows[18, k],
+    )
+
+
 def numbers_of(own: Physics) -> Numbers:
-    """What `robot_step` takes: an array for compiled code, a tuple for plain Python."""
+    """What `robot_step` takes: an array is quick to hand to compiled code, a tuple without it."""
     return np.array(own, np.float64) if COMPILED else tuple(own)
 
 
@@ -111,11 +141,12 @@ def physics(config: RobotConfig) -> Physics:
 
 
 @jit
-def wheel_speed(speed: float, set_point: float, blend: float, deadband: float, top: float) -> float:
-    """A wheel's speed [rad/s] one substep later: first-order lag, deadband, saturation."""
-    if abs(set_point) < deadband:
+def wheel_speed(speed: float, set_point: float, gain: float, blend: float, own: Physics) -> float:
+    """A wheel's speed [rad/s] one substep later: gain, deadband, saturation, first-order lag."""
+    set_point *= gain
+    if abs(set_point) < own.deadband:
         set_point = 0.0
-    set_point = min(max(set_point, -top), top)
+    set_point = min(max(set_point, -own.max_speed), own.max_speed)
     speed += blend * (set_point - speed)
     return 0.0 if set_point == 0.0 and abs(speed) < 1e-3 else speed
 
@@ -199,11 +230,10 @@ def robot_step(
     of its `Physics`, see `numbers_of`.
     """
     own = physics_of(numbers)
-    dead, top = own.deadband, own.max_speed
-    a = wheel_speed(wheels[0], set_points[0] * own.gain_a, own.blend_a, dead, top)
-    b = wheel_speed(wheels[1], set_points[1] * own.gain_b, own.blend_b, dead, top)
-    c = wheel_speed(wheels[2], set_points[2] * own.gain_c, own.blend_c, dead, top)
-    d = wheel_speed(wheels[3], set_points[3] * own.gain_d, own.blend_d, dead, top)
+    a = wheel_speed(wheels[0], set_points[0], own.gain_a, own.blend_a, own)
+    b = wheel_speed(wheels[1], set_points[1], own.gain_b, own.blend_b, own)
+    c = wheel_speed(wheels[2], set_points[2], own.gain_c, own.blend_c, own)
+    d = wheel_speed(wheels[3], set_points[3], own.gain_d, own.blend_d, own)
     vx, vy, rate = velocity
     forward, left, rate = tyre_step(
         cos * vx + sin * vy, cos * vy - sin * vx, rate, (a, b, c, d), own, dt

@@ -99,25 +99,34 @@ def test_motor_lag_is_first_order() -> None:
     p = physics(config)
     value = 0.0
     for _ in range(round(0.1 / DT)):
-        value = wheel_speed(value, 10.0, p.blend_a, p.deadband, p.max_speed)
+        value = wheel_speed(value, 10.0, 1.0, p.blend_a, p)
     assert value == pytest.approx(10.0 * (1.0 - math.exp(-1.0)), rel=1e-9)
 
 
 def test_no_lag_means_at_once() -> None:
     p = physics(RobotConfig(motor=MotorConfig(time_constant=0.0)))
-    assert wheel_speed(0.0, 7.0, p.blend_a, p.deadband, p.max_speed) == 7.0
+    assert wheel_speed(0.0, 7.0, 1.0, p.blend_a, p) == 7.0
 
 
 def test_set_points_in_the_deadband_stop_the_wheel() -> None:
+    p = physics(RobotConfig(motor=MotorConfig(deadband=1.0)))
     value = 3.0
     for _ in range(300):
-        value = wheel_speed(value, 0.9, 0.1, 1.0, 30.0)
+        value = wheel_speed(value, 0.9, 1.0, 0.1, p)
     assert value == 0.0
 
 
 def test_wheels_saturate_at_their_top_speed() -> None:
-    assert wheel_speed(0.0, 1e6, 1.0, 0.0, 30.0) == 30.0
-    assert wheel_speed(0.0, -1e6, 1.0, 0.0, 30.0) == -30.0
+    p = physics(RobotConfig(motor=MotorConfig(max_speed=30.0)))
+    assert wheel_speed(0.0, 1e6, 1.0, 1.0, p) == 30.0
+    assert wheel_speed(0.0, -1e6, 1.0, 1.0, p) == -30.0
+
+
+def test_a_gain_multiplies_the_set_point_before_deadband_and_saturation() -> None:
+    p = physics(RobotConfig(motor=MotorConfig(max_speed=30.0, deadband=1.0)))
+    assert wheel_speed(0.0, 10.0, 0.9, 1.0, p) == 9.0
+    assert wheel_speed(0.0, 1.05, 0.9, 1.0, p) == 0.0
+    assert wheel_speed(0.0, 29.0, 1.1, 1.0, p) == 30.0
 
 
 @given(st.floats(-math.pi, math.pi), slow, slow, slow)
