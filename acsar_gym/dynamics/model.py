@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.config import RobotConfig
+from acsar_gym.config import BITS_PER_BYTE, LINE_BYTES, RobotConfig
 from acsar_gym.jit import COMPILED, jit, leading
 from acsar_gym.protocol import Speeds
 
@@ -110,6 +110,12 @@ def numbers_of(own: Physics) -> Numbers:
 def substep(config: RobotConfig) -> float:
     """The firmware's loop period, in which physics advances [s]."""
     return 1.0 / config.firmware.loop_rate
+
+
+def wire_loops(config: RobotConfig) -> int:
+    """Loops of the firmware that a line takes from its being sent until it is used."""
+    line = (LINE_BYTES + config.trailing_comma) * BITS_PER_BYTE / config.baud_rate
+    return math.ceil((line + config.firmware.processing_time) / substep(config) - 1e-6)
 
 
 def physics(config: RobotConfig) -> Physics:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.dynamics.model import Physics, physics, substep
+from acsar_gym.dynamics.model import Physics, physics, physics_of, substep, wire_loops
 from acsar_gym.errors import ConfigError, shown, suggestion
 from acsar_gym.jit import jit, leading, loop
 
@@ -51,6 +51,10 @@ class Randomization:
     feedback_rate: Range | None = None
     """Feedback lines per second [Hz], rounded to whole loops of the firmware."""
 
+    def __post_init__(self) -> None:
+        for name in self.names:
+            object.__setattr__(self, name, _checked(name, getattr(self, name)))
+
     @classmethod
     def of(cls, ranges: Mapping[str, Range] | Self | None) -> Randomization:
         """From a mapping of names to ranges.
@@ -65,29 +69,33 @@ class Randomization:
                 f"randomization = {shown(ranges)}: must be a mapping of names to (low, high)"
             )
         known = {field.name for field in fields(cls)}
-        for name, value in (ranges or {}).items():
+        for name in ranges or ():
             if name not in known:
                 raise ConfigError(
                     f"unknown randomization {shown(name)}{suggestion(str(name)[:40], known)}"
                 )
-            _check(name, value)
-        return cls(
-            **{name: (float(low), float(high)) for name, (low, high) in (ranges or {}).items()}
-        )
+        return cls(**(ranges or {}))
 
     @property
     def names(self) -> tuple[str, ...]:
         """Of what varies."""
         return tuple(f.name for f in fields(self) if getattr(self, f.name) is not None)
 
-    def ranges(self, config: RobotConfig) -> Ranges:
-        """The ranges of every number that a robot like this draws.
+    def ranges(self, config: RobotConfig, step: float) -> Ranges:
+        """The range of every number that an episode of this robot draws.
+
+        Args:
+            config: The robot.
+            step: Length of a step of the policy [s].
 
         Raises:
-            ConfigError: The robot's wire or its `feedback_timeout` doesn't allow the feedback rate.
+            ConfigError: The latency is as long as a step, or the wire or `feedback_timeout` doesn't
+                allow the feedback rate.
         """
         if self.feedback_rate is not None:
             _check_feedback(self.feedback_rate, config)
+        if self.latency is not None:
+            _check_latency(self.latency, config, step)
         instant = () if config.motor.time_constant > 0.0 else ("motor_lag",)
         pairs = {
             number: getattr(self, name)
@@ -180,54 +188,48 @@ def varied(nominal: Physics, drawn: Drawn, dt: float) -> Physics:
     )
 
 
-@jit
-def varies(ranges: Ranges, number: int) -> bool:
-    """Whether a number takes a sample to draw."""
-    least: float = ranges.low[number]
-    return ranges.high[number] > least
-
-
 @loop
-def draw(nominal: Physics, ranges: Ranges, samples: Floats, dt: float) -> tuple[Physics, Drawn]:
-    """A robot's physics for one episode, and the numbers it was drawn with, as applied.
+def draw(
+    nominal: Floats, low: Floats, high: Floats, samples: Floats, dt: float
+) -> tuple[Physics, Drawn]:
+    """A robot's physics for one episode, and what was drawn for it, as applied.
 
     Args:
-        nominal: The configured physics.
-        ranges: Of all numbers.
-        samples: (SIZE,): a number of [0, 1) for each that `varies`, in order; the rest is ignored.
+        nominal: The numbers of the configured `Physics`.
+        low: The least value of each number of `Drawn`.
+        high: The largest one.
+        samples: A number of [0, 1) for each of them; it is ignored where low == high.
         dt: The firmware's loop period [s].
     """
     numbers = np.empty(SIZE)
     for k in range(SIZE):
-        low, high = ranges.low[k], ranges.high[k]
-        numbers[k] = low + (high - low) * samples[k] if varies(ranges, k) else low
+        numbers[k] = low[k] + (high[k] - low[k]) * samples[k] if high[k] > low[k] else low[k]
     numbers[LATENCY] = np.rint(numbers[LATENCY] / dt) * dt
     numbers[FEEDBACK_RATE] = 1.0 / (loops_between(numbers[FEEDBACK_RATE], dt) * dt)
     drawn = Drawn(*leading(numbers, SIZE))
-    return varied(nominal, drawn, dt), drawn
+    return varied(physics_of(nominal), drawn, dt), drawn
 
 
 class Randomizer:
     """Draws the physics of one robot, episode by episode; `info` tells what was drawn last.
 
-    Raises:
-        ConfigError: The robot can't have the physics of these ranges; see `Randomization.ranges`.
+    Takes the arguments of `Randomization.ranges`, and raises its errors.
     """
 
-    def __init__(self, randomization: Randomization, config: RobotConfig) -> None:
+    def __init__(self, randomization: Randomization, config: RobotConfig, step: float) -> None:
         self._names = randomization.names
-        self._ranges = randomization.ranges(config)
-        self._nominal, self._dt = physics(config), substep(config)
-        self._varies = np.array([varies(self._ranges, k) for k in range(SIZE)])
+        ranges = randomization.ranges(config, step)
+        self._low, self._high = np.array(ranges.low), np.array(ranges.high)
+        self._nominal, self._dt = np.array(physics(config)), substep(config)
         self.info: dict[str, Any] = {}
 
     def draw(self, rng: np.random.Generator) -> Physics | None:
-        """Physics for an episode; None where nothing varies. Takes as many samples as vary."""
+        """Physics for an episode; None where nothing varies. Takes a sample for each number."""
         if not self._names:
             return None
-        samples = np.zeros(SIZE)
-        samples[self._varies] = rng.random(int(self._varies.sum()))
-        own, drawn = draw(self._nominal, self._ranges, samples, self._dt)
+        samples, varies = np.zeros(SIZE), self._high > self._low
+        samples[varies] = rng.random(int(varies.sum()))
+        own, drawn = draw(self._nominal, self._low, self._high, samples, self._dt)
         self.info = {f"drawn_{name}": _told(drawn, name) for name in self._names}
         return Physics(*own)
 
@@ -251,7 +253,7 @@ MOST = {"latency": 10.0, "feedback_rate": 1e4}
 """Of what isn't a factor from 1e-6 to 1,000; slow feedback and late lines are held in memory."""
 
 
-def _check(name: str, value: Range) -> None:
+def _checked(name: str, value: Range) -> Range:
     least, most = LEAST.get(name, 1e-6), MOST.get(name, 1e3)
     try:
         low, high = (float(limit) for limit in value)
@@ -260,6 +262,18 @@ def _check(name: str, value: Range) -> None:
     if not least <= low <= high <= most:
         text = f"{least:g} <= low <= high <= {most:g}"
         raise ConfigError(f"randomization {name} = {shown(value)}: must be (low, high) with {text}")
+    return low, high
+
+
+def _check_latency(latency: Range, config: RobotConfig, step: float) -> None:
+    """The board must hear of a command before the next one's step is over."""
+    dt = substep(config)
+    slowest = wire_loops(config) * dt + latency[1]
+    if slowest > step - dt / 2.0:
+        raise ConfigError(
+            f"randomization latency = {latency}: on this wire a line takes up to {slowest:g} s; "
+            f"must be shorter than a step of the policy ({step:g} s)"
+        )
 
 
 def _check_feedback(rates: Range, config: RobotConfig) -> None:

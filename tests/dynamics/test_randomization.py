@@ -15,7 +15,7 @@ from acsar_gym.dynamics.randomization import Drawn, Randomizer, places, varied
 from acsar_gym.errors import ConfigError
 
 CONFIG = RobotConfig()
-DT = substep(CONFIG)
+DT, STEP = substep(CONFIG), 0.1
 RANGES: dict[str, tuple[float, float]] = {
     "mass": (0.5, 2.0),
     "friction": (0.6, 1.2),
@@ -40,7 +40,7 @@ CHANGES = {
 
 
 def drawn(ranges: Any, seed: int = 0, config: RobotConfig = CONFIG) -> tuple[Physics, Any]:
-    randomizer = Randomizer(Randomization.of(ranges), config)
+    randomizer = Randomizer(Randomization.of(ranges), config, STEP)
     own = randomizer.draw(np.random.default_rng(seed))
     assert own is not None
     return own, randomizer.info
@@ -62,7 +62,7 @@ def test_numbers_keep_their_names_on_the_way_into_compiled_code() -> None:
 
 def test_the_defaults_leave_a_robot_as_configured() -> None:
     assert varied(physics(CONFIG), Drawn(), DT) == physics(CONFIG)
-    assert Randomizer(Randomization(), CONFIG).draw(np.random.default_rng(0)) is None
+    assert Randomizer(Randomization(), CONFIG, STEP).draw(np.random.default_rng(0)) is None
 
 
 @pytest.mark.parametrize("name", RANGES)
@@ -99,7 +99,7 @@ def test_times_are_whole_loops_of_the_firmware_and_told_as_such() -> None:
 
 
 def test_a_seed_gives_one_robot_and_takes_one_sample_for_each_number() -> None:
-    randomizer = Randomizer(Randomization.of(RANGES), CONFIG)
+    randomizer = Randomizer(Randomization.of(RANGES), CONFIG, STEP)
     rng, other = np.random.default_rng(5), np.random.default_rng(5)
     first, second = randomizer.draw(rng), randomizer.draw(rng)
     assert first == drawn(RANGES, 5)[0] != second
@@ -128,6 +128,7 @@ def test_motors_without_lag_have_none_to_vary() -> None:
         ({"mass": (2.0, 1.0)}, "low <= high"),
         ({"mass": 3}, r"must be \(low, high\)"),
         ({"latency": (-0.1, 0.1)}, "0 <= low"),
+        ({"latency": (0.0, 0.099)}, r"takes up to 0.119 s; must be shorter than a step .*0.1 s"),
         ("mass", "must be a mapping"),
         ({"feedback_rate": (1.0, 20.0)}, "feedback_rate = .*feedback_timeout = 0.5 s"),
         ({"feedback_rate": (20.0, 190.0)}, "feedback_rate = .*baud_rate = 19200"),
@@ -136,5 +137,11 @@ def test_motors_without_lag_have_none_to_vary() -> None:
 def test_bad_ranges_are_one_clear_error(ranges: Any, message: str) -> None:
     config = CONFIG.with_(baud_rate=19200, control_rate=50.0)
     with pytest.raises(ConfigError, match=message) as raised:
-        Randomization.of(ranges).ranges(config)
+        Randomization.of(ranges).ranges(config, STEP)
     assert "\n" not in str(raised.value)
+
+
+def test_ranges_are_checked_however_they_are_given() -> None:
+    with pytest.raises(ConfigError, match="low <= high"):
+        Randomization(mass=(2.0, 1.0))
+    assert Randomization(mass=(1, 2)) == Randomization.of({"mass": (1.0, 2.0)})

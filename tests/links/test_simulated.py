@@ -35,7 +35,7 @@ def link(request: pytest.FixtureRequest) -> Iterator[SimulatedLink]:
 def physics(**values: float) -> Physics:
     """A robot that differs from the configured one in these parameters."""
     ranges = Randomization.of({name: (value, value) for name, value in values.items()})
-    own = Randomizer(ranges, CONFIG).draw(np.random.default_rng(0))
+    own = Randomizer(ranges, CONFIG, 0.1).draw(np.random.default_rng(0))
     assert own is not None
     return own
 
