@@ -211,7 +211,7 @@ def draw(
 
 
 class Randomizer:
-    """Draws the physics of one robot, episode by episode; `info` tells what was drawn last.
+    """Draws the physics of one robot, episode by episode.
 
     Takes the arguments of `Randomization.ranges`, and raises its errors.
     """
@@ -221,7 +221,7 @@ class Randomizer:
         ranges = randomization.ranges(config, step)
         self._low, self._high = np.array(ranges.low), np.array(ranges.high)
         self._nominal, self._dt = np.array(physics(config)), substep(config)
-        self.info: dict[str, Any] = {}
+        self._drawn = Drawn()
 
     def draw(self, rng: np.random.Generator) -> Physics | None:
         """Physics for an episode; None where nothing varies. Takes a sample for each number."""
@@ -230,8 +230,12 @@ class Randomizer:
         samples, varies = np.zeros(SIZE), self._high > self._low
         samples[varies] = rng.random(int(varies.sum()))
         own, drawn = draw(self._nominal, self._low, self._high, samples, self._dt)
-        self.info = {f"drawn_{name}": _told(drawn, name) for name in self._names}
+        self._drawn = Drawn(*drawn)
         return Physics(*own)
+
+    def info(self) -> dict[str, Any]:
+        """What was drawn last, as applied: a float, or an array of four in the order of wheels."""
+        return {f"drawn_{name}": _told(self._drawn, name) for name in self._names}
 
 
 def places(name: str) -> tuple[int, ...]:

@@ -43,7 +43,7 @@ def drawn(ranges: Any, seed: int = 0, config: RobotConfig = CONFIG) -> tuple[Phy
     randomizer = Randomizer(Randomization.of(ranges), config, STEP)
     own = randomizer.draw(np.random.default_rng(seed))
     assert own is not None
-    return own, randomizer.info
+    return own, randomizer.info()
 
 
 def test_every_parameter_has_numbers_and_every_number_a_parameter() -> None:
