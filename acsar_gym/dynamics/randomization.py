@@ -211,13 +211,27 @@ def draw(
 
 
 class Randomizer:
-    """Draws the physics of one robot, episode by episode.
+    """Draws the physics of one robot, episode by episode."""
 
-    Takes the arguments of `Randomization.ranges`, and raises its errors.
-    """
+    def __init__(self, given: Any, config: RobotConfig, step: float, *, simulated: bool) -> None:
+        """Check what may vary.
 
-    def __init__(self, randomization: Randomization, config: RobotConfig, step: float) -> None:
+        Args:
+            given: What `Randomization.of` takes.
+            config: The robot.
+            step: Length of a step of the policy [s].
+            simulated: Whether the robot's physics can vary at all.
+
+        Raises:
+            ConfigError: It can't, or see `Randomization.of` and `Randomization.ranges`.
+        """
+        randomization = Randomization.of(given)
         self._names = randomization.names
+        if self._names and not simulated:
+            raise ConfigError(
+                f"randomization of {', '.join(self._names)}: only a simulated robot's physics can "
+                "vary, and this link is real or a recording"
+            )
         ranges = randomization.ranges(config, step)
         self._low, self._high = np.array(ranges.low), np.array(ranges.high)
         self._nominal, self._dt = np.array(physics(config)), substep(config)

@@ -7,8 +7,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.config import BITS_PER_BYTE, LINE_BYTES, Geofence, RobotConfig, whole_ratio
-from acsar_gym.dynamics import model
+from acsar_gym.config import Geofence, RobotConfig, whole_ratio
+from acsar_gym.dynamics import Randomization, physics
+from acsar_gym.dynamics.model import substep, wire_loops
+from acsar_gym.dynamics.randomization import Ranges, places
 from acsar_gym.errors import ConfigError
 from acsar_gym.lidars.base import stale_after
 from acsar_gym.lidars.simulated import draws
@@ -16,10 +18,8 @@ from acsar_gym.safety import limiter
 from acsar_gym.tasks.base import Task
 from acsar_gym.tasks.spawn import Spawn
 from acsar_gym.vector import pcg
-from acsar_gym.vector.drawn import Drawn
 from acsar_gym.vector.kernel import episode, layout
 from acsar_gym.vector.options import Wishes
-from acsar_gym.vector.randomization import Randomization
 from acsar_gym.vector.tables import spawns, surroundings, worlds_of
 from acsar_gym.vector.task import Loops, loops_of
 
@@ -45,9 +45,8 @@ class Batch:
         self._pool, worlds = spawn.pool, worlds_of(spawn.pool, follow=task.follows)
         self._spawns = spawns(task, spawn.pool, worlds)
         self._around = surroundings(worlds, config, sees=sees)
+        self._drawn = {f"drawn_{name}": list(places(name)) for name in randomization.names}
         self.tables = self._tables(randomization, len(task.observation))
-        nominal = self.tables.nominal
-        self._drawn = Drawn(randomization, nominal, self._setup.dt, robots)
         self._loops: Loops = loops_of(task, self.tables, self._setup, self._spawns)
         self._rows = dict(layout.INFO)
         self._rows |= {} if spawn.pool is None else layout.WORLD_INFO
@@ -56,16 +55,17 @@ class Batch:
 
     def _tables(self, randomization: Randomization, numbers: int) -> layout.Tables:
         robots, setup = self.robots, self._setup
-        nominal, varied = _nominal(self._config), randomization.table()
         columns, rays = _columns(robots), len(self._around.directions)
-        lines = _lines(setup, nominal, varied)
+        ranges = randomization.ranges(self._config, setup.ticks * setup.period)
         return layout.Tables(
             state=np.zeros((layout.ROWS, columns)),
-            counts=np.zeros((_slots(setup, nominal, varied), 4, columns)),
-            commands=np.zeros((lines, 2, columns if setup.guarded else 0)),
+            counts=np.zeros((_slots(setup, ranges, self._config), 4, columns)),
+            commands=np.zeros((_lines(setup, ranges), 2, columns if setup.guarded else 0)),
             random=np.zeros((robots, 4), np.uint64),
-            nominal=nominal,
-            varied=varied,
+            nominal=np.array(physics(self._config)),
+            low=np.array(ranges.low),
+            high=np.array(ranges.high),
+            drawn=np.zeros((len(ranges.low) if self._drawn else 0, columns)),
             actions=np.zeros((robots, 2)),
             over=np.zeros(robots, np.bool_),
             ranges=np.zeros((robots, rays)),
@@ -105,7 +105,6 @@ class Batch:
         """All robots in the mask have a new episode."""
         if not self._loops.compiled:
             self._loops.start(mask, 0, self.robots)
-        self._drawn.update(self.state, mask)
 
     def step(self, first: int, last: int) -> None:
         """An env step of robots first to last, as `tables.actions` and `tables.over` say."""
@@ -117,7 +116,6 @@ class Batch:
         """All robots have done their step: move on in the rings."""
         if not self._loops.compiled:
             self._loops.step(0, self.robots)
-        self._drawn.update(self.state, self.tables.over)
         ring, setup = self.tables.ring, self._setup
         ring[0] = (ring[0] + setup.ticks * setup.loops) % self.tables.counts.shape[0]
         ring[1] = (ring[1] + setup.ticks) % self.tables.commands.shape[0]
@@ -128,7 +126,13 @@ class Batch:
         info = dict(zip(self._rows, rows, strict=True))
         if self._pool is not None:
             info["world"] += self._pool.numbers[0]
-        return info | self._loops.info() | self._drawn.info
+        return info | self._loops.info() | self._told()
+
+    def _told(self) -> dict[str, NDArray[np.float64]]:
+        """What the episodes have drawn: one number a robot, or four, in the order of the wheels."""
+        drawn = self.tables.drawn[:, : self.robots]
+        rows = {name: drawn[numbers].T for name, numbers in self._drawn.items()}
+        return {name: row[:, 0] if row.shape[1] == 1 else row for name, row in rows.items()}
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -150,7 +154,7 @@ def _columns(robots: int) -> int:
 
 
 def _setup(config: RobotConfig, ticks: int, max_steps: int | None, sees: bool) -> layout.Setup:
-    params, dt = model.physics(config), model.substep(config)
+    dt = substep(config)
     firmware, encoder = config.firmware, config.encoder
     window = round(encoder.window * firmware.loop_rate)
     linear, angular = limiter.both(config)
@@ -159,11 +163,9 @@ def _setup(config: RobotConfig, ticks: int, max_steps: int | None, sees: bool) -
     return layout.Setup(
         dt=dt,
         period=config.period,
-        half_wheelbase=params.half_wheelbase,
-        half_track=params.half_track,
-        slip_speed=params.slip_speed,
+        wire_loops=wire_loops(config),
         ramp=config.motor.acceleration * dt,
-        top=params.max_speed,
+        top=config.motor.max_speed,
         counts_per_radian=per_radian,
         speed_per_count=1.0 / (per_radian * window * dt),
         window=window,
@@ -189,39 +191,24 @@ def _setup(config: RobotConfig, ticks: int, max_steps: int | None, sees: bool) -
     )
 
 
-def _nominal(config: RobotConfig) -> NDArray[np.float64]:
-    """Rows of the configured robot; only those from MASS on are used."""
-    params, firmware = model.physics(config), config.firmware
-    dt = model.substep(config)
-    line = (LINE_BYTES + config.trailing_comma) * BITS_PER_BYTE / config.baud_rate
-    delay = math.ceil((line + firmware.processing_time) / dt - 1e-6)
-    rows = np.zeros(layout.ROWS)
-    rows[layout.MASS] = params.mass
-    rows[layout.INERTIA] = params.yaw_inertia
-    rows[layout.GRIP] = params.grip
-    rows[layout.RADIUS] = params.radius
-    rows[layout.DEADBAND] = params.deadband
-    rows[layout.BLEND : layout.BLEND + 4] = params.blend_a
-    rows[layout.GAIN : layout.GAIN + 4] = 1.0
-    rows[layout.COMMAND_LOOPS] = rows[layout.DELAY_LOOPS] = delay
-    rows[layout.FEEDBACK_LOOPS] = firmware.loop_rate / config.feedback_rate
-    return rows
-
-
-def _lines(setup: layout.Setup, nominal: NDArray[np.float64], ranges: NDArray[np.float64]) -> int:
+def _lines(setup: layout.Setup, ranges: Ranges) -> int:
     """Command lines to keep: as many ticks as the slowest one is on its way."""
-    extra = round(ranges[6, 1] / setup.dt) if ranges[6, 0] <= ranges[6, 1] else 0
-    return 2 + math.ceil((float(nominal[layout.COMMAND_LOOPS]) + extra) / setup.loops)
+    return 2 + math.ceil(_delay(setup, ranges) / setup.loops)
 
 
-def _slots(setup: layout.Setup, nominal: NDArray[np.float64], ranges: NDArray[np.float64]) -> int:
+def _slots(setup: layout.Setup, ranges: Ranges, config: RobotConfig) -> int:
     """Loops of encoder counts to keep: the window behind the oldest line still on its way."""
-    (latency, rate) = ranges[6], ranges[7]
-    extra = round(latency[1] / setup.dt) if latency[0] <= latency[1] else 0
-    delay = round(nominal[layout.DELAY_LOOPS]) + extra
-    slowest = 1.0 / (rate[0] * setup.dt) if rate[0] <= rate[1] else nominal[layout.FEEDBACK_LOOPS]
+    delay = _delay(setup, ranges)
     if delay >= setup.ticks * setup.loops:
         raise ConfigError(
             f"latency of {delay * setup.dt:g} s: must be shorter than a step of the policy"
         )
-    return int(setup.window + delay + math.ceil(slowest) + setup.loops + 1)
+    rare = ranges.low.feedback_rate
+    rate = config.feedback_rate if math.isnan(rare) else rare
+    slowest = math.ceil(1.0 / (rate * setup.dt))
+    return int(setup.window + delay + slowest + setup.loops + 1)
+
+
+def _delay(setup: layout.Setup, ranges: Ranges) -> int:
+    """Loops that the slowest line takes."""
+    return round(setup.wire_loops + ranges.high.latency / setup.dt)

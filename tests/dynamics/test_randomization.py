@@ -40,7 +40,7 @@ CHANGES = {
 
 
 def drawn(ranges: Any, seed: int = 0, config: RobotConfig = CONFIG) -> tuple[Physics, Any]:
-    randomizer = Randomizer(Randomization.of(ranges), config, STEP)
+    randomizer = Randomizer(ranges, config, STEP, simulated=True)
     own = randomizer.draw(np.random.default_rng(seed))
     assert own is not None
     return own, randomizer.info()
@@ -62,7 +62,7 @@ def test_numbers_keep_their_names_on_the_way_into_compiled_code() -> None:
 
 def test_the_defaults_leave_a_robot_as_configured() -> None:
     assert varied(physics(CONFIG), Drawn(), DT) == physics(CONFIG)
-    assert Randomizer(Randomization(), CONFIG, STEP).draw(np.random.default_rng(0)) is None
+    assert Randomizer(None, CONFIG, STEP, simulated=False).draw(np.random.default_rng(0)) is None
 
 
 @pytest.mark.parametrize("name", RANGES)
@@ -99,7 +99,7 @@ def test_times_are_whole_loops_of_the_firmware_and_told_as_such() -> None:
 
 
 def test_a_seed_gives_one_robot_and_takes_one_sample_for_each_number() -> None:
-    randomizer = Randomizer(Randomization.of(RANGES), CONFIG, STEP)
+    randomizer = Randomizer(RANGES, CONFIG, STEP, simulated=True)
     rng, other = np.random.default_rng(5), np.random.default_rng(5)
     first, second = randomizer.draw(rng), randomizer.draw(rng)
     assert first == drawn(RANGES, 5)[0] != second

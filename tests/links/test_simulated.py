@@ -12,7 +12,7 @@ import pytest
 from acsar_gym import RobotConfig, open_link
 from acsar_gym.bodies.bullet import BulletBody
 from acsar_gym.bodies.bullet.engine import pybullet
-from acsar_gym.dynamics import Physics, Randomization
+from acsar_gym.dynamics import Physics
 from acsar_gym.dynamics.randomization import Randomizer
 from acsar_gym.links.simulated import SimulatedLink
 from acsar_gym.protocol import Decoder, Speeds, encode
@@ -34,8 +34,8 @@ def link(request: pytest.FixtureRequest) -> Iterator[SimulatedLink]:
 
 def physics(**values: float) -> Physics:
     """A robot that differs from the configured one in these parameters."""
-    ranges = Randomization.of({name: (value, value) for name, value in values.items()})
-    own = Randomizer(ranges, CONFIG, 0.1).draw(np.random.default_rng(0))
+    ranges = {name: (value, value) for name, value in values.items()}
+    own = Randomizer(ranges, CONFIG, 0.1, simulated=True).draw(np.random.default_rng(0))
     assert own is not None
     return own
 
