@@ -12,7 +12,8 @@ from collections import deque
 
 from acsar_gym.bodies import Body
 from acsar_gym.config import BITS_PER_BYTE, RobotConfig
-from acsar_gym.dynamics import ramped
+from acsar_gym.dynamics import Physics, physics
+from acsar_gym.dynamics.model import ramped
 from acsar_gym.protocol import ZERO, Decoder, Speeds, line_end, line_of
 
 EPSILON = 1e-9
@@ -31,7 +32,7 @@ class Firmware:
         self._byte_time = BITS_PER_BYTE / config.baud_rate
         self._processing = config.firmware.processing_time
         self._timeout = config.firmware.command_timeout or math.inf
-        self._feedback_every = config.firmware.loop_rate / config.feedback_rate
+        self._configured = physics(config)
         window = round(config.encoder.window * config.firmware.loop_rate)
         self._angles: deque[Speeds] = deque(maxlen=window + 1)
         self._per_radian = config.encoder.counts_per_revolution / (2.0 * math.pi)
@@ -39,8 +40,14 @@ class Firmware:
         self.decoder = Decoder()
         self.reset()
 
-    def reset(self) -> None:
-        """As after power-up: nothing on the wire, set points zero, encoder history at rest."""
+    def reset(self, own: Physics | None = None) -> None:
+        """As after power-up: nothing on the wire, set points zero, encoder history at rest.
+
+        `own` has the latency and the feedback rate of this robot; None: as configured.
+        """
+        own = own or self._configured
+        self._latency = own.latency_loops * self._dt
+        self._feedback_every = own.feedback_loops
         self._loops = 0
         self._lines = 0
         self._elapsed = 0.0
@@ -59,7 +66,7 @@ class Firmware:
         """Bytes that the host puts on the wire now; they arrive one after the other."""
         start = max(self._receive_free, self._elapsed)
         self._receive_free = start + len(data) * self._byte_time
-        self._received.append((self._receive_free + self._processing, data))
+        self._received.append((self._receive_free + self._processing + self._latency, data))
 
     def advance(self, period: float) -> bytes:
         """Let `period` [s] pass; return the feedback bytes that reach the host in it.
@@ -106,7 +113,7 @@ class Firmware:
         line = line_of(*self._encoder_speeds(), self._end)
         start = max(self._send_free, self._loops * self._dt + self._processing)
         self._send_free = start + len(line) * self._byte_time
-        self._sent.append((self._send_free, line))
+        self._sent.append((self._send_free + self._latency, line))
 
     def _encoder_speeds(self) -> Speeds:
         """Whole counts of the last window, as speeds [rad/s]."""

@@ -50,6 +50,7 @@ try:
     import numba
     import numba.extending
     from numba.core import errors, event
+    from numba.np.unsafe.ndarray import to_fixed_tuple
 except ImportError:
     COMPILED = False
     """Whether numba compiles."""
@@ -62,10 +63,16 @@ except ImportError:
 
     NumbaError: type[Exception] = type("NumbaError", (Exception,), {})
     """Is never raised: numba isn't installed."""
+
+    def leading(numbers: Any, count: int) -> tuple[Any, ...]:
+        """The first numbers of an array as a tuple."""
+        return tuple(numbers[:count])
+
 else:
     COMPILED = True
     NumbaError = errors.NumbaError
     forget_stale(Path(__file__).parent)
+    leading = to_fixed_tuple
 
     def jit(function: Callable[P, R]) -> Callable[P, R]:
         """A scalar function, compiled into whatever calls it, so that loops over it vectorise."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from acsar_gym import dynamics
 from acsar_gym.bodies.base import GroundTruth, wrapped
 from acsar_gym.config import RobotConfig
+from acsar_gym.dynamics import model
 from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.worlds import Scene
 from acsar_gym.worlds.geometry import Obstacles, collides, surroundings
@@ -17,12 +17,13 @@ class PlanarBody:
 
     def __init__(self, config: RobotConfig) -> None:
         self._config = config
-        self._params = dynamics.params(config)
-        self._flat_params = tuple(self._params)
+        self._dt = model.substep(config)
+        self._configured = model.physics(config)
         self.reset(Scene())
 
     def reset(self, scene: Scene) -> None:
-        """At rest at the scene's start."""
+        """At rest at the scene's start, with the scene's physics."""
+        self._physics = model.numbers_of(scene.physics or self._configured)
         self.wheel_angles: Speeds = ZERO
         self.wheel_speeds: Speeds = ZERO
         self._velocity = (0.0, 0.0, 0.0)  # vx, vy in the world frame, yaw rate
@@ -36,17 +37,18 @@ class PlanarBody:
     def step(self, set_points: Speeds) -> None:
         """One loop period."""
         x, y, theta = self._pose
-        self._velocity, self.wheel_speeds, self.wheel_angles = dynamics.robot_step(
+        self._velocity, self.wheel_speeds, self.wheel_angles = model.robot_step(
             math.cos(theta),
             math.sin(theta),
             self._velocity,
             self.wheel_speeds,
             self.wheel_angles,
             set_points,
-            self._flat_params,
+            self._physics,
+            self._dt,
         )
         vx, vy, rate = self._velocity
-        dt = self._params.dt
+        dt = self._dt
         self._pose = (x + vx * dt, y + vy * dt, theta + rate * dt)
 
     def feel(self) -> None:

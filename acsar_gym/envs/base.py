@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from acsar_gym.bodies import display
 from acsar_gym.bodies.base import Image
 from acsar_gym.config import RobotConfig, RobotSource, whole_ratio
+from acsar_gym.dynamics.randomization import Randomizer
 from acsar_gym.envs.options import RENDER_MODES, EnvOptions
 from acsar_gym.errors import (
     AcsarError,
@@ -105,6 +106,12 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         self.pool = self._spawn.pool
         self._options.check_view(link)
         wire = self._link(link, config)
+        self._randomizer = Randomizer(
+            self._options.randomization,
+            config,
+            self.ticks_per_step * config.period,
+            simulated=wire.truth is not None,
+        )
         self._faulty = _faulty(wire, Faults.of(self._options.faults))
         self.robot = Robot(self._faulty or wire, config, self._factories())
         tried(self.task, config, self.sensors)
@@ -147,8 +154,8 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
             self._faulty.seed(self.np_random)
         assignment = self._spawn.draw(self.np_random, {} if options is None else options)
         self._episode = episode = Episode(self.task, assignment)
-        start = assignment.start
-        scene = Scene(start, point_in_world(start, assignment.goal), assignment.world)
+        start, physics = assignment.start, self._randomizer.draw(self.np_random)
+        scene = Scene(start, point_in_world(start, assignment.goal), assignment.world, physics)
         self.robot.reset(scene, self.np_random)
         self._sensed = self.robot.read().astype(np.float32)
         self._screen.begin(assignment, self.task.goal_tolerance)
@@ -266,6 +273,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
             "true_goal_distance": math.hypot(goal_x - true_x, goal_y - true_y),
             "odometry_error": math.hypot(true_x - x, true_y - y),
         } | episode.info()
+        info |= self._randomizer.info()
         if self._faulty is not None or truth is None:
             info["fault"] = 0.0
         self.robot.tell(info)

@@ -23,6 +23,7 @@ class EnvOptions:
     render_mode: str | None = None
     view: str = "top"
     faults: Any = None
+    randomization: Any = None
     on_fault: str = "truncate"
 
     def __post_init__(self) -> None:

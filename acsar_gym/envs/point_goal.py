@@ -66,6 +66,8 @@ class PointGoalEnv(RobotEnv):
     - `view`: "top", drawn from above for every link, or "camera", PyBullet's behind the robot.
     - `faults`: what goes wrong on the wire and the board, such as {"dropped_lines": 0.1,
       "unplug_rate": 0.01}; see `acsar_gym.links.faults.Faults`. Drawn from the env's generator.
+    - `randomization`: what a simulated robot draws anew for every episode, such as {"friction":
+      (0.7, 1.2), "latency": (0.0, 0.02)}; see `acsar_gym.dynamics.Randomization`.
     - `on_fault`: "truncate" ends an episode in which the link or the board fails, with a number in
       info's `fault` (0 none, 1 silent, 2 garbled, 3 link lost, 4 LiDAR, 5 other; told at every step
       on hardware and where there are `faults`) and the whole message in `fault_reason`. The next
@@ -79,7 +81,9 @@ class PointGoalEnv(RobotEnv):
     (0 it is, 1 limits, 2 geofence, 3 stale feedback, 4 emergency stop); and what only a simulator
     knows: `true_x`, `true_y`, `true_theta`, `true_goal_distance`, `true_contact` (whether the robot
     has touched something), and `odometry_error` [m], the distance between odometry and truth. Those
-    are NaN on hardware. Everything is in the odometry frame.
+    are NaN on hardware. Everything is in the odometry frame. `drawn_` and the name of a randomized
+    parameter tell what the episode has drawn, as applied: `drawn_motor_gain` and `drawn_motor_lag`
+    are arrays of four, in the order of the wheels.
 
     ## Version history
 

@@ -31,12 +31,12 @@ class SimulatedLink:
             self._firmware = Firmware(self._config, self._body)
 
     def reset(self, scene: Scene) -> None:
-        """Put the robot at the scene's start, at rest, with an empty wire."""
+        """Put the robot at the scene's start, at rest, with its physics and an empty wire."""
         self.open()
         if self._body is None or self._firmware is None:
             raise _closed()
         self._body.reset(scene)
-        self._firmware.reset()
+        self._firmware.reset(scene.physics)
         self._now = 0.0
 
     def write(self, data: bytes) -> None:

@@ -8,8 +8,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym import dynamics
-from acsar_gym.config import BITS_PER_BYTE, LINE_BYTES, Geofence, RobotConfig, whole_ratio
+from acsar_gym.config import Geofence, RobotConfig, whole_ratio
+from acsar_gym.dynamics import Randomization, physics
+from acsar_gym.dynamics.model import substep, wire_loops
+from acsar_gym.dynamics.randomization import Ranges, places
 from acsar_gym.errors import ConfigError
 from acsar_gym.lidars.base import LidarSensor, stale_after
 from acsar_gym.lidars.factory import factories
@@ -20,11 +22,9 @@ from acsar_gym.sensors.suite import unused
 from acsar_gym.tasks.base import Task
 from acsar_gym.tasks.spawn import Spawn
 from acsar_gym.vector import pcg
-from acsar_gym.vector.drawn import Drawn
 from acsar_gym.vector.kernel import episode, layout
 from acsar_gym.vector.links import RobotLink, View
 from acsar_gym.vector.options import Wishes
-from acsar_gym.vector.randomization import Randomization
 from acsar_gym.vector.sensors import BatchSensors
 from acsar_gym.vector.tables import spawns, surroundings, worlds_of
 from acsar_gym.vector.task import Loops, loops_of
@@ -52,6 +52,7 @@ class Batch:
         self._pool, worlds = spawn.pool, worlds_of(spawn.pool, follow=task.follows)
         self._spawns = spawns(task, spawn.pool, worlds)
         self._around = surroundings(worlds, config, sees=sees)
+        self._drawn = {f"drawn_{name}": list(places(name)) for name in randomization.names}
         self.tables = self._tables(randomization)
         self._view = View(self.tables.state, self.tables.random, setup.dt, worlds)
         python = factories([sensor for sensor in sensors if sensor != LIDAR])
@@ -59,8 +60,6 @@ class Batch:
         width = self._first_python + self.python.size
         observations = np.zeros((robots, width), np.float32)
         self.tables = self.tables._replace(observations=observations)
-        nominal = self.tables.nominal
-        self._drawn = Drawn(randomization, nominal, self._setup.dt, robots)
         self._loops: Loops = loops_of(task, self.tables, self._setup, self._spawns)
         self._rows = dict(layout.INFO)
         self._rows |= {} if spawn.pool is None else layout.WORLD_INFO
@@ -82,16 +81,17 @@ class Batch:
 
     def _tables(self, randomization: Randomization) -> layout.Tables:
         robots, setup = self.robots, self._setup
-        nominal, varied = _nominal(self._config), randomization.table()
         columns, rays = _columns(robots), len(self._around.directions)
-        lines = _lines(setup, nominal, varied)
+        ranges = randomization.ranges(self._config, setup.ticks * setup.period)
         return layout.Tables(
             state=np.zeros((layout.ROWS, columns)),
-            counts=np.zeros((_slots(setup, nominal, varied), 4, columns)),
-            commands=np.zeros((lines, 2, columns if setup.guarded else 0)),
+            counts=np.zeros((_slots(setup, ranges, self._config), 4, columns)),
+            commands=np.zeros((_lines(setup, ranges), 2, columns if setup.guarded else 0)),
             random=np.zeros((robots, 4), np.uint64),
-            nominal=nominal,
-            varied=varied,
+            nominal=np.array(physics(self._config)),
+            low=np.array(ranges.low),
+            high=np.array(ranges.high),
+            drawn=np.zeros((len(ranges.low) if self._drawn else 0, columns)),
             actions=np.zeros((robots, 2)),
             over=np.zeros(robots, np.bool_),
             ranges=np.zeros((robots, rays)),
@@ -134,7 +134,6 @@ class Batch:
         if not self._together:
             self._sense(mask, driven=False)
             self._apart(lambda first, last: self._loops.start(mask, first, last), share)
-        self._drawn.update(self.state, mask)
 
     def step(self, share: Share) -> None:
         """An env step of all robots, as `tables.actions` and `tables.over` say."""
@@ -145,7 +144,6 @@ class Batch:
         if not self._together:
             self._sense(self.tables.over, driven=True)
             self._apart(self._loops.step, share)
-        self._drawn.update(self.state, self.tables.over)
         self._move_on()
 
     def _drive(self, first: int, last: int) -> None:
@@ -197,10 +195,16 @@ class Batch:
         info = dict(zip(self._rows, rows, strict=True))
         if self._pool is not None:
             info["world"] += self._pool.numbers[0]
-        info |= self._loops.info() | self._drawn.info
+        info |= self._loops.info() | self._told()
         for sensor, key in self.python.told:
             unused(info, sensor, key)
         return info | self.python.info
+
+    def _told(self) -> dict[str, NDArray[np.float64]]:
+        """What the episodes have drawn: one number a robot, or four, in the order of the wheels."""
+        drawn = self.tables.drawn[:, : self.robots]
+        rows = {name: drawn[numbers].T for name, numbers in self._drawn.items()}
+        return {name: row[:, 0] if row.shape[1] == 1 else row for name, row in rows.items()}
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -225,22 +229,20 @@ def setup_of(
     config: RobotConfig, ticks: int, max_steps: int | None, numbers: int, *, sees: bool
 ) -> layout.Setup:
     """What all robots share: ticks and longest episode [steps], the task's numbers, a LiDAR."""
-    params = dynamics.params(config)
+    dt = substep(config)
     firmware, encoder = config.firmware, config.encoder
     window = round(encoder.window * firmware.loop_rate)
     linear, angular = limiter.both(config)
     fence = config.geofence or Geofence()
     per_radian = encoder.counts_per_revolution / (2.0 * math.pi)
     return layout.Setup(
-        dt=params.dt,
+        dt=dt,
         period=config.period,
-        half_wheelbase=params.half_wheelbase,
-        half_track=params.half_track,
-        slip_speed=params.slip_speed,
-        ramp=config.motor.acceleration * params.dt,
-        top=params.max_speed,
+        wire_loops=wire_loops(config),
+        ramp=config.motor.acceleration * dt,
+        top=config.motor.max_speed,
         counts_per_radian=per_radian,
-        speed_per_count=1.0 / (per_radian * window * params.dt),
+        speed_per_count=1.0 / (per_radian * window * dt),
         window=window,
         ticks=ticks,
         loops=whole_ratio("firmware.loop_rate", firmware.loop_rate, "", config.control_rate),
@@ -265,38 +267,24 @@ def setup_of(
     )
 
 
-def _nominal(config: RobotConfig) -> NDArray[np.float64]:
-    """Rows of the configured robot; only those from MASS on are used."""
-    params, firmware = dynamics.params(config), config.firmware
-    line = (LINE_BYTES + config.trailing_comma) * BITS_PER_BYTE / config.baud_rate
-    delay = math.ceil((line + firmware.processing_time) / params.dt - 1e-6)
-    rows = np.zeros(layout.ROWS)
-    rows[layout.MASS] = params.mass
-    rows[layout.INERTIA] = params.yaw_inertia
-    rows[layout.GRIP] = params.grip
-    rows[layout.RADIUS] = params.radius
-    rows[layout.DEADBAND] = params.deadband
-    rows[layout.BLEND : layout.BLEND + 4] = params.blend
-    rows[layout.GAIN : layout.GAIN + 4] = 1.0
-    rows[layout.COMMAND_LOOPS] = rows[layout.DELAY_LOOPS] = delay
-    rows[layout.FEEDBACK_LOOPS] = firmware.loop_rate / config.feedback_rate
-    return rows
-
-
-def _lines(setup: layout.Setup, nominal: NDArray[np.float64], ranges: NDArray[np.float64]) -> int:
+def _lines(setup: layout.Setup, ranges: Ranges) -> int:
     """Command lines to keep: as many ticks as the slowest one is on its way."""
-    extra = round(ranges[6, 1] / setup.dt) if ranges[6, 0] <= ranges[6, 1] else 0
-    return 2 + math.ceil((float(nominal[layout.COMMAND_LOOPS]) + extra) / setup.loops)
+    return 2 + math.ceil(_delay(setup, ranges) / setup.loops)
 
 
-def _slots(setup: layout.Setup, nominal: NDArray[np.float64], ranges: NDArray[np.float64]) -> int:
+def _slots(setup: layout.Setup, ranges: Ranges, config: RobotConfig) -> int:
     """Loops of encoder counts to keep: the window behind the oldest line still on its way."""
-    (latency, rate) = ranges[6], ranges[7]
-    extra = round(latency[1] / setup.dt) if latency[0] <= latency[1] else 0
-    delay = round(nominal[layout.DELAY_LOOPS]) + extra
-    slowest = 1.0 / (rate[0] * setup.dt) if rate[0] <= rate[1] else nominal[layout.FEEDBACK_LOOPS]
+    delay = _delay(setup, ranges)
     if delay >= setup.ticks * setup.loops:
         raise ConfigError(
             f"latency of {delay * setup.dt:g} s: must be shorter than a step of the policy"
         )
-    return int(setup.window + delay + math.ceil(slowest) + setup.loops + 1)
+    rare = ranges.low.feedback_rate
+    rate = config.feedback_rate if math.isnan(rare) else rare
+    slowest = math.ceil(1.0 / (rate * setup.dt))
+    return int(setup.window + delay + slowest + setup.loops + 1)
+
+
+def _delay(setup: layout.Setup, ranges: Ranges) -> int:
+    """Loops that the slowest line takes."""
+    return round(setup.wire_loops + ranges.high.latency / setup.dt)

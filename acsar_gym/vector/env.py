@@ -11,6 +11,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig, RobotSource, whole_ratio
+from acsar_gym.dynamics import Randomization
 from acsar_gym.errors import CommandError, ConfigError, shown
 from acsar_gym.sensors import LIDAR
 from acsar_gym.tasks.base import Task
@@ -21,7 +22,6 @@ from acsar_gym.tasks.spawn import Spawn
 from acsar_gym.vector.batch import Batch, setup_of
 from acsar_gym.vector.kernel import layout
 from acsar_gym.vector.options import Wishes, wishes
-from acsar_gym.vector.randomization import Randomization
 from acsar_gym.vector.settings import MOST_ROBOTS, BatchOptions, count, threads_for
 from acsar_gym.vector.specs import PlainSpec
 from acsar_gym.vector.threads import Threads
@@ -48,7 +48,6 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
     - `autoreset_mode`: an AutoresetMode or its value, "NextStep" (default), "SameStep", "Disabled".
     - `threads`: cores to use, at most; None uses all where there is enough to do. Results don't
       depend on it.
-    - `randomization`: see `Randomization`; drawn anew for every robot with every episode.
 
     All worlds, at most 10,000, are made when the batch is. Seeds: `reset(seed=s)` seeds robot i
     with s + i, or a list names each one's. Every robot has its own generator, the same as the
@@ -68,9 +67,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
 
     ## Info
 
-    That of the single env, and what `randomization` has drawn for the episode, as applied: keys
-    `drawn_` and the name of each randomized parameter, such as `drawn_friction`; `drawn_motor_gain`
-    and `drawn_motor_lag` are num_envs x 4, one for each wheel.
+    That of the single env, an array with a row for each robot under each key.
 
     After Ctrl-C in `reset` or `step` all robots must be reset; with a seed, they do what those of a
     new batch do.

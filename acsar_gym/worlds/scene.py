@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from acsar_gym.dynamics import Physics
     from acsar_gym.worlds.world import World
 
 Pose = tuple[float, float, float]
@@ -24,6 +25,8 @@ class Scene:
     start: Pose = (0.0, 0.0, 0.0)
     goal: tuple[float, float] | None = None
     world: World | None = None
+    physics: Physics | None = None
+    """What a simulated robot is like in this episode; None: as it is configured."""
 
 
 def to_world(start: Pose, pose: Pose) -> Pose:

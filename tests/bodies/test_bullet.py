@@ -11,7 +11,7 @@ import pytest
 
 from acsar_gym.bodies.bullet import BulletBody
 from acsar_gym.config import RobotConfig
-from acsar_gym.dynamics import closed_form_yaw_rate
+from acsar_gym.dynamics.model import closed_form_yaw_rate
 from acsar_gym.errors import RenderError
 from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.worlds import Scene

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
+from acsar_gym.dynamics import Physics, physics
 from acsar_gym.envs import ObstacleGoalVectorEnv, PointGoalVectorEnv
 from acsar_gym.errors import CommandError, ConfigError
 from acsar_gym.vector.env import RobotVectorEnv
@@ -125,7 +126,6 @@ EVERYTHING = {
     "wheel_radius": (0.95, 1.05),
     "latency": (0.0, 0.04),
     "feedback_rate": (15.0, 100.0),
-    "dropped_lines": (0.0, 0.2),
 }
 
 
@@ -235,7 +235,7 @@ def test_each_randomization_makes_robots_differ(key: str) -> None:
     seen_by_odometry = key not in ("mass", "friction", "wheel_radius")
     differs = np.ptp(odometry[:3], axis=1).max() if seen_by_odometry else np.ptp(true, axis=1).max()
     if key == "mass":  # mass and grip cancel under Coulomb friction
-        differs = np.ptp(env.batch.state[layout.MASS])
+        differs = np.ptp(Physics(*env.batch.state[layout.PHYSICS :]).mass)
     assert differs > 1e-7
     env.close()
 
@@ -264,11 +264,12 @@ def test_what_is_drawn_is_told_at_every_step(mode: AutoresetMode) -> None:
         anew = step >= (4 if mode is AutoresetMode.SAME_STEP else 5)
         for key in EVERYTHING:
             assert (info[f"drawn_{key}"] == drawn[key]).all() != anew
-    state, nominal = env.batch.state, env.batch._nominal
+    own, configured = Physics(*env.batch.state[layout.PHYSICS :]), physics(env.config)
     told = env.batch.info()
-    grip = nominal[layout.GRIP] * told["drawn_mass"] * told["drawn_friction"]
-    assert state[layout.GRIP] == pytest.approx(grip, rel=1e-12)
-    assert pytest.approx(told["drawn_motor_gain"]) == state[layout.GAIN : layout.GAIN + 4].T
+    grip = configured.grip * told["drawn_mass"] * told["drawn_friction"]
+    assert own.grip == pytest.approx(grip, rel=1e-12)
+    gains = np.array([own.gain_a, own.gain_b, own.gain_c, own.gain_d])
+    assert told["drawn_motor_gain"] == pytest.approx(gains.T)
     env.close()
 
 
@@ -285,7 +286,6 @@ def test_what_is_drawn_is_told_at_every_step(mode: AutoresetMode) -> None:
         ({"randomization": {"frictoin": (0.5, 1.0)}}, "did you mean 'friction'"),
         ({"randomization": {"mass": (2.0, 1.0)}}, "low <= high"),
         ({"randomization": {"mass": 3}}, "must be \\(low, high\\)"),
-        ({"randomization": {"dropped_lines": (0.0, 0.9)}}, "<= 0.5"),
         ({"randomization": {"latency": (0.0, 0.5)}}, "shorter than a step"),
         ({"render_mode": "rgb_array"}, "no pictures"),
         ({"link": "bullet"}, "vectorization_mode='sync'"),
@@ -343,7 +343,7 @@ def test_without_numba_everything_is_the_same_with_one_warning(tmp_path: Path) -
     options: dict[str, Any] = {
         "max_episode_steps": 6,
         "worlds": "clutter:2",
-        "randomization": {"dropped_lines": (0.0, 0.2), "mass": (0.9, 1.1)},
+        "randomization": {"motor_lag": (0.5, 2.0), "latency": (0.0, 0.02)},
     }
     file = tmp_path / "plain.npy"
     command = [sys.executable, "-c", PLAIN.format(options=options), str(file)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import Any
 
 import gymnasium
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from acsar_gym import RobotConfig, World
+from acsar_gym.dynamics import Randomization
 from acsar_gym.envs import (
     BarnVectorEnv,
     ObstacleGoalVectorEnv,
@@ -91,17 +93,28 @@ ROBOTS: dict[str, tuple[str, RobotConfig]] = {
     "near LiDAR": ("ObstacleGoal", ACSAR.with_(lidar={"noise": 0.02, "min_range": 0.3})),
 }
 
+VARIED = {
+    "mass": (0.5, 2.0),
+    "friction": (0.2, 1.2),
+    "motor_gain": (0.9, 1.1),
+    "motor_lag": (0.5, 2.0),
+    "deadband": (0.1, 1.0),
+    "wheel_radius": (0.95, 1.05),
+    "latency": (0.0, 0.06),
+    "feedback_rate": (15.0, 60.0),
+}
+
 
 def assert_robot_1_is_the_single_env(
-    kind: str, arguments: dict[str, Any], options: dict[str, Any], steps: int
+    kind: str, arguments: dict[str, Any], options: dict[str, Any], steps: int, seed: int = 41
 ) -> int:
     """Every number, through the byte-level firmware twin on the single side; ends of episodes."""
-    env_id, limits = f"acsar_gym/{kind}-v0", {**arguments, "max_episode_steps": 60}
+    env_id, limits = f"acsar_gym/{kind}-v0", {"max_episode_steps": 60, **arguments}
     many: Any = gymnasium.make_vec(env_id, 3, vectorization_mode="vector_entry_point", **limits)
     one = gymnasium.make(env_id, link="planar", **limits)
     mine = {name: of_robot_1(value) for name, value in options.items()}
-    expected, info = one.reset(seed=41, options=mine)
-    seen, infos = many.reset(seed=40, options=options)
+    expected, info = one.reset(seed=seed, options=mine)
+    seen, infos = many.reset(seed=seed - 1, options=options)
     reward, end, ends = 0.0, [False, False], 0
     rewards, terminated, truncated = np.zeros(3), np.zeros(3, np.bool_), np.zeros(3, np.bool_)
     rng = np.random.default_rng(0)
@@ -110,7 +123,7 @@ def assert_robot_1_is_the_single_env(
         assert rewards[1] == pytest.approx(reward, abs=1e-9)
         assert [terminated[1], truncated[1]] == end
         got = {key: infos[key][1] for key in info}
-        assert got == pytest.approx(info, abs=1e-9, nan_ok=True)
+        assert numbers(got) == pytest.approx(numbers(info), abs=1e-9, nan_ok=True)
         acts = rng.uniform(-1.0, 1.0, (3, 2)).astype(np.float32)
         acts[:, 0] = abs(acts[:, 0]) if step % 100 < 70 else acts[:, 0]
         acts *= step % 50 != 0  # a stop is immediate
@@ -124,6 +137,11 @@ def assert_robot_1_is_the_single_env(
     many.close()
     one.close()
     return ends
+
+
+def numbers(info: dict[str, Any]) -> dict[str, float]:
+    """Info without arrays: each of their numbers has a name of its own."""
+    return {f"{key} {k}": x for key, value in info.items() for k, x in enumerate(np.ravel(value))}
 
 
 def of_robot_1(value: Any) -> Any:
@@ -144,6 +162,30 @@ def test_any_robot_of_a_batch_is_the_single_planar_one(name: str) -> None:
     kind, robot = ROBOTS[name]
     worlds = {"PointGoal": {}, "ObstacleGoal": {"worlds": REGIONS}}.get(kind, {"worlds": PATH})
     assert assert_robot_1_is_the_single_env(kind, {"robot": robot, **worlds}, {}, 100) >= 1
+
+
+def test_the_ranges_of_this_file_are_of_all_that_can_vary() -> None:
+    assert set(VARIED) == {field.name for field in fields(Randomization)}
+
+
+@pytest.mark.parametrize("name", VARIED)
+def test_each_randomized_parameter_is_the_single_envs(name: str) -> None:
+    """Nine episodes; the values that were drawn are compared as everything else in info."""
+    arguments = {"randomization": {name: VARIED[name]}, "max_episode_steps": 5}
+    assert assert_robot_1_is_the_single_env("PointGoal", arguments, {}, 54) == 9
+
+
+@pytest.mark.parametrize("seed", [41, 5, 77])
+def test_everything_randomized_at_once_is_the_single_envs(seed: int) -> None:
+    arguments = {"randomization": VARIED, "worlds": REGIONS, "max_episode_steps": 25}
+    assert assert_robot_1_is_the_single_env("ObstacleGoal", arguments, {}, 100, seed) >= 3
+
+
+@pytest.mark.parametrize("robot", [UNLIMITED, LATE, ACSAR.with_(firmware={"loop_rate": 500.0})])
+def test_everything_is_randomized_alike_on_any_robot(robot: RobotConfig) -> None:
+    ranges = VARIED | {"latency": (0.0, 0.05), "feedback_rate": (5.0, 90.0)}
+    arguments = {"randomization": ranges, "robot": robot, "max_episode_steps": 20}
+    assert assert_robot_1_is_the_single_env("PointGoal", arguments, {}, 80, 12) >= 3
 
 
 def test_options_hold_until_the_next_reset_of_the_robot() -> None:

@@ -13,12 +13,13 @@ import weakref
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym import dynamics
 from acsar_gym.bodies.base import GroundTruth, Image
 from acsar_gym.bodies.bullet import model
 from acsar_gym.bodies.bullet.engine import connected, pybullet
 from acsar_gym.bodies.bullet.statics import Statics
 from acsar_gym.config import RobotConfig
+from acsar_gym.dynamics import GRAVITY, Physics, physics
+from acsar_gym.dynamics import model as dynamics
 from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.worlds import Scene, World
 
@@ -34,12 +35,10 @@ class BulletBody:
 
     def __init__(self, config: RobotConfig, *, window: bool = False) -> None:
         self._config = config
-        self._params = dynamics.params(config)
-        self._flat_params = tuple(self._params)
+        self._dt = dynamics.substep(config)
+        self._configured = physics(config)
         self._client = connected(window)
         self._disconnect = weakref.finalize(self, pybullet.disconnect, self._client)
-        self._push = self._params.mass / self._params.dt
-        self._twist = self._params.yaw_inertia / self._params.dt
         self._seen = window
         self._build(None)
         self.reset(Scene())
@@ -48,9 +47,9 @@ class BulletBody:
         """An empty simulation with a floor, a robot and the obstacles of a world."""
         client = self._client
         pybullet.resetSimulation(physicsClientId=client)
-        pybullet.setGravity(0.0, 0.0, -dynamics.GRAVITY, physicsClientId=client)
+        pybullet.setGravity(0.0, 0.0, -GRAVITY, physicsClientId=client)
         pybullet.setPhysicsEngineParameter(
-            fixedTimeStep=self._params.dt, deterministicOverlappingPairs=1, physicsClientId=client
+            fixedTimeStep=self._dt, deterministicOverlappingPairs=1, physicsClientId=client
         )
         self._floor = model.floor(client)
         self._robot = model.robot(self._config, client)
@@ -61,9 +60,10 @@ class BulletBody:
         self._touched = False
 
     def reset(self, scene: Scene) -> None:
-        """At rest at the scene's start, obstacles and the goal's marker in place."""
+        """At rest at the scene's start, with its physics, obstacles and the goal's marker."""
         if scene.world is not self._statics.world:
             self._build(scene.world)
+        self._equip(scene.physics or self._configured)
         client, (x, y, theta) = self._client, scene.start
         height = self._config.wheel_radius
         upright = (0.0, 0.0, math.sin(theta / 2.0), math.cos(theta / 2.0))
@@ -77,6 +77,12 @@ class BulletBody:
         self._mark(scene.goal)
         self.wheel_angles: Speeds = ZERO
         self.wheel_speeds: Speeds = ZERO
+
+    def _equip(self, own: Physics) -> None:
+        """Physics of the episode that begins."""
+        model.weigh(self._robot, own, self._client)
+        self._physics = dynamics.numbers_of(own)
+        self._push, self._twist = own.mass / self._dt, own.yaw_inertia / self._dt
 
     def _mark(self, goal: tuple[float, float] | None) -> None:
         if goal is None:
@@ -106,7 +112,8 @@ class BulletBody:
             self.wheel_speeds,
             self.wheel_angles,
             set_points,
-            self._flat_params,
+            self._physics,
+            self._dt,
         )
         force = (self._push * (nx - vx), self._push * (ny - vy), 0.0)
         torque = (0.0, 0.0, self._twist * (new_rate - rate))

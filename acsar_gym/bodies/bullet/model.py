@@ -6,11 +6,11 @@ import contextlib
 import math
 from typing import NamedTuple
 
-from acsar_gym import dynamics
 from acsar_gym.bodies.bullet.engine import pybullet
 from acsar_gym.bodies.bullet.prism import mesh
 from acsar_gym.config import RobotConfig
 from acsar_gym.config.footprint import Point, border_distance, contains
+from acsar_gym.dynamics import Physics
 
 CHASSIS_COLOUR = (0.16, 0.35, 0.58, 1.0)
 DECK_COLOUR = (0.85, 0.87, 0.9, 1.0)
@@ -53,7 +53,6 @@ def robot(config: RobotConfig, client: int) -> int:
                 physicsClientId=client,
             )
         )
-    planar = dynamics.params(config).yaw_inertia
     pybullet.changeDynamics(
         body_id,
         -1,
@@ -63,10 +62,20 @@ def robot(config: RobotConfig, client: int) -> int:
         restitution=0.0,
         linearDamping=0.0,
         angularDamping=0.0,
-        localInertiaDiagonal=(planar, planar, planar),
         physicsClientId=client,
     )
     return body_id
+
+
+def weigh(body_id: int, own: Physics, client: int) -> None:
+    """Give the robot its mass and inertia."""
+    pybullet.changeDynamics(
+        body_id,
+        -1,
+        mass=own.mass,
+        localInertiaDiagonal=(own.yaw_inertia, own.yaw_inertia, own.yaw_inertia),
+        physicsClientId=client,
+    )
 
 
 def _touchable(config: RobotConfig, bottom: float, top: float, file: str, client: int) -> int:

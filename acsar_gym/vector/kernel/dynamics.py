@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from acsar_gym import kinematics
-from acsar_gym.dynamics import Params, towards, tyre_step, wheel_speed
+from acsar_gym.dynamics.model import physics_at, towards, tyre_step, wheel_speed
 from acsar_gym.jit import jit, loop
 from acsar_gym.protocol import MAX_SPEED
 from acsar_gym.safety.layer import TELLABLE
@@ -15,20 +15,16 @@ from acsar_gym.vector.kernel.layout import (
     ANGLE,
     BLEND,
     COMMAND_LOOPS,
-    DEADBAND,
     GAIN,
-    GRIP,
     HEARD,
-    INERTIA,
     LAST_ANGULAR,
     LAST_LINEAR,
-    MASS,
     NEW_LEFT,
     NEW_RIGHT,
     OLD_LEFT,
     OLD_RIGHT,
+    PHYSICS,
     POINT,
-    RADIUS,
     RATE,
     REASON,
     SENT_ANGULAR,
@@ -168,14 +164,14 @@ def ramp(state: Floats, first: int, last: int, now: float, setup: Setup) -> None
 @loop
 def motors(state: Floats, counts: Floats, first: int, last: int, slot: int, setup: Setup) -> None:
     """Wheel speeds, wheel angles, and the encoders' counts of this loop."""
-    deadband = row(state, DEADBAND, first, last)
+    physics = state[PHYSICS:]
     for k in range(4):
         speeds, angles = row(state, WHEEL + k, first, last), row(state, ANGLE + k, first, last)
         points, gains = row(state, POINT + k, first, last), row(state, GAIN + k, first, last)
         blends, seen = row(state, BLEND + k, first, last), counts[slot, k, first:last]
         for i in range(last - first):
-            point = points[i] * gains[i]
-            speed = wheel_speed(speeds[i], point, blends[i], deadband[i], setup.top)
+            own = physics_at(physics, first + i)
+            speed = wheel_speed(speeds[i], points[i], gains[i], blends[i], own)
             angle = angles[i] + speed * setup.dt
             speeds[i] = speed
             angles[i] = angle
@@ -197,18 +193,13 @@ def tyres(state: Floats, first: int, last: int, setup: Setup) -> None:
     )
     a, b = row(state, WHEEL, first, last), row(state, WHEEL + 1, first, last)
     c, d = row(state, WHEEL + 2, first, last), row(state, WHEEL + 3, first, last)
-    radii, grips = row(state, RADIUS, first, last), row(state, GRIP, first, last)
-    masses, inertias = row(state, MASS, first, last), row(state, INERTIA, first, last)
-    dt, slip = setup.dt, setup.slip_speed
-    half, side = setup.half_wheelbase, setup.half_track
+    physics, dt = state[PHYSICS:], setup.dt
     for i in range(last - first):
         sin, cos = sincos(thetas[i])
         vx, vy = vxs[i], vys[i]
-        params = Params(
-            dt, radii[i], half, side, masses[i], inertias[i], grips[i], slip, 0.0, 0.0, 0.0
-        )
+        own = physics_at(physics, first + i)
         ahead, left, rate = tyre_step(
-            cos * vx + sin * vy, cos * vy - sin * vx, rates[i], (a[i], b[i], c[i], d[i]), params
+            cos * vx + sin * vy, cos * vy - sin * vx, rates[i], (a[i], b[i], c[i], d[i]), own, dt
         )
         vx, vy = cos * ahead - sin * left, sin * ahead + cos * left
         vxs[i] = vx

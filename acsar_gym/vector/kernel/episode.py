@@ -7,34 +7,28 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from acsar_gym.dynamics.randomization import draw
 from acsar_gym.jit import jit, loop
 from acsar_gym.tasks.base import relative, within
 from acsar_gym.tasks.spawn import goal_at
 from acsar_gym.vector.kernel.dynamics import command
 from acsar_gym.vector.kernel.layout import (
-    BLEND,
     BLOCK,
     COMMAND_LOOPS,
-    DEADBAND,
     DELAY_LOOPS,
-    DROPPED,
     ERROR,
     FEEDBACK_LOOPS,
     FIRST_RANK,
-    GAIN,
     GOAL_GIVEN,
     GOAL_X,
     GOAL_Y,
-    GRIP,
-    INERTIA,
     LAST_LINE,
     LAST_RANK,
     LOOPS,
-    MASS,
     ODOM_X,
     ODOM_Y,
     OUTCOME,
-    RADIUS,
+    PHYSICS,
     SCAN_AGE,
     SCAN_TICK,
     STALE,
@@ -77,52 +71,19 @@ def settle_ticks(delay: float, every: float, loops: float) -> float:
 
 
 @loop
-def draw(  # noqa: C901 - nine keys, one condition each
-    state: Floats,
-    random: NDArray[np.uint64],
-    i: int,
-    nominal: Floats,
-    ranges: Floats,
-    setup: Setup,
-) -> None:
-    """Robot i's own physics: nominal values, varied within `ranges` (see `Randomization`)."""
-    for number in range(MASS, WISHED_WORLD):
-        state[number, i] = nominal[number]
-    if ranges[0, 0] <= ranges[0, 1]:
-        factor = between(ranges, 0, random, i)
-        state[MASS, i] *= factor
-        state[INERTIA, i] *= factor
-        state[GRIP, i] *= factor
-    if ranges[1, 0] <= ranges[1, 1]:
-        state[GRIP, i] *= between(ranges, 1, random, i)
-    for k in range(4):
-        if ranges[2, 0] <= ranges[2, 1]:
-            state[GAIN + k, i] *= between(ranges, 2, random, i)
-        if ranges[3, 0] <= ranges[3, 1] and nominal[BLEND + k] < 1.0:
-            lag = -setup.dt / math.log(1.0 - nominal[BLEND + k])
-            lag *= between(ranges, 3, random, i)
-            state[BLEND + k, i] = 1.0 - math.exp(-setup.dt / lag)
-    if ranges[4, 0] <= ranges[4, 1]:
-        state[DEADBAND, i] = between(ranges, 4, random, i)
-    if ranges[5, 0] <= ranges[5, 1]:
-        state[RADIUS, i] *= between(ranges, 5, random, i)
-    if ranges[6, 0] <= ranges[6, 1]:
-        extra = np.rint(between(ranges, 6, random, i) / setup.dt)
-        state[COMMAND_LOOPS, i] += extra
-        state[DELAY_LOOPS, i] += extra
-    if ranges[7, 0] <= ranges[7, 1]:
-        rate = between(ranges, 7, random, i)
-        state[FEEDBACK_LOOPS, i] = max(1.0, np.rint(1.0 / (rate * setup.dt)))
-    if ranges[8, 0] <= ranges[8, 1]:
-        state[DROPPED, i] = between(ranges, 8, random, i)
-
-
-@jit
-def between(ranges: Floats, key: int, random: NDArray[np.uint64], i: int) -> float:
-    """A number from the range of one key."""
-    low: float = ranges[key, 0]
-    high: float = ranges[key, 1]
-    return low + (high - low) * uniform(random, i)
+def equip(tables: Tables, i: int, setup: Setup) -> None:
+    """Robot i's own physics for the episode that begins."""
+    state, low, high = tables.state, tables.low, tables.high
+    samples = np.zeros(len(low))
+    for k in range(len(low)):
+        if high[k] > low[k]:
+            samples[k] = uniform(tables.random, i)
+    own, drawn = draw(tables.nominal, low, high, samples, setup.dt)
+    for k in range(len(own)):
+        state[PHYSICS + k, i] = own[k]
+    for k in range(len(tables.drawn)):
+        tables.drawn[k, i] = drawn[k]
+    state[COMMAND_LOOPS, i] = state[DELAY_LOOPS, i] = setup.wire_loops + own.latency_loops
 
 
 @jit
@@ -175,7 +136,7 @@ def settle(state: Floats, random: NDArray[np.uint64], i: int, spawns: Spawns) ->
 def begin(tables: Tables, i: int, setup: Setup, spawns: Spawns) -> None:
     """A new episode of robot i: at rest, in a place of its own generator's making."""
     state, random = tables.state, tables.random
-    for number in range(MASS):
+    for number in range(COMMAND_LOOPS):
         state[number, i] = 0.0
     tables.counts[:, :, i] = 0.0
     if setup.guarded:
@@ -184,7 +145,7 @@ def begin(tables: Tables, i: int, setup: Setup, spawns: Spawns) -> None:
         aim(state, random, i, spawns)
     else:
         settle(state, random, i, spawns)
-    draw(state, random, i, tables.nominal, tables.varied, setup)
+    equip(tables, i, setup)
     settled = settle_ticks(state[DELAY_LOOPS, i], state[FEEDBACK_LOOPS, i], setup.loops)
     state[LOOPS, i] = settled * setup.loops
     every = state[FEEDBACK_LOOPS, i]
@@ -219,7 +180,7 @@ def step(
 
     With the last one a step ends: robots that are over begin anew. The task's loops come after it.
     """
-    state, lossy = tables.state, tables.varied[8, 0] <= tables.varied[8, 1]
+    state, lossy = tables.state, False
     for low in range(first, last, BLOCK):
         high = min(low + BLOCK, last)
         if tables.ring[2] == 0:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from acsar_gym.dynamics import Physics
 from acsar_gym.jit import jit
 from acsar_gym.safety.limiter import Limits
 
@@ -35,13 +36,18 @@ NEW_LINEAR, NEW_ANGULAR = 57, 58
 TRUE_THETA, TRUE_DISTANCE, ERROR, SUCCESS, SCAN_AGE, STALE = range(59, 65)
 GOAL_GIVEN = 65
 """Whether this episode's goal was given, so that the world's path doesn't lead there."""
-# The robot's own physics, drawn anew with every episode where it is randomized:
-MASS, INERTIA, GRIP, RADIUS, DEADBAND, BLEND, GAIN = 66, 67, 68, 69, 70, 71, 75
-COMMAND_LOOPS, DELAY_LOOPS, FEEDBACK_LOOPS, DROPPED = range(79, 83)
+# How long this episode's commands and feedback are on their way, in loops of the firmware:
+COMMAND_LOOPS, DELAY_LOOPS, DROPPED = 66, 67, 68
 # What options of a reset ask for, in this and all later episodes; zero where they don't. A world is
 # its place from 1 on; worlds of a range of difficulty have ranks from FIRST_RANK up to LAST_RANK.
-WISHED_WORLD, WISHED_GOAL, WISHED_X, WISHED_Y, FIRST_RANK, LAST_RANK = range(83, 89)
-ROWS = 89
+WISHED_WORLD, WISHED_GOAL, WISHED_X, WISHED_Y, FIRST_RANK, LAST_RANK = range(69, 75)
+PHYSICS = 75
+"""The first of the rows for the numbers of the robot's own `Physics`, drawn for the episode."""
+BLEND = PHYSICS + Physics._fields.index("blend_a")  # four each
+GAIN = PHYSICS + Physics._fields.index("gain_a")
+FEEDBACK_LOOPS = PHYSICS + Physics._fields.index("feedback_loops")
+LATENCY_LOOPS = PHYSICS + Physics._fields.index("latency_loops")
+ROWS = PHYSICS + len(Physics._fields)
 INFO = {
     "is_success": SUCCESS,
     "odom_x": ODOM_X,
@@ -73,9 +79,8 @@ class Setup(NamedTuple):
 
     dt: float
     period: float
-    half_wheelbase: float
-    half_track: float
-    slip_speed: float
+    wire_loops: float
+    """Loops of the firmware that a line takes until it is used."""
     ramp: float
     top: float
     counts_per_radian: float
@@ -146,9 +151,12 @@ class Tables(NamedTuple):
     random: NDArray[np.uint64]
     """R x 4: generators, see `pcg`."""
     nominal: Floats
-    """ROWS: physics of the configured robot."""
-    varied: Floats
-    """9 x 2: see `Randomization`."""
+    """The configured robot's `Physics`."""
+    low: Floats
+    high: Floats
+    """Least and largest of each number that an episode draws: `randomization.Drawn`."""
+    drawn: Floats
+    """numbers x columns: what the episodes have drawn; empty where nothing varies."""
     actions: Floats
     """R x 2"""
     over: NDArray[np.bool_]

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.dynamics import towards
+from acsar_gym.dynamics.model import towards
 from acsar_gym.jit import jit, loop
 from acsar_gym.safety.limiter import Limits, limited
 from acsar_gym.vector.kernel.dynamics import on_the_wire, sides, tell

@@ -9,12 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from acsar_gym import dynamics
 from acsar_gym.config import BodyConfig, MotorConfig, RobotConfig
-from acsar_gym.dynamics import GRAVITY, Params, params, robot_step, tyre_step, wheel_speed
+from acsar_gym.dynamics import GRAVITY, Physics, model, physics
+from acsar_gym.dynamics.model import numbers_of, robot_step, substep, tyre_step, wheel_speed
 from acsar_gym.protocol import ZERO, Speeds
 
 SPIN: Speeds = (4.0, -4.0, -4.0, 4.0)
+DT = substep(RobotConfig())
 speed = st.floats(-20.0, 20.0)
 slow = st.floats(-2.0, 2.0)
 
@@ -27,15 +28,15 @@ def plain(function: Any) -> Any:
 def steady_yaw_rate(wheels: Speeds, config: RobotConfig) -> float:
     velocity = (0.0, 0.0, 0.0)
     for _ in range(2000):
-        velocity = tyre_step(*velocity, wheels, params(config))
+        velocity = tyre_step(*velocity, wheels, physics(config), DT)
     return velocity[2]
 
 
 def test_spin_on_the_spot_is_the_closed_form() -> None:
     config = RobotConfig()
-    assert dynamics.closed_form_yaw_rate(SPIN, config) == pytest.approx(0.867, abs=1e-3)
+    assert model.closed_form_yaw_rate(SPIN, config) == pytest.approx(0.867, abs=1e-3)
     assert steady_yaw_rate(SPIN, config) == pytest.approx(
-        dynamics.closed_form_yaw_rate(SPIN, config), rel=1e-6
+        model.closed_form_yaw_rate(SPIN, config), rel=1e-6
     )
 
 
@@ -48,9 +49,9 @@ def test_a_square_robot_turns_half_as_fast_as_a_differential_drive() -> None:
 def test_tyres_never_push_harder_than_they_grip(
     a: float, b: float, c: float, d: float, vx: float, vy: float, rate: float
 ) -> None:
-    p = params(RobotConfig())
-    nx, ny, _ = tyre_step(vx, vy, rate, (a, b, c, d), p)
-    force = p.mass * math.hypot(nx - vx, ny - vy) / p.dt
+    p = physics(RobotConfig())
+    nx, ny, _ = tyre_step(vx, vy, rate, (a, b, c, d), p, DT)
+    force = p.mass * math.hypot(nx - vx, ny - vy) / DT
     assert force <= 4.0 * p.grip * (1.0 + 1e-9)
 
 
@@ -58,9 +59,9 @@ def test_tyres_never_push_harder_than_they_grip(
 def test_mirrored_robots_move_as_mirror_images(
     right: float, left: float, vx: float, vy: float, rate: float
 ) -> None:
-    p = params(RobotConfig())
-    x1, y1, w1 = tyre_step(vx, vy, rate, (right, left, left, right), p)
-    x2, y2, w2 = tyre_step(vx, -vy, -rate, (left, right, right, left), p)
+    p = physics(RobotConfig())
+    x1, y1, w1 = tyre_step(vx, vy, rate, (right, left, left, right), p, DT)
+    x2, y2, w2 = tyre_step(vx, -vy, -rate, (left, right, right, left), p, DT)
     assert (x1, y1, w1) == pytest.approx((x2, -y2, -w2), abs=1e-9)
 
 
@@ -68,55 +69,64 @@ def test_mirrored_robots_move_as_mirror_images(
 def test_compiled_and_plain_python_agree(
     a: float, b: float, c: float, d: float, vx: float, vy: float, rate: float
 ) -> None:
-    p = params(RobotConfig())
+    p = physics(RobotConfig())
     wheels = (a, b, c, d)
-    assert tyre_step(vx, vy, rate, wheels, p) == pytest.approx(
-        plain(tyre_step)(vx, vy, rate, wheels, p), abs=1e-9
+    assert tyre_step(vx, vy, rate, wheels, p, DT) == pytest.approx(
+        plain(tyre_step)(vx, vy, rate, wheels, p, DT), abs=1e-9
     )
 
 
 def test_full_braking_obeys_the_friction_law() -> None:
     config = RobotConfig(body=BodyConfig(friction=0.5))
-    p = params(config)
-    vx, _, _ = tyre_step(1.0, 0.0, 0.0, ZERO, p)
-    assert (1.0 - vx) / p.dt == pytest.approx(0.5 * GRAVITY, rel=1e-4)
+    p = physics(config)
+    vx, _, _ = tyre_step(1.0, 0.0, 0.0, ZERO, p, DT)
+    assert (1.0 - vx) / DT == pytest.approx(0.5 * GRAVITY, rel=1e-4)
 
 
 @pytest.mark.parametrize("kick", [(0.4, 0.0, 3.0), (0.5, 0.1, -2.0), (0.0, 0.3, 0.5)])
 def test_locked_wheels_bring_the_robot_to_rest_without_chatter(
     kick: tuple[float, float, float],
 ) -> None:
-    p = params(RobotConfig())
+    p = physics(RobotConfig())
     velocity = kick
     for _ in range(200):
-        velocity = tyre_step(*velocity, ZERO, p)
+        velocity = tyre_step(*velocity, ZERO, p, DT)
     assert max(map(abs, velocity)) < 1e-6
 
 
 def test_motor_lag_is_first_order() -> None:
     config = RobotConfig(motor=MotorConfig(time_constant=0.1))
-    p = params(config)
+    p = physics(config)
     value = 0.0
-    for _ in range(round(0.1 / p.dt)):
-        value = wheel_speed(value, 10.0, p.blend, p.deadband, p.max_speed)
+    for _ in range(round(0.1 / DT)):
+        value = wheel_speed(value, 10.0, 1.0, p.blend_a, p)
     assert value == pytest.approx(10.0 * (1.0 - math.exp(-1.0)), rel=1e-9)
 
 
 def test_no_lag_means_at_once() -> None:
-    p = params(RobotConfig(motor=MotorConfig(time_constant=0.0)))
-    assert wheel_speed(0.0, 7.0, p.blend, p.deadband, p.max_speed) == 7.0
+    p = physics(RobotConfig(motor=MotorConfig(time_constant=0.0)))
+    assert wheel_speed(0.0, 7.0, 1.0, p.blend_a, p) == 7.0
 
 
 def test_set_points_in_the_deadband_stop_the_wheel() -> None:
+    p = physics(RobotConfig(motor=MotorConfig(deadband=1.0)))
     value = 3.0
     for _ in range(300):
-        value = wheel_speed(value, 0.9, 0.1, 1.0, 30.0)
+        value = wheel_speed(value, 0.9, 1.0, 0.1, p)
     assert value == 0.0
 
 
 def test_wheels_saturate_at_their_top_speed() -> None:
-    assert wheel_speed(0.0, 1e6, 1.0, 0.0, 30.0) == 30.0
-    assert wheel_speed(0.0, -1e6, 1.0, 0.0, 30.0) == -30.0
+    p = physics(RobotConfig(motor=MotorConfig(max_speed=30.0)))
+    assert wheel_speed(0.0, 1e6, 1.0, 1.0, p) == 30.0
+    assert wheel_speed(0.0, -1e6, 1.0, 1.0, p) == -30.0
+
+
+def test_a_gain_multiplies_the_set_point_before_deadband_and_saturation() -> None:
+    p = physics(RobotConfig(motor=MotorConfig(max_speed=30.0, deadband=1.0)))
+    assert wheel_speed(0.0, 10.0, 0.9, 1.0, p) == 9.0
+    assert wheel_speed(0.0, 1.05, 0.9, 1.0, p) == 0.0
+    assert wheel_speed(0.0, 29.0, 1.1, 1.0, p) == 30.0
 
 
 @given(st.floats(-math.pi, math.pi), slow, slow, slow)
@@ -124,17 +134,19 @@ def test_a_robot_step_turns_with_the_heading(
     heading: float, vx: float, vy: float, rate: float
 ) -> None:
     """The same motion seen from the world, whichever way the robot looks."""
-    p = params(RobotConfig())
+    p = physics(RobotConfig())
     c, s = math.cos(heading), math.sin(heading)
     world = (c * vx - s * vy, s * vx + c * vy, rate)
-    (wx, wy, wrate), wheels, angles = robot_step(c, s, world, SPIN, ZERO, SPIN, tuple(p))
-    (bx, by, brate), _, _ = robot_step(1.0, 0.0, (vx, vy, rate), SPIN, ZERO, SPIN, tuple(p))
+    (wx, wy, wrate), wheels, angles = robot_step(c, s, world, SPIN, ZERO, SPIN, numbers_of(p), DT)
+    (bx, by, brate), _, _ = robot_step(
+        1.0, 0.0, (vx, vy, rate), SPIN, ZERO, SPIN, numbers_of(p), DT
+    )
     assert (wx, wy, wrate) == pytest.approx((c * bx - s * by, s * bx + c * by, brate), abs=1e-9)
-    assert angles == pytest.approx([wheel * p.dt for wheel in wheels])
+    assert angles == pytest.approx([wheel * DT for wheel in wheels])
 
 
-def test_params_come_from_the_config() -> None:
-    p = params(RobotConfig(wheel_radius=0.1, wheelbase=0.5, body=BodyConfig(mass=8.0)))
-    assert isinstance(p, Params)
+def test_physics_comes_from_the_config() -> None:
+    p = physics(RobotConfig(wheel_radius=0.1, wheelbase=0.5, body=BodyConfig(mass=8.0)))
+    assert isinstance(p, Physics)
     assert (p.radius, p.half_wheelbase, p.mass) == (0.1, 0.25, 8.0)
     assert p.grip == pytest.approx(8.0 * GRAVITY / 4.0)

@@ -1,0 +1,305 @@
+"""Domain randomization: what varies from robot to robot, and from episode to episode.
+
+All that can vary is defined in this file: its range (`Randomization`), the numbers that an episode
+draws for it (`Drawn`), and what they do to a robot's physics (`varied`). The single env and the
+batch both draw with `draw`, so that the same seed gives the same robot.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.dynamics.model import Physics, physics, physics_of, substep, wire_loops
+from acsar_gym.errors import ConfigError, shown, suggestion
+from acsar_gym.jit import jit, leading, loop
+
+Range = tuple[float, float]
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Randomization:
+    """Ranges (low, high) from which every episode draws; None varies nothing.
+
+    The same on every simulated link and in a batch. Factors multiply the configured value; the
+    others replace it or come on top. What an episode has drawn is told in its info, as applied,
+    under "drawn_" and the name.
+    """
+
+    mass: Range | None = None
+    """Factor on the mass, and with it on inertia and wheel loads."""
+    friction: Range | None = None
+    """Factor on the friction of tyre on ground."""
+    motor_gain: Range | None = None
+    """Factor on each wheel's speed for its set point; four numbers."""
+    motor_lag: Range | None = None
+    """Factor on each wheel's time constant; four numbers. Motors without lag have none to vary."""
+    deadband: Range | None = None
+    """Set points below this don't turn the wheel [rad/s]."""
+    wheel_radius: Range | None = None
+    """Factor on the real radius; odometry goes on with the configured one."""
+    latency: Range | None = None
+    """Delay that commands and feedback have on top of the wire's own [s], in whole loops of the
+    firmware; shorter than a step of the policy."""
+    feedback_rate: Range | None = None
+    """Feedback lines per second [Hz], rounded to whole loops of the firmware."""
+
+    def __post_init__(self) -> None:
+        for name in self.names:
+            object.__setattr__(self, name, _checked(name, getattr(self, name)))
+
+    @classmethod
+    def of(cls, ranges: Mapping[str, Range] | Self | None) -> Randomization:
+        """From a mapping of names to ranges.
+
+        Raises:
+            ConfigError: A name is unknown, or a range is malformed.
+        """
+        if isinstance(ranges, Randomization):
+            return ranges
+        if not isinstance(ranges, Mapping | None):
+            raise ConfigError(
+                f"randomization = {shown(ranges)}: must be a mapping of names to (low, high)"
+            )
+        known = {field.name for field in fields(cls)}
+        for name in ranges or ():
+            if name not in known:
+                raise ConfigError(
+                    f"unknown randomization {shown(name)}{suggestion(str(name)[:40], known)}"
+                )
+        return cls(**(ranges or {}))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of what varies."""
+        return tuple(f.name for f in fields(self) if getattr(self, f.name) is not None)
+
+    def ranges(self, config: RobotConfig, step: float) -> Ranges:
+        """The range of every number that an episode of this robot draws.
+
+        Args:
+            config: The robot.
+            step: Length of a step of the policy [s].
+
+        Raises:
+            ConfigError: The latency is as long as a step, or the wire or `feedback_timeout` doesn't
+                allow the feedback rate.
+        """
+        if self.feedback_rate is not None:
+            _check_feedback(self.feedback_rate, config)
+        if self.latency is not None:
+            _check_latency(self.latency, config, step)
+        instant = () if config.motor.time_constant > 0.0 else ("motor_lag",)
+        pairs = {
+            number: getattr(self, name)
+            for name in self.names
+            if name not in instant
+            for number in _numbers(name)
+        }
+        low = {number: pair[0] for number, pair in pairs.items()}
+        high = {number: pair[1] for number, pair in pairs.items()}
+        return Ranges(Drawn(**low), Drawn(**high))
+
+
+class Drawn(NamedTuple):
+    """What one draw gives, in the order of drawing; the defaults leave a robot as configured.
+
+    Names that end in _a to _d are one wheel's each.
+    """
+
+    mass: float = 1.0
+    friction: float = 1.0
+    motor_gain_a: float = 1.0
+    motor_lag_a: float = 1.0
+    motor_gain_b: float = 1.0
+    motor_lag_b: float = 1.0
+    motor_gain_c: float = 1.0
+    motor_lag_c: float = 1.0
+    motor_gain_d: float = 1.0
+    motor_lag_d: float = 1.0
+    deadband: float = math.nan
+    wheel_radius: float = 1.0
+    latency: float = 0.0
+    feedback_rate: float = math.nan
+
+
+class Ranges(NamedTuple):
+    """Least and largest value of each number; both are its default where it doesn't vary."""
+
+    low: Drawn
+    high: Drawn
+
+
+SIZE = len(Drawn._fields)
+LATENCY, FEEDBACK_RATE = Drawn._fields.index("latency"), Drawn._fields.index("feedback_rate")
+
+
+@jit
+def loops_between(rate: float, dt: float) -> float:
+    """Whole loops of the firmware between lines at this rate [Hz], at least one; NaN for NaN."""
+    loops: float = np.rint(1.0 / (rate * dt))
+    return 1.0 if loops < 1.0 else loops
+
+
+@jit
+def replaced(configured: float, value: float) -> float:
+    """The value, or the configured one where it is NaN."""
+    return configured if np.isnan(value) else value
+
+
+@jit
+def lagging(blend: float, factor: float, dt: float) -> float:
+    """A wheel's `blend` when its time constant is multiplied by this factor."""
+    if factor == 1.0 or blend >= 1.0:
+        return blend
+    return 1.0 - math.exp(math.log(1.0 - blend) / factor)
+
+
+@jit
+def varied(nominal: Physics, drawn: Drawn, dt: float) -> Physics:
+    """A robot's physics for what was drawn; dt is the substep [s]."""
+    return Physics(
+        radius=nominal.radius * drawn.wheel_radius,
+        half_wheelbase=nominal.half_wheelbase,
+        half_track=nominal.half_track,
+        mass=nominal.mass * drawn.mass,
+        yaw_inertia=nominal.yaw_inertia * drawn.mass,
+        grip=nominal.grip * drawn.mass * drawn.friction,
+        slip_speed=nominal.slip_speed,
+        max_speed=nominal.max_speed,
+        deadband=replaced(nominal.deadband, drawn.deadband),
+        blend_a=lagging(nominal.blend_a, drawn.motor_lag_a, dt),
+        blend_b=lagging(nominal.blend_b, drawn.motor_lag_b, dt),
+        blend_c=lagging(nominal.blend_c, drawn.motor_lag_c, dt),
+        blend_d=lagging(nominal.blend_d, drawn.motor_lag_d, dt),
+        gain_a=nominal.gain_a * drawn.motor_gain_a,
+        gain_b=nominal.gain_b * drawn.motor_gain_b,
+        gain_c=nominal.gain_c * drawn.motor_gain_c,
+        gain_d=nominal.gain_d * drawn.motor_gain_d,
+        latency_loops=nominal.latency_loops + np.rint(drawn.latency / dt),
+        feedback_loops=replaced(nominal.feedback_loops, loops_between(drawn.feedback_rate, dt)),
+    )
+
+
+@loop
+def draw(
+    nominal: Floats, low: Floats, high: Floats, samples: Floats, dt: float
+) -> tuple[Physics, Drawn]:
+    """A robot's physics for one episode, and what was drawn for it, as applied.
+
+    Args:
+        nominal: The numbers of the configured `Physics`.
+        low: The least value of each number of `Drawn`.
+        high: The largest one.
+        samples: A number of [0, 1) for each of them; it is ignored where low == high.
+        dt: The firmware's loop period [s].
+    """
+    numbers = np.empty(SIZE)
+    for k in range(SIZE):
+        numbers[k] = low[k] + (high[k] - low[k]) * samples[k] if high[k] > low[k] else low[k]
+    numbers[LATENCY] = np.rint(numbers[LATENCY] / dt) * dt
+    numbers[FEEDBACK_RATE] = 1.0 / (loops_between(numbers[FEEDBACK_RATE], dt) * dt)
+    drawn = Drawn(*leading(numbers, SIZE))
+    return varied(physics_of(nominal), drawn, dt), drawn
+
+
+class Randomizer:
+    """Draws the physics of one robot, episode by episode."""
+
+    def __init__(self, given: Any, config: RobotConfig, step: float, *, simulated: bool) -> None:
+        """Check what may vary.
+
+        Args:
+            given: What `Randomization.of` takes.
+            config: The robot.
+            step: Length of a step of the policy [s].
+            simulated: Whether the robot's physics can vary at all.
+
+        Raises:
+            ConfigError: It can't, or see `Randomization.of` and `Randomization.ranges`.
+        """
+        randomization = Randomization.of(given)
+        self._names = randomization.names
+        if self._names and not simulated:
+            raise ConfigError(
+                f"randomization of {', '.join(self._names)}: only a simulated robot's physics can "
+                "vary, and this link is real or a recording"
+            )
+        ranges = randomization.ranges(config, step)
+        self._low, self._high = np.array(ranges.low), np.array(ranges.high)
+        self._nominal, self._dt = np.array(physics(config)), substep(config)
+        self._drawn = Drawn()
+
+    def draw(self, rng: np.random.Generator) -> Physics | None:
+        """Physics for an episode; None where nothing varies. Takes a sample for each number."""
+        if not self._names:
+            return None
+        samples, varies = np.zeros(SIZE), self._high > self._low
+        samples[varies] = rng.random(int(varies.sum()))
+        own, drawn = draw(self._nominal, self._low, self._high, samples, self._dt)
+        self._drawn = Drawn(*drawn)
+        return Physics(*own)
+
+    def info(self) -> dict[str, Any]:
+        """What was drawn last, as applied: a float, or an array of four in the order of wheels."""
+        return {f"drawn_{name}": _told(self._drawn, name) for name in self._names}
+
+
+def places(name: str) -> tuple[int, ...]:
+    """Where a parameter's numbers are in `Drawn`: one, or four in the order of the wheels."""
+    return tuple(Drawn._fields.index(number) for number in _numbers(name))
+
+
+def _numbers(name: str) -> tuple[str, ...]:
+    return (name,) if name in Drawn._fields else tuple(f"{name}_{wheel}" for wheel in "abcd")
+
+
+def _told(drawn: Drawn, name: str) -> float | Floats:
+    numbers = np.array([drawn[k] for k in places(name)])
+    return float(numbers[0]) if len(numbers) == 1 else numbers
+
+
+LEAST = {"deadband": 0.0, "latency": 0.0, "feedback_rate": 0.1}
+MOST = {"latency": 10.0, "feedback_rate": 1e4}
+"""Of what isn't a factor from 1e-6 to 1,000; slow feedback and late lines are held in memory."""
+
+
+def _checked(name: str, value: Range) -> Range:
+    least, most = LEAST.get(name, 1e-6), MOST.get(name, 1e3)
+    try:
+        low, high = (float(limit) for limit in value)
+    except (TypeError, ValueError, OverflowError):
+        low, high = math.nan, math.nan
+    if not least <= low <= high <= most:
+        text = f"{least:g} <= low <= high <= {most:g}"
+        raise ConfigError(f"randomization {name} = {shown(value)}: must be (low, high) with {text}")
+    return low, high
+
+
+def _check_latency(latency: Range, config: RobotConfig, step: float) -> None:
+    """The board must hear of a command before the next one's step is over."""
+    dt = substep(config)
+    slowest = wire_loops(config) * dt + latency[1]
+    if slowest > step - dt / 2.0:
+        raise ConfigError(
+            f"randomization latency = {latency}: on this wire a line takes up to {slowest:g} s; "
+            f"must be shorter than a step of the policy ({step:g} s)"
+        )
+
+
+def _check_feedback(rates: Range, config: RobotConfig) -> None:
+    """Lines must fit on the wire, and not be so rare that the driver takes the board for dead."""
+    dt = substep(config)
+    for rate in rates:
+        applied = 1.0 / (loops_between(rate, dt) * dt)
+        try:
+            config.with_(firmware={"feedback_rate": applied})
+        except ConfigError as error:
+            raise ConfigError(f"randomization feedback_rate = {rates}: {error}") from None

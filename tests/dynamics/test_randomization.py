@@ -1,0 +1,147 @@
+"""What episodes draw, and what it does to a robot's physics."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+import pytest
+
+from acsar_gym import RobotConfig
+from acsar_gym.dynamics import Physics, Randomization, physics
+from acsar_gym.dynamics.model import numbers_of, physics_at, physics_of, substep
+from acsar_gym.dynamics.randomization import Drawn, Randomizer, places, varied
+from acsar_gym.errors import ConfigError
+
+CONFIG = RobotConfig()
+DT, STEP = substep(CONFIG), 0.1
+RANGES: dict[str, tuple[float, float]] = {
+    "mass": (0.5, 2.0),
+    "friction": (0.6, 1.2),
+    "motor_gain": (0.9, 1.1),
+    "motor_lag": (0.7, 1.5),
+    "deadband": (0.1, 0.3),
+    "wheel_radius": (0.95, 1.05),
+    "latency": (0.01, 0.04),
+    "feedback_rate": (20.0, 60.0),
+}
+WHEELS = "abcd"
+CHANGES = {
+    "mass": {"mass", "yaw_inertia", "grip"},
+    "friction": {"grip"},
+    "motor_gain": {f"gain_{wheel}" for wheel in WHEELS},
+    "motor_lag": {f"blend_{wheel}" for wheel in WHEELS},
+    "deadband": {"deadband"},
+    "wheel_radius": {"radius"},
+    "latency": {"latency_loops"},
+    "feedback_rate": {"feedback_loops"},
+}
+
+
+def drawn(ranges: Any, seed: int = 0, config: RobotConfig = CONFIG) -> tuple[Physics, Any]:
+    randomizer = Randomizer(ranges, config, STEP, simulated=True)
+    own = randomizer.draw(np.random.default_rng(seed))
+    assert own is not None
+    return own, randomizer.info()
+
+
+def test_every_parameter_has_numbers_and_every_number_a_parameter() -> None:
+    names = [field.name for field in fields(Randomization)]
+    assert sorted(place for name in names for place in places(name)) == list(range(len(Drawn())))
+    assert set(RANGES) == set(CHANGES) == set(names)
+
+
+def test_numbers_keep_their_names_on_the_way_into_compiled_code() -> None:
+    own = Physics(*map(float, range(len(Physics._fields))))
+    assert physics_of(numbers_of(own)) == own
+    many = np.zeros((len(own), 3))
+    many[:, 1] = own
+    assert physics_at(many, 1) == own
+
+
+def test_the_defaults_leave_a_robot_as_configured() -> None:
+    assert varied(physics(CONFIG), Drawn(), DT) == physics(CONFIG)
+    assert Randomizer(None, CONFIG, STEP, simulated=False).draw(np.random.default_rng(0)) is None
+
+
+@pytest.mark.parametrize("name", RANGES)
+def test_each_parameter_changes_its_own_numbers_alone(name: str) -> None:
+    own, info = drawn({name: RANGES[name]})
+    pairs = zip(Physics._fields, own, physics(CONFIG), strict=True)
+    assert {field for field, number, configured in pairs if number != configured} == CHANGES[name]
+    assert list(info) == [f"drawn_{name}"]
+    (low, high), values = RANGES[name], np.array(info[f"drawn_{name}"])
+    assert (values >= low).all()
+    assert (values <= high * 1.12).all()  # 60 Hz are rounded to 66.7
+
+
+def test_factors_multiply_and_the_others_replace() -> None:
+    own, info = drawn(RANGES)
+    configured = physics(CONFIG)
+    assert own.mass == pytest.approx(configured.mass * info["drawn_mass"])
+    assert own.yaw_inertia == pytest.approx(configured.yaw_inertia * info["drawn_mass"])
+    grip = configured.grip * info["drawn_mass"] * info["drawn_friction"]
+    assert own.grip == pytest.approx(grip)
+    assert own[13:17] == pytest.approx(info["drawn_motor_gain"])
+    lag = -DT / np.log(1.0 - np.array(own[9:13]))
+    assert lag == pytest.approx(CONFIG.motor.time_constant * info["drawn_motor_lag"])
+    assert own.deadband == info["drawn_deadband"]
+    assert own.radius == pytest.approx(configured.radius * info["drawn_wheel_radius"])
+
+
+def test_times_are_whole_loops_of_the_firmware_and_told_as_such() -> None:
+    own, info = drawn(RANGES)
+    assert own.latency_loops == round(own.latency_loops) > 0
+    assert own.feedback_loops == round(own.feedback_loops) > 0
+    assert info["drawn_latency"] == pytest.approx(own.latency_loops * DT)
+    assert info["drawn_feedback_rate"] == pytest.approx(1.0 / (own.feedback_loops * DT))
+
+
+def test_a_seed_gives_one_robot_and_takes_one_sample_for_each_number() -> None:
+    randomizer = Randomizer(RANGES, CONFIG, STEP, simulated=True)
+    rng, other = np.random.default_rng(5), np.random.default_rng(5)
+    first, second = randomizer.draw(rng), randomizer.draw(rng)
+    assert first == drawn(RANGES, 5)[0] != second
+    other.random(2 * len(Drawn()))
+    assert rng.random() == other.random()
+
+
+def test_a_range_of_one_value_takes_no_sample() -> None:
+    own, info = drawn({"mass": (1.5, 1.5), "friction": (0.5, 1.0)}, 3)
+    assert info["drawn_mass"] == 1.5
+    assert info["drawn_friction"] == 0.5 + 0.5 * np.random.default_rng(3).random()
+    assert own.mass == 1.5 * physics(CONFIG).mass
+
+
+def test_motors_without_lag_have_none_to_vary() -> None:
+    own, info = drawn(RANGES, config=CONFIG.with_(motor={"time_constant": 0.0}))
+    assert own[9:13] == (1.0,) * 4
+    assert (info["drawn_motor_lag"] == 1.0).all()
+
+
+@pytest.mark.parametrize(
+    ("ranges", "message"),
+    [
+        ({"frictoin": (0.5, 1.0)}, "did you mean 'friction'"),
+        ({3: (0.5, 1.0)}, "unknown randomization 3"),
+        ({"mass": (2.0, 1.0)}, "low <= high"),
+        ({"mass": 3}, r"must be \(low, high\)"),
+        ({"latency": (-0.1, 0.1)}, "0 <= low"),
+        ({"latency": (0.0, 0.099)}, r"takes up to 0.119 s; must be shorter than a step .*0.1 s"),
+        ("mass", "must be a mapping"),
+        ({"feedback_rate": (1.0, 20.0)}, "feedback_rate = .*feedback_timeout = 0.5 s"),
+        ({"feedback_rate": (20.0, 190.0)}, "feedback_rate = .*baud_rate = 19200"),
+    ],
+)
+def test_bad_ranges_are_one_clear_error(ranges: Any, message: str) -> None:
+    config = CONFIG.with_(baud_rate=19200, control_rate=50.0)
+    with pytest.raises(ConfigError, match=message) as raised:
+        Randomization.of(ranges).ranges(config, STEP)
+    assert "\n" not in str(raised.value)
+
+
+def test_ranges_are_checked_however_they_are_given() -> None:
+    with pytest.raises(ConfigError, match="low <= high"):
+        Randomization(mass=(2.0, 1.0))
+    assert Randomization(mass=(1, 2)) == Randomization.of({"mass": (1.0, 2.0)})

@@ -1,0 +1,125 @@
+"""Randomized episodes of the single env, on every simulated link."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+from acsar_gym import RobotConfig, open_link
+from acsar_gym.errors import ConfigError
+from acsar_gym.links.recording import RecordingLink
+
+RANGES = {
+    "mass": (0.5, 2.0),
+    "friction": (0.4, 1.2),
+    "motor_gain": (0.9, 1.1),
+    "motor_lag": (0.5, 2.0),
+    "deadband": (0.0, 0.5),
+    "wheel_radius": (0.95, 1.05),
+    "latency": (0.0, 0.04),
+    "feedback_rate": (15.0, 100.0),
+}
+ACTION = np.array([0.7, 0.3], np.float32)
+
+
+def make(link: Any, **options: Any) -> gymnasium.Env[Any, Any]:
+    env_id = "acsar_gym:acsar_gym/PointGoal-v0"
+    return gymnasium.make(env_id, link=link, randomization=RANGES, **options)
+
+
+def drawn(info: dict[str, Any]) -> dict[str, list[float]]:
+    return {key: np.ravel(info[key]).tolist() for key in info if key.startswith("drawn_")}
+
+
+def episodes(link: Any, **options: Any) -> list[dict[str, list[float]]]:
+    """What three episodes of one seed have drawn."""
+    env = make(link, **options)
+    seen = [drawn(env.reset(seed=3)[1]), drawn(env.reset()[1]), drawn(env.reset()[1])]
+    env.close()
+    return seen
+
+
+def test_the_draws_are_the_same_on_every_simulated_link(tmp_path: Path) -> None:
+    planar = episodes("planar")
+    assert list(planar[0]) == [f"drawn_{name}" for name in RANGES]
+    assert planar[0] != planar[1] != planar[2]
+    recorded = RecordingLink(open_link("planar"), tmp_path / "tape.jsonl")
+    assert episodes("bullet") == planar
+    assert episodes(open_link("bullet")) == planar
+    assert episodes(recorded) == planar
+    assert episodes("planar", faults={"dropped_lines": 0.1})[0].keys() == planar[0].keys()
+
+
+def test_pybullet_and_the_planar_robot_drive_alike_with_what_was_drawn() -> None:
+    """To a few millimetres: the odometry, through latency and slow feedback, and the truth."""
+    ends = []
+    for link in ("planar", "bullet"):
+        env = make(link)
+        env.reset(seed=8)
+        for _ in range(10):
+            *_, info = env.step(ACTION)
+        ends.append([info[key] for key in ("true_x", "true_y", "odom_x", "odom_y")])
+        env.close()
+    assert ends[0] == pytest.approx(ends[1], abs=5e-3)
+    assert ends[0][0] > 0.2
+
+
+def test_what_was_drawn_is_told_at_every_step_in_arrays_of_ones_own() -> None:
+    env = make("planar")
+    _, first = env.reset(seed=1)
+    *_, second = env.step(ACTION)
+    assert drawn(first) == drawn(second)
+    assert first["drawn_motor_gain"] is not second["drawn_motor_gain"]
+    assert [name for name in RANGES if np.shape(first[f"drawn_{name}"]) == (4,)] == [
+        "motor_gain",
+        "motor_lag",
+    ]
+    env.close()
+
+
+def test_what_does_not_vary_takes_nothing_from_the_generator() -> None:
+    """The goals of later episodes are those of an env without randomization."""
+    goals = []
+    ranges: Any
+    for ranges in (None, {}, {"mass": (2.0, 2.0)}):
+        env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar", randomization=ranges)
+        env.reset(seed=4)
+        goals.append(env.reset()[1]["goal_distance"])
+        env.close()
+    assert goals[0] == goals[1] == goals[2]
+
+
+@pytest.mark.parametrize("link", ["/dev/ttyUSB0", "replay:tape.jsonl"])
+def test_a_real_robot_cannot_be_randomized(link: str) -> None:
+    with pytest.raises(ConfigError, match="only a simulated robot's physics can vary") as raised:
+        make(link)
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("ranges", "message"),
+    [
+        ({"frictoin": (0.5, 1.0)}, "did you mean 'friction'"),
+        ({"mass": (2.0, 1.0)}, "low <= high"),
+        ({"latency": (0.0, 0.1)}, "shorter than a step"),
+        ({"feedback_rate": (1.0, 20.0)}, "feedback_timeout"),
+    ],
+)
+@pytest.mark.parametrize("link", ["planar", "bullet"])
+def test_bad_ranges_are_one_clear_error(link: str, ranges: Any, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        gymnasium.make("acsar_gym/PointGoal-v0", link=link, randomization=ranges)
+
+
+def test_a_step_may_be_longer_than_the_latency() -> None:
+    ranges = {"latency": (0.1, 0.1)}
+    robot = RobotConfig()
+    env = gymnasium.make(
+        "acsar_gym/PointGoal-v0", link="planar", robot=robot, policy_rate=5.0, randomization=ranges
+    )
+    assert env.reset(seed=0)[1]["drawn_latency"] == pytest.approx(0.1)
+    env.close()

@@ -1,0 +1,154 @@
+"""The physics of a scene, on both simulated links: what each parameter does to the robot."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from acsar_gym import RobotConfig, open_link
+from acsar_gym.bodies.bullet import BulletBody
+from acsar_gym.bodies.bullet.engine import pybullet
+from acsar_gym.dynamics import Physics
+from acsar_gym.dynamics.randomization import Randomizer
+from acsar_gym.links.simulated import SimulatedLink
+from acsar_gym.protocol import Decoder, Speeds, encode
+from acsar_gym.worlds import Scene
+
+CONFIG = RobotConfig()
+TICK = CONFIG.period
+FORWARD: Speeds = (8.0, 8.0, 8.0, 8.0)
+
+
+@pytest.fixture(params=["planar", "bullet"], scope="module")
+def link(request: pytest.FixtureRequest) -> Iterator[SimulatedLink]:
+    made = open_link(request.param, CONFIG)
+    assert isinstance(made, SimulatedLink)
+    made.open()
+    yield made
+    made.close()
+
+
+def physics(**values: float) -> Physics:
+    """A robot that differs from the configured one in these parameters."""
+    ranges = {name: (value, value) for name, value in values.items()}
+    own = Randomizer(ranges, CONFIG, 0.1, simulated=True).draw(np.random.default_rng(0))
+    assert own is not None
+    return own
+
+
+def drive(link: SimulatedLink, own: Physics | None, seconds: float, speeds: Speeds) -> bytes:
+    """The feedback of a drive from rest."""
+    link.reset(Scene(physics=own))
+    answer = b""
+    for _ in range(round(seconds / TICK)):
+        link.write(encode(speeds))
+        answer += link.advance(TICK)
+    return answer
+
+
+def wheels(link: SimulatedLink) -> Speeds:
+    assert link.body is not None
+    return link.body.wheel_speeds
+
+
+def moved(link: SimulatedLink, own: Physics | None, seconds: float) -> float:
+    drive(link, own, seconds, FORWARD)
+    return link.truth.pose[0]
+
+
+def first_motion(link: SimulatedLink, own: Physics | None) -> int:
+    """Ticks until the wheels turn."""
+    link.reset(Scene(physics=own))
+    for ticks in itertools.count(1):
+        link.write(encode(FORWARD))
+        link.advance(TICK)
+        if any(wheels(link)):
+            return ticks
+    raise AssertionError
+
+
+def lines(answer: bytes) -> list[Any]:
+    return [reading.speeds for reading in Decoder().feed(answer)]
+
+
+def test_a_slippery_floor_makes_the_robot_slower_to_start(link: SimulatedLink) -> None:
+    assert moved(link, physics(friction=0.1), 0.3) < 0.8 * moved(link, None, 0.3)
+
+
+def test_a_motors_gain_is_its_speed_for_a_set_point(link: SimulatedLink) -> None:
+    own = physics(motor_gain=0.9)._replace(gain_b=1.1)
+    drive(link, own, 2.0, FORWARD)
+    assert wheels(link) == pytest.approx((7.2, 8.8, 7.2, 7.2), rel=1e-3)
+
+
+def test_a_motors_lag_delays_its_wheel(link: SimulatedLink) -> None:
+    drive(link, physics(motor_lag=3.0)._replace(blend_a=1.0), 0.3, FORWARD)
+    a, *slow = wheels(link)
+    assert a > 1.1 * max(slow)
+    assert min(slow) > 0.0
+
+
+def test_set_points_in_the_deadband_turn_nothing(link: SimulatedLink) -> None:
+    drive(link, physics(deadband=0.4), 0.5, (0.5, 0.3, 0.5, 0.3))
+    assert [speed > 0.0 for speed in wheels(link)] == [True, False, True, False]
+
+
+def test_a_larger_wheel_goes_further_than_odometry_knows(link: SimulatedLink) -> None:
+    plain = lines(drive(link, None, 1.0, FORWARD)), link.truth.twist[0]
+    large = lines(drive(link, physics(wheel_radius=1.1), 1.0, FORWARD)), link.truth.twist[0]
+    assert large[0] == plain[0]
+    assert large[1] == pytest.approx(1.1 * plain[1], rel=1e-3)
+
+
+@pytest.mark.parametrize("latency", [0.01, 0.05])
+def test_latency_delays_commands_and_feedback(link: SimulatedLink, latency: float) -> None:
+    own = physics(latency=latency)
+    assert first_motion(link, own) == first_motion(link, None) + round(latency / TICK)
+    ticks = round(latency / TICK)
+    late, prompt = lines(drive(link, own, 1.0, FORWARD)), lines(drive(link, None, 1.0, FORWARD))
+    assert len(late) == len(prompt) - ticks
+    assert late[ticks:] == prompt[: len(late) - ticks]
+
+
+def test_feedback_comes_at_the_rate_that_was_drawn(link: SimulatedLink) -> None:
+    answer = drive(link, physics(feedback_rate=20.0), 2.0, FORWARD)
+    assert abs(len(lines(answer)) - 40) <= 1
+
+
+def test_the_next_episode_is_configured_again(link: SimulatedLink) -> None:
+    fresh = drive(link, None, 0.5, FORWARD), link.truth
+    own = physics(mass=2.0, friction=0.3, motor_gain=0.9, latency=0.03, feedback_rate=25.0)
+    assert (drive(link, own, 0.5, FORWARD), link.truth) != fresh
+    assert (drive(link, None, 0.5, FORWARD), link.truth) == fresh
+
+
+@pytest.mark.parametrize("mass", [0.5, 2.0])
+def test_pybullet_knows_the_mass_that_was_drawn(mass: float) -> None:
+    """The same push accelerates a heavier robot less; tyres grip the more, so that it drives on."""
+    body = BulletBody(CONFIG)
+    body.reset(Scene(physics=physics(mass=mass)))
+    robot, client = body._robot, body._client
+    pybullet.applyExternalForce(robot, -1, (8.0, 0.0, 0.0), (0, 0, 0), pybullet.LINK_FRAME, client)
+    pybullet.applyExternalTorque(robot, -1, (0.0, 0.0, 0.1), pybullet.WORLD_FRAME, client)
+    body.engine_step()
+    linear, angular = body.truth.twist
+    own, dt = physics(mass=mass), 1.0 / CONFIG.firmware.loop_rate
+    assert linear == pytest.approx(8.0 / (CONFIG.body.mass * mass) * dt)
+    assert angular == pytest.approx(0.1 / own.yaw_inertia * dt)
+    body.close()
+
+
+def test_both_bodies_drive_alike_with_the_same_physics() -> None:
+    own = physics(mass=1.5, friction=0.7, motor_gain=0.95, wheel_radius=1.03, latency=0.02)
+    ends = []
+    for name in ("planar", "bullet"):
+        link: Any = open_link(name, CONFIG)
+        answer = drive(link, own, 2.0, (8.0, 5.0, 5.0, 8.0))
+        ends.append((*link.truth.pose, answer))
+        link.close()
+    assert ends[0][:3] == pytest.approx(ends[1][:3], abs=1e-4)
+    assert ends[0][3] == ends[1][3]
