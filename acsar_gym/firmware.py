@@ -50,6 +50,7 @@ class Firmware:
         self._feedback_every = own.feedback_loops
         self._loops = 0
         self._lines = 0
+        self._line_due = self._feedback_every - EPSILON
         self._elapsed = 0.0
         self._received: deque[tuple[float, bytes]] = deque()
         self._sent: deque[tuple[float, bytes]] = deque()
@@ -74,34 +75,35 @@ class Firmware:
         What is left of a period after whole loops of the firmware is added to the next one.
         """
         self._elapsed += period
-        while (self._loops + 1) * self._dt <= self._elapsed + EPSILON:
-            self._loop()
         now = self._elapsed + EPSILON
+        while (self._loops + 1) * self._dt <= now:
+            self._loop()
         arrived = b""
         while self._sent and self._sent[0][0] <= now:
             arrived += self._sent.popleft()[1]
         return arrived
 
     def _loop(self) -> None:
-        now = self._loops * self._dt
-        while self._received and self._received[0][0] <= now + EPSILON:
-            self._obey(self._received.popleft()[1], now)
+        now, received, body = self._loops * self._dt, self._received, self._body
+        while received and received[0][0] <= now + EPSILON:
+            self._obey(received.popleft()[1], now)
         if now - self._last_command > self._timeout:
             self._targets = ZERO
         if self._set_points != self._targets:
             self._set_points = ramped(self._set_points, self._targets, self._ramp)
-        self._body.step(self._set_points)
-        self._angles.append(self._body.wheel_angles)
+        body.step(self._set_points)
+        self._angles.append(body.wheel_angles)
         self._loops += 1
-        if self._loops >= (self._lines + 1) * self._feedback_every - EPSILON:
+        if self._loops >= self._line_due:
             self._lines += 1
+            self._line_due = (self._lines + 1) * self._feedback_every - EPSILON
             self._answer()
 
     def _obey(self, data: bytes, now: float) -> None:
+        top = self._top
         for reading in self.decoder.feed(data):
             self._last_command = now
             a, b, c, d = reading.over(self._targets)
-            top = self._top
             self._targets = (
                 a if -top <= a <= top else math.copysign(top, a),
                 b if -top <= b <= top else math.copysign(top, b),

@@ -91,22 +91,23 @@ class Odometry:
         """
         if len(speeds) != 4:
             raise CommandError(f"odometry needs 4 wheel speeds (a, b, c, d), got {len(speeds)}")
-        linear, angular = kinematics.forward(speeds, self._radius, self._separation)
+        a, b, c, d = speeds
+        linear, angular = kinematics.twist(a, b, c, d, self._radius, self._separation)
         x, y, theta = self.pose
-        c, s = math.cos(theta), math.sin(theta)
-        x, y, theta = integrate(x, y, theta, c, s, linear, angular, dt)
+        cos, sin = math.cos(theta), math.sin(theta)
+        x, y, theta = integrate(x, y, theta, cos, sin, linear, angular, dt)
         if not (math.isfinite(x + y + theta) and 0.0 <= dt < math.inf):
             raise CommandError(f"odometry can't integrate speeds {tuple(speeds)} over dt = {dt} s")
         if not -math.pi <= theta <= math.pi:
             theta = _normalised(theta)
         self.pose = (x, y, theta)
         self.twist = (linear, angular)
-        a, b, c, d = self.wheel_positions
+        turned_a, turned_b, turned_c, turned_d = self.wheel_positions
         self.wheel_positions = (
-            a + speeds[0] * dt,
-            b + speeds[1] * dt,
-            c + speeds[2] * dt,
-            d + speeds[3] * dt,
+            turned_a + a * dt,
+            turned_b + b * dt,
+            turned_c + c * dt,
+            turned_d + d * dt,
         )
 
     @property

@@ -8,12 +8,11 @@ Source: the robot's hardware interface document, sections 2.3 and 5.3.2.
 
 from __future__ import annotations
 
-import functools
 import math
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from acsar_gym.errors import CommandError
 
@@ -31,9 +30,12 @@ ZERO: Speeds = (0.0, 0.0, 0.0, 0.0)
 _LINE = b"a%+06.2f,b%+06.2f,c%+06.2f,d%+06.2f"
 _LENGTH = len(_LINE % (0.0, 0.0, 0.0, 0.0))
 _DIRECTIONS = bytes.maketrans(b"+-", b"pn")
-_SPEED = rb"([pn])([0-9]{2}\.[0-9]{2})"
-_PART = re.compile(rb"([abcd])" + _SPEED)
-_FULL_LINE = re.compile(rb"a%b,b%b,c%b,d%b,?" % (_SPEED, _SPEED, _SPEED, _SPEED))
+_PART = re.compile(rb"([abcd])([pn])([0-9]{2}\.[0-9]{2})")
+_ENDS = (b"\n", b"\r")
+_KNOWN: tuple[dict[bytes, float], ...] = ({}, {}, {}, {})
+"""Sound parts that have been read before, for each motor: reading them again is a look-up."""
+_MOST_KNOWN = 5000
+"""Parts of one motor that are kept."""
 
 
 def encode(speeds: Sequence[float], *, trailing_comma: bool = False) -> bytes:
@@ -42,12 +44,18 @@ def encode(speeds: Sequence[float], *, trailing_comma: bool = False) -> bytes:
     Speeds are rounded to two decimals and saturate at +-99.99; what rounds to zero is `p00.00`.
     Raises CommandError if there aren't four of them or one isn't finite.
     """
+    return line_of(*finite(speeds), line_end(trailing_comma=trailing_comma))
+
+
+def finite(speeds: Sequence[float]) -> Speeds:
+    """Four wheel speeds [rad/s] as floats; CommandError unless they are four finite numbers."""
     if len(speeds) != len(MOTORS):
         raise CommandError(f"a line carries 4 wheel speeds (a, b, c, d), got {len(speeds)}")
     a, b, c, d = map(float, speeds)
-    if not math.isfinite(a + b + c + d):
-        _refuse_not_finite((a, b, c, d))
-    return line_of(a, b, c, d, line_end(trailing_comma=trailing_comma))
+    for wheel, speed in zip(WHEELS, (a, b, c, d), strict=True):
+        if not math.isfinite(speed):
+            raise CommandError(f"{wheel} speed is {speed}: only finite rad/s can be sent")
+    return a, b, c, d
 
 
 def line_end(*, trailing_comma: bool) -> bytes:
@@ -64,14 +72,7 @@ def line_of(a: float, b: float, c: float, d: float, end: bytes) -> bytes:
     return line.replace(b"-00.00", b"+00.00").translate(_DIRECTIONS) + end
 
 
-def _refuse_not_finite(speeds: Sequence[float]) -> None:
-    for wheel, speed in zip(WHEELS, speeds, strict=True):
-        if not math.isfinite(speed):
-            raise CommandError(f"{wheel} speed is {speed}: only finite rad/s can be sent")
-
-
-@dataclass(frozen=True, slots=True)
-class Reading:
+class Reading(NamedTuple):
     """What one line said. `speeds` [rad/s] holds None for a motor that the line didn't name."""
 
     speeds: tuple[float | None, float | None, float | None, float | None]
@@ -108,11 +109,13 @@ class Decoder:
 
     def feed(self, data: bytes) -> list[Reading]:
         """The readings of all lines that `data` completes, oldest first."""
-        *lines, rest = (self._partial + data).replace(b"\r", b"\n").split(b"\n")
+        stream = self._partial + data
+        lines = stream.splitlines()
+        rest = b"" if not lines or stream.endswith(_ENDS) else lines.pop()
         if lines and self._skipping:
             self._skipping = False
             lines[0] = b""
-        self._partial = self._bounded(rest)
+        self._partial = self._bounded(rest) if rest else b""
         return [reading for line in lines if line and (reading := self._read(line))]
 
     def _bounded(self, rest: bytes) -> bytes:
@@ -122,37 +125,32 @@ class Decoder:
         return b"" if self._skipping else rest
 
     def _read(self, line: bytes) -> Reading | None:
+        parts = line.removesuffix(b",").split(b",")
+        try:
+            a, b, c, d = parts
+            reading = Reading((_KNOWN[0][a], _KNOWN[1][b], _KNOWN[2][c], _KNOWN[3][d]))
+        except (ValueError, KeyError):
+            return self._read_parts(line, parts)
+        self.lines += 1
+        return reading
+
+    def _read_parts(self, line: bytes, parts: list[bytes]) -> Reading | None:
+        """What a line says that isn't made of four parts which have been read before."""
         if len(line) > MAX_LINE:
             self.refused["line too long"] += 1
             return None
-        reading, refused = _parse_line(line)
-        if refused:
-            self.refused.update(refused)
+        reading, refused = _parse_parts(parts)
+        self.refused.update(refused)
         if reading:
             self.lines += 1
         return reading
 
 
-@functools.lru_cache(maxsize=512)
-def _parse_line(line: bytes) -> tuple[Reading | None, tuple[str, ...]]:
-    """What a line says, and why its bad parts were refused. Lines repeat, so they are cached."""
-    full = _FULL_LINE.fullmatch(line)
-    if full is None:
-        return _parse_parts(line)
-    pa, a, pb, b, pc, c, pd, d = full.groups()
-    return Reading((_speed(pa, a), _speed(pb, b), _speed(pc, c), _speed(pd, d))), ()
-
-
-def _speed(direction: bytes, digits: bytes) -> float:
-    """The signed speed; never a negative zero."""
-    return float(digits) if direction == b"p" else 0.0 - float(digits)
-
-
-def _parse_parts(line: bytes) -> tuple[Reading | None, tuple[str, ...]]:
-    """Part by part, for lines that are damaged, partial or in another order."""
+def _parse_parts(parts: list[bytes]) -> tuple[Reading | None, tuple[str, ...]]:
+    """Part by part, for lines that are new, damaged, partial or in another order."""
     speeds: list[float | None] = [None, None, None, None]
     refused = []
-    for part in line.removesuffix(b",").split(b","):
+    for part in parts:
         found = _parse_part(part)
         if isinstance(found, str):
             refused.append(found)
@@ -171,7 +169,11 @@ def _parse_part(part: bytes) -> tuple[int, float] | str:
     match = _PART.fullmatch(part)
     if match:
         motor, direction, digits = match.groups()
-        return b"abcd".index(motor), _speed(direction, digits)
+        speed = float(digits) if direction == b"p" else 0.0 - float(digits)  # no negative zero
+        known = _KNOWN[b"abcd".index(motor)]
+        if len(known) < _MOST_KNOWN:
+            known[part] = speed
+        return b"abcd".index(motor), speed
     if not part:
         return "empty part"
     if part[:1] not in (b"a", b"b", b"c", b"d"):

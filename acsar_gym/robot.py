@@ -6,9 +6,9 @@ import contextlib
 import gc
 import math
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,8 @@ from acsar_gym.lidars.factory import factories
 from acsar_gym.links.base import Link
 from acsar_gym.links.lateness import EpisodeTiming, Stopwatch
 from acsar_gym.odometry import Odometry
-from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds, encode
+from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds, line_end, line_of
+from acsar_gym.safety import rules
 from acsar_gym.safety.estop import StopListener
 from acsar_gym.safety.layer import Safety
 from acsar_gym.sensors import Factory, Sensor, Sensors
@@ -74,10 +75,10 @@ class Robot:
         self._stopwatch: Stopwatch | None = None
         self._stamp = 0.0
         self._period = self.config.period
-        self._comma = self.config.trailing_comma
-        self._encoded: Sequence[float] = ()
-        self._command = b""
-        self._patience = self.config.feedback_timeout
+        self._end = line_end(trailing_comma=self.config.trailing_comma)
+        self._encoded: Speeds = ZERO
+        self._command = line_of(*ZERO, self._end)
+        self._rules = rules.of(self.config)
         self._clocked = self.sensors.clocked
 
     def activate(self) -> None:
@@ -178,31 +179,38 @@ class Robot:
         `feedback_timeout`, and what a sensor raises. On any error the wheels are commanded to stop
         and the link is closed.
         """
-        self._tick(self.safety.bounded, speeds)
+        try:
+            self._heed()
+            pose, age = self.odometry.pose, self.feedback_age
+            self._exchange(self.safety.bounded(speeds, pose, age))
+            if self._clocked:
+                self.sensors.poll()
+        except BaseException:
+            self.deactivate()
+            raise
 
     def drive(self, linear: float, angular: float) -> None:
         """One tick towards a twist (linear [m/s], angular [rad/s]) within the limits.
 
         (0, 0) stops at once. Errors as `tick`.
         """
-        self._tick(self.safety.speeds, linear, angular)
-
-    def _tick(self, allowed: Callable[..., Sequence[float]], *wanted: Any) -> None:
-        """A tick with the wheel speeds that `allowed` makes of what is wanted."""
-        if not self.active:
-            raise LinkError("the robot isn't active", "call activate() or env.reset() first")
         try:
-            if self._listener is not None and self._listener.is_requested():
-                self.estop()
-                self._listener.confirm()
-            speeds = allowed(*wanted)
-            reason = self.safety.hold(self.odometry.pose, self.feedback_age)
-            self._exchange(self.safety.halt(reason) if reason else speeds)
+            self._heed()
+            pose, age = self.odometry.pose, self.feedback_age
+            self._exchange(self.safety.allowed(linear, angular, pose, age))
             if self._clocked:
                 self.sensors.poll()
         except BaseException:
             self.deactivate()
             raise
+
+    def _heed(self) -> None:
+        """Whether the robot may be driven at all, and whether somebody has asked for a stop."""
+        if not self.active:
+            raise LinkError("the robot isn't active", "call activate() or env.reset() first")
+        if self._listener is not None and self._listener.is_requested():
+            self.estop()
+            self._listener.confirm()
 
     @property
     def timing(self) -> EpisodeTiming | None:
@@ -222,7 +230,7 @@ class Robot:
         """Put a zero command on the wire; no time passes."""
         self.safety.halt(self.safety.reason)
         if self.active:
-            self.link.write(encode(ZERO, trailing_comma=self._comma))
+            self.link.write(self._line(ZERO))
 
     def close(self) -> None:
         """Command zero, close the link and the sensors; idempotent."""
@@ -245,7 +253,7 @@ class Robot:
                 self._listener = None
             self.link.close()
 
-    def _exchange(self, speeds: Sequence[float]) -> None:
+    def _exchange(self, speeds: Speeds) -> None:
         link = self.link
         if self._stopwatch is not None:
             turns = max(map(abs, self.speeds)) > STANDSTILL
@@ -259,13 +267,13 @@ class Robot:
         self._integrate(readings, dt)
         if self._stopwatch is not None:
             self._stopwatch.tick(link.lateness or 0.0, self.feedback_age)
-        if self.feedback_age > self._patience:
+        if rules.silent(self.feedback_age, self._rules):
             raise self._silence()
 
-    def _line(self, speeds: Sequence[float]) -> bytes:
-        """The command line; on all ticks of a step it is the same, for the same tuple."""
-        if speeds is not self._encoded or type(speeds) is not tuple:
-            self._encoded, self._command = speeds, encode(speeds, trailing_comma=self._comma)
+    def _line(self, speeds: Speeds) -> bytes:
+        """The command line; it is made anew only where the tuple of speeds is another one."""
+        if speeds is not self._encoded:
+            self._encoded, self._command = speeds, line_of(*speeds, self._end)
         return self._command
 
     def _integrate(self, readings: list[Reading], dt: float) -> None:

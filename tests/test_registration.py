@@ -79,7 +79,7 @@ def test_names_are_there_as_if_they_had_been_imported() -> None:
     assert {*acsar_gym.__all__, "__version__"} <= set(dir(acsar_gym))
     assert all(getattr(acsar_gym, name) is not None for name in acsar_gym.__all__)
     assert (
-        acsar_gym.safety.layer.Reason.LIMITS.name == "LIMITS"
+        acsar_gym.safety.rules.Reason.LIMITS.name == "LIMITS"
     )  # a module that nobody has imported here
     with pytest.raises(AttributeError, match="no attribute 'saftey'"):
         _ = acsar_gym.saftey

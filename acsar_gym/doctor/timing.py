@@ -22,7 +22,7 @@ from acsar_gym.links.lateness import Durations, Lateness
 from acsar_gym.links.serial import SerialLink
 from acsar_gym.policies import OnnxPolicy, Policy
 from acsar_gym.robot import Robot
-from acsar_gym.safety.layer import Reason
+from acsar_gym.safety.rules import Reason
 from acsar_gym.tasks import State
 from acsar_gym.tasks.base import remembered
 from acsar_gym.tasks.goal import PointGoal

@@ -102,7 +102,7 @@ def _standing() -> Iterator[Check]:
 
 def _moving(link: SerialLink, config: RobotConfig) -> Iterator[Check]:
     """Round trip of a command, then whether the firmware's own time-out stops the wheels."""
-    spin = min(Safety(config).bounded((SPIN, SPIN, SPIN, SPIN)))
+    spin = min(Safety(config).bounded((SPIN, SPIN, SPIN, SPIN), (0.0, 0.0, 0.0), 0.0))
     line = _line((spin, spin, spin, spin), config)
     round_trip = _until(link, line, lambda speeds: min(speeds) > 0.0)
     if round_trip is None:

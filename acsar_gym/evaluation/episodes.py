@@ -17,7 +17,7 @@ from acsar_gym.envs.base import RobotEnv
 from acsar_gym.errors import ConfigError, LinkError
 from acsar_gym.links.lateness import EpisodeTiming
 from acsar_gym.policies import Policy
-from acsar_gym.safety.layer import Reason
+from acsar_gym.safety.rules import Reason
 from acsar_gym.tasks.barn import SCORES
 from acsar_gym.worlds import Pose, Region, World
 from acsar_gym.worlds.scene import point_in_world

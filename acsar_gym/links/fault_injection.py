@@ -18,6 +18,7 @@ from acsar_gym.bodies.base import Camera, GroundTruth
 from acsar_gym.errors import ConfigError, LinkLostError, PortNotFoundError
 from acsar_gym.links.base import Link, camera_of
 from acsar_gym.links.faults import EPSILON, LINE_FAULTS, Faults, Lines, WheelEditor, WheelFaults
+from acsar_gym.links.lots import COMMANDS, EPISODE, FEEDBACK, lot
 from acsar_gym.protocol import ZERO, Decoder, encode
 from acsar_gym.worlds import Scene
 
@@ -69,10 +70,13 @@ class FaultyLink:
     def seed(self, seed: Seed) -> None:
         """What the next resets draw from; of a generator one number is taken, and no more."""
         if isinstance(seed, np.random.Generator):
-            seed = int(seed.integers(2**63))
+            self._key = float(seed.random())
+            self._rng = _generator(self._key)
+            return
         if seed is not None and (not isinstance(seed, int | np.integer) or seed < 0):
             raise ConfigError(f"seed = {seed!r}: must be a whole number, 0 or more")
         self._rng = np.random.default_rng(seed)
+        self._key = float(self._rng.random())
 
     @property
     def device(self) -> str:
@@ -105,10 +109,11 @@ class FaultyLink:
         self.link.reset(scene)
         self.injected.clear()
         self.wheels, self._episode = WheelFaults(), None
-        generators = self._rng.spawn(3)
-        if self.faults.possible and generators[-1].random() < self.faults.episodes:
+        key, self._key = self._key, float(self._rng.random())
+        if self.faults.possible and lot(key, EPISODE, 0.0, 0) < self.faults.episodes:
+            generators = _generator(key).spawn(3)
             self.wheels = WheelFaults.drawn(self.faults, generators[-1])
-            self._episode = _Episode(self, generators)
+            self._episode = _Episode(self, key, generators)
 
     def write(self, data: bytes) -> None:
         """Send bytes; what arrives of them is a matter of luck."""
@@ -172,14 +177,19 @@ class FaultyLink:
         self.link.close()
 
 
+def _generator(key: float) -> np.random.Generator:
+    """All that isn't a line's own lot is drawn from it; `key` is a number of [0, 1)."""
+    return np.random.default_rng(int(key * 2**53))
+
+
 class _Episode:
     """What goes wrong between two resets; feedback, commands and all else have own generators."""
 
-    def __init__(self, link: FaultyLink, generators: list[np.random.Generator]) -> None:
+    def __init__(self, link: FaultyLink, key: float, generators: list[np.random.Generator]) -> None:
         faults, count = link.faults, link.injected
         feedback, commands, events = generators
-        self._feedback = _Wire(faults, "feedback", feedback, count)
-        self._commands = _Wire(faults, "commands", commands, count)
+        self._feedback = _Wire(faults, "feedback", key, feedback, count)
+        self._commands = _Wire(faults, "commands", key, commands, count)
         self._wheels = WheelEditor(link.wheels, math.inf if faults.wheel_faults_at else -math.inf)
         self._wheels_fail_after = faults.wheel_faults_at
         self._outages = (
@@ -260,16 +270,23 @@ class _Wire:
     """One direction of the cable. Lines keep their order, however late one of them is."""
 
     def __init__(
-        self, faults: Faults, direction: str, rng: np.random.Generator, count: Counter[str]
+        self,
+        faults: Faults,
+        direction: str,
+        key: float,
+        rng: np.random.Generator,
+        count: Counter[str],
     ) -> None:
         here = faults.direction in (direction, "both")
         self._suffers = here and faults.lines_suffer
-        self._shares = [getattr(faults, name) for name in LINE_FAULTS]
+        shares = [(name, n, getattr(faults, name)) for n, name in enumerate(LINE_FAULTS)]
+        self._shares = [(name, kind, share) for name, kind, share in shares if share]
+        self._whose = FEEDBACK if direction == "feedback" else COMMANDS
+        self._key, self._number = key, 0
         self._lateness = faults.lateness
         self._burst_rate = faults.garbage_rate if here else 0.0
         self._burst = faults.garbage_bytes
-        self._lots, self._rng = rng.spawn(2)  # which lines suffer doesn't hang on how they do
-        self._count = count
+        self._rng, self._count = rng, count
         self._lines = Lines()
         self._queue: deque[tuple[float, bytes]] = deque()
         self._waiting = 0
@@ -292,9 +309,9 @@ class _Wire:
     def _send(self, line: bytes, now: float) -> None:
         hits: set[str] = set()
         if line.strip():  # the second half of a line end that was torn apart is no line
-            chances = self._lots.random(len(LINE_FAULTS)).tolist()
-            rows = zip(LINE_FAULTS, chances, self._shares, strict=True)
-            hits = {name for name, chance, share in rows if chance < share}
+            key, whose, number = self._key, self._whose, self._number
+            hits = {name for name, n, share in self._shares if lot(key, whose, number, n) < share}
+            self._number += 1
         if "dropped_lines" in hits:
             hits = {"dropped_lines"}
         self._count.update(hits)

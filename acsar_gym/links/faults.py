@@ -1,6 +1,6 @@
 """What may go wrong between a driver and its board: frozen, validated, in numbers and letters.
 
-`links/faulty.py` lets it happen.
+`links/fault_injection.py` lets it happen.
 """
 
 from __future__ import annotations
@@ -224,6 +224,8 @@ class WheelEditor:
 
 
 LINE_FAULTS = ("dropped_lines", "duplicated_lines", "cut_lines", "corrupted_lines", "late_lines")
+"""In the order of their kinds, see `lots`."""
+DROPPED, LATE = LINE_FAULTS.index("dropped_lines"), LINE_FAULTS.index("late_lines")
 _RATES = ("garbage_rate", "board_reset_rate", "brown_out_rate", "unplug_rate")
 _WHEELS = ("stuck_encoders", "reversed_encoders", "dead_wheels")
 _WHEN = ("board_reset_at", "brown_out_at", "unplug_at")

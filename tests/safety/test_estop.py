@@ -23,7 +23,7 @@ from acsar_gym.errors import LinkError, SafetyWarning
 from acsar_gym.links import open_link
 from acsar_gym.protocol import ZERO
 from acsar_gym.safety import estop
-from acsar_gym.safety.layer import Reason
+from acsar_gym.safety.rules import Reason
 
 pytestmark = [pytest.mark.xdist_group("serial"), pytest.mark.usefixtures("deadline")]
 

@@ -15,11 +15,13 @@ from acsar_gym.envs.base import RobotEnv
 from acsar_gym.links import open_link
 from acsar_gym.protocol import Decoder
 from acsar_gym.resources import ASSETS
-from acsar_gym.safety.layer import Reason, Safety
+from acsar_gym.safety.layer import Safety
+from acsar_gym.safety.rules import Reason
 from acsar_gym.worlds import Scene
 
 ACSAR = RobotConfig.preset("acsar")
 URDF = ASSETS / "robots" / "acsar.urdf"
+ORIGIN = (0.0, 0.0, 0.0)
 AT_ONCE: dict[str, Any] = {
     "linear_limits": {"max_acceleration": None},
     "angular_limits": {"max_acceleration": None},
@@ -100,7 +102,7 @@ def test_no_twist_exceeds_the_full_speeds(linear: float, angular: float) -> None
 @given(st.lists(st.floats(-1e307, 1e307), min_size=4, max_size=4))
 def test_raw_wheel_speeds_shrink_alike(speeds: list[float]) -> None:
     safety = Safety(ACSAR)
-    sent = list(safety.bounded(speeds))
+    sent = list(safety.bounded(speeds, ORIGIN, 0.0))
     linear, angular = twist(tuple(sent))
     assert abs(linear) <= ACSAR.max_linear + 1e-9
     assert abs(angular) <= ACSAR.max_angular + 1e-9
@@ -133,10 +135,10 @@ def test_a_robot_that_must_not_reverse_stands_instead() -> None:
 def test_a_first_command_is_slow(config: RobotConfig) -> None:
     """At the full twist the first command turns no wheel at more than 0.8 rad/s; it was 17."""
     safety, full = Safety(config), (config.max_linear, config.max_angular)
-    first = safety.speeds(*full)
+    first = safety.allowed(*full, ORIGIN, 0.0)
     reasons = [safety.reason]
     for _ in range(30):
-        safety.speeds(*full)
+        safety.allowed(*full, ORIGIN, 0.0)
         reasons.append(safety.reason)
     assert max(map(abs, first)) < 0.8
     assert (reasons[0], reasons[-1]) == (Reason.LIMITS, Reason.NONE)
@@ -162,11 +164,11 @@ def test_a_held_twist_costs_no_new_line() -> None:
     """Once it is reached, the same tuple of speeds is sent, which is encoded once."""
     safety = Safety(ACSAR)
     for _ in range(60):
-        reached = safety.speeds(0.37, -0.9)
-    assert safety.speeds(0.37, -0.9) is reached
+        reached = safety.allowed(0.37, -0.9, ORIGIN, 0.0)
+    assert safety.allowed(0.37, -0.9, ORIGIN, 0.0) is reached
     assert safety.sent == pytest.approx((0.37, -0.9))
     safety.halt(Reason.STALE_FEEDBACK)
-    assert safety.speeds(0.37, -0.9) != reached
+    assert safety.allowed(0.37, -0.9, ORIGIN, 0.0) != reached
 
 
 def test_acceleration_limits_ramp_the_commands_on_the_wire() -> None:

@@ -10,7 +10,7 @@ from acsar_gym import kinematics
 from acsar_gym.dynamics.model import physics_at, towards, tyre_step, wheel_speed
 from acsar_gym.jit import jit, loop
 from acsar_gym.protocol import MAX_SPEED
-from acsar_gym.safety.layer import TELLABLE
+from acsar_gym.safety.rules import TELLABLE
 from acsar_gym.vector.kernel.layout import (
     ANGLE,
     BLEND,
