@@ -306,7 +306,7 @@ def test_barns_rules() -> None:
     assert env.spec.max_episode_steps == 1000
     _, info = env.reset(seed=0)
     assert info["goal_distance"] == pytest.approx(10.0)
-    assert inner(env).course.tolerance == 1.0
+    assert inner(env).task.goal_tolerance == 1.0
     assert info["barn_score"] == 0.0
     env.close()
 

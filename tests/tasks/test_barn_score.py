@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
-import numpy as np
 import pytest
+from task_tools import ACSAR, Played
 
-from acsar_gym.config import RobotConfig
-from acsar_gym.tasks import Barn, State
+from acsar_gym.tasks import Barn
 from acsar_gym.tasks.barn import SCORES, score, scores
-from acsar_gym.worlds.pool import Pool
-
-ACSAR = RobotConfig.preset("acsar")
 
 
 @pytest.mark.parametrize(
@@ -37,15 +31,11 @@ def test_a_slower_robot_is_measured_by_its_own_speed() -> None:
 
 
 def test_an_episode_scores_when_it_reaches_the_goal() -> None:
-    task = Barn.of(Pool.of("barn:2"), 10.0, ACSAR)
-    course = task.begin(np.random.default_rng(0), {"world": 1})
-    nowhere = (math.nan,) * 3
+    played = Played(Barn(), {"world": 1}, "barn:2")
     for _ in range(200):
-        state = State((5.0, 0.0, 0.0), (0.5, 0.0), (1.0, 0.0))
-        course.judge(state)
-    assert [course.info(state, nowhere)[name] for name in SCORES] == [0.0] * 4
-    state = State((9.1, 0.0, 0.0), (0.5, 0.0), (1.0, 0.0))  # within BARN's metre
-    course.judge(state)
-    expected = scores(1.0, 20.1, course.assignment.length, ACSAR.max_linear)
-    assert [course.info(state, nowhere)[name] for name in SCORES] == pytest.approx(expected)
-    assert 10.0 <= course.assignment.length <= 13.9
+        played.step(pose=(5.0, 0.0, 0.0))
+    assert [played.episode.info()[name] for name in SCORES] == [0.0] * 4
+    played.step(pose=(9.1, 0.0, 0.0))  # within BARN's metre
+    expected = scores(1.0, 20.1, played.assignment.length, ACSAR.max_linear)
+    assert [played.episode.info()[name] for name in SCORES] == pytest.approx(expected)
+    assert 10.0 <= played.assignment.length <= 13.9

@@ -9,44 +9,40 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from task_tools import Played
 
-from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, WorldError
-from acsar_gym.tasks import Outcome, PathFollow, State
-from acsar_gym.tasks.path import PATH_LAYOUT, PathCourse, heading_error, nearest, path_reward
+from acsar_gym.tasks import Outcome, PathFollow
+from acsar_gym.tasks.path import heading_error, nearest, path_reward
 from acsar_gym.worlds import Pose
 from acsar_gym.worlds.paths import sampled
 from acsar_gym.worlds.pool import Pool
 
-ACSAR = RobotConfig.preset("acsar")
-TASK = PathFollow.of(Pool.of("smooth_path:20"), 0.5, ACSAR)
+TASK = PathFollow()
+POOL = Pool.of("smooth_path:20")
 L_SHAPE = [(0.0, 0.0), (2.0, 0.0), (2.0, 2.0)]
 
 
-def course(path: Any = L_SHAPE) -> PathCourse:
-    return TASK.begin(np.random.default_rng(0), {"path": path})
+def played(path: Any = L_SHAPE) -> Played:
+    return Played(TASK, {"path": path})
 
 
-def state(x: float, y: float, theta: float = 0.0) -> State:
-    return State((x, y, theta), (0.3, 0.1), (0.5, 0.1))
+def walk(following: Played, *poses: Pose) -> list[tuple[float, Outcome]]:
+    return [following.step(pose=pose, action=(0.5, 0.1)) for pose in poses]
 
 
-def walk(following: PathCourse, *poses: Pose) -> list[tuple[float, Outcome]]:
-    return [following.judge(state(*pose)) for pose in poses]
-
-
-def test_the_layout_names_every_number() -> None:
-    assert len(course().observe(state(0.0, 0.0))) == len(PATH_LAYOUT) == 16
+def seen_at(following: Played, x: float, y: float) -> dict[str, float]:
+    return following.seen(pose=(x, y, 0.0), twist=(0.3, 0.1), action=(0.5, 0.1))
 
 
 def test_left_of_the_path_is_positive() -> None:
-    following = course()
+    following = played()
     walk(following, (0.5, 0.1, 0.2))
-    info = following.info(state(0.5, 0.1, 0.2), (math.nan,) * 3)
+    info = following.episode.info()
     assert info["cross_track_error"] == pytest.approx(0.1)
     assert info["heading_error"] == pytest.approx(0.2)
     assert info["path_progress"] == pytest.approx(0.125)
-    seen = dict(zip(PATH_LAYOUT, following.observe(state(0.5, 0.1)), strict=True))
+    seen = seen_at(following, 0.5, 0.1)
     assert seen["cross_track_error"] == pytest.approx(0.2)
     assert (seen["ahead_1"], seen["left_1"]) == pytest.approx((0.25, -0.1))
     assert (seen["ahead_4"], seen["left_4"]) == pytest.approx((1.0, -0.1))
@@ -55,16 +51,16 @@ def test_left_of_the_path_is_positive() -> None:
 
 
 def test_the_path_ahead_goes_round_the_corner() -> None:
-    following = course()
+    following = played()
     walk(following, *((x, 0.0, 0.0) for x in (0.5, 1.0, 1.5)))
-    seen = dict(zip(PATH_LAYOUT, following.observe(state(1.5, 0.0)), strict=True))
+    seen = seen_at(following, 1.5, 0.0)
     assert (seen["ahead_4"], seen["left_4"]) == pytest.approx((0.5, 0.5))
 
 
 def test_the_end_needs_the_whole_path() -> None:
     """Beside the end of a loop the robot isn't done before it has gone round."""
     square = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0), (0.0, 0.05)]
-    following = course(square)
+    following = played(square)
     assert walk(following, (0.02, 0.0, 0.0))[0][1] is Outcome.GOING
     points = sampled(np.array(square))
     outcomes = [outcome for _, outcome in walk(following, *map(tuple, points[::4].tolist()))]
@@ -73,20 +69,20 @@ def test_the_end_needs_the_whole_path() -> None:
 
 
 def test_too_far_beside_is_out_of_bounds() -> None:
-    assert walk(course(), (0.3, 0.49, 0.0))[0][1] is Outcome.GOING
-    assert walk(course(), (0.3, 0.51, 0.0))[0][1] is Outcome.OUT_OF_BOUNDS
+    assert walk(played(), (0.3, 0.49, 0.0))[0][1] is Outcome.GOING
+    assert walk(played(), (0.3, 0.51, 0.0))[0][1] is Outcome.OUT_OF_BOUNDS
 
 
 def test_errors_add_up_to_means() -> None:
-    following = course()
+    following = played()
     walk(following, (0.2, 0.1, 0.1), (0.4, -0.3, -0.3))
-    info = following.info(state(0.4, -0.3, -0.3), (math.nan,) * 3)
+    info = following.episode.info()
     assert info["mean_cross_track_error"] == pytest.approx(0.2)
     assert info["mean_heading_error"] == pytest.approx(0.2)
 
 
 def test_reward_pays_for_progress_along_the_path() -> None:
-    (reward, _), (back, _) = walk(course(), (0.05, 0.0, 0.0), (0.0, 0.0, 0.0))
+    (reward, _), (back, _) = walk(played(), (0.05, 0.0, 0.0), (0.0, 0.0, 0.0))
     assert reward == pytest.approx(0.08)
     assert back == pytest.approx(-0.12)
     assert path_reward(0.05, 0.1, 1.0, 0) == pytest.approx(0.03)
@@ -100,7 +96,7 @@ def test_beside_a_smooth_path_the_distance_is_found(
     number: int, share: float, beside: float
 ) -> None:
     """A point off the path at right angles, nearer than the path's curvature allows doubt."""
-    world = TASK.pool[number]
+    world = POOL[number]
     assert world.path is not None
     path = sampled(world.path)
     k = 1 + int(share * (len(path) - 3))
@@ -126,11 +122,11 @@ def test_heading_errors_are_wrapped(theta: float, bearing: float) -> None:
 @pytest.mark.parametrize("path", [[], [(0.0, 0.0)], [(1.0, 1.0)] * 3, "path", [(0.0, math.nan)]])
 def test_paths_that_are_none_are_refused(path: Any) -> None:
     with pytest.raises((WorldError, ConfigError)) as caught:
-        course(path)
+        played(path)
     assert "path" in str(caught.value)
 
 
 @pytest.mark.parametrize("most", [0.0, -1.0, math.nan])
 def test_a_bad_limit_is_refused(most: float) -> None:
     with pytest.raises(ConfigError, match="max_cross_track"):
-        PathFollow.of(TASK.pool, most, ACSAR)
+        PathFollow(max_cross_track=most)

@@ -12,8 +12,6 @@ from typing import Any
 
 import pytest
 
-from acsar_gym.config import RobotConfig
-from acsar_gym.tasks import ObstacleGoal
 from acsar_gym.vector.tables import worlds_of
 from acsar_gym.worlds import World, cache, generators
 from acsar_gym.worlds.pool import Pool
@@ -67,8 +65,7 @@ def test_a_kept_world_is_the_generated_one_to_the_bit(kind: str, made: list[int]
 
 
 def test_a_batchs_worlds_are_kept_and_a_single_envs_are_found(place: Path, made: list[int]) -> None:
-    config = RobotConfig.of(None)
-    worlds_of(ObstacleGoal.of(Pool.of("open:4", None, RADIUS), 0.3, config))
+    worlds_of(Pool.of("open:4", None, RADIUS), follow=False)
     assert len(list(place.iterdir())) == 1
     assert Pool.of("open:4", None, RADIUS)[3].name == "open 3"
     assert made == [0, 1, 2, 3]
