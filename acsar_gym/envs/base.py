@@ -101,7 +101,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
             "control_rate", config.control_rate, "policy_rate", self._options.policy_rate
         )
         self.metadata = {**type(self).metadata, "render_fps": self._options.policy_rate}
-        self.task = made(task, rest)
+        self.task = made(task, rest, EnvOptions.names())
         self._spawn = Spawn(self.task, self._options.worlds, self._options.difficulty, config)
         self.pool = self._spawn.pool
         self._options.check_view(link)

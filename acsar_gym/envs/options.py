@@ -37,13 +37,18 @@ class EnvOptions:
             raise ConfigError(f"on_fault = {shown(self.on_fault)}: must be raise or truncate")
 
     @classmethod
+    def names(cls) -> tuple[str, ...]:
+        """Of all options."""
+        return tuple(field.name for field in fields(cls))
+
+    @classmethod
     def split(cls, given: Mapping[str, Any]) -> tuple[Self, dict[str, Any]]:
         """These options, and the others, which are the task's.
 
         Raises:
             ConfigError: for values that make no sense.
         """
-        own = {field.name for field in fields(cls)}
+        own = cls.names()
         rest = {name: value for name, value in given.items() if name not in own}
         return cls(**{name: value for name, value in given.items() if name in own}), rest
 

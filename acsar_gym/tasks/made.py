@@ -16,12 +16,13 @@ from acsar_gym.sensors import LIDAR, Sensor
 from acsar_gym.tasks.base import Outcome, State, Task, remembered
 
 
-def made(task: Any, options: Mapping[str, Any]) -> Task:
+def made(task: Any, options: Mapping[str, Any], others: Sequence[str] = ()) -> Task:
     """A task of what a user names; see `tried`, too.
 
     Args:
         task: a Task, a subclass of it, or "module:Class".
         options: fields of the class.
+        others: names of the env's own options, for messages.
 
     Raises:
         ConfigError: for anything else, for options that the class doesn't know, and for methods
@@ -30,7 +31,7 @@ def made(task: Any, options: Mapping[str, Any]) -> Task:
     if isinstance(task, str):
         task = _imported(task)
     if isinstance(task, type) and issubclass(task, Task):
-        task = _built(task, options)
+        task = _built(task, options, others)
     elif options:
         raise ConfigError(f"{_listed(options)}: no option of the env, and the task is made already")
     if not isinstance(task, Task):
@@ -62,12 +63,13 @@ def _imported(name: str) -> Any:
     return found
 
 
-def _built(task: type[Task], options: Mapping[str, Any]) -> Task:
-    known = [name for name in inspect.signature(task).parameters if name != "self"]
+def _built(task: type[Task], options: Mapping[str, Any], others: Sequence[str]) -> Task:
+    known = list(inspect.signature(task).parameters)
     for name in options:
         if name not in known:
             raise ConfigError(
-                f"unknown option {shown(name)} of {named(task)}{suggestion(str(name)[:40], known)}"
+                f"unknown option {shown(name)} of {named(task)}"
+                f"{suggestion(str(name)[:40], [*known, *others])}"
             )
     try:
         return task(**options)

@@ -101,7 +101,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         self.num_envs = count("num_envs", num_envs, MOST_ROBOTS)
         self.autoreset_mode = asked.autoreset_mode
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
-        self.task = made(task, rest)
+        self.task = made(task, rest, BatchOptions.names())
         self._spawn = Spawn(self.task, asked.worlds, asked.difficulty, config)
         self.pool = self._spawn.pool
         self.config = config

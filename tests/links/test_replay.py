@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import tty
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,10 +10,10 @@ import gymnasium
 import numpy as np
 import pytest
 import serial
+from tapes import playing
 
 from acsar_gym import open_link
 from acsar_gym.errors import ConfigError, LinkLostError
-from acsar_gym.links import recording
 from acsar_gym.links.recording import RecordingLink
 from acsar_gym.links.replay import ReplayLink
 
@@ -47,34 +44,10 @@ def taped(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[bytes]]:
     return tape, rollout(RecordingLink(open_link("bullet"), tape))
 
 
-def play(tape: Path, master: int, heard: Any) -> None:
-    """A tape player at the far end of the tty: one period's feedback for each command heard."""
-    wrong = 0
-    for episode in recording.read(tape):
-        for period in episode.periods:
-            command = b""
-            while len(command) < len(period.sent):
-                command += os.read(master, len(period.sent) - len(command))
-            wrong += command != period.sent
-            os.write(master, period.got)
-    heard.put(wrong)
-
-
 @pytest.fixture
 def tty_playing(taped: tuple[Path, list[bytes]]) -> Iterator[tuple[serial.Serial, Any]]:
-    master, slave = os.openpty()
-    tty.setraw(slave)
-    fork = multiprocessing.get_context("fork")
-    heard = fork.Queue()
-    player = fork.Process(target=play, args=(taped[0], master, heard), daemon=True)
-    player.start()
-    port = serial.Serial(os.ttyname(slave), 115200, timeout=5.0, exclusive=True)
-    yield port, heard
-    port.close()
-    player.terminate()
-    player.join()
-    os.close(master)
-    os.close(slave)
+    with playing(taped[0]) as port_and_heard:
+        yield port_and_heard
 
 
 def test_a_recording_replays_bit_for_bit(taped: tuple[Path, list[bytes]]) -> None:

@@ -1,0 +1,175 @@
+"""docs/extending.md: its code, as a user would save it, in all modes."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from tapes import playing
+
+from acsar_gym import RobotConfig, open_link
+from acsar_gym.lidars.base import Scan
+from acsar_gym.links.recording import RecordingLink
+from acsar_gym.links.replay import ReplayLink
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "extending.md"
+TASK = "mine.clearance:mine/Clearance-v0"
+FENCE = {"min_x": -0.6, "max_x": 4.0, "min_y": -3.0, "max_y": 3.0}
+ROBOT: dict[str, Any] = {
+    "geofence": FENCE,
+    "linear_limits": {"max_acceleration": 1.5, "max_jerk": 30.0},
+    "angular_limits": {"max_acceleration": 6.0},
+}
+STEPS = 1000
+
+
+@pytest.fixture(scope="module")
+def mine(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A user's package with the files of the page."""
+    folder = tmp_path_factory.mktemp("users")
+    package = folder / "mine"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    text = PAGE.read_text(encoding="utf-8")
+    for name, code in re.findall(r"^```python\n# mine/(\w+\.py)\n(.*?)^```", text, re.M | re.S):
+        (package / name).write_text(code, encoding="utf-8")
+    sys.path.insert(0, str(folder))
+    importlib.invalidate_caches()
+    yield package
+    sys.path.remove(str(folder))
+    gymnasium.registry.pop("mine/Clearance-v0", None)
+    for name in [name for name in sys.modules if name.split(".")[0] == "mine"]:
+        del sys.modules[name]
+
+
+def actions(robots: int, steps: int) -> np.ndarray[Any, np.dtype[np.float32]]:
+    """The same for every robot: forwards in arcs, with sudden changes."""
+    rng = np.random.default_rng(5)
+    pushes = rng.uniform([-0.3, -1.0], [1.0, 1.0], (steps // 4 + 1, robots, 2))
+    return np.repeat(pushes, 4, axis=0)[:steps].astype(np.float32)
+
+
+def test_the_task_has_forty_lines(mine: Path) -> None:
+    lines = (mine / "clearance.py").read_text(encoding="utf-8").split("class Clearance", 1)[1]
+    assert len([line for line in lines.splitlines() if line.strip()]) <= 40
+
+
+@pytest.mark.parametrize("compiled", [True, False], ids=["compiled", "plain"])
+def test_a_batch_and_single_envs_are_equal(
+    mine: Path, compiled: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Lost lines, limits and a geofence included, through the ends of episodes."""
+    task = importlib.import_module("mine.clearance").Clearance
+    monkeypatch.setattr(task, "compiled", compiled)
+    options: dict[str, Any] = {
+        "robot": ROBOT,
+        "worlds": "clutter:8",
+        "faults": {"dropped_lines": 0.1},
+    }
+    robots, checked = 1024 if compiled else 16, 4
+    batch: Any = gymnasium.make_vec(
+        TASK, robots, vectorization_mode="vector_entry_point", autoreset_mode="NextStep", **options
+    )
+    ones = [gymnasium.make(TASK, link="planar", **options) for _ in range(checked)]
+    observations, _ = batch.reset(seed=7)
+    for robot, env in enumerate(ones):
+        np.testing.assert_allclose(env.reset(seed=7 + robot)[0], observations[robot], atol=1e-6)
+    over = [False] * checked
+    held = 0
+    for action in actions(robots, STEPS):
+        observations, rewards, terminated, truncated, info = batch.step(action)
+        held += int((info["sent_reason"] == 2.0).any())
+        for robot, env in enumerate(ones):
+            told: Any = env.reset() if over[robot] else env.step(action[robot])
+            reward, *ended = [0.0, False, False] if over[robot] else told[1:4]
+            np.testing.assert_allclose(told[0], observations[robot], atol=1e-6)
+            assert rewards[robot] == pytest.approx(reward, abs=1e-6)
+            assert ended == [terminated[robot], truncated[robot]]
+            over[robot] = any(ended)
+    assert held > 0  # the fence was met
+    for env in (*ones, batch):
+        env.close()
+
+
+class Still:
+    """A LiDAR that sees the same on every link."""
+
+    def reset(self, scene: Any, rng: Any) -> None:
+        """Nothing to begin."""
+
+    def scan(self) -> Scan:
+        """Two metres all around."""
+        return Scan(np.full(64, 2.0), 0.0)
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+
+def rollout(link: Any, steps: int) -> list[bytes]:
+    """Observations and rewards with lost lines, as bytes."""
+    faults = {"dropped_lines": 0.1}
+    env = gymnasium.make(
+        TASK, link=link, robot=ROBOT, worlds="open:8", lidar=Still(), faults=faults
+    )
+    goal = {"goal": (3.0, 1.0)}
+    told = [env.reset(seed=3, options=goal)[0].tobytes()]
+    for action in actions(1, steps)[:, 0]:
+        observation, reward, terminated, truncated, info = env.step(action)
+        assert info["fault"] == 0.0
+        told.append(observation.tobytes() + np.float64(reward).tobytes())
+        if terminated or truncated:
+            told.append(env.reset(options=goal)[0].tobytes())
+    env.close()
+    return told
+
+
+@pytest.mark.xdist_group("serial")
+def test_over_a_serial_port_it_is_the_same_to_the_bit(mine: Path, tmp_path: Path) -> None:
+    tape = tmp_path / "tape.jsonl"
+    told = rollout(RecordingLink(open_link("planar", RobotConfig.of(ROBOT)), tape), STEPS)
+    with playing(tape) as (port, heard):
+        assert rollout(ReplayLink(tape, port), STEPS) == told
+        assert heard.get(timeout=5.0) == 0
+
+
+def test_a_sensor_of_ones_own(mine: Path) -> None:
+    rays = importlib.import_module("mine.rays").ThreeRays
+    options: dict[str, Any] = {"worlds": "clutter:4", "sensors": [rays]}
+    batch: Any = gymnasium.make_vec(
+        "acsar_gym/ObstacleGoal-v0", 4, vectorization_mode="vector_entry_point", **options
+    )
+    one = gymnasium.make("acsar_gym/ObstacleGoal-v0", link="planar", **options)
+    assert one.observation_space.shape == (7 + 64 + 3,)
+    seen, _ = one.reset(seed=1)
+    np.testing.assert_allclose(batch.reset(seed=1)[0][0], seen, atol=1e-6)
+    for action in actions(4, 20):
+        rows, seen = batch.step(action)[0], one.step(action[0])[0]
+        np.testing.assert_allclose(rows[0], seen, atol=1e-6)
+    for env in (one, batch):
+        env.close()
+
+
+def test_worlds_of_ones_own(mine: Path) -> None:
+    env = gymnasium.make(
+        "acsar_gym/ObstacleGoal-v0", link="planar", worlds="mine.corridors:corridors:0-99"
+    )
+    _, info = env.reset(seed=0, options={"world": 42})
+    assert info["world"] == 42.0
+    assert 2.9 < info["goal_distance"] < 6.1
+    env.close()
+
+
+def test_a_robot_of_ones_own(tmp_path: Path) -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    file = tmp_path / "robot.yaml"
+    file.write_text(re.findall(r"^```yaml\n(.*?)^```", text, re.M | re.S)[0], encoding="utf-8")
+    env = gymnasium.make("acsar_gym/ObstacleGoal-v0", link="planar", robot=str(file))
+    env.reset(seed=0)
+    env.close()
