@@ -13,6 +13,7 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from pydantic import BaseModel
 
+from acsar_gym.dynamics import Randomization
 from acsar_gym.links.faults import Faults
 from acsar_gym.tasks.base import Task
 
@@ -38,13 +39,13 @@ class PlainSpec:
 
 
 def plain(value: Any) -> Any:
-    """Configs, faults, arrays, paths and containers of them as JSON knows them.
+    """Configs, faults, randomization, arrays, paths and containers of them as JSON knows them.
 
     Other objects as given.
     """
     if isinstance(value, BaseModel):
         value = value.model_dump(mode="json")
-    elif isinstance(value, Faults):
+    elif isinstance(value, Faults | Randomization):
         value = dataclasses.asdict(value)
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()

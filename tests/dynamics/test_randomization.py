@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from varied import RANGES
 
 from acsar_gym import RobotConfig
 from acsar_gym.dynamics import Physics, Randomization, physics
@@ -16,16 +17,6 @@ from acsar_gym.errors import ConfigError
 
 CONFIG = RobotConfig()
 DT, STEP = substep(CONFIG), 0.1
-RANGES: dict[str, tuple[float, float]] = {
-    "mass": (0.5, 2.0),
-    "friction": (0.6, 1.2),
-    "motor_gain": (0.9, 1.1),
-    "motor_lag": (0.7, 1.5),
-    "deadband": (0.1, 0.3),
-    "wheel_radius": (0.95, 1.05),
-    "latency": (0.01, 0.04),
-    "feedback_rate": (20.0, 60.0),
-}
 WHEELS = "abcd"
 CHANGES = {
     "mass": {"mass", "yaw_inertia", "grip"},

@@ -8,21 +8,13 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from varied import RANGES
 
 from acsar_gym import RobotConfig, open_link
+from acsar_gym.dynamics import Randomization
 from acsar_gym.errors import ConfigError
 from acsar_gym.links.recording import RecordingLink
 
-RANGES = {
-    "mass": (0.5, 2.0),
-    "friction": (0.4, 1.2),
-    "motor_gain": (0.9, 1.1),
-    "motor_lag": (0.5, 2.0),
-    "deadband": (0.0, 0.5),
-    "wheel_radius": (0.95, 1.05),
-    "latency": (0.0, 0.04),
-    "feedback_rate": (15.0, 100.0),
-}
 ACTION = np.array([0.7, 0.3], np.float32)
 
 
@@ -79,6 +71,15 @@ def test_what_was_drawn_is_told_at_every_step_in_arrays_of_ones_own() -> None:
         "motor_lag",
     ]
     env.close()
+
+
+def test_a_spec_has_the_ranges_as_plain_data() -> None:
+    env = gymnasium.make(
+        "acsar_gym/PointGoal-v0", link="planar", randomization=Randomization(mass=(1, 2))
+    )
+    assert env.spec is not None
+    same = gymnasium.make(gymnasium.envs.registration.EnvSpec.from_json(env.spec.to_json()))
+    assert same.reset(seed=2)[1]["drawn_mass"] == env.reset(seed=2)[1]["drawn_mass"]
 
 
 def test_what_does_not_vary_takes_nothing_from_the_generator() -> None:

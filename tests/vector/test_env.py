@@ -15,6 +15,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
+from varied import RANGES
 
 from acsar_gym.dynamics import Physics, physics
 from acsar_gym.envs import ObstacleGoalVectorEnv, PointGoalVectorEnv
@@ -117,19 +118,7 @@ def rollout(env: RobotVectorEnv, seed: int = 3) -> np.ndarray[Any, Any]:
     return np.array([first, *(env.step(act)[0] for act in acts)])
 
 
-EVERYTHING = {
-    "mass": (0.7, 1.4),
-    "friction": (0.4, 1.2),
-    "motor_gain": (0.9, 1.1),
-    "motor_lag": (0.5, 2.0),
-    "deadband": (0.0, 0.5),
-    "wheel_radius": (0.95, 1.05),
-    "latency": (0.0, 0.04),
-    "feedback_rate": (15.0, 100.0),
-}
-
-
-@pytest.mark.parametrize("randomization", [None, EVERYTHING], ids=["plain", "randomized"])
+@pytest.mark.parametrize("randomization", [None, RANGES], ids=["plain", "randomized"])
 def test_results_do_not_depend_on_threads_or_history(randomization: Any) -> None:
     one = rollout(batch(300, threads=1, randomization=randomization))
     two = rollout(batch(300, threads=2, randomization=randomization))
@@ -212,7 +201,7 @@ def test_actions_of_any_layout_use_the_same_loops() -> None:
     assert len(getattr(episode.reset, "signatures", ())) <= 1
 
 
-@pytest.mark.parametrize("randomization", [None, EVERYTHING], ids=["plain", "randomized"])
+@pytest.mark.parametrize("randomization", [None, RANGES], ids=["plain", "randomized"])
 def test_a_robots_fate_does_not_depend_on_its_neighbours(randomization: Any) -> None:
     """Nor on whether commands take equally long to all of them."""
     alone, crowd = (batch(number, randomization=randomization) for number in (1, 200))
@@ -224,10 +213,10 @@ def test_a_robots_fate_does_not_depend_on_its_neighbours(randomization: Any) -> 
         assert (single == crowd.step(np.repeat(act, 200, axis=0))[0][0]).all()
 
 
-@pytest.mark.parametrize("key", EVERYTHING)
+@pytest.mark.parametrize("key", RANGES)
 def test_each_randomization_makes_robots_differ(key: str) -> None:
     """Two robots with one command differ through what is randomized, and its info says by what."""
-    env = batch(2, randomization={key: EVERYTHING[key]})
+    env = batch(2, randomization={key: RANGES[key]})
     env.reset(seed=[1, 2])
     for _ in range(20):
         env.step(np.array([[0.6, 0.9]] * 2))
@@ -243,10 +232,10 @@ def test_each_randomization_makes_robots_differ(key: str) -> None:
 @pytest.mark.parametrize("mode", AutoresetMode)
 def test_what_is_drawn_is_told_at_every_step(mode: AutoresetMode) -> None:
     """The same keys always; new values with every episode, those of the state's own physics."""
-    env = batch(30, randomization=EVERYTHING, max_episode_steps=4, autoreset_mode=mode)
+    env = batch(30, randomization=RANGES, max_episode_steps=4, autoreset_mode=mode)
     _, first = env.reset(seed=1)
-    drawn = {key: first[f"drawn_{key}"] for key in EVERYTHING}
-    for key, (low, high) in EVERYTHING.items():
+    drawn = {key: first[f"drawn_{key}"] for key in RANGES}
+    for key, (low, high) in RANGES.items():
         assert drawn[key].shape == ((30, 4) if key in ("motor_gain", "motor_lag") else (30,))
         assert (drawn[key] >= low - 0.005).all()  # delays are whole loops of the firmware
         assert (drawn[key] <= high * 1.2 + 0.005).all()  # and so are the lines' intervals
@@ -262,7 +251,7 @@ def test_what_is_drawn_is_told_at_every_step(mode: AutoresetMode) -> None:
         *_, info = env.step(np.zeros((30, 2)))
         assert first.keys() <= info.keys()
         anew = step >= (4 if mode is AutoresetMode.SAME_STEP else 5)
-        for key in EVERYTHING:
+        for key in RANGES:
             assert (info[f"drawn_{key}"] == drawn[key]).all() != anew
     own, configured = Physics(*env.batch.state[layout.PHYSICS :]), physics(env.config)
     told = env.batch.info()

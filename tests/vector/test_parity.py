@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
+from varied import RANGES
 
 from acsar_gym import RobotConfig, World
-from acsar_gym.dynamics import Randomization
 from acsar_gym.envs import (
     BarnVectorEnv,
     ObstacleGoalVectorEnv,
@@ -93,17 +92,6 @@ ROBOTS: dict[str, tuple[str, RobotConfig]] = {
     "near LiDAR": ("ObstacleGoal", ACSAR.with_(lidar={"noise": 0.02, "min_range": 0.3})),
 }
 
-VARIED = {
-    "mass": (0.5, 2.0),
-    "friction": (0.2, 1.2),
-    "motor_gain": (0.9, 1.1),
-    "motor_lag": (0.5, 2.0),
-    "deadband": (0.1, 1.0),
-    "wheel_radius": (0.95, 1.05),
-    "latency": (0.0, 0.06),
-    "feedback_rate": (15.0, 60.0),
-}
-
 
 def assert_robot_1_is_the_single_env(
     kind: str, arguments: dict[str, Any], options: dict[str, Any], steps: int, seed: int = 41
@@ -164,26 +152,22 @@ def test_any_robot_of_a_batch_is_the_single_planar_one(name: str) -> None:
     assert assert_robot_1_is_the_single_env(kind, {"robot": robot, **worlds}, {}, 100) >= 1
 
 
-def test_the_ranges_of_this_file_are_of_all_that_can_vary() -> None:
-    assert set(VARIED) == {field.name for field in fields(Randomization)}
-
-
-@pytest.mark.parametrize("name", VARIED)
+@pytest.mark.parametrize("name", RANGES)
 def test_each_randomized_parameter_is_the_single_envs(name: str) -> None:
     """Nine episodes; the values that were drawn are compared as everything else in info."""
-    arguments = {"randomization": {name: VARIED[name]}, "max_episode_steps": 5}
+    arguments = {"randomization": {name: RANGES[name]}, "max_episode_steps": 5}
     assert assert_robot_1_is_the_single_env("PointGoal", arguments, {}, 54) == 9
 
 
 @pytest.mark.parametrize("seed", [41, 5, 77])
 def test_everything_randomized_at_once_is_the_single_envs(seed: int) -> None:
-    arguments = {"randomization": VARIED, "worlds": REGIONS, "max_episode_steps": 25}
+    arguments = {"randomization": RANGES, "worlds": REGIONS, "max_episode_steps": 25}
     assert assert_robot_1_is_the_single_env("ObstacleGoal", arguments, {}, 100, seed) >= 3
 
 
 @pytest.mark.parametrize("robot", [UNLIMITED, LATE, ACSAR.with_(firmware={"loop_rate": 500.0})])
 def test_everything_is_randomized_alike_on_any_robot(robot: RobotConfig) -> None:
-    ranges = VARIED | {"latency": (0.0, 0.05), "feedback_rate": (5.0, 90.0)}
+    ranges = RANGES | {"latency": (0.0, 0.05), "feedback_rate": (5.0, 90.0)}
     arguments = {"randomization": ranges, "robot": robot, "max_episode_steps": 20}
     assert assert_robot_1_is_the_single_env("PointGoal", arguments, {}, 80, 12) >= 3
 

@@ -1,0 +1,14 @@
+"""Ranges of everything that randomization can vary, for tests that run through them."""
+
+from __future__ import annotations
+
+RANGES: dict[str, tuple[float, float]] = {
+    "mass": (0.5, 2.0),
+    "friction": (0.4, 1.2),
+    "motor_gain": (0.9, 1.1),
+    "motor_lag": (0.5, 2.0),
+    "deadband": (0.1, 0.5),
+    "wheel_radius": (0.95, 1.05),
+    "latency": (0.01, 0.04),
+    "feedback_rate": (15.0, 60.0),
+}
