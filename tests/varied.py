@@ -11,4 +11,5 @@ RANGES: dict[str, tuple[float, float]] = {
     "wheel_radius": (0.95, 1.05),
     "latency": (0.01, 0.04),
     "feedback_rate": (15.0, 60.0),
+    "track_width": (0.9, 1.1),
 }

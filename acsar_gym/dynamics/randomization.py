@@ -3,6 +3,10 @@
 All that can vary is defined in this file: its range (`Randomization`), the numbers that an episode
 draws for it (`Drawn`), and what they do to a robot's physics (`varied`). The single env and the
 batch both draw with `draw`, so that the same seed gives the same robot.
+
+Another parameter is a field of `Randomization`, one of `Drawn` (at the end, so that seeds go on
+drawing what they drew), and its part in `varied`. If the physics lacks its number, that is a field
+of `model.Physics`, and is used there; batches and both bodies follow.
 """
 
 from __future__ import annotations
@@ -50,6 +54,9 @@ class Randomization:
     firmware; shorter than a step of the policy."""
     feedback_rate: Range | None = None
     """Feedback lines per second [Hz], rounded to whole loops of the firmware."""
+    track_width: Range | None = None
+    """Factor on the real distance between left and right wheels; odometry goes on with the
+    configured one. Tyres that wear or bulge shift where they touch the ground."""
 
     def __post_init__(self) -> None:
         for name in self.names:
@@ -128,6 +135,7 @@ class Drawn(NamedTuple):
     wheel_radius: float = 1.0
     latency: float = 0.0
     feedback_rate: float = math.nan
+    track_width: float = 1.0
 
 
 class Ranges(NamedTuple):
@@ -168,7 +176,7 @@ def varied(nominal: Physics, drawn: Drawn, dt: float) -> Physics:
     return Physics(
         radius=nominal.radius * drawn.wheel_radius,
         half_wheelbase=nominal.half_wheelbase,
-        half_track=nominal.half_track,
+        half_track=nominal.half_track * drawn.track_width,
         mass=nominal.mass * drawn.mass,
         yaw_inertia=nominal.yaw_inertia * drawn.mass,
         grip=nominal.grip * drawn.mass * drawn.friction,

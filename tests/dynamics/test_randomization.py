@@ -27,6 +27,7 @@ CHANGES = {
     "wheel_radius": {"radius"},
     "latency": {"latency_loops"},
     "feedback_rate": {"feedback_loops"},
+    "track_width": {"half_track"},
 }
 
 

@@ -104,6 +104,16 @@ def test_a_larger_wheel_goes_further_than_odometry_knows(link: SimulatedLink) ->
     assert large[1] == pytest.approx(1.1 * plain[1], rel=1e-3)
 
 
+def test_a_wider_track_turns_slower_than_odometry_knows(link: SimulatedLink) -> None:
+    turn: Speeds = (8.0, -8.0, -8.0, 8.0)
+    plain = lines(drive(link, None, 1.5, turn)), link.truth.twist[1]
+    wide = lines(drive(link, physics(track_width=1.2), 1.5, turn)), link.truth.twist[1]
+    a, b = CONFIG.wheelbase, CONFIG.wheel_separation
+    assert wide[0] == plain[0]
+    expected = plain[1] * 1.2 * (b**2 + a**2) / ((1.2 * b) ** 2 + a**2)
+    assert wide[1] == pytest.approx(expected, rel=1e-3)
+
+
 @pytest.mark.parametrize("latency", [0.01, 0.05])
 def test_latency_delays_commands_and_feedback(link: SimulatedLink, latency: float) -> None:
     own = physics(latency=latency)
