@@ -9,7 +9,8 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.dynamics import model
 from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.worlds import Scene
-from acsar_gym.worlds.geometry import Obstacles, collides, surroundings
+from acsar_gym.worlds.collisions import collides
+from acsar_gym.worlds.geometry import Obstacles, surroundings
 
 
 class PlanarBody:

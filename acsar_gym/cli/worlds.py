@@ -26,7 +26,7 @@ def show(
     """Draw a world, or a sheet of several, as a PNG file.
 
     Args:
-        source: kind of generated worlds (clutter:12, barn:0-11, ...), a file, or a folder.
+        source: kind of generated worlds (clutter:12, mine.module:halls:0-9), file or folder.
         out: the picture.
         columns: worlds side by side.
         size: side of each [pixels].
@@ -47,7 +47,7 @@ def check(
     """Say whether the robot can cross worlds, how far it is, and how hard by BARN's measures.
 
     Args:
-        source: kind of generated worlds (clutter:12, barn:0-11, ...), a file, or a folder.
+        source: kind of generated worlds (clutter:12, mine.module:halls:0-9), file or folder.
         difficulty: of generated worlds, 0 to 1.
         robot: preset or config file, for its footprint.
         json: write the findings here too.

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.config.footprint import border_distance
 from acsar_gym.errors import ConfigError, shown
 from acsar_gym.reading import bounded
 from acsar_gym.render import backdrop as scenery
@@ -26,6 +25,7 @@ from acsar_gym.render.canvas import (
     encode,
     shortened,
 )
+from acsar_gym.render.vehicle import CHASSIS, footprint, parts, polar
 from acsar_gym.worlds import Pose, World
 
 Image = NDArray[np.uint8]
@@ -34,9 +34,6 @@ Image = NDArray[np.uint8]
 ODOM: Colour = (30, 110, 220)
 TRUTH: Colour = (245, 137, 32)
 RAY: Colour = (216, 60, 80)
-CHASSIS: Colour = (41, 89, 148)
-DECK: Colour = (217, 224, 233)
-TYRE: Colour = (30, 31, 34)
 SMALL = 10.0
 """Shorter robots are ringed, or nobody would find them [pixels]."""
 MOST_POINTS = 1000
@@ -88,8 +85,8 @@ class TopView:
         """How often what stands still was drawn."""
         self._config = config
         self._up = up
-        self._parts = _parts(config)
-        self._footprint = _footprint(config)
+        self._parts = parts(config)
+        self._footprint = footprint(config)
         self._goal: Point | None = None
         self._bounds = scenery.episode_bounds(None, None)
         self._draw_still(None, View.fitted(self._bounds, size, up or "x", INSET))
@@ -153,7 +150,7 @@ class TopView:
         """What the LiDAR sees as a fan, with a dot at every hit."""
         config = self._config
         sensor = _placed(np.array([[config.lidar_x_offset, config.lidar_y_offset]]), pose)
-        ends = sensor + _polar(angles + pose[2], np.minimum(ranges, reach))
+        ends = sensor + polar(angles + pose[2], np.minimum(ranges, reach))
         around = _all_around(angles)
         canvas.reveal(self._lit.layer, ends if around else np.concatenate([sensor, ends]))
         canvas.rays(sensor, ends, (*RAY, 60))
@@ -256,55 +253,12 @@ def _thinned(path: Sequence[Point]) -> Floats:
     return points if step == 1 else np.concatenate([points, np.array(path[-1:])])
 
 
-def _parts(config: RobotConfig) -> list[tuple[Floats, Colour]]:
-    """Footprint, wheels, chassis, heading and LiDAR: corners in the base frame [m], and colours."""
-    body, a, b = config.body, config.wheelbase / 2.0, config.wheel_separation / 2.0
-    tyre = max(0.02, body.width - config.wheel_separation)
-    inner = max(0.02, config.wheel_separation - tyre - 0.02)
-    wheels = [
-        (_box(x, y, 2.0 * config.wheel_radius, tyre), TYRE)
-        for x, y in ((a, -b), (a, b), (-a, b), (-a, -b))
-    ]
-    nose = np.array([[0.46, 0.0], [0.12, 0.36], [0.12, -0.36]]) * (body.length, inner)
-    turn = np.linspace(0.0, math.tau, 16, endpoint=False)
-    sensor = np.array([[config.lidar_x_offset, config.lidar_y_offset]])
-    chassis = _box(0.0, 0.0, body.length, inner)
-    if config.footprint is not None:
-        chassis, room = 0.75 * _footprint(config), border_distance(config.footprint, 0.0, 0.0)
-        nose = np.array([[0.6, 0.0], [0.0, 0.4], [0.0, -0.4]]) * room
-    return [
-        (_footprint(config), DECK),
-        *wheels,
-        (chassis, CHASSIS),
-        (nose, FLOOR),
-        (sensor + _polar(turn, np.full(16, 0.035)), TYRE),
-    ]
-
-
-def _footprint(config: RobotConfig) -> Floats:
-    """Corners of the robot's polygon, or of its body [m]."""
-    body = config.body
-    if config.footprint is None:
-        return _box(0.0, 0.0, body.length, body.width)
-    return np.array(config.footprint)
-
-
-def _box(x: float, y: float, length: float, width: float) -> Floats:
-    corners = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
-    box: Floats = corners * (length, width) + (x, y)
-    return box
-
-
 def _all_around(angles: Floats) -> bool:
     """Whether evenly spaced angles leave no gap between the last and the first."""
     if len(angles) < 3:
         return False
     turn = float(angles[-1] - angles[0])
     return math.tau - turn < 1.5 * turn / (len(angles) - 1)
-
-
-def _polar(angles: Floats, ranges: Floats) -> Floats:
-    return np.column_stack([ranges * np.cos(angles), ranges * np.sin(angles)])
 
 
 def _placed(points: Floats, pose: Pose) -> Floats:

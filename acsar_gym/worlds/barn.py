@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.errors import WorldError
+from acsar_gym.worlds.grid import Grid, search
 from acsar_gym.worlds.registry import GeneratorError
-from acsar_gym.worlds.search import Grid, search, shortest_path
+from acsar_gym.worlds.search import shortest_path
 from acsar_gym.worlds.world import Floats, Region, World
 
 CELLS = 30

@@ -1,4 +1,4 @@
-"""Circles and segments around a robot: exact footprint collisions and range rays.
+"""Circles and segments around a robot, and range rays; see `collisions` for what it touches.
 
 Scalar functions and loops over obstacles, compiled where numba is installed. Everything happens in
 a frame of the robot's or the sensor's own: x ahead, y to the left, lengths in m, angles in rad.
@@ -15,13 +15,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.config import RobotConfig
+from acsar_gym.config import RobotConfig, footprint
 from acsar_gym.errors import ConfigError
 from acsar_gym.jit import jit, loop
-from acsar_gym.worlds.polygons import circle_meets_polygon, segment_meets_polygon, sides
 from acsar_gym.worlds.world import World
 
 Floats = NDArray[np.float64]
+TURN = 2.0 * math.pi
 EDGE = 1e-9
 """Slack at the ends of an obstacle's window of rays [rad]."""
 
@@ -112,8 +112,15 @@ def surroundings(
         config.lidar_y_offset,
         max(abs(x) for x, _ in config.outline),
         max(abs(y) for _, y in config.outline),
-        sides(config),
+        _sides(config),
     )
+
+
+def _sides(config: RobotConfig) -> Floats:
+    """N x 4: the sides (x1, y1, x2, y2) of a robot's polygon; none where its footprint is a box."""
+    if config.footprint is None:
+        return np.zeros((0, 4))
+    return np.array([(*a, *b) for a, b in footprint.sides(config.footprint)])
 
 
 def _repeated(array: Floats, sets: int) -> Floats:
@@ -136,58 +143,6 @@ def _stacked(name: str, rows: Floats | Sequence[Any], width: int, robots: int) -
     if not np.isfinite(array).all():
         raise ConfigError(f"obstacles: {name} must be finite numbers")
     return np.ascontiguousarray(array)
-
-
-@jit
-def circle_meets_box(x: float, y: float, radius: float, half_x: float, half_y: float) -> bool:
-    """Whether a circle at (x, y) overlaps the box of half sizes around the origin."""
-    dx = x - min(max(x, -half_x), half_x)
-    dy = y - min(max(y, -half_y), half_y)
-    return dx * dx + dy * dy <= radius * radius
-
-
-@jit
-def segment_meets_box(
-    ax: float, ay: float, bx: float, by: float, half_x: float, half_y: float
-) -> bool:
-    """Whether a segment touches the box of half sizes around the origin (Liang and Barsky 1984)."""
-    near, far = 0.0, 1.0
-    for start, along, half in ((ax, bx - ax, half_x), (ay, by - ay, half_y)):
-        if abs(along) < 1e-15:
-            if abs(start) > half:
-                return False
-        else:
-            one, two = (-half - start) / along, (half - start) / along
-            near, far = max(near, min(one, two)), min(far, max(one, two))
-    return near <= far
-
-
-@loop
-def collides(x: float, y: float, cos: float, sin: float, which: int, around: Surroundings) -> bool:
-    """Whether the footprint at this pose touches an obstacle of set `which`."""
-    half_x, half_y = around.half_length, around.half_width
-    outer = math.sqrt(half_x * half_x + half_y * half_y)
-    circles, segments, is_box = around.circles, around.segments, len(around.sides) == 0
-    for n in range(circles.shape[1]):
-        dx, dy, radius = circles[which, n, 0] - x, circles[which, n, 1] - y, circles[which, n, 2]
-        near = outer + radius
-        if dx * dx + dy * dy <= near * near:
-            ahead, left = dx * cos + dy * sin, dy * cos - dx * sin
-            if circle_meets_box(ahead, left, radius, half_x, half_y) and (
-                is_box or circle_meets_polygon(ahead, left, radius, around.sides)
-            ):
-                return True
-    for n in range(segments.shape[1]):
-        ax, ay = segments[which, n, 0] - x, segments[which, n, 1] - y
-        bx, by = segments[which, n, 2] - x, segments[which, n, 3] - y
-        if min(ax, bx) <= outer and max(ax, bx) >= -outer and min(ay, by) <= outer:
-            a_x, a_y = ax * cos + ay * sin, ay * cos - ax * sin
-            b_x, b_y = bx * cos + by * sin, by * cos - bx * sin
-            if segment_meets_box(a_x, a_y, b_x, b_y, half_x, half_y) and (
-                is_box or segment_meets_polygon(a_x, a_y, b_x, b_y, around.sides)
-            ):
-                return True
-    return False
 
 
 @jit
@@ -225,6 +180,33 @@ def shorten_by_segment(
                 ranges[k] = min(ranges[k], distance)
 
 
+@jit
+def see_circle(
+    ranges: Floats, x: float, y: float, radius: float, square: float, around: Surroundings
+) -> None:
+    """Shorten the rays that meet a circle at (x, y) in the sensor's frame, `square` [m^2] away."""
+    middle, half = math.atan2(y, x), math.asin(radius / math.sqrt(square)) + EDGE
+    last = len(ranges) - 1
+    for shift in (-TURN, 0.0, TURN):
+        low = max(math.ceil((middle - half + shift - around.start) / around.step), 0)
+        high = min(math.floor((middle + half + shift - around.start) / around.step), last)
+        shorten_by_circle(ranges, x, y, radius, low, high, around.directions)
+
+
+@jit
+def see_segment(
+    ranges: Floats, ax: float, ay: float, bx: float, by: float, around: Surroundings
+) -> None:
+    """Shorten the rays that meet a segment from a to b in the sensor's frame."""
+    one, width = math.atan2(ay, ax), math.atan2(ax * by - ay * bx, ax * bx + ay * by)
+    first, last = min(one, one + width) - EDGE, len(ranges) - 1
+    for shift in (-TURN, 0.0, TURN):
+        low = max(math.ceil((first + shift - around.start) / around.step), 0)
+        top = first + abs(width) + 2.0 * EDGE
+        high = min(math.floor((top + shift - around.start) / around.step), last)
+        shorten_by_segment(ranges, ax, ay, bx, by, low, high, around.directions)
+
+
 @loop
 def cast(
     x: float,
@@ -239,10 +221,8 @@ def cast(
 
     Rays that meet nothing within reach have the reach. From within a circle all ranges are zero.
     """
-    turn = 2.0 * math.pi
     x += cos * around.mount_x - sin * around.mount_y
     y += sin * around.mount_x + cos * around.mount_y
-    last, directions = len(ranges) - 1, around.directions
     circles, segments = around.circles, around.segments
     ranges[:] = around.reach
     for n in range(circles.shape[1]):
@@ -253,26 +233,14 @@ def cast(
         if square <= radius * radius:
             ranges[:] = 0.0
             return
-        ahead, left = dx * cos + dy * sin, dy * cos - dx * sin
-        middle = math.atan2(left, ahead)
-        half = math.asin(radius / math.sqrt(square)) + EDGE
-        for shift in (-turn, 0.0, turn):
-            low = max(math.ceil((middle - half + shift - around.start) / around.step), 0)
-            high = min(math.floor((middle + half + shift - around.start) / around.step), last)
-            shorten_by_circle(ranges, ahead, left, radius, low, high, directions)
+        see_circle(ranges, dx * cos + dy * sin, dy * cos - dx * sin, radius, square, around)
     for n in range(segments.shape[1]):
         px, py = segments[which, n, 0] - x, segments[which, n, 1] - y
         qx, qy = segments[which, n, 2] - x, segments[which, n, 3] - y
         ax, ay = px * cos + py * sin, py * cos - px * sin
         bx, by = qx * cos + qy * sin, qy * cos - qx * sin
-        one, width = math.atan2(ay, ax), math.atan2(ax * by - ay * bx, ax * bx + ay * by)
-        first = min(one, one + width) - EDGE
-        for shift in (-turn, 0.0, turn):
-            low = max(math.ceil((first + shift - around.start) / around.step), 0)
-            top = first + abs(width) + 2.0 * EDGE
-            high = min(math.floor((top + shift - around.start) / around.step), last)
-            shorten_by_segment(ranges, ax, ay, bx, by, low, high, directions)
-    for k in range(last + 1):
+        see_segment(ranges, ax, ay, bx, by, around)
+    for k in range(len(ranges)):
         ranges[k] = min(max(ranges[k], 0.0), around.reach)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import re
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -120,7 +121,7 @@ def _called(make: Maker) -> str:
     return str(getattr(make, "__qualname__", type(make).__qualname__))
 
 
-def one_line(error: Exception) -> str:
+def one_line(error: BaseException) -> str:
     """What others' code raised, on one line."""
     return shortened(" ".join(f"{type(error).__name__}: {error}".split()), 300)
 
@@ -156,6 +157,8 @@ def imported(module: str, kind: str) -> None:
     """
     if module in ("", "__main__"):
         return
+    if "" not in sys.path:
+        sys.path.append("")  # a file beside which the command line is used
     try:
         importlib.import_module(module)
     except ImportError as error:
@@ -163,7 +166,7 @@ def imported(module: str, kind: str) -> None:
             f"worlds = '{module}:{kind}': can't import {module}: {one_line(error)}; install it, or "
             "name its folder in PYTHONPATH"
         ) from None
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise WorldError(
             f"worlds = '{module}:{kind}': importing {module} raised {one_line(error)}"
         ) from error

@@ -7,9 +7,7 @@ any path that the disc can.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,22 +15,24 @@ from numpy.typing import NDArray
 from acsar_gym.config import RobotConfig, footprint
 from acsar_gym.errors import WorldError
 from acsar_gym.worlds.clearance import clearance, segment_clearance
+from acsar_gym.worlds.grid import (
+    MOST_CELLS,
+    RESOLUTION,
+    SLACK,
+    Grid,
+    box_around,
+    cells_in,
+    free_cells,
+    leaves,
+    near,
+    search,
+)
 from acsar_gym.worlds.world import Floats, Region, World
 
-RESOLUTION = 0.05
-"""Side of a cell of the search [m]."""
-MOST_CELLS = 1_000_000
-"""Of a search: 2,500 m^2. Larger surroundings are searched more coarsely."""
-MOST_WORK = 200_000_000
-"""Distances from cells to obstacles: where long obstacles make them more, cells are larger."""
 LEAST_REACH = 10.0
 """Around start and goal, what is searched first in large worlds [m]."""
 WIDENING = 4.0
 """How many times as far the search reaches where it has found no way."""
-SLACK = 1e-3
-"""How far a path may cut into the clearance between two cells [m]."""
-WALL = 0.75
-"""Cells nearer to an obstacle than this share of their side are never free."""
 NEAR = 4
 """Cells around an end of a way in which it may enter the grid."""
 CUTS = 4
@@ -48,28 +48,6 @@ BLOCK = 64
 def footprint_radius(config: RobotConfig) -> float:
     """Radius of the disc around a robot's footprint [m]."""
     return footprint.radius(config.outline)
-
-
-@dataclass(frozen=True, slots=True)
-class Grid:
-    """Cells of a world in which a disc's centre may be."""
-
-    free: NDArray[np.bool_]
-    """nx x ny."""
-    x: float
-    """Centre of cell (0, 0) [m]."""
-    y: float
-    side: float
-
-    def cell(self, x: float, y: float) -> int:
-        """Number of the cell that holds a point."""
-        i, j = round((x - self.x) / self.side), round((y - self.y) / self.side)
-        return i * int(self.free.shape[1]) + j
-
-    def centres(self, cells: NDArray[np.int64]) -> Floats:
-        """N x 2: centres of cells."""
-        i, j = np.divmod(cells, self.free.shape[1])
-        return np.column_stack([self.x + i * self.side, self.y + j * self.side])
 
 
 def shortest_path(
@@ -111,15 +89,15 @@ def _way(world: World, radius: float, ends: Floats) -> Floats | None:
     searched, until nothing beyond can be on a shorter way: all ways of length L between ends D
     apart lie within sqrt(L^2 - D^2) / 2 of the box around the ends.
     """
-    box, apart = _box(world, ends), math.dist(*ends)
-    reach = math.inf if _cells(box, radius, RESOLUTION) <= MOST_CELLS else max(LEAST_REACH, apart)
+    box, apart = box_around(world, ends), math.dist(*ends)
+    reach = math.inf if cells_in(box, radius, RESOLUTION) <= MOST_CELLS else max(LEAST_REACH, apart)
     while True:
         grid = free_cells(world, radius, ends, reach)
         whole = reach >= max(*(ends.min(axis=0) - box[:2]), *(box[2:] - ends.max(axis=0)))
         first, last = (_entry(grid, end, world, radius) for end in ends)
         cells = search(grid, first, last)
         if cells is None:
-            if whole or not _leaves(grid, first, last):
+            if whole or not leaves(grid, first, last):
                 return None
             reach *= WIDENING
             continue
@@ -128,22 +106,6 @@ def _way(world: World, radius: float, ends: Floats) -> Floats | None:
         if whole or needed <= reach:
             return way
         reach = needed
-
-
-def _box(world: World, ends: Floats) -> Floats:
-    """Least x and y, largest x and y of a world and the ends of a way [m]."""
-    low, high = world.bounds[:2], world.bounds[2:]
-    return np.concatenate([np.minimum(low, ends.min(axis=0)), np.maximum(high, ends.max(axis=0))])
-
-
-def _margin(radius: float) -> float:
-    return 2.0 * radius + 4.0 * RESOLUTION
-
-
-def _cells(box: Floats, radius: float, side: float) -> float:
-    """How many cells cover a box with its margins."""
-    width, height = (box[2:] - box[:2] + 2.0 * _margin(radius)).tolist()
-    return float(width * height / side**2)
 
 
 def check_region(world: World, name: str, region: Region, radius: float) -> None:
@@ -216,130 +178,9 @@ def _blocked(starts: Floats, ends: Floats, world: World, radius: float) -> NDArr
     if world.obstacles > CULLED:
         both = np.concatenate([starts, ends])
         box = np.concatenate([both.min(axis=0) - radius, both.max(axis=0) + radius])
-        world = _near(world, box)
+        world = near(world, box)
     blocked: NDArray[np.bool_] = segment_clearance(starts, ends, world) < radius
     return blocked
-
-
-def _near(world: World, box: Floats) -> World:
-    """The world with those obstacles only whose own boxes meet this one."""
-    centres, radii = world.circles[:, :2], world.circles[:, 2:]
-    low = np.minimum(world.segments[:, :2], world.segments[:, 2:])
-    high = np.maximum(world.segments[:, :2], world.segments[:, 2:])
-    circles = ((centres + radii >= box[:2]) & (centres - radii <= box[2:])).all(axis=1)
-    segments = ((high >= box[:2]) & (low <= box[2:])).all(axis=1)
-    return World(world.circles[circles], world.segments[segments])
-
-
-def free_cells(
-    world: World, radius: float, ends: Floats | None = None, reach: float = math.inf
-) -> Grid:
-    """Cells whose centre is at least `radius` [m] away from every obstacle.
-
-    They cover the world and the `ends` (n, 2) of a way, but no more than `reach` [m] around these.
-    No wall fits between two cells.
-    """
-    box, margin = np.array(world.bounds) if ends is None else _box(world, ends), _margin(radius)
-    around = world
-    if ends is not None and math.isfinite(reach):
-        box[:2] = np.maximum(box[:2], ends.min(axis=0) - reach)
-        box[2:] = np.minimum(box[2:], ends.max(axis=0) + reach)
-        around = _near(world, np.concatenate([box[:2] - margin, box[2:] + margin]))
-    left, low = (box[:2] - margin).tolist()
-    width, height = (box[2:] - box[:2] + 2.0 * margin).tolist()
-    side = RESOLUTION * max(
-        1.0,
-        math.sqrt(width * height / MOST_CELLS) / RESOLUTION,
-        math.sqrt(_work(around, radius, width, height) / MOST_WORK) / RESOLUTION,
-    )
-    x, y = (math.floor(least / side) + 0.5 for least in (left, low))
-    free = np.ones((math.ceil(width / side) + 1, math.ceil(height / side) + 1), np.bool_)
-    grid = Grid(free, x * side, y * side, side)
-    radius = max(radius, WALL * side)
-    for cx, cy, r in around.circles.tolist():
-        _block(grid, (cx, cy, cx, cy), r + radius)
-    for x1, y1, x2, y2 in around.segments.tolist():
-        _block(grid, (x1, y1, x2, y2), radius)
-    return grid
-
-
-def _work(world: World, radius: float, width: float, height: float) -> float:
-    """Sum of the boxes around all obstacles, as far as they can lie in the grid [m^2]."""
-    sizes = np.concatenate(
-        [
-            np.repeat(2.0 * world.circles[:, 2:], 2, axis=1),
-            np.abs(world.segments[:, 2:] - world.segments[:, :2]),
-        ]
-    )
-    return float(np.minimum(sizes + 2.0 * radius, (width, height)).prod(axis=1).sum())
-
-
-def _block(grid: Grid, ends: tuple[float, float, float, float], radius: float) -> None:
-    """Cells nearer than `radius` to a straight piece aren't free."""
-    x1, y1, x2, y2 = ends
-    reach = radius - SLACK / 2.0
-    low_i = max(math.ceil((min(x1, x2) - reach - grid.x) / grid.side), 0)
-    low_j = max(math.ceil((min(y1, y2) - reach - grid.y) / grid.side), 0)
-    high_i = min(math.floor((max(x1, x2) + reach - grid.x) / grid.side) + 1, grid.free.shape[0])
-    high_j = min(math.floor((max(y1, y2) + reach - grid.y) / grid.side) + 1, grid.free.shape[1])
-    dx = grid.x + grid.side * np.arange(low_i, max(high_i, low_i))[:, None] - x1
-    dy = grid.y + grid.side * np.arange(low_j, max(high_j, low_j))[None, :] - y1
-    ex, ey = x2 - x1, y2 - y1
-    square = ex * ex + ey * ey
-    share = np.clip((dx * ex + dy * ey) / square, 0.0, 1.0) if square > 0.0 else 0.0
-    near = (dx - share * ex) ** 2 + (dy - share * ey) ** 2 < reach * reach
-    grid.free[low_i:high_i, low_j:high_j] &= ~near
-
-
-def search(grid: Grid, start: int, goal: int) -> NDArray[np.int64] | None:
-    """Cells of a shortest way between two cells; None where there is none."""
-    from scipy.sparse.csgraph import dijkstra  # noqa: PLC0415 - slow to import
-
-    search_from: Any = dijkstra  # its stubs know no single start
-    _, before = search_from(_graph(grid), directed=False, indices=start, return_predecessors=True)
-    if start != goal and before[goal] < 0:
-        return None
-    way = [goal]
-    while way[-1] != start:
-        way.append(int(before[way[-1]]))
-    return np.array(way[::-1])
-
-
-def _graph(grid: Grid) -> Any:
-    """Neighbouring free cells as a sparse matrix of distances."""
-    from scipy.sparse import csr_array  # noqa: PLC0415 - slow to import
-
-    rows, columns, costs = _edges(grid)
-    return csr_array((costs, (rows, columns)), shape=(grid.free.size, grid.free.size))
-
-
-def _leaves(grid: Grid, start: int, goal: int) -> bool:
-    """Whether a way between two cells may lead through what lies beyond the grid."""
-    from scipy.ndimage import label  # noqa: PLC0415 - slow to import
-
-    parts = label(grid.free, np.ones((3, 3)))[0]
-    edges = np.concatenate([parts[0], parts[-1], parts[:, 0], parts[:, -1]])
-    return bool(np.isin(parts.flat[[start, goal]], edges).all())
-
-
-def _edges(grid: Grid) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
-    """Pairs of neighbouring free cells and their distances; no diagonal cuts a corner."""
-    free = grid.free
-    number = np.arange(free.size).reshape(free.shape)
-    ahead, side = free[:-1] & free[1:], free[:, :-1] & free[:, 1:]
-    square = ahead[:, :-1] & ahead[:, 1:]
-    kinds = (
-        (number[:-1][ahead], number[1:][ahead], 1.0),
-        (number[:, :-1][side], number[:, 1:][side], 1.0),
-        (number[:-1, :-1][square], number[1:, 1:][square], math.sqrt(2.0)),
-        (number[1:, :-1][square], number[:-1, 1:][square], math.sqrt(2.0)),
-    )
-    costs = [np.full(len(one), cost * grid.side) for one, _, cost in kinds]
-    return (
-        np.concatenate([one for one, _, _ in kinds]),
-        np.concatenate([other for _, other, _ in kinds]),
-        np.concatenate(costs),
-    )
 
 
 def _pulled(way: Floats, world: World, radius: float) -> Floats:

@@ -15,14 +15,11 @@ from acsar_gym.errors import ConfigError, MissingExtraError
 from acsar_gym.render.backdrop import FLOOR, GOAL, GRID, OBSTACLE, SEEN, START
 from acsar_gym.render.canvas import View, _spaced, round_length, shortened
 from acsar_gym.render.top_view import (
-    CHASSIS,
-    DECK,
     ODOM,
     RAY,
     SMALL,
     TITLE,
     TRUTH,
-    TYRE,
     Frame,
     Image,
     TopView,
@@ -30,6 +27,7 @@ from acsar_gym.render.top_view import (
     save,
     sheet,
 )
+from acsar_gym.render.vehicle import CHASSIS, DECK, TYRE
 from acsar_gym.worlds import Pose, Region, World
 
 COURT = World(
@@ -131,7 +129,7 @@ def test_a_polygon_is_drawn_as_it_is(config: RobotConfig) -> None:
     )
     top, pose = TopView(notched, (960, 960)), (0.5, -0.4, 0.7)
     image = top.draw(Frame(odom=pose))
-    for x, y in ((0.36, 0.25), (-0.18, 0.2), (0.3, -0.28)):
+    for x, y in ((0.36, 0.28), (-0.18, 0.2), (0.3, -0.28)):
         assert colour(image, top.view, *placed(pose, x, y)) == DECK
     for x, y in ((0.3, 0.0), (0.42, 0.2), (-0.24, 0.0)):
         assert colour(image, top.view, *placed(pose, x, y)) == FLOOR

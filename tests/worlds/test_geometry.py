@@ -10,12 +10,12 @@ import pytest
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
+from acsar_gym.worlds.collisions import collides
 from acsar_gym.worlds.geometry import (
     Obstacles,
     RaySpec,
     Surroundings,
     cast,
-    collides,
     surroundings,
 )
 

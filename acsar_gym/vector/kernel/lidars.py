@@ -25,7 +25,8 @@ from acsar_gym.vector.kernel.layout import (
     to_world,
 )
 from acsar_gym.vector.pcg import uniform
-from acsar_gym.worlds.geometry import Surroundings, cast, collides
+from acsar_gym.worlds.collisions import collides
+from acsar_gym.worlds.geometry import Surroundings, cast
 
 measure = lidar.measure
 

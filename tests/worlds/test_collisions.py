@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.worlds.geometry import Obstacles, collides, surroundings
+from acsar_gym.worlds.collisions import collides
+from acsar_gym.worlds.geometry import Obstacles, surroundings
 
 CONFIG = RobotConfig.preset("acsar")
 NOTCHED = ((0.3, 0.2), (-0.2, 0.2), (-0.2, -0.2), (0.3, -0.2), (0.05, 0.0))
