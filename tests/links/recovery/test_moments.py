@@ -154,7 +154,7 @@ robot.activate()
 
 
 def test_a_few_of_a_thousand_pulls_leave_nothing_behind() -> None:
-    replug = Path(__file__).parents[1] / "fuzz" / "replug.py"
+    replug = Path(__file__).parents[2] / "fuzz" / "replug.py"
     done = subprocess.run(
         [sys.executable, str(replug), "--cycles", "5", "--seed", "1", "--reconnect", "3"],
         check=False,
