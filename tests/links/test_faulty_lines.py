@@ -18,7 +18,7 @@ from fault_tools import (
     sent,
 )
 
-from acsar_gym.links.fault_injection import BUFFER
+from acsar_gym.links.faulty_wire import BUFFER
 from acsar_gym.worlds import Scene
 
 pytestmark = pytest.mark.usefixtures("deadline")
