@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import BoardGarbledError, BoardSilentError, LinkError, SafetyWarning
+from acsar_gym.errors import LinkError, SafetyWarning
 from acsar_gym.lidars.factory import factories
 from acsar_gym.links.base import Link
+from acsar_gym.links.handshake import silence, still_turning
 from acsar_gym.links.lateness import EpisodeTiming, Stopwatch
 from acsar_gym.odometry import Odometry
 from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds, line_end, line_of
@@ -162,12 +163,8 @@ class Robot:
             if standing == STANDSTILL_TICKS:
                 return
         if max(map(abs, self.speeds)) < STANDSTILL:
-            raise self._silence()
-        raise LinkError(
-            f"the wheels still turn {STANDSTILL_TIMEOUT:g} s after the stop command "
-            f"({_listed(self.speeds)} rad/s)",
-            "check what else commands the board",
-        )
+            raise silence(self.feedback_age, sum(self.decoder.refused.values()))
+        raise still_turning(STANDSTILL_TIMEOUT, self.speeds)
 
     def tick(self, speeds: Sequence[float]) -> None:
         """One control period: send four wheel speeds [rad/s], let it pass, read, integrate.
@@ -268,7 +265,7 @@ class Robot:
         if self._stopwatch is not None:
             self._stopwatch.tick(link.lateness or 0.0, self.feedback_age)
         if rules.silent(self.feedback_age, self._rules):
-            raise self._silence()
+            raise silence(self.feedback_age, sum(self.decoder.refused.values()))
 
     def _line(self, speeds: Speeds) -> bytes:
         """The command line; it is made anew only where the tuple of speeds is another one."""
@@ -286,17 +283,6 @@ class Robot:
         if not paused:
             self.odometry.update(self.speeds, dt)
 
-    def _silence(self) -> BoardSilentError:
-        refused = sum(self.decoder.refused.values())
-        if refused:
-            return BoardGarbledError(
-                f"no valid feedback line for {self.feedback_age:.2f} s, {refused} bad parts",
-                "check the baud rate and the cable",
-            )
-        return BoardSilentError(
-            f"no feedback for {self.feedback_age:.2f} s", "check the board's power and the cable"
-        )
-
     def __reduce__(self) -> tuple[type[Robot], tuple[Link, RobotConfig, tuple[Sensor, ...]]]:
         """Copies and pickles are inactive robots with a link and sensors of their own."""
         return Robot, (self.link, self.config, tuple(self.sensors))
@@ -312,7 +298,3 @@ class Robot:
         trace: TracebackType | None,
     ) -> None:
         self.close()
-
-
-def _listed(speeds: Speeds) -> str:
-    return ", ".join(f"{speed:.2f}" for speed in speeds)

@@ -18,34 +18,24 @@ from typing import Any
 import numpy as np
 
 from acsar_gym.config import LidarConfig, RobotConfig
-from acsar_gym.errors import LidarError, LinkError, MissingExtraError
+from acsar_gym.errors import LidarError, LinkError
 from acsar_gym.lidars.base import Scan
 from acsar_gym.lidars.revolutions import Turn, Turns, binned
+from acsar_gym.lidars.rplidar_device import (
+    CHUNK,
+    MOTOR_OFF,
+    POLL,
+    check_health,
+    greeted,
+    hold_motor,
+    library,
+)
 from acsar_gym.links.ports import PORT_ERRORS, Location, put
 from acsar_gym.links.shutdown import close_at_exit, forget, install
 from acsar_gym.worlds import Scene
 
-GET_INFO = b"\xa5\x50"
-INFO = b"\xa5\x5a\x14\x00\x00\x00\x04"
-GET_HEALTH = b"\xa5\x52"
-HEALTH = b"\xa5\x5a\x03\x00\x00\x00\x06"
-BROKEN = 2
-"""Health status of a device that refuses to scan."""
-MOTOR_ON = bytes.fromhex("a5 f0 02 94 02 c1")
-"""660 of 1023, the maker's default; adapters that switch the motor by DTR ignore it."""
-MOTOR_OFF = bytes.fromhex("a5 f0 02 00 00 57")
-POLL = 0.005
-"""How often the port is read [s]."""
-CHUNK = 4096
-"""Most bytes taken from the port at once."""
 STALL = 0.1
 """What has lain in the port while the reader slept so long is too old to be stamped [s]."""
-SETTLE = 0.02
-"""From a stop command to the last measurement behind it [s]."""
-ANSWER = 0.6
-"""A device answers within this, or not at this baud [s]."""
-TRIES = 2
-"""How often each baud is tried."""
 SPIN_UP = 5.0
 """From standstill to the first complete turn, at most [s]."""
 END = 0.5
@@ -80,22 +70,22 @@ class RplidarLidar:
             return
         self.close()
         try:
-            self._open(_library())
+            self._open(library())
         except BaseException:
             self.close()
             raise
 
-    def _open(self, library: Any) -> None:
+    def _open(self, models: Any) -> None:
         try:
             self._port = self._location.opened(self._config.with_(baud_rate=115200))
         except LinkError as error:
             raise LidarError(f"LiDAR {error.found}", error.fix) from None
         close_at_exit(self)
         with _translated(self.device):
-            self._driver = _greeted(self._port, self.device, library)
-            _check_health(self._port, self.device)
+            self._driver = greeted(self._port, self.device, models)
+            check_health(self._port, self.device)
             self._driver.start()
-        decoder = Turns(library)
+        decoder = Turns(models)
         self._reader = _Reader(self._port, decoder, self._config.lidar, self._now)
         self._reader.start()
         self._wait_for_a_turn(self._reader)
@@ -164,7 +154,7 @@ class RplidarLidar:
             if self._driver is not None:
                 self._driver.stop()
             put(port, MOTOR_OFF)
-        _hold_motor(port)
+        hold_motor(port)
 
     def _release(self, port: Any) -> None:
         self._location.left(lost=self._reader is not None and bool(self._reader.lost))
@@ -234,95 +224,6 @@ class _Reader(threading.Thread):
             stamp = self._now()
             bearings, distances = turns[-1]
             self.newest = Scan(binned(bearings, distances, self._lidar), stamp)
-
-
-class _Outbox:
-    """What lds2d's drivers send through: the port, without pyserial's wait for more room."""
-
-    def __init__(self, port: Any) -> None:
-        self._port = port
-
-    def write(self, data: bytes) -> None:
-        put(self._port, data)
-
-
-def _library() -> Any:
-    try:
-        from lds2d.drivers import rplidar  # noqa: PLC0415
-    except ImportError:
-        raise MissingExtraError("a real LiDAR", "lidar") from None
-    return rplidar
-
-
-def _greeted(port: Any, device: str, library: Any) -> Any:
-    """lds2d's driver on the port, its motor on, at the baud at which the device answers.
-
-    A device that still measures for a process that crashed is stopped first.
-    """
-    heard = 0
-    for model in (library.RPLIDAR_A1, library.RPLIDAR_C1) * TRIES:
-        port.baudrate = model.DEFAULT_BAUD
-        driver = model(_Outbox(port))
-        driver.stop()
-        time.sleep(SETTLE)
-        port.reset_input_buffer()
-        _start_motor(port)
-        info, count = _ask(port, GET_INFO, INFO)
-        if info is not None:
-            return driver
-        heard += count
-    waited = 2 * TRIES * ANSWER
-    if heard:
-        raise LidarError(
-            f"LiDAR {device}: {heard} bytes in {waited:g} s, but none from an RPLIDAR",
-            "check the port's name; another device, or another make of LiDAR, is connected there",
-        )
-    raise LidarError(
-        f"LiDAR {device}: no answer in {waited:g} s",
-        "check its power and cable, and the port's name",
-    )
-
-
-def _start_motor(port: Any) -> None:
-    """By DTR, as adapters of the A1 do it (a terminal has none), and by command, as others do."""
-    with contextlib.suppress(*PORT_ERRORS):
-        port.dtr = False
-    put(port, MOTOR_ON)
-
-
-def _hold_motor(port: Any) -> None:
-    """By DTR, which stays when the port is closed: without it an A1's motor would turn again."""
-    with contextlib.suppress(*PORT_ERRORS):
-        port.dtr = True
-    with contextlib.suppress(ImportError, *PORT_ERRORS):  # Windows has no termios
-        import termios  # noqa: PLC0415
-
-        attributes = termios.tcgetattr(port.fileno())
-        attributes[2] &= ~termios.HUPCL
-        termios.tcsetattr(port.fileno(), termios.TCSANOW, attributes)
-
-
-def _check_health(port: Any, device: str) -> None:
-    health, _ = _ask(port, GET_HEALTH, HEALTH)
-    if health is not None and health[0] == BROKEN:
-        raise LidarError(
-            f"LiDAR {device}: reports error 0x{health[2]:02x}{health[1]:02x} and won't measure",
-            "unplug it for a few seconds, then reset; if it comes again, the device is broken",
-        )
-
-
-def _ask(port: Any, request: bytes, descriptor: bytes) -> tuple[bytes | None, int]:
-    """What follows the descriptor, None if that never comes; and how many bytes came."""
-    put(port, request)
-    heard, size = b"", descriptor[2]
-    deadline = time.monotonic() + ANSWER
-    while time.monotonic() < deadline:
-        time.sleep(POLL)
-        heard += port.read(CHUNK)
-        payload = heard.partition(descriptor)[2]
-        if len(payload) >= size:
-            return payload[:size], len(heard)
-    return None, len(heard)
 
 
 @contextlib.contextmanager

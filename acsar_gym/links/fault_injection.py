@@ -8,7 +8,7 @@ Between driver and board a byte passes these, and back in the opposite order:
 from __future__ import annotations
 
 import math
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -17,17 +17,14 @@ import numpy as np
 from acsar_gym.bodies.base import Camera, GroundTruth
 from acsar_gym.errors import ConfigError, LinkLostError, PortNotFoundError
 from acsar_gym.links.base import Link, camera_of
-from acsar_gym.links.faults import EPSILON, LINE_FAULTS, Faults, Lines, WheelEditor, WheelFaults
-from acsar_gym.links.lots import COMMANDS, EPISODE, FEEDBACK, lot
+from acsar_gym.links.faults import EPSILON, Faults, WheelEditor, WheelFaults
+from acsar_gym.links.faulty_wire import Event, FaultyWire
+from acsar_gym.links.lots import EPISODE, lot
 from acsar_gym.protocol import ZERO, Decoder, encode
 from acsar_gym.worlds import Scene
 
-BUFFER = 65536
-"""Most bytes that wait behind a late line; what comes then is lost, as in any driver's buffer."""
 WAIT = 0.01
 """Steps in which `open` waits for a cable to be plugged in again [s]."""
-MOST_BURSTS = 16
-"""Bursts of garbage in one period, at most."""
 STOP = b"\r\n" + encode(ZERO)
 """What a board that isn't running does to its motors; a half command before it can't swallow it."""
 Seed = int | np.integer[Any] | np.random.Generator | None
@@ -188,15 +185,15 @@ class _Episode:
     def __init__(self, link: FaultyLink, key: float, generators: list[np.random.Generator]) -> None:
         faults, count = link.faults, link.injected
         feedback, commands, events = generators
-        self._feedback = _Wire(faults, "feedback", key, feedback, count)
-        self._commands = _Wire(faults, "commands", key, commands, count)
+        self._feedback = FaultyWire(faults, "feedback", key, feedback, count)
+        self._commands = FaultyWire(faults, "commands", key, commands, count)
         self._wheels = WheelEditor(link.wheels, math.inf if faults.wheel_faults_at else -math.inf)
         self._wheels_fail_after = faults.wheel_faults_at
         self._outages = (
-            _Event("board_reset", faults.reset_time, link, events),
-            _Event("brown_out", faults.brown_out_time, link, events),
+            Event("board_reset", faults.reset_time, faults, count, events),
+            Event("brown_out", faults.brown_out_time, faults, count, events),
         )
-        self._unplug = _Event("unplug", math.inf, link, events)
+        self._unplug = Event("unplug", math.inf, faults, count, events)
         self._waiting: Decoder | None = Decoder()
 
     def watch(self, data: bytes, now: float) -> None:
@@ -233,114 +230,3 @@ class _Episode:
         """What reaches the driver of what the board said in the period that ends now."""
         said = b"" if self._down(now) else self._wheels.felt(data, now)
         return self._feedback.noisy(self._feedback.carry(said, now), period)
-
-
-class _Event:
-    """Something that begins at a set time or at times drawn at a rate [1/s], and lasts a while.
-
-    Times count from `start` on.
-    """
-
-    def __init__(
-        self, name: str, lasting: float, link: FaultyLink, rng: np.random.Generator
-    ) -> None:
-        self._name, self._lasting, self._rng, self._count = name, lasting, rng, link.injected
-        self._rate: float = getattr(link.faults, f"{name}_rate")
-        after: float | None = getattr(link.faults, f"{name}_at")
-        self._after = self._pause() if after is None else after
-        self._next = math.inf
-        self._until = -math.inf
-
-    def start(self, now: float) -> None:
-        """Start the clock; before that nothing happens."""
-        self._next = now + self._after
-
-    def _pause(self) -> float:
-        return float(self._rng.exponential(1.0 / self._rate)) if self._rate else math.inf
-
-    def going(self, now: float) -> bool:
-        if now + EPSILON >= max(self._next, self._until):
-            self._count[self._name] += 1
-            self._until = now + self._lasting
-            self._next = self._until + self._pause()
-        return now + EPSILON < self._until
-
-
-class _Wire:
-    """One direction of the cable. Lines keep their order, however late one of them is."""
-
-    def __init__(
-        self,
-        faults: Faults,
-        direction: str,
-        key: float,
-        rng: np.random.Generator,
-        count: Counter[str],
-    ) -> None:
-        here = faults.direction in (direction, "both")
-        self._suffers = here and faults.lines_suffer
-        shares = [(name, n, getattr(faults, name)) for n, name in enumerate(LINE_FAULTS)]
-        self._shares = [(name, kind, share) for name, kind, share in shares if share]
-        self._whose = FEEDBACK if direction == "feedback" else COMMANDS
-        self._key, self._number = key, 0
-        self._lateness = faults.lateness
-        self._burst_rate = faults.garbage_rate if here else 0.0
-        self._burst = faults.garbage_bytes
-        self._rng, self._count = rng, count
-        self._lines = Lines()
-        self._queue: deque[tuple[float, bytes]] = deque()
-        self._waiting = 0
-
-    def cut_off(self) -> None:
-        self._lines.partial = b""
-
-    def carry(self, data: bytes, now: float) -> bytes:
-        """What comes out at the other end now, when `data` goes in."""
-        if not self._suffers:
-            return data
-        for line in self._lines.feed(data):
-            self._send(line, now)
-        out = b""
-        while self._queue and self._queue[0][0] <= now + EPSILON:
-            out += self._queue.popleft()[1]
-        self._waiting -= len(out)
-        return out
-
-    def _send(self, line: bytes, now: float) -> None:
-        hits: set[str] = set()
-        if line.strip():  # the second half of a line end that was torn apart is no line
-            key, whose, number = self._key, self._whose, self._number
-            hits = {name for name, n, share in self._shares if lot(key, whose, number, n) < share}
-            self._number += 1
-        if "dropped_lines" in hits:
-            hits = {"dropped_lines"}
-        self._count.update(hits)
-        line = self._damaged(line, hits)
-        if line and (not self._queue or self._waiting + len(line) <= BUFFER):
-            self._queue.append((now + self._lateness * ("late_lines" in hits), line))
-            self._waiting += len(line)
-
-    def _damaged(self, line: bytes, hits: set[str]) -> bytes:
-        if "dropped_lines" in hits:
-            return b""
-        if "cut_lines" in hits:
-            line = line[: self._rng.integers(len(line))]
-        if "corrupted_lines" in hits and line:
-            bent = bytearray(line)
-            most = min(3, len(line))
-            places = self._rng.choice(len(line), self._rng.integers(1, most + 1), replace=False)
-            for place in places:
-                bent[place] ^= 1 << int(self._rng.integers(8))
-            line = bytes(bent)
-        return line * (1 + ("duplicated_lines" in hits))
-
-    def noisy(self, data: bytes, period: float) -> bytes:
-        """The bytes of a period with the garbage that falls into it."""
-        if not self._burst_rate:
-            return data
-        bursts = min(int(self._rng.poisson(self._burst_rate * period)), MOST_BURSTS)
-        for _ in range(bursts):
-            place = self._rng.integers(len(data) + 1)
-            data = data[:place] + self._rng.bytes(self._burst) + data[place:]
-            self._count["garbage"] += 1
-        return data

@@ -1,4 +1,4 @@
-"""The wait for a board that has just been opened, and what its silence may mean."""
+"""The wait for a board that has just been opened, and what its silence or disobedience may mean."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import time
 from collections.abc import Callable
 
 from acsar_gym.config import BAUD_RATES, RobotConfig
-from acsar_gym.errors import BoardGarbledError, BoardSilentError
-from acsar_gym.protocol import Decoder
+from acsar_gym.errors import BoardGarbledError, BoardSilentError, LinkError
+from acsar_gym.protocol import Decoder, Speeds
 
 POLL = 0.01
 """How often activation looks for the first valid line [s]."""
@@ -41,4 +41,23 @@ def _no_board(device: str, config: RobotConfig, heard: int) -> BoardSilentError:
     return BoardSilentError(
         f"{device}: no byte from the board in {waited:g} s",
         "check its power and cable, and the port's name (acsar-gym doctor lists them)",
+    )
+
+
+def silence(age: float, refused: int) -> BoardSilentError:
+    """The error of a board in use that was heard of `age` [s] ago, `refused` bad parts aside."""
+    if refused:
+        return BoardGarbledError(
+            f"no valid feedback line for {age:.2f} s, {refused} bad parts",
+            "check the baud rate and the cable",
+        )
+    return BoardSilentError(f"no feedback for {age:.2f} s", "check the board's power and the cable")
+
+
+def still_turning(waited: float, speeds: Speeds) -> LinkError:
+    """The error of a board that was told to stop `waited` [s] ago."""
+    listed = ", ".join(f"{speed:.2f}" for speed in speeds)
+    return LinkError(
+        f"the wheels still turn {waited:g} s after the stop command ({listed} rad/s)",
+        "check what else commands the board",
     )

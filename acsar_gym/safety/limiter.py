@@ -60,7 +60,7 @@ def free(config: RobotConfig) -> bool:
 
 
 @jit
-def limited(
+def limited(  # noqa: PLR0913, PLR0917 - see tests/test_rooms.py
     wanted: float,
     last: float,
     before: float,

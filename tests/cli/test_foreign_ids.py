@@ -20,10 +20,9 @@ ENV = "mine_of_tests.tasks:mine/Ahead-v0"
 TASKS = """
 from dataclasses import dataclass
 
+import acsar_gym
 import gymnasium
-from acsar_gym.envs.base import RobotEnv
-from acsar_gym.tasks import Outcome, Task
-from acsar_gym.vector.env import RobotVectorEnv
+from acsar_gym import Outcome, Task
 
 
 @dataclass(frozen=True)
@@ -42,25 +41,11 @@ class Ahead(Task):
         return state.goal[0] - state.pose[0], state.goal[1] - state.pose[1]
 
 
-class AheadEnv(RobotEnv):
-    def __init__(self, link="bullet", robot=None, **options):
-        super().__init__(Ahead, link, robot, **options)
-
-
-class AheadVectorEnv(RobotVectorEnv):
-    def __init__(self, num_envs=1, robot=None, **options):
-        super().__init__(Ahead, num_envs, robot, **options)
-
-
-here = __name__
-for name, steps in (("Ahead", 20), ("Endless", None)):
-    gymnasium.register(
-        f"mine/{name}-v0",
-        entry_point=f"{here}:AheadEnv",
-        vector_entry_point=f"{here}:AheadVectorEnv",
-        max_episode_steps=steps,
-    )
-gymnasium.register("mine/Single-v0", entry_point=f"{here}:AheadEnv", max_episode_steps=20)
+acsar_gym.register("mine/Ahead-v0", task=Ahead, max_episode_steps=20)
+acsar_gym.register("mine/Endless-v0", task=Ahead)
+gymnasium.register(
+    "mine/Single-v0", "acsar_gym.envs.base:RobotEnv", kwargs={"task": Ahead}, max_episode_steps=20
+)
 """
 
 

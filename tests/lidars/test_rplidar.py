@@ -25,7 +25,7 @@ from acsar_gym import RobotConfig
 from acsar_gym.config import LidarConfig
 from acsar_gym.emulation.rplidar import RplidarTwin
 from acsar_gym.errors import ConfigError, LidarError, MissingExtraError
-from acsar_gym.lidars import rplidar
+from acsar_gym.lidars import rplidar, rplidar_device
 from acsar_gym.lidars.base import Lidar, Scan
 from acsar_gym.lidars.revolutions import Turns, binned
 from acsar_gym.lidars.rplidar import RplidarLidar
@@ -326,7 +326,7 @@ def test_a_frozen_device_fails_a_reset_and_is_closed(
     reset(lidar)
     emulated.pause()
     wait_until(lambda: not scans_again(lidar), "the time-out")
-    monkeypatch.setattr(rplidar, "ANSWER", 0.05)
+    monkeypatch.setattr(rplidar_device, "ANSWER", 0.05)
     with pytest.raises(LidarError, match="no answer"):
         reset(lidar)
     with pytest.raises(LidarError, match="is closed"):
@@ -339,7 +339,7 @@ def test_a_frozen_device_fails_a_reset_and_is_closed(
 def test_a_machine_that_is_slow_to_write_has_not_lost_the_device(
     make: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rplidar, "ANSWER", 0.02)
+    monkeypatch.setattr(rplidar_device, "ANSWER", 0.02)
     monkeypatch.setattr(ports, "WRITE_TIMEOUT", 1e-9)
     board, terminal = os.openpty()
     with pytest.raises(LidarError, match="no answer"):
@@ -389,7 +389,7 @@ def refusal(lidar: RplidarLidar) -> str:
 def test_what_is_no_rplidar_is_named(
     start: Start, make: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rplidar, "ANSWER", 0.3)
+    monkeypatch.setattr(rplidar_device, "ANSWER", 0.3)
     silent, other = make(start("--fault", "silent")), make(start("--fault", "garbage"))
     assert "no answer in 1.2 s: check its power and cable" in refusal(silent)
     assert "none from an RPLIDAR: check the port's name" in refusal(other)
