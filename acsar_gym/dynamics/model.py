@@ -189,8 +189,7 @@ def tyre_step(
     which slip_i is the velocity of contact patch i over the ground.
     """
     a, b = own.half_wheelbase, own.half_track
-    inertia = own.mass / dt
-    yaw_inertia = own.yaw_inertia / dt
+    inertia, yaw_inertia = own.mass / dt, own.yaw_inertia / dt
     rim_a, rim_b = wheels[0] * own.radius, wheels[1] * own.radius
     rim_c, rim_d = wheels[2] * own.radius, wheels[3] * own.radius
     nx, ny, nw = vx, vy, yaw_rate

@@ -6,7 +6,7 @@ import contextlib
 import copy
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, Self
 
 import gymnasium
@@ -18,18 +18,8 @@ from acsar_gym.bodies.base import Image
 from acsar_gym.config import RobotConfig, RobotSource, whole_ratio
 from acsar_gym.dynamics.randomization import Randomizer
 from acsar_gym.envs.options import RENDER_MODES, EnvOptions
-from acsar_gym.errors import (
-    AcsarError,
-    BoardGarbledError,
-    BoardSilentError,
-    CommandError,
-    ConfigError,
-    LidarError,
-    LinkError,
-    LinkLostError,
-    RenderError,
-    shown,
-)
+from acsar_gym.envs.told import Info, fault_code, info_of, state_of
+from acsar_gym.errors import AcsarError, CommandError, ConfigError, LinkError, RenderError, shown
 from acsar_gym.lidars.base import newest_scan
 from acsar_gym.lidars.factory import factories
 from acsar_gym.links import Link, open_link
@@ -39,29 +29,14 @@ from acsar_gym.render.renderer import Screen
 from acsar_gym.robot import Robot
 from acsar_gym.sensors import LIDAR, Factory, Sensor
 from acsar_gym.tasks import Observation, Outcome, State, Task
-from acsar_gym.tasks.base import NO_PATH, NO_RANGES, NOTHING_SENSED
+from acsar_gym.tasks.base import NOTHING_SENSED
 from acsar_gym.tasks.episode import Episode
 from acsar_gym.tasks.made import made, named, tried
 from acsar_gym.tasks.spaces import task_spaces
 from acsar_gym.tasks.spawn import Spawn
 from acsar_gym.vector.specs import PlainSpec
-from acsar_gym.worlds import Pose, Scene
-from acsar_gym.worlds.scene import point_in_world, to_odometry
-
-Info = dict[str, Any]
-NOWHERE: Pose = (math.nan, math.nan, math.nan)
-"""The true pose where nothing knows it."""
-
-
-def _faulty(link: Link, faults: Faults) -> FaultyLink | None:
-    """The link with faults of its own; None where nothing can go wrong."""
-    return FaultyLink(link, faults) if faults.possible else None
-
-
-def fault_code(error: LinkError) -> int:
-    """A number for what went wrong: 1 silent, 2 garbled, 3 link lost, 4 LiDAR, 5 anything else."""
-    kinds = (BoardGarbledError, 2), (BoardSilentError, 1), (LinkLostError, 3), (LidarError, 4)
-    return next((code for kind, code in kinds if isinstance(error, kind)), 5)
+from acsar_gym.worlds import Scene
+from acsar_gym.worlds.scene import point_in_world
 
 
 class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
@@ -96,15 +71,25 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         """
         config = RobotConfig.of(robot)
         self._options, rest = EnvOptions.split(options)
+        rate = self._options.policy_rate
         self.render_mode = self._options.render_mode
-        self.ticks_per_step = whole_ratio(
-            "control_rate", config.control_rate, "policy_rate", self._options.policy_rate
-        )
-        self.metadata = {**type(self).metadata, "render_fps": self._options.policy_rate}
+        self.ticks_per_step = whole_ratio("control_rate", config.control_rate, "policy_rate", rate)
+        self.metadata = {**type(self).metadata, "render_fps": rate}
         self.task = made(task, rest, EnvOptions.names())
         self._spawn = Spawn(self.task, self._options.worlds, self._options.difficulty, config)
         self.pool = self._spawn.pool
         self._options.check_view(link)
+        self._connect(link, config)
+        tried(self.task, config, self.sensors)
+        self.action_space: Any
+        self.observation_space: Any
+        self.action_space, self.observation_space = task_spaces(self.task, self.sensors)
+        self._episode: Episode | None = None
+        self._sensed: Observation = NOTHING_SENSED
+        self._told_last: tuple[Observation, Info] | None = None
+
+    def _connect(self, link: Any, config: RobotConfig) -> None:
+        """Make the robot with its link and sensors, and what shows it; opens nothing."""
         wire = self._link(link, config)
         self._randomizer = Randomizer(
             self._options.randomization,
@@ -112,18 +97,12 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
             self.ticks_per_step * config.period,
             simulated=wire.truth is not None,
         )
-        self._faulty = _faulty(wire, Faults.of(self._options.faults))
+        faults = Faults.of(self._options.faults)
+        self._faulty = FaultyLink(wire, faults) if faults.possible else None
         self.robot = Robot(self._faulty or wire, config, self._factories())
-        tried(self.task, config, self.sensors)
-        self.action_space: Any
-        self.observation_space: Any
-        self.action_space, self.observation_space = task_spaces(self.task, self.sensors)
-        mode = None if self._bullets_window(link) else self.render_mode
         self._top = (config.max_linear, config.max_angular)
+        mode = None if self._bullets_window(link) else self.render_mode
         self._screen = Screen(config, mode, self._options.view)
-        self._episode: Episode | None = None
-        self._sensed: Observation = NOTHING_SENSED
-        self._told_last: tuple[Observation, Info] | None = None
 
     def _factories(self) -> list[Sensor | Factory]:
         """Factories of the task's sensors and the env's."""
@@ -159,9 +138,10 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         self.robot.reset(scene, self.np_random)
         self._sensed = self.robot.read().astype(np.float32)
         self._screen.begin(assignment, self.task.goal_tolerance)
-        state = self._state(episode, (0.0, 0.0))
-        episode.begin(state)
-        return self._told(episode, state)
+        with self._stopping():
+            state = self._state(episode, (0.0, 0.0))
+            episode.begin(state)
+            return self._told(episode, state)
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, Info]:
         """Drive for one step of the policy; see the class for spaces, reward and end."""
@@ -176,12 +156,22 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
                 raise
             return self._cut_short(error)
         episode.steps += 1
-        state = self._state(episode, (linear, angular))
-        reward, outcome = episode.step(state)
-        observation, info = self._told(episode, state)
+        with self._stopping():
+            state = self._state(episode, (linear, angular))
+            reward, outcome = episode.step(state)
+            observation, info = self._told(episode, state)
         if outcome is not Outcome.GOING:
             self._halt()
         return observation, reward, outcome is not Outcome.GOING, False, info
+
+    @contextlib.contextmanager
+    def _stopping(self) -> Iterator[None]:
+        """Whatever goes wrong inside, in a user's task for instance, stops the robot."""
+        try:
+            yield
+        except BaseException:
+            self.robot.deactivate()
+            raise
 
     def _halt(self) -> None:
         """Stop between episodes; a link that is lost is closed, for the next reset to open."""
@@ -219,65 +209,24 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def _state(self, episode: Episode, action: tuple[float, float]) -> State:
         """What the task is told."""
-        robot, assignment = self.robot, episode.assignment
-        truth, scan = robot.link.truth, newest_scan(robot.sensors)
-        return State(
-            pose=robot.odometry.pose,
-            twist=robot.odometry.twist,
-            wheel_speeds=robot.speeds,
-            action=action,
-            sent=robot.safety.sent,
-            reason=int(robot.safety.reason),
-            ranges=NO_RANGES if scan is None else scan.ranges,
-            sensed=self._sensed,
-            time=episode.steps * self.ticks_per_step * robot.config.period,
-            feedback_age=robot.feedback_age,
-            contact=truth is not None and truth.contact,
-            goal=assignment.goal,
-            path=NO_PATH if assignment.path is None else assignment.path,
-            length=assignment.length,
-            max_twist=self._top,
-            period=self.ticks_per_step * robot.config.period,
-        )
+        return state_of(self.robot, episode, action, self._sensed, self.ticks_per_step)
 
     def _told(self, episode: Episode, state: State) -> tuple[Observation, Info]:
         """What the agent gets, and what the screen shows."""
-        try:
-            self._screen.show(state, self.robot.link.truth, newest_scan(self.robot.sensors))
-        except BaseException:
-            self.robot.deactivate()
-            raise
+        truth = self.robot.link.truth
+        self._screen.show(state, truth, newest_scan(self.robot.sensors))
         numbers = np.array(episode.observe(state), np.float32)
-        told = np.concatenate([numbers, state.sensed]), self._info(episode, state)
-        self._told_last = told
-        return told
-
-    def _info(self, episode: Episode, state: State) -> Info:
-        (x, y, theta), truth = state.pose, self.robot.link.truth
-        start = episode.assignment.start
-        true_x, true_y, true_theta = to_odometry(start, truth.pose) if truth else NOWHERE
-        goal_x, goal_y = state.goal
-        info = {
-            "is_success": float(episode.outcome is Outcome.SUCCESS),
-            "odom_x": x,
-            "odom_y": y,
-            "odom_theta": theta,
-            "feedback_age": state.feedback_age,
-            "sent_linear": state.sent[0],
-            "sent_angular": state.sent[1],
-            "sent_reason": float(state.reason),
-            "true_x": true_x,
-            "true_y": true_y,
-            "true_theta": true_theta,
-            "true_contact": float(truth.contact) if truth else math.nan,
-            "true_goal_distance": math.hypot(goal_x - true_x, goal_y - true_y),
-            "odometry_error": math.hypot(true_x - x, true_y - y),
-        } | episode.info()
-        info |= self._randomizer.info()
+        if numbers.shape != (len(self.task.observation),):
+            raise ConfigError(
+                f"{named(self.task)}.observe returned numbers of shape {numbers.shape}: must be "
+                f"({len(self.task.observation)},)"
+            )
+        info = info_of(episode, state, truth) | self._randomizer.info()
         if self._faulty is not None or truth is None:
             info["fault"] = 0.0
         self.robot.tell(info)
-        return info
+        self._told_last = told = np.concatenate([numbers, state.sensed]), info
+        return told
 
     @property
     def sensors(self) -> Sequence[Sensor]:
