@@ -14,13 +14,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.dynamics.model import Physics, physics, physics_of, substep, wire_loops
+from acsar_gym.dynamics.model import Physics, physics_of, substep, wire_loops
 from acsar_gym.errors import ConfigError, shown, suggestion
 from acsar_gym.jit import jit, leading, loop
 
@@ -218,48 +218,6 @@ def draw(
     return varied(physics_of(nominal), drawn, dt), drawn
 
 
-class Randomizer:
-    """Draws the physics of one robot, episode by episode."""
-
-    def __init__(self, given: Any, config: RobotConfig, step: float, *, simulated: bool) -> None:
-        """Check what may vary.
-
-        Args:
-            given: What `Randomization.of` takes.
-            config: The robot.
-            step: Length of a step of the policy [s].
-            simulated: Whether the robot's physics can vary at all.
-
-        Raises:
-            ConfigError: It can't, or see `Randomization.of` and `Randomization.ranges`.
-        """
-        randomization = Randomization.of(given)
-        self._names = randomization.names
-        if self._names and not simulated:
-            raise ConfigError(
-                f"randomization of {', '.join(self._names)}: only a simulated robot's physics can "
-                "vary, and this link is real or a recording"
-            )
-        ranges = randomization.ranges(config, step)
-        self._low, self._high = np.array(ranges.low), np.array(ranges.high)
-        self._nominal, self._dt = np.array(physics(config)), substep(config)
-        self._drawn = Drawn()
-
-    def draw(self, rng: np.random.Generator) -> Physics | None:
-        """Physics for an episode; None where nothing varies. Takes a sample for each number."""
-        if not self._names:
-            return None
-        samples, varies = np.zeros(SIZE), self._high > self._low
-        samples[varies] = rng.random(int(varies.sum()))
-        own, drawn = draw(self._nominal, self._low, self._high, samples, self._dt)
-        self._drawn = Drawn(*drawn)
-        return Physics(*own)
-
-    def info(self) -> dict[str, Any]:
-        """What was drawn last, as applied: a float, or an array of four in the order of wheels."""
-        return {f"drawn_{name}": _told(self._drawn, name) for name in self._names}
-
-
 def places(name: str) -> tuple[int, ...]:
     """Where a parameter's numbers are in `Drawn`: one, or four in the order of the wheels."""
     return tuple(Drawn._fields.index(number) for number in _numbers(name))
@@ -267,11 +225,6 @@ def places(name: str) -> tuple[int, ...]:
 
 def _numbers(name: str) -> tuple[str, ...]:
     return (name,) if name in Drawn._fields else tuple(f"{name}_{wheel}" for wheel in "abcd")
-
-
-def _told(drawn: Drawn, name: str) -> float | Floats:
-    numbers = np.array([drawn[k] for k in places(name)])
-    return float(numbers[0]) if len(numbers) == 1 else numbers
 
 
 LEAST = {"deadband": 0.0, "latency": 0.0, "feedback_rate": 0.1}

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from acsar_gym.bodies import display
 from acsar_gym.bodies.base import Image
 from acsar_gym.config import RobotConfig, RobotSource, whole_ratio
-from acsar_gym.dynamics.randomization import Randomizer
+from acsar_gym.dynamics.randomizer import Randomizer
 from acsar_gym.envs.options import RENDER_MODES, EnvOptions
 from acsar_gym.envs.told import Info, fault_code, info_of, state_of
 from acsar_gym.errors import AcsarError, CommandError, ConfigError, LinkError, RenderError, shown

@@ -12,7 +12,8 @@ from varied import RANGES
 from acsar_gym import RobotConfig
 from acsar_gym.dynamics import Physics, Randomization, physics
 from acsar_gym.dynamics.model import numbers_of, physics_at, physics_of, substep
-from acsar_gym.dynamics.randomization import Drawn, Randomizer, places, varied
+from acsar_gym.dynamics.randomization import Drawn, places, varied
+from acsar_gym.dynamics.randomizer import Randomizer
 from acsar_gym.errors import ConfigError
 
 CONFIG = RobotConfig()

@@ -13,7 +13,7 @@ from acsar_gym import RobotConfig, open_link
 from acsar_gym.bodies.bullet import BulletBody
 from acsar_gym.bodies.bullet.engine import pybullet
 from acsar_gym.dynamics import Physics
-from acsar_gym.dynamics.randomization import Randomizer
+from acsar_gym.dynamics.randomizer import Randomizer
 from acsar_gym.links.simulated import SimulatedLink
 from acsar_gym.protocol import Decoder, Speeds, encode
 from acsar_gym.worlds import Scene

@@ -1,0 +1,62 @@
+"""Domain randomization of the single environment's robot."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.dynamics.model import Physics, physics, substep
+from acsar_gym.dynamics.randomization import SIZE, Drawn, Randomization, draw, places
+from acsar_gym.errors import ConfigError
+
+Floats = NDArray[np.float64]
+
+
+class Randomizer:
+    """Draws the physics of one robot, episode by episode."""
+
+    def __init__(self, given: Any, config: RobotConfig, step: float, *, simulated: bool) -> None:
+        """Check what may vary.
+
+        Args:
+            given: What `Randomization.of` takes.
+            config: The robot.
+            step: Length of a step of the policy [s].
+            simulated: Whether the robot's physics can vary at all.
+
+        Raises:
+            ConfigError: It can't, or see `Randomization.of` and `Randomization.ranges`.
+        """
+        randomization = Randomization.of(given)
+        self._names = randomization.names
+        if self._names and not simulated:
+            raise ConfigError(
+                f"randomization of {', '.join(self._names)}: only a simulated robot's physics can "
+                "vary, and this link is real or a recording"
+            )
+        ranges = randomization.ranges(config, step)
+        self._low, self._high = np.array(ranges.low), np.array(ranges.high)
+        self._nominal, self._dt = np.array(physics(config)), substep(config)
+        self._drawn = Drawn()
+
+    def draw(self, rng: np.random.Generator) -> Physics | None:
+        """Physics for an episode; None where nothing varies. Takes a sample for each number."""
+        if not self._names:
+            return None
+        samples, varies = np.zeros(SIZE), self._high > self._low
+        samples[varies] = rng.random(int(varies.sum()))
+        own, drawn = draw(self._nominal, self._low, self._high, samples, self._dt)
+        self._drawn = Drawn(*drawn)
+        return Physics(*own)
+
+    def info(self) -> dict[str, Any]:
+        """What was drawn last, as applied: a float, or an array of four in the order of wheels."""
+        return {f"drawn_{name}": _told(self._drawn, name) for name in self._names}
+
+
+def _told(drawn: Drawn, name: str) -> float | Floats:
+    numbers = np.array([drawn[k] for k in places(name)])
+    return float(numbers[0]) if len(numbers) == 1 else numbers

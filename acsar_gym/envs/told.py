@@ -1,0 +1,90 @@
+"""What the environment tells the task, and the agent in info."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from acsar_gym.bodies.base import GroundTruth
+from acsar_gym.errors import (
+    BoardGarbledError,
+    BoardSilentError,
+    LidarError,
+    LinkError,
+    LinkLostError,
+)
+from acsar_gym.lidars.base import newest_scan
+from acsar_gym.robot import Robot
+from acsar_gym.tasks import Observation, Outcome, State
+from acsar_gym.tasks.base import NO_PATH, NO_RANGES
+from acsar_gym.tasks.episode import Episode
+from acsar_gym.worlds import Pose
+from acsar_gym.worlds.scene import to_odometry
+
+Info = dict[str, Any]
+NOWHERE: Pose = (math.nan, math.nan, math.nan)
+"""The true pose where nothing knows it."""
+
+
+def fault_code(error: LinkError) -> int:
+    """A number for what went wrong: 1 silent, 2 garbled, 3 link lost, 4 LiDAR, 5 anything else."""
+    kinds = (BoardGarbledError, 2), (BoardSilentError, 1), (LinkLostError, 3), (LidarError, 4)
+    return next((code for kind, code in kinds if isinstance(error, kind)), 5)
+
+
+def state_of(
+    robot: Robot, episode: Episode, action: tuple[float, float], sensed: Observation, ticks: int
+) -> State:
+    """What the task is told after a step.
+
+    Args:
+        robot: with the odometry and the sensors.
+        episode: with the goal, the path and the number of steps.
+        action: the last one, in [-1, 1].
+        sensed: numbers of all sensors, as in the observation.
+        ticks: of a step.
+    """
+    assignment, config = episode.assignment, robot.config
+    truth, scan = robot.link.truth, newest_scan(robot.sensors)
+    return State(
+        pose=robot.odometry.pose,
+        twist=robot.odometry.twist,
+        wheel_speeds=robot.speeds,
+        action=action,
+        sent=robot.safety.sent,
+        reason=int(robot.safety.reason),
+        ranges=NO_RANGES if scan is None else scan.ranges,
+        sensed=sensed,
+        time=episode.steps * ticks * config.period,
+        feedback_age=robot.feedback_age,
+        contact=truth is not None and truth.contact,
+        goal=assignment.goal,
+        path=NO_PATH if assignment.path is None else assignment.path,
+        length=assignment.length,
+        max_twist=(config.max_linear, config.max_angular),
+        period=ticks * config.period,
+    )
+
+
+def info_of(episode: Episode, state: State, truth: GroundTruth | None) -> Info:
+    """The floats that every environment tells; what only a simulator knows is NaN without one."""
+    x, y, theta = state.pose
+    start = episode.assignment.start
+    true_x, true_y, true_theta = to_odometry(start, truth.pose) if truth else NOWHERE
+    goal_x, goal_y = state.goal
+    return {
+        "is_success": float(episode.outcome is Outcome.SUCCESS),
+        "odom_x": x,
+        "odom_y": y,
+        "odom_theta": theta,
+        "feedback_age": state.feedback_age,
+        "sent_linear": state.sent[0],
+        "sent_angular": state.sent[1],
+        "sent_reason": float(state.reason),
+        "true_x": true_x,
+        "true_y": true_y,
+        "true_theta": true_theta,
+        "true_contact": float(truth.contact) if truth else math.nan,
+        "true_goal_distance": math.hypot(goal_x - true_x, goal_y - true_y),
+        "odometry_error": math.hypot(true_x - x, true_y - y),
+    } | episode.info()
