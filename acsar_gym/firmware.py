@@ -87,7 +87,7 @@ class Firmware:
         now, received, body = self._loops * self._dt, self._received, self._body
         while received and received[0][0] <= now + EPSILON:
             self._obey(received.popleft()[1], now)
-        if now - self._last_command > self._timeout:
+        if now - self._last_command > self._timeout + EPSILON:
             self._targets = ZERO
         if self._set_points != self._targets:
             self._set_points = ramped(self._set_points, self._targets, self._ramp)

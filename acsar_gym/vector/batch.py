@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.config import Geofence, RobotConfig, whole_ratio
+from acsar_gym.config import RobotConfig, whole_ratio
 from acsar_gym.dynamics import Randomization, physics
 from acsar_gym.dynamics.model import substep, wire_loops
 from acsar_gym.dynamics.randomization import Ranges, places
@@ -16,12 +16,14 @@ from acsar_gym.errors import ConfigError
 from acsar_gym.lidars.base import LidarSensor, stale_after
 from acsar_gym.lidars.factory import factories
 from acsar_gym.lidars.simulated import SimulatedLidar, draws
-from acsar_gym.safety import limiter
+from acsar_gym.links.faults import Faults
+from acsar_gym.safety import limiter, rules
 from acsar_gym.sensors import LIDAR, Factory, Sensor
 from acsar_gym.sensors.suite import unused
 from acsar_gym.tasks.base import Task
 from acsar_gym.tasks.spawn import Spawn
 from acsar_gym.vector import pcg
+from acsar_gym.vector.faults import line_faults
 from acsar_gym.vector.kernel import episode, layout
 from acsar_gym.vector.links import RobotLink, View
 from acsar_gym.vector.options import Wishes
@@ -64,6 +66,7 @@ class Batch:
         self._rows = dict(layout.INFO)
         self._rows |= {} if spawn.pool is None else layout.WORLD_INFO
         self._rows |= layout.SCAN_INFO if sees else {}
+        self._rows |= layout.FAULT_INFO if setup.faults.possible else {}
         self.seeded = False
 
     @property
@@ -83,10 +86,12 @@ class Batch:
         robots, setup = self.robots, self._setup
         columns, rays = _columns(robots), len(self._around.directions)
         ranges = randomization.ranges(self._config, setup.ticks * setup.period)
+        lines = _lines(setup, ranges)
         return layout.Tables(
             state=np.zeros((layout.ROWS, columns)),
             counts=np.zeros((_slots(setup, ranges, self._config), 4, columns)),
-            commands=np.zeros((_lines(setup, ranges), 2, columns if setup.guarded else 0)),
+            commands=np.zeros((lines, 2, columns if setup.guarded else 0)),
+            arrivals=np.zeros((lines, 3, columns if setup.faults.possible else 0)),
             random=np.zeros((robots, 4), np.uint64),
             nominal=np.array(physics(self._config)),
             low=np.array(ranges.low),
@@ -94,6 +99,9 @@ class Batch:
             drawn=np.zeros((len(ranges.low) if self._drawn else 0, columns)),
             actions=np.zeros((robots, 2)),
             over=np.zeros(robots, np.bool_),
+            idle=np.zeros(robots, np.bool_),
+            kept=np.zeros((layout.COMMAND_LOOPS, columns if setup.falls_silent else 0)),
+            kept_rays=np.zeros((robots if setup.falls_silent else 0, rays), np.float32),
             ranges=np.zeros((robots, rays)),
             observations=np.zeros((robots, self._first_python), np.float32),
             rewards=np.zeros(robots),
@@ -154,12 +162,12 @@ class Batch:
 
     def _drive_tick_by_tick(self, share: Share) -> None:
         """A step in which sensors with a clock of their own are polled at every tick."""
-        ring, driving = self.tables.ring, np.flatnonzero(~self.tables.over)
+        ring = self.tables.ring
         try:
             for tick in range(self._setup.ticks):
                 ring[2:] = tick, tick + 1
                 share(self._drive, self.robots)
-                self.python.poll(driving)
+                self.python.poll(np.flatnonzero(~self.tables.idle))
         finally:
             ring[2:] = 0, self._setup.ticks
 
@@ -181,7 +189,7 @@ class Batch:
             columns = self.tables.observations[:, self._first_python :]
             self.python.reset(np.flatnonzero(begun), columns)
             if driven:
-                self.python.read(np.flatnonzero(~begun), columns)
+                self.python.read(np.flatnonzero(~self.tables.idle), columns)
 
     def _move_on(self) -> None:
         """All robots have done their step: move on in the rings."""
@@ -226,14 +234,19 @@ def _columns(robots: int) -> int:
 
 
 def setup_of(
-    config: RobotConfig, ticks: int, max_steps: int | None, numbers: int, *, sees: bool
+    config: RobotConfig,
+    ticks: int,
+    max_steps: int | None,
+    numbers: int,
+    faults: Faults,
+    *,
+    sees: bool,
 ) -> layout.Setup:
     """What all robots share: ticks and longest episode [steps], the task's numbers, a LiDAR."""
     dt = substep(config)
     firmware, encoder = config.firmware, config.encoder
     window = round(encoder.window * firmware.loop_rate)
-    linear, angular = limiter.both(config)
-    fence = config.geofence or Geofence()
+    limited = config.geofence is not None or not limiter.free(config)
     per_radian = encoder.counts_per_revolution / (2.0 * math.pi)
     return layout.Setup(
         dt=dt,
@@ -252,11 +265,10 @@ def setup_of(
         max_linear=config.max_linear,
         max_angular=config.max_angular,
         max_steps=math.inf if max_steps is None else float(max_steps),
-        guarded=config.geofence is not None or not limiter.free(config),
-        linear=linear,
-        angular=angular,
-        fenced=config.geofence is not None,
-        fence=(fence.min_x, fence.max_x, fence.min_y, fence.max_y),
+        guarded=limited or faults.possible,
+        rules=rules.of(config),
+        faults=line_faults(faults, config),
+        falls_silent=faults.possible and faults.direction != "commands",
         lidar_rate=config.lidar.rate if sees else 0.0,
         stale=stale_after(config),
         noise=config.lidar.noise,
@@ -269,7 +281,8 @@ def setup_of(
 
 def _lines(setup: layout.Setup, ranges: Ranges) -> int:
     """Command lines to keep: as many ticks as the slowest one is on its way."""
-    return 2 + math.ceil(_delay(setup, ranges) / setup.loops)
+    late = 2 * math.ceil(setup.faults.lateness / setup.period) if setup.faults.possible else 0
+    return 2 + late + math.ceil(_delay(setup, ranges) / setup.loops)
 
 
 def _slots(setup: layout.Setup, ranges: Ranges, config: RobotConfig) -> int:
@@ -282,7 +295,8 @@ def _slots(setup: layout.Setup, ranges: Ranges, config: RobotConfig) -> int:
     rare = ranges.low.feedback_rate
     rate = config.feedback_rate if math.isnan(rare) else rare
     slowest = math.ceil(1.0 / (rate * setup.dt))
-    return int(setup.window + delay + slowest + setup.loops + 1)
+    late = math.ceil(setup.faults.lateness / setup.dt) if setup.faults.possible else 0
+    return int(setup.window + delay + late + slowest + setup.loops + 1)
 
 
 def _delay(setup: layout.Setup, ranges: Ranges) -> int:

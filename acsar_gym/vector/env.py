@@ -20,6 +20,7 @@ from acsar_gym.tasks.options import known
 from acsar_gym.tasks.spaces import task_spaces
 from acsar_gym.tasks.spawn import Spawn
 from acsar_gym.vector.batch import Batch, setup_of
+from acsar_gym.vector.faults import checked
 from acsar_gym.vector.kernel import layout
 from acsar_gym.vector.options import Wishes, wishes
 from acsar_gym.vector.settings import MOST_ROBOTS, BatchOptions, count, threads_for
@@ -48,6 +49,11 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
     - `autoreset_mode`: an AutoresetMode or its value, "NextStep" (default), "SameStep", "Disabled".
     - `threads`: cores to use, at most; None uses all where there is enough to do. Results don't
       depend on it.
+    - `faults`: lines that are lost or late, in the words of `acsar_gym.links.faults.Faults`:
+      dropped_lines, late_lines, lateness, episodes and direction. The same lines as in the single
+      env. Where feedback stays away for longer than the robot's `feedback_timeout` the episode is
+      truncated with `fault` 1 in info, as there, and in its first step where it stays away in the
+      reset.
 
     All worlds, at most 10,000, are made when the batch is. Seeds: `reset(seed=s)` seeds robot i
     with s + i, or a list names each one's. Every robot has its own generator, the same as the
@@ -120,7 +126,8 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         """The robots, and `sensors`, one of each of theirs; the task is tried with them."""
         task, config, steps = self.task, self.config, asked.max_episode_steps
         sensors = (*task.sensors, *asked.sensors)
-        setup = setup_of(config, ticks, steps, len(task.observation), sees=LIDAR in sensors)
+        faults, numbers = checked(asked.faults, config), len(task.observation)
+        setup = setup_of(config, ticks, steps, numbers, faults, sees=LIDAR in sensors)
         varied = Randomization.of(asked.randomization)
         batch = Batch(self.num_envs, config, task, self._spawn, sensors, setup, varied)
         self.sensors = batch.sensors

@@ -34,6 +34,7 @@ class BatchOptions:
     autoreset_mode: Any = AutoresetMode.NEXT_STEP
     threads: int | None = None
     randomization: Any = None
+    faults: Any = None
     link: str = "planar"
     render_mode: str | None = None
 

@@ -130,8 +130,9 @@ class PythonLoops:
     def step(self, first: int, last: int) -> None:
         """Rewards, ends and observations of robots first to last."""
         tables, over = self._tables, self._tables.over
-        tables.rewards[first:last], tables.ends[:, first:last] = 0.0, False
-        self._judge(np.flatnonzero(~over[first:last]) + first)
+        tables.rewards[first:last], tables.ends[0, first:last] = 0.0, False
+        tables.ends[1, first:last] = tables.idle[first:last] & ~over[first:last]
+        self._judge(np.flatnonzero(~tables.idle[first:last]) + first)
         self.start(over, first, last)
 
     def _judge(self, robots: NDArray[np.int64]) -> None:

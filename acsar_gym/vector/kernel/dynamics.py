@@ -6,11 +6,10 @@ import math
 
 import numpy as np
 
-from acsar_gym import kinematics
 from acsar_gym.dynamics.model import physics_at, towards, tyre_step, wheel_speed
 from acsar_gym.jit import jit, loop
 from acsar_gym.protocol import MAX_SPEED
-from acsar_gym.safety.rules import TELLABLE
+from acsar_gym.safety.rules import Memory, told, wheels
 from acsar_gym.vector.kernel.layout import (
     ANGLE,
     BLEND,
@@ -39,9 +38,6 @@ from acsar_gym.vector.kernel.layout import (
     Y,
     row,
 )
-
-sides = jit(kinematics.sides)
-forward = jit(kinematics.twist)
 
 
 @jit
@@ -107,37 +103,29 @@ def on_the_wire(speed: float) -> float:
     return min(max(rounded, -MAX_SPEED), MAX_SPEED)
 
 
-@jit
-def tell(
-    state: Floats, i: int, linear: float, angular: float, right: float, left: float, setup: Setup
-) -> None:
-    """The twist that robot i is really sent, and whether it is the one asked for."""
-    sent_linear, sent_angular = forward(right, left, left, right, setup.radius, setup.separation)
-    off = max(abs(sent_linear - linear), abs(sent_angular - angular))
-    state[SENT_LINEAR, i] = sent_linear
-    state[SENT_ANGULAR, i] = sent_angular
-    state[REASON, i] = 0.0 if off < TELLABLE else 1.0
+@loop
+def ask(state: Floats, actions: Floats, first: int, last: int) -> None:
+    """The actions of this step, each within [-1, 1]."""
+    for i in range(first, last):
+        state[LAST_LINEAR, i] = min(max(actions[i, 0], -1.0), 1.0)
+        state[LAST_ANGULAR, i] = min(max(actions[i, 1], -1.0), 1.0)
 
 
 @loop
-def command(state: Floats, actions: Floats, first: int, last: int, setup: Setup) -> None:
-    """Actions to the targets that the board will hear of in this step."""
+def command(state: Floats, first: int, last: int, setup: Setup) -> None:
+    """The targets that the board will hear of in this step, where nothing limits commands."""
     old_right, old_left = row(state, OLD_RIGHT, first, last), row(state, OLD_LEFT, first, last)
     new_right, new_left = row(state, NEW_RIGHT, first, last), row(state, NEW_LEFT, first, last)
     heard, delay = row(state, HEARD, first, last), row(state, COMMAND_LOOPS, first, last)
+    asks, turns = row(state, LAST_LINEAR, first, last), row(state, LAST_ANGULAR, first, last)
+    sent, bent = row(state, SENT_LINEAR, first, last), row(state, SENT_ANGULAR, first, last)
+    reasons = row(state, REASON, first, last)
     for i in range(last - first):
-        linear = min(max(actions[first + i, 0], -1.0), 1.0)
-        angular = min(max(actions[first + i, 1], -1.0), 1.0)
-        state[LAST_LINEAR, first + i] = linear
-        state[LAST_ANGULAR, first + i] = angular
-        wanted_linear, wanted_angular = linear * setup.max_linear, angular * setup.max_angular
-        right, left = sides(
-            wanted_linear, wanted_angular, setup.radius, setup.separation, setup.max_wheel_speed
-        )
-        tell(state, first + i, wanted_linear, wanted_angular, right, left, setup)
-        if heard[i] < setup.ticks * setup.loops:  # else the last command was lost
-            old_right[i] = new_right[i]
-            old_left[i] = new_left[i]
+        linear, angular = asks[i] * setup.max_linear, turns[i] * setup.max_angular
+        right, left = wheels(Memory(0.0, 0.0, linear, angular, 0.0, 0.0), setup.rules)
+        sent[i], bent[i], reasons[i] = told(linear, angular, right, left, 0.0, setup.rules)
+        old_right[i] = new_right[i]
+        old_left[i] = new_left[i]
         new_right[i] = min(max(on_the_wire(right), -setup.top), setup.top)
         new_left[i] = min(max(on_the_wire(left), -setup.top), setup.top)
         heard[i] = delay[i]

@@ -11,7 +11,8 @@ from acsar_gym.dynamics.randomization import draw
 from acsar_gym.jit import jit, loop
 from acsar_gym.tasks.base import relative, within
 from acsar_gym.tasks.spawn import goal_at
-from acsar_gym.vector.kernel.dynamics import command
+from acsar_gym.vector.kernel.dynamics import ask, command
+from acsar_gym.vector.kernel.fault_injection import draw_key, prepare, put_back, settle_late
 from acsar_gym.vector.kernel.layout import (
     BLOCK,
     COMMAND_LOOPS,
@@ -141,11 +142,16 @@ def begin(tables: Tables, i: int, setup: Setup, spawns: Spawns) -> None:
     tables.counts[:, :, i] = 0.0
     if setup.guarded:
         tables.commands[:, :, i] = 0.0
+    if setup.faults.possible:
+        draw_key(tables, i, setup)
     if len(spawns.starts) == 0:
         aim(state, random, i, spawns)
     else:
         settle(state, random, i, spawns)
     equip(tables, i, setup)
+    if setup.faults.possible:
+        settle_late(state, i, setup)
+        return
     settled = settle_ticks(state[DELAY_LOOPS, i], state[FEEDBACK_LOOPS, i], setup.loops)
     state[LOOPS, i] = settled * setup.loops
     every = state[FEEDBACK_LOOPS, i]
@@ -180,14 +186,19 @@ def step(
 
     With the last one a step ends: robots that are over begin anew. The task's loops come after it.
     """
-    state, lossy = tables.state, False
+    state = tables.state
     for low in range(first, last, BLOCK):
         high = min(low + BLOCK, last)
         if tables.ring[2] == 0:
-            command(state, tables.actions, low, high, setup)
-        drive(tables, low, high, lossy, setup, around)
+            ask(state, tables.actions, low, high)
+            if not setup.guarded:
+                command(state, low, high, setup)
+            prepare(tables, low, high, setup)
+        drive(tables, low, high, setup, around)
         if tables.ring[3] < setup.ticks:
             continue
+        if setup.falls_silent:
+            put_back(tables, low, high, setup)
         steps = row(state, STEPS, low, high)
         for i in range(high - low):
             steps[i] += 1.0

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from acsar_gym.dynamics import Physics
 from acsar_gym.jit import jit
-from acsar_gym.safety.limiter import Limits
+from acsar_gym.safety.rules import Rules
 
 Floats = NDArray[np.float64]
 
@@ -30,18 +30,23 @@ GOAL_X, GOAL_Y, LAST_LINEAR, LAST_ANGULAR, STEPS, RETURN, OUTCOME = range(35, 42
 CONTACT, WORLD, START_X, START_Y, START_THETA, START_COS, START_SIN = range(42, 49)
 SCANS, SCAN_TICK = 49, 50
 # The safety layer: the twists sent last and before that, and why they aren't those asked for.
-SENT_LINEAR, SENT_ANGULAR, REASON, PAST_LINEAR, PAST_ANGULAR, FENCED = range(51, 57)
+SENT_LINEAR, SENT_ANGULAR, REASON, PAST_LINEAR, PAST_ANGULAR, LATCHED = range(51, 57)
 NEW_LINEAR, NEW_ANGULAR = 57, 58
 # What is only told:
 TRUE_THETA, TRUE_DISTANCE, ERROR, SUCCESS, SCAN_AGE, STALE = range(59, 65)
 GOAL_GIVEN = 65
 """Whether this episode's goal was given, so that the world's path doesn't lead there."""
+# Where lines may be lost or late: the episode's key; the newest command that the wire has let
+# through or lost, and when; when it let the newest feedback through; when the board's UART is free
+# [s]; up to which tick the board has heard, and in which loop for the last time; what went wrong.
+KEY, LAST_COMMAND, COMMAND_RELEASE, FEEDBACK_RELEASE, BOARD_FREE = range(66, 71)
+HEARD_TICK, HEARD_LOOP, SILENT, FAULT = range(71, 75)
 # How long this episode's commands and feedback are on their way, in loops of the firmware:
-COMMAND_LOOPS, DELAY_LOOPS, DROPPED = 66, 67, 68
+COMMAND_LOOPS, DELAY_LOOPS = 75, 76
 # What options of a reset ask for, in this and all later episodes; zero where they don't. A world is
 # its place from 1 on; worlds of a range of difficulty have ranks from FIRST_RANK up to LAST_RANK.
-WISHED_WORLD, WISHED_GOAL, WISHED_X, WISHED_Y, FIRST_RANK, LAST_RANK = range(69, 75)
-PHYSICS = 75
+WISHED_WORLD, WISHED_GOAL, WISHED_X, WISHED_Y, FIRST_RANK, LAST_RANK = range(77, 83)
+PHYSICS = 83
 """The first of the rows for the numbers of the robot's own `Physics`, drawn for the episode."""
 BLEND = PHYSICS + Physics._fields.index("blend_a")  # four each
 GAIN = PHYSICS + Physics._fields.index("gain_a")
@@ -66,12 +71,36 @@ INFO = {
 }
 """Rows of info that every task has."""
 WORLD_INFO = {"world": WORLD}
+FAULT_INFO = {"fault": FAULT}
 SCAN_INFO = {"scan_age": SCAN_AGE, "scan_stale": STALE}
 BLOCK = 128
 """Robots that go through a whole env step together, so that their state stays in the cache."""
 
 
 TURN = 2.0 * math.pi
+
+
+class LineFaults(NamedTuple):
+    """Lines between drivers and boards that are lost or late; see `links.faults.Faults`."""
+
+    possible: bool
+    """Whether anything can go wrong at all."""
+    episodes: float
+    feedback: bool
+    """Whether feedback suffers."""
+    commands: bool
+    """Whether commands suffer."""
+    dropped: float
+    late: float
+    lateness: float
+    patience: float
+    """Ticks that a reset waits for the wheels to stand."""
+    line_time: float
+    """Of a command on the wire [s]."""
+    processing_time: float
+    """[s]"""
+    command_timeout: float
+    """After which a board that hears nothing stops its motors [s]."""
 
 
 class Setup(NamedTuple):
@@ -99,13 +128,12 @@ class Setup(NamedTuple):
     max_angular: float
     max_steps: float
     guarded: bool
-    """Whether commands change from tick to tick: there are limits, or a geofence."""
-    linear: Limits
-    angular: Limits
-    fenced: bool
-    """Whether there is a geofence."""
-    fence: tuple[float, float, float, float]
-    """Least and largest x, least and largest y [m]."""
+    """Whether commands change from tick to tick: there are limits, a geofence, or faults."""
+    rules: Rules
+    """Of the safety layer."""
+    faults: LineFaults
+    falls_silent: bool
+    """Whether feedback may stay away for so long that the episode ends."""
     lidar_rate: float
     """Scans per second; 0 where the task has no LiDAR [Hz]."""
     stale: float
@@ -148,6 +176,9 @@ class Tables(NamedTuple):
     """loops x 4 x columns: a ring of encoder counts."""
     commands: Floats
     """ticks x 2 x columns: a ring of command lines; empty where nothing limits commands."""
+    arrivals: Floats
+    """ticks x 3 x columns: in which loop the boards hear what the wire let through in a tick, and
+    its two speeds; empty where no lines are lost or late."""
     random: NDArray[np.uint64]
     """R x 4: generators, see `pcg`."""
     nominal: Floats
@@ -161,6 +192,12 @@ class Tables(NamedTuple):
     """R x 2"""
     over: NDArray[np.bool_]
     """R: whether the robot begins a new episode in this step."""
+    idle: NDArray[np.bool_]
+    """R: whether it drives no more in this step: it begins anew, or its board is silent."""
+    kept: Floats
+    """The state of the episode before the step, where boards may fall silent."""
+    kept_rays: NDArray[np.float32]
+    """R x rays: the observed ranges before the step, where boards fall silent."""
     ranges: Floats
     """R x rays: the LiDAR's newest scan [m]."""
     observations: NDArray[np.float32]

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acsar_gym import kinematics, odometry
 from acsar_gym.jit import jit, loop
 from acsar_gym.vector.kernel.dynamics import motors, on_the_wire, ramp, sincos, tyres
+from acsar_gym.vector.kernel.fault_injection import dispatch, listen, obey, watch
 from acsar_gym.vector.kernel.layout import (
     AGE,
     ANGULAR,
-    COMMAND_LOOPS,
     DELAY_LOOPS,
-    DROPPED,
     FEEDBACK_LOOPS,
-    HEARD,
     LAST_LINE,
     LINEAR,
     LOOPS,
@@ -30,8 +27,7 @@ from acsar_gym.vector.kernel.layout import (
     row,
 )
 from acsar_gym.vector.kernel.lidars import look, touch
-from acsar_gym.vector.kernel.safety import explain, follow, guard, lose
-from acsar_gym.vector.pcg import uniform
+from acsar_gym.vector.kernel.safety import explain, follow, guard, lines
 from acsar_gym.worlds.geometry import Surroundings
 
 forward = jit(kinematics.twist)
@@ -45,10 +41,22 @@ def newest_line(loops: float, delay: float, every: float) -> float:
     return line
 
 
+@jit
+def read(state: Floats, counts: Floats, i: int, slot: int, ago: int, setup: Setup) -> None:
+    """Robot i's reading of what its encoders had counted so many loops ago."""
+    slots = counts.shape[0]
+    new = slot - ago
+    new += slots if new < 0 else 0
+    old = new - setup.window
+    old += slots if old < 0 else 0
+    for k in range(4):
+        turned = counts[new, k, i] - counts[old, k, i]
+        state[READ + k, i] = on_the_wire(turned * setup.speed_per_count)
+
+
 @loop
 def feedback(state: Floats, counts: Floats, first: int, last: int, slot: int, setup: Setup) -> None:
     """The newest line that has arrived by the end of a tick, if it hasn't been read before."""
-    slots = counts.shape[0]
     loops, ages = row(state, LOOPS, first, last), row(state, AGE, first, last)
     lines, every = row(state, LAST_LINE, first, last), row(state, FEEDBACK_LOOPS, first, last)
     delays = row(state, DELAY_LOOPS, first, last)
@@ -59,13 +67,8 @@ def feedback(state: Floats, counts: Floats, first: int, last: int, slot: int, se
         if line > lines[i]:
             lines[i] = line
             ages[i] = 0.0
-            new = slot - int(now - np.ceil(line * every[i] - 1e-9))
-            new += slots if new < 0 else 0
-            old = new - setup.window
-            old += slots if old < 0 else 0
-            for k in range(4):
-                turned = counts[new, k, first + i] - counts[old, k, first + i]
-                state[READ + k, first + i] = on_the_wire(turned * setup.speed_per_count)
+            made = np.ceil(line * every[i] - 1e-9)
+            read(state, counts, first + i, slot, int(now - made), setup)
         else:
             ages[i] += setup.period
 
@@ -91,54 +94,66 @@ def dead_reckoning(state: Floats, first: int, last: int, setup: Setup) -> None:
 
 
 @loop
-def drop_lines(
-    state: Floats, random: NDArray[np.uint64], first: int, last: int, tick: int, setup: Setup
-) -> None:
-    """Lose this tick's command line, its feedback line, or both, on robots with a bad cable."""
+def receive(state: Floats, counts: Floats, first: int, last: int, slot: int, setup: Setup) -> None:
+    """`feedback` where lines are lost or late."""
     for i in range(first, last):
-        share = state[DROPPED, i]
-        if share > 0.0:
-            heard = tick * setup.loops + state[COMMAND_LOOPS, i]
-            if state[HEARD, i] == heard and uniform(random, i) < share:
-                state[HEARD, i] = heard + setup.loops
-            every = state[FEEDBACK_LOOPS, i]
-            loops = state[LOOPS, i] + setup.loops
-            line = newest_line(loops, state[DELAY_LOOPS, i], every)
-            if line > state[LAST_LINE, i] and uniform(random, i) < share:
-                state[LAST_LINE, i] = line
+        state[LOOPS, i] += setup.loops
+        line = listen(state, i, setup)
+        state[AGE, i] = 0.0 if line > 0.0 else state[AGE, i] + setup.period
+        if line > 0.0:
+            made = np.ceil(line * state[FEEDBACK_LOOPS, i] - 1e-9)
+            read(state, counts, i, slot, int(state[LOOPS, i] - made), setup)
 
 
 @loop
-def drive(
-    tables: Tables, first: int, last: int, lossy: bool, setup: Setup, around: Surroundings
+def command_tick(tables: Tables, first: int, last: int, line: int, setup: Setup) -> None:
+    """The command lines of one tick, and what reaches the boards of them."""
+    guard(tables.state, first, last, setup)
+    lines(tables.state, tables.commands, first, last, line, setup)
+    if setup.faults.possible:
+        dispatch(tables, first, last, line, setup)
+
+
+@loop
+def turn_wheels(
+    tables: Tables, first: int, last: int, tick: int, slot: int, line: int, setup: Setup
 ) -> None:
+    """The firmware's loops of one tick, from encoder slot `slot` on."""
+    state, counts = tables.state, tables.counts
+    for turn in range(setup.loops):
+        if setup.faults.possible:
+            obey(tables, first, last, line, turn, setup)
+        elif setup.guarded:
+            follow(state, tables.commands, first, last, line, turn, setup)
+        else:
+            ramp(state, first, last, tick * setup.loops + turn, setup)
+        motors(state, counts, first, last, (slot + turn) % counts.shape[0], setup)
+        tyres(state, first, last, setup)
+
+
+@loop
+def drive(tables: Tables, first: int, last: int, setup: Setup, around: Surroundings) -> None:
     """The ticks of an env step that the ring says."""
-    state, counts, commands, random = tables.state, tables.counts, tables.commands, tables.random
-    slots, line, begin, end = counts.shape[0], tables.ring[1], tables.ring[2], tables.ring[3]
+    state, counts, slots = tables.state, tables.counts, tables.counts.shape[0]
+    begin, lines_kept = tables.ring[2], max(tables.commands.shape[0], 1)
     slot = (tables.ring[0] + begin * setup.loops) % slots
-    line = (line + begin) % max(commands.shape[0], 1)
+    line = (tables.ring[1] + begin) % lines_kept
     crowded = around.circles.shape[1] + around.segments.shape[1] > 0
-    for tick in range(begin, end):
+    for tick in range(begin, tables.ring[3]):
+        line = (line + 1) % lines_kept
         if setup.guarded:
-            line = (line + 1) % commands.shape[0]
-            guard(state, commands, first, last, line, setup)
-            if lossy:
-                lose(state, commands, random, first, last, line)
-        if lossy:
-            drop_lines(state, random, first, last, tick, setup)
-        for turn in range(tick * setup.loops, (tick + 1) * setup.loops):
-            slot = (slot + 1) % slots
-            if setup.guarded:
-                follow(state, commands, first, last, line, turn - tick * setup.loops, setup)
-            else:
-                ramp(state, first, last, turn, setup)
-            motors(state, counts, first, last, slot, setup)
-            tyres(state, first, last, setup)
+            command_tick(tables, first, last, line, setup)
+        turn_wheels(tables, first, last, tick, slot + 1, line, setup)
+        slot = (slot + setup.loops) % slots
         if crowded:
             touch(state, first, last, around)
-        feedback(state, counts, first, last, slot, setup)
+        if setup.faults.possible:
+            receive(state, counts, first, last, slot, setup)
+            watch(tables, first, last, setup)
+        else:
+            feedback(state, counts, first, last, slot, setup)
         dead_reckoning(state, first, last, setup)
         if setup.lidar_rate > 0.0:
-            look(tables, tables.over, False, first, last, tick, setup, around)
+            look(tables, tables.idle, False, first, last, tick, setup, around)
     if setup.guarded:
         explain(state, first, last, setup)

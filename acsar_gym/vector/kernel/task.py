@@ -112,6 +112,13 @@ def ended(tables: Tables, i: int, reward: float, outcome: int, setup: Setup) -> 
     tables.ends[1, i] = state[STEPS, i] >= setup.max_steps
 
 
+@jit
+def cut_short(tables: Tables, i: int) -> None:
+    """The end of robot i's episode because its board is silent; it is told what it was told."""
+    tables.rewards[i] = 0.0
+    tables.ends[0, i], tables.ends[1, i] = False, True
+
+
 def start(
     task: Any,
     memory: NDArray[Any],
@@ -143,6 +150,9 @@ def step(
 ) -> None:
     """Reward, end and observation of robots first to last; some of them have begun anew."""
     for i in range(first, last):
+        if tables.idle[i] and not tables.over[i]:
+            cut_short(tables, i)
+            continue
         if tables.over[i]:
             memory[i] = memory[len(memory) - 1]
         state, own = state_of(tables, i, setup, spawns), memory[i]
