@@ -269,7 +269,7 @@ def _thinned(path: Sequence[Point]) -> Floats:
 
 
 def _parts(config: RobotConfig) -> list[tuple[Floats, Colour]]:
-    """Return corners in the base frame [m] and colours of the robot's parts."""
+    """Footprint, wheels, chassis, heading and LiDAR: corners in the base frame [m], and colours."""
     body, a, b = config.body, config.wheelbase / 2.0, config.wheel_separation / 2.0
     tyre = max(0.02, body.width - config.wheel_separation)
     inner = max(0.02, config.wheel_separation - tyre - 0.02)
@@ -294,7 +294,7 @@ def _parts(config: RobotConfig) -> list[tuple[Floats, Colour]]:
 
 
 def _footprint(config: RobotConfig) -> Floats:
-    """Return the corners of the robot's footprint polygon, or of its body [m]."""
+    """Corners of the robot's polygon, or of its body [m]."""
     body = config.body
     if config.footprint is None:
         return _box(0.0, 0.0, body.length, body.width)
@@ -302,7 +302,6 @@ def _footprint(config: RobotConfig) -> Floats:
 
 
 def _box(x: float, y: float, length: float, width: float) -> Floats:
-    """Return the corners of a rectangle around (x, y) [m]."""
     corners = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
     box: Floats = corners * (length, width) + (x, y)
     return box
@@ -317,7 +316,6 @@ def _all_around(angles: Floats) -> bool:
 
 
 def _polar(angles: Floats, ranges: Floats) -> Floats:
-    """Convert polar coordinates to points (N, 2)."""
     return np.column_stack([ranges * np.cos(angles), ranges * np.sin(angles)])
 
 
