@@ -1,4 +1,4 @@
-"""The main job end to end: train in simulation, then drive the same file over a serial device."""
+"""The demo: train in simulation, then run the same policy file over a serial device."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from acsar_gym.policies import OnnxPolicy
 from acsar_gym.resources import agent
 
 END_TIMEOUT = 30.0
-"""How long the emulator may take to end before it is killed [s]."""
+"""Time after which an emulator that doesn't end is killed [s]."""
 ENDING_WITH_US = """
 import os, threading
 
@@ -32,13 +32,24 @@ threading.Thread(target=follow, daemon=True).start()
 from acsar_gym.cli import main
 main()
 """
-"""`acsar-gym`, ending with the process that started it, however that ends."""
+"""Runs `acsar-gym` and exits when the parent process does, for whatever reason."""
 
 
 def run(steps: int, episodes: int, serial_episodes: int, out: Path) -> list[tuple[str, Run]]:
-    """Train, evaluate in PyBullet, evaluate over a pseudo-terminal; one row each.
+    """Train a policy, then evaluate it in PyBullet and over a pseudo-terminal.
 
-    Raises MissingExtraError before the training begins, SystemExit where a signal has ended it.
+    Args:
+        steps: env steps of the training.
+        episodes: episodes in PyBullet.
+        serial_episodes: episodes over the pseudo-terminal.
+        out: folder for policy and logs.
+
+    Returns:
+        Name of the link and results of the run on it, one row each.
+
+    Raises:
+        MissingExtraError: a library is missing; checked before the training starts.
+        SystemExit: a signal ended the training.
     """
     for module, extra in (("pybullet", "bullet"), ("onnxruntime", "deploy")):
         if find_spec(module) is None:
@@ -47,7 +58,7 @@ def run(steps: int, episodes: int, serial_episodes: int, out: Path) -> list[tupl
     console.rule("1. train PPO on simulated robots", align="left")
     policy_file = train(steps, out)
     policy = OnnxPolicy(policy_file)
-    gc.freeze()  # what training left behind isn't searched for garbage while the robot drives
+    gc.freeze()  # keeps garbage collection short while the robot drives
     console.rule(f"2. drive {policy_file.name} in PyBullet", align="left")
     simulated = runs.drive(policy, "bullet", None, range(10_000, 10_000 + episodes))
     console.rule(f"3. drive {policy_file.name} over a serial device", align="left")
@@ -56,7 +67,18 @@ def run(steps: int, episodes: int, serial_episodes: int, out: Path) -> list[tupl
 
 
 def train(steps: int, out: Path) -> Path:
-    """Run agents/train.py here; returns the ONNX file, raises SystemExit where a signal came."""
+    """Run agents/train.py in this process.
+
+    Args:
+        steps: env steps of the training.
+        out: folder for policy and logs.
+
+    Returns:
+        Path of the ONNX file.
+
+    Raises:
+        SystemExit: a signal ended the training.
+    """
     script = agent("train")
     code = script.train(script.Options(steps=steps, out=out))
     if code != 0:
@@ -65,23 +87,33 @@ def train(steps: int, out: Path) -> Path:
 
 
 def _over_serial(policy: OnnxPolicy, count: int, log: Path) -> Run:
-    """The emulator runs in another process; its log tells how far odometry was off."""
+    """Evaluate with an emulator in another process, whose log provides the odometry errors."""
     with emulator("--body", "bullet", "--log", str(log)) as device:
         run = runs.drive(policy, device, None, range(20_000, 20_000 + count))
     return replace(run, results=with_truth(run.results, log))
 
 
 def with_truth(results: Sequence[EpisodeResult], log: Path) -> list[EpisodeResult]:
-    """The results with their odometry errors filled in from the emulator's log."""
+    """Return the results with odometry errors from the emulator's log."""
     errors = evaluation.odometry_errors(results, log)
     return [replace(r, odometry_error=e) for r, e in zip(results, errors, strict=True)]
 
 
 @contextlib.contextmanager
 def emulator(*arguments: str) -> Iterator[str]:
-    """`acsar-gym emulate` in another process; yields the device it serves, and ends it.
+    """Run `acsar-gym emulate` in another process, as a context manager.
 
-    It also ends when this process does, even by SIGKILL. Ctrl-C is left to this process.
+    It ends with the context, or with this process, even if that is killed. Ctrl-C reaches this
+    process only.
+
+    Args:
+        *arguments: command line arguments of `emulate`.
+
+    Yields:
+        Path of the emulated device.
+
+    Raises:
+        LinkError: the emulator didn't start.
     """
     command = [sys.executable, "-c", ENDING_WITH_US, "emulate", *arguments]
     with subprocess.Popen(
@@ -99,6 +131,7 @@ def emulator(*arguments: str) -> Iterator[str]:
 
 
 def _end(process: subprocess.Popen[str]) -> None:
+    """Terminate the emulator; kill it after END_TIMEOUT."""
     process.terminate()
     try:
         process.wait(END_TIMEOUT)

@@ -1,4 +1,4 @@
-"""One tree of errors. Every message says what happened, where, and what to do next."""
+"""Exceptions and warnings. Every message says what happened, where, and what to do next."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from collections.abc import Iterable
 
 
 class AcsarError(Exception):
-    """Base of every error this package raises on purpose.
+    """Base class of the exceptions that this package raises on purpose.
 
-    `exit_code` is what the command line ends with, so that scripts can tell them apart.
+    Attributes:
+        exit_code: exit code of the command line.
     """
 
     exit_code = 1
@@ -24,7 +25,7 @@ class ConfigError(AcsarError):
 
 
 class WorldError(ConfigError):
-    """A world that is broken, can't be crossed, or has its start inside an obstacle."""
+    """A world is broken, can't be crossed, or has its start inside an obstacle."""
 
 
 class CommandError(AcsarError):
@@ -43,13 +44,13 @@ class MissingExtraError(AcsarError):
 
 
 class RenderError(AcsarError):
-    """A picture that can't be drawn here: no display, or no camera behind this link."""
+    """A picture can't be drawn: there is no display, or this link has no camera."""
 
     exit_code = 2
 
 
 class OffScreenWarning(UserWarning):
-    """A window can't open here, so its pictures are drawn without being shown."""
+    """No window can be opened, so pictures are drawn but not displayed."""
 
 
 class PolicyError(AcsarError):
@@ -59,9 +60,11 @@ class PolicyError(AcsarError):
 
 
 class LinkError(AcsarError):
-    """The other side of the wire can't be reached, or was lost.
+    """The robot or its LiDAR can't be reached, or the connection was lost.
 
-    `found` says what happened and where, `fix` what to do; the message is both.
+    Args:
+        found: what happened and where.
+        fix: what to do; the message consists of both.
     """
 
     exit_code = 3
@@ -93,32 +96,32 @@ class BoardGarbledError(BoardSilentError):
 
 
 class LinkLostError(LinkError):
-    """The device went away while it was in use."""
+    """The device disappeared while it was in use."""
 
 
 class SensorError(AcsarError):
-    """What a sensor has read can't be in an observation: a wrong number of numbers, or NaN."""
+    """A sensor's reading can't be used in an observation: wrong size, or NaN."""
 
 
 class LidarError(LinkError):
-    """The LiDAR can't be opened, isn't one, or has fallen silent."""
+    """The LiDAR can't be opened, isn't a LiDAR, or stopped answering."""
 
 
 LONGEST = 1_000
-"""Characters of a line that is printed."""
+"""Longest line that is printed [characters]."""
 _UNPRINTABLE = re.compile(
     "[^\\x20-\\x7e\\xa1-\U0010ffff]|[\\u200e\\u200f\\u2028-\\u202e\\u2066-\\u2069]|[\\ud800-\\udfff]"
 )
-"""Control characters, what turns the direction of text, and halves of surrogate pairs."""
+"""Control characters, bidirectional text controls, and unpaired surrogates."""
 
 
 def shortened(text: str, most: int = LONGEST) -> str:
-    """The text, cut off where it is long."""
+    """Truncate text to `most` characters, with "..." at the end."""
     return text if len(text) <= most else f"{text[:most]}..."
 
 
 def shown(value: object) -> str:
-    """The value as in source code: on one line, and shortened where it is long."""
+    """Format a value like repr(), shortened and on one line."""
     try:
         return " ".join(reprlib.repr(value).split())
     except ValueError:  # Python refuses to print integers of thousands of digits
@@ -126,17 +129,25 @@ def shown(value: object) -> str:
 
 
 def printable(text: str) -> str:
-    """Text that others wrote, for a terminal: control characters as in source code, never long."""
+    """Make untrusted text safe for a terminal: shortened, control characters escaped."""
     short = shortened(text)
     return _UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode(), short)
 
 
 class SafetyWarning(UserWarning):
-    """A protection that a robot is driven without; the message says which, why, and what to do."""
+    """The robot is driven without a protection; the message says which one and what to do."""
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
-    """'; did you mean X?' for the nearest known name, or the list of known names."""
+    """Suggest a name for an unknown one, for the end of an error message.
+
+    Args:
+        name: the unknown name.
+        known: the known names.
+
+    Returns:
+        "; did you mean X?" with the most similar name, or "; known: ..." with all of them.
+    """
     names = sorted(known)
     near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
     return f"; did you mean {near[0]!r}?" if near else f"; known: {', '.join(names)}"

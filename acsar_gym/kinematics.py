@@ -1,7 +1,7 @@
-"""Wheel speeds to twist and back: equations (1)-(3) of the robot's hardware interface document.
+"""Forward and inverse kinematics: equations (1)-(3) of the robot's hardware interface document.
 
-Wheel order is front_right, front_left, rear_left, rear_right. Twist is (linear m/s along +x,
-angular rad/s, counter-clockwise positive), in the base frame of REP 103.
+Wheel order is front_right, front_left, rear_left, rear_right. A twist is (linear [m/s] along +x,
+angular [rad/s], counter-clockwise positive) in the base frame of REP 103.
 """
 
 from __future__ import annotations
@@ -16,10 +16,15 @@ from acsar_gym.protocol import Speeds
 def forward(
     speeds: Sequence[float], wheel_radius: float, wheel_separation: float
 ) -> tuple[float, float]:
-    """Twist (linear [m/s], angular [rad/s]) of four wheel speeds [rad/s]. Lengths in m.
+    """Compute the twist of four wheel speeds.
 
-    `wheel_separation` is the effective one: multiplied by the wheel_separation_multiplier where
-    the robot skids.
+    Args:
+        speeds: wheel speeds [rad/s] in the order of this module.
+        wheel_radius: [m].
+        wheel_separation: effective separation [m], which includes wheel_separation_multiplier.
+
+    Returns:
+        Linear [m/s] and angular velocity [rad/s].
     """
     front_right, front_left, rear_left, rear_right = speeds
     return twist(front_right, front_left, rear_left, rear_right, wheel_radius, wheel_separation)
@@ -28,7 +33,7 @@ def forward(
 def twist(
     a: float, b: float, c: float, d: float, wheel_radius: float, wheel_separation: float
 ) -> tuple[float, float]:
-    """Twist as `forward` gives it, from the speeds of wheels a to d one by one."""
+    """Compute `forward` from four single wheel speeds, for compiled code."""
     left = (b * wheel_radius + c * wheel_radius) / 2.0
     right = (a * wheel_radius + d * wheel_radius) / 2.0
     return (left + right) / 2.0, (right - left) / wheel_separation
@@ -41,10 +46,22 @@ def inverse(
     wheel_separation: float,
     max_speed: float = math.inf,
 ) -> Speeds:
-    """Four wheel speeds [rad/s] for a twist (linear [m/s], angular [rad/s]).
+    """Compute the wheel speeds of a twist.
 
-    Beyond `max_speed` [rad/s] all four shrink by the same factor, which keeps the turn radius.
-    Raises CommandError where a wheel speed would not be finite.
+    Args:
+        linear: linear velocity [m/s].
+        angular: angular velocity [rad/s].
+        wheel_radius: [m].
+        wheel_separation: effective separation [m], which includes wheel_separation_multiplier.
+        max_speed: largest wheel speed [rad/s]. Beyond it, all four are scaled by the same
+            factor, which keeps the turning radius.
+
+    Returns:
+        Wheel speeds [rad/s] in the order of this module.
+
+    Raises:
+        ConfigError: a length isn't positive, or `max_speed` is negative.
+        CommandError: a wheel speed would not be finite.
     """
     if not (wheel_radius > 0.0 and wheel_separation > 0.0 and max_speed >= 0.0):
         raise ConfigError(
@@ -60,7 +77,7 @@ def inverse(
 def sides(
     linear: float, angular: float, wheel_radius: float, wheel_separation: float, max_speed: float
 ) -> tuple[float, float]:
-    """Speeds [rad/s] of the right and the left wheels, as `inverse` gives them; NaN on overflow."""
+    """Return the right and left wheel speeds [rad/s] of `inverse`, unchecked; NaN on overflow."""
     half_turn = angular * wheel_separation / 2.0
     left = (linear - half_turn) / wheel_radius
     right = (linear + half_turn) / wheel_radius

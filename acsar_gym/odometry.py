@@ -1,4 +1,4 @@
-"""Dead reckoning: equations (1)-(11) of the robot's hardware interface document, in their order."""
+"""Wheel odometry: equations (1)-(11) of the robot's hardware interface document."""
 
 from __future__ import annotations
 
@@ -25,14 +25,28 @@ def integrate(
     angular: float,
     dt: float,
 ) -> tuple[float, float, float]:
-    """Equations (4)-(9): the pose after `dt` [s] at a twist; `cos` and `sin` are those of theta."""
+    """Integrate a twist over `dt` [s], equations (4)-(9).
+
+    Args:
+        x: [m], odometry frame.
+        y: [m], odometry frame.
+        theta: heading [rad].
+        cos: cosine of theta.
+        sin: sine of theta.
+        linear: [m/s], base frame.
+        angular: [rad/s].
+        dt: duration [s].
+
+    Returns:
+        The new x, y and theta; theta isn't normalized.
+    """
     x += linear * cos * dt
     y += linear * sin * dt
     return x, y, theta + angular * dt
 
 
 def _normalised(theta: float) -> float:
-    """Equation (10), by its own loop where that ends soon."""
+    """Normalize an angle to [-pi, pi], equation (10); its loop would take long for large angles."""
     if abs(theta) > 1e3:
         theta = math.remainder(theta, 2.0 * math.pi)
     while theta > math.pi:
@@ -45,12 +59,21 @@ def _normalised(theta: float) -> float:
 class Odometry:
     """Integrates wheel speeds to a pose in the odometry frame, which starts at the origin.
 
-    Attributes: `pose` (x [m], y [m], theta [rad] within [-pi, pi]); `twist` (linear [m/s], angular
-    [rad/s]); `wheel_positions`, four integrated wheel angles [rad].
+    Args:
+        wheel_radius: [m].
+        wheel_separation: [m].
+        wheel_separation_multiplier: factor for the skidding of the wheels, as in ROS
+            diff_drive_controller; with 1.0 the equations are those of the document.
 
-    `wheel_separation_multiplier` scales the wheel separation [m] for the skidding of the wheels,
-    as in ROS diff_drive_controller; 1.0 is the document's own formula.
-    Raises ConfigError unless all three are positive and finite.
+    Attributes:
+        pose: x [m], y [m], theta [rad] within [-pi, pi].
+        twist: linear [m/s], angular [rad/s], in the base frame.
+        wheel_positions: integrated wheel angles [rad], in the order of `protocol.WHEELS`.
+        pose_covariance: row-major 6 x 6 matrix of (x, y, z, roll, pitch, yaw).
+        twist_covariance: likewise.
+
+    Raises:
+        ConfigError: an argument isn't positive and finite.
     """
 
     pose: tuple[float, float, float]
@@ -78,16 +101,20 @@ class Odometry:
         self.reset()
 
     def reset(self) -> None:
-        """Back to the origin, at rest, with all wheel angles zero."""
+        """Set pose, twist and wheel angles to zero."""
         self.pose = (0.0, 0.0, 0.0)
         self.twist = (0.0, 0.0)
         self.wheel_positions = ZERO
 
     def update(self, speeds: Sequence[float], dt: float) -> None:
-        """Integrate four wheel speeds [rad/s] over `dt` [s].
+        """Integrate wheel speeds over time.
 
-        Raises CommandError unless there are four finite speeds and a finite `dt` that isn't
-        negative.
+        Args:
+            speeds: four wheel speeds [rad/s], in the order of `protocol.WHEELS`.
+            dt: duration [s].
+
+        Raises:
+            CommandError: there aren't four finite speeds, or `dt` is negative or not finite.
         """
         if len(speeds) != 4:
             raise CommandError(f"odometry needs 4 wheel speeds (a, b, c, d), got {len(speeds)}")

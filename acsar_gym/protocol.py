@@ -1,8 +1,8 @@
-r"""The wire's ASCII lines, without any I/O: speeds to bytes, bytes to readings.
+r"""Codec of the serial protocol, without any I/O: speeds to lines, bytes to readings.
 
 A line is `ap12.50,bn08.75,cp15.00,dn10.25\r\n`: motor letter (a front_right, b front_left,
 c rear_left, d rear_right), direction (p forward, n backward), speed in rad/s with two digits and
-two decimals. Commands and encoder feedback look the same, so both ends share this module.
+two decimals. Commands and encoder feedback have the same format.
 Source: the robot's hardware interface document, sections 2.3 and 5.3.2.
 """
 
@@ -19,9 +19,9 @@ from acsar_gym.errors import CommandError
 MOTORS = "abcd"
 WHEELS = ("front_right", "front_left", "rear_left", "rear_right")
 MAX_SPEED = 99.99
-"""The fastest speed that two digits and two decimals can say [rad/s]."""
+"""Largest speed of the format [rad/s]."""
 MAX_LINE = 256
-"""Longest line the decoder keeps [bytes]; anything longer is dropped up to the next line end."""
+"""Longest accepted line [bytes]; longer ones are dropped up to the next line end."""
 
 Speeds = tuple[float, float, float, float]
 """Wheel speeds [rad/s] in the order front_right, front_left, rear_left, rear_right."""
@@ -33,22 +33,34 @@ _DIRECTIONS = bytes.maketrans(b"+-", b"pn")
 _PART = re.compile(rb"([abcd])([pn])([0-9]{2}\.[0-9]{2})")
 _ENDS = (b"\n", b"\r")
 _KNOWN: tuple[dict[bytes, float], ...] = ({}, {}, {}, {})
-"""Sound parts that have been read before, for each motor: reading them again is a look-up."""
+"""Cache of parsed parts, such as b"ap12.50" -> 12.5, for each motor."""
 _MOST_KNOWN = 5000
-"""Parts of one motor that are kept."""
+"""Largest number of cached parts per motor."""
 
 
 def encode(speeds: Sequence[float], *, trailing_comma: bool = False) -> bytes:
-    """One command or feedback line for four wheel speeds [rad/s], order a, b, c, d.
+    """Encode four wheel speeds as one line, for commands and feedback alike.
 
-    Speeds are rounded to two decimals and saturate at +-99.99; what rounds to zero is `p00.00`.
-    Raises CommandError if there aren't four of them or one isn't finite.
+    Args:
+        speeds: wheel speeds [rad/s] in the order a, b, c, d. They are rounded to two decimals
+            and saturate at +-99.99; what rounds to zero is `p00.00`.
+        trailing_comma: whether the line has a comma before its end.
+
+    Returns:
+        The line with CR LF.
+
+    Raises:
+        CommandError: there aren't four speeds, or one isn't finite.
     """
     return line_of(*finite(speeds), line_end(trailing_comma=trailing_comma))
 
 
 def finite(speeds: Sequence[float]) -> Speeds:
-    """Four wheel speeds [rad/s] as floats; CommandError unless they are four finite numbers."""
+    """Check four wheel speeds [rad/s], order a, b, c, d.
+
+    Raises:
+        CommandError: there aren't four speeds, or one isn't finite.
+    """
     if len(speeds) != len(MOTORS):
         raise CommandError(f"a line carries 4 wheel speeds (a, b, c, d), got {len(speeds)}")
     a, b, c, d = map(float, speeds)
@@ -59,12 +71,12 @@ def finite(speeds: Sequence[float]) -> Speeds:
 
 
 def line_end(*, trailing_comma: bool) -> bytes:
-    """What ends a line, for `line_of`."""
+    """Return the end of a line, for `line_of`."""
     return b",\r\n" if trailing_comma else b"\r\n"
 
 
 def line_of(a: float, b: float, c: float, d: float, end: bytes) -> bytes:
-    """`encode` for four speeds [rad/s] that are known to be finite floats."""
+    """Encode as `encode` does, but without checks: the speeds [rad/s] must be finite floats."""
     line = _LINE % (a, b, c, d)
     if len(line) > _LENGTH:
         saturated = (min(max(speed, -MAX_SPEED), MAX_SPEED) for speed in (a, b, c, d))
@@ -73,12 +85,19 @@ def line_of(a: float, b: float, c: float, d: float, end: bytes) -> bytes:
 
 
 class Reading(NamedTuple):
-    """What one line said. `speeds` [rad/s] holds None for a motor that the line didn't name."""
+    """Content of one line: speeds [rad/s] in the order a, b, c, d; None for missing motors."""
 
     speeds: tuple[float | None, float | None, float | None, float | None]
 
     def over(self, old: Speeds) -> Speeds:
-        """All four speeds [rad/s]; a motor that the line didn't name keeps its old one."""
+        """Fill in missing motors.
+
+        Args:
+            old: speeds [rad/s] that missing motors keep.
+
+        Returns:
+            All four speeds [rad/s].
+        """
         a, b, c, d = self.speeds
         return (
             old[0] if a is None else a,
@@ -89,12 +108,15 @@ class Reading(NamedTuple):
 
 
 class Decoder:
-    """Turns any chunking of the byte stream into readings; never raises, never grows.
+    """Decodes a byte stream that arrives in chunks of any size; never raises an exception.
 
-    Lines end with CR, LF or CRLF. A bad part is refused and counted, the other motors of its line
-    still count; where a motor is named twice the last one wins. Memory is bounded by `MAX_LINE`.
+    Lines end with CR, LF or CRLF. Invalid parts are refused and counted; the other motors of the
+    line are still used. If a motor occurs twice, the last one counts. Memory is bounded by
+    `MAX_LINE`.
 
-    Attributes: `lines`, lines with at least one good part; `refused`, what was refused and why.
+    Attributes:
+        lines: number of lines with at least one valid part.
+        refused: number of refused parts by reason.
     """
 
     def __init__(self) -> None:
@@ -104,11 +126,18 @@ class Decoder:
         self.refused: Counter[str] = Counter()
 
     def reset(self) -> None:
-        """Forget the partial line and the counters."""
+        """Discard the partial line, and set the counters to zero."""
         self.__init__()  # type: ignore[misc]
 
     def feed(self, data: bytes) -> list[Reading]:
-        """The readings of all lines that `data` completes, oldest first."""
+        """Decode the lines that `data` completes.
+
+        Args:
+            data: any part of the byte stream.
+
+        Returns:
+            One reading per line that has a valid part, oldest first.
+        """
         stream = self._partial + data
         lines = stream.splitlines()
         rest = b"" if not lines or stream.endswith(_ENDS) else lines.pop()
@@ -119,12 +148,14 @@ class Decoder:
         return [reading for line in lines if line and (reading := self._read(line))]
 
     def _bounded(self, rest: bytes) -> bytes:
+        """Keep a partial line, unless it is too long."""
         if len(rest) > MAX_LINE and not self._skipping:
             self._skipping = True
             self.refused["line too long"] += 1
         return b"" if self._skipping else rest
 
     def _read(self, line: bytes) -> Reading | None:
+        """Decode one line; four cached parts take the fast path."""
         parts = line.removesuffix(b",").split(b",")
         try:
             a, b, c, d = parts
@@ -135,7 +166,7 @@ class Decoder:
         return reading
 
     def _read_parts(self, line: bytes, parts: list[bytes]) -> Reading | None:
-        """What a line says that isn't made of four parts which have been read before."""
+        """Decode a line that doesn't consist of four cached parts."""
         if len(line) > MAX_LINE:
             self.refused["line too long"] += 1
             return None
@@ -147,7 +178,7 @@ class Decoder:
 
 
 def _parse_parts(parts: list[bytes]) -> tuple[Reading | None, tuple[str, ...]]:
-    """Part by part, for lines that are new, damaged, partial or in another order."""
+    """Parse parts that are new, damaged, incomplete or in another order."""
     speeds: list[float | None] = [None, None, None, None]
     refused = []
     for part in parts:
@@ -165,7 +196,7 @@ def _parse_parts(parts: list[bytes]) -> tuple[Reading | None, tuple[str, ...]]:
 
 
 def _parse_part(part: bytes) -> tuple[int, float] | str:
-    """(motor index, speed) of one part such as `bn08.75`, or the reason why it is refused."""
+    """Parse a part such as `bn08.75`: (motor index, speed), or the reason why it is refused."""
     match = _PART.fullmatch(part)
     if match:
         motor, direction, digits = match.groups()

@@ -1,4 +1,4 @@
-"""Where assets/ and agents/ lie: beside the package in a checkout, inside it in a wheel."""
+"""Paths of assets/ and agents/: beside the package in a checkout, inside it in a wheel."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ _PACKAGE = Path(__file__).resolve().parent
 
 
 def _folder(name: str) -> Path:
+    """Return the path of a data folder."""
     inside = _PACKAGE / name
     return inside if inside.is_dir() else _PACKAGE.parent / name
 
@@ -22,7 +23,11 @@ AGENTS = _folder("agents")
 
 
 def agent(name: str) -> ModuleType:
-    """The script `agents/NAME.py` as a module, imported once."""
+    """Import the script `agents/NAME.py` as a module, once.
+
+    Args:
+        name: name of the script, without ".py".
+    """
     known = f"acsar_gym_agents_{name}"
     if known not in sys.modules:
         spec = importlib.util.spec_from_file_location(known, AGENTS / f"{name}.py")

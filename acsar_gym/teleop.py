@@ -1,4 +1,4 @@
-"""Drive by hand or with a fixed twist, over any link."""
+"""Driving by keyboard or with a fixed twist, on any link."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from acsar_gym.robot import Robot
 from acsar_gym.worlds import Scene
 
 STEP = 0.1
-"""Share of the full speed that one key press adds."""
+"""Change of the speed by one key press, as a share of the full speed."""
 SHOW_EVERY = 10
 """Ticks between two updates of the status line."""
 HELP = (
@@ -33,7 +33,17 @@ KEYS = {
 
 
 def fixed(robot: Robot, linear: float, angular: float, duration: float | None) -> None:
-    """Hold a twist for `duration` [s], or until interrupted. Raises CommandError for NaN."""
+    """Drive with a constant twist.
+
+    Args:
+        robot: an open robot.
+        linear: linear velocity [m/s].
+        angular: angular velocity [rad/s].
+        duration: time [s]; None until interrupted.
+
+    Raises:
+        CommandError: a velocity isn't finite.
+    """
     if not (math.isfinite(linear + angular) and 0.0 <= (duration or 0.0) < math.inf):
         raise CommandError(
             "--linear and --angular must be finite numbers, --duration finite and not negative"
@@ -51,15 +61,19 @@ def fixed(robot: Robot, linear: float, angular: float, duration: float | None) -
 
 
 def keyboard(robot: Robot) -> None:
-    """Teleoperation from the keyboard, until q or Ctrl-C."""
+    """Drive from the keyboard, until q or Ctrl-C.
+
+    Args:
+        robot: an open robot.
+    """
     if not sys.stdin.isatty():
         raise CommandError("no keyboard here: give a fixed twist with --linear and --angular")
-    terminal = Terminal(force_styling=None)  # keys only: no questions to the terminal
+    terminal = Terminal(force_styling=None)  # only read keys; don't query the terminal
     linear = angular = 0.0
     print(HELP)
     with robot, terminal.cbreak():
         for tick in itertools.count():
-            key = terminal.inkey(timeout=0, esc_delay=0)  # it mustn't wait for more
+            key = terminal.inkey(timeout=0, esc_delay=0)  # no waiting in the control loop
             if key == "q":
                 break
             if key == "e" or key.name == "KEY_ESCAPE":
@@ -76,7 +90,16 @@ def keyboard(robot: Robot) -> None:
 
 
 def pressed(key: str, linear: float, angular: float) -> tuple[float, float]:
-    """The twist after a key, as shares of the full speeds; unknown keys change nothing."""
+    """Compute the twist after a key press.
+
+    Args:
+        key: name of the key; unknown keys change nothing.
+        linear: share of the full linear speed, -1 to 1.
+        angular: share of the full angular speed, -1 to 1.
+
+    Returns:
+        The new shares (linear, angular).
+    """
     if key == " ":
         return 0.0, 0.0
     more, turn = KEYS.get(key, (0, 0))
@@ -84,16 +107,19 @@ def pressed(key: str, linear: float, angular: float) -> tuple[float, float]:
 
 
 def _share(value: float) -> float:
+    """Clip to [-1, 1], without rounding noise near zero."""
     return round(min(max(value, -1.0), 1.0), 3)
 
 
 def _show(robot: Robot) -> None:
+    """Print the status line if stdout is a terminal."""
     if not sys.stdout.isatty():
         return
     _print_status(robot)
 
 
 def _print_status(robot: Robot) -> None:
+    """Write pose, twist, age of the feedback and the safety state to stdout."""
     x, y, theta = robot.odometry.pose
     linear, angular = robot.odometry.twist
     age = robot.feedback_age * 1000.0

@@ -3,11 +3,11 @@
     python agents/train.py --env obstacle_goal --out runs/obstacle_goal
     python agents/train.py --env mine.module:mine/Clearance-v0 --steps 2000000
 
-writes policy.onnx (what drives the robot), model.zip (to train on), checkpoints and TensorBoard
-logs into the folder. --resume model.zip --trust trains one of those zips on. Ctrl-C and SIGTERM end
-it early, and save what there is. How good the policy is, on robots that don't train and in worlds
-that aren't trained in, is logged as eval/success_rate; with --worlds FILE or FOLDER there are no
-others, so it's measured in the same worlds, from other seeds.
+writes policy.onnx (to drive with), model.zip (to continue training), checkpoints and TensorBoard
+logs into the folder. --resume model.zip --trust continues a training. Ctrl-C and SIGTERM end it
+early, and save the model. The success rate on held-out robots, in worlds that aren't trained in, is
+logged as eval/success_rate; with --worlds FILE or FOLDER there are no other worlds, so it is
+measured in the same ones, with other seeds.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ if TYPE_CHECKING:  # torch takes seconds to import, and isn't needed for --help
     from acsar_gym.training import callbacks
 
 MOST_TORCH_THREADS = 2
-"""More, where --threads doesn't ask for them, aren't worth it for nets as small as these."""
+"""Default limit of torch's threads; more don't help with networks this small."""
 RANDOMIZATION = {
     "friction": (0.7, 1.2),
     "motor_gain": (0.95, 1.05),
@@ -51,12 +51,12 @@ RANDOMIZATION = {
     "wheel_radius": (0.98, 1.02),
     "latency": (0.0, 0.02),
 }
-"""What differs from robot to robot while training, so that the policy minds none of it."""
+"""Domain randomization of the training: factors, and latency [s]."""
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """What works for one environment; what it is by itself, for those of other packages."""
+    """Hyperparameters for one env; the defaults are for envs of other packages."""
 
     steps: int = 1_000_000
     net: tuple[int, ...] = (64, 64)
@@ -66,7 +66,7 @@ class Recipe:
     epochs: int = 6
     learning_rate: float = 1e-3
     evaluations: int = 16
-    """How often held-out robots are evaluated in between; that takes 3 to 5 % of the time."""
+    """Held-out evaluations during the training; they take 3 to 5 % of the time."""
 
 
 RECIPES = {
@@ -89,12 +89,12 @@ RECIPES = {
         learning_rate=5e-4,
     ),
 }
-"""All train in the worlds of the training split: the first ones are left to be evaluated in."""
+"""Hyperparameters by env. All train in the training split; the first worlds are the test split."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """A training: what was asked for, and what follows from it."""
+    """A training: the user's options, and the settings that follow from them."""
 
     options: Options
     env_id: str
@@ -106,7 +106,15 @@ class Job:
 
     @classmethod
     def of(cls, options: Options) -> Job:
-        """ConfigError for an env that isn't registered or has no time limit, and a bad folder."""
+        """Derive the settings of a training and create its folder.
+
+        Args:
+            options: the user's options.
+
+        Raises:
+            ConfigError: the env isn't registered, has no time limit or no worlds, or the folder
+                or the number of threads can't be used.
+        """
         env_id = ids.registered(options.env)
         own = ids.without_module(env_id)
         limit = gymnasium.spec(own).max_episode_steps
@@ -124,7 +132,7 @@ class Job:
 
     @property
     def worlds(self) -> dict[str, Any]:
-        """What the env is told of worlds."""
+        """The `worlds` argument of the env, if the user gave one."""
         return {} if self.options.worlds is None else {"worlds": self.options.worlds}
 
     def __str__(self) -> str:
@@ -133,6 +141,7 @@ class Job:
 
 
 def _folder(options: Options, env_id: str) -> Path:
+    """Create the folder of a training."""
     short = options.env if "/" not in options.env else env_id.rpartition("/")[2]
     out = options.out or Path("runs") / short
     try:
@@ -143,10 +152,13 @@ def _folder(options: Options, env_id: str) -> Path:
 
 
 def train(options: Options) -> int:
-    """Train, save, export, and say how good it is.
+    """Train, save, export, and print the success rate.
+
+    Args:
+        options: the user's options.
 
     Returns:
-        The exit code: 130 where Ctrl-C ended the training early, 143 where SIGTERM did.
+        Exit code: 130 if Ctrl-C ended the training early, 143 if SIGTERM did, else 0.
     """
     options.check()
     threads.wait_passively()
@@ -161,7 +173,7 @@ def train(options: Options) -> int:
 
 
 def _learning(job: Job) -> RobotVectorEnv:
-    """The robots that learn."""
+    """Make the batch of robots to train on."""
     options = job.options
     return ids.make_vec(
         job.env_id,
@@ -175,13 +187,14 @@ def _learning(job: Job) -> RobotVectorEnv:
 
 
 def _held_out(job: Job, learning: RobotVectorEnv) -> RobotVectorEnv:
-    """Robots that tell how good the policy is: as configured, in worlds that aren't trained in."""
+    """Make the batch to evaluate on: no randomization, and worlds that aren't trained in."""
     beside = held_out.worlds_beside(learning.pool)
     worlds = job.worlds if beside is None else {"worlds": beside}
     return ids.make_vec(job.env_id, held_out.ROBOTS, robot=job.options.robot, threads=1, **worlds)
 
 
 def _model(job: Job, env: RobotVectorEnv, saved: ZipPolicy | None) -> PPO:
+    """Make a new PPO model, or load the one to resume."""
     import torch  # noqa: PLC0415
     from stable_baselines3 import PPO  # noqa: PLC0415
 
@@ -214,6 +227,7 @@ def _model(job: Job, env: RobotVectorEnv, saved: ZipPolicy | None) -> PPO:
 
 
 def _check_resumable(saved: ZipPolicy, env: RobotVectorEnv) -> None:
+    """Check that a zip is a PPO model for the same observation."""
     from stable_baselines3.common.policies import ActorCriticPolicy  # noqa: PLC0415
 
     saved.check(env.task, env.sensors)
@@ -222,6 +236,7 @@ def _check_resumable(saved: ZipPolicy, env: RobotVectorEnv) -> None:
 
 
 def _learn(job: Job, model: PPO, apart: RobotVectorEnv, stop: StopRequest) -> None:
+    """Train, save the model, and print its score unless a signal ended the training."""
     from acsar_gym.training import callbacks, saving  # noqa: PLC0415
 
     scores = callbacks.HeldOut(apart, job.recipe.steps, job.recipe.evaluations)
@@ -230,7 +245,7 @@ def _learn(job: Job, model: PPO, apart: RobotVectorEnv, stop: StopRequest) -> No
     try:
         model.learn(job.recipe.steps, callback=watching, reset_num_timesteps=fresh)
     finally:
-        for each in watching:  # gives the terminal back, however it ended; idempotent
+        for each in watching:  # restores the terminal in any case; idempotent
             each.on_training_end()
     if stop.number is not None:
         print(f"interrupted at {model.num_timesteps:,} steps: saving what there is")
@@ -241,6 +256,7 @@ def _learn(job: Job, model: PPO, apart: RobotVectorEnv, stop: StopRequest) -> No
 
 
 def _callbacks(job: Job, scores: callbacks.HeldOut, stop: StopRequest) -> list[BaseCallback]:
+    """Make the callbacks of the training."""
     from stable_baselines3.common.callbacks import CheckpointCallback  # noqa: PLC0415
 
     from acsar_gym.training import callbacks  # noqa: PLC0415
@@ -258,7 +274,7 @@ def _callbacks(job: Job, scores: callbacks.HeldOut, stop: StopRequest) -> list[B
 
 
 def _tell(job: Job, score: held_out.Score, name: str, policy: Path) -> None:
-    """How good the policy is, and what to do next."""
+    """Print the score and the next command."""
     wins = round(score.success_rate * score.episodes)
     print(f"{name}: {wins} of {score.episodes} episodes ({score.success_rate:.1%})")
     env = "" if job.env_id.startswith("acsar_gym/") else f" --env {job.env_id}"

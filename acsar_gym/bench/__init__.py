@@ -1,1 +1,1 @@
-"""Speed: of environments, batches and worlds, side by side with another version."""
+"""Benchmarks of environments, batches and worlds."""

@@ -1,4 +1,4 @@
-"""The planar robot against PyBullet's, under the same command lines through the same firmware."""
+"""Compares the planar robot with PyBullet's: same commands, same emulated firmware."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ Drive = Callable[[float], Speeds]
 
 
 def _slalom(now: float) -> Speeds:
+    """Commanded wheel speeds of the slalom."""
     swing = 3.0 * math.sin(2.0 * now)
     return (6.0 + swing, 6.0 - swing, 6.0 - swing, 6.0 + swing)
 
@@ -34,35 +35,41 @@ DRIVES: dict[str, Drive] = {
     "saturated": lambda _: (99.0, 20.0, 20.0, 99.0),
     "saturated spin": lambda _: (99.0, -99.0, -99.0, 99.0),
 }
-"""Wheel speeds [rad/s] that are commanded at a time [s]."""
+"""Commanded wheel speeds [rad/s] as functions of time [s], by name."""
 
 
 @dataclass(frozen=True, slots=True)
 class Trace:
-    """A drive, tick by tick."""
+    """Poses and wheel speeds of a drive, one per tick."""
 
     poses: list[Pose]
     wheels: list[Speeds]
     turned: float
-    """Angle turned in all, without regard to direction [rad]."""
+    """Sum of absolute heading changes [rad]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """How far two traces of one drive come apart."""
+    """Largest differences between two traces of the same drive."""
 
     position: float
-    """Greatest distance [m]."""
+    """Largest distance [m]."""
     heading: float
-    """Greatest angle [rad]."""
+    """Largest difference of headings [rad]."""
     wheels: float
-    """Greatest difference of wheel speeds [rad/s]."""
+    """Largest difference of wheel speeds [rad/s]."""
     turned: float
-    """Angle turned in all [rad]."""
+    """Sum of absolute heading changes of the first trace [rad]."""
 
 
 def trace(link_name: str, drive: Drive, config: RobotConfig) -> Trace:
-    """What a simulated robot does in ten seconds of a drive."""
+    """Drive a simulated robot for SECONDS.
+
+    Args:
+        link_name: "planar" or "bullet".
+        drive: commanded wheel speeds [rad/s] as a function of time [s].
+        config: configuration of the robot.
+    """
     link = open_link(link_name, config)
     if not isinstance(link, SimulatedLink):
         raise ConfigError(f"link {link_name!r}: only simulated robots can be compared")
@@ -79,7 +86,7 @@ def trace(link_name: str, drive: Drive, config: RobotConfig) -> Trace:
 
 
 def difference(one: Trace, other: Trace) -> Difference:
-    """The greatest differences over all ticks."""
+    """Compute the largest differences over all ticks."""
     pairs = list(zip(one.poses, other.poses, strict=True))
     speeds = zip(one.wheels, other.wheels, strict=True)
     return Difference(
@@ -91,7 +98,18 @@ def difference(one: Trace, other: Trace) -> Difference:
 
 
 def plot(folder: Path, config: RobotConfig) -> list[Path]:
-    """One picture a drive, both robots' paths and headings, into `folder`; returns the files."""
+    """Plot paths and headings of both robots, one PNG per drive.
+
+    Args:
+        folder: folder of the files; created if missing.
+        config: configuration of the robot.
+
+    Returns:
+        The files written.
+
+    Raises:
+        MissingExtraError: matplotlib isn't installed.
+    """
     try:
         import matplotlib.pyplot as plt  # noqa: PLC0415 - optional
     except ImportError:
@@ -110,6 +128,7 @@ def plot(folder: Path, config: RobotConfig) -> list[Path]:
 
 
 def _draw(axes: Any, drawn: Trace, label: str, style: str, period: float) -> None:
+    """Draw the path and heading of one robot."""
     path, heading = axes
     path.plot([p[0] for p in drawn.poses], [p[1] for p in drawn.poses], style, label=label)
     path.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", adjustable="datalim")

@@ -1,4 +1,4 @@
-"""How fast the parts are, measured side by side in one run; see `figures` for how."""
+"""Benchmarks of environments, batches, codec, odometry and policies; method in `measure`."""
 
 from __future__ import annotations
 
@@ -29,13 +29,20 @@ from acsar_gym.vector.env import RobotVectorEnv
 BLOCKS = 25
 ROBOTS = 1024
 CROWDS = 64
-"""Worlds that the robots of a batch are among."""
+"""Number of worlds in the batch with obstacles."""
 STEPS = 100
 """Env steps in one block."""
 
 
 def measure(policy: str | None = None) -> list[Figure]:
-    """All figures, in the order in which they are shown."""
+    """Run all benchmarks.
+
+    Args:
+        policy: ONNX policy to measure; None for the packaged one.
+
+    Returns:
+        The figures in the order of the table.
+    """
     bullet = _bullet()
     single = next(figure.value for figure in bullet if figure.unit == "steps/s")
     return [
@@ -55,7 +62,7 @@ def _env(link: str) -> gymnasium.Env[Any, Any]:
 
 
 def _steps(env: gymnasium.Env[Any, Any], actions: np.ndarray[Any, Any]) -> float:
-    """Seconds a tick of random driving, resets included."""
+    """Measure a tick of random driving, resets included [s]."""
     begin = time.perf_counter()
     for action in actions:
         _, _, terminated, truncated, _ = env.step(action)
@@ -71,7 +78,7 @@ def _ticks_per_step(env: gymnasium.Env[Any, Any]) -> int:
 
 
 def _bullet() -> list[Figure]:
-    """The whole PyBullet env against the bare stepSimulation calls that it makes."""
+    """Compare the whole PyBullet env with the bare stepSimulation calls that it makes."""
     env, other = _env("bullet"), _env("bullet")
     config = RobotConfig.of(None)
     calls = round(config.firmware.loop_rate / config.control_rate)
@@ -80,7 +87,7 @@ def _bullet() -> list[Figure]:
     rng = np.random.default_rng(0)
     for _ in range(BLOCKS):
         other.reset()
-        other.step(np.array([1.0, 0.3], np.float32))  # the bare robot rolls on, too
+        other.step(np.array([1.0, 0.3], np.float32))  # so that the bare robot moves, too
         whole.append(_steps(env, rng.uniform(-1.0, 1.0, (STEPS, 2)).astype(np.float32)))
         alone.append(calls * each(bare, 10 * STEPS))
     env.close()
@@ -97,6 +104,7 @@ def _bullet() -> list[Figure]:
 
 
 def _engine(env: gymnasium.Env[Any, Any]) -> Callable[[], None]:
+    """Return a function that makes one bare stepSimulation call."""
     from acsar_gym.bodies.bullet import BulletBody  # noqa: PLC0415 - optional
 
     inner = env.unwrapped
@@ -107,6 +115,7 @@ def _engine(env: gymnasium.Env[Any, Any]) -> Callable[[], None]:
 
 
 def _planar() -> list[Figure]:
+    """Measure the single planar env."""
     env = _env("planar")
     rng = np.random.default_rng(0)
     blocks = [
@@ -124,7 +133,7 @@ def _planar() -> list[Figure]:
 
 
 def _batch(single: float) -> list[Figure]:
-    """Batches of planar robots against the PyBullet env, one core against all, few against many."""
+    """Measure batches: against the PyBullet env (`single` [steps/s]), by cores, and by size."""
     if not compiled.COMPILED:
         return []
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
@@ -148,7 +157,7 @@ def _batch(single: float) -> list[Figure]:
 
 
 def _cores(one: Callable[[], object], every: Callable[[], object]) -> tuple[float, float]:
-    """Env steps/s of one core, and how many times as many all cores make."""
+    """Return env steps/s on one core, and the speed-up on all cores."""
     alone, together = [], []
     for _ in range(BLOCKS):
         alone.append(each(one, 10) / ROBOTS)
@@ -158,7 +167,7 @@ def _cores(one: Callable[[], object], every: Callable[[], object]) -> tuple[floa
 
 
 def _stepper(kind: Callable[..., RobotVectorEnv], robots: int, threads: int, **options: Any) -> Any:
-    """A call that steps so many robots with random actions."""
+    """Return a function that steps a new batch with random actions."""
     env = kind(robots, max_episode_steps=200, threads=threads, **options)
     env.reset(seed=0)
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (robots, 2)).astype(np.float32)
@@ -166,7 +175,7 @@ def _stepper(kind: Callable[..., RobotVectorEnv], robots: int, threads: int, **o
 
 
 def _wire() -> list[Figure]:
-    """Codec and odometry on speeds that change with every line."""
+    """Measure codec and odometry, with wheel speeds that change in every line."""
     speeds = [tuple(row) for row in np.random.default_rng(0).uniform(-9, 9, (2000, 4)).tolist()]
     lines = [encode(row) for row in speeds]
     decoder, odometry = Decoder(), Odometry(0.05, 0.3)
@@ -180,6 +189,7 @@ def _wire() -> list[Figure]:
 
 
 def _policy(policy: str | None) -> list[Figure]:
+    """Measure one decision of an ONNX policy."""
     try:
         actor = OnnxPolicy(policy or "point_goal")
     except MissingExtraError:
@@ -191,11 +201,12 @@ def _policy(policy: str | None) -> list[Figure]:
 
 
 def _median(call: Callable[[], object], times: int) -> float:
+    """Return the median over blocks of the mean duration of a call [s]."""
     return statistics.median(each(call, times) for _ in range(BLOCKS))
 
 
 def _over(call: Callable[[Any], object], items: list[Any]) -> float:
-    """Median over blocks of the mean seconds of `call` over the items."""
+    """Return the median over blocks of the mean duration of `call` over the items [s]."""
 
     def once() -> None:
         for item in items:
@@ -205,7 +216,7 @@ def _over(call: Callable[[Any], object], items: list[Any]) -> float:
 
 
 def table(figures: list[Figure]) -> Table:
-    """The figures for people."""
+    """Format figures as a table."""
     drawn = Table(title="acsar-gym bench: medians", title_justify="left")
     drawn.add_column("what")
     drawn.add_column("figure", justify="right")

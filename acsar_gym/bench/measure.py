@@ -1,7 +1,7 @@
-"""Measured numbers, and how they are measured.
+"""How benchmarks measure.
 
-The machine's speed drifts, so whatever is compared runs in alternating blocks and the figures are
-medians over the blocks; ratios are medians of the ratios of neighbouring blocks.
+The speed of a machine drifts. So things that are compared run in alternating blocks, figures are
+medians over the blocks, and ratios are medians of the ratios of neighbouring blocks.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class Figure:
 
 
 def each(call: Callable[[], object], times: int) -> float:
-    """Mean seconds of a call."""
+    """Return the mean duration of `times` calls [s]."""
     begin = time.perf_counter()
     for _ in range(times):
         call()
@@ -32,9 +32,16 @@ def each(call: Callable[[], object], times: int) -> float:
 def alternating(
     one: Callable[[], float], other: Callable[[], float], blocks: int, *, of_first: bool = False
 ) -> tuple[float, float, float]:
-    """Medians of two measurements taken in turn, and of the ratio of the second to the first.
+    """Run two measurements alternately.
 
-    `of_first` turns the ratio round.
+    Args:
+        one: the first measurement, returns seconds.
+        other: the second one.
+        blocks: number of pairs, after a warm-up.
+        of_first: return the ratio first / second instead of second / first.
+
+    Returns:
+        Medians of both, and the median of the ratios.
     """
     one()
     other()

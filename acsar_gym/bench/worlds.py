@@ -1,4 +1,4 @@
-"""How fast worlds, rays and pictures are; measured like everything in `bench`."""
+"""Benchmarks of rays, environments with obstacles, and pictures; method in `measure`."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ BLOCKS = 15
 STEPS = 60
 """Env steps in one block."""
 POINTS = 500
-"""Of each way in the pictures."""
+"""Points of each path in the pictures."""
 
 
 def crowd(circles: int, segments: int, seed: int = 0) -> World:
-    """Obstacles all around a start that is free, as near as 1.5 m."""
+    """Make a world with obstacles all around its start, at least 1.5 m away."""
     rng = np.random.default_rng(seed)
     count = circles + segments
     bearing, turn = rng.uniform(-math.pi, math.pi, (2, count))
@@ -45,12 +45,12 @@ def crowd(circles: int, segments: int, seed: int = 0) -> World:
 
 
 def measure() -> list[Figure]:
-    """All figures of this file, in the order in which they are shown."""
+    """Run the benchmarks of this module; figures in the order of the table."""
     return [*_rays(), *_bullet(), *_pictures()]
 
 
 def _rays() -> list[Figure]:
-    """64 rays among 100 obstacles, analytic and by PyBullet."""
+    """Compare 64 rays among 100 obstacles with PyBullet's."""
     from acsar_gym.bodies.bullet import BulletBody  # noqa: PLC0415 - optional
 
     config, world = RobotConfig.of(None), crowd(80, 20)
@@ -78,7 +78,7 @@ def _env(world: World) -> gymnasium.Env[Any, Any]:
 
 
 def _tick(env: gymnasium.Env[Any, Any]) -> Callable[[], float]:
-    """Seconds a tick of random driving near the start."""
+    """Return a function that measures a tick of random driving near the start [s]."""
     inner = env.unwrapped
     ticks = inner.ticks_per_step if isinstance(inner, RobotEnv) else 1
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (STEPS, 2)).astype(np.float32)
@@ -94,7 +94,7 @@ def _tick(env: gymnasium.Env[Any, Any]) -> Callable[[], float]:
 
 
 def _bullet() -> list[Figure]:
-    """The whole PyBullet env among obstacles, wire and LiDAR included."""
+    """Measure the whole PyBullet env among obstacles, serial protocol and LiDAR included."""
     period = RobotConfig.of(None).period
     envs = [_env(crowd(0, 0)), _env(crowd(50, 10)), _env(crowd(250, 50))]
     empty, some, _ = alternating(_tick(envs[0]), _tick(envs[1]), BLOCKS)
@@ -109,7 +109,7 @@ def _bullet() -> list[Figure]:
 
 
 def _pictures() -> list[Figure]:
-    """Top views of 480 x 480 pixels with everything on them."""
+    """Measure top views of 480 x 480 pixels with all elements."""
     config, world = RobotConfig.of(None), crowd(250, 50)
     view, turns = TopView(config, (480, 480)), np.linspace(0.0, 6.0, POINTS)
     way = np.column_stack([turns / 3.0, np.sin(turns)]).tolist()

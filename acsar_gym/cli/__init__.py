@@ -1,6 +1,6 @@
-"""`acsar-gym`: one command, subcommands, no logic.
+"""The command line `acsar-gym`: parses arguments and calls the other packages.
 
-Exit codes: 0 all well, 1 a check or run failed, 2 a bad argument, config or file, 3 the link, 130
+Exit codes: 0 success, 1 a check or run failed, 2 bad argument, config or file, 3 link error, 130
 interrupted.
 """
 

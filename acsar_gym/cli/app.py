@@ -1,4 +1,4 @@
-"""The table of commands, and the entry point that runs one of them."""
+"""The table of commands, and the entry point."""
 
 from __future__ import annotations
 
@@ -42,16 +42,16 @@ def _one_line(
     lineno: int,
     line: str | None = None,
 ) -> str:
-    """A warning of this package for the terminal; others as Python shows them."""
+    """Format a warning of this package as one line, and others as usual."""
     if issubclass(category, SafetyWarning):
         return f"acsar-gym: {printable(str(message))}\n"
     return FORMAT(message, category, filename, lineno, line)
 
 
 def main() -> None:
-    """Entry point: errors of this package become one line and an exit code."""
+    """Run a command; exceptions of this package become one line and an exit code."""
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # what a terminal can't show is no error
+        if isinstance(stream, io.TextIOWrapper):  # escape what can't be encoded
             stream.reconfigure(errors="backslashreplace")
     warnings.formatwarning = _one_line
     try:

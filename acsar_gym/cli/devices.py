@@ -1,4 +1,4 @@
-"""One robot, real or emulated: emulate it, examine it, drive it, stop it."""
+"""Commands for one robot, real or emulated: emulate, doctor, drive, estop."""
 
 from __future__ import annotations
 
@@ -38,19 +38,19 @@ def emulate(
     lidar: bool = False,
     name: File = None,
 ) -> int:
-    """Run the microcontroller's twin on a pseudo-terminal and print its device path.
+    """Run an emulated board on a pseudo-terminal and print its device path.
 
-    SIGUSR1 pulls the cable, SIGUSR2 plugs it in again as another device.
+    SIGUSR1 unplugs the cable, SIGUSR2 plugs it in again as another device.
 
     Args:
         robot: preset or config file of the emulated robot.
-        body: physics behind it, planar or bullet.
-        log: write commands and true poses here, one JSON line each.
-        duration: seconds to run; without it, until Ctrl-C.
+        body: physics, planar or bullet.
+        log: write commands and true poses to this file, one JSON line each.
+        duration: seconds to run; default: until Ctrl-C.
         silent: never answer, as a board without power.
-        world: where the robot stands: a file, or a generated world like clutter:7-7.
-        lidar: emulate an RPLIDAR on a pseudo-terminal of its own, too.
-        name: symbolic link to the device, wherever it is plugged in.
+        world: world with the robot at its start: a file, or a generated world like clutter:7-7.
+        lidar: also emulate an RPLIDAR, on a pseudo-terminal of its own.
+        name: symbolic link that always points to the current device.
     """
     from acsar_gym.emulation.board import Emulator  # noqa: PLC0415
     from acsar_gym.worlds.pool import Pool  # noqa: PLC0415
@@ -71,9 +71,9 @@ def emulate(
 
 
 def _heeded(emulator: Emulator) -> list[int]:
-    """Let signals pull and plug the cable; the list gets SIGTERM's number when it comes.
+    """Install the signal handlers of `emulate`; the list receives SIGTERM's number.
 
-    An exception from a signal's handler may be swallowed.
+    A list, because an exception raised in a signal handler can be lost.
     """
     ended: list[int] = []
     signal.signal(signal.SIGTERM, lambda number, _: ended.append(number))
@@ -95,14 +95,14 @@ def doctor(
     """List the serial ports, examine one, and say what to fix.
 
     Args:
-        timing: of the control loop.
-        stopping: of an emulated robot.
-        host: this computer.
-        device: serial device to open; without it, ports are only listed.
+        timing: timing of the control loop.
+        stopping: stopping of an emulated robot.
+        host: process priority and cores.
+        device: serial device to examine; without it, ports are only listed.
         robot: preset or config file.
-        baud_rate: instead of the robot's own.
-        spin: turn the wheels to measure the round trip and the command time-out: lift the robot!
-        json: write the findings here too.
+        baud_rate: overrides the baud rate of the robot.
+        spin: turn the wheels to measure round trip and command time-out: lift the robot!
+        json: also write the findings to this file.
     """
     from acsar_gym.evaluation import report  # noqa: PLC0415
 
@@ -120,6 +120,7 @@ def doctor(
 
 
 def _checks(device: str | None, config: RobotConfig, json: Path | None, *, spin: bool) -> int:
+    """Run the checks of the serial port; returns the exit code."""
     from acsar_gym.doctor import checks, wire  # noqa: PLC0415
     from acsar_gym.evaluation import report  # noqa: PLC0415
 
@@ -132,6 +133,7 @@ def _checks(device: str | None, config: RobotConfig, json: Path | None, *, spin:
 
 
 def _stopping(config: RobotConfig, options: StoppingOptions, json: Path | None) -> int:
+    """Run --stopping; returns the exit code."""
     from acsar_gym.doctor import stopping  # noqa: PLC0415
     from acsar_gym.evaluation import report  # noqa: PLC0415
 
@@ -144,6 +146,7 @@ def _stopping(config: RobotConfig, options: StoppingOptions, json: Path | None) 
 def _timing(
     device: str | None, config: RobotConfig, options: TimingOptions, json: Path | None
 ) -> int:
+    """Run --timing; returns the exit code."""
     from acsar_gym.doctor import timing  # noqa: PLC0415
     from acsar_gym.evaluation import report  # noqa: PLC0415
 
@@ -162,15 +165,15 @@ def drive(
     duration: Seconds = None,
     window: bool = False,
 ) -> int:
-    """Drive with the keyboard, or hold a fixed twist, over any link.
+    """Drive with the keyboard, or with a fixed twist, on any link.
 
     Args:
-        host: this computer.
+        host: process priority and cores.
         link: bullet, planar, or a serial device.
         robot: preset or config file.
         linear: fixed linear speed, at most the robot's max_linear [m/s].
         angular: fixed angular speed, at most the robot's max_angular [rad/s].
-        duration: seconds to hold the fixed twist; without it, until Ctrl-C.
+        duration: seconds to drive with the fixed twist; default: until Ctrl-C.
         window: open PyBullet's window.
     """
     from acsar_gym import teleop  # noqa: PLC0415
@@ -188,7 +191,7 @@ def drive(
 
 
 def estop() -> int:
-    """Stop every real robot that you are driving from this computer, whatever drives it."""
+    """Stop all real robots that programs of yours on this computer are driving."""
     from acsar_gym.safety import estop as stops  # noqa: PLC0415
 
     return stops.command()

@@ -1,4 +1,4 @@
-"""Options that several commands have, and how they are shown in the help."""
+"""Options that several commands share."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ RobotArg = Annotated[str | None, tyro.conf.arg(metavar="PRESET|FILE")]
 
 @dataclass(frozen=True)
 class HostOptions:
-    """How this computer runs the program."""
+    """Process priority and cores."""
 
     realtime: Annotated[int | None, tyro.conf.arg(metavar="PRIORITY")] = None
-    """SCHED_FIFO priority, 1 to 98."""
+    """Real-time priority (SCHED_FIFO), 1 to 98."""
     cores: Annotated[tuple[int, ...] | None, tyro.conf.arg(metavar="N [N ...]")] = None
     """Numbers of the cores to run on."""
 
     def prepare(self) -> None:
-        """Set priority and cores. Raises ConfigError where that isn't allowed."""
+        """Set priority and cores; ConfigError if that isn't allowed."""
         from acsar_gym.doctor import host  # noqa: PLC0415
 
         host.prepare(self.realtime, self.cores)
@@ -36,64 +36,64 @@ class HostOptions:
 
 @dataclass(frozen=True)
 class PolicyOptions:
-    """What decides."""
+    """The policy."""
 
     policy: str = "point_goal"
-    """ONNX file, the name of a policy that comes along, or a function: mine.py:act."""
+    """ONNX file, name of a packaged policy, or a Python function such as mine.py:act."""
     trust: bool = False
-    """Let a stable-baselines3 zip as policy run its code: your own, or whose you trust."""
+    """Allow a stable-baselines3 zip, which can run code: only zips from people you trust."""
     env: EnvArg = ""
-    """Instead of the env that the policy names: point_goal, ..., or mine.module:mine/Task-v0."""
+    """Overrides the env that the policy names: point_goal, ..., or mine.module:mine/Task-v0."""
 
 
 @dataclass(frozen=True)
 class RobotOptions:
-    """What is robot."""
+    """The robot and its devices."""
 
     link: str = "bullet"
     """bullet, planar, or a serial device."""
     robot: RobotArg = None
     """Preset or config file."""
     lidar: LidarArg = None
-    """rplidar:///dev/ttyUSB1 on hardware, for a policy that needs one."""
+    """On hardware, if the policy needs a LiDAR: such as rplidar:///dev/ttyUSB1."""
 
 
 @dataclass(frozen=True)
 class WorldOptions:
-    """Where it is evaluated."""
+    """The worlds of an evaluation."""
 
     worlds: Worlds = None
-    """Instead of the test split: rooms:test, barn:1000-1099, ..., a file, or a folder."""
+    """Overrides the test split: rooms:test, barn:1000-1099, ..., a file, or a folder."""
     in_order: bool = False
-    """Every world once, instead of drawing them: a benchmark on a folder of worlds."""
+    """Use every world once, in order, instead of random ones."""
     difficulty: float | None = None
-    """Of generated worlds, 0 to 1."""
+    """Difficulty of generated worlds, 0 to 1."""
 
 
 @dataclass(frozen=True)
 class TimingOptions:
-    """Of the control loop."""
+    """Timing of the control loop."""
 
     timing: bool = False
-    """How late the control loop's ticks are, against a bare loop, and what to change."""
+    """Measure how late the control loop's ticks are, compared with a bare loop."""
     duration: float = 10.0
-    """Of the timing [s]."""
+    """Duration of --timing [s]."""
 
 
 @dataclass(frozen=True)
 class StoppingOptions:
-    """Of an emulated robot."""
+    """Stopping of an emulated robot."""
 
     stopping: bool = False
-    """How soon an emulated robot is commanded to stop, whatever happens to its policy."""
+    """Measure how soon an emulated robot is commanded to stop after faults of its program."""
     trials: int = 100
-    """Of each kind of fault, for --stopping."""
+    """Trials of each kind of fault, for --stopping."""
     kinds: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="KIND [KIND ...]")] = None
-    """Of faults, for --stopping: all unless some are named, as kill, stop, watchdog."""
+    """Kinds of faults for --stopping, such as kill, stop, watchdog; default: all."""
 
 
 _flat = tyro.conf.arg(name="")
-"""The fields are options of the command itself, without a prefix."""
+"""Makes the fields options of the command itself, without a prefix."""
 HostArgs = Annotated[HostOptions, _flat]
 PolicyArgs = Annotated[PolicyOptions, _flat]
 RobotArgs = Annotated[RobotOptions, _flat]

@@ -1,4 +1,4 @@
-"""Policies: train one, evaluate it, drive it to a goal, convert it."""
+"""Commands for policies: train, evaluate, run, export."""
 
 from __future__ import annotations
 
@@ -39,17 +39,17 @@ def evaluate(
     late_share: float = 0.01,
     json: Json = None,
 ) -> int:
-    """Run a policy for some episodes behind any link and print what it reached.
+    """Evaluate a policy over some episodes on any link, and print its metrics.
 
     Args:
-        policy: what decides.
+        policy: the policy.
         robot: link, robot and LiDAR.
-        worlds: where.
-        host: this computer.
-        episodes: how many.
-        seed: of the first episode; the next ones count up.
-        late_share: an episode of which more ticks were late is marked as invalid.
-        json: write the figures and every episode here too.
+        worlds: worlds of the evaluation.
+        host: process priority and cores.
+        episodes: number of episodes.
+        seed: seed of the first episode; the next ones count up.
+        late_share: largest share of late ticks in a valid episode.
+        json: also write the metrics and every episode to this file.
     """
     from acsar_gym.evaluation import report, runs  # noqa: PLC0415
 
@@ -75,15 +75,15 @@ def run(
     record: File = None,
     json: Json = None,
 ) -> int:
-    """Drive a policy to one goal (x y, in m, from where the robot stands).
+    """Drive to one goal with a policy (x y, in m, relative to the robot's start).
 
     Args:
-        goal: x and y in the odometry frame [m]: x ahead, y to the left.
-        policy: what decides.
+        goal: x and y in the odometry frame [m]: x forward, y to the left.
+        policy: the policy.
         robot: link, robot and LiDAR.
-        host: this computer.
-        record: write everything on the wire here; replay it with --link replay:FILE.
-        json: write the figures here too.
+        host: process priority and cores.
+        record: record the serial traffic to this file; replay it with --link replay:FILE.
+        json: also write the metrics to this file.
     """
     from acsar_gym.evaluation import report, runs  # noqa: PLC0415
 
@@ -110,10 +110,11 @@ def export(
     Args:
         model: zip of PPO, A2C, SAC, TD3 or DDPG.
         out: the ONNX file.
-        trust: let the zip run its code: only your own, or whose you trust.
-        env: what it was trained for, such as point_goal; models of 'acsar-gym train' know it.
+        trust: allow the zip to run code: only zips from people you trust.
+        env: env that it was trained for, such as point_goal; models of 'acsar-gym train' know
+            it.
         robot: preset or config file of the robot that it was trained on.
-        vecnormalize: statistics of the VecNormalize that it was trained with; run as code, too.
+        vecnormalize: file of the VecNormalize that it was trained with; can run code, too.
     """
     from acsar_gym.evaluation import report, runs  # noqa: PLC0415
 

@@ -1,4 +1,4 @@
-"""The demo, the benchmark, and compiling ahead of time."""
+"""Commands demo, bench and warm-up."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, printable, shown
 
 MOST_COUNT = 10**9
-"""Of what a command counts: steps, episodes."""
+"""Largest number of steps or episodes."""
 
 
 def demo(
@@ -19,14 +19,14 @@ def demo(
     out: Path = Path("runs/demo"),
     json: Json = None,
 ) -> int:
-    """Train a policy, drive it in PyBullet, then over a serial device; print one table.
+    """Train a policy, run it in PyBullet, then over a serial device; print one table.
 
     Args:
-        steps: env steps of training.
+        steps: env steps of the training.
         episodes: episodes in PyBullet.
-        serial_episodes: episodes over the emulator's tty, in real time.
+        serial_episodes: episodes over the emulator's pseudo-terminal, in real time.
         out: folder for the policy and the logs.
-        json: write the table's figures here too.
+        json: also write the metrics to this file.
     """
     from acsar_gym import demo as demos  # noqa: PLC0415
     from acsar_gym.evaluation import report  # noqa: PLC0415
@@ -46,11 +46,11 @@ def demo(
 
 
 def bench(json: Json = None, plots: File = None) -> int:
-    """Measure env, wire and engine side by side.
+    """Measure the speed of envs, serial protocol and physics.
 
     Args:
-        json: write the figures here too.
-        plots: folder for plots of the planar robot against PyBullet's.
+        json: also write the figures to this file.
+        plots: folder for plots that compare the planar robot with PyBullet's.
     """
     from acsar_gym.bench import comparison  # noqa: PLC0415
     from acsar_gym.bench import env as benchmark  # noqa: PLC0415
@@ -66,10 +66,10 @@ def bench(json: Json = None, plots: File = None) -> int:
 
 
 def warm_up(env: EnvArg = "", robot: RobotArg = None) -> int:
-    """Compile all loops and make the default worlds now, instead of when they are first used.
+    """Compile all loops and generate the default worlds now, instead of at first use.
 
     Args:
-        env: only this one: point_goal, ..., or mine.module:mine/Task-v0.
+        env: only for this env: point_goal, ..., or mine.module:mine/Task-v0.
         robot: preset or config file; generated worlds fit its footprint.
     """
     from acsar_gym.envs import warm_up as warm  # noqa: PLC0415

@@ -1,4 +1,4 @@
-"""`acsar-gym worlds`: draw, check or convert worlds."""
+"""The command `acsar-gym worlds`: show, check or convert worlds."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def show(
         source: kind of generated worlds (clutter:12, mine.module:halls:0-9), file or folder.
         out: the picture.
         columns: worlds side by side.
-        size: side of each [pixels].
-        difficulty: of generated worlds, 0 to 1.
+        size: width and height of each world [pixels].
+        difficulty: difficulty of generated worlds, 0 to 1.
         robot: preset or config file; generated worlds fit its footprint.
     """
     from acsar_gym.evaluation import atlas  # noqa: PLC0415
@@ -44,13 +44,13 @@ def show(
 def check(
     source: Source, difficulty: float | None = None, robot: RobotArg = None, json: Json = None
 ) -> int:
-    """Say whether the robot can cross worlds, how far it is, and how hard by BARN's measures.
+    """Check whether the robot can cross worlds; print path lengths and BARN's difficulty.
 
     Args:
         source: kind of generated worlds (clutter:12, mine.module:halls:0-9), file or folder.
         difficulty: of generated worlds, 0 to 1.
         robot: preset or config file, for its footprint.
-        json: write the findings here too.
+        json: also write the findings to this file.
     """
     from acsar_gym.evaluation import atlas, report  # noqa: PLC0415
 
@@ -65,12 +65,12 @@ def check(
 def convert(
     source: Source, out: OutFile, difficulty: float | None = None, robot: RobotArg = None
 ) -> int:
-    """Write a world to the project's own .json or .yaml.
+    """Write a world to a file of this project's format, .json or .yaml.
 
     Args:
-        source: a .world file, a ROS map's YAML, or a generated one like barn:7-7.
+        source: a .world file, the YAML of a ROS map, or a generated world like barn:7-7.
         out: .json or .yaml file.
-        difficulty: of generated worlds, 0 to 1.
+        difficulty: difficulty of generated worlds, 0 to 1.
         robot: preset or config file; generated worlds fit its footprint.
     """
     from acsar_gym.evaluation import atlas  # noqa: PLC0415

@@ -1,9 +1,9 @@
-"""Frozen, validated parameters of the robot and of its simulated twin.
+"""Frozen, validated parameters of the robot and of its simulation.
 
-The first block of `RobotConfig` is what the robot's own driver reads from its URDF; the sections
-(`motor`, `encoder`, `firmware`, `body`) describe what stands on the other side of the wire and are
-used by simulated links only; `lidar` is the range sensor, simulated or real. Every bad value is one
-`ConfigError` that names field, value and what is allowed.
+The first block of `RobotConfig` has the parameters that the robot's own driver reads from its URDF.
+The sections `motor`, `encoder`, `firmware` and `body` describe board and robot for simulated links
+only. `lidar` is the range sensor, simulated or real. Bad values raise one `ConfigError` that names
+field, value and allowed range.
 """
 
 from acsar_gym.config.lidar import LidarConfig

@@ -1,4 +1,4 @@
-"""Robot parameters from files: YAML, and the ros2_control block of a URDF."""
+"""Reads robot parameters from YAML, or from the ros2_control block of a URDF."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from acsar_gym.reading import bounded, structured
 from acsar_gym.resources import ASSETS
 
 MOST_BYTES = 2_000_000
-"""Of a robot's file; the largest URDFs, of humanoids, have half as many."""
+"""Largest accepted file [bytes]; the largest URDFs, of humanoids, have half of this."""
 MOST_PARAMS = 1_000
-"""Of a hardware block; each is compared with the names of all fields."""
+"""Most parameters of a hardware block; each is compared with the names of all fields."""
 DRIVER_BAUD_RATE = "9600"
-"""What the robot's own driver assumes where its URDF has no baud_rate."""
+"""Default of the robot's own driver if the URDF has no baud_rate [bit/s]."""
 DRIVER_CONTROL_RATE = "20"
-"""A rate that this baud rate can carry, where the URDF has none either [Hz]."""
+"""Default control rate for that baud rate [Hz]."""
 
 
 def preset(name: str) -> Path:
-    """The file of the preset of that name; ConfigError names the nearest one."""
+    """Return the file of a preset; ConfigError suggests a similar name."""
     known = {path.stem: path for path in (ASSETS / "robots").glob("*.yaml")}
     if not isinstance(name, str) or name not in known:
         near = suggestion(str(name)[:40] if isinstance(name, str) else "", known)
@@ -35,9 +35,17 @@ def preset(name: str) -> Path:
 
 
 def fields(path: Path, params: Sequence[str]) -> dict[str, Any]:
-    """Fields of a robot from a `.yaml`, `.yml` or `.urdf` file, not validated yet.
+    """Read the fields of a robot, without validating them.
 
-    `params` are the names that a URDF may use. Raises ConfigError, without the file's name.
+    Args:
+        path: a .yaml, .yml or .urdf file.
+        params: parameter names that a URDF may use.
+
+    Returns:
+        Field names and values; those of a URDF are strings.
+
+    Raises:
+        ConfigError: the file can't be read. The message doesn't name the file.
     """
     if path.suffix not in (".yaml", ".yml", ".urdf"):
         raise ConfigError("a robot is read from .yaml, .yml or .urdf (expand .xacro first)")
@@ -46,6 +54,7 @@ def fields(path: Path, params: Sequence[str]) -> dict[str, Any]:
 
 
 def _from_yaml(text: str) -> dict[str, Any]:
+    """Parse a YAML mapping."""
     data = structured.from_yaml(text)
     data = {} if data is None else data
     if not isinstance(data, dict):
@@ -54,11 +63,12 @@ def _from_yaml(text: str) -> dict[str, Any]:
 
 
 def _from_urdf(text: str, names: Sequence[str]) -> dict[str, Any]:
+    """Parse the ros2_control block of a URDF."""
     try:
         root = defusedxml.ElementTree.fromstring(text)
     except (ParseError, DefusedXmlException, ValueError) as error:
         raise ConfigError(f"not a valid URDF: {error}") from None
-    # A robot with an arm has several blocks: ours is the one whose parameters we know.
+    # A robot with an arm has several blocks; use the one with most known parameters.
     blocks = [_params(hardware, names) for hardware in root.iterfind(".//ros2_control/hardware")]
     if not blocks:
         raise ConfigError("has no <ros2_control><hardware> block to take the parameters from")
@@ -69,6 +79,7 @@ def _from_urdf(text: str, names: Sequence[str]) -> dict[str, Any]:
 
 
 def _params(hardware: Element, names: Sequence[str]) -> dict[str, Any]:
+    """Return the known parameters of a hardware block."""
     params = hardware.findall("param")
     if len(params) > MOST_PARAMS:
         raise ConfigError(f"has a hardware block of {len(params):,} params: remove those not used")
@@ -77,7 +88,7 @@ def _params(hardware: Element, names: Sequence[str]) -> dict[str, Any]:
 
 
 def _param(element: Element, names: Sequence[str]) -> tuple[str | None, str]:
-    """Name and value; the name is None for a parameter that belongs to some other plugin."""
+    """Return name and value; the name is None for parameters of other plugins."""
     name = element.get("name", "")
     value = (element.text or "").strip()
     if name in names:

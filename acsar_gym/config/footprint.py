@@ -1,7 +1,7 @@
-"""Polygons around a robot: whether they are sound, what lies inside, and their convex pieces.
+"""Footprint polygons: validation, point tests, and decomposition into convex pieces.
 
-An outline is a tuple of corners (x, y) in the base frame [m]. Plain Python for a few corners; the
-compiled test for collisions is in `worlds.polygons`.
+An outline is a tuple of corners (x, y) in the base frame [m]. This is plain Python for a few
+corners; the compiled collision test is in `worlds.polygons`.
 """
 
 from __future__ import annotations
@@ -20,22 +20,29 @@ Point = tuple[float, float]
 Outline = tuple[Point, ...]
 MOST_CORNERS = 100
 NEAREST = 1e-3
-"""An outline comes no nearer to the origin [m]."""
+"""Smallest allowed distance of an outline from the origin [m]."""
 THINNEST = 1e-9
-"""Twice the area of three points below which they lie on one line [m^2]."""
+"""Three points are collinear if twice their area is below this [m^2]."""
 
 
 def box(length: float, width: float) -> Outline:
-    """A rectangle around the origin, along x and y [m]."""
+    """Return a rectangle around the origin, `length` along x, `width` along y [m]."""
     x, y = length / 2.0, width / 2.0
     return ((x, y), (-x, y), (-x, -y), (x, -y))
 
 
 def checked(corners: Sequence[Point]) -> Outline:
-    """The outline, counter-clockwise, its last corner not its first one again.
+    """Validate an outline.
 
-    Raises ValueError, which says what is allowed, for less than three corners or more than 100,
-    borders that cross or touch each other, and an origin that doesn't lie inside.
+    Args:
+        corners: (x, y) [m], in either direction; the last may repeat the first.
+
+    Returns:
+        The outline, counter-clockwise, without a repeated corner.
+
+    Raises:
+        ValueError: there are fewer than three corners or more than 100, sides cross or touch
+            each other, or the origin isn't inside.
     """
     outline = tuple(corners[:-1] if len(corners) > 1 and corners[0] == corners[-1] else corners)
     if not 3 <= len(outline) <= MOST_CORNERS:
@@ -48,7 +55,7 @@ def checked(corners: Sequence[Point]) -> Outline:
 
 
 def _listed(given: Any) -> Any:
-    """Pairs of a list, or of a text such as nav2's parameter; ValueError for anything else."""
+    """Parse a list of pairs, or a string such as nav2's parameter; ValueError for others."""
     try:
         listed = structured.from_json(given) if isinstance(given, str) else given
         return [(x, y) for x, y in listed]
@@ -61,21 +68,21 @@ def _listed(given: Any) -> Any:
 Corners = Annotated[
     tuple[tuple[Offset, Offset], ...], BeforeValidator(_listed), AfterValidator(checked)
 ]
-"""A field that holds an outline."""
+"""Type of a field that holds an outline."""
 
 
 def sides(outline: Outline) -> Iterator[tuple[Point, Point]]:
-    """Pairs of corners that follow each other, the last and the first one at the end."""
+    """Yield the sides as pairs of corners, the closing side last."""
     return zip(outline, (*outline[1:], outline[0]), strict=True)
 
 
 def radius(outline: Outline) -> float:
-    """Of the disc around the origin that holds all of it [m]."""
+    """Return the radius of the disc around the origin that contains the outline [m]."""
     return max(math.hypot(x, y) for x, y in outline)
 
 
 def contains(outline: Outline, x: float, y: float) -> bool:
-    """Whether a point lies inside; on the border it may count as either."""
+    """Return whether a point [m] is inside; on the border, either result is possible."""
     inside = False
     for (ax, ay), (bx, by) in sides(outline):
         if (ay > y) != (by > y) and x < ax + (bx - ax) * (y - ay) / (by - ay):
@@ -84,12 +91,12 @@ def contains(outline: Outline, x: float, y: float) -> bool:
 
 
 def border_distance(outline: Outline, x: float, y: float) -> float:
-    """From a point to the nearest side [m]."""
+    """Return the distance from a point [m] to the nearest side [m]."""
     return min(_distance((x, y), a, b) for a, b in sides(outline))
 
 
 def convex_pieces(outline: Outline) -> list[Outline]:
-    """The outline itself where it is convex, triangles that cover it where it isn't."""
+    """Decompose an outline: itself if it is convex, otherwise triangles (ear clipping)."""
     corners = list(outline)
     turns = zip(corners[-1:] + corners, corners, corners[1:] + corners[:1], strict=False)
     if all(_turn(a, b, c) >= 0.0 for a, b, c in turns):
@@ -103,12 +110,12 @@ def convex_pieces(outline: Outline) -> list[Outline]:
 
 
 def _around(corners: Sequence[Point], n: int) -> Outline:
-    """A corner between its neighbours."""
+    """Return corner n with its neighbours, as a triangle."""
     return (corners[n - 1], corners[n], corners[(n + 1) % len(corners)])
 
 
 def _is_ear(corners: Sequence[Point], n: int) -> bool:
-    """Whether the triangle at a corner can be cut off: it holds no other corner."""
+    """Return whether the triangle at corner n is convex and contains no other corner."""
     a, b, c = _around(corners, n)
     if _turn(a, b, c) < 0.0:
         return False
@@ -119,7 +126,7 @@ def _is_ear(corners: Sequence[Point], n: int) -> bool:
 
 
 def _simple(outline: Outline) -> bool:
-    """Whether no two sides meet, but for neighbours in their common corner, and it has an area."""
+    """Return whether the sides don't cross or touch, except neighbours, and the area isn't 0."""
     every = list(sides(outline))
     last = len(every) - 1
     for n, (a, b) in enumerate(every):
@@ -133,7 +140,7 @@ def _simple(outline: Outline) -> bool:
 
 
 def _meet(a: Point, b: Point, c: Point, d: Point) -> bool:
-    """Whether the pieces a-b and c-d have a point in common."""
+    """Return whether the segments a-b and c-d have a common point."""
     for axis in (0, 1):
         if max(a[axis], b[axis]) < min(c[axis], d[axis]):
             return False
@@ -144,16 +151,17 @@ def _meet(a: Point, b: Point, c: Point, d: Point) -> bool:
 
 
 def _turn(a: Point, b: Point, c: Point) -> float:
-    """Twice the area of a triangle, positive where it turns counter-clockwise [m^2]."""
+    """Return twice the signed area of a triangle, positive if counter-clockwise [m^2]."""
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
 
 def _twice_area(outline: Outline) -> float:
+    """Return twice the signed area of an outline, positive if counter-clockwise [m^2]."""
     return sum(ax * by - ay * bx for (ax, ay), (bx, by) in sides(outline))
 
 
 def _distance(p: Point, a: Point, b: Point) -> float:
-    """From a point to the piece a-b [m]."""
+    """Return the distance from a point to the segment a-b [m]."""
     ex, ey = b[0] - a[0], b[1] - a[1]
     square = ex * ex + ey * ey
     share = ((p[0] - a[0]) * ex + (p[1] - a[1]) * ey) / square if square > 0.0 else 0.0

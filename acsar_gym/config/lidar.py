@@ -1,4 +1,4 @@
-"""The LiDAR: the range sensor, simulated or real."""
+"""Parameters of the LiDAR, simulated or real."""
 
 from __future__ import annotations
 
@@ -13,28 +13,29 @@ from acsar_gym.errors import ConfigError
 
 
 class LidarConfig(Section):
-    """The LiDAR and how its scans are used; its place is lidar_x/y/z_offset of the robot."""
+    """The LiDAR and how its scans are used; its position is lidar_x/y/z_offset of the robot."""
 
     section = "lidar"
     rays: Annotated[int, Field(gt=0, le=10_000)] = 64
-    """Directions of an observation; each takes the measurement next to it."""
+    """Rays of an observation; each takes the measurement nearest in direction."""
     field_of_view: Annotated[float, Field(gt=0.0, le=2.0 * math.pi + 1e-9)] = 2.0 * math.pi
-    """Centred on the robot's x axis [rad]; a full turn has no direction twice."""
+    """Angle covered by the rays, centred on the x axis [rad]; a full turn has no duplicate ray."""
     min_range: Annotated[float, Field(ge=0.0, le=1e3)] = 0.1
-    """Nearer measurements are taken for this range [m]."""
+    """Smaller measurements are set to this range [m]."""
     max_range: Annotated[float, Field(gt=0.0, le=1e3)] = 5.0
-    """What is farther, or not measured at all, has this range [m], at most 1 km."""
+    """Larger or failed measurements are set to this range [m], at most 1 km."""
     rate: Rate = 10.0
     """Scans per second [Hz], at most 10,000."""
     noise: Annotated[float, Field(ge=0.0, le=1e3)] = 0.01
-    """Standard deviation of a simulated range [m]; that of a hobby LiDAR at a few metres."""
+    """Standard deviation of simulated ranges [m]; typical of hobby LiDARs at a few metres."""
     dropouts: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
-    """Share of simulated rays that come back without a range."""
+    """Share of simulated rays whose measurement fails."""
     timeout: Wait = 1.0
-    """A scan older than this is an error that stops the robot [s], at most an hour."""
+    """A scan older than this is an error that stops the robot [s], at most 1 h."""
 
     @model_validator(mode="after")
     def _ranges_and_times_fit(self) -> Self:
+        """Check the order of the ranges, and the time-out against the rate."""
         if self.min_range >= self.max_range:
             raise ConfigError(
                 f"lidar.min_range = {self.min_range:g}: must be less than lidar.max_range = "

@@ -1,4 +1,4 @@
-"""Limits of what may be commanded: speed, acceleration and jerk, and where the robot may go."""
+"""Limits of commands: velocity, acceleration and jerk, and the geofence."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from acsar_gym.config.section import Section
 from acsar_gym.errors import ConfigError
 
 LINEAR_ACCELERATION = 2.0
-"""Of a robot that doesn't say otherwise [m/s^2]; ROS configures mobile bases with 1 to 3."""
+"""Default limit [m/s^2]; ROS configurations of mobile bases use 1 to 3."""
 ANGULAR_ACCELERATION = 8.0
-"""[rad/s^2]"""
+"""Default limit [rad/s^2]."""
 
 
 class SpeedLimits(Section):
-    """Limits of one axis, named and behaving as in ROS diff_drive_controller; None is no limit.
+    """Limits of one axis, with names and meaning of ROS diff_drive_controller; None is no limit.
 
-    m/s or rad/s, and their derivatives, at most 1e6. A minimum that is None is minus the maximum.
-    They are for driving: a twist of zero is sent at once.
+    Units are m/s or rad/s and their derivatives, at most 1e6. If a minimum is None, it is the
+    negative maximum. A twist of zero isn't limited, but sent at once.
     """
 
     section = "limits"
@@ -33,14 +33,14 @@ class SpeedLimits(Section):
 
 
 def accelerating(limit: float) -> BeforeValidator:
-    """Fills in this limit where a mapping of limits doesn't name one, not even null."""
+    """Return a validator that sets a missing `max_acceleration` to this limit; null stays null."""
     return BeforeValidator(
         lambda given: {"max_acceleration": limit, **given} if isinstance(given, dict) else given
     )
 
 
 class Geofence(Section):
-    """A rectangle of the odometry frame [m]; outside of it the robot is commanded to stop."""
+    """A rectangle in the odometry frame [m]; outside of it the robot is stopped."""
 
     section = "geofence"
     min_x: float = -math.inf
@@ -51,6 +51,7 @@ class Geofence(Section):
 
     @model_validator(mode="after")
     def _holds_the_start(self) -> Self:
+        """Check that the start of the odometry frame is inside."""
         if not (self.min_x < 0.0 < self.max_x and self.min_y < 0.0 < self.max_y):
             raise ConfigError(
                 f"geofence = {self.min_x:g} to {self.max_x:g}, {self.min_y:g} to {self.max_y:g} m: "

@@ -1,4 +1,4 @@
-"""What stands on the other side of the wire: motors, encoders, firmware, chassis and ground."""
+"""Parameters of the simulated board and robot: motors, encoders, firmware, chassis and ground."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from acsar_gym.config.units import Length, Rate, Speed, Wait
 
 
 class MotorConfig(Section):
-    """The motors and their speed loop."""
+    """The motors and their speed control."""
 
     section = "motor"
     max_speed: Speed = 30.0
-    """Fastest wheel speed the motors reach [rad/s], at most 1,000."""
+    """Largest wheel speed of the motors [rad/s], at most 1,000."""
     acceleration: Annotated[float, Field(gt=0.0, le=1e6)] = 60.0
-    """Slope at which the firmware ramps its set point [rad/s^2], at most 1e6."""
+    """Acceleration of the firmware's set point ramp [rad/s^2], at most 1e6."""
     time_constant: Annotated[float, Field(ge=0.0, le=100.0)] = 0.08
-    """First-order lag of the speed loop [s]; published hobby figures are 0.05-0.2, at most 100."""
+    """Time constant of the first-order speed loop [s], at most 100; hobby motors have 0.05-0.2."""
     deadband: Annotated[float, Field(ge=0.0, le=1e3)] = 0.0
     """Set points below this don't turn the wheel [rad/s], at most 1,000."""
 
@@ -31,11 +31,11 @@ class EncoderConfig(Section):
     counts_per_revolution: Annotated[int, Field(gt=0, le=10_000_000)] = 1320
     """Counts per turn of the wheel, at most ten million."""
     window: Annotated[float, Field(gt=0.0, le=5.0)] = 0.05
-    """Time over which the firmware averages before it sends [s]: at most 5 s and 2,000 loops."""
+    """Averaging time of the feedback [s], at most 5 s and 2,000 loops of the firmware."""
 
 
 class FirmwareConfig(Section):
-    """The microcontroller's program."""
+    """The program of the microcontroller."""
 
     section = "firmware"
     loop_rate: Rate = 200.0
@@ -46,8 +46,7 @@ class FirmwareConfig(Section):
     """Time from the last byte of a line to its effect, and from encoder to first byte [s], at most
     1 s."""
     command_timeout: Wait | None = 0.5
-    """Motors stop when no valid command came for so long [s], at most an hour; None: they never
-    do."""
+    """Motors stop after this time without a valid command [s], at most 1 h; None: never."""
 
 
 class BodyConfig(Section):
@@ -55,14 +54,14 @@ class BodyConfig(Section):
 
     section = "body"
     mass: Annotated[float, Field(gt=0.0, le=1e5)] = 4.0
-    """Whole robot [kg], at most 100 t."""
+    """Mass of the whole robot [kg], at most 100 t."""
     length: Length = 0.34
-    """Footprint along x [m], as all lengths at most 100 m."""
+    """Length of the footprint, along x [m]."""
     width: Length = 0.34
-    """Footprint along y, over the wheels [m]."""
+    """Width of the footprint over the wheels, along y [m]."""
     height: Length = 0.12
-    """Top of the chassis above ground [m]."""
+    """Height of the top of the chassis above ground [m]."""
     friction: Annotated[float, Field(gt=0.0, le=100.0)] = 1.0
-    """Coulomb friction of tyre on ground, at most 100."""
+    """Coulomb friction coefficient between tyre and ground, at most 100."""
     slip_speed: Speed = 0.005
-    """Slip below which friction falls off linearly [m/s], at most 1,000."""
+    """Slip speed below which friction is proportional to slip [m/s], at most 1,000."""

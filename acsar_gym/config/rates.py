@@ -1,4 +1,4 @@
-"""Rates that must be whole multiples of each other."""
+"""Rates that must be integer multiples of each other."""
 
 from __future__ import annotations
 
@@ -7,13 +7,23 @@ import math
 from acsar_gym.errors import ConfigError, shown
 
 LEAST_RATE = 0.01
-"""Of ticks and of a policy's steps [Hz]: slower ones would simulate for ever."""
+"""Lowest rate of ticks and policy steps [Hz], which bounds the simulated time of a step."""
 
 
 def whole_ratio(fast_name: str, fast: float, slow_name: str, slow: float) -> int:
-    """The ratio fast / slow as an int.
+    """Return the ratio of two rates.
 
-    Raises ConfigError unless it is a whole number of at least 1, or where slow is below 0.01 Hz.
+    Args:
+        fast_name: name of the faster rate, for the message.
+        fast: [Hz].
+        slow_name: name of the slower rate, for the message.
+        slow: [Hz].
+
+    Returns:
+        fast / slow as an int.
+
+    Raises:
+        ConfigError: it isn't an integer of at least 1, or `slow` is below 0.01 Hz.
     """
     try:
         fast, slow = _number(fast), _number(slow)
@@ -33,6 +43,7 @@ def whole_ratio(fast_name: str, fast: float, slow_name: str, slow: float) -> int
 
 
 def _number(value: float) -> float:
+    """Convert to float; TypeError for strings, which float() would accept."""
     if isinstance(value, str | bytes):
         raise TypeError
     return float(value)

@@ -1,4 +1,4 @@
-"""One robot: its geometry, wire, limits, and the parts of its simulated twin."""
+"""Configuration of a robot: geometry, serial link, limits, and its simulation."""
 
 from __future__ import annotations
 
@@ -25,74 +25,75 @@ from acsar_gym.config.wire import BAUD_RATES, BITS_PER_BYTE, LINE_BYTES, known_b
 from acsar_gym.errors import ConfigError, shown
 
 FOOT = 0.01
-"""What a wheel takes of the footprint where it stands beyond the body [m]."""
+"""Size of the contact patch of a wheel, which the default footprint contains [m]."""
 USUAL_RATES = (200.0, 100.0, 50.0, 40.0, 25.0, 20.0, 10.0, 5.0, 2.0, 1.0)
-"""Rates that messages suggest [Hz]."""
+"""Rates that error messages suggest [Hz]."""
 MOST_SAMPLES = 2_000
-"""Encoder readings that the simulated firmware remembers for its window."""
+"""Most encoder readings that the simulated firmware stores for averaging."""
 TWIN = ("motor", "encoder", "firmware", "body")
-"""Sections that describe the simulated twin; the robot's own driver knows nothing of them."""
+"""Sections for the simulation only, which the robot's own driver doesn't have."""
 
 
 class RobotConfig(Section):
-    """One robot: geometry, wire, limits, and its twin. Lengths in m, speeds in rad/s or m/s.
+    """One robot: geometry, serial link, limits, and simulation. Units: m, m/s and rad/s.
 
-    Lengths are at most 100 m, speeds 1,000, rates 10,000 Hz, and times an hour.
+    Lengths are at most 100 m, speeds 1,000, rates 10,000 Hz, and times 1 h.
     """
 
     wheel_radius: Length = 0.05
-    """[m]"""
+    """Radius of the wheels [m]."""
     wheel_separation: Length = 0.3
     """Distance between the centres of left and right wheels [m]."""
     wheelbase: Length = 0.22
     """Distance between the front and the rear axle [m]; used by the simulation."""
     wheel_separation_multiplier: Annotated[float, Field(gt=0.0, le=100.0)] = 1.0
-    """As in ROS diff_drive_controller. For equal loads 1 + (wheelbase / wheel_separation)^2."""
+    """Factor for skidding, as in ROS diff_drive_controller; with equal wheel loads
+    1 + (wheelbase / wheel_separation)^2."""
     serial_port: Name | None = None
-    """Device for `open_link("serial", config)`; there is no default."""
+    """Device that `open_link("serial", config)` opens."""
     baud_rate: Annotated[int, AfterValidator(known_baud)] = 115200
-    """Bits per second, 8N1, no flow control."""
+    """Baud rate [bit/s]; 8N1, no flow control."""
     trailing_comma: bool = False
-    """Send a comma after the last motor too, as the robot's own driver does."""
+    """Send a comma after the last motor, as the robot's own driver does."""
     control_rate: Rate = 100.0
-    """Ticks per second: one command line each [Hz]."""
+    """Ticks per second [Hz]; one command line per tick."""
     connect_timeout: Wait = 5.0
-    """How long activation waits for the board's first valid line [s]; AVR boards reset on open."""
+    """Longest wait for the first valid line after opening [s]; AVR boards reset on open."""
     reconnect_timeout: Annotated[float, Field(ge=0.0, le=3600.0)] = 10.0
-    """A port that was lost has so long to come back at the next activation [s]."""
+    """Longest wait at the next activation for a lost port to come back [s]."""
     feedback_timeout: Wait = 0.5
     """Feedback older than this stops the robot with an error [s]."""
     watchdog_timeout: Annotated[float, Field(ge=0.01, le=60.0)] | None = 0.15
-    """Commands that stop coming for so long mean that the program hangs: a process of its own
-    commands zero [s], 0.01 to 60; None: no watchdog."""
+    """After this time without a command, the watchdog process sends zero commands [s], 0.01 to 60;
+    None: no watchdog."""
     max_linear: Speed = 0.5
-    """Linear speed of a full action, and of any command at most [m/s]."""
+    """Linear speed of a full action, and limit of all commands [m/s]."""
     max_angular: Speed = 1.5
-    """Angular speed of a full action, and of any command at most [rad/s]."""
+    """Angular speed of a full action, and limit of all commands [rad/s]."""
     max_wheel_speed: Speed = 30.0
-    """Wheel speeds of any command shrink to this, keeping the turn radius [rad/s]."""
+    """Limit of wheel speeds [rad/s]; all four are scaled, which keeps the turning radius."""
     linear_limits: Annotated[SpeedLimits, accelerating(LINEAR_ACCELERATION)] = SpeedLimits(
         max_acceleration=LINEAR_ACCELERATION
     )
-    """Of the linear velocity that is commanded, in simulation and on hardware; `max_acceleration`
-    is 2 m/s^2 unless it is named, and null is none."""
+    """Limits of the commanded linear velocity, in simulation and on hardware; `max_acceleration` is
+    2 m/s^2 by default, and null means none."""
     angular_limits: Annotated[SpeedLimits, accelerating(ANGULAR_ACCELERATION)] = SpeedLimits(
         max_acceleration=ANGULAR_ACCELERATION
     )
-    """Of the angular velocity that is commanded; `max_acceleration` is 8 rad/s^2."""
+    """Limits of the commanded angular velocity; `max_acceleration` is 8 rad/s^2 by default."""
     geofence: Geofence | None = None
-    """Where the robot may go, by odometry."""
+    """Area that the robot may not leave, by odometry; None for no limit."""
     odom_frame: Name = "odom"
     base_frame: Name = "base_link"
     lidar_frame: Name = "lidar_link"
     lidar_x_offset: Offset = -0.15
-    """[m] in the base frame, as the two below."""
+    """Position of the LiDAR in the base frame [m], with the two fields below."""
     lidar_y_offset: Offset = 0.0
     lidar_z_offset: Offset = 0.37
     footprint: Corners | None = None
-    """What must not touch anything, as a polygon: its corners (x, y) in the base frame, 3 to 100 in
-    order around it, the origin inside [m]. None: the rectangle of the body and of the wheels
-    beyond it. A list, or a text like "[[0.2, 0.1], [-0.2, 0.1], [0.0, -0.2]]"."""
+    """Footprint for collisions: polygon of 3 to 100 corners (x, y) in order, in the base frame [m],
+    with the origin inside. A list, or a string like "[[0.2, 0.1], [-0.2, 0.1], [0.0, -0.2]]".
+    None: the rectangle around body and wheels."""
     motor: MotorConfig = MotorConfig()
     encoder: EncoderConfig = EncoderConfig()
     firmware: FirmwareConfig = FirmwareConfig()
@@ -101,6 +102,7 @@ class RobotConfig(Section):
 
     @model_validator(mode="after")
     def _wire_is_fast_enough(self) -> Self:
+        """Check that the baud rate can carry the lines of the control and feedback rates."""
         line = LINE_BYTES + self.trailing_comma
         lines = self.baud_rate / (BITS_PER_BYTE * line)
         for field, rate in (
@@ -120,6 +122,7 @@ class RobotConfig(Section):
 
     @model_validator(mode="after")
     def _rates_are_whole(self) -> Self:
+        """Check that the rates are integer multiples, and the averaging window fits."""
         loop = self.firmware.loop_rate
         whole_ratio("firmware.loop_rate", loop, "control_rate", self.control_rate)
         if self.feedback_rate > loop:
@@ -151,12 +154,12 @@ class RobotConfig(Section):
 
     @property
     def period(self) -> float:
-        """Length of a tick [s]."""
+        """Duration of a tick [s]."""
         return 1.0 / self.control_rate
 
     @property
     def outline(self) -> Outline:
-        """Corners of what must not touch anything, counter-clockwise, in the base frame [m]."""
+        """Corners of the footprint in the base frame, counter-clockwise [m]."""
         length = max(self.body.length, self.wheelbase + FOOT)
         width = max(self.body.width, self.wheel_separation + FOOT)
         return self.footprint or box(length, width)
@@ -167,7 +170,14 @@ class RobotConfig(Section):
         return self.wheel_separation * self.wheel_separation_multiplier
 
     def with_(self, **changes: Any) -> RobotConfig:
-        """A validated copy with some fields changed; a dict changes fields of a section."""
+        """Return a validated copy with changed fields.
+
+        Args:
+            **changes: new values; a dict changes single fields of a section.
+
+        Raises:
+            ConfigError: for unknown fields and bad values.
+        """
         fields = self.model_dump()
         for name, value in changes.items():
             nested = isinstance(value, dict) and isinstance(fields.get(name), dict)
@@ -178,10 +188,12 @@ class RobotConfig(Section):
     def load(cls, path: str | Path) -> RobotConfig:
         """Read a `.yaml` file, or the `<ros2_control>` parameters of a `.urdf` file.
 
-        A URDF without a baud_rate means 9600 baud, as it does for the robot's own driver, and a
-        control_rate of 20 Hz unless it names one.
+        Args:
+            path: the file. A URDF without a baud_rate means 9600 baud, as for the robot's own
+                driver, and by default a control_rate of 20 Hz.
 
-        Raises ConfigError where the file is missing, malformed, or holds a bad value.
+        Raises:
+            ConfigError: the file is missing or malformed, or holds a bad value.
         """
         from acsar_gym.config import files  # noqa: PLC0415 - only loading needs the parsers
 
@@ -194,19 +206,27 @@ class RobotConfig(Section):
 
     @classmethod
     def _driver_params(cls) -> list[str]:
-        """Names of the parameters that a URDF may hold: all but those of the simulated twin."""
+        """Return the parameter names that a URDF may use: all but those of the simulation."""
         return [name for name in cls.model_fields if name not in TWIN]
 
     @classmethod
     def preset(cls, name: str) -> RobotConfig:
-        """A robot that comes with the package, such as "acsar"."""
+        """Load a robot that comes with the package, such as "acsar"; ConfigError if unknown."""
         from acsar_gym.config import files  # noqa: PLC0415
 
         return cls.load(files.preset(name))
 
     @classmethod
     def of(cls, robot: RobotSource) -> RobotConfig:
-        """From what users may pass as `robot=`: config, fields, file, preset, or None for acsar."""
+        """Make a config from any value of an env's `robot` argument.
+
+        Args:
+            robot: a config, a mapping of fields, a file, the name of a preset, or None for
+                acsar.
+
+        Raises:
+            ConfigError: for other types, and see `load` and `preset`.
+        """
         if isinstance(robot, RobotConfig):
             return robot
         if isinstance(robot, Mapping):
@@ -223,4 +243,4 @@ class RobotConfig(Section):
 
 
 RobotSource = RobotConfig | Mapping[str, Any] | str | Path | None
-"""What users may pass as `robot=`; see `RobotConfig.of`."""
+"""Type of an env's `robot` argument; see `RobotConfig.of`."""

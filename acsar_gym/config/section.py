@@ -1,4 +1,4 @@
-"""What all parts of a config have in common: frozen, validated, and one error for bad values."""
+"""Base class of all sections: frozen, validated, one exception for bad values."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from pydantic import (
 from acsar_gym.errors import ConfigError, shown, suggestion
 
 MOST_TOLD = 10
-"""Problems of a config that one message tells."""
+"""Most problems that one message lists."""
 
 
 class Section(BaseModel):
-    """A part of a robot's config. Bad values raise ConfigError, and unknown names, too."""
+    """A section of the config; unknown fields and bad values raise ConfigError."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     section: ClassVar[str] = ""
@@ -28,6 +28,7 @@ class Section(BaseModel):
     @model_validator(mode="wrap")
     @classmethod
     def _as_one_error(cls, data: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        """Convert pydantic's ValidationError to ConfigError."""
         try:
             return handler(data)
         except ValidationError as error:
@@ -35,6 +36,7 @@ class Section(BaseModel):
 
 
 def _describe(model: type[BaseModel], section: str, error: ValidationError) -> str:
+    """Format the problems of a section as one message."""
     found = error.errors(include_url=False, include_context=False)
     parts = [_problem(model, section, item) for item in found[:MOST_TOLD]]
     if len(found) > MOST_TOLD:
@@ -43,6 +45,7 @@ def _describe(model: type[BaseModel], section: str, error: ValidationError) -> s
 
 
 def _problem(model: type[BaseModel], section: str, item: Any) -> str:
+    """Format one problem: field, value and allowed range."""
     path = [str(part)[:40] for part in item["loc"]]
     field = ".".join([section, *path] if section else path)
     if item["type"] == "extra_forbidden":

@@ -1,4 +1,4 @@
-"""Types of fields: numbers with a unit and a range, and names."""
+"""Types of fields: numbers with unit and range, and names."""
 
 from __future__ import annotations
 
@@ -15,5 +15,5 @@ Speed = Annotated[float, Field(gt=0.0, le=1e3)]
 Rate = Annotated[float, Field(gt=0.0, le=1e4)]
 """[Hz]"""
 Wait = Annotated[float, Field(gt=0.0, le=3600.0)]
-"""At most an hour [s]."""
+"""[s], at most 1 h."""
 Name = Annotated[str, Field(max_length=1000)]

@@ -1,1 +1,1 @@
-"""A board and a LiDAR on pseudo-terminals, for driving without hardware."""
+"""Emulated board and LiDAR on pseudo-terminals, for running without hardware."""

@@ -1,8 +1,8 @@
-"""The microcontroller's twin in real time on a pseudo-terminal, for every serial code path.
+"""Emulates the board in real time on a pseudo-terminal, to exercise all serial code.
 
-Whoever opens the printed device talks to a simulated robot exactly as to a board. A wrong baud rate
-garbles both directions, as on a real UART. The log, one JSON line per event, holds what was sent
-to the board and where the robot really was, on the monotonic clock that all processes share.
+A program that opens the printed device talks to a simulated robot in the same way as to a board. A
+wrong baud rate garbles both directions, as on a UART. The log has one JSON line per event: what was
+sent to the board, and the true poses of the robot, with times of the machine's monotonic clock.
 """
 
 from __future__ import annotations
@@ -28,20 +28,29 @@ from acsar_gym.worlds.geometry import look
 
 Floats = NDArray[np.float64]
 STALL = 0.1
-"""Time lost to the operating system is made up for, unless it was this long at once [s]."""
+"""A delay by the operating system is caught up with, unless it is longer than this [s]."""
 SAMPLES = 200
-"""Measurements of the LiDAR in a turn: 2000 a second at 10 Hz, as an RPLIDAR A1 makes them."""
+"""Measurements of the LiDAR per turn: 2000/s at 10 Hz, as an RPLIDAR A1 has."""
 
 
 class Emulator:
-    """A simulated robot on a pseudo-terminal; `device` is what a SerialLink opens.
+    """A simulated robot on a pseudo-terminal.
 
-    `silent` never answers; `log` gets one JSON line per piece of input and, every loop, the true
-    pose in the world. The robot stands at the start of `world`, or at the origin of an open floor;
-    with `sees`, an RPLIDAR's twin looks around in it, and `lidar_device` is what its driver opens.
+    Set `plugged` to False and True, at any time and also in signal handlers, to pull the cable and
+    plug it in again under a new device name.
 
-    `plugged` may be set to False and True at any time, from signal handlers too: the cable is
-    pulled, and plugged in again as another device, which `name`, a symbolic link, follows.
+    Args:
+        config: configuration of the robot.
+        body: "planar" or "bullet".
+        log: file for one JSON line per received chunk, and per loop the true pose (world
+            frame); None for no log.
+        silent: never answer.
+        world: the world, at whose start the robot stands; None for the origin of an open floor.
+        sees: also emulate an RPLIDAR, at `lidar_device`.
+        name: symbolic link that always points to the current device; None for no link.
+
+    Raises:
+        ConfigError: for an unknown body, or if `log` or `name` can't be created.
     """
 
     def __init__(
@@ -78,13 +87,18 @@ class Emulator:
 
     @property
     def device(self) -> str:
-        """What a SerialLink opens; "" while the cable is out."""
+        """Path that a SerialLink opens; empty while the cable is unplugged."""
         return self._cable.device
 
     def run(self, duration: float | None = None, until: Callable[[], bool] = lambda: False) -> None:
-        """Emulate for `duration` [s], or until told or interrupted; deadlines are absolute.
+        """Run the emulator with absolute deadlines; after a long delay they restart from now.
 
-        After a stall they start anew from now, for a board has no time to catch up with.
+        Args:
+            duration: time to run [s]; None for no limit.
+            until: called in every loop; ends the run by returning True.
+
+        Raises:
+            ConfigError: `duration` is negative or not finite.
         """
         if duration is not None and not 0.0 <= duration < math.inf:
             raise ConfigError(f"duration = {duration}: must be a finite number of seconds")
@@ -99,7 +113,7 @@ class Emulator:
             self._turn(period)
 
     def _turn(self, period: float) -> None:
-        """One loop of the firmware: bytes in, physics, bytes out."""
+        """Run one loop of the firmware: receive, simulate, send."""
         if self.plugged != bool(self.device):
             self._replug()
         data = self._cable.read()
@@ -115,6 +129,7 @@ class Emulator:
             self._cable.write(self._over_uart(answer))
 
     def _replug(self) -> None:
+        """Plug or unplug the cable, and log it."""
         if self.plugged:
             self._cable.plug()
         else:
@@ -122,17 +137,18 @@ class Emulator:
         self._note({"device": self.device})
 
     def _over_uart(self, data: bytes) -> bytes:
-        """The bytes as the other side sees them: garbage where the baud rates differ."""
+        """Transfer bytes over the UART, which garbles them if the baud rates differ."""
         if self._cable.sound:
             return data
         return bytes((byte * 7 + 0x80) & 0xFF | 0x80 for byte in data)
 
     def _note(self, event: dict[str, object]) -> None:
+        """Write an event to the log, if there is one."""
         if self._log is not None:
             recording.written(self._log, json.dumps({"t": time.monotonic(), **event}) + "\n")
 
     def close(self) -> None:
-        """Pull the cable, close terminals and log; twice is once."""
+        """Unplug the cable and close terminals and log. Idempotent."""
         self._ours.close()
 
     def __enter__(self) -> Self:
@@ -143,13 +159,15 @@ class Emulator:
 
 
 def _start(world: World) -> Pose:
+    """Return the pose at which the robot starts in a world."""
     return world.start.x, world.start.y, world.start.theta or 0.0
 
 
 def _lidar(link: Link, world: World | None, config: RobotConfig) -> RplidarEmulator:
-    """A sensor that turns at the configured rate, where the robot carries it."""
+    """Make an emulated LiDAR at its place on the robot, at the configured rate."""
 
     def ranges(bearings: Floats) -> Floats:
+        """Return ranges [m] at bearings [rad] in the sensor's frame."""
         x, y, theta = link.truth.pose if link.truth else (0.0, 0.0, 0.0)
         cos, sin = math.cos(theta), math.sin(theta)
         x += cos * config.lidar_x_offset - sin * config.lidar_y_offset

@@ -1,4 +1,4 @@
-"""A pseudo-terminal that can be pulled like a cable, and plugged in again under another name."""
+"""A pseudo-terminal that can be unplugged, and plugged in again under another device name."""
 
 from __future__ import annotations
 
@@ -21,10 +21,18 @@ BAUD_CODES = {getattr(termios, f"B{rate}"): rate for rate in BAUD_RATES}
 
 
 class Cable:
-    """What a board with this baud rate is plugged in with; `device` is its name, "" while pulled.
+    """The emulated cable of a board.
 
-    `name` becomes a symbolic link to the device wherever that is, as udev keeps one for each USB
-    adapter in /dev/serial/by-id. Raises ConfigError where it can't be made.
+    Args:
+        baud_rate: baud rate of the board.
+        name: symbolic link that always points to the current device, as udev maintains in
+            /dev/serial/by-id; None for no link.
+
+    Attributes:
+        device: path of the device; empty while unplugged.
+
+    Raises:
+        ConfigError: the symbolic link can't be created.
     """
 
     def __init__(self, baud_rate: int, name: Path | None = None) -> None:
@@ -35,9 +43,9 @@ class Cable:
         self.plug()
 
     def plug(self) -> None:
-        """Appear under a new name: raw, and at the board's baud rate until a client sets another.
+        """Create the device: raw mode, with the board's baud rate until a client sets another one.
 
-        Twice is once.
+        Idempotent.
         """
         if self._descriptors:
             return
@@ -51,6 +59,7 @@ class Cable:
         self._link()
 
     def _link(self) -> None:
+        """Let the symbolic link point to the device."""
         if self._name is None:
             return
         try:
@@ -62,10 +71,10 @@ class Cable:
             raise ConfigError(f"{self._name}: can't be made a symbolic link: {error}") from None
 
     def pull(self) -> None:
-        """Be gone; twice is once."""
+        """Remove the device. Idempotent."""
         descriptors, self._descriptors = self._descriptors, ()
         if self._name is not None and descriptors:
-            with contextlib.suppress(OSError):  # it may be gone, or no symbolic link
+            with contextlib.suppress(OSError):  # it may be missing or not a symbolic link
                 if str(self._name.readlink()) == self.device:
                     self._name.unlink()
         self.device = ""
@@ -78,13 +87,13 @@ class Cable:
         return BAUD_CODES.get(termios.tcgetattr(self._slave)[4]) == self._baud_rate
 
     def read(self) -> bytes:
-        """What a client has sent; nothing while pulled."""
+        """Read what the client has sent; nothing while unplugged."""
         with contextlib.suppress(BlockingIOError):
             return os.read(self._master, CHUNK) if self._descriptors else b""
         return b""
 
     def write(self, data: bytes) -> None:
-        """Send to the client; where nobody reads it is lost, as on a UART."""
+        """Send to the client; data that nobody reads is lost, as on a UART."""
         if self._descriptors:
             with contextlib.suppress(BlockingIOError):
                 os.write(self._master, data)

@@ -1,7 +1,6 @@
-"""An RPLIDAR's twin: its wire protocol without any I/O, and the same on a pseudo-terminal.
+"""Emulates an RPLIDAR: its protocol without any I/O, and the device on a pseudo-terminal.
 
-After SLAMTEC's "Interface Protocol and Application Notes" for the A series. Whoever opens the
-device talks to it as to a sensor on a serial adapter.
+After SLAMTEC's "Interface Protocol and Application Notes" for the A series.
 """
 
 from __future__ import annotations
@@ -34,29 +33,38 @@ GET_INFO, GET_HEALTH, GET_SAMPLERATE = 0x50, 0x52, 0x59
 MOTOR_PWM = 0xF0
 DEFAULT_PWM = 660
 SINGLE, MULTIPLE = 0, 1
-"""Send modes: one answer, or measurements until the next request."""
+"""Send modes: a single answer, or answers until the next request."""
 MODEL = 0x18
 FIRMWARE = (1, 16)
 HARDWARE = 7
 SERIAL_NUMBER = bytes(range(16))
 QUALITY = 15
-"""Of every measurement that succeeded, as an A1 gives it."""
+"""Quality of every successful measurement, as an A1 reports it."""
 FARTHEST = 0xFFFF / 4000.0
-"""What a measurement can hold [m]."""
+"""Largest distance that a measurement can encode [m]."""
 NODE = np.dtype([("head", "u1"), ("angle", "<u2"), ("distance", "<u2")])
 """Quality and start flag; angle [deg / 64] and check bit; distance [mm / 4]."""
 OTHER_DEVICE = b"$GPGGA,120000.00,5230.0,N,01322.0,E,1,08,0.9,34.0,M,,M,,*47\r\n"
-"""What `garbage` is: a receiver of another kind."""
+"""Sent in the fault mode "garbage": the output of a GPS receiver."""
 
 
 class RplidarTwin:
-    """Bytes in, bytes out; time passes in `advance` only.
+    """An emulated RPLIDAR without I/O: requests in, answers out; time passes only in `advance`.
 
-    `look` gives the ranges [m] at bearings [rad] in the sensor's frame, counter-clockwise from its
-    zero; inf, nan and what is beyond `max_range` [m] isn't measured. The head makes `rate` turns a
-    second of `samples` measurements each, once it has spun up for `spin_up` [s]; the motor is on
-    until a PWM of 0. A `broken` one is in protection stop: it reports an error and won't scan.
-    EXPRESS_SCAN gets no answer, as from firmware before 1.17.
+    The motor runs until it is set to a PWM of 0. EXPRESS_SCAN isn't answered, as by firmware before
+    1.17.
+
+    Args:
+        look: returns ranges [m] at bearings (N,) [rad] in the sensor's frame,
+            counter-clockwise.
+        rate: turns per second [Hz].
+        samples: measurements per turn.
+        max_range: ranges beyond it [m], inf and NaN count as failed measurements.
+        spin_up: time from the start of the motor to full speed [s].
+        broken: report an error and refuse to scan ("protection stop").
+
+    Raises:
+        ConfigError: rate, samples or max_range is out of range.
     """
 
     def __init__(
@@ -81,7 +89,7 @@ class RplidarTwin:
         self._spin_up = spin_up
         self._broken = broken
         self.pwm = DEFAULT_PWM
-        """Of the motor, 0 to 1023."""
+        """PWM of the motor, 0 to 1023."""
         self.scanning = False
         self._forced = False
         self._spun = 0.0
@@ -95,7 +103,14 @@ class RplidarTwin:
         return self.pwm > 0 and self._spun >= self._spin_up
 
     def receive(self, data: bytes) -> bytes:
-        """The answers to what a host sends; half a request waits for the rest of it."""
+        """Process bytes from the host; an incomplete request waits for the rest of it.
+
+        Args:
+            data: any part of the byte stream.
+
+        Returns:
+            The answers to the requests that are now complete.
+        """
         answers = b""
         for byte in data:
             if self._request or byte == SYNC:
@@ -107,6 +122,7 @@ class RplidarTwin:
         return answers
 
     def _is_complete(self) -> bool:
+        """Return whether the received bytes form a complete request."""
         request = self._request
         if len(request) < 2:
             return False
@@ -115,6 +131,7 @@ class RplidarTwin:
         return len(request) > 2 and len(request) == request[2] + 4
 
     def _answer(self, request: bytes) -> bytes:
+        """Execute a request and return the answer."""
         command, payload = request[1], request[3:-1]
         if command & HAS_PAYLOAD:
             if functools.reduce(operator.xor, request) == 0 and command == MOTOR_PWM:
@@ -133,17 +150,20 @@ class RplidarTwin:
         if command == GET_SAMPLERATE:
             each = min(round(1e6 / (self._rate * self._samples)), 0xFFFF)
             return descriptor(4, SINGLE, 0x15) + struct.pack("<HH", each, each)
-        return b""  # STOP, RESET and what it doesn't know
+        return b""  # STOP, RESET and unknown requests
 
     def _drive(self, pwm: int) -> None:
+        """Set the PWM of the motor; from standstill it spins up anew."""
         if self.pwm == 0:
             self._spun = 0.0
         self.pwm = pwm
 
     def advance(self, dt: float) -> bytes:
-        """Let `dt` [s] pass; the measurements made in it.
+        """Let `dt` [s] pass.
 
-        A standing head measures only where it is forced to.
+        Returns:
+            The measurements made during this time. A head at rest measures only after
+            FORCE_SCAN.
         """
         self._due += dt * self._rate * self._samples
         count = int(self._due + 1e-9)
@@ -157,6 +177,7 @@ class RplidarTwin:
         return self._nodes(heads, turning) if self.scanning and (turning or self._forced) else b""
 
     def _nodes(self, heads: NDArray[np.int64], turning: bool) -> bytes:
+        """Measure at the given head positions, and encode the measurements."""
         degrees = heads * (360.0 / self._samples)
         ranges = self._look(-np.radians(degrees))
         measured = (ranges > 0.0) & (ranges <= self._max_range)
@@ -169,15 +190,23 @@ class RplidarTwin:
 
 
 def descriptor(length: int, mode: int, kind: int) -> bytes:
-    """What announces answers of `length` bytes: 30 bits of length, 2 of mode, 8 of kind."""
+    """Encode the response descriptor for answers of `length` bytes."""
     return b"\xa5\x5a" + struct.pack("<IB", length | mode << 30, kind)
 
 
 class RplidarEmulator:
-    """A twin on a pseudo-terminal; `device` is what a driver opens, at `baud`.
+    """An emulated RPLIDAR on a pseudo-terminal; call `serve_once` periodically.
 
-    A `silent` one never answers, and `garbage` is a device of another kind. Whoever embeds it
-    calls `serve_once` in their own loop.
+    Args:
+        twin: the emulated sensor.
+        baud: baud rate of the sensor.
+        fault: "silent" never answers, "garbage" sends what a device of another kind would.
+
+    Attributes:
+        device: path that a driver opens.
+
+    Raises:
+        ConfigError: for unknown baud rates and faults.
     """
 
     def __init__(
@@ -201,9 +230,9 @@ class RplidarEmulator:
         self.device = os.ttyname(self._slave)
 
     def serve_once(self, period: float) -> None:
-        """Take requests, let `period` [s] pass, send answers and measurements; waits for nothing.
+        """Process requests, let `period` [s] pass, and send answers and measurements.
 
-        What nobody reads is dropped, as a UART does it.
+        It doesn't block; data that nobody reads is dropped, as on a UART.
         """
         request = b""
         with contextlib.suppress(BlockingIOError):
@@ -216,13 +245,13 @@ class RplidarEmulator:
                 os.write(self._master, self._over_uart(answer))
 
     def _over_uart(self, data: bytes) -> bytes:
-        """The bytes as the other side sees them: garbage where the baud rates differ."""
+        """Transfer bytes over the UART, which garbles them if the baud rates differ."""
         if termios.tcgetattr(self._slave)[4] == self._baud_code:
             return data
         return bytes((byte * 7 + 0x80) & 0xFF | 0x80 for byte in data)
 
     def close(self) -> None:
-        """Close the terminal; twice is once."""
+        """Close the terminal. Idempotent."""
         descriptors, self._descriptors = self._descriptors, ()
         for each in descriptors:
             os.close(each)

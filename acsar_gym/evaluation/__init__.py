@@ -1,1 +1,1 @@
-"""Episodes, their metrics and reports."""
+"""Runs policies for whole episodes, computes metrics, and writes reports."""

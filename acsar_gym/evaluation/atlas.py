@@ -1,4 +1,4 @@
-"""What `acsar-gym worlds` does: draw worlds, check them, and convert their files."""
+"""The command `acsar-gym worlds`: draws and checks worlds, and converts their files."""
 
 from __future__ import annotations
 
@@ -20,31 +20,31 @@ from acsar_gym.worlds.pool import Pool, read
 from acsar_gym.worlds.search import footprint_radius, path_length, shortest_path
 
 MOST_DRAWN = 100
-"""Worlds on one sheet."""
+"""Most worlds on one sheet."""
 MOST_AT_ONCE = 10_000
-"""Worlds that are made or read for one command."""
+"""Most worlds that one command makes or reads."""
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What a check says of one world; NaN where it can't be known. Lengths in m."""
+    """Result of checking one world. Lengths in m; NaN for what couldn't be computed."""
 
     name: str
     obstacles: int
     path: float
-    """Length of the world's own path."""
+    """Length of the path that comes with the world."""
     shortest: float
-    """Length of a shortest way for the robot's footprint."""
+    """Length of the shortest path from start to goal for the robot's footprint."""
     closest_obstacle: float
     visibility: float
     dispersion: float
     characteristic_dimension: float
     tortuosity: float
     fault: str
-    """Why the world can't be used; empty where it can."""
+    """Why the world can't be used; empty if it can."""
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON: NaN and infinity become None."""
+        """Return the fields for JSON; NaN and infinity become None."""
         return {
             key: None if isinstance(value, float) and not math.isfinite(value) else value
             for key, value in asdict(self).items()
@@ -54,9 +54,21 @@ class Finding:
 def raw(
     source: str, level: float | None, robot: str | None, count: int, most: int = MOST_AT_ONCE
 ) -> list[World]:
-    """The worlds that a kind, a file or a folder names, as they are.
+    """Read or generate worlds.
 
-    Raises WorldError for what can't be read or made, and ConfigError for more than `most`.
+    Args:
+        source: a generator such as "clutter" or "barn:0-9", or a file or folder of worlds.
+        level: difficulty for a generator, 0 to 1; None for its default.
+        robot: preset or file of the robot whose footprint generated worlds must let through.
+        count: number of worlds to generate, where `source` names no numbers.
+        most: largest number of worlds that is accepted.
+
+    Returns:
+        The worlds.
+
+    Raises:
+        WorldError: a world can't be read or generated.
+        ConfigError: there are more than `most` worlds.
     """
     given = read(source)
     if given is not None:
@@ -68,9 +80,15 @@ def raw(
 
 
 def told(source: str, count: int) -> dict[str, str | None]:
-    """For a title and JSON: `source`, such as "clutter 0 to 199 (test split)", and the `split`.
+    """Describe where worlds come from, for a title and for JSON.
 
-    That's None where the worlds aren't all of one.
+    Args:
+        source: as for `raw`.
+        count: as for `raw`.
+
+    Returns:
+        `source`, such as "clutter 0 to 199 (test split)", and `split`: "train" or "test", None
+        if the worlds aren't all of one split.
     """
     if names.generated(source) is None:
         return {"source": source, "split": None}
@@ -79,6 +97,7 @@ def told(source: str, count: int) -> dict[str, str | None]:
 
 
 def _check_count(source: str, count: int, most: int) -> None:
+    """Raise ConfigError for more than `most` worlds."""
     if count > most == 1:
         raise ConfigError(f"{source} holds {count:,} worlds: name one file, or one like barn:7-7")
     if count > most:
@@ -86,7 +105,16 @@ def _check_count(source: str, count: int, most: int) -> None:
 
 
 def most_drawn(columns: int, size: int, out: Path) -> int:
-    """How many worlds fit on a sheet. ConfigError where none can be drawn, or `out` written."""
+    """Return how many worlds fit on a sheet, before any of them is made.
+
+    Args:
+        columns: tiles in a row.
+        size: width and height of a tile [pixels].
+        out: PNG file to write.
+
+    Raises:
+        ConfigError: no world fits, or `out` can't be written.
+    """
     most = pictures.most_tiles(columns, size)
     pictures.check_name(out)
     report.check_writable(out)
@@ -94,7 +122,17 @@ def most_drawn(columns: int, size: int, out: Path) -> int:
 
 
 def draw(worlds: Sequence[World], columns: int, size: int, out: Path) -> None:
-    """A sheet of worlds, or one alone, as a PNG file."""
+    """Draw worlds on one sheet and save it as a PNG file.
+
+    Args:
+        worlds: at most MOST_DRAWN.
+        columns: tiles in a row.
+        size: width and height of a tile [pixels].
+        out: PNG file to write.
+
+    Raises:
+        ConfigError: too many worlds, or `out` can't be written.
+    """
     _check_count("the sheet", len(worlds), MOST_DRAWN)
     columns = min(columns, len(worlds))
     watch = partial(report.watched, "drawing worlds", total=len(worlds))
@@ -102,7 +140,15 @@ def draw(worlds: Sequence[World], columns: int, size: int, out: Path) -> None:
 
 
 def check(worlds: Sequence[World], robot: str | None) -> list[Finding]:
-    """Whether a robot can cross each world, how far it is, and how hard by BARN's measures."""
+    """Check whether a robot can cross each world, and measure path lengths and BARN's difficulty.
+
+    Args:
+        worlds: the worlds.
+        robot: preset or file of the robot whose footprint is used; None for the default robot.
+
+    Returns:
+        One finding per world.
+    """
     radius = footprint_radius(RobotConfig.of(robot))
     return [
         _checked(world, radius) for world in report.watched("checking worlds", worlds, len(worlds))
@@ -110,6 +156,7 @@ def check(worlds: Sequence[World], robot: str | None) -> list[Finding]:
 
 
 def _checked(world: World, radius: float) -> Finding:
+    """Check one world for a footprint of `radius` [m]."""
     shortest, hard, fault = math.nan, difficulty.Difficulty(*[math.nan] * 5), ""
     try:
         way = shortest_path(world, radius)
@@ -127,13 +174,24 @@ def _checked(world: World, radius: float) -> Finding:
 
 
 def convert(source: str, out: Path, level: float | None, robot: str | None) -> None:
-    """Write one world to the project's own .json or .yaml."""
+    """Write one world to a file of this project's format, .json or .yaml.
+
+    Args:
+        source: as for `raw`; must name a single world.
+        out: file to write.
+        level: as for `raw`.
+        robot: as for `raw`.
+
+    Raises:
+        WorldError: the world can't be read or generated.
+        ConfigError: there are several worlds, or `out` can't be written.
+    """
     report.check_writable(out)
     files.save(raw(source, level, robot, 1, 1)[0], out)
 
 
 def table(source: str, findings: Sequence[Finding]) -> Table:
-    """One row a world."""
+    """Format findings as a table with one row per world."""
     title = f"worlds: {source}; lengths in m, difficulty along the shortest way"
     drawn = Table(title=report.plain(title), title_justify="left")
     drawn.add_column("world")

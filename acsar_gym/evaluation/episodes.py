@@ -1,4 +1,4 @@
-"""Episodes of a policy, one by one."""
+"""Runs a policy for single episodes, and keeps the result of each."""
 
 from __future__ import annotations
 
@@ -25,55 +25,55 @@ from acsar_gym.worlds.search import footprint_radius, path_length, way_left
 
 Way = list[tuple[float, float]]
 LATE_SHARE = 0.01
-"""An episode of which more ticks were late doesn't say much about its policy."""
+"""Largest share of late ticks in a valid episode."""
 
 
 @dataclass(frozen=True, slots=True)
 class EpisodeResult:
-    """One episode, as odometry, the link's clock and, in simulation, the truth saw it."""
+    """Result of one episode, from odometry, the link's clock and, in simulation, ground truth."""
 
     success: bool
     collision: bool
-    """Whether a simulated robot touched an obstacle; never on hardware."""
+    """Whether a simulated robot touched an obstacle; always False on hardware."""
     started: float
-    """The link's clock at the reset [s]."""
+    """Time of the reset on the link's clock [s]."""
     ended: float
-    """The link's clock at the end [s]."""
+    """Time of the end on the link's clock [s]."""
     path: float
     """Length of the path driven, by odometry [m]."""
     pose: Pose
     """Odometry at the end (x [m], y [m], theta [rad])."""
     odometry_error: float
-    """Distance between odometry and truth at the end [m]; NaN where there is no truth."""
+    """Distance between odometry and ground truth at the end [m]; NaN without ground truth."""
     ticks: int
     late_ticks: int
     """Ticks that ended over a millisecond late; 0 in simulation."""
     shortest: float = math.nan
-    """Length of the shortest way from start to goal for the footprint [m]."""
+    """Length of the shortest path from start to goal for the robot's footprint [m]."""
     left: float = math.nan
-    """Length of the shortest way from the end of the episode to the goal [m]."""
+    """Length of the shortest path from the final position to the goal [m]."""
     driven: float = math.nan
-    """Length of the path driven, in truth where there is one [m]."""
+    """Length of the path driven [m], by ground truth if there is one, else by odometry."""
     turning: float = math.nan
-    """Heading changes of the path, by odometry [rad]."""
+    """Sum of absolute heading changes, by odometry [rad]."""
     scores: tuple[float, ...] = ()
-    """BARN's, as `tasks.barn.SCORES` names them; empty for other tasks."""
+    """BARN scores in the order of `tasks.barn.SCORES`; empty for other tasks."""
     cross_track: float = math.nan
-    """Mean distance beside the path to follow [m]; NaN for other tasks."""
+    """Mean cross-track error of path following [m]; NaN for other tasks."""
     timing: EpisodeTiming | None = None
-    """How good the timing was; None in simulation, where it is perfect."""
+    """Timing statistics of the link; None in simulation, which has no timing errors."""
     fault: str = ""
-    """What ended the episode, where link or board failed."""
+    """Fault of the link or board that ended the episode; empty if there was none."""
     valid: bool = True
-    """Whether nothing failed, and no more ticks were late than allowed."""
+    """Whether there was no fault, and no more late ticks than allowed."""
     seed: int | None = None
-    """Of the reset."""
+    """Seed of the reset."""
     world: int | None = None
-    """Its number; -1 for a world or path that was given, None on an open floor."""
+    """Number of the world; -1 for a world or path given by the user, None on an open floor."""
     episode_return: float = math.nan
     """Sum of the rewards."""
     length: int = 0
-    """Steps of the policy."""
+    """Number of policy steps."""
 
 
 def episodes(
@@ -86,11 +86,27 @@ def episodes(
     late_share: float = LATE_SHARE,
     **options: Any,
 ) -> Iterator[EpisodeResult]:
-    """Run `count` episodes, seeds `seed`, `seed + 1`, ...; `options` go to every reset.
+    """Run episodes with the seeds `seed`, `seed + 1`, ..., and yield the result of each.
 
-    `in_order` takes the env's worlds one after the other, instead of drawing them. Episodes that a
-    fault ends, or of which more than `late_share` of the ticks are late, are marked as not valid;
-    after a fault the next reset connects again, or raises LinkError.
+    An episode is marked as not valid if a fault ends it, or if too many of its ticks are late.
+    After a fault, the next reset connects to the robot again.
+
+    Args:
+        env: an env of this package, wrapped or not.
+        policy: maps observations to actions.
+        count: number of episodes.
+        seed: seed of the first reset.
+        in_order: use the env's worlds one after the other, instead of random ones.
+        late_share: largest share of late ticks in a valid episode, 0 to 1.
+        **options: options of every reset.
+
+    Yields:
+        The result of each episode.
+
+    Raises:
+        ConfigError: there are fewer worlds than episodes with `in_order`, or `late_share` or
+            `env` can't be used.
+        LinkError: the robot can't be reached, or its emergency stop was used.
     """
     if not 0.0 <= late_share <= 1.0:
         raise ConfigError(f"late_share = {late_share!r}: must be a share, 0 to 1")
@@ -101,7 +117,7 @@ def episodes(
 
 
 def _in_order(env: gymnasium.Env[Any, Any], count: int) -> range:
-    """The numbers of the env's worlds; ConfigError where there are fewer than episodes."""
+    """Return the numbers of the env's worlds; ConfigError if there are fewer than `count`."""
     pool = getattr(getattr(env.unwrapped, "task", None), "pool", None)
     numbers: range = range(0) if pool is None else pool.numbers
     if len(numbers) < count:
@@ -118,6 +134,7 @@ def _episode(
     options: dict[str, Any],
     late_share: float,
 ) -> EpisodeResult:
+    """Run one episode and stop the robot."""
     unwrapped = env.unwrapped
     if not isinstance(unwrapped, RobotEnv):
         raise ConfigError(f"{env}: only environments of acsar_gym can be evaluated")
@@ -130,8 +147,8 @@ def _episode(
         if unwrapped.robot.safety.reason is Reason.EMERGENCY_STOP:
             raise LinkError("emergency stop", "look after the robot, then start again")
         done = terminated or truncated
-    with contextlib.suppress(LinkError):  # the next reset's affair
-        unwrapped.robot.stop()  # a time limit is no concern of the env below it
+    with contextlib.suppress(LinkError):  # the next reset reports it
+        unwrapped.robot.stop()  # the TimeLimit wrapper doesn't stop the robot
     return _result(unwrapped, seed, steps, rewards, started, late_share)
 
 
@@ -143,7 +160,7 @@ def _result(
     started: float,
     late_share: float,
 ) -> EpisodeResult:
-    """What the infos of an episode come to."""
+    """Compute the result of an episode from its infos, one per step and the reset's first."""
     info, timing = steps[-1], env.robot.timing
     fault = info.get("fault_reason", "")
     late = timing.lateness.late_share if timing else 0.0
@@ -172,22 +189,24 @@ def _result(
 
 
 def _length(steps: Sequence[dict[str, float]], frame: str) -> float:
+    """Return the length of the path driven in `frame` ("odom" or "true") [m]."""
     return path_length(np.array([(step[f"{frame}_x"], step[f"{frame}_y"]) for step in steps]))
 
 
 def _turning(headings: Sequence[float]) -> float:
+    """Return the sum of absolute heading changes [rad]."""
     turns = np.diff(np.unwrap(np.array(headings)))
     return float(np.abs(turns).sum())
 
 
 def _ways(env: RobotEnv, steps: Sequence[dict[str, float]]) -> dict[str, float]:
-    """Shortest way, way that is left, and way driven, all in truth where there is one [m]."""
+    """Return lengths of the shortest, remaining and driven path [m], by ground truth if known."""
     frame = "odom" if math.isnan(steps[-1]["true_x"]) else "true"
     assignment = env.episode.assignment
     if assignment.path is not None:
         return {"driven": _length(steps, frame)}
     if frame == "odom" and assignment.world is not None:
-        return {"driven": _length(steps, frame)}  # nobody knows what stands around a real robot
+        return {"driven": _length(steps, frame)}  # a real robot's surroundings aren't known
     radius, world = footprint_radius(env.robot.config), assignment.world or World()
     places = [(step[f"{frame}_x"], step[f"{frame}_y"]) for step in (steps[0], steps[-1])]
     *ends, goal = (
@@ -198,10 +217,20 @@ def _ways(env: RobotEnv, steps: Sequence[dict[str, float]]) -> dict[str, float]:
 
 
 def odometry_errors(results: Sequence[EpisodeResult], log: Path) -> list[float]:
-    """Distance between odometry and truth at each episode's end [m], from an emulator's log.
+    """Compute the odometry error at the end of each episode from an emulator's log.
 
-    The emulator's robot isn't put back between episodes, so truth is taken relative to where it
-    stood at the reset. Both clocks are the monotonic clock of the machine.
+    The emulated robot isn't moved back between episodes, so true poses are taken relative to the
+    true pose at the reset. Link and emulator both use the machine's monotonic clock.
+
+    Args:
+        results: results of the episodes.
+        log: log file of the emulator.
+
+    Returns:
+        Distance between odometry and ground truth at the end of each episode [m].
+
+    Raises:
+        ConfigError: the log holds no true poses.
     """
     stamps, poses = _true_poses(log)
     errors = []
@@ -214,6 +243,7 @@ def odometry_errors(results: Sequence[EpisodeResult], log: Path) -> list[float]:
 
 
 def _true_poses(log: Path) -> tuple[list[float], list[Pose]]:
+    """Read the times [s] and true poses from an emulator's log."""
     events = [json.loads(line) for line in log.read_text(encoding="ascii").splitlines()]
     truths = [event for event in events if "pose" in event]
     if not truths:
@@ -222,11 +252,12 @@ def _true_poses(log: Path) -> tuple[list[float], list[Pose]]:
 
 
 def _latest(stamps: list[float], time: float) -> int:
+    """Return the index of the newest entry at or before `time`."""
     return max(0, int(np.searchsorted(stamps, time, side="right")) - 1)
 
 
 def _relative(start: Pose, end: Pose) -> tuple[float, float]:
-    """Where `end` lies as seen from `start`."""
+    """Return the position of `end` in the frame of `start` [m]."""
     dx, dy = end[0] - start[0], end[1] - start[1]
     c, s = math.cos(start[2]), math.sin(start[2])
     return c * dx + s * dy, c * dy - s * dx

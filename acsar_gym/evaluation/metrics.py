@@ -1,7 +1,7 @@
-"""What episodes add up to: rates, path lengths and scores, with their 95 % intervals.
+"""Metrics over episodes: rates, path lengths and scores, with 95 % confidence intervals.
 
-SPL is success weighted by path length (Anderson et al. 2018), SoftSPL weighs progress instead of
-success (Datta et al. 2020); both against shortest ways for the footprint.
+SPL is success weighted by path length (Anderson et al. 2018); SoftSPL replaces success by progress
+(Datta et al. 2020). Both are relative to the shortest path for the robot's footprint.
 """
 
 from __future__ import annotations
@@ -19,70 +19,72 @@ from acsar_gym.tasks.barn import SCORES
 
 CONFIDENCE = 0.95
 RESAMPLES = 2000
-"""Of a bootstrap; its generator is seeded, so the same results have the same intervals."""
+"""Number of bootstrap samples. Their seed is fixed, so equal results give equal intervals."""
 
 Interval = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """Means over episodes; NaN where there is nothing to average."""
+    """Means over episodes; NaN if there is nothing to average."""
 
     episodes: int
     success_rate: float
     collision_rate: float
     timeout_rate: float
-    """Neither success nor collision: out of time, or out of bounds. The three add up to 1."""
+    """Neither success nor collision: time-out or out of bounds. The three rates add up to 1."""
     episode_return: float
-    """Sum of an episode's rewards; the `reward_threshold` of an id is one."""
+    """Sum of rewards; comparable to the `reward_threshold` of a registered env."""
     length: float
-    """Steps of an episode."""
+    """Policy steps per episode."""
     time_to_goal: float
-    """Over successes [s]."""
+    """Over successful episodes [s]."""
     path: float
-    """Over successes, by odometry [m]."""
+    """Length of the path driven, over successful episodes, by odometry [m]."""
     spl: float
-    """0 to 1; NaN where shortest ways aren't known, as on a path to follow."""
+    """0 to 1; NaN if shortest paths aren't known, as in path following."""
     soft_spl: float
     smoothness: float
-    """Heading changes of a metre driven [rad/m]; less is smoother."""
+    """Heading change per metre driven [rad/m]; smaller is smoother."""
     odometry_error: float
-    """At the end of an episode [m]."""
+    """Distance between odometry and ground truth at the end of an episode [m]."""
     odometry_drift: float
-    """The same as a share of the way driven."""
+    """Odometry error divided by the length of the path driven."""
     cross_track: float
-    """Mean distance beside the path to follow [m]."""
+    """Mean cross-track error of path following [m]."""
     ticks: int
     late_ticks: int
     missed_ticks: int
-    """Whole periods without a tick."""
+    """Control periods that passed without a tick."""
     lateness_p99: float
-    """Of all episodes' 99th percentiles of lateness the largest [s]; NaN in simulation."""
+    """Largest 99th percentile of lateness of any episode [s]; NaN in simulation."""
     worst_lateness: float
-    """[s]"""
+    """Largest lateness of any tick [s]."""
     worst_feedback_age: float
-    """[s]"""
+    """Largest age of the feedback at a tick [s]."""
     round_trip: float
-    """From a command to its first effect in feedback, the mean of medians [s]."""
+    """Time from a command to its effect in the feedback, mean of the episodes' medians [s]."""
     invalid: int
-    """Episodes that a fault ended, or of which too many ticks were late."""
+    """Episodes that ended with a fault or had too many late ticks."""
     scores: dict[str, float] = field(default_factory=dict)
-    """BARN's, by name; empty for other tasks."""
+    """BARN scores by name; empty for other tasks."""
     intervals: dict[str, Interval] = field(default_factory=dict)
-    """Low and high end for rates (Wilson 1927) and means (percentile bootstrap), by name."""
+    """Confidence intervals (low, high) by name: Wilson (1927) for rates, percentile bootstrap for
+    means."""
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON: NaN and infinity become None."""
+        """Return the fields for JSON; NaN and infinity become None."""
         cleaned: dict[str, Any] = _finite(asdict(self))
         return cleaned
 
 
 def per_episode(results: Sequence[EpisodeResult]) -> list[dict[str, Any]]:
-    """Every episode for JSON, its timing included."""
+    """Return the results for JSON, one dict per episode, timing included."""
     return [_finite(asdict(result)) for result in results]
 
 
 def _finite(value: Any) -> Any:
+    """Replace NaN and infinity by None, recursively."""
     if isinstance(value, dict):
         return {key: _finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -91,7 +93,7 @@ def _finite(value: Any) -> Any:
 
 
 def summarise(results: Sequence[EpisodeResult]) -> Summary:
-    """Rates and means of a list of episodes, with intervals."""
+    """Compute rates, means and confidence intervals over episodes."""
     samples = _samples(results)
     rates = {
         "success_rate": [result.success for result in results],
@@ -116,7 +118,7 @@ def summarise(results: Sequence[EpisodeResult]) -> Summary:
 
 
 def _samples(results: Sequence[EpisodeResult]) -> dict[str, list[float]]:
-    """One number an episode for every mean; NaN where an episode has none."""
+    """Return the values that are averaged, by name; NaN if an episode has none."""
     wins = [result for result in results if result.success]
     drifts = [result.odometry_error / max(_driven(result), 1e-9) for result in results]
     samples = {
@@ -138,6 +140,7 @@ def _samples(results: Sequence[EpisodeResult]) -> dict[str, list[float]]:
 
 
 def _timing(timings: Sequence[EpisodeTiming]) -> dict[str, Any]:
+    """Compute the timing metrics of all episodes."""
     latest = [timing.lateness for timing in timings]
     return {
         "missed_ticks": sum(lateness.missed_ticks for lateness in latest),
@@ -149,31 +152,37 @@ def _timing(timings: Sequence[EpisodeTiming]) -> dict[str, Any]:
 
 
 def _largest(values: Sequence[float]) -> float:
+    """Return the largest finite value, or NaN."""
     return max((value for value in values if math.isfinite(value)), default=math.nan)
 
 
 def _driven(result: EpisodeResult) -> float:
+    """Return the length of the path driven [m], by ground truth if known."""
     return result.path if math.isnan(result.driven) else result.driven
 
 
 def spl(result: EpisodeResult) -> float:
-    """Success weighted by path length of one episode."""
+    """Return SPL of one episode, 0 to 1: success * shortest / max(driven, shortest)."""
     longest = max(_driven(result), result.shortest)
     return float(result.success) * _share(result.shortest, longest)
 
 
 def soft_spl(result: EpisodeResult) -> float:
-    """Progress towards the goal weighted by path length of one episode."""
+    """Return SoftSPL of one episode, 0 to 1.
+
+    SPL with the progress max(0, 1 - left / shortest) in place of success.
+    """
     progress = max(0.0, 1.0 - _share(result.left, result.shortest))
     return progress * _share(result.shortest, max(_driven(result), result.shortest))
 
 
 def _share(part: float, whole: float) -> float:
+    """Divide; 1 if `whole` isn't positive."""
     return part / whole if whole > 0.0 else 1.0
 
 
 def wilson(hits: int, count: int) -> Interval:
-    """Wilson's interval of a rate; (0, 1) where nothing was counted."""
+    """Return Wilson's 95 % interval of the rate hits / count; (0, 1) if `count` is 0."""
     from scipy.stats import binomtest  # noqa: PLC0415 - slow to import
 
     if count == 0:
@@ -183,7 +192,14 @@ def wilson(hits: int, count: int) -> Interval:
 
 
 def bootstrap(values: Sequence[float]) -> Interval:
-    """Percentile bootstrap of a mean; NaN for fewer than two numbers."""
+    """Return the 95 % percentile bootstrap interval of a mean.
+
+    Args:
+        values: samples; those that aren't finite are left out.
+
+    Returns:
+        Low and high end; NaN if there are fewer than two samples.
+    """
     from scipy.stats import bootstrap as resample  # noqa: PLC0415 - slow to import
 
     known = [value for value in values if math.isfinite(value)]
@@ -201,5 +217,6 @@ def bootstrap(values: Sequence[float]) -> Interval:
 
 
 def _mean(values: Sequence[float]) -> float:
+    """Return the mean of the finite values, or NaN."""
     known = [value for value in values if math.isfinite(value)]
     return sum(known) / len(known) if known else math.nan

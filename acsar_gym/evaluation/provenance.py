@@ -1,6 +1,8 @@
-"""What figures were measured with: the `header` in the JSON of `evaluate`, `run` and `demo`.
+"""Records what is needed to repeat an evaluation.
 
-| key | holds |
+This is the `header` in the JSON of `evaluate`, `run` and `demo`:
+
+| key | content |
 |---|---|
 | `versions` | of acsar_gym, gymnasium, numpy, python, and, where they are installed, of |
 | | onnxruntime, torch and pybullet |
@@ -8,7 +10,7 @@
 | | a Python file (else null), and the `env` that it was made for |
 | `env` | `id`, `kwargs` as in its spec, `max_episode_steps` |
 | `robot` | `sha256` of its whole config |
-| `link` | what stood behind the wire |
+| `link` | name of the link |
 | `worlds` | `kind` ("none" on an open floor), `split` ("train", "test" or null), numbers of the |
 | | `first` and `last` one, `difficulty`, footprint `radius` [m], `sha256` of what defines them: |
 | | their contents, or, where they are generated, all of these and the generators' source, the |
@@ -16,8 +18,8 @@
 | `seeds` | of the `first` and `last` episode |
 | `options` | of the resets, and `in_order`, `late_share` |
 
-Beside it are the means of `metrics.Summary` with their `intervals`, and `per_episode` what
-`evaluation.EpisodeResult` holds: seed, world, episode_return, length, and so on.
+The JSON also has the means of `metrics.Summary` with their `intervals`, and in `per_episode` the
+fields of every `EpisodeResult`: seed, world, episode_return, length, and so on.
 """
 
 from __future__ import annotations
@@ -49,7 +51,18 @@ def header(
     seeds: range,
     options: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """All that someone needs to measure the same figures again; see the module for the keys."""
+    """Collect everything that is needed to repeat an evaluation.
+
+    Args:
+        env: the env that was used.
+        policy: the policy that was evaluated.
+        link: name of the link.
+        seeds: seeds of the episodes, at least one.
+        options: options of the resets and of the evaluation.
+
+    Returns:
+        The header, ready for JSON; the table above lists its keys.
+    """
     inner: Any = env.unwrapped
     return {
         "versions": _versions(),
@@ -69,6 +82,7 @@ def header(
 
 
 def _versions() -> dict[str, str]:
+    """Return the versions of this package, Python and the installed libraries."""
     versions = {
         "acsar_gym": acsar_gym.__version__,
         "gymnasium": gymnasium.__version__,
@@ -82,11 +96,12 @@ def _versions() -> dict[str, str]:
 
 
 def worlds_of(env: RobotEnv) -> Pool | None:
-    """The worlds of an environment; None on an open floor."""
+    """Return the worlds of an env; None on an open floor."""
     return env.pool
 
 
 def _env(env: gymnasium.Env[Any, Any]) -> dict[str, Any]:
+    """Describe the env by its spec."""
     spec = env.spec
     if spec is None:
         return {"id": None, "kwargs": {}, "max_episode_steps": None}
@@ -95,7 +110,7 @@ def _env(env: gymnasium.Env[Any, Any]) -> dict[str, Any]:
 
 
 def _shown(value: Any) -> Any:
-    """The value itself where JSON knows it, otherwise a description."""
+    """Return the value if JSON can hold it, otherwise its repr()."""
     try:
         json.dumps(value, allow_nan=False)
     except (TypeError, ValueError):
@@ -104,6 +119,7 @@ def _shown(value: Any) -> Any:
 
 
 def _worlds(pool: Pool | None) -> dict[str, Any]:
+    """Describe the worlds; their hash changes whenever any of them does."""
     if pool is None:
         keys = ("split", "first", "last", "difficulty", "radius", "sha256")
         return {"kind": "none", **dict.fromkeys(keys)}
@@ -122,6 +138,7 @@ def _worlds(pool: Pool | None) -> dict[str, Any]:
 
 
 def _contents(world: World) -> list[Any]:
+    """Return what defines a world, as lists."""
     path = None if world.path is None else world.path.tolist()
     return [
         world.circles.tolist(),

@@ -1,4 +1,4 @@
-"""Tables for people and JSON for programs."""
+"""Output of results: tables in the terminal, and JSON files."""
 
 from __future__ import annotations
 
@@ -24,33 +24,34 @@ from acsar_gym.reading import bounded
 
 Item = TypeVar("Item")
 PATIENCE = 2.0
-"""What takes longer shows its progress [s]."""
+"""Duration after which a progress bar appears [s]."""
 ALARM = 0.15
-"""Mean odometry error at which a table says so: the default tolerance of a goal [m]."""
+"""Mean odometry error above which a table warns [m]; the default tolerance of a goal."""
 
 
 class SafeConsole(Console):
-    """A console on which names that others chose can't move the cursor or change a title."""
+    """A console that escapes control characters, so that names from files can't send any."""
 
     def render(
         self, renderable: RenderableType, options: ConsoleOptions | None = None
     ) -> Iterable[Segment]:
-        """The text of what is shown as it is, and control characters in it as in source code."""
+        """Render with control characters escaped, as they are in source code."""
         for text, style, control in super().render(renderable, options):
             yield Segment(text if control else _lines(text), style, control)
 
 
 def plain(text: str) -> str:
-    """Text that others wrote, for a cell or a title: no markup, no control characters."""
+    """Escape markup and control characters, for text from files in a cell or a title."""
     return escape(printable(text))
 
 
 def _lines(text: str) -> str:
+    """Escape control characters, but keep line breaks."""
     return text if text.isprintable() else "\n".join(map(printable, text.split("\n")))
 
 
 def show(*tables: Table) -> None:
-    """Print tables; piped output gets enough columns to hold them."""
+    """Print tables; piped output is wide enough for all columns."""
     console = SafeConsole()
     if not console.is_terminal:
         console = SafeConsole(width=140)
@@ -59,7 +60,13 @@ def show(*tables: Table) -> None:
 
 
 def watched(what: str, items: Iterable[Item], total: int) -> Iterator[Item]:
-    """The items, behind a bar on the standard error where all together take over two seconds."""
+    """Yield items, with a progress bar on stderr once it takes longer than PATIENCE.
+
+    Args:
+        what: label of the bar.
+        items: the items.
+        total: number of items.
+    """
     begin = time.monotonic()
     with contextlib.ExitStack() as stack:
         bar: Progress | None = None
@@ -75,7 +82,14 @@ def watched(what: str, items: Iterable[Item], total: int) -> Iterator[Item]:
 
 
 def check_writable(path: Path | None) -> None:
-    """ConfigError if `path` can't be written: better now than after a long run."""
+    """Check before a long run that its result can be written.
+
+    Args:
+        path: file to write; None is accepted.
+
+    Raises:
+        ConfigError: it is a folder, or its folder is missing or not writable.
+    """
     if path is None:
         return
     if path.is_dir() or not (path.parent.is_dir() and os.access(path.parent, os.W_OK)):
@@ -83,7 +97,11 @@ def check_writable(path: Path | None) -> None:
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder where there is none. Raises ConfigError where that can't be done."""
+    """Create a folder and its parents, unless it exists.
+
+    Raises:
+        ConfigError: it can't be created.
+    """
     try:
         path.mkdir(parents=True, exist_ok=True)
     except (OSError, ValueError) as error:
@@ -91,14 +109,23 @@ def make_folder(path: Path) -> None:
 
 
 def write_json(path: Path | None, data: Mapping[str, Any]) -> None:
-    """Write `data` to `path` if there is one. Raises ConfigError where that can't be done."""
+    """Write a JSON file; do nothing if `path` is None.
+
+    Raises:
+        ConfigError: the file can't be written.
+    """
     if path is None:
         return
     bounded.write(path, (json.dumps(data, indent=2, allow_nan=False) + "\n").encode())
 
 
 def summary_table(title: str, rows: Sequence[tuple[str, Summary]]) -> Table:
-    """One row for each way in which the same policy was run; only columns that say something."""
+    """Format summaries as a table; columns without any value are left out.
+
+    Args:
+        title: title of the table.
+        rows: name of the link, and summary of the run on it.
+    """
     table = Table(title=plain(title), title_justify="left")
     columns = {name: [cell(summary) for _, summary in rows] for name, cell in COLUMNS.items()}
     told = {name: cells for name, cells in columns.items() if any(cells)}
@@ -125,7 +152,7 @@ def summary_table(title: str, rows: Sequence[tuple[str, Summary]]) -> Table:
 
 
 def interval_table(title: str, summary: Summary) -> Table:
-    """Every figure of one run with its 95 % interval."""
+    """Format the figures of one run with their 95 % intervals as a table."""
     table = Table(title=plain(f"95 % intervals: {title}"), title_justify="left")
     for column in ("figure", "value", "low", "high"):
         table.add_column(column, justify="left" if column == "figure" else "right")
@@ -155,7 +182,7 @@ def _score(summary: Summary) -> str:
 
 
 def _late(summary: Summary) -> str:
-    """How many, and by how much the latest."""
+    """Format the number of late ticks and the largest lateness."""
     worst = _number(summary.worst_lateness * 1000.0, "ms")
     return f"{summary.late_ticks} of {summary.ticks}" + (f", {worst}" if worst else "")
 
@@ -174,4 +201,4 @@ COLUMNS: dict[str, Callable[[Summary], str]] = {
     "round trip": lambda summary: _number(summary.round_trip * 1000.0, "ms"),
     "invalid": lambda summary: f"{summary.invalid}" if summary.invalid else "",
 }
-"""What a table says of a run; an empty text is nothing to say."""
+"""Functions that format the cells of each column; empty text means no value."""

@@ -1,4 +1,4 @@
-"""What `evaluate`, `run` and `export` do: a policy file driving behind any link."""
+"""The commands `evaluate`, `run` and `export`: run policy files on any link."""
 
 from __future__ import annotations
 
@@ -34,39 +34,44 @@ from acsar_gym.worlds import splits
 
 Env = gymnasium.Env[Any, Any]
 MOST_EPISODES = 10**6
-"""Of one evaluation: all of their results are kept."""
+"""Most episodes of one evaluation; all results are kept in memory."""
 SEEDS = 2**63
-"""The seed of a first episode is less."""
+"""The first seed must be below this."""
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """Episodes of a policy, and what they were measured with."""
+    """Results of an evaluation, and what it was run with."""
 
     header: dict[str, Any]
-    """See `provenance`."""
+    """What is needed to repeat it; see `provenance`."""
     worlds: str
-    """For a title, such as "clutter 0 to 199 (test split)" or "none"."""
+    """Description of the worlds, such as "clutter 0 to 199 (test split)" or "none"."""
     results: list[EpisodeResult]
 
     @property
     def summary(self) -> Summary:
-        """Rates and means of the episodes."""
+        """Rates and means over the episodes."""
         return metrics.summarise(self.results)
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON: header, means, and every episode."""
+        """Return header, means and every episode, for JSON."""
         episodes = metrics.per_episode(self.results)
         return {"header": self.header, **self.summary.as_dict(), "per_episode": episodes}
 
 
 def load(policy: str, *, trust: bool, env: str = "") -> FilePolicy:
-    """A policy to drive with: a file, a name, or a function as in "mine.py:act".
+    """Load a policy file, packaged policy, or function such as "mine.py:act".
 
-    With `trust` it may be a stable-baselines3 zip. `env` is the environment that it's for, instead
-    of the one that it names. Raises PolicyError where there is none, and for a zip without `trust`
-    or with statistics of VecNormalize beside it, which only `export` can use, and ConfigError for
-    an `env` that nothing registers.
+    Args:
+        policy: its path or name.
+        trust: whether it may be a stable-baselines3 zip, which can run code when it is loaded.
+        env: id or short name of the env that it is for; by default the one that the file names.
+
+    Raises:
+        PolicyError: there is no such policy, or it is a zip without `trust`, or a zip beside a
+            saved VecNormalize, which must be converted with `export` first.
+        ConfigError: there is no such `env`.
     """
     env_id = registered(env) if env else ""
     if is_callable(policy):
@@ -82,12 +87,19 @@ def load(policy: str, *, trust: bool, env: str = "") -> FilePolicy:
 
 
 def made(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[str, Any]) -> Env:
-    """The environment that a policy was trained for; PolicyError where it is another one now.
+    """Make the env that a policy was trained for, and check that it gives the same observation.
 
-    A file can only choose among those of acsar_gym; others are imported where the user names them.
-    Options whose value is None are left to the environment. Worlds of a kind alone are its test
-    split, and so are those of an environment that trains in a training split: that has to be asked
-    for by name, as in "clutter:train".
+    Args:
+        policy: the policy. Only the user, not the file, may name an env of another package.
+        link: name of the link, or an open link.
+        robot: preset, file or config of the robot.
+        options: other arguments of the env; None means the env's default. Worlds such as
+            "clutter", and those of an env that trains in a training split, become their test
+            split; "clutter:train" means the training split.
+
+    Raises:
+        PolicyError: no env is named, it can't be made, or its observation is another one.
+        ConfigError: the env doesn't have one of the arguments.
     """
     env_id = _allowed(policy)
     given = {name: value for name, value in options.items() if value is not None}
@@ -107,7 +119,7 @@ def made(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[str,
 
 
 def _allowed(policy: FilePolicy) -> str:
-    """The id that a policy is for; PolicyError where it names none that it may."""
+    """Return the id of the env that a policy is for; PolicyError if it may not name it."""
     env_id = quoted(policy.env_id)
     if not env_id:
         raise PolicyError(
@@ -126,6 +138,7 @@ def _allowed(policy: FilePolicy) -> str:
 
 
 def _made(policy: FilePolicy, env_id: str, options: Mapping[str, Any]) -> Env:
+    """Make an env; errors name the policy."""
     try:
         return gymnasium.make(env_id, **options)
     except (gymnasium.error.Error, ImportError) as error:
@@ -136,7 +149,7 @@ def _made(policy: FilePolicy, env_id: str, options: Mapping[str, Any]) -> Env:
 
 
 def seeds(first: int, count: int) -> range:
-    """Seeds of so many episodes; ConfigError where there are too many, or none."""
+    """Return the seeds of `count` episodes from `first` on; ConfigError if out of range."""
     if not 1 <= count <= MOST_EPISODES:
         raise ConfigError(f"--episodes {shown(count)}: must be 1 to {MOST_EPISODES:,}")
     if not 0 <= first < SEEDS:
@@ -153,10 +166,18 @@ def drive(
     how: Mapping[str, Any] | None = None,
     **options: Any,
 ) -> Run:
-    """Episodes of a policy in worlds of the test split, behind a link and a progress bar.
+    """Evaluate a policy in worlds of the test split, with a progress bar; closes the link.
 
-    The link is closed whatever happens. `how` goes to `evaluation.episodes`, other options to the
-    environment.
+    Args:
+        policy: the policy.
+        link: name of the link.
+        robot: preset or file of the robot; None for the default.
+        seeds: seeds of the episodes.
+        how: keyword arguments of `episodes.episodes`.
+        **options: other arguments of the env.
+
+    Raises:
+        AcsarError: see `made` and `episodes.episodes`.
     """
     env, how, count = made(policy, link, robot, options), how or {}, len(seeds)
     try:
@@ -174,6 +195,7 @@ def _run(
     options: Mapping[str, Any],
     results: list[EpisodeResult],
 ) -> Run:
+    """Combine results and header."""
     inner: Any = env.unwrapped
     worlds = provenance.worlds_of(inner)
     header = provenance.header(env, policy, link, seeds, options)
@@ -188,7 +210,10 @@ def to_goal(
     record: Path | None,
     **options: Any,
 ) -> Run:
-    """One episode to a given goal, recorded to a file on request."""
+    """Run one episode to `goal` (x, y) [m] in the odometry frame; arguments as for `drive`.
+
+    The link is recorded to the file `record`, if given. A fault raises LinkError.
+    """
     config = RobotConfig.of(robot)
     wire: Link = open_link(link, config)
     if record is not None:
@@ -210,10 +235,18 @@ def export(
     trust: bool,
     vecnormalize: str | None = None,
 ) -> None:
-    """Convert a stable-baselines3 zip to an ONNX policy for an env and a robot.
+    """Convert a stable-baselines3 zip to an ONNX policy.
 
-    An empty `env_id` is the zip's own. `vecnormalize` is the file of a VecNormalize that it was
-    trained with, or "none"; PolicyError where one lies beside the zip and isn't named.
+    Args:
+        model: the zip.
+        out: ONNX file to write.
+        env_id: id or short name of the env; empty for the one stored in the zip.
+        robot: preset or file of the robot; None for the default.
+        trust: whether the zip may be loaded, which can run code in it.
+        vecnormalize: file of the VecNormalize that it was trained with, or "none".
+
+    Raises:
+        PolicyError: the zip can't be used, or a VecNormalize lies beside it but none is given.
     """
     policy = ZipPolicy(model, trust=trust, env_id=registered(env_id) if env_id else "")
     statistics = _statistics(model, vecnormalize)
@@ -230,7 +263,7 @@ def export(
 
 
 def _statistics(model: Path, named: str | None) -> Path | None:
-    """The file of a VecNormalize to use; PolicyError where one isn't named, but seems to belong."""
+    """Return the VecNormalize file to use; PolicyError if one lies beside the zip, unnamed."""
     if named is not None:
         return None if named == "none" else Path(named)
     found = statistics_beside(model)
@@ -244,7 +277,7 @@ def _statistics(model: Path, named: str | None) -> Path | None:
 
 
 def track(name: str, running: Iterator[EpisodeResult], count: int) -> list[EpisodeResult]:
-    """Collect episodes behind a progress bar that shows the success rate."""
+    """Collect results with a progress bar that shows the success rate."""
     results: list[EpisodeResult] = []
     columns = (
         TextColumn("{task.description}"),

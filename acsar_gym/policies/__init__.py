@@ -1,6 +1,6 @@
-"""Policies: ONNX files, zips of stable-baselines3, functions of Python files, and how to write one.
+"""Trained policies: ONNX files, stable-baselines3 zips, and functions in Python files.
 
-Importing this imports neither torch nor onnxruntime.
+Importing this package imports neither torch nor onnxruntime.
 """
 
 from acsar_gym.policies.base import FilePolicy, Policy, resolve

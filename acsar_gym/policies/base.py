@@ -1,4 +1,4 @@
-"""What a policy is: anything that maps an observation to an action, in a file or not."""
+"""The interface of a policy, and the base class of policies that are loaded from files."""
 
 from __future__ import annotations
 
@@ -22,42 +22,56 @@ ENV_KEY = "acsar_gym.env"
 LAYOUT_KEY = "acsar_gym.observation"
 SCALE_KEY = "acsar_gym.scale"
 RATE_KEY = "acsar_gym.policy_rate"
-"""Keys of a file's metadata: the env's id, the names of the observation's numbers, what its
-distances are divided by [m], and steps per second. Not every file has the last two."""
+"""Metadata keys of a policy file: id of the env, observation signature (see `tasks.signature`),
+length that distances are divided by [m], and policy steps per second [Hz]. The last two are
+optional."""
 
 
 class Policy(Protocol):
-    """Whatever maps an observation to an action."""
+    """A callable that maps one observation to one action."""
 
     def __call__(self, observation: Observation) -> NDArray[np.float32]:
-        """The action for one observation; shapes as the env's spaces."""
+        """Choose the action for one observation.
+
+        Args:
+            observation: float32, shape and range of the env's observation space.
+
+        Returns:
+            The action, shape (2,), within the env's action space.
+        """
 
 
 class FilePolicy(ABC):
-    """A policy that was read from a file."""
+    """Base class of the policies that are loaded from a file."""
 
     path: Path
     env_id: str
-    """The environment that it was trained for; empty where the file doesn't say."""
+    """Id of the env that it was trained for; empty if the file doesn't name one."""
     env_named: bool = False
-    """Whether the user has named the environment; otherwise the file does."""
+    """Whether `env_id` was given by the user (True) or by the file (False)."""
     layout: str
-    """What its observation consists of (see `tasks.signature`); empty where it doesn't say."""
+    """Signature of its observation (see `tasks.signature`); empty if the file has none."""
     scale: float | None = None
-    """What distances of its observation are divided by [m]; None where it doesn't say."""
+    """Length that distances in its observation are divided by [m]; None if unknown."""
     policy_rate: float | None = None
-    """Decisions per second that it was trained for [Hz]; None where it doesn't say."""
+    """Policy steps per second that it was trained with [Hz]; None if unknown."""
     sha256: str | None = None
-    """Of the bytes that were read from the file, as `sha256sum` prints it."""
+    """SHA-256 of the file's content, in hexadecimal as `sha256sum` prints it."""
     function: str | None = None
-    """Which one of a Python file it is."""
+    """Name of the function, if the file is a Python file."""
 
     def check(
         self, task: Task, sensors: Sequence[Sensor], policy_rate: float | None = None
     ) -> None:
-        """PolicyError where the policy was made for another observation than this env gives.
+        """Check that the policy was trained for the observation that this env gives.
 
-        And for another rate, where the env's `policy_rate` [Hz] is given.
+        Args:
+            task: task of the env.
+            sensors: sensors of the env, in the order of the observation.
+            policy_rate: policy steps per second of the env [Hz]; None to skip this check.
+
+        Raises:
+            PolicyError: the signature, the scale of distances or the rate differs.
         """
         wanted = signature(task, sensors)
         if self.layout and self.layout != wanted:
@@ -82,7 +96,17 @@ class FilePolicy(ABC):
 
 
 def resolve(path: str | Path) -> Path:
-    """The path itself, or the policy of that name that comes with the package."""
+    """Find a policy file.
+
+    Args:
+        path: a file, or the name of a policy that comes with the package, such as "point_goal".
+
+    Returns:
+        Path of an existing file.
+
+    Raises:
+        PolicyError: there is neither a file nor a packaged policy of that name.
+    """
     path = Path(path)
     if path.exists():
         return path
@@ -94,16 +118,16 @@ def resolve(path: str | Path) -> Path:
 
 
 def scale_of(task: Task) -> float | None:
-    """What a task divides the distances by that it observes [m]; None where it doesn't say."""
+    """Return the length that a task divides observed distances by [m]; None if it has none."""
     scale: float | None = getattr(task, "scale", getattr(task, "max_cross_track", None))
     return scale
 
 
 def quoted(text: str) -> str:
-    """What a file says, in one short line without control characters, for a message."""
+    """Shorten text from a file to one line with escaped control characters, for messages."""
     return textwrap.shorten(text.encode("unicode_escape").decode("ascii"), 300, placeholder="...")
 
 
 def one_line(error: BaseException) -> str:
-    """The kind of an exception and what it says, in one short line."""
+    """Format an exception as one short line: its type and its message."""
     return textwrap.shorten(f"{type(error).__name__}: {quoted(str(error))}", 200)

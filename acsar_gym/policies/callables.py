@@ -1,4 +1,4 @@
-"""Policies written in Python: `mine.py:act`, a function of a file that the user names."""
+"""Policies written in Python: "mine.py:act" is the function `act` of the file mine.py."""
 
 from __future__ import annotations
 
@@ -22,16 +22,22 @@ MAX_BYTES = 10_000_000
 
 
 def is_callable(policy: str) -> bool:
-    """Whether a user names a Python file, with or without a function of it."""
+    """Return whether a policy argument names a Python file, such as "mine.py" or "mine.py:act"."""
     return policy.endswith(".py") or policy.rpartition(":")[0].endswith(".py")
 
 
 class CallablePolicy(FilePolicy):
-    """A function of a Python file, observation (n,) to action (2,); the file's code is run.
+    """A policy that is a function of a Python file, observation (n,) to action (2,).
 
-    Which environment it is for, `env_id` says, or the file's own ENV_ID. Raises PolicyError for a
-    missing file or function, for what its code raises, and for a decision that isn't two finite
-    numbers.
+    Loading it runs the code of the file.
+
+    Args:
+        policy: "FILE.py:FUNCTION".
+        env_id: id of the env that it is for; by default the file's own global ENV_ID.
+
+    Raises:
+        PolicyError: there is no such file or function, its code raises an exception, no env is
+            named, or (when called) the action isn't two finite numbers.
     """
 
     layout = ""
@@ -46,7 +52,7 @@ class CallablePolicy(FilePolicy):
         module = self._imported(source)
         self._act = self._found(module)
         self.env_id = env_id or str(getattr(module, "ENV_ID", ""))
-        self.env_named = True  # by whoever has this file's code run
+        self.env_named = True  # the user runs this file's code, so its ENV_ID is trusted
         if not self.env_id:
             raise PolicyError(
                 f"{self.path}: doesn't say which environment it is for: pass --env point_goal or "
@@ -54,6 +60,7 @@ class CallablePolicy(FilePolicy):
             )
 
     def _imported(self, source: bytes) -> ModuleType:
+        """Run the file's source as a module."""
         name = f"acsar_gym_policy_{self.path.stem}"
         spec = importlib.util.spec_from_file_location(name, self.path)
         if spec is None:
@@ -61,8 +68,8 @@ class CallablePolicy(FilePolicy):
         module = importlib.util.module_from_spec(spec)
         folder = str(self.path.resolve().parent)
         if folder not in sys.path:
-            sys.path.append(folder)  # for what it imports from beside itself
-        sys.modules[name] = module  # where dataclasses and pickle look for a class's own module
+            sys.path.append(folder)  # the file may import modules of its own folder
+        sys.modules[name] = module  # dataclasses and pickle look modules up there
         try:
             exec(compile(source, self.path, "exec"), module.__dict__)  # noqa: S102 - named by the user
         except AcsarError:
@@ -72,6 +79,7 @@ class CallablePolicy(FilePolicy):
         return module
 
     def _found(self, module: ModuleType) -> Any:
+        """Return the named function; the error names the functions that the file does have."""
         known = [n for n, value in vars(module).items() if callable(value) and n[:1] != "_"]
         act = getattr(module, self._name, None) if self._name else None
         if not callable(act):
@@ -81,14 +89,19 @@ class CallablePolicy(FilePolicy):
         return act
 
     def _failure(self, what: str, error: BaseException) -> PolicyError:
-        """What a user's code raised, and in which of the file's lines."""
+        """Build the error for an exception in the user's code, with the line of the file."""
         frames = traceback.extract_tb(error.__traceback__)
         lines = [f.lineno for f in frames if f.filename == str(self.path)]
         line = getattr(error, "lineno", None) or (lines[-1] if lines else 0)
         return PolicyError(f"{self.path}, line {line}: {what}: {one_line(error)}")
 
     def __call__(self, observation: Observation) -> NDArray[np.float32]:
-        """The function's action, shape (2,), for one observation."""
+        """Call the function; returns its action, shape (2,).
+
+        Raises:
+            PolicyError: the function raises an exception, or gives anything but two finite
+                numbers.
+        """
         try:
             given = self._act(observation)
         except AcsarError:

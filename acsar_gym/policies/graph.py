@@ -1,6 +1,6 @@
-"""What stands in an ONNX file, read without onnx or onnxruntime, and what is refused in it.
+"""Parses ONNX files without onnx or onnxruntime, and rejects what a policy doesn't need.
 
-The numbers are those of https://github.com/onnx/onnx/blob/main/onnx/onnx.proto.
+Field numbers are those of https://github.com/onnx/onnx/blob/main/onnx/onnx.proto.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from acsar_gym.policies.protobuf import Message, ProtobufError
 
 FLOAT32 = 1
 MAX_WIDTH = 100_000
-"""Numbers of an observation, at most."""
+"""Largest accepted size of an observation."""
 Dims = tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """One operation; `transposed` says which operands of a Gemm are."""
+    """One operation; `transposed` are the transA and transB attributes of a Gemm."""
 
     op: str
     inputs: tuple[str, ...]
@@ -29,7 +29,7 @@ class Node:
 
 @dataclass(frozen=True, slots=True)
 class Graph:
-    """A network: its nodes in order, its weights' shapes, and its one input's width."""
+    """A network: nodes in order of execution, shapes of its weights, and size of its input."""
 
     nodes: tuple[Node, ...]
     weights: dict[str, Dims]
@@ -38,11 +38,18 @@ class Graph:
 
 
 def read(data: bytes) -> Graph:
-    """The network of an ONNX file.
+    """Parse an ONNX file.
 
-    Raises PolicyError, whose message doesn't name the file, for what isn't one, doesn't map
-    `observation` (batch, n) to `action` (batch, 2) in float32, or has anything in it that a policy
-    doesn't need: data in other files, functions, other packages' operations, subgraphs.
+    Args:
+        data: content of the file.
+
+    Returns:
+        The network, which maps `observation` (batch, n) to `action` (batch, 2) in float32.
+
+    Raises:
+        PolicyError: it isn't an ONNX file, has other inputs or outputs, or contains external
+            data, functions, operators of other domains, or subgraphs. The message doesn't name
+            the file.
     """
     try:
         model = Message(data)
@@ -58,6 +65,7 @@ def read(data: bytes) -> Graph:
 
 
 def _refuse(model: Message, graph: Message) -> None:
+    """Reject models without a graph, and with functions, training info or sparse weights."""
     if 7 not in model or 1 not in graph:
         raise PolicyError("not an ONNX policy: holds no network")
     if 25 in model or 20 in model or 15 in graph:
@@ -65,7 +73,7 @@ def _refuse(model: Message, graph: Message) -> None:
 
 
 def _dims(tensor: Message, size: int) -> Dims:
-    """The shape of a tensor whose numbers are all in the file, which has `size` bytes."""
+    """Return the shape of a tensor; `size` [bytes] of the file bounds its number of elements."""
     if 13 in tensor or 14 in tensor:
         raise PolicyError("keeps weights in other files: save it as a single file")
     dims = tuple(tensor.integers(1))
@@ -75,6 +83,7 @@ def _dims(tensor: Message, size: int) -> Dims:
 
 
 def _node(node: Message, size: int) -> Node:
+    """Parse one operation; rejects other domains and subgraph attributes."""
     if node.text(7) not in ("", "ai.onnx"):
         raise PolicyError(f"not an ONNX policy: an operation of {node.text(7)[:40]!r}")
     attributes = {part.text(1): part for part in node.messages(5)}
@@ -90,7 +99,7 @@ def _node(node: Message, size: int) -> Node:
 
 
 def _width(graph: Message, weights: dict[str, Dims]) -> int:
-    """How many numbers the observation has."""
+    """Return the size n of the observation (batch, n); checks input and output."""
     inputs = [put for put in graph.messages(11) if put.text(1) not in weights]
     outputs = graph.messages(12)
     names = [[put.text(1)[:40] for put in puts[:5]] for puts in (inputs, outputs)]
@@ -105,7 +114,7 @@ def _width(graph: Message, weights: dict[str, Dims]) -> int:
 
 
 def _columns(put: Message) -> int | None:
-    """The second size of a (batch, n) of float32; None where it's left open."""
+    """Return n of a float32 input or output (batch, n); None if the file leaves it open."""
     tensor = put.message(2).message(1)
     dims = tensor.message(2).messages(1)
     if tensor.integer(1) != FLOAT32:

@@ -1,7 +1,7 @@
-"""What a network may cost, told from its structure, before anything of it runs.
+"""Bounds the cost of a network from its graph alone, before any of it is run.
 
-The shapes of all its values follow from the observation's shape alone, so one decision costs what
-every other one does: without loops, branches, random numbers, or sizes that depend on what is seen.
+Only operations are accepted whose output shapes follow from the shape of the observation: no loops,
+branches, random numbers or data-dependent shapes. So every decision costs the same.
 """
 
 from __future__ import annotations
@@ -12,10 +12,11 @@ from acsar_gym.errors import PolicyError
 from acsar_gym.policies.graph import Dims, Graph, Node
 
 MAX_WORK = 50_000_000
-"""Multiplications that a plain network may take without being tried out first."""
+"""Multiplications per decision up to which a plain network runs without a trial (trial.py)."""
 
 
 def _names(text: str) -> frozenset[str]:
+    """Split a list of names separated by spaces."""
     return frozenset(text.split())
 
 
@@ -23,16 +24,16 @@ _SIMPLE = _names(
     "Abs Celu Elu Erf Exp Gelu HardSigmoid HardSwish Identity LeakyRelu Log Mish Neg Relu Selu "
     "Sigmoid Softplus Softsign Sqrt Swish Tanh ThresholdedRelu"
 )
-"""Of one operand, element by element."""
+"""Operations on one operand, element by element."""
 _ELEMENTWISE = _names("Add Clip Div Max Min Mul PRelu Pow Sub")
 _SIZED = _names(
     "CumSum Expand Pad ReduceL1 ReduceL2 ReduceLogSum ReduceLogSumExp ReduceMax ReduceMean "
     "ReduceMin ReduceProd ReduceSum ReduceSumSquare Reshape Slice Split Squeeze Tile TopK Trilu "
     "Unsqueeze"
 )
-"""All operands but the first decide about sizes, or may."""
+"""Operations whose second and later operands can determine the size of the output."""
 _MAKING = _names("ConstantOfShape Range")
-"""All operands decide about sizes."""
+"""Operations whose operands all determine the size of the output."""
 _OTHERS = _names(
     "And ArgMax ArgMin Atan Attention AveragePool BatchNormalization Cast CastLike Ceil Concat "
     "Constant Conv Cos DequantizeLinear DynamicQuantizeLinear Einsum Equal Flatten Floor GRU "
@@ -46,7 +47,11 @@ OPERATIONS = _SIMPLE | _ELEMENTWISE | _SIZED | _MAKING | _OTHERS
 
 
 def check(graph: Graph) -> None:
-    """PolicyError for operations that a feed-forward network doesn't need."""
+    """Check that a network consists of operations of feed-forward networks only.
+
+    Raises:
+        PolicyError: for other operations, and for output sizes that aren't constants.
+    """
     static = set(graph.weights)
     for node in graph.nodes:
         if node.op not in OPERATIONS:
@@ -58,16 +63,16 @@ def check(graph: Graph) -> None:
 
 
 def _sizes(node: Node) -> tuple[str, ...]:
-    """The operands that decide about the size of a node's result."""
+    """Return the operands of a node that determine the size of its output."""
     if node.op in _MAKING:
         return node.inputs
     return node.inputs[1:] if node.op in _SIZED else ()
 
 
 def plain(graph: Graph) -> bool:
-    """Whether it's a small chain of dense layers, safe to run as its structure alone tells.
+    """Return whether a network is a small chain of dense layers, safe to run without a trial.
 
-    Every value in it is one row: as wide as the observation, or as a layer of weights.
+    Every value in it is one row: as wide as the observation, or as one dense layer.
     """
     widths, work = {"observation": graph.width}, 0
     for node in graph.nodes:
@@ -82,7 +87,7 @@ def plain(graph: Graph) -> bool:
 
 
 def _row(node: Node, widths: dict[str, int], weights: dict[str, Dims]) -> int | None:
-    """The width of a node's result; None where it isn't plainly one row."""
+    """Return the width of a node's output; None unless it is certainly a single row."""
     inputs = [name for name in node.inputs if name]
     if node.op in _SIMPLE and len(inputs) == 1:
         return widths.get(inputs[0])
@@ -100,6 +105,7 @@ def _row(node: Node, widths: dict[str, int], weights: dict[str, Dims]) -> int | 
 def _layer(
     node: Node, inputs: list[str], widths: dict[str, int], weights: dict[str, Dims]
 ) -> int | None:
+    """Return the width of the output of a Gemm or MatMul; None if it isn't a dense layer."""
     shape = weights.get(inputs[1], ())
     if len(shape) != 2 or inputs[0] not in widths or node.transposed[0]:
         return None
@@ -109,5 +115,5 @@ def _layer(
 
 
 def _fits(shape: Dims | None, width: int) -> bool:
-    """Whether adding weights of this shape to one row of `width` gives such a row."""
+    """Return whether adding weights of this shape to a row of `width` keeps its shape."""
     return shape in ((), (1,), (width,), (1, 1), (1, width))

@@ -1,4 +1,4 @@
-"""Trained policies as single ONNX files: what drives a robot needs no torch."""
+"""Trained policies as single ONNX files, which run without torch."""
 
 from __future__ import annotations
 
@@ -30,17 +30,21 @@ from acsar_gym.tasks.made import named
 from acsar_gym.tasks.spaces import task_spaces
 
 MAX_BYTES = 32_000_000
-"""Of a file: 8 million weights."""
+"""Largest accepted file [bytes]; 8 million float32 weights."""
 
 
 class OnnxPolicy(FilePolicy):
     """A policy read from an ONNX file; loading runs no code from the file.
 
-    What it may cost is checked before it runs: its structure first, and, unless it's a plain chain
-    of dense layers, one decision in another process with limits of memory and time.
+    The cost of running it is checked first: its graph, and, unless it is a plain chain of dense
+    layers, one decision in a subprocess with limits of memory and CPU time.
 
-    Raises PolicyError where the file is missing or isn't a policy of this package, and
-    MissingExtraError without onnxruntime.
+    Args:
+        path: an ONNX file, or the name of a policy that comes with the package.
+
+    Raises:
+        PolicyError: the file is missing, or isn't a policy that this package accepts.
+        MissingExtraError: onnxruntime isn't installed.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -64,6 +68,7 @@ class OnnxPolicy(FilePolicy):
         self._session = self._started(data)
 
     def _started(self, data: bytes) -> Any:
+        """Start an onnxruntime session, after a trial in a subprocess unless the graph is plain."""
         try:
             session = trial.session(data)
             trial.decide(session, self.width)
@@ -74,7 +79,11 @@ class OnnxPolicy(FilePolicy):
     def check(
         self, task: Task, sensors: Sequence[Sensor], policy_rate: float | None = None
     ) -> None:
-        """PolicyError where the policy was made for another observation than this env gives."""
+        """As FilePolicy.check; also compares the size of the observation.
+
+        Raises:
+            PolicyError: the policy was made for another observation than this env gives.
+        """
         super().check(task, sensors, policy_rate)
         wanted = (task_spaces(task, sensors)[1].shape or (0,))[0]
         if self.width != wanted:
@@ -91,7 +100,7 @@ class OnnxPolicy(FilePolicy):
 
 
 def _number(network: graph.Graph, key: str) -> float | None:
-    """A number of the metadata; None where it isn't there."""
+    """Read a number from the metadata; None if the key is missing."""
     said = network.metadata.get(key)
     try:
         number = None if said is None else float(said)
@@ -103,11 +112,18 @@ def _number(network: graph.Graph, key: str) -> float | None:
 
 
 def inspected(data: bytes) -> graph.Graph:
-    """The network of an ONNX file that may be a policy; PolicyError without the file's name."""
+    """Parse and check the content of an ONNX file.
+
+    Returns:
+        The network, if it is acceptable as a policy.
+
+    Raises:
+        PolicyError: it isn't; the message doesn't name the file.
+    """
     network = graph.read(data)
     limits.check(network)
     env_id, layout = (network.metadata.get(key, "") for key in (ENV_KEY, LAYOUT_KEY))
-    # "module:id" would have Gymnasium import a module because the file says so.
+    # With "module:id", Gymnasium would import a module that the file chooses.
     if not env_id or ":" in env_id or not layout:
         raise PolicyError(
             "doesn't say which environment it is for: write it with 'acsar-gym export' or "

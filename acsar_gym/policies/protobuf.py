@@ -1,7 +1,7 @@
-"""Reads protobuf messages, the format of ONNX files, without believing what they say.
+"""A parser for protobuf messages, the format of ONNX files, that is safe for untrusted input.
 
-https://protobuf.dev/programming-guides/encoding. Nothing is copied, and the number of fields is
-limited, so a hostile file costs as little as a good one.
+https://protobuf.dev/programming-guides/encoding. It copies no data and limits the number of fields,
+so time and memory are bounded for malicious files too.
 """
 
 from __future__ import annotations
@@ -10,16 +10,20 @@ from collections.abc import Iterator
 
 Value = int | memoryview
 MAX_FIELDS = 50_000
-"""Of a whole file. Weights are one field each."""
+"""Largest number of fields in a file; one tensor of weights is one field."""
 _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
 
 
 class ProtobufError(ValueError):
-    """Bytes that are no protobuf message, or one of too many fields."""
+    """The bytes aren't a valid protobuf message, or have too many fields."""
 
 
 class Message:
-    """One message: its fields by number, in the order in which they come."""
+    """One message: its fields by field number, in the order of the file.
+
+    Raises:
+        ProtobufError: when the bytes, or later a requested field, are malformed.
+    """
 
     def __init__(self, data: bytes | memoryview, budget: list[int] | None = None) -> None:
         self._budget = [MAX_FIELDS] if budget is None else budget
@@ -34,7 +38,7 @@ class Message:
         return number in self._fields
 
     def integers(self, number: int) -> list[int]:
-        """A repeated integer, packed or not."""
+        """Return a repeated integer field, packed or not."""
         found: list[int] = []
         for value in self._fields.get(number, ()):
             numbers = [value] if isinstance(value, int) else _varints(value)
@@ -43,31 +47,32 @@ class Message:
         return found
 
     def integer(self, number: int) -> int:
-        """An integer; 0 where it's left out."""
+        """Return an integer field; 0 if it is missing."""
         return (self.integers(number) or [0])[-1]
 
     def text(self, number: int) -> str:
-        """A string; empty where it's left out."""
+        """Return a string field; empty if it is missing."""
         return (self.texts(number) or [""])[-1]
 
     def texts(self, number: int) -> list[str]:
-        """A repeated string."""
+        """Return a repeated string field."""
         return [str(part, "utf-8", "replace") for part in self._parts(number)]
 
     def messages(self, number: int) -> list[Message]:
-        """A repeated message."""
+        """Return a repeated message field."""
         return [Message(part, self._budget) for part in self._parts(number)]
 
     def message(self, number: int) -> Message:
-        """A message; several of them are one, as protobuf merges them."""
+        """Return a message field; several occurrences are merged, as protobuf specifies."""
         parts = self._parts(number)
         return Message(parts[0] if len(parts) == 1 else b"".join(parts), self._budget)
 
     def size(self, number: int) -> int:
-        """Bytes of all fields of that number."""
+        """Return the total size of all fields with this number [bytes]."""
         return sum(len(part) for part in self._parts(number))
 
     def _parts(self, number: int) -> list[memoryview]:
+        """Return the bytes of all length-delimited fields with this number."""
         parts: list[memoryview] = []
         for value in self._fields.get(number, ()):
             if isinstance(value, int):
@@ -77,6 +82,7 @@ class Message:
 
 
 def _fields(data: memoryview) -> Iterator[tuple[int, Value]]:
+    """Yield field number and value of every field."""
     at = 0
     while at < len(data):
         tag, at = _varint(data, at)
@@ -100,7 +106,7 @@ def _fields(data: memoryview) -> Iterator[tuple[int, Value]]:
 
 
 def _varint(data: memoryview, at: int) -> tuple[int, int]:
-    """An unsigned integer of up to 64 bits, and where the next byte is."""
+    """Decode an unsigned integer of up to 64 bits; returns it and the index of the next byte."""
     value = 0
     for shift in range(0, 70, 7):
         if at >= len(data):
@@ -114,6 +120,7 @@ def _varint(data: memoryview, at: int) -> tuple[int, int]:
 
 
 def _varints(data: memoryview) -> list[int]:
+    """Decode packed integers."""
     if len(data) > MAX_FIELDS:
         raise ProtobufError("too many numbers")
     found, at = [], 0

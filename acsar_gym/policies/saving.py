@@ -1,4 +1,4 @@
-"""Policies of other libraries: a torch module becomes a file that drives."""
+"""Saves networks of any library based on torch as ONNX policies."""
 
 from __future__ import annotations
 
@@ -30,21 +30,22 @@ def save(
     """Write a trained network as an ONNX policy, for `acsar-gym evaluate` and `run`.
 
     Args:
-        module: maps observations (batch, n) to actions (batch, 2), the deterministic ones; what
-            lies beyond [-1, 1] is clipped.
-        env_id: what it was trained for, such as "acsar_gym/PointGoal-v0".
-        path: the ONNX file.
-        normalizer: what observations went through before: (mean, std) or (mean, std, clip), mean
-            and std each a number or one for each number of the observation, clip a number or
-            None; or a module. Becomes part of the file.
+        module: maps observations (batch, n) to deterministic actions (batch, 2); actions are
+            clipped to [-1, 1].
+        env_id: the env that it was trained for, such as "acsar_gym/PointGoal-v0".
+        path: the ONNX file to write.
+        normalizer: normalization of the observations during training: (mean, std) or (mean,
+            std, clip), where mean and std are numbers or arrays (n,) and clip is a number or
+            None; or a module. It becomes part of the file.
         robot: preset, file or config of the robot that it was trained on.
-        **env_kwargs: other arguments of the env, as `gymnasium.make` had them for the training,
-            such as goal_distance=(0.5, 10.0) or policy_rate=20.0. The file keeps what they scale
-            distances by, and the rate.
+        **env_kwargs: other arguments of the env, as given to `gymnasium.make` for the training,
+            such as goal_distance=(0.5, 10.0) or policy_rate=20.0. The file stores the scale of
+            distances and the rate that follow from them.
 
     Raises:
         ConfigError: there is no such environment.
-        PolicyError: the module doesn't fit the environment, or needs what a policy mustn't.
+        PolicyError: the module doesn't fit the env, or uses operations that a policy may not
+            have.
         MissingExtraError: torch, onnx or onnxscript isn't installed.
     """
     from acsar_gym.policies import torch_export  # noqa: PLC0415 - optional
@@ -59,7 +60,7 @@ def save(
 
 
 def _made(env_id: str, robot: Any, env_kwargs: dict[str, Any]) -> RobotEnv:
-    """The environment; ConfigError where there is none of that id, or it takes other arguments."""
+    """Make the environment; ConfigError for an unknown id and for unknown arguments."""
     try:
         env = gymnasium.make(registered(env_id), link="planar", robot=robot, **env_kwargs).unwrapped
     except (gymnasium.error.Error, ImportError) as error:
@@ -73,7 +74,7 @@ def _made(env_id: str, robot: Any, env_kwargs: dict[str, Any]) -> RobotEnv:
 
 
 def _notes(env: RobotEnv) -> dict[str, str]:
-    """What the env's arguments change about an observation, but not about its signature."""
+    """Return metadata that depends on the env's arguments but isn't part of the signature."""
     scale = scale_of(env.task)
     rate = env.robot.config.control_rate / env.ticks_per_step
     return {RATE_KEY: repr(float(rate))} | (

@@ -1,4 +1,4 @@
-"""stable-baselines3 and the robot: batches to train on, progress, and a note in a model."""
+"""Training with stable-baselines3: batches of robots as a VecEnv, and labels for saved models."""
 
 from __future__ import annotations
 
@@ -27,11 +27,17 @@ except ImportError:
 class BatchVecEnv(VecEnv):
     """A RobotVectorEnv as stable-baselines3's VecEnv, with the episode statistics of Monitor.
 
-    Gymnasium's vector wrappers may stand around it; `make_batch` makes one. The batch must use
-    AutoresetMode.SAME_STEP. Robots whose episode goes on share one empty info; those whose episode
-    ends have `terminal_observation`, `episode` (r, l, t), `is_success`, `TimeLimit.truncated`, and,
-    where the batch has them, the number of its `world` and the `drawn_` keys of its randomization.
-    There are no single envs behind it to call methods of.
+    The batch may be inside Gymnasium's vector wrappers; `make_batch` makes one. It must use
+    AutoresetMode.SAME_STEP. While an episode goes on, the info of its robot is one shared empty
+    dict; at its end the info has `terminal_observation`, `episode` (r, l, t), `is_success`,
+    `TimeLimit.truncated`, and, where the batch has them, the number of its `world` and the `drawn_`
+    keys of its randomization. There are no single envs, so methods of single envs can't be called.
+
+    Args:
+        batch: the batch to wrap.
+
+    Raises:
+        ConfigError: it isn't a RobotVectorEnv, or has another autoreset mode.
     """
 
     def __init__(self, batch: VectorEnv[Any, Any, Any]) -> None:
@@ -39,14 +45,18 @@ class BatchVecEnv(VecEnv):
             raise ConfigError(f"{batch}: not a batch of acsar_gym; use sb3.make_batch")
         if batch.metadata["autoreset_mode"] is not AutoresetMode.SAME_STEP:
             raise ConfigError("stable-baselines3 needs autoreset_mode='SameStep'")
-        self._batch: Any = batch  # VectorEnv's seed is an int; ours takes one for each robot, too
+        self._batch: Any = batch  # Any: VectorEnv types `seed` as int, ours also takes a list
         super().__init__(batch.num_envs, batch.single_observation_space, batch.single_action_space)
         self._actions: NDArray[np.float32] = np.zeros((batch.num_envs, 2), np.float32)
         self._asked: dict[str, Any] = {}
         self._started = time.monotonic()
 
     def reset(self) -> NDArray[np.float32]:
-        """Observations of new episodes, one row a robot; what `set_options` asked for holds."""
+        """Start a new episode of every robot, with the seeds and options that were set before.
+
+        Returns:
+            Observations, float32 (robots, n).
+        """
         seeded = any(seed is not None for seed in self._seeds)
         observations: NDArray[np.float32]
         seeds = self._seeds if seeded else None
@@ -55,10 +65,17 @@ class BatchVecEnv(VecEnv):
         return observations
 
     def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
-        """Options of `RobotVectorEnv.reset` for all episodes to come, until they are set again.
+        """Set the options of `RobotVectorEnv.reset` for all later episodes.
 
-        Those that run go on. None takes the options back. Raises ConfigError for unknown ones, for
-        a list, and for "reset_mask", as a reset is of all robots.
+        Running episodes aren't affected.
+
+        Args:
+            options: one dict, whose values may have one row per robot; None removes the
+                options.
+
+        Raises:
+            ConfigError: for unknown options, for a list, and for "reset_mask", as reset()
+                always resets all robots.
         """
         if isinstance(options, list):
             raise ConfigError(
@@ -71,11 +88,16 @@ class BatchVecEnv(VecEnv):
         self._asked = dict(options or {})
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
-        """Keep the actions for `step_wait`."""
+        """Store actions (robots, 2) for `step_wait`."""
         self._actions = actions
 
     def step_wait(self) -> tuple[Any, Any, Any, list[dict[str, Any]]]:
-        """Observations, rewards, dones and infos of one step of every robot."""
+        """Step every robot once.
+
+        Returns:
+            Observations (robots, n), rewards (robots,), dones (robots,), and one info per
+            robot.
+        """
         observations, rewards, terminated, truncated, info = self._batch.step(self._actions)
         done = terminated | truncated
         infos = [_GOES_ON] * self.num_envs
@@ -85,6 +107,7 @@ class BatchVecEnv(VecEnv):
         return observations, rewards.astype(np.float32), done, infos
 
     def _ended(self, info: dict[str, Any], index: int) -> dict[str, Any]:
+        """Build the info of a robot whose episode has ended."""
         final = info["final_info"]
         return {
             "terminal_observation": info["final_obs"][index],
@@ -103,26 +126,26 @@ class BatchVecEnv(VecEnv):
         self._batch.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """An attribute of the batch, once for each index."""
+        """Return an attribute of the batch, repeated for each index."""
         holder = self._batch if hasattr(self._batch, attr_name) else self._batch.unwrapped
         return [getattr(holder, attr_name)] * len(self._indices(indices))
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Robots have no attributes of their own."""
+        """Not supported: robots of a batch have no attributes of their own."""
         raise ConfigError(f"can't set {attr_name!r}: robots of a batch have no attributes")
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Robots have no methods of their own."""
+        """Not supported: robots of a batch have no methods of their own."""
         raise ConfigError(f"can't call {method_name!r}: robots of a batch have no methods")
 
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
-        """Nothing is wrapped, though episode statistics are there as with a Monitor."""
+        """Return True for Monitor, whose episode statistics are included, and False for others."""
         return [wrapper_class.__name__ == "Monitor"] * len(self._indices(indices))
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        """A batch has no pictures."""
+        """Return None for every robot: a batch renders no pictures."""
         return [None] * self.num_envs
 
     def _indices(self, indices: int | Iterable[int] | None) -> list[int]:
@@ -130,13 +153,17 @@ class BatchVecEnv(VecEnv):
 
 
 def make_batch(env_id: str, num_envs: int, **options: Any) -> BatchVecEnv:
-    """Many planar robots to train stable-baselines3 on, in one process.
+    """Make a batch of planar robots for training with stable-baselines3, in one process.
 
     Args:
         env_id: "point_goal", "acsar_gym/PointGoal-v0", or another package's id with the module
             that registers it, as in "mine.module:mine/Clearance-v0".
-        num_envs: robots.
-        **options: of the env and of `RobotVectorEnv`: robot, worlds, randomization, threads, ...
+        num_envs: number of robots.
+        **options: arguments of the env and of `RobotVectorEnv`: robot, worlds, randomization,
+            threads, ...
+
+    Returns:
+        The batch, for the `env` argument of an algorithm.
 
     Raises:
         ConfigError: for unknown ids and options.
@@ -149,6 +176,6 @@ _GOES_ON: dict[str, Any] = {}
 
 
 def label(model: BaseAlgorithm, env_id: str, task: Task, sensors: Sequence[Sensor]) -> None:
-    """Note in a model which env and observation it is for; `model.save` keeps the note."""
+    """Store in a model which env and observation it was trained for; `model.save` keeps this."""
     setattr(model, ENV_KEY, ids.without_module(env_id))
     setattr(model, LAYOUT_KEY, signature(task, sensors))

@@ -1,4 +1,4 @@
-"""Writes what stable-baselines3 has trained as ONNX policies. Imports torch: only for export."""
+"""Exports actors of stable-baselines3 as ONNX policies. Imports torch."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ except ImportError:
     raise MissingExtraError("exporting a stable-baselines3 model", "train") from None
 
 MAX_BYTES = 100_000_000
-"""Of a file of VecNormalize: it may hold old observations."""
+"""Largest accepted VecNormalize file [bytes]; it can contain old observations."""
 
 
 class _Actor(torch.nn.Module):
-    """The deterministic actor of a policy: observation in, mean action out, in [-1, 1]."""
+    """The deterministic actor of a policy: observation to mean action in [-1, 1]."""
 
     def __init__(self, policy: BasePolicy) -> None:
         super().__init__()
@@ -56,15 +56,38 @@ def export(
     sensors: Sequence[Sensor],
     normalizer: torch.nn.Module | None = None,
 ) -> None:
-    """Write the deterministic actor of PPO, A2C, SAC, TD3 or DDPG to one ONNX file at `path`."""
+    """Write the deterministic actor of PPO, A2C, SAC, TD3 or DDPG to one ONNX file.
+
+    Args:
+        policy: the policy of the model.
+        path: file to write.
+        env_id: id of the env that it was trained for.
+        task: task of that env.
+        sensors: sensors of that env.
+        normalizer: module that is applied to observations (batch, n) first.
+
+    Raises:
+        PolicyError: the policy doesn't fit the env, or can't be exported.
+    """
     notes = {ENV_KEY: without_module(env_id)}
     torch_export.write(_Actor(policy), path, task, sensors, normalizer, notes)
 
 
 def normalizer(path: Path, width: int) -> torch.nn.Module | None:
-    """What VecNormalize does to observations of `width` numbers; None where it leaves them alone.
+    """Read the normalization of observations from a saved VecNormalize.
 
-    Its file is a pickle: reading it runs any code in it. Raises PolicyError for other files.
+    The file is a pickle: reading it can run any code in it.
+
+    Args:
+        path: the pickle file.
+        width: size of the observation.
+
+    Returns:
+        A module for observations (batch, width); None if the VecNormalize doesn't change
+        observations.
+
+    Raises:
+        PolicyError: the file can't be read, isn't a VecNormalize, or is for other observations.
     """
     data = bounded.read(path, MAX_BYTES, PolicyError)
     try:

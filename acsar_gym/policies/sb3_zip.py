@@ -1,4 +1,4 @@
-"""Policies as stable-baselines3 saves them: zips that can run code, so only for who trusts them."""
+"""Policies in stable-baselines3 zips. Loading one can run code, so the user must trust the file."""
 
 from __future__ import annotations
 
@@ -25,17 +25,23 @@ if TYPE_CHECKING:
 
 MAX_BYTES = 500_000_000
 _UNUSED = {"lr_schedule": None, "clip_range": None}
-"""Pickled functions of training, which another Python can't always read."""
+"""Replacements of pickled functions that only training needs; other Python versions may not be
+able to unpickle them."""
 
 
 class ZipPolicy(FilePolicy):
-    """A policy out of a zip that PPO, A2C, SAC, TD3 or DDPG has saved.
+    """A policy from a zip that PPO, A2C, SAC, TD3 or DDPG has saved.
 
-    Loading one can run any code that is in it. Without `trust` nothing in it is read, and
-    PolicyError says so. It is raised for a missing or broken file and for other algorithms, too;
-    MissingExtraError without stable-baselines3. Statistics of a VecNormalize aren't in a zip.
+    Loading a zip can run any code in it. Statistics of a VecNormalize aren't part of a zip.
 
-    `env_id` is the environment that it's for, instead of the one that `sb3.label` left in it.
+    Args:
+        path: the zip.
+        trust: whether the user trusts the zip; without it, nothing in it is read.
+        env_id: id of the env that it is for; by default the one that `sb3.label` stored in it.
+
+    Raises:
+        PolicyError: `trust` is False, or the file is missing, broken or of another algorithm.
+        MissingExtraError: stable-baselines3 isn't installed.
     """
 
     def __init__(self, path: str | Path, *, trust: bool = False, env_id: str = "") -> None:
@@ -61,7 +67,11 @@ class ZipPolicy(FilePolicy):
     def check(
         self, task: Task, sensors: Sequence[Sensor], policy_rate: float | None = None
     ) -> None:
-        """PolicyError where the policy was made for other spaces than this env has."""
+        """As FilePolicy.check; also compares the spaces.
+
+        Raises:
+            PolicyError: the policy was made for other spaces than this env has.
+        """
         super().check(task, sensors, policy_rate)
         for space, wanted in zip(self._spaces, task_spaces(task, sensors), strict=True):
             if space != wanted:
@@ -78,19 +88,19 @@ class ZipPolicy(FilePolicy):
 
 
 def statistics_beside(path: Path) -> Path | None:
-    """VecNormalize's file in a model's folder, or, as RL Zoo has it, in one within."""
+    """Find a saved VecNormalize in a model's folder or, as RL Zoo stores it, one folder deeper."""
     patterns = ("*vecnormalize*.pkl", "*/vecnormalize.pkl")
     return next((f for p in patterns for f in sorted(path.parent.glob(p))), None)
 
 
 def _load(path: Path, content: bytes) -> tuple[dict[str, Any], BasePolicy]:
-    """What was saved besides the weights, and the network: the algorithm isn't set up."""
+    """Read a zip without constructing the algorithm; returns its data and the network."""
     try:
         from stable_baselines3.common.save_util import load_from_zip_file  # noqa: PLC0415 - optional
     except ImportError:
         raise MissingExtraError("loading a stable-baselines3 zip", "train") from None
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of what can't be unpickled and isn't needed here
+        warnings.simplefilter("ignore")  # about objects that can't be unpickled and aren't needed
         file = io.BytesIO(content)
         data, weights, _ = load_from_zip_file(file, device="cpu", custom_objects=_UNUSED)
     kept: dict[str, Any] = data or {}
@@ -101,13 +111,14 @@ def _load(path: Path, content: bytes) -> tuple[dict[str, Any], BasePolicy]:
 
 
 def _network(path: Path, data: dict[str, Any]) -> BasePolicy:
+    """Construct the network from the saved classes and arguments."""
     from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy  # noqa: PLC0415
     from stable_baselines3.sac.policies import SACPolicy  # noqa: PLC0415
     from stable_baselines3.td3.policies import TD3Policy  # noqa: PLC0415
 
     kind, options = data["policy_class"], dict(data["policy_kwargs"])
     families = (ActorCriticPolicy, SACPolicy, TD3Policy)
-    # Whoever predicts in another way has a memory, as recurrent policies have.
+    # A class that overrides predict() is recurrent, and isn't supported.
     if not issubclass(kind, families) or kind.predict is not BasePolicy.predict:
         raise PolicyError(f"{path}: holds a {kind.__name__}, not one of PPO, A2C, SAC, TD3 or DDPG")
     if issubclass(kind, ActorCriticPolicy):

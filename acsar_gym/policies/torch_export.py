@@ -1,4 +1,4 @@
-"""Writes torch modules as ONNX policies. Imports torch and onnx: only for who exports."""
+"""Exports torch modules as ONNX policies. Imports torch and onnx."""
 
 from __future__ import annotations
 
@@ -28,7 +28,16 @@ except ImportError:
 
 
 class Normalizer(torch.nn.Module):
-    """(observation - mean) / std, clipped to [-clip, clip]; `clip` may be None."""
+    """Normalizes observations: (observation - mean) / std, clipped to [-clip, clip].
+
+    Args:
+        mean: a number, or shape (n,).
+        std: positive; a number, or shape (n,).
+        clip: positive; None for no clipping.
+
+    Raises:
+        PolicyError: for other values.
+    """
 
     def __init__(self, mean: ArrayLike, std: ArrayLike, clip: float | None = None) -> None:
         super().__init__()
@@ -51,7 +60,14 @@ class Normalizer(torch.nn.Module):
 
 
 def normalizing(given: Any) -> torch.nn.Module | None:
-    """A normalizer from a module, (mean, std) or (mean, std, clip); PolicyError for others."""
+    """Convert the `normalizer` argument of `save` to a module.
+
+    Args:
+        given: None, a module, (mean, std) or (mean, std, clip).
+
+    Raises:
+        PolicyError: for anything else.
+    """
     if given is None or isinstance(given, torch.nn.Module):
         return given
     if not isinstance(given, tuple | list) or len(given) not in (2, 3):
@@ -60,7 +76,7 @@ def normalizing(given: Any) -> torch.nn.Module | None:
 
 
 def _numbers(values: ArrayLike) -> NDArray[np.float32]:
-    """As an array; NaN where they aren't numbers."""
+    """Convert to a float32 array; a single NaN if the values aren't numbers."""
     try:
         return np.asarray(values, np.float32)
     except (TypeError, ValueError):
@@ -68,7 +84,7 @@ def _numbers(values: ArrayLike) -> NDArray[np.float32]:
 
 
 class _Whole(torch.nn.Module):
-    """Normalizer and network, with actions in [-1, 1]."""
+    """The exported module: normalizer, then network, then clipping to [-1, 1]."""
 
     def __init__(self, network: torch.nn.Module, normalizer: torch.nn.Module | None) -> None:
         super().__init__()
@@ -90,9 +106,19 @@ def write(
 ) -> None:
     """Write a network as an ONNX file that `OnnxPolicy` reads.
 
-    The file maps `observation` (batch, n) to `action` (batch, 2), float32, and carries the
-    observation's signature and `notes`, other metadata such as the env's id. Raises PolicyError
-    where the network doesn't fit, or has operations that OnnxPolicy refuses.
+    The file maps `observation` (batch, n) to `action` (batch, 2) in float32. Its metadata holds the
+    signature of the observation.
+
+    Args:
+        network: maps normalized observations (batch, n) to actions (batch, 2).
+        path: file to write; its folder is created.
+        task: task of the env that it was trained for.
+        sensors: sensors of that env.
+        normalizer: module that is applied to observations (batch, n) first; None for none.
+        notes: further metadata, such as the env's id.
+
+    Raises:
+        PolicyError: the network doesn't fit the env, or has operations that OnnxPolicy rejects.
     """
     whole = _Whole(network, normalizer)
     with _evaluating(whole):
@@ -114,7 +140,8 @@ def write(
 
 
 def _exported(whole: torch.nn.Module, example: torch.Tensor) -> Any:
-    logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it misses torchvision, we don't
+    """Export the module to an ONNX model with a free batch size."""
+    logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # torchvision isn't needed
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # deprecations inside torch's own exporter
         program: Any = torch.onnx.export(
@@ -130,6 +157,7 @@ def _exported(whole: torch.nn.Module, example: torch.Tensor) -> Any:
 
 
 def _check(whole: torch.nn.Module, example: torch.Tensor) -> None:
+    """Run the module on one observation; PolicyError unless it gives an action (1, 2)."""
     try:
         with torch.no_grad():
             action = whole(example)
@@ -142,7 +170,7 @@ def _check(whole: torch.nn.Module, example: torch.Tensor) -> None:
 
 @contextlib.contextmanager
 def _evaluating(module: torch.nn.Module) -> Iterator[None]:
-    """Evaluation mode for a while, without dropout and the like; then each as it was."""
+    """Switch all parts to evaluation mode (no dropout), and restore each one's mode at the end."""
     modes = [(part, part.training) for part in module.modules()]
     module.eval()
     try:
@@ -153,7 +181,7 @@ def _evaluating(module: torch.nn.Module) -> Iterator[None]:
 
 
 def _device(module: _Whole) -> torch.device:
-    """Where the network's weights are; the normalizer is taken there."""
+    """Return the device of the network's weights, and move the normalizer to it."""
     weight = next(module.network.parameters(), torch.zeros(0))
     if module.normalizer is not None:
         module.normalizer.to(weight.device)
@@ -161,7 +189,7 @@ def _device(module: _Whole) -> torch.device:
 
 
 def _forget_sources(model: Any) -> None:
-    """Drop the stack traces that torch keeps in the file: paths of the machine that trained."""
+    """Remove torch's stack traces from the model; they contain paths of the training machine."""
     graph = model.graph
     for part in (model, graph, *graph.node, *graph.input, *graph.output, *graph.value_info):
         del part.metadata_props[:]

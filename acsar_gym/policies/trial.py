@@ -1,8 +1,8 @@
-"""One decision of an ONNX file in a process of its own, with limits of memory and time.
+"""Runs one decision of an ONNX file in a subprocess with limits of memory and CPU time.
 
     python -P trial.py WIDTH < policy.onnx
 
-It stands alone, as importing the package would take longer than the trial.
+This script doesn't import acsar_gym, as that would take longer than the trial itself.
 """
 
 from __future__ import annotations
@@ -16,15 +16,23 @@ from typing import Any
 import numpy as np
 
 MEMORY = 300_000_000
-"""Bytes that a network may take."""
+"""Memory limit of a network [bytes]."""
 PROCESSOR_TIME = 0.7
-"""What its first decision may take, loading included [s]."""
+"""CPU time limit of loading and the first decision [s]."""
 PATIENCE = 30.0
-"""How long to wait for it on a busy machine [s]."""
+"""Time limit by the wall clock, for a busy machine [s]."""
 
 
 def refusal(data: bytes, width: int) -> str:
-    """What is wrong with a network's first decision; empty where nothing is."""
+    """Try one decision of a network in a subprocess.
+
+    Args:
+        data: content of the ONNX file.
+        width: size of the observation.
+
+    Returns:
+        Why the network is rejected; empty if it is accepted.
+    """
     command = [sys.executable, "-P", __file__, str(width)]
     try:
         done = subprocess.run(
@@ -39,7 +47,7 @@ def refusal(data: bytes, width: int) -> str:
 
 
 def session(data: bytes) -> Any:
-    """An onnxruntime session of an ONNX file on one thread; nothing else is read as one."""
+    """Load an ONNX file, and no other format, into an onnxruntime session with one thread."""
     import onnxruntime  # noqa: PLC0415 - optional
 
     options = onnxruntime.SessionOptions()
@@ -50,7 +58,11 @@ def session(data: bytes) -> Any:
 
 
 def decide(run: Any, width: int) -> None:
-    """ValueError where a session doesn't make two finite float32 of a row of zeros."""
+    """Run a session once on an observation of zeros (1, width).
+
+    Raises:
+        ValueError: the action isn't two finite float32 numbers of shape (1, 2).
+    """
     (action,) = run.run(["action"], {"observation": np.zeros((1, width), np.float32)})
     if action.shape != (1, 2) or action.dtype != np.float32:
         raise ValueError(f"gives {action.dtype} of shape {action.shape}: must be float32 (1, 2)")
@@ -59,12 +71,13 @@ def decide(run: Any, width: int) -> None:
 
 
 def _limit() -> None:
+    """Limit CPU time and memory of this process, where the platform supports it."""
     try:
         import resource  # noqa: PLC0415 - not on Windows
     except ImportError:
         return
-    signal.setitimer(signal.ITIMER_PROF, PROCESSOR_TIME)  # whose signal ends the process
-    try:  # Linux tells; the peak would be that of the program that started this one
+    signal.setitimer(signal.ITIMER_PROF, PROCESSOR_TIME)  # SIGPROF ends the process
+    try:  # current use on Linux: ru_maxrss there includes the peak of the parent process
         used = int(Path("/proc/self/statm").read_text().split()[5]) * resource.getpagesize()
     except OSError:
         used = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

@@ -1,1 +1,1 @@
-"""Reading files of strangers: bounded in size and depth."""
+"""Reads untrusted files within limits of size and depth."""

@@ -1,6 +1,6 @@
-"""Files that users name are read here, so that none can hang the program or fill its memory.
+"""Reads and writes files named by users, without blocking or filling the memory.
 
-Only regular files are read, never a pipe, a device or a folder, and only up to a number of bytes.
+Only regular files are read, no pipes, devices or folders, and only up to a given size.
 """
 
 from __future__ import annotations
@@ -12,16 +12,22 @@ from pathlib import Path
 from acsar_gym.errors import AcsarError, ConfigError, shortened
 
 FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
-"""A pipe that takes the file's place between check and opening doesn't block either."""
+"""Flags for opening; non-blocking, as a pipe may replace the file after it was checked."""
 CHUNK = 1 << 20
-"""Bytes of one system call."""
+"""Bytes read by one system call."""
 
 
 def read(path: Path, limit: int, error: type[AcsarError] = ConfigError) -> bytes:
-    """The content of a regular file of at most `limit` bytes.
+    """Read a regular file.
 
-    Raises `error`, whose one line begins with the path, for what isn't a regular file, is larger,
-    or can't be read.
+    Args:
+        path: the file.
+        limit: largest accepted size [bytes].
+        error: class of the exception.
+
+    Raises:
+        AcsarError: as `error`, if the file isn't regular, too large, or can't be read. The
+            message begins with the path.
     """
     try:
         return content(path, limit, error)
@@ -30,7 +36,7 @@ def read(path: Path, limit: int, error: type[AcsarError] = ConfigError) -> bytes
 
 
 def content(path: Path, limit: int, error: type[AcsarError] = ConfigError) -> bytes:
-    """The same; the message doesn't name the path."""
+    """Read as `read` does; error messages don't contain the path."""
     try:
         _check(os.stat(path), limit, error)  # noqa: PTH116 - before opening: that resets some boards
         file = os.open(path, FLAGS)
@@ -49,7 +55,16 @@ def content(path: Path, limit: int, error: type[AcsarError] = ConfigError) -> by
 
 
 def write(path: Path, data: bytes, error: type[AcsarError] = ConfigError) -> None:
-    """Write a file. Raises `error` where that can't be done, or nobody reads a pipe."""
+    """Write a file.
+
+    Args:
+        path: the file.
+        data: its content.
+        error: class of the exception.
+
+    Raises:
+        AcsarError: as `error`, if it can't be written, or is a pipe that nobody reads.
+    """
     try:
         with open(path, "wb", opener=opener) as file:
             file.write(data)
@@ -58,7 +73,7 @@ def write(path: Path, data: bytes, error: type[AcsarError] = ConfigError) -> Non
 
 
 def opener(path: str, flags: int) -> int:
-    """For `open`: opening a pipe that nobody reads or writes is an error and doesn't block."""
+    """Open without blocking, for `open(opener=...)`; a pipe without a peer is an error."""
     blocking = getattr(os, "O_NONBLOCK", 0)
     file = os.open(path, flags | blocking, 0o666)
     if blocking:
@@ -67,11 +82,12 @@ def opener(path: str, flags: int) -> int:
 
 
 def reason(problem: Exception) -> str:
-    """What an exception says, in one short line."""
+    """Return the message of an exception as one short line."""
     return getattr(problem, "strerror", None) or " ".join(str(problem).split())[:200]
 
 
 def _check(status: os.stat_result, limit: int, error: type[AcsarError]) -> None:
+    """Raise `error` unless it is a regular file within the limit."""
     if not stat.S_ISREG(status.st_mode):
         raise error("isn't a regular file")
     if status.st_size > limit:
@@ -79,7 +95,7 @@ def _check(status: os.stat_result, limit: int, error: type[AcsarError]) -> None:
 
 
 def _chunks(file: int, limit: int) -> bytes:
-    """Up to one byte more than the limit: the size may be unknown, as in /proc, or grow."""
+    """Read up to limit + 1 bytes; the size may be unknown, as in /proc, or grow."""
     data = bytearray()
     while len(data) <= limit:
         chunk = os.read(file, min(CHUNK, limit + 1 - len(data)))

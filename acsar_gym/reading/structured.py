@@ -1,7 +1,7 @@
-"""JSON and YAML that others wrote, within bounds, so that no text takes long or much memory.
+"""Parses untrusted JSON and YAML in bounded time and memory.
 
-No aliases or merges, little nesting, no numbers of a thousand digits. Whatever breaks a bound is
-one error of one line.
+Aliases, merges, deep nesting and very long numbers are rejected. Every violation is reported as one
+error with a message of one line.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from acsar_gym.errors import AcsarError, ConfigError
 from acsar_gym.reading.bounded import reason
 
 MOST_DIGITS = 100
-"""Characters of a number."""
+"""Longest number [characters]."""
 MOST_CHARACTERS = 10_000
-"""Of one text in a YAML."""
+"""Longest string in a YAML file [characters]."""
 MOST_DEPTH = 20
-"""Lists and mappings within each other."""
+"""Deepest nesting of lists and mappings."""
 MOST_EVENTS = 300_000
-"""Values, and beginnings and ends of lists and mappings, in a YAML: a world of 20,000 segments
-whose path has 20,000 points has 200,000."""
+"""Most parser events in a YAML file; a world with 20,000 segments and a path of 20,000 points has
+200,000."""
 YAML_ERRORS = (yaml.YAMLError, ValueError, LookupError, AttributeError, RecursionError)
-"""What the YAML library lets out for malformed scalars, besides its own errors."""
+"""Exceptions of the YAML library; malformed scalars raise the built-in ones."""
 TEXT = "tag:yaml.org,2002:str"
 MERGE = "tag:yaml.org,2002:merge"
 
 
 def decoded(data: bytes, error: type[AcsarError] = ConfigError) -> str:
-    """The text of a file's content. Raises `error` where it isn't UTF-8."""
+    """Decode UTF-8; raises `error` if it isn't UTF-8."""
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -40,7 +40,15 @@ def decoded(data: bytes, error: type[AcsarError] = ConfigError) -> str:
 
 
 def from_json(text: str | bytes, error: type[AcsarError] = ConfigError) -> Any:
-    """What a JSON text says. Raises `error` for text that isn't JSON, NaN, or a number too long."""
+    """Parse JSON.
+
+    Args:
+        text: the JSON.
+        error: class of the exception.
+
+    Raises:
+        AcsarError: as `error`, for invalid JSON, NaN, and too long numbers.
+    """
     try:
         return _JSON.decode(text if isinstance(text, str) else str(text, "ascii"))
     except (ValueError, RecursionError) as problem:
@@ -48,33 +56,42 @@ def from_json(text: str | bytes, error: type[AcsarError] = ConfigError) -> Any:
 
 
 def from_yaml(text: str, error: type[AcsarError] = ConfigError) -> Any:
-    """What a YAML text of one document says.
+    """Parse a YAML document.
 
-    Raises `error` for text that isn't YAML, and for aliases, merges, numbers that are too long,
-    too many values or too deep a nesting.
+    Args:
+        text: the YAML.
+        error: class of the exception.
+
+    Raises:
+        AcsarError: as `error`, for invalid YAML, several documents, aliases, merges, too long
+            numbers or strings, too many values, and too deep nesting.
     """
     try:
         _check(yaml.parse(text, Loader=_Loader), error)
-        return yaml.load(text, Loader=_Loader)  # noqa: S506 -- a safe one
+        return yaml.load(text, Loader=_Loader)  # noqa: S506 -- derived from the safe loader
     except YAML_ERRORS as problem:
         raise error(f"not valid YAML: {reason(problem)}") from None
 
 
 def _whole(text: str) -> int:
+    """Parse an integer of bounded length."""
     _check_length(text)
     return int(text)
 
 
 def _real(text: str) -> float:
+    """Parse a float of bounded length."""
     _check_length(text)
     return float(text)
 
 
 def _no_number(constant: str) -> float:
+    """Reject NaN and infinity."""
     raise ValueError(f"{constant} is no number")
 
 
 def _check_length(text: str) -> None:
+    """Reject too long numbers."""
     if len(text) > MOST_DIGITS:
         raise ValueError(f"a number of {len(text):,} characters")
 
@@ -83,12 +100,12 @@ _JSON = json.JSONDecoder(parse_int=_whole, parse_float=_real, parse_constant=_no
 
 
 class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
-    """Safe, fast where it can be, and 1e-3 is a number as it is in JSON and YAML 1.2."""
+    """A safe YAML loader, in C if available, that reads 1e-3 as a number as YAML 1.2 does."""
 
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
-        """Called for every mapping instead of merging what `<<` names.
+        """Reject merges (`<<`) and keys that aren't strings; called for every mapping.
 
-        Keys are texts, whose hashes nobody can foresee; numbers could be chosen to collide.
+        Hashes of strings are randomized; numeric keys could be chosen to collide.
         """
         for key, _ in node.value:
             if key.tag != TEXT:
@@ -97,7 +114,7 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[mi
                 raise ValueError(f"line {key.start_mark.line + 1}: {found}")
 
     def construct_number(self, node: yaml.ScalarNode) -> int | float:
-        """Bounded, since numbers to the base of 60 (1:30:00) take a time that grows squared."""
+        """Parse a number of bounded length; base-60 numbers (1:30:00) take quadratic time."""
         _check_length(node.value)
         whole = node.tag == "tag:yaml.org,2002:int"
         make = self.construct_yaml_int if whole else self.construct_yaml_float
@@ -115,7 +132,7 @@ _Loader.add_implicit_resolver(
 
 
 def _check(events: Iterable[yaml.Event], error: type[AcsarError]) -> None:
-    """Refuse what would grow or nest without end, before anything is built of it."""
+    """Reject aliases, deep nesting and too many values before anything is constructed."""
     depth = 0
     for count, event in enumerate(events):
         depth += isinstance(event, yaml.CollectionStartEvent)

@@ -1,1 +1,1 @@
-"""Pictures and windows."""
+"""Top views, camera pictures and windows."""

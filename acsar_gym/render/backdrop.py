@@ -1,4 +1,4 @@
-"""What stands still in a picture from above: floor, obstacles, start, goal, and a scale bar."""
+"""Draws the static part of a top view: floor, obstacles, start, goal and scale bar."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Point = tuple[float, float]
 FLOOR: Colour = (251, 251, 249)
 GRID: Colour = (231, 233, 236)
 UNSEEN, SEEN = (FLOOR, GRID), ((249, 238, 237), (232, 220, 223))
-"""Colours of the floor and its grid without and with the LiDAR's light."""
+"""Colours of floor and grid outside and inside the area that the LiDAR sees."""
 INK: Colour = (70, 76, 88)
 LABEL: Colour = (255, 255, 255, 205)
 OBSTACLE: Colour = (58, 64, 77)
@@ -23,17 +23,27 @@ PLAN: Colour = (120, 128, 142)
 GOAL: Colour = (38, 173, 97)
 START: Colour = (30, 110, 220)
 MARGIN = 0.35
-"""Floor shown around a world [m]."""
+"""Width of the floor shown around a world [m]."""
 STRAY = 1.0
-"""Floor shown around start and goal where there is no world [m]."""
+"""Width of the floor shown around start and goal if there is no world [m]."""
 INSET = 10.0
-"""Pixels to every edge that neither a world nor the robot comes into."""
+"""Smallest distance of world and robot from the edges of the picture [pixels]."""
 TEXT = 12.0
-"""Height of the letters' line [pixels]."""
+"""Height of text [pixels]."""
 
 
 def still(world: World | None, view: View, floor: Colour, grid: Colour) -> Canvas:
-    """A canvas with a floor, and what stands on it."""
+    """Draw the floor with its grid, and the world's path and obstacles.
+
+    Args:
+        world: the world; None for an open floor.
+        view: the part of the plane to show.
+        floor: colour of the floor.
+        grid: colour of the grid.
+
+    Returns:
+        A new canvas.
+    """
     canvas = Canvas(view, floor)
     _grid(canvas, grid)
     if world is not None:
@@ -42,7 +52,7 @@ def still(world: World | None, view: View, floor: Colour, grid: Colour) -> Canva
 
 
 def _grid(canvas: Canvas, colour: Colour) -> None:
-    """Lines every 1 m, or more where that would be too fine."""
+    """Draw grid lines every 1 m, or at a larger round distance in a small scale."""
     left, low, right, high = canvas.view.bounds
     step = max(1.0, round_length(30.0 / canvas.view.scale))
     for x in np.arange(math.ceil(left / step), math.floor(right / step) + 1) * step:
@@ -52,7 +62,7 @@ def _grid(canvas: Canvas, colour: Colour) -> None:
 
 
 def _obstacles(canvas: Canvas, world: World) -> None:
-    """The world's path, then what stands in the way."""
+    """Draw the world's path, then its obstacles."""
     if world.path is not None:
         canvas.dashes(world.path, PLAN, 1.0, 5.0)
     for x, y, radius in world.circles.tolist():
@@ -63,13 +73,13 @@ def _obstacles(canvas: Canvas, world: World) -> None:
 
 
 def goal_disc(canvas: Canvas, place: Point, radius: float) -> None:
-    """A goal, which can be seen however small it is."""
+    """Draw a goal of `radius` [m], large enough to be visible."""
     canvas.disc(place, radius, (*GOAL, 70), GOAL, width=1.5, least=4.0)
     canvas.disc(place, 0.0, GOAL, least=2.5)
 
 
 def start_arrow(canvas: Canvas, start: Region) -> None:
-    """A disc, and an arrow where the heading is known."""
+    """Draw a start: a disc, and an arrow if its heading is known."""
     place = (start.x, start.y)
     if start.radius > 0.0:
         canvas.disc(place, start.radius, (*START, 50), START)
@@ -83,9 +93,16 @@ def start_arrow(canvas: Canvas, start: Region) -> None:
 
 
 def scale_bar(canvas: Canvas, row: float, share: float, *, right: bool = False) -> float:
-    """A bar of a round length in the left or right corner; returns its length [pixels].
+    """Draw a scale bar of a round length in the lower left or right corner.
 
-    It is at most a `share` of the picture's width.
+    Args:
+        canvas: the canvas.
+        row: row of the bar [pixels].
+        share: largest length of the bar, as a share of the picture's width.
+        right: whether it is in the right corner.
+
+    Returns:
+        Length of the bar [pixels].
     """
     width, scale = canvas.view.size[0], canvas.view.scale
     length = round_length(share * width / scale)
@@ -96,7 +113,10 @@ def scale_bar(canvas: Canvas, row: float, share: float, *, right: bool = False) 
 
 
 def episode_bounds(world: World | None, goal: Point | None) -> Bounds:
-    """What to show of an episode: world and goal; without a world goal and origin [m]."""
+    """Return the area to show in an episode [m].
+
+    It contains world and goal, or, without a world, origin and goal.
+    """
     if world is not None:
         return wider(_union(world.bounds, (*goal, *goal) if goal else world.bounds), MARGIN)
     points = np.array([(0.0, 0.0), goal or (0.0, 0.0)])
@@ -107,17 +127,18 @@ def episode_bounds(world: World | None, goal: Point | None) -> Bounds:
 
 
 def wider(bounds: Bounds, margin: float) -> Bounds:
-    """Bounds with a margin on every side [m]."""
+    """Return bounds with a margin added on every side [m]."""
     left, low, right, high = bounds
     return left - margin, low - margin, right + margin, high + margin
 
 
 def grown(bounds: Bounds, x: float, y: float) -> Bounds:
-    """Bounds that also hold a place, and so much more that they need not grow again soon [m]."""
+    """Return bounds that also contain (x, y), with room to spare for further growth [m]."""
     more = 0.25 * max(bounds[2] - bounds[0], bounds[3] - bounds[1])
     return _union(bounds, wider((x, y, x, y), more))
 
 
 def _union(one: Bounds, other: Bounds) -> Bounds:
+    """Return the smallest bounds that contain both."""
     left, low, right, high = one
     return min(left, other[0]), min(low, other[1]), max(right, other[2]), max(high, other[3])

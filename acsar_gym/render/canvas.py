@@ -1,4 +1,4 @@
-"""Drawing in metres with Pillow: a view maps metres to pixels, a canvas draws smooth shapes."""
+"""Antialiased drawing with Pillow: a view maps metres to pixels, a canvas draws shapes."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 Colour = tuple[int, ...]
-"""Red, green, blue, and how opaque, each 0-255; opaque where that is left out."""
+"""Red, green, blue and optionally alpha, each 0-255."""
 Bounds = tuple[float, float, float, float]
-"""Least x and y, largest x and y [m]."""
+"""(x_min, y_min, x_max, y_max) [m]."""
 Up = Literal["x", "y"]
-"""The axis that points up: x where a robot starts ahead, y on a map."""
+"""Axis that points up in the picture: x, in which a robot starts driving, or y, as on a map."""
 FINE = 2
-"""Canvases are so many times as fine as their picture in each direction, which smooths edges."""
+"""Supersampling factor in each direction, for antialiasing."""
 FARTHEST = 1e4
-"""Lines end so far from the picture's corner at most [fine pixels]; Pillow walks along them."""
+"""Coordinates are clipped to this [fine pixels], as Pillow's time grows with a line's length."""
 SMALLEST, LARGEST = 64, 4096
-"""Allowed width and height of a picture [pixels]."""
+"""Smallest and largest width and height of a picture [pixels]."""
 
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """Which part of a plane a picture shows. Pixels are (column, row) from the upper left."""
+    """The part of the plane that a picture shows. Pixels are (column, row) from the upper left."""
 
     centre: tuple[float, float]
-    """What the picture's middle shows [m]."""
+    """Position at the centre of the picture [m]."""
     scale: float
     """[pixels/m]"""
     size: tuple[int, int]
@@ -45,7 +45,7 @@ class View:
 
     @classmethod
     def fitted(cls, bounds: Bounds, size: tuple[int, int], up: Up, inset: float) -> View:
-        """The largest view that shows all of `bounds` at least `inset` pixels from every edge."""
+        """Return the largest view that shows all of `bounds`, `inset` pixels from every edge."""
         left, low, right, high = bounds
         across, along = (high - low, right - left) if up == "x" else (right - left, high - low)
         room = [max(1.0, side - 2.0 * inset) for side in size]
@@ -53,7 +53,7 @@ class View:
         return cls(((left + right) / 2.0, (low + high) / 2.0), scale, size, up)
 
     def pixels(self, points: Floats) -> Floats:
-        """Where points (N, 2) [m] are in the picture: columns and rows (N, 2)."""
+        """Convert points (N, 2) [m] to columns and rows (N, 2) [pixels]."""
         across, along = points[:, 0] - self.centre[0], points[:, 1] - self.centre[1]
         if self.up == "x":
             across, along = -along, across
@@ -63,27 +63,27 @@ class View:
         return result
 
     def shows(self, x: float, y: float, inset: float) -> bool:
-        """Whether a point [m] is at least `inset` pixels from every edge."""
+        """Return whether a point [m] is at least `inset` pixels from every edge."""
         column, row = self.pixels(np.array([[x, y]]))[0]
         width, height = self.size
         return bool(inset <= column <= width - inset and inset <= row <= height - inset)
 
     @property
     def bounds(self) -> Bounds:
-        """What the whole picture shows [m]."""
+        """Area that the picture shows [m]."""
         width, height = self.size if self.up == "y" else self.size[::-1]
         x, y = width / 2.0 / self.scale, height / 2.0 / self.scale
         return self.centre[0] - x, self.centre[1] - y, self.centre[0] + x, self.centre[1] + y
 
 
 class Canvas:
-    """A picture being drawn. Places and radii are in m, widths of lines in pixels.
+    """A picture being drawn. Positions and radii are in m, line widths in pixels.
 
     Raises MissingExtraError without Pillow.
     """
 
     def __init__(self, view: View, ground: Picture | Colour) -> None:
-        """`ground` is a colour, or the `layer` of a canvas of the same size to go on from."""
+        """`ground` is a colour, or the `layer` of a canvas of the same size to start from."""
         pillow = _pillow()
         width, height = view.size
         size = (FINE * width, FINE * height)
@@ -91,15 +91,12 @@ class Canvas:
         self.layer = (
             pillow.Image.new("RGB", size, ground) if isinstance(ground, tuple) else ground.copy()
         )
-        """The picture, FINE times as wide and high."""
+        """The picture at FINE times its width and height."""
         self._draw = pillow.ImageDraw.Draw(self.layer, "RGBA")
         self._fine = replace(view, scale=FINE * view.scale, size=size)
 
     def _places(self, points: Floats, *, apart: float = 0.0) -> list[float]:
-        """Columns and rows in turn [fine pixels], without those that aren't finite.
-
-        Of points that follow each other within less than `apart` one is enough.
-        """
+        """Return columns and rows in turn [fine pixels]; leaves out points closer than `apart`."""
         places = self._fine.pixels(points)
         if not np.isfinite(places).all():
             places = places[np.isfinite(places).all(axis=1)]
@@ -110,19 +107,19 @@ class Canvas:
         return flat
 
     def line(self, points: Floats, colour: Colour, width: float) -> None:
-        """A line through points (N, 2); nothing for fewer than two."""
+        """Draw a line through points (N, 2); nothing for fewer than two."""
         places = self._places(points, apart=1.5 * FINE)
         if len(places) >= 4:
             self._draw.line(places, fill=colour, width=round(FINE * width))
 
     def rays(self, start: Floats, ends: Floats, colour: Colour) -> None:
-        """Hair lines from one point (1, 2) to many (N, 2)."""
+        """Draw thin lines from one point (1, 2) to many (N, 2)."""
         places, ends_flat = self._places(start), self._places(ends)
         for at in range(0, len(ends_flat) if places else 0, 2):
             self._draw.line([*places, *ends_flat[at : at + 2]], fill=colour)
 
     def dashes(self, points: Floats, colour: Colour, width: float, dash: float) -> None:
-        """A line with gaps as long as its dashes [pixels]."""
+        """Draw a dashed line through points (N, 2); dashes and gaps are `dash` pixels long."""
         if len(points) < 2:
             return
         length = np.concatenate([[0.0], np.hypot(*np.diff(points, axis=0).T).cumsum()])
@@ -141,13 +138,13 @@ class Canvas:
         edge: Colour | None = None,
         width: float = 1.0,
     ) -> None:
-        """A polygon of corners (N, 2)."""
+        """Draw a polygon with corners (N, 2)."""
         places = self._places(points)
         if len(places) >= 6:
             self._draw.polygon(places, fill=fill, outline=edge, width=round(FINE * width))
 
     def reveal(self, layer: Picture, points: Floats) -> None:
-        """Take the inside of a polygon of corners (N, 2) from a layer of the same size."""
+        """Copy the inside of a polygon with corners (N, 2) from a layer of the same size."""
         places = self._places(points)
         if len(places) >= 6:
             pillow = _pillow()
@@ -165,14 +162,14 @@ class Canvas:
         width: float = 1.0,
         least: float = 0.5,
     ) -> None:
-        """A disc of a radius in m, but of at least `least` pixels."""
+        """Draw a disc of `radius` [m], but at least `least` pixels."""
         size = max(radius * self._fine.scale, FINE * least)
         for column, row in _pairs(self._places(np.array([place]))):
             box = (column - size, row - size, column + size, row + size)
             self._draw.ellipse(box, fill=fill, outline=edge, width=round(FINE * width))
 
     def dots(self, points: Floats, radius: float, fill: Colour) -> None:
-        """Discs of a radius in pixels around points (N, 2)."""
+        """Draw discs of `radius` pixels around points (N, 2)."""
         size = FINE * radius
         for column, row in _pairs(self._places(points)):
             self._draw.ellipse((column - size, row - size, column + size, row + size), fill=fill)
@@ -187,7 +184,7 @@ class Canvas:
         colour: Colour,
         box: Colour,
     ) -> None:
-        """A scale bar of `length` m to the right of a pixel, with words above."""
+        """Draw a scale bar of `length` m to the right of a pixel, with a label above it."""
         left, low, tick = FINE * column, FINE * row, FINE * 4.0
         right = left + length * self._fine.scale
         top, pad = low - FINE * (size + 6.0), FINE * 4.0
@@ -198,7 +195,7 @@ class Canvas:
         )
 
     def band(self, height: float, fill: Colour, edge: Colour) -> None:
-        """A strip along the top, with lines below it and around the picture."""
+        """Draw a strip along the top, with lines below it and around the picture."""
         right, low = self.layer.width - 1, self.layer.height - 1
         self._draw.rectangle((0, 0, right, FINE * height), fill=fill)
         self._draw.line((0, FINE * height, right, FINE * height), edge, FINE)
@@ -214,7 +211,7 @@ class Canvas:
         anchor: str = "ls",
         box: Colour | None = None,
     ) -> None:
-        """Words at a pixel, on a box where it has a colour; `anchor` as Pillow names them."""
+        """Draw text at a pixel, on a box if `box` is a colour; `anchor` is Pillow's text anchor."""
         at = (FINE * place[0], FINE * place[1])
         font = _font(FINE * size)
         if box is not None:
@@ -225,12 +222,12 @@ class Canvas:
         self._draw.text(at, words, colour, font, anchor)
 
     def picture(self) -> NDArray[np.uint8]:
-        """What was drawn, height x width x 3."""
+        """Return the picture, (height, width, 3)."""
         return np.array(self.layer.reduce(FINE))
 
 
 def shortened(words: str, size: float, room: float) -> str:
-    """As many words, of a height in pixels, as `room` pixels hold; an ellipsis for the others."""
+    """Shorten text of a height [pixels] to fit into `room` pixels, with an ellipsis."""
     font = _font(FINE * size)
     kept = words
     while kept and font.getlength(kept + "…" * (kept != words)) > FINE * room:
@@ -239,20 +236,20 @@ def shortened(words: str, size: float, room: float) -> str:
 
 
 def round_length(most: float) -> float:
-    """The largest of 1, 2, 5 times a power of ten that is at most `most`."""
+    """Return the largest of 1, 2, 5 times a power of ten that is at most `most`."""
     power = 10.0 ** math.floor(math.log10(most))
     return next(step * power for step in (5.0, 2.0, 1.0) if step * power <= most * (1.0 + 1e-9))
 
 
 def encode(image: NDArray[np.uint8]) -> bytes:
-    """A picture as a PNG file."""
+    """Encode a picture (height, width, 3) as PNG."""
     file = io.BytesIO()
     _pillow().Image.fromarray(image).save(file, "PNG")
     return file.getvalue()
 
 
 def check_size(name: str, size: tuple[int, int]) -> None:
-    """ConfigError unless width and height are whole numbers of pixels that fit into memory."""
+    """Raise ConfigError unless width and height are ints from SMALLEST to LARGEST [pixels]."""
     try:
         sound = len(size) == 2 and all(
             SMALLEST <= side <= LARGEST and side == int(side) for side in size
@@ -267,7 +264,7 @@ def check_size(name: str, size: tuple[int, int]) -> None:
 
 
 def _spaced(places: Floats, apart: float) -> Floats:
-    """The first, the last, and between them a point for every `apart` of the way."""
+    """Thin out a path to one point per `apart` of its length, keeping the first and last."""
     steps = np.diff(places, axis=0)
     mark = (np.hypot(steps[:, 0], steps[:, 1]).cumsum() / apart).astype(np.int64)
     kept = np.ones(len(places), np.bool_)
@@ -277,16 +274,18 @@ def _spaced(places: Floats, apart: float) -> Floats:
 
 
 def _pairs(flat: list[float]) -> zip[tuple[float, float]]:
+    """Group alternating columns and rows to pairs."""
     return zip(flat[::2], flat[1::2], strict=True)
 
 
 @functools.cache
 def _font(size: float) -> Any:
+    """Return Pillow's font of a height [fine pixels]."""
     return _pillow().ImageFont.load_default(size)
 
 
 def _pillow() -> Any:
-    """The package PIL with the modules used here."""
+    """Import Pillow with the modules used here."""
     try:
         import PIL  # noqa: PLC0415 - optional
         import PIL.Image  # noqa: PLC0415

@@ -1,4 +1,4 @@
-"""What an environment shows: the top view or PyBullet's camera, as pictures or in a window."""
+"""Renders an environment: top view or PyBullet's camera, as pictures or in a window."""
 
 from __future__ import annotations
 
@@ -20,11 +20,17 @@ from acsar_gym.worlds.scene import point_in_world, to_world
 TOP_SIZE = (480, 480)
 """Width and height of the top view [pixels]."""
 CAMERA_SIZE = (640, 480)
-"""Of the camera's pictures [pixels]."""
+"""Width and height of the camera's pictures [pixels]."""
 
 
 class Screen:
-    """Keeps the ways driven, and draws them on request; in no render mode it does nothing."""
+    """Records the paths driven and draws pictures on request; does nothing without a mode.
+
+    Args:
+        config: configuration of the robot.
+        mode: render mode of the env; None for no rendering.
+        view: "top", or "camera" for PyBullet's camera behind the robot.
+    """
 
     def __init__(self, config: RobotConfig, mode: str | None, view: str) -> None:
         self._config, self._mode, self._view = config, mode, view
@@ -40,16 +46,16 @@ class Screen:
         self._scan: Scan | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Copies have a screen of their own, and nothing on it yet."""
+        """Copy the settings only: a copy has no window and no recorded paths."""
         return Screen, (self._config, self._mode, self._view)
 
     def begin(self, assignment: Assignment, tolerance: float) -> None:
-        """A new episode."""
+        """Start a new episode; `tolerance` is the radius of the goal [m]."""
         self._assignment, self._tolerance = assignment, tolerance
         self._odom_path, self._true_path = [], []
 
     def show(self, state: State, truth: GroundTruth | None, scan: Scan | None) -> None:
-        """The robot's new state; a window shows it at once."""
+        """Record the robot's new state; a window displays it at once."""
         if self._mode is None:
             return
         self._state, self._truth, self._scan = state, truth, scan
@@ -60,11 +66,21 @@ class Screen:
             self._on_window(self._drawn())
 
     def _placed(self, pose: Pose) -> Pose:
-        """A pose of the odometry frame in the frame of the world, which pictures show."""
+        """Convert a pose from the odometry frame to the frame of the world."""
         return to_world(self._assignment.start, pose) if self._assignment else pose
 
     def picture(self, link: Link) -> Image:
-        """The picture of the state that was shown last. RenderError where there is no camera."""
+        """Draw the newest state.
+
+        Args:
+            link: link of the robot, for the camera.
+
+        Returns:
+            The picture, (height, width, 3).
+
+        Raises:
+            RenderError: this link has no camera.
+        """
         if self._view == "top":
             return self._drawn()
         camera = camera_of(link)
@@ -73,6 +89,7 @@ class Screen:
         return camera.image(*CAMERA_SIZE)
 
     def _drawn(self) -> Image:
+        """Draw the top view of the newest state."""
         from acsar_gym.render.top_view import Frame, TopView  # noqa: PLC0415 - optional
 
         if self._top is None:
@@ -96,7 +113,7 @@ class Screen:
         return image
 
     def _on_window(self, image: Image) -> None:
-        """Show a picture; where no window can open, warn once and go on without one."""
+        """Display a picture; if no window can be opened, warn once and continue without one."""
         from acsar_gym.render.window import Window  # noqa: PLC0415 - needs tkinter
 
         if self._window is None:
@@ -108,7 +125,7 @@ class Screen:
             warnings.warn(f"{error}; pictures are drawn off-screen", OffScreenWarning, stacklevel=6)
 
     def close(self) -> None:
-        """Close the window; twice is once."""
+        """Close the window. Idempotent."""
         if self._window is not None:
             self._window.close()
             self._window = None

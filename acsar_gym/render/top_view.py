@@ -1,4 +1,4 @@
-"""Pictures from above: the robot in its world, and contact sheets of worlds. Needs Pillow."""
+"""Top views: the robot in its world, and contact sheets of worlds. Needs Pillow."""
 
 from __future__ import annotations
 
@@ -29,52 +29,56 @@ from acsar_gym.render.vehicle import CHASSIS, footprint, parts, polar
 from acsar_gym.worlds import Pose, World
 
 Image = NDArray[np.uint8]
-"""height x width x 3, RGB."""
+"""Shape (height, width, 3), RGB."""
 
 ODOM: Colour = (30, 110, 220)
 TRUTH: Colour = (245, 137, 32)
 RAY: Colour = (216, 60, 80)
 SMALL = 10.0
-"""Shorter robots are ringed, or nobody would find them [pixels]."""
+"""Robots shorter than this get a ring, to be visible [pixels]."""
 MOST_POINTS = 1000
-"""Longer paths are thinned out."""
+"""Paths with more points are thinned out."""
 MOST_PIXELS = 36_000_000
-"""Of a sheet."""
+"""Largest size of a sheet [pixels]."""
 TITLE = 24
 """Height of a tile's title [pixels]."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Frame:
-    """What one picture shows, in the frame of the world, or without one in the odometry frame."""
+    """Content of one picture, in the frame of the world, or else in the odometry frame."""
 
     world: World | None = None
     odom: Pose = (0.0, 0.0, 0.0)
-    """Where the robot takes itself to be."""
+    """Pose by odometry."""
     truth: Pose | None = None
-    """Where it is, which only a simulation knows."""
+    """True pose; None on hardware."""
     goal: Point | None = None
     goal_radius: float = 0.15
     """[m]"""
     odom_path: Sequence[Point] = ()
     true_path: Sequence[Point] = ()
     rays: tuple[Floats, Floats] | None = None
-    """The LiDAR's scan: angles to the robot's x axis (N,) [rad], evenly rising, and ranges (N,)
-    [m]."""
+    """Scan of the LiDAR: evenly increasing angles in the base frame (N,) [rad], ranges (N,) [m]."""
     reach: float = math.inf
-    """Range of a ray that met nothing [m]."""
+    """Range of a ray that hits nothing [m]."""
     caption: str = ""
 
 
 class TopView:
-    """Draws frames of one robot from above, on a view that stays as long as world and goal do.
+    """Draws top views of one robot; the view is kept as long as world and goal are.
 
-    The view is fitted to the world and the goal; without a world it is a square around the origin
-    and the goal. It grows where the robot leaves it. `up` is the axis that points up; None: y in a
-    world, as on a map, and x without one, so that a robot drives off upwards.
+    It is fitted to world and goal; without a world it is a square around origin and goal. It grows
+    when the robot leaves it.
 
-    Raises ConfigError for a `size` (width, height) that isn't 64 to 4096 pixels, MissingExtraError
-    without Pillow.
+    Args:
+        config: configuration of the robot.
+        size: width and height of the pictures [pixels].
+        up: axis that points up; None for y in a world, as on a map, and x without one.
+
+    Raises:
+        ConfigError: width or height isn't 64 to 4096 pixels.
+        MissingExtraError: Pillow isn't installed.
     """
 
     def __init__(
@@ -82,7 +86,7 @@ class TopView:
     ) -> None:
         check_size("size", size)
         self.layers = 0
-        """How often what stands still was drawn."""
+        """How often the static part was drawn."""
         self._config = config
         self._up = up
         self._parts = parts(config)
@@ -93,11 +97,11 @@ class TopView:
 
     @property
     def view(self) -> View:
-        """How metres become pixels in the newest picture."""
+        """View of the newest picture."""
         return self._dark.view
 
     def draw(self, frame: Frame) -> Image:
-        """One picture: height x width x 3."""
+        """Draw a picture, shape (height, width, 3)."""
         self._look_at(frame)
         canvas = Canvas(self.view, self._dark.layer)
         pose = frame.truth or frame.odom
@@ -115,7 +119,7 @@ class TopView:
         return canvas.picture()
 
     def _look_at(self, frame: Frame) -> None:
-        """Fit the view to a new world or goal, and let it grow after the robot."""
+        """Fit the view to a new world or goal, and extend it when the robot leaves it."""
         view, bounds = self.view, self._bounds
         if frame.world is not self._world or not self._same_goal(frame):
             bounds = scenery.episode_bounds(frame.world, frame.goal)
@@ -130,14 +134,14 @@ class TopView:
             self._draw_still(frame.world, view)
 
     def _same_goal(self, frame: Frame) -> bool:
-        """Whether the goal needs no other view: in a world it may move, as long as it is seen."""
+        """Return whether the view still fits; in a world it does while the goal is visible."""
         if frame.goal == self._goal:
             return True
         seen = frame.goal is None or self.view.shows(*frame.goal, INSET)
         return frame.world is not None and seen
 
     def _draw_still(self, world: World | None, view: View) -> None:
-        """Draw what stands still twice: as it is, and lit by the LiDAR."""
+        """Draw the static part twice: outside and inside the area that the LiDAR sees."""
         self.layers += 1
         self._world = world
         self._dark, self._lit = (scenery.still(world, view, *floor) for floor in (UNSEEN, SEEN))
@@ -147,7 +151,7 @@ class TopView:
     def _scan(
         self, canvas: Canvas, pose: Pose, angles: Floats, ranges: Floats, reach: float
     ) -> None:
-        """What the LiDAR sees as a fan, with a dot at every hit."""
+        """Draw the area that the LiDAR sees, with a dot at every hit."""
         config = self._config
         sensor = _placed(np.array([[config.lidar_x_offset, config.lidar_y_offset]]), pose)
         ends = sensor + polar(angles + pose[2], np.minimum(ranges, reach))
@@ -157,12 +161,13 @@ class TopView:
         canvas.dots(ends[ranges < reach - 1e-9], 1.75, RAY)
 
     def _robot(self, canvas: Canvas, pose: Pose) -> None:
+        """Draw the robot."""
         self._ring(canvas, pose, CHASSIS)
         for corners, colour in self._parts:
             canvas.shape(_placed(corners, pose), colour)
 
     def _ghost(self, canvas: Canvas, truth: Pose, odom: Pose) -> None:
-        """The robot's outline where odometry has it, if that is a pixel or more away."""
+        """Draw the robot's outline at its odometry pose, if that differs by a pixel or more."""
         corners = _placed(self._footprint, odom)
         apart = np.hypot(*(corners - _placed(self._footprint, truth)).T).max()
         if apart * canvas.view.scale >= 1.0:
@@ -172,15 +177,16 @@ class TopView:
             canvas.line(_placed(nose, odom), ODOM, 1.5)
 
     def _ring(self, canvas: Canvas, pose: Pose, colour: Colour) -> None:
-        """A ring around a robot that would be hard to find."""
+        """Draw a ring around a robot that is too small to be seen."""
         if canvas.view.scale * self._config.body.length < SMALL:
             canvas.disc(pose[:2], 0.0, (*colour, 40), colour, width=1.5, least=SMALL)
 
 
 def most_tiles(columns: int, size: int) -> int:
-    """How many worlds fit on a sheet of 36 megapixels, which is 100 MB.
+    """Return how many worlds fit on a sheet of 36 megapixels, which is 100 MB.
 
-    Raises ConfigError where `size` isn't 64 to 4096 pixels, or there is no column.
+    Raises:
+        ConfigError: `size` isn't 64 to 4096 pixels, or there is no column.
     """
     check_size("size", (size, size))
     if columns < 1:
@@ -194,11 +200,16 @@ def sheet(
     size: int,
     watch: Callable[[Sequence[World]], Iterable[World]] = iter,
 ) -> Image:
-    """Worlds side by side as maps, each in its own frame with x right and y up, under its name.
+    """Draw worlds side by side as maps, x right and y up, with their names as titles.
 
-    Every tile is `size` pixels wide and high; rows are filled from the left. What passes through
-    `watch` is drawn. Raises ConfigError where there is no world, no column, `size` isn't 64 to 4096
-    pixels, or the sheet has more than 36 megapixels.
+    Args:
+        worlds: the worlds, in rows from the left.
+        columns: tiles in a row.
+        size: width and height of a tile [pixels].
+        watch: wraps the worlds as they are drawn, for a progress bar.
+
+    Raises:
+        ConfigError: there is no world or column, or `size` or the sheet is too large or small.
     """
     most = most_tiles(columns, size)
     if not worlds:
@@ -218,6 +229,7 @@ def sheet(
 
 
 def _tile(world: World, size: int) -> Image:
+    """Draw one world with its title."""
     bounds = scenery.wider(world.bounds, scenery.MARGIN / 2.0)
     view = View.fitted(bounds, (size, size - TITLE), "y", INSET / 2.0)
     below = (view.centre[0], view.centre[1] + TITLE / 2.0 / view.scale)
@@ -232,29 +244,29 @@ def _tile(world: World, size: int) -> Image:
 
 
 def save(image: Image, path: str | Path) -> None:
-    """Write a picture as PNG. Raises ConfigError for another suffix, or if it can't be written."""
+    """Write a picture as PNG; ConfigError for another suffix, or if it can't be written."""
     path = Path(path)
     check_name(path)
     bounded.write(path, encode(image))
 
 
 def check_name(path: Path) -> None:
-    """ConfigError unless this is the name of a PNG file."""
+    """Raise ConfigError unless this is the name of a PNG file."""
     if path.suffix.lower() != ".png":
         raise ConfigError(f"{path}: pictures are PNG files; use a name that ends in .png")
 
 
 def _thinned(path: Sequence[Point]) -> Floats:
-    """At most about a thousand points of a path, with its last one, (N, 2)."""
+    """Thin out a path to about a thousand points (N, 2), keeping the last one."""
     step = 1
     while len(path) > MOST_POINTS * step:
-        step *= 2  # doubling leaves most points where they were in the picture before
+        step *= 2  # doubling keeps most of the points of the picture before
     points = np.array(path[::step], np.float64).reshape(-1, 2)
     return points if step == 1 else np.concatenate([points, np.array(path[-1:])])
 
 
 def _all_around(angles: Floats) -> bool:
-    """Whether evenly spaced angles leave no gap between the last and the first."""
+    """Return whether evenly spaced angles cover the full circle."""
     if len(angles) < 3:
         return False
     turn = float(angles[-1] - angles[0])
@@ -262,7 +274,7 @@ def _all_around(angles: Floats) -> bool:
 
 
 def _placed(points: Floats, pose: Pose) -> Floats:
-    """Points (N, 2) in the frame of a pose, in the frame that the pose is in."""
+    """Transform points (N, 2) from the frame of a pose to the frame that the pose is in."""
     x, y, theta = pose
     cos, sin = math.cos(theta), math.sin(theta)
     placed: Floats = points @ np.array([[cos, sin], [-sin, cos]]) + (x, y)

@@ -1,4 +1,4 @@
-"""A live window for pictures, on tkinter of the standard library."""
+"""A window that displays pictures, with tkinter of the standard library."""
 
 from __future__ import annotations
 
@@ -21,9 +21,13 @@ NO_TKINTER = (
 
 
 class Window:
-    """Shows pictures as they come; it opens with the first one, on the thread that shows it.
+    """Displays pictures; it opens with the first one, and must be used from one thread.
 
     Once it is closed, by `close()` or by the user, further pictures are ignored.
+
+    Args:
+        title: title of the window.
+        size: width and height [pixels] until a picture has another size.
     """
 
     def __init__(self, title: str, size: tuple[int, int]) -> None:
@@ -34,13 +38,18 @@ class Window:
 
     @property
     def closed(self) -> bool:
-        """Whether pictures are ignored from now on."""
+        """Whether the window was closed."""
         return self._closed or (self._open is not None and not self._open.destroy.alive)
 
     def show(self, image: NDArray[np.uint8]) -> None:
-        """Show a picture, height x width x 3, RGB, and handle the window's events.
+        """Display a picture and handle the window's events.
 
-        Raises RenderError where there is no display or no tkinter, ValueError for another shape.
+        Args:
+            image: shape (height, width, 3), RGB.
+
+        Raises:
+            RenderError: there is no display or no tkinter.
+            ValueError: the picture has another shape.
         """
         data = _ppm(image)
         if not self.closed:
@@ -51,7 +60,7 @@ class Window:
             self.close()
 
     def close(self) -> None:
-        """Close the window; twice is once."""
+        """Close the window. Idempotent."""
         self._closed = True
         if self._open is not None:
             self._open.destroy()
@@ -59,7 +68,7 @@ class Window:
 
 
 class _Open:
-    """Tk's side of a window. It dies with its owner, or when the user closes it."""
+    """The Tk objects of an open window; destroyed with their owner, or when the user closes it."""
 
     def __init__(self, title: str, size: tuple[int, int]) -> None:
         try:
@@ -70,7 +79,7 @@ class _Open:
             root = tk.Tk(className="acsar_gym")
         except tk.TclError:
             raise RenderError(NO_DISPLAY) from None
-        # A finalizer doesn't keep this object alive, as its own methods as callbacks would.
+        # A callback that is a method would keep this object alive; a finalizer doesn't.
         self.destroy = weakref.finalize(self, root.destroy)
         self._root: tk.Tk = root
         root.protocol("WM_DELETE_WINDOW", self.destroy)
@@ -85,6 +94,7 @@ class _Open:
 
 
 def _ppm(image: NDArray[np.uint8]) -> bytes:
+    """Encode a picture as PPM, which Tk reads."""
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
         raise ValueError(f"pictures are height x width x 3 of uint8, not {image.shape}")
     height, width = image.shape[:2]

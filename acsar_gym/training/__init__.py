@@ -1,1 +1,1 @@
-"""What `agents/train.py` is made of, whatever the algorithm: threads, signals, evaluation."""
+"""Parts of `agents/train.py` that don't depend on the algorithm: threads, signals, evaluation."""

@@ -1,4 +1,4 @@
-"""Callbacks of a training with stable-baselines3: held-out scores, progress, and an early end."""
+"""Callbacks for training with stable-baselines3: held-out scores, progress, and early end."""
 
 from __future__ import annotations
 
@@ -18,11 +18,20 @@ from acsar_gym.vector.env import RobotVectorEnv
 
 
 class HeldOut(BaseCallback):
-    """Evaluates the deterministic policy on a batch of robots that isn't trained on.
+    """Evaluates the deterministic policy on a batch of robots that isn't used for training.
 
-    That happens after the first rollout, then up to `evaluations` times, and with `finish` at the
-    end. Scores are logged as eval/success_rate, eval/collision_rate, eval/mean_return and
-    eval/mean_length; `score` is the newest one, and `name` what its success is called.
+    It does so after the first rollout, then up to `evaluations` times, and when `finish` is called.
+    Scores are logged as eval/success_rate, eval/collision_rate, eval/mean_return and
+    eval/mean_length.
+
+    Args:
+        batch: robots to evaluate on.
+        steps: env steps of the training.
+        evaluations: largest number of evaluations during the training.
+
+    Attributes:
+        score: the newest score; None before the first one.
+        name: label of the success rate, for output.
     """
 
     def __init__(self, batch: RobotVectorEnv, steps: int, evaluations: int) -> None:
@@ -42,12 +51,13 @@ class HeldOut(BaseCallback):
             self._evaluate()
 
     def finish(self) -> Score:
-        """Score the policy as it is after its last update."""
+        """Evaluate the policy after its last update."""
         score = self._evaluate()
         self.logger.dump(self.num_timesteps)
         return score
 
     def _evaluate(self) -> Score:
+        """Evaluate the policy and log the score."""
         with torch.no_grad():
             score = held_out.evaluate(self._batch, self._decide)
         for name in ("success_rate", "collision_rate", "mean_return", "mean_length"):
@@ -56,7 +66,7 @@ class HeldOut(BaseCallback):
         return score
 
     def _decide(self, seen: NDArray[np.float32]) -> NDArray[np.float32]:
-        """What `predict` decides, in half of its time."""
+        """Compute deterministic actions (n, 2), in half the time of the policy's `predict`."""
         policy: Any = self.model.policy
         mean: torch.Tensor = policy.get_distribution(torch.from_numpy(seen)).mode()
         clipped: NDArray[np.float32] = np.clip(mean.numpy(), -1.0, 1.0)
@@ -64,12 +74,15 @@ class HeldOut(BaseCallback):
 
 
 class WholeCohorts(BaseCallback):
-    """Keeps figures of early finishers out of the log.
+    """Keeps the biased statistics of the first episodes out of the log.
 
-    stable-baselines3 logs the means of the last episodes that have ended. In a batch, whose robots
-    all start at once, those are the quick successes at first, then all the failures together. So
-    rollout/success_rate isn't logged, and rollout/ep_rew_mean and ep_len_mean only after
-    `episode_steps`, the time limit, when every robot has finished an episode.
+    stable-baselines3 logs means over the last finished episodes. All robots of a batch start at the
+    same time, so the first episodes to finish are quick successes, and the failures follow all at
+    once. So rollout/success_rate isn't logged, and rollout/ep_rew_mean and ep_len_mean only once
+    every robot has finished an episode.
+
+    Args:
+        episode_steps: time limit of an episode [steps].
     """
 
     def __init__(self, episode_steps: int) -> None:
@@ -87,9 +100,13 @@ class WholeCohorts(BaseCallback):
 
 
 class TrainingProgress(BaseCallback):
-    """A progress bar with env steps a second and the newest success rate of an evaluation.
+    """Shows a progress bar with env steps per second and the newest held-out success rate.
 
-    Where the output is no terminal, every evaluation is a line instead.
+    If the output isn't a terminal, it prints one line per evaluation instead.
+
+    Args:
+        steps: env steps of the training.
+        scores: the callback that evaluates.
     """
 
     def __init__(self, steps: int, scores: HeldOut) -> None:
@@ -132,7 +149,11 @@ class TrainingProgress(BaseCallback):
 
 
 class EndOnSignal(BaseCallback):
-    """Ends the training after the step in which a signal has come."""
+    """Ends the training after the step during which a signal arrived.
+
+    Args:
+        stop: the open context that receives the signals.
+    """
 
     def __init__(self, stop: StopRequest) -> None:
         super().__init__()

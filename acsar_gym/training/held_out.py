@@ -1,4 +1,4 @@
-"""Success of a policy that is being trained, in worlds and from seeds that it never trains on."""
+"""Evaluates a policy during training, in worlds and with seeds that aren't trained on."""
 
 from __future__ import annotations
 
@@ -13,34 +13,41 @@ from acsar_gym.vector.env import RobotVectorEnv
 from acsar_gym.worlds.pool import Pool
 
 ROBOTS = 64
-"""Robots, and so episodes, of an evaluation during training."""
+"""Robots in an evaluation during training; each runs one episode."""
 FIRST_WORLD = 900
-"""Held-out worlds begin here: between those of the final evaluation and those of the training."""
+"""First held-out world; the numbers are between those of final evaluation and training."""
 FIRST_SEED = 2**32
-"""Seeds of the held-out episodes begin here; those of a training are below."""
+"""First seed of held-out episodes; seeds of a training are smaller."""
 
 Decide = Callable[[NDArray[np.float32]], NDArray[Any]]
-"""Actions (n, 2) for observations (n, m)."""
+"""Maps observations (n, m) to actions (n, 2)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """What one episode of every robot came to."""
+    """Result of an evaluation with one episode per robot."""
 
     episodes: int
     success_rate: float
     collision_rate: float
-    """Episodes without success at whose end the robot touched an obstacle."""
+    """Share of unsuccessful episodes that ended in contact with an obstacle."""
     mean_return: float
     mean_length: float
-    """[steps]"""
+    """Mean length of an episode [steps]."""
 
 
 def evaluate(batch: RobotVectorEnv, decide: Decide) -> Score:
-    """Run every robot to the end of its first episode, always from the same seeds.
+    """Run the first episode of every robot to its end, always from the same seeds.
 
-    Quick and slow episodes count alike: whoever takes the first n episodes that end, whichever
-    robot they are of, counts the quick ones more often. The batch needs a time limit.
+    One episode per robot avoids a bias: the first n finished episodes of a batch would contain too
+    many quick ones.
+
+    Args:
+        batch: the robots; needs a time limit.
+        decide: the policy.
+
+    Returns:
+        Rates and means over the episodes.
     """
     observations, _ = batch.reset(seed=FIRST_SEED)
     robots = batch.num_envs
@@ -65,14 +72,19 @@ def evaluate(batch: RobotVectorEnv, decide: Decide) -> Score:
 
 
 def measured(batch: RobotVectorEnv) -> str:
-    """What a score of these robots is, for people."""
+    """Return the label of a success rate measured with this batch."""
     if _others(batch):
         return "held-out success"
     return "success in the same worlds, other seeds"
 
 
 def told(learning: RobotVectorEnv, batch: RobotVectorEnv) -> str:
-    """Where the robots learn and where they are evaluated, for people."""
+    """Describe the worlds of training and evaluation in one line.
+
+    Args:
+        learning: robots of the training.
+        batch: robots of the evaluation.
+    """
     pools = [one.pool for one in (learning, batch)]
     if pools[0] is None:
         return "training on an open floor, held out: other seeds"
@@ -83,15 +95,20 @@ def told(learning: RobotVectorEnv, batch: RobotVectorEnv) -> str:
 
 
 def _others(batch: RobotVectorEnv) -> bool:
-    """Whether its episodes are in other worlds, or to other goals on the open floor."""
+    """Return whether the evaluation has other worlds, or other goals on the open floor."""
     pool = batch.pool
     return pool is None or pool.generated
 
 
 def worlds_beside(pool: Pool | None) -> str | None:
-    """ROBOTS generated worlds of the same kind, none of which is in this pool.
+    """Choose ROBOTS held-out worlds.
 
-    None where there are no others, as for files and on the open floor: only other seeds.
+    Args:
+        pool: worlds of the training; None for an open floor.
+
+    Returns:
+        Generated worlds of the same kind, none of which is in `pool`; None for files and an
+        open floor, which have no others, so that only the seeds differ.
     """
     if pool is None or not pool.generated:
         return None

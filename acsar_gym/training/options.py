@@ -1,4 +1,4 @@
-"""What a training is asked for at the command line."""
+"""Command line options of a training."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from acsar_gym.training import held_out
 
 MOST_STEPS = 10**10
 MOST_ROBOTS = 16_384
-"""A rollout of so many takes 0.2 to 1 GB."""
+"""Most robots; a rollout of this many takes 0.2 to 1 GB."""
 MOST_WIDTH = 4096
-"""Of a layer."""
+"""Largest width of a layer."""
 
 
 @dataclass(frozen=True)
@@ -26,39 +26,39 @@ class Options:
     env: Annotated[str, tyro.conf.arg(metavar="NAME|ID")] = "point_goal"
     """point_goal, path_follow, obstacle_goal, barn, or an id as in mine.module:mine/Task-v0."""
     steps: int | None = None
-    """Env steps to train, at most 10 billion; the recipe's where it isn't given."""
+    """Env steps to train, at most 10 billion; default: the recipe's."""
     out: Path | None = None
-    """Folder for the policy, checkpoints and logs; runs/ENV where it isn't given."""
+    """Folder for the policy, checkpoints and logs; default: runs/ENV."""
     robots: int = 512
     """Robots stepped together, at most 16,384."""
     seed: int = 0
     """Seed of everything random, 0 to 2^32 - 1."""
     threads: int | None = None
-    """Cores to use; as many as are free when the training begins where it isn't given."""
+    """Cores to use; default: as many as are free when the training begins."""
     worlds: str | None = None
-    """Kind, file or folder of worlds, instead of the env's own."""
+    """Generator, file or folder of worlds, instead of the env's own."""
     robot: str | None = None
     """Preset or config file."""
     randomize: bool = True
-    """Vary the robots' physics (see RANDOMIZATION)."""
+    """Randomize the robots' physics (see RANDOMIZATION)."""
     gamma: float | None = None
-    """Discount of a step, 0 to 1; the recipe's where it isn't given."""
+    """Discount factor, 0 to 1; default: the recipe's."""
     learning_rate: float | None = None
-    """Of Adam, up to 1; the recipe's where it isn't given."""
+    """Learning rate of Adam, up to 1; default: the recipe's."""
     net: tuple[int, ...] | None = None
-    """Widths of the hidden layers, as in 64 64; the recipe's where it isn't given."""
+    """Widths of the hidden layers, such as 64 64; default: the recipe's."""
     progress: bool = True
     """Show a progress bar."""
     resume: Path | None = None
-    """PPO's model.zip to train on, with the hyperparameters that are in it; needs --trust."""
+    """model.zip of PPO to continue training, with its hyperparameters; needs --trust."""
     trust: bool = False
-    """Let the zip of --resume run its code: only your own, or whose you trust."""
+    """Allow the zip of --resume to run code in it: only for zips from people you trust."""
 
     def check(self) -> None:
-        """Find whatever can be known to be wrong before anything is started.
+        """Check all options before the training starts.
 
         Raises:
-            ConfigError: a number that is out of its range.
+            ConfigError: a number is out of its range.
             MissingExtraError: a library that training needs isn't installed.
         """
         ranges = (

@@ -1,4 +1,4 @@
-"""What a training leaves: the model to train on, and the policy to drive with."""
+"""Writes the results of a training: the model to continue from, and the policy to run."""
 
 from __future__ import annotations
 
@@ -13,13 +13,16 @@ if TYPE_CHECKING:
 
 
 def save(model: PPO, env_id: str, env: RobotVectorEnv, out: Path) -> tuple[Path, Path]:
-    """Write policy.onnx and model.zip into a folder; returns both.
+    """Write policy.onnx and model.zip into a folder.
 
     Args:
-        model: what was trained.
-        env_id: what it was trained for, as `--env` takes it.
-        env: a batch of that id.
-        out: the folder, which exists.
+        model: the trained model.
+        env_id: the env that it was trained for, as given to `--env`.
+        env: a batch of that env.
+        out: an existing folder.
+
+    Returns:
+        Paths of policy.onnx and model.zip.
 
     Raises:
         PolicyError: the policy can't be exported.
@@ -36,7 +39,12 @@ def save(model: PPO, env_id: str, env: RobotVectorEnv, out: Path) -> tuple[Path,
 
 
 def replace(path: Path, write: Callable[[Path], object]) -> None:
-    """Write a file whole or not at all: what was there before stays until then."""
+    """Replace a file atomically: the old content stays until the new file is complete.
+
+    Args:
+        path: file to replace.
+        write: writes the new content to the path that it is given.
+    """
     new = path.with_name(f".{path.name}")
     try:
         write(new)

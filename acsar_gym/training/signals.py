@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM end a training in order: what it has learned is saved."""
+"""Handles Ctrl-C and SIGTERM during training, so that the model is saved first."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class StopRequest:
-    """While this context is open, SIGINT and SIGTERM set `number` instead of ending the program.
+    """A context in which SIGINT and SIGTERM set `number` instead of ending the program.
 
-    That holds from `defer()` on: before it there is nothing to save, and the program ends at once,
-    as it does with the second signal. A signal that was ignored stays ignored, as SIGINT is where a
-    shell without job control has put the program into the background. Only the main thread can
-    have handlers; elsewhere the signals keep their effect.
+    This starts with `defer()`; before, there is nothing to save, and a signal ends the program at
+    once. So does a second signal. Signals that were ignored stay ignored, such as SIGINT in a
+    background process of a shell without job control. Outside the main thread, which can't set
+    handlers, signals aren't changed.
     """
 
     def __init__(self) -> None:
         self.number: int | None = None
-        """The signal that has come."""
+        """The signal that arrived; None before."""
         self._deferred = False
         self._before: dict[signal.Signals, Any] = {}
 
@@ -42,15 +42,16 @@ class StopRequest:
             signal.signal(each, handler)
 
     def defer(self) -> None:
-        """From now on the first signal is only noted."""
+        """From now on, only record the first signal."""
         self._deferred = True
 
     @property
     def exit_code(self) -> int:
-        """128 and the number of the signal, as shells say it; 0 without one."""
+        """Exit code for shells: 128 plus the signal number, or 0 without a signal."""
         return 0 if self.number is None else 128 + self.number
 
     def _note(self, number: int, frame: FrameType | None) -> None:
+        """Handle a signal: record the first one after defer(), end the program otherwise."""
         first, self.number = self.number is None, number
         if self._deferred and first:
             return

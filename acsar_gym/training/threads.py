@@ -1,8 +1,8 @@
-"""How many threads to train with: other programs' share of the processor is left to them.
+"""Chooses the number of threads for training, leaving busy cores to other programs.
 
-torch's threads wait for each other after every small operation, spinning. Where one of them has to
-share its core, the others spin for as long as it waits, and two threads are many times slower than
-one. So they are told to sleep instead, and only as many are started as there are free cores.
+torch's threads busy-wait for each other after every small operation. If one of them shares its core
+with another program, all others wait for it, and two threads are many times slower than one. So
+waiting threads are set to sleep, and only as many are started as there are free cores.
 """
 
 from __future__ import annotations
@@ -15,30 +15,34 @@ import time
 from acsar_gym.errors import ConfigError
 
 PROBE = 0.25
-"""How long the measurement of free cores takes [s]."""
+"""Duration of the measurement of free cores [s]."""
 _BLOCK = bytes(1 << 18)
-"""What a thread of the measurement hashes at once, without the GIL: about 0.2 ms of work."""
+"""Data that a measuring thread hashes in one call, which takes 0.2 ms without the GIL."""
 
 
 def wait_passively() -> None:
-    """Have OpenMP's threads sleep while they wait, unless the user's environment says how.
+    """Make OpenMP threads sleep while they wait, unless OMP_WAIT_POLICY is already set.
 
-    Only what is loaded afterwards heeds it: call it before torch is imported.
+    Call it before torch is imported; libraries that are already loaded aren't affected.
     """
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 
 def cores() -> int:
-    """How many cores this process may use."""
+    """Return the number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def chosen(asked: int | None) -> int:
-    """The number asked for, or as many as there are free cores just now.
+    """Return the number of threads to use.
 
-    Raises ConfigError for fewer than 1 and for more than there are cores.
+    Args:
+        asked: number that the user asked for; None for the number of free cores.
+
+    Raises:
+        ConfigError: `asked` is below 1 or above the number of cores.
     """
     if asked is None:
         return free_cores()
@@ -48,22 +52,29 @@ def chosen(asked: int | None) -> int:
 
 
 def free_cores() -> int:
-    """How many threads would get a core of their own now, at least 1. Takes PROBE seconds."""
+    """Measure how many cores are free, at least 1; takes PROBE seconds."""
     count = cores()
     return 1 if count == 1 else undisturbed(count, _share(count))
 
 
 def undisturbed(count: int, share: float) -> int:
-    """How many of `count` cores are free, if that many threads got `share` of their time each.
+    """Compute the number of free cores from a measurement.
 
-    Beside k busy threads of others, n threads on n cores get n / (n + k) each.
+    With k busy threads of other programs, n threads on n cores get a share n / (n + k) each.
+
+    Args:
+        count: number of cores, and of threads in the measurement.
+        share: share of a core that each thread got, 0 to 1.
+
+    Returns:
+        Number of free cores, 1 to `count`.
     """
     others = count / max(share, 1e-3) - count
     return max(1, min(count, round(count - others)))
 
 
 def _share(count: int) -> float:
-    """The share of a core that each of `count` busy threads gets, measured."""
+    """Measure the share of a core that each of `count` busy threads gets, 0 to 1."""
     spent = [0.0] * count
     begin = time.perf_counter()
 
