@@ -19,11 +19,12 @@ from acsar_gym.tasks.made import made, tried
 from acsar_gym.tasks.options import known
 from acsar_gym.tasks.spaces import task_spaces
 from acsar_gym.tasks.spawn import Spawn
-from acsar_gym.vector.batch import Batch, setup_of
+from acsar_gym.vector.batch import Batch
 from acsar_gym.vector.faults import checked
 from acsar_gym.vector.kernel import layout
 from acsar_gym.vector.options import Wishes, wishes
 from acsar_gym.vector.settings import MOST_ROBOTS, BatchOptions, count, threads_for
+from acsar_gym.vector.setup import setup_of
 from acsar_gym.vector.specs import PlainSpec
 from acsar_gym.vector.threads import Threads
 

@@ -1,0 +1,87 @@
+"""What all robots of a batch share, as the kernel takes it, and how much of the past is kept."""
+
+from __future__ import annotations
+
+import math
+
+from acsar_gym.config import RobotConfig, whole_ratio
+from acsar_gym.dynamics.model import substep, wire_loops
+from acsar_gym.dynamics.randomization import Ranges
+from acsar_gym.errors import ConfigError
+from acsar_gym.lidars.base import stale_after
+from acsar_gym.lidars.simulated import draws
+from acsar_gym.links.faults import Faults
+from acsar_gym.safety import limiter, rules
+from acsar_gym.vector.faults import line_faults
+from acsar_gym.vector.kernel import layout
+
+
+def setup_of(
+    config: RobotConfig,
+    ticks: int,
+    max_steps: int | None,
+    numbers: int,
+    faults: Faults,
+    *,
+    sees: bool,
+) -> layout.Setup:
+    """What all robots share: ticks and longest episode [steps], the task's numbers, a LiDAR."""
+    dt = substep(config)
+    firmware, encoder = config.firmware, config.encoder
+    window = round(encoder.window * firmware.loop_rate)
+    limited = config.geofence is not None or not limiter.free(config)
+    per_radian = encoder.counts_per_revolution / (2.0 * math.pi)
+    return layout.Setup(
+        dt=dt,
+        period=config.period,
+        wire_loops=wire_loops(config),
+        ramp=config.motor.acceleration * dt,
+        top=config.motor.max_speed,
+        counts_per_radian=per_radian,
+        speed_per_count=1.0 / (per_radian * window * dt),
+        window=window,
+        ticks=ticks,
+        loops=whole_ratio("firmware.loop_rate", firmware.loop_rate, "", config.control_rate),
+        radius=config.wheel_radius,
+        separation=config.effective_separation,
+        max_wheel_speed=config.max_wheel_speed,
+        max_linear=config.max_linear,
+        max_angular=config.max_angular,
+        max_steps=math.inf if max_steps is None else float(max_steps),
+        guarded=limited or faults.possible,
+        rules=rules.of(config),
+        faults=line_faults(faults, config),
+        falls_silent=faults.possible and faults.direction != "commands",
+        lidar_rate=config.lidar.rate if sees else 0.0,
+        stale=stale_after(config),
+        noise=config.lidar.noise,
+        dropouts=config.lidar.dropouts,
+        min_range=config.lidar.min_range,
+        draws=draws(config.lidar),
+        numbers=numbers,
+    )
+
+
+def lines_kept(setup: layout.Setup, ranges: Ranges) -> int:
+    """Command lines to keep: as many ticks as the slowest one is on its way."""
+    late = 2 * math.ceil(setup.faults.lateness / setup.period) if setup.faults.possible else 0
+    return 2 + late + math.ceil(_delay(setup, ranges) / setup.loops)
+
+
+def counts_kept(setup: layout.Setup, ranges: Ranges, config: RobotConfig) -> int:
+    """Loops of encoder counts to keep: the window behind the oldest line still on its way."""
+    delay = _delay(setup, ranges)
+    if delay >= setup.ticks * setup.loops:
+        raise ConfigError(
+            f"latency of {delay * setup.dt:g} s: must be shorter than a step of the policy"
+        )
+    rare = ranges.low.feedback_rate
+    rate = config.feedback_rate if math.isnan(rare) else rare
+    slowest = math.ceil(1.0 / (rate * setup.dt))
+    late = math.ceil(setup.faults.lateness / setup.dt) if setup.faults.possible else 0
+    return int(setup.window + delay + late + slowest + setup.loops + 1)
+
+
+def _delay(setup: layout.Setup, ranges: Ranges) -> int:
+    """Loops that the slowest line takes."""
+    return round(setup.wire_loops + ranges.high.latency / setup.dt)
