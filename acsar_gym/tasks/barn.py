@@ -7,6 +7,8 @@ OT, the optimal time, is the length of the world's path over a speed, AT the tim
 
 from __future__ import annotations
 
+import math
+
 from acsar_gym.jit import compilable
 
 TOLERANCE = 1.0
@@ -19,8 +21,13 @@ SCORES = ("barn_score", "barn_score_k4", "barn_score_own", "barn_score_own_k4")
 
 @compilable
 def score(success: float, time: float, length: float, speed: float, k: float) -> float:
-    """From 0 to 1 / k; `success` is 1 or 0, `time` in s, `length` in m, `speed` in m/s."""
+    """From 0 to 1 / k; `success` is 1 or 0, `time` in s, `length` in m, `speed` in m/s.
+
+    NaN for a length that is NaN: the goal wasn't the world's.
+    """
     optimal = length / speed
+    if math.isnan(optimal):
+        return optimal
     return success * optimal / min(max(time, k * optimal), 8.0 * optimal)
 
 
