@@ -122,9 +122,8 @@ def write(
     """
     whole = _Whole(network, normalizer)
     with _evaluating(whole):
-        example = torch.zeros(
-            1, *(task_spaces(task, sensors)[1].shape or ()), device=_device(whole)
-        )
+        width = task_spaces(task, sensors)[1].shape or ()
+        example = torch.zeros(1, *width, device=_device(whole))
         _check(whole, example)
         model: Any = _exported(whole, example)
     _forget_sources(model)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from acsar_gym.config import RobotConfig, whole_ratio
 from acsar_gym.dynamics.model import substep, wire_loops
@@ -52,14 +53,22 @@ def setup_of(
         rules=rules.of(config),
         faults=line_faults(faults, config),
         falls_silent=faults.possible and faults.direction != "commands",
-        lidar_rate=config.lidar.rate if sees else 0.0,
-        stale=stale_after(config),
-        noise=config.lidar.noise,
-        dropouts=config.lidar.dropouts,
-        min_range=config.lidar.min_range,
-        draws=draws(config.lidar),
         numbers=numbers,
+        **_lidar(config, sees=sees),
     )
+
+
+def _lidar(config: RobotConfig, *, sees: bool) -> dict[str, Any]:
+    """The fields of a setup that are about the LiDAR."""
+    lidar = config.lidar
+    return {
+        "lidar_rate": lidar.rate if sees else 0.0,
+        "stale": stale_after(config),
+        "noise": lidar.noise,
+        "dropouts": lidar.dropouts,
+        "min_range": lidar.min_range,
+        "draws": draws(lidar),
+    }
 
 
 def lines_kept(setup: layout.Setup, ranges: Ranges) -> int:
