@@ -49,8 +49,8 @@ class Randomizer:
         samples, varies = np.zeros(SIZE), self._high > self._low
         samples[varies] = rng.random(int(varies.sum()))
         own, drawn = draw(self._nominal, self._low, self._high, samples, self._dt)
-        self._drawn = Drawn(*drawn)
-        return Physics(*own)
+        self._drawn = Drawn(*map(float, drawn))
+        return Physics(*map(float, own))
 
     def info(self) -> dict[str, Any]:
         """What was drawn last, as applied: a float, or an array of four in the order of wheels."""

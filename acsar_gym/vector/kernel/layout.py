@@ -51,7 +51,6 @@ PHYSICS = 83
 BLEND = PHYSICS + Physics._fields.index("blend_a")  # four each
 GAIN = PHYSICS + Physics._fields.index("gain_a")
 FEEDBACK_LOOPS = PHYSICS + Physics._fields.index("feedback_loops")
-LATENCY_LOOPS = PHYSICS + Physics._fields.index("latency_loops")
 ROWS = PHYSICS + len(Physics._fields)
 INFO = {
     "is_success": SUCCESS,
