@@ -61,6 +61,10 @@ except ImportError:
 
     loop = compilable = jit
 
+    def overloads(function: Callable[..., Any]) -> Callable[[Callable[P, R]], Callable[P, R]]:
+        """Changes nothing: numba isn't installed."""
+        return lambda other: other
+
     NumbaError: type[Exception] = type("NumbaError", (Exception,), {})
     """Is never raised: numba isn't installed."""
 
@@ -89,6 +93,12 @@ else:
         """A function that Python calls as it is, and that compiled functions may call, too."""
         same: Callable[P, R] = numba.extending.register_jitable(function)
         return same
+
+    def overloads(function: Callable[..., Any]) -> Callable[[Callable[P, R]], Callable[P, R]]:
+        """Decorates what says how compiled functions do what `function` does in Python."""
+        decorator: Callable[[Callable[P, R]], Callable[P, R]]
+        decorator = numba.extending.overload(function, jit_options={"error_model": "numpy"})
+        return decorator
 
     class _Announcer(event.Listener):  # type: ignore[misc]
         """Says once that loops of batches are going to be compiled."""

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+from acsar_gym.dynamics.trigonometry import direction
 from acsar_gym.errors import ConfigError, shown
 from acsar_gym.jit import compilable
 from acsar_gym.tasks import barn
@@ -173,7 +174,8 @@ def goal_numbers(
 ) -> tuple[float, float, float, float, float, float, float]:
     """As GOAL_OBSERVATION; `scales` of distance, linear and angular velocity."""
     x, y, theta = pose
-    distance, ahead, left = seen_from(x, y, math.cos(theta), math.sin(theta), goal[0], goal[1])
+    cos, sin = direction(theta)
+    distance, ahead, left = seen_from(x, y, cos, sin, goal[0], goal[1])
     return (
         min(distance / scales[0], OBSERVATION_LIMIT),
         ahead,

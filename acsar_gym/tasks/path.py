@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+from acsar_gym.dynamics.trigonometry import direction
 from acsar_gym.jit import compilable
 from acsar_gym.tasks.base import (
     OBSERVATION_LIMIT,
@@ -106,12 +107,10 @@ class PathFollow(Task):
 
     def observe(self, state: State, memory: Any) -> tuple[float, ...]:
         """As PATH_OBSERVATION; lengths and speeds scaled."""
-        limit, theta = OBSERVATION_LIMIT, state.pose[2]
-        cos, sin = math.cos(theta), math.sin(theta)
+        limit, (cos, sin) = OBSERVATION_LIMIT, direction(state.pose[2])
         return (
             clipped(memory.cross_track_error / self.max_cross_track, limit),
-            math.cos(memory.heading_error),
-            math.sin(memory.heading_error),
+            *direction(memory.heading_error),
             min(remaining(state, memory) / LENGTH_SCALE, limit),
             *point_ahead(state, memory, cos, sin, 1),
             *point_ahead(state, memory, cos, sin, 2),

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from acsar_gym.dynamics.trigonometry import sincos
 from acsar_gym.jit import jit, loop
 from acsar_gym.lidars import simulated as lidar
-from acsar_gym.vector.kernel.dynamics import sincos
 from acsar_gym.vector.kernel.layout import (
     CONTACT,
     SCAN_TICK,

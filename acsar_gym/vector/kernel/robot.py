@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from acsar_gym import kinematics, odometry
+from acsar_gym.dynamics.trigonometry import sincos
 from acsar_gym.jit import jit, loop
-from acsar_gym.vector.kernel.dynamics import motors, on_the_wire, ramp, sincos, tyres
+from acsar_gym.vector.kernel.dynamics import motors, on_the_wire, ramp, tyres
 from acsar_gym.vector.kernel.fault_injection import dispatch, listen, obey, watch
 from acsar_gym.vector.kernel.layout import (
     AGE,
@@ -105,7 +106,7 @@ def receive(state: Floats, counts: Floats, first: int, last: int, slot: int, set
             read(state, counts, i, slot, int(state[LOOPS, i] - made), setup)
 
 
-@loop
+@jit
 def command_tick(tables: Tables, first: int, last: int, line: int, setup: Setup) -> None:
     """The command lines of one tick, and what reaches the boards of them."""
     guard(tables.state, first, last, setup)
@@ -114,7 +115,7 @@ def command_tick(tables: Tables, first: int, last: int, line: int, setup: Setup)
         dispatch(tables, first, last, line, setup)
 
 
-@loop
+@jit
 def turn_wheels(
     tables: Tables, first: int, last: int, tick: int, slot: int, line: int, setup: Setup
 ) -> None:
