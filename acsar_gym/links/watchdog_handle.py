@@ -11,7 +11,7 @@ from acsar_gym.links.ports import Location
 from acsar_gym.links.watchdog import Watchdog
 
 
-class Watch:
+class WatchdogHandle:
     """Starts, tells and ends the watchdog that a config wants, where a port can be shared.
 
     Whoever calls sees to it that no two threads do so at once, but for `wait`. `watchdog` is the
