@@ -93,7 +93,7 @@ RECIPES = {
 
 
 @dataclass(frozen=True)
-class Job:
+class Plan:
     """A training: the user's options, and the settings that follow from them."""
 
     options: Options
@@ -105,7 +105,7 @@ class Job:
     out: Path
 
     @classmethod
-    def of(cls, options: Options) -> Job:
+    def of(cls, options: Options) -> Plan:
         """Derive the settings of a training and create its folder.
 
         Args:
@@ -163,45 +163,45 @@ def train(options: Options) -> int:
     options.check()
     threads.wait_passively()
     with StopRequest() as stop, contextlib.ExitStack() as batches:
-        job = Job.of(options)
+        plan = Plan.of(options)
         saved = ZipPolicy(options.resume, trust=options.trust) if options.resume else None
-        env = batches.enter_context(contextlib.closing(_learning(job)))
-        apart = batches.enter_context(contextlib.closing(_held_out(job, env)))
-        print(printable(f"{held_out.told(env, apart)}; {job}"), flush=True)
-        _learn(job, _model(job, env, saved), apart, stop)
+        env = batches.enter_context(contextlib.closing(_learning(plan)))
+        apart = batches.enter_context(contextlib.closing(_held_out(plan, env)))
+        print(printable(f"{held_out.told(env, apart)}; {plan}"), flush=True)
+        _learn(plan, _model(plan, env, saved), apart, stop)
         return stop.exit_code
 
 
-def _learning(job: Job) -> RobotVectorEnv:
+def _learning(plan: Plan) -> RobotVectorEnv:
     """Make the batch of robots to train on."""
-    options = job.options
+    options = plan.options
     return ids.make_vec(
-        job.env_id,
+        plan.env_id,
         options.robots,
         robot=options.robot,
         autoreset_mode="SameStep",
-        threads=max(1, min(job.threads, options.robots // FAIR_SHARE)),
+        threads=max(1, min(plan.threads, options.robots // FAIR_SHARE)),
         randomization=RANDOMIZATION if options.randomize else None,
-        **job.worlds,
+        **plan.worlds,
     )
 
 
-def _held_out(job: Job, learning: RobotVectorEnv) -> RobotVectorEnv:
+def _held_out(plan: Plan, learning: RobotVectorEnv) -> RobotVectorEnv:
     """Make the batch to evaluate on: no randomization, and worlds that aren't trained in."""
     beside = held_out.worlds_beside(learning.pool)
-    worlds = job.worlds if beside is None else {"worlds": beside}
-    return ids.make_vec(job.env_id, held_out.ROBOTS, robot=job.options.robot, threads=1, **worlds)
+    worlds = plan.worlds if beside is None else {"worlds": beside}
+    return ids.make_vec(plan.env_id, held_out.ROBOTS, robot=plan.options.robot, threads=1, **worlds)
 
 
-def _model(job: Job, env: RobotVectorEnv, saved: ZipPolicy | None) -> PPO:
+def _model(plan: Plan, env: RobotVectorEnv, saved: ZipPolicy | None) -> PPO:
     """Make a new PPO model, or load the one to resume."""
     import torch  # noqa: PLC0415
     from stable_baselines3 import PPO  # noqa: PLC0415
 
     from acsar_gym.policies import sb3  # noqa: PLC0415
 
-    options, recipe, logs = job.options, job.recipe, str(job.out / "tensorboard")
-    torch.set_num_threads(min(job.threads, options.threads or MOST_TORCH_THREADS))
+    options, recipe, logs = plan.options, plan.recipe, str(plan.out / "tensorboard")
+    torch.set_num_threads(min(plan.threads, options.threads or MOST_TORCH_THREADS))
     always: dict[str, Any] = {"device": "cpu", "seed": options.seed, "tensorboard_log": logs}
     batch = sb3.BatchVecEnv(env)
     if saved is not None:
@@ -222,7 +222,7 @@ def _model(job: Job, env: RobotVectorEnv, saved: ZipPolicy | None) -> PPO:
             stats_window_size=options.robots,
             **always,
         )
-    sb3.label(model, job.env_id, env.task, env.sensors)
+    sb3.label(model, plan.env_id, env.task, env.sensors)
     return model
 
 
@@ -235,50 +235,50 @@ def _check_resumable(saved: ZipPolicy, env: RobotVectorEnv) -> None:
         raise PolicyError(f"{saved.path}: only PPO's models can be trained on")
 
 
-def _learn(job: Job, model: PPO, apart: RobotVectorEnv, stop: StopRequest) -> None:
+def _learn(plan: Plan, model: PPO, apart: RobotVectorEnv, stop: StopRequest) -> None:
     """Train, save the model, and print its score unless a signal ended the training."""
     from acsar_gym.training import callbacks, saving  # noqa: PLC0415
 
-    scores = callbacks.HeldOut(apart, job.recipe.steps, job.recipe.evaluations)
-    watching = _callbacks(job, scores, stop)
-    fresh = job.options.resume is None
+    scores = callbacks.HeldOut(apart, plan.recipe.steps, plan.recipe.evaluations)
+    watching = _callbacks(plan, scores, stop)
+    fresh = plan.options.resume is None
     try:
-        model.learn(job.recipe.steps, callback=watching, reset_num_timesteps=fresh)
+        model.learn(plan.recipe.steps, callback=watching, reset_num_timesteps=fresh)
     finally:
         for each in watching:  # restores the terminal in any case; idempotent
             each.on_training_end()
     if stop.number is not None:
         print(f"interrupted at {model.num_timesteps:,} steps: saving what there is")
-    policy, zipped = saving.save(model, job.env_id, apart, job.out)
+    policy, zipped = saving.save(model, plan.env_id, apart, plan.out)
     print(printable(f"written: {policy} (to drive with), {zipped} (to train on)"))
     if stop.number is None:
-        _tell(job, scores.finish(), scores.name, policy)
+        _tell(plan, scores.finish(), scores.name, policy)
 
 
-def _callbacks(job: Job, scores: callbacks.HeldOut, stop: StopRequest) -> list[BaseCallback]:
+def _callbacks(plan: Plan, scores: callbacks.HeldOut, stop: StopRequest) -> list[BaseCallback]:
     """Make the callbacks of the training."""
     from stable_baselines3.common.callbacks import CheckpointCallback  # noqa: PLC0415
 
     from acsar_gym.training import callbacks  # noqa: PLC0415
 
-    recipe = job.recipe
+    recipe = plan.recipe
     checkpoints = CheckpointCallback(
-        save_freq=max(recipe.steps // (4 * job.options.robots), recipe.rollout_steps),
-        save_path=str(job.out / "checkpoints"),
+        save_freq=max(recipe.steps // (4 * plan.options.robots), recipe.rollout_steps),
+        save_path=str(plan.out / "checkpoints"),
     )
-    cohorts = callbacks.WholeCohorts(job.episode_steps)
+    cohorts = callbacks.WholeCohorts(plan.episode_steps)
     watching: list[BaseCallback] = [callbacks.EndOnSignal(stop), cohorts, scores, checkpoints]
-    if job.options.progress:
+    if plan.options.progress:
         watching.append(callbacks.TrainingProgress(recipe.steps, scores))
     return watching
 
 
-def _tell(job: Job, score: held_out.Score, name: str, policy: Path) -> None:
+def _tell(plan: Plan, score: held_out.Score, name: str, policy: Path) -> None:
     """Print the score and the next command."""
     wins = round(score.success_rate * score.episodes)
     print(f"{name}: {wins} of {score.episodes} episodes ({score.success_rate:.1%})")
-    env = "" if job.env_id.startswith("acsar_gym/") else f" --env {job.env_id}"
-    robot = f" --robot {job.options.robot}" if job.options.robot else ""
+    env = "" if plan.env_id.startswith("acsar_gym/") else f" --env {plan.env_id}"
+    robot = f" --robot {plan.options.robot}" if plan.options.robot else ""
     print(printable(f"next: acsar-gym evaluate --policy {policy}{env}{robot}"))
 
 

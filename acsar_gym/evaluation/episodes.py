@@ -118,7 +118,7 @@ def episodes(
 
 def _in_order(env: gymnasium.Env[Any, Any], count: int) -> range:
     """Return the numbers of the env's worlds; ConfigError if there are fewer than `count`."""
-    pool = getattr(getattr(env.unwrapped, "task", None), "pool", None)
+    pool = getattr(env.unwrapped, "pool", None)
     numbers: range = range(0) if pool is None else pool.numbers
     if len(numbers) < count:
         raise ConfigError(

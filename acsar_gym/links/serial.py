@@ -13,7 +13,7 @@ from acsar_gym.links.handshake import wait_for_board
 from acsar_gym.links.open_port import OpenPort
 from acsar_gym.links.ports import Location
 from acsar_gym.links.shutdown import close_at_exit, forget, install, is_ending
-from acsar_gym.links.watch import Watch
+from acsar_gym.links.watchdog_handle import WatchdogHandle
 from acsar_gym.protocol import ZERO, encode
 from acsar_gym.worlds import Scene
 
@@ -47,7 +47,7 @@ class SerialLink:
         self._moved = False
         self._zeros = encode(ZERO, trailing_comma=config.trailing_comma)
         self._stop_line = b"\r\n" + self._zeros  # a command cut short can't swallow these zeros
-        self._watch = Watch(config, self._location, self._stop_line)
+        self._watch = WatchdogHandle(config, self._location, self._stop_line)
         self._deadline = 0.0
         self.lateness = 0.0
         install()

@@ -60,24 +60,13 @@ def free(config: RobotConfig) -> bool:
 
 
 @jit
-def limited(  # noqa: PLR0913, PLR0917 - see tests/test_rooms.py
-    wanted: float,
-    last: float,
-    before: float,
-    dt: float,
-    low_velocity: float,
-    high_velocity: float,
-    low_acceleration: float,
-    high_acceleration: float,
-    low_jerk: float,
-    high_jerk: float,
-) -> float:
+def limited(wanted: float, last: float, before: float, dt: float, axis: Limits) -> float:
     """The velocity that may follow `last` and the one `before` it, each `dt` [s] earlier.
 
     As the ROS controller does it, jerk is the change of the change of velocity over 2 dt^2.
     """
     step, scale = last - before, 2.0 * dt * dt
-    change = min(max(wanted - last - step, low_jerk * scale), high_jerk * scale)
+    change = min(max(wanted - last - step, axis.min_jerk * scale), axis.max_jerk * scale)
     velocity = last + step + change
-    rise = min(max(velocity - last, low_acceleration * dt), high_acceleration * dt)
-    return min(max(last + rise, low_velocity), high_velocity)
+    rise = min(max(velocity - last, axis.min_acceleration * dt), axis.max_acceleration * dt)
+    return min(max(last + rise, axis.min_velocity), axis.max_velocity)

@@ -143,9 +143,7 @@ def _within(wanted: float, last: float, before: float, axis: Limits, rules: Rule
     """The velocity of one axis that may follow the last two."""
     if rules.free:
         return min(max(wanted, axis[0]), axis[1])
-    return limited(
-        wanted, last, before, rules.period, axis[0], axis[1], axis[2], axis[3], axis[4], axis[5]
-    )
+    return limited(wanted, last, before, rules.period, axis)
 
 
 @jit

@@ -1,13 +1,10 @@
-"""Sums over episodes, with and without truth."""
+"""Episodes of a policy: results, timing, and faults."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
-import re
 import time
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +15,10 @@ import pytest
 from acsar_gym import RobotConfig
 from acsar_gym.envs import PointGoalEnv
 from acsar_gym.errors import ConfigError
-from acsar_gym.evaluation import provenance, runs
 from acsar_gym.evaluation.episodes import EpisodeResult, episodes, odometry_errors
 from acsar_gym.evaluation.metrics import per_episode, summarise
 from acsar_gym.evaluation.report import summary_table, write_json
-from acsar_gym.policies import FilePolicy
-from acsar_gym.resources import AGENTS
-from acsar_gym.worlds import Pose, Region, World
+from acsar_gym.worlds import Pose
 
 
 def result(*, success: bool = True, pose: Pose = (1.0, 0.0, 0.0), late: int = 0) -> EpisodeResult:
@@ -92,9 +86,8 @@ def test_an_episode_that_runs_out_of_time_leaves_the_robot_stopping() -> None:
     env.close()
 
 
-# Timing, and what goes wrong on hardware
-
 CURVE = np.array([0.1, 0.1], np.float32)
+
 serial = pytest.mark.xdist_group("serial")
 
 
@@ -206,139 +199,3 @@ def test_after_a_fault_the_next_episode_connects_again() -> None:
 def test_a_share_of_late_ticks_is_a_share(share: float) -> None:
     with pytest.raises(ConfigError, match="must be a share, 0 to 1"):
         run("planar", late_share=share)
-
-
-# Worlds, seeds, and what figures were measured with
-
-POINT_GOAL = AGENTS / "policies" / "point_goal.onnx"
-OBSTACLES = "acsar_gym/ObstacleGoal-v0"
-
-
-class Idle(FilePolicy):
-    """A policy that stands still."""
-
-    path = Path("nowhere.onnx")
-    env_id = OBSTACLES
-    layout = ""
-
-    def __call__(self, observation: Any) -> Any:
-        return np.zeros(2, np.float32)
-
-
-def drive(count: int, seed: int = 3, **options: Any) -> runs.Run:
-    """Episodes of a policy that stands still, in worlds that are quick to make."""
-    return runs.drive(Idle(), "planar", None, range(seed, seed + count), **options)
-
-
-@pytest.mark.parametrize(
-    ("env_id", "asked", "worlds"),
-    [
-        ("acsar_gym/PointGoal-v0", None, "None"),
-        (OBSTACLES, None, "clutter 0 to 199 (test split)"),
-        (f"acsar_gym:{OBSTACLES}", None, "clutter 0 to 199 (test split)"),
-        ("acsar_gym/Barn-v0", None, "barn 0 to 299 (test split)"),
-        ("acsar_gym/PathFollow-v0", None, "smooth_path 0 to 199 (test split)"),
-        (OBSTACLES, "rooms", "rooms 0 to 199 (test split)"),
-        (OBSTACLES, "rooms:5", "rooms 0 to 4 (test split)"),
-        (OBSTACLES, "clutter:train", "clutter 1000 to 1399 (train split)"),
-        (OBSTACLES, "clutter:500-599", "clutter 500 to 599"),
-    ],
-)
-def test_policies_are_evaluated_in_the_test_split(env_id: str, asked: Any, worlds: str) -> None:
-    policy = Idle()
-    policy.env_id, policy.env_named = env_id, True
-    env = runs.made(policy, "planar", None, {"worlds": asked})
-    inner: Any = env.unwrapped
-    assert str(inner.pool) == worlds
-    env.close()
-
-
-def test_the_training_split_is_evaluated_where_it_is_asked_for() -> None:
-    run = drive(1, worlds="open:train")
-    assert run.worlds == "open 1000 to 1399 (train split)"
-    assert run.header["worlds"]["split"] == "train"
-
-
-def test_an_evaluation_says_what_it_was_measured_with() -> None:
-    run = drive(2, worlds="open", goal_tolerance=0.2)
-    data = json.loads(json.dumps(run.as_dict(), allow_nan=False))
-    header = data["header"]
-    assert {"acsar_gym", "gymnasium", "numpy", "python"} <= header["versions"].keys()
-    assert header["versions"]["onnxruntime"] == metadata.version("onnxruntime")
-    policy = {"file": "nowhere.onnx", "sha256": None, "function": None, "env": OBSTACLES}
-    assert header["policy"] == policy
-    assert header["env"]["id"] == OBSTACLES
-    assert header["env"]["kwargs"] == {"robot": None, "worlds": "open:test", "goal_tolerance": 0.2}
-    assert header["env"]["max_episode_steps"] == 400
-    assert (header["link"], header["seeds"]) == ("planar", {"first": 3, "last": 4})
-    told = {key: header["worlds"][key] for key in ("kind", "split", "first", "last")}
-    assert told == {"kind": "open", "split": "test", "first": 0, "last": 199}
-    assert run.worlds == "open 0 to 199 (test split)"
-    for part in (header["robot"], header["worlds"]):
-        assert re.fullmatch("[0-9a-f]{64}", part["sha256"])
-    for number, episode in enumerate(data["per_episode"]):
-        assert (episode["seed"], episode["length"]) == (3 + number, 400)
-        assert 0 <= episode["world"] < 200
-        assert episode["episode_return"] == pytest.approx(-0.02 * 400)
-    assert data["episode_return"] == pytest.approx(-8.0)
-
-
-def test_hashes_tell_worlds_and_robots_apart(tmp_path: Path) -> None:
-    world = World(np.array([[1.0, 1.0, 0.1]]), goal=Region(2.0, 0.0))
-    moved = World(np.array([[1.0, 1.1, 0.1]]), goal=Region(2.0, 0.0))
-    kinds: list[dict[str, Any]] = [
-        {"worlds": "open:5"},
-        {"worlds": "open:6"},
-        {"worlds": "open:5", "difficulty": 0.5},
-        {"worlds": world},
-        {"worlds": moved},
-    ]
-    headers = []
-    for options in kinds:
-        env = gymnasium.make(OBSTACLES, link="planar", **options)
-        headers.append(provenance.header(env, Idle(), "planar", range(1), {}))
-    assert len({header["worlds"]["sha256"] for header in headers}) == len(kinds)
-    assert len({header["robot"]["sha256"] for header in headers}) == 1
-    env = gymnasium.make(OBSTACLES, link="planar", robot={"max_linear": 0.1})
-    other = provenance.header(env, Idle(), "planar", range(1), {})
-    assert other["robot"] != headers[0]["robot"]
-
-
-def test_the_hash_of_a_policy_is_that_of_what_was_read(tmp_path: Path) -> None:
-    """Though the file is another one by now, or gone."""
-    file = tmp_path / "policy.onnx"
-    file.write_bytes(POINT_GOAL.read_bytes())
-    policy = runs.load(str(file), trust=False)
-    file.write_bytes(b"of a later training")
-    env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar")
-    header = provenance.header(env, policy, "planar", range(1), {})
-    sha256 = hashlib.sha256(POINT_GOAL.read_bytes()).hexdigest()
-    assert header["policy"]["sha256"] == sha256
-    assert header["worlds"]["kind"] == "none"
-
-
-def test_the_function_of_a_python_file_is_told(tmp_path: Path) -> None:
-    source = b"def act(observation):\n    return 0.0, 0.0\n"
-    (tmp_path / "mine.py").write_bytes(source)
-    policy = runs.load(f"{tmp_path / 'mine.py'}:act", trust=False, env="point_goal")
-    env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar")
-    told = provenance.header(env, policy, "planar", range(1), {})["policy"]
-    assert (told["function"], told["sha256"]) == ("act", hashlib.sha256(source).hexdigest())
-
-
-def test_generated_worlds_have_the_hash_of_their_generators(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    env = gymnasium.make(OBSTACLES, link="planar", worlds="open:5")
-    before = provenance.header(env, Idle(), "planar", range(1), {})
-    monkeypatch.setattr(provenance, "source_hash", lambda kind: "changed")
-    after = provenance.header(env, Idle(), "planar", range(1), {})
-    assert before["worlds"]["sha256"] != after["worlds"]["sha256"]
-
-
-def test_worlds_in_order_have_their_own_numbers() -> None:
-    run = drive(2, worlds="open:1250-1251", how={"in_order": True})
-    assert [episode.world for episode in run.results] == [1250, 1251]
-    assert run.header["options"] == {"in_order": True}
-    with pytest.raises(ConfigError, match="need as many worlds, but there are 2"):
-        drive(3, worlds="open:1250-1251", how={"in_order": True})

@@ -200,7 +200,7 @@ except errors.ConfigError:
     sys.exit()
 robot.deactivate()
 robot.activate()
-print(os.sched_getparam(robot.link._watch.dog.pid).sched_priority, flush=True)
+print(os.sched_getparam(robot.link._watch.watchdog.pid).sched_priority, flush=True)
 """
     )
     with program(code, shared_device) as process:

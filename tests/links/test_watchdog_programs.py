@@ -101,7 +101,7 @@ def test_a_policy_that_hangs_is_told_so(emulator: Emulated) -> None:
 import time
 robot.activate()
 drive(30)
-while not robot.link._watch.dog.tripped:
+while not robot.link._watch.watchdog.tripped:
     time.sleep(0.01)
 drive(1)
 """
@@ -115,7 +115,7 @@ drive(1)
 STRAY = """
 import subprocess
 robot.activate()
-lifeline = robot.link._watch.dog._lifeline
+lifeline = robot.link._watch.watchdog._lifeline
 stray = subprocess.Popen(["sleep", "60"], pass_fds=(lifeline,), stdout=subprocess.DEVNULL,
                          stderr=subprocess.DEVNULL)
 drive(30)

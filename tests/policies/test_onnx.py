@@ -108,8 +108,8 @@ def test_a_file_cannot_have_a_module_imported(tmp_path: Path) -> None:
 
 
 def test_options_that_the_environment_lacks_are_named() -> None:
-    with pytest.raises(ConfigError, match="worlds"):
-        runs.made(OnnxPolicy("point_goal"), "planar", None, {"worlds": "clutter"})
+    with pytest.raises(ConfigError, match="'walls'"):
+        runs.made(OnnxPolicy("point_goal"), "planar", None, {"walls": 3})
 
 
 def test_a_network_with_other_names_is_refused(tmp_path: Path) -> None:

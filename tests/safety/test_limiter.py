@@ -21,7 +21,7 @@ def driven(wanted: list[float], **kind: float) -> list[float]:
     """What is sent, tick by tick, from standstill."""
     numbers, sent = limits(SpeedLimits(**kind)), [0.0, 0.0]
     for velocity in wanted:
-        sent.append(limited(velocity, sent[-1], sent[-2], DT, *numbers))
+        sent.append(limited(velocity, sent[-1], sent[-2], DT, numbers))
     return sent[2:]
 
 

@@ -116,7 +116,7 @@ def test_without_patience_a_lost_port_is_tried_once(
 
 END = """
 robot.activate()
-print(robot.link._watch.dog.pid, flush=True)
+print(robot.link._watch.watchdog.pid, flush=True)
 drive(10**9)
 """
 

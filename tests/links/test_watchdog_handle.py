@@ -52,8 +52,8 @@ def hasty(shared_device: str, config: RobotConfig) -> Iterator[SerialLink]:
 
 
 def dog_of(link: SerialLink) -> Watchdog:
-    assert link._watch.dog is not None
-    return link._watch.dog
+    assert link._watch.watchdog is not None
+    return link._watch.watchdog
 
 
 def test_after_a_trip_only_zeros_go_out_until_the_reset(hasty: SerialLink) -> None:

@@ -11,10 +11,10 @@ from acsar_gym.links.ports import Location
 from acsar_gym.links.watchdog import Watchdog
 
 
-class Watch:
+class WatchdogHandle:
     """Starts, tells and ends the watchdog that a config wants, where a port can be shared.
 
-    Whoever calls sees to it that no two threads do so at once, but for `wait`. `dog` is the
+    Whoever calls sees to it that no two threads do so at once, but for `wait`. `watchdog` is the
     watchdog, None where there is none; `nap` how long its link may sleep between beats [s].
     """
 
@@ -22,7 +22,7 @@ class Watch:
         self._timeout = config.watchdog_timeout
         self._location = location
         self._zeros = zeros
-        self.dog: Watchdog | None = None
+        self.watchdog: Watchdog | None = None
         self.nap = math.inf
 
     def start(self, port: OpenPort) -> None:
@@ -31,66 +31,66 @@ class Watch:
         if self._timeout is None or not watchdog.AVAILABLE or descriptor is None:
             return
         name = self._location.path if self._location.path and self._location.lasts else ""
-        self.dog = Watchdog(descriptor, self._zeros, self._timeout, name)
+        self.watchdog = Watchdog(descriptor, self._zeros, self._timeout, name)
         self.nap = self._timeout / 3.0
 
     def renew(self, port: OpenPort) -> bool:
         """Start another one in place of one that doesn't run any more; whether it was so."""
-        dog = self.dog
-        if dog is None or dog.alive:
+        running = self.watchdog
+        if running is None or running.alive:
             return False
-        self.dog = None
-        dog.close()
+        self.watchdog = None
+        running.close()
         self.start(port)
         return True
 
     def wait(self) -> None:
         """Return when it watches; LinkError where it doesn't come to that."""
-        if (dog := self.dog) is not None:
-            dog.wait()
+        if (running := self.watchdog) is not None:
+            running.wait()
 
     @property
     def alive(self) -> bool:
         """Whether there is one, and it runs."""
-        return (dog := self.dog) is not None and dog.alive
+        return (running := self.watchdog) is not None and running.alive
 
     @property
     def pid(self) -> int | None:
         """Its process; None where there is none."""
-        return None if (dog := self.dog) is None else dog.pid
+        return None if (running := self.watchdog) is None else running.pid
 
     def rearm(self) -> None:
         """Let a robot that it stopped drive again."""
-        if (dog := self.dog) is not None:
-            dog.rearm()
+        if (running := self.watchdog) is not None:
+            running.rearm()
 
     def beat(self) -> None:
         """The program is alive."""
-        if (dog := self.dog) is not None:
-            dog.beat()
+        if (running := self.watchdog) is not None:
+            running.beat()
 
     def stand(self) -> None:
         """A zero command went out."""
-        if (dog := self.dog) is not None:
-            dog.stand()
+        if (running := self.watchdog) is not None:
+            running.stand()
 
     def drive(self) -> None:
         """A command that turns wheels goes out now. LinkError where nobody watches any more."""
-        if (dog := self.dog) is not None:
-            dog.drive()
+        if (running := self.watchdog) is not None:
+            running.drive()
 
     def driven(self) -> None:
         """A command that turns wheels went out. LinkError where the robot was stopped meanwhile."""
-        if (dog := self.dog) is not None:
-            dog.driven()
+        if (running := self.watchdog) is not None:
+            running.driven()
 
     def end(self, *, lost: bool) -> None:
         """End it; where the port is lost it goes on commanding zero when that is there again."""
-        dog, self.dog = self.dog, None
-        if dog is not None and lost:
-            dog.search(self._name)
-        elif dog is not None:
-            dog.close()
+        running, self.watchdog = self.watchdog, None
+        if running is not None and lost:
+            running.search(self._name)
+        elif running is not None:
+            running.close()
 
     def end_search(self) -> None:
         """End a search of before: not before the port is there, for it may stay lost."""
@@ -98,9 +98,9 @@ class Watch:
 
     def abandon(self) -> None:
         """Let go without a word, as a forked child must do."""
-        dog, self.dog = self.dog, None
-        if dog is not None:
-            dog.abandon()
+        running, self.watchdog = self.watchdog, None
+        if running is not None:
+            running.abandon()
 
     @property
     def _name(self) -> str:

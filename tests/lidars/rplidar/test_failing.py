@@ -1,0 +1,184 @@
+"""An RPLIDAR that is frozen, unplugged, busy, or something else."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from rplidar_tools import (
+    MAX,
+    Open,
+    Start,
+    newer,
+    reset,
+)
+from serial_tools import Emulated, no_leak, wait_until
+
+from acsar_gym.errors import ConfigError, LidarError, MissingExtraError
+from acsar_gym.lidars import rplidar, rplidar_device
+from acsar_gym.lidars.rplidar import RplidarLidar
+from acsar_gym.links import ports
+
+pytestmark = pytest.mark.usefixtures("deadline")
+
+
+def error_of(action: Callable[[], object]) -> str:
+    """The LidarError's message; one line, and the device is closed again."""
+    with no_leak(), pytest.raises(LidarError) as caught:
+        action()
+    message = str(caught.value)
+    assert "\n" not in message
+    assert caught.value.fix
+    return message
+
+
+def is_lost(lidar: RplidarLidar) -> bool:
+    try:
+        lidar.scan()
+    except LidarError as error:
+        return "lost while in use" in str(error)
+    return False
+
+
+def test_a_frozen_device_is_an_error_after_the_timeout_and_comes_back(
+    start: Start, make: Open
+) -> None:
+    emulated = start()
+    lidar = make(emulated, timeout=1.0)
+    reset(lidar)
+    emulated.pause()
+    newest = lidar.scan().stamp
+    time.sleep(0.3)
+    newest = max(newest, lidar.scan().stamp)
+    wait_until(lambda: time.monotonic() > newest + 1.1, "the time-out")
+    with pytest.raises(
+        LidarError, match=r"no complete turn for \d+\.\d\d s \(lidar.timeout = 1 s\)"
+    ):
+        lidar.scan()
+    emulated.process.send_signal(signal.SIGCONT)
+    wait_until(lambda: scans_again(lidar), "turns")
+
+
+def scans_again(lidar: RplidarLidar) -> bool:
+    try:
+        return bool(lidar.scan().ranges.max() < MAX)
+    except LidarError:
+        return False
+
+
+def test_a_frozen_device_fails_a_reset_and_is_closed(
+    start: Start, make: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    emulated = start()
+    lidar = make(emulated, timeout=0.5)
+    reset(lidar)
+    emulated.pause()
+    wait_until(lambda: not scans_again(lidar), "the time-out")
+    monkeypatch.setattr(rplidar_device, "ANSWER", 0.05)
+    with pytest.raises(LidarError, match="no answer"):
+        reset(lidar)
+    with pytest.raises(LidarError, match="is closed"):
+        lidar.scan()
+    emulated.process.send_signal(signal.SIGCONT)
+    monkeypatch.undo()
+    reset(lidar)
+
+
+def test_a_machine_that_is_slow_to_write_has_not_lost_the_device(
+    make: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rplidar_device, "ANSWER", 0.02)
+    monkeypatch.setattr(ports, "WRITE_TIMEOUT", 1e-9)
+    board, terminal = os.openpty()
+    with pytest.raises(LidarError, match="no answer"):
+        reset(make(os.ttyname(terminal)))
+    os.close(board)
+    os.close(terminal)
+
+
+@pytest.fixture
+def plug(tmp_path: Path) -> Path:
+    """A name of the device's own; the terminal's may be another one's once it is unplugged."""
+    return tmp_path / "rplidar"
+
+
+def test_unplugged_is_an_error_at_once(start: Start, make: Open, plug: Path) -> None:
+    emulated = start()
+    plug.symlink_to(emulated.device)
+    lidar = make(str(plug))
+    with no_leak():
+        reset(lidar)
+        emulated.kill()
+        plug.unlink()
+        wait_until(lambda: is_lost(lidar), "an error")
+        lidar.close()
+    assert "no such device" in error_of(lambda: reset(lidar))
+
+
+def test_unplugged_without_a_close_is_opened_anew(start: Start, make: Open, plug: Path) -> None:
+    emulated = start()
+    plug.symlink_to(emulated.device)
+    lidar = make(str(plug))
+    reset(lidar)
+    emulated.kill()
+    wait_until(lambda: is_lost(lidar), "an error")
+    plug.unlink()
+    plug.symlink_to(start().device)
+    reset(lidar)
+    assert lidar.scan().ranges.max() < MAX
+
+
+def refusal(lidar: RplidarLidar) -> str:
+    message = error_of(lambda: reset(lidar))
+    assert message.startswith(f"LiDAR {lidar.device}: ")
+    return message
+
+
+def test_what_is_no_rplidar_is_named(
+    start: Start, make: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rplidar_device, "ANSWER", 0.3)
+    silent, other = make(start("--fault", "silent")), make(start("--fault", "garbage"))
+    assert "no answer in 1.2 s: check its power and cable" in refusal(silent)
+    assert "none from an RPLIDAR: check the port's name" in refusal(other)
+
+
+def test_an_rplidar_that_does_not_measure_says_why(
+    start: Start, make: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rplidar, "SPIN_UP", 0.5)
+    broken, stuck = make(start("--broken")), make(start("--spin-up", "1000"))
+    assert "reports error 0x8001 and won't measure: unplug it" in refusal(broken)
+    assert "no complete turn in 0.5 s: check that its head" in refusal(stuck)
+
+
+def test_what_cannot_be_opened_is_named(make: Open, tmp_path: Path) -> None:
+    assert "no such device: serial ports here" in refusal(make(str(tmp_path / "gone")))
+    file = tmp_path / "file"
+    file.touch()
+    assert "can't be opened as a serial port" in refusal(make(str(file)))
+    with pytest.raises(ConfigError, match="must be like"):
+        reset(make("socket://nowhere"))
+
+
+def test_a_device_in_use_stays_with_its_owner(sensor: Emulated, make: Open) -> None:
+    owner, other = make(sensor), make(sensor)
+    reset(owner)
+    message = error_of(lambda: reset(other))
+    assert "in use by another process: close it first" in message
+    newer(owner, time.monotonic())
+    owner.close()
+    reset(other)
+
+
+def test_without_lds2d_the_extra_is_named(
+    sensor: Emulated, make: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "lds2d.drivers", None)
+    with no_leak(), pytest.raises(MissingExtraError, match=r"acsar_gym\[lidar\]"):
+        reset(make(sensor))
