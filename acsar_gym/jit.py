@@ -109,7 +109,7 @@ else:
             """The cache doesn't have this function: it is compiled next."""
             function = event.data["dispatcher"].py_func
             NEW.append(f"{function.__module__}.{function.__qualname__}")
-            if not self.said and function.__module__.startswith(BATCHES):
+            if not self.said and (function.__module__ or "").startswith(BATCHES):
                 self.said = True
                 LOG.warning(
                     "acsar_gym: compiling the loops of batches, about a minute, once after each "

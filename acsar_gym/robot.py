@@ -49,8 +49,8 @@ class Robot:
     Args:
         link: The wire to the robot.
         config: Its parameters; None is the ACSAR robot.
-        sensors: Names ("lidar"), factories (subclasses of Sensor) or ready sensors. They are the
-            robot's from now on: reset and polled with it, and closed by `close`.
+        sensors: Names ("lidar", "mine.rays:ThreeRays"), factories (subclasses of Sensor) or ready
+            sensors. They are the robot's from now on: reset and polled with it, closed by `close`.
     """
 
     def __init__(

@@ -66,6 +66,8 @@ class PointGoalEnv(RobotEnv):
     - `view`: "top", drawn from above for every link, or "camera", PyBullet's behind the robot.
     - `faults`: what goes wrong on the wire and the board, such as {"dropped_lines": 0.1,
       "unplug_rate": 0.01}; see `acsar_gym.links.faults.Faults`. Drawn from the env's generator.
+    - `sensors`: more sensors, such as [ThreeRays] or ["mine.rays:ThreeRays"], subclasses of
+      `acsar_gym.Sensor`; their numbers follow in the observation.
     - `randomization`: what a simulated robot draws anew for every episode, such as {"friction":
       (0.7, 1.2), "latency": (0.0, 0.02)}; see `acsar_gym.dynamics.Randomization`.
     - `on_fault`: "truncate" ends an episode in which the link or the board fails, with a number in

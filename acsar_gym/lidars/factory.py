@@ -10,6 +10,7 @@ from acsar_gym.errors import ConfigError, shown, suggestion
 from acsar_gym.lidars.base import Lidar, LidarSensor
 from acsar_gym.lidars.simulated import SimulatedLidar
 from acsar_gym.links.base import Link
+from acsar_gym.reading.objects import imported
 from acsar_gym.sensors import LIDAR, Factory, Sensor
 
 
@@ -45,7 +46,7 @@ def factories(
     """The sensors of a task or an env, with a factory in place of each name.
 
     Args:
-        sensors: "lidar", factories and ready sensors.
+        sensors: "lidar", names like "mine.rays:ThreeRays", factories and ready sensors.
         lidar: What "lidar" means, as `open_lidar` takes it.
 
     Raises:
@@ -55,6 +56,9 @@ def factories(
 
 
 def _named(name: str, lidar: Any) -> Factory:
+    if ":" in name:
+        made: Factory = imported("sensor", name)
+        return made
     if name != LIDAR:
         raise ConfigError(f"unknown sensor {shown(name)}{suggestion(name, [LIDAR])}")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import inspect
 import math
 from collections.abc import Mapping, Sequence
@@ -12,6 +11,7 @@ import numpy as np
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, shown, suggestion
+from acsar_gym.reading.objects import imported, name_of
 from acsar_gym.sensors import LIDAR, Sensor
 from acsar_gym.tasks.base import Outcome, State, Task, remembered
 
@@ -29,7 +29,7 @@ def made(task: Any, options: Mapping[str, Any], others: Sequence[str] = ()) -> T
             that are missing.
     """
     if isinstance(task, str):
-        task = _imported(task)
+        task = imported("task", task)
     if isinstance(task, type) and issubclass(task, Task):
         task = _built(task, options, others)
     elif options:
@@ -45,22 +45,10 @@ def importable(task: Any) -> Any:
 
     Raises ConfigError for anything else.
     """
-    kind = _imported(task) if isinstance(task, str) else task
+    kind = imported("task", task) if isinstance(task, str) else task
     if not (isinstance(kind, type) and issubclass(kind, Task)):
         raise ConfigError(f"task = {shown(task)}: must be a subclass of acsar_gym.Task")
-    local = kind.__module__ == "__main__" or "<locals>" in kind.__qualname__
-    return kind if local else f"{kind.__module__}:{kind.__qualname__}"
-
-
-def _imported(name: str) -> Any:
-    module, _, attribute = name.partition(":")
-    try:
-        found: Any = importlib.import_module(module)
-        for part in attribute.split("."):
-            found = getattr(found, part)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise ConfigError(f"task = {shown(name)}: {error}; must be like 'module:Class'") from None
-    return found
+    return name_of(kind) or kind
 
 
 def _built(task: type[Task], options: Mapping[str, Any], others: Sequence[str]) -> Task:

@@ -15,7 +15,6 @@ from acsar_gym.lidars.base import LidarSensor
 from acsar_gym.lidars.factory import factories
 from acsar_gym.lidars.simulated import SimulatedLidar
 from acsar_gym.sensors import LIDAR, Factory, Sensor
-from acsar_gym.sensors.suite import unused
 from acsar_gym.tasks.base import Task
 from acsar_gym.tasks.spawn import Spawn
 from acsar_gym.vector import pcg
@@ -59,6 +58,8 @@ class Batch:
         observations = np.zeros((robots, width), np.float32)
         self.tables = self.tables._replace(observations=observations)
         self._loops: Loops = loops_of(task, self.tables, self._setup, self._spawns)
+        self._together = self._loops.compiled and not len(self.python)
+        """Whether a robot's task can follow its physics at once, on the same thread."""
         self._rows = dict(layout.INFO)
         self._rows |= {} if spawn.pool is None else layout.WORLD_INFO
         self._rows |= layout.SCAN_INFO if sees else {}
@@ -167,11 +168,6 @@ class Batch:
         finally:
             ring[2:] = 0, self._setup.ticks
 
-    @property
-    def _together(self) -> bool:
-        """Whether a robot's task can follow its physics at once, on the same thread."""
-        return self._loops.compiled and not len(self.python)
-
     def _apart(self, loop: Callable[[int, int], None], share: Share) -> None:
         """Run the task's loop for all robots, on one thread where it is Python."""
         if self._loops.compiled:
@@ -200,20 +196,14 @@ class Batch:
         if self._pool is not None:
             info["world"] += self._pool.numbers[0]
         info |= self._loops.info() | self._told()
-        for sensor, key in self.python.told:
-            unused(info, sensor, key)
-        return info | self.python.info
+        self.python.tell(info)
+        return info
 
     def _told(self) -> dict[str, NDArray[np.float64]]:
         """What the episodes have drawn: one number a robot, or four, in the order of the wheels."""
         drawn = self.tables.drawn[:, : self.robots]
         rows = {name: drawn[numbers].T for name, numbers in self._drawn.items()}
         return {name: row[:, 0] if row.shape[1] == 1 else row for name, row in rows.items()}
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The keys of info."""
-        return tuple(self.info())
 
     @property
     def bytes_per_robot(self) -> float:

@@ -119,6 +119,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self._threads = Threads(threads_for(asked.threads, self.num_envs))
+        self._masks: tuple[str, ...] = ()
         self._done = np.zeros(self.num_envs, np.bool_)
         self._whole = True
         """Whether no call was interrupted since all robots were reset."""
@@ -226,7 +227,9 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
     def _info(self, mask: Array) -> Info:
         """The single env's info as arrays, each with its mask."""
         info = self.batch.info()
-        return info | {f"_{name}": mask for name in info}
+        if len(self._masks) != len(info):
+            self._masks = tuple(f"_{name}" for name in info)
+        return info | dict.fromkeys(self._masks, mask)
 
     def close_extras(self, **_: Any) -> None:
         """End the threads."""

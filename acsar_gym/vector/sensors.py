@@ -44,8 +44,8 @@ class Moment(NamedTuple):
 class BatchSensors:
     """The sensors of all robots of a batch, but for the LiDAR.
 
-    Attributes: `kinds`, one of each; `size`, how many numbers they give; `info`, an array for each
-    key that they tell.
+    Attributes: `kinds`, one of each; `size`, how many numbers they give; `clocked`, whether any of
+    them must be polled at every tick; `info`, an array for each key that they tell.
     """
 
     def __init__(
@@ -55,6 +55,7 @@ class BatchSensors:
         self._groups = [_group(factory, config, robots, view) for factory in wanted]
         self.kinds: list[Sensor] = [group.kind for group in self._groups]
         check_names(self.kinds)
+        self.clocked = any(overrides(kind, "poll") for kind in self.kinds)
         self.size = sum(kind.size for kind in self.kinds)
         self.info: dict[str, Floats] = {}
         self._scenes = [Scene()] * robots
@@ -63,15 +64,13 @@ class BatchSensors:
     def __len__(self) -> int:
         return len(self._groups)
 
-    @property
-    def clocked(self) -> bool:
-        """Whether any of them must be polled at every tick."""
-        return any(overrides(kind, "poll") for kind in self.kinds)
-
-    @property
-    def told(self) -> list[tuple[Sensor, str]]:
-        """Who tells info which key."""
-        return [(group.kind, key) for group in self._groups for key in group.keys]
+    def tell(self, info: dict[str, Floats]) -> None:
+        """Add what they tell to a batch's info. ConfigError for a key that is there already."""
+        if self.info:
+            for group in self._groups:
+                for key in group.keys:
+                    unused(info, group.kind, key)
+            info |= self.info
 
     def forget(self, robot: int) -> None:
         """The generator of this robot has been seeded anew."""

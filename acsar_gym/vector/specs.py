@@ -15,6 +15,8 @@ from pydantic import BaseModel
 
 from acsar_gym.dynamics import Randomization
 from acsar_gym.links.faults import Faults
+from acsar_gym.reading.objects import name_of
+from acsar_gym.sensors import Sensor
 from acsar_gym.tasks.base import Task
 
 
@@ -39,7 +41,7 @@ class PlainSpec:
 
 
 def plain(value: Any) -> Any:
-    """Configs, faults, randomization, arrays, paths and containers of them as JSON knows them.
+    """Configs, faults, sensors, arrays, paths and containers of them as JSON knows them.
 
     Other objects as given.
     """
@@ -55,4 +57,6 @@ def plain(value: Any) -> Any:
         return [plain(item) for item in value]
     if isinstance(value, Enum):
         return value.value
+    if isinstance(value, type) and issubclass(value, Sensor):
+        return name_of(value) or value
     return str(value.absolute()) if isinstance(value, Path) else value

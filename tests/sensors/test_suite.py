@@ -49,11 +49,17 @@ def test_a_ready_one_and_a_factory_do_as_well_as_a_class() -> None:
     assert [sensor.name for sensor in made.sensors] == ["three_rays", "other"]
 
 
+def test_a_name_is_imported() -> None:
+    assert isinstance(robot("range_finder:ThreeRays").sensors[0], ThreeRays)
+
+
 @pytest.mark.parametrize(
     ("sensors", "message"),
     [
         ((ThreeRays, ThreeRays), "two are named 'three_rays'"),
         (("lidar", "lidar"), "two are named 'lidar'"),
+        (("mine:Rays",), "sensor = 'mine:Rays': No module named 'mine'; must be like"),
+        (("range_finder:TwoRays",), "has no attribute 'TwoRays'; must be like 'module:Class'"),
         (("lidr",), "unknown sensor 'lidr'; did you mean 'lidar'"),
         ((3,), "3 must be a subclass of Sensor or a factory"),
         ((lambda link, config: 3,), "is no Sensor"),

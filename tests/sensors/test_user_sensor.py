@@ -7,8 +7,10 @@ import math
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from numpy.typing import NDArray
 from range_finder import REACH, ThreeRays
@@ -94,6 +96,19 @@ def test_a_copy_has_a_sensor_of_its_own(make: Make) -> None:
     assert other.robot.sensors[0].link is other.robot.link
     assert (other.reset(seed=3)[0] == first).all()
     other.close()
+
+
+def test_its_spec_is_plain_and_makes_an_equal_env() -> None:
+    env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar", sensors=[ThreeRays])
+    assert env.spec is not None
+    assert '"range_finder:ThreeRays"' in env.spec.to_json()
+    again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
+    assert (again.reset(seed=1)[0] == env.reset(seed=1)[0]).all()
+    local = gymnasium.make("acsar_gym/PointGoal-v0", link="planar", sensors=[broken(None)])
+    assert local.spec is not None
+    assert gymnasium.make(local.spec).observation_space == env.observation_space
+    for one in (env, again, local):
+        one.close()
 
 
 class Thermometer(Sensor):
