@@ -54,7 +54,7 @@ def read(state: Floats, counts: Floats, i: int, slot: int, ago: int, setup: Setu
         state[READ + k, i] = on_the_wire(turned * setup.speed_per_count)
 
 
-@loop
+@jit
 def feedback(state: Floats, counts: Floats, first: int, last: int, slot: int, setup: Setup) -> None:
     """The newest line that has arrived by the end of a tick, if it hasn't been read before."""
     loops, ages = row(state, LOOPS, first, last), row(state, AGE, first, last)
@@ -73,7 +73,7 @@ def feedback(state: Floats, counts: Floats, first: int, last: int, slot: int, se
             ages[i] += setup.period
 
 
-@loop
+@jit
 def dead_reckoning(state: Floats, first: int, last: int, setup: Setup) -> None:
     """Equations (1)-(10) on the newest readings."""
     a, b = row(state, READ, first, last), row(state, READ + 1, first, last)
@@ -105,7 +105,7 @@ def receive(state: Floats, counts: Floats, first: int, last: int, slot: int, set
             read(state, counts, i, slot, int(state[LOOPS, i] - made), setup)
 
 
-@loop
+@jit
 def command_tick(tables: Tables, first: int, last: int, line: int, setup: Setup) -> None:
     """The command lines of one tick, and what reaches the boards of them."""
     guard(tables.state, first, last, setup)
@@ -114,7 +114,7 @@ def command_tick(tables: Tables, first: int, last: int, line: int, setup: Setup)
         dispatch(tables, first, last, line, setup)
 
 
-@loop
+@jit
 def turn_wheels(
     tables: Tables, first: int, last: int, tick: int, slot: int, line: int, setup: Setup
 ) -> None:
