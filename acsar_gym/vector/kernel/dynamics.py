@@ -6,7 +6,7 @@ import numpy as np
 
 from acsar_gym.dynamics.model import physics_at, towards, tyre_step, wheel_speed
 from acsar_gym.dynamics.trigonometry import sincos
-from acsar_gym.jit import jit, loop
+from acsar_gym.jit import jit
 from acsar_gym.protocol import MAX_SPEED
 from acsar_gym.safety.rules import Memory, told, wheels
 from acsar_gym.vector.kernel.layout import (
@@ -46,7 +46,7 @@ def on_the_wire(speed: float) -> float:
     return min(max(rounded, -MAX_SPEED), MAX_SPEED)
 
 
-@loop
+@jit
 def ask(state: Floats, actions: Floats, first: int, last: int) -> None:
     """The actions of this step, each within [-1, 1]."""
     for i in range(first, last):
@@ -54,7 +54,7 @@ def ask(state: Floats, actions: Floats, first: int, last: int) -> None:
         state[LAST_ANGULAR, i] = min(max(actions[i, 1], -1.0), 1.0)
 
 
-@loop
+@jit
 def command(state: Floats, first: int, last: int, setup: Setup) -> None:
     """The targets that the board will hear of in this step, where nothing limits commands."""
     old_right, old_left = row(state, OLD_RIGHT, first, last), row(state, OLD_LEFT, first, last)
@@ -74,7 +74,7 @@ def command(state: Floats, first: int, last: int, setup: Setup) -> None:
         heard[i] = delay[i]
 
 
-@loop
+@jit
 def ramp(state: Floats, first: int, last: int, now: float, setup: Setup) -> None:
     """Set points of the firmware move towards the targets it has heard of by loop `now`."""
     a, b = row(state, POINT, first, last), row(state, POINT + 1, first, last)
@@ -92,7 +92,7 @@ def ramp(state: Floats, first: int, last: int, now: float, setup: Setup) -> None
         d[i] = towards(d[i], right, step)
 
 
-@loop
+@jit
 def motors(state: Floats, counts: Floats, first: int, last: int, slot: int, setup: Setup) -> None:
     """Wheel speeds, wheel angles, and the encoders' counts of this loop."""
     physics = state[PHYSICS:]
@@ -109,7 +109,7 @@ def motors(state: Floats, counts: Floats, first: int, last: int, slot: int, setu
             seen[i] = np.floor(angle * setup.counts_per_radian)
 
 
-@loop
+@jit
 def tyres(state: Floats, first: int, last: int, setup: Setup) -> None:
     """Tyre forces, then semi-implicit Euler, as the planar body does it."""
     xs, ys, thetas = (

@@ -54,12 +54,10 @@ def touch(state: Floats, first: int, last: int, around: Surroundings) -> None:
 def scan(
     tables: Tables, i: int, tick: int, uniforms: Floats, setup: Setup, around: Surroundings
 ) -> None:
-    """Robot i's scan, if one is due by the end of this tick of its step; -1 is the reset."""
+    """Robot i's scan by the end of this tick of its step; -1 is the reset."""
     state = tables.state
     ticks = state[STEPS, i] * setup.ticks + tick + 1
     elapsed = ticks * setup.period
-    if elapsed <= state[SCANS, i] / setup.lidar_rate - 1e-9:
-        return
     state[SCANS, i] = 1.0 + np.floor(elapsed * setup.lidar_rate + 1e-9)
     state[SCAN_TICK, i] = ticks
     x, y, cos, sin = true_pose(state, i)
@@ -70,6 +68,14 @@ def scan(
     measure(ranges, uniforms, setup.noise, setup.dropouts, setup.min_range, around.reach)
     for k in range(len(ranges)):
         tables.observations[i, setup.numbers + k] = ranges[k] / around.reach
+
+
+@jit
+def is_due(state: Floats, i: int, tick: int, setup: Setup) -> bool:
+    """Whether robot i scans in this tick. It is asked in each, so that it is no call of its own."""
+    ticks = state[STEPS, i] * setup.ticks + tick + 1
+    due: bool = ticks * setup.period > state[SCANS, i] / setup.lidar_rate - 1e-9
+    return due
 
 
 @loop
@@ -86,5 +92,5 @@ def look(
     """Scans that are due, of robots whose place in the mask is as wanted."""
     uniforms = np.empty(setup.draws)
     for i in range(first, last):
-        if mask[i] == wanted:
+        if mask[i] == wanted and is_due(tables.state, i, tick, setup):
             scan(tables, i, tick, uniforms, setup, around)

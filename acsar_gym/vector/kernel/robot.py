@@ -55,7 +55,7 @@ def read(state: Floats, counts: Floats, i: int, slot: int, ago: int, setup: Setu
         state[READ + k, i] = on_the_wire(turned * setup.speed_per_count)
 
 
-@loop
+@jit
 def feedback(state: Floats, counts: Floats, first: int, last: int, slot: int, setup: Setup) -> None:
     """The newest line that has arrived by the end of a tick, if it hasn't been read before."""
     loops, ages = row(state, LOOPS, first, last), row(state, AGE, first, last)
@@ -74,7 +74,7 @@ def feedback(state: Floats, counts: Floats, first: int, last: int, slot: int, se
             ages[i] += setup.period
 
 
-@loop
+@jit
 def dead_reckoning(state: Floats, first: int, last: int, setup: Setup) -> None:
     """Equations (1)-(10) on the newest readings."""
     a, b = row(state, READ, first, last), row(state, READ + 1, first, last)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from acsar_gym.dynamics.model import towards
-from acsar_gym.jit import jit, loop
+from acsar_gym.jit import jit
 from acsar_gym.safety.rules import Memory, allowed, told, wheels
 from acsar_gym.vector.kernel.dynamics import on_the_wire
 from acsar_gym.vector.kernel.layout import (
@@ -37,7 +37,7 @@ from acsar_gym.vector.kernel.layout import (
 )
 
 
-@loop
+@jit
 def guard(state: Floats, first: int, last: int, setup: Setup) -> None:
     """The twist that every robot is sent in this tick."""
     asks, turns = row(state, LAST_LINEAR, first, last), row(state, LAST_ANGULAR, first, last)
@@ -58,7 +58,7 @@ def guard(state: Floats, first: int, last: int, setup: Setup) -> None:
         past_bent[i] = after.past_angular
 
 
-@loop
+@jit
 def lines(state: Floats, commands: Floats, first: int, last: int, slot: int, setup: Setup) -> None:
     """This tick's command lines: speeds of the right and the left side, as the wire has them."""
     new, bent = row(state, NEW_LINEAR, first, last), row(state, NEW_ANGULAR, first, last)
@@ -69,7 +69,7 @@ def lines(state: Floats, commands: Floats, first: int, last: int, slot: int, set
         lefts[i] = min(max(on_the_wire(left), -setup.top), setup.top)
 
 
-@loop
+@jit
 def explain(state: Floats, first: int, last: int, setup: Setup) -> None:
     """What the newest command was, and why it isn't the one that was asked for."""
     for i in range(first, last):
@@ -90,7 +90,7 @@ def heard(delay: float, slot: int, slots: int, turn: int, loops: int) -> int:
     return place + slots if place < 0 else place
 
 
-@loop
+@jit
 def follow(
     state: Floats, commands: Floats, first: int, last: int, slot: int, turn: int, setup: Setup
 ) -> None:
