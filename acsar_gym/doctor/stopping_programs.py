@@ -200,6 +200,7 @@ def _drive_in_a_thread(robot: Robot, kind: str, report: IO[str]) -> None:
     drives = threading.Event()
 
     def drive() -> None:
+        """Drive until the process ends."""
         try:
             robot.activate()
             _go(robot, TICKS)
@@ -228,6 +229,7 @@ def _insist(robot: Robot) -> None:
 
 
 def _go(robot: Robot, ticks: int) -> None:
+    """Drive for some ticks."""
     for _ in range(ticks):
         robot.drive(0.2, 0.0)
 

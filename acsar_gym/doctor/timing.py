@@ -113,6 +113,7 @@ class _Stopwatch(SerialLink):
     woke = 0.0
 
     def read_now(self) -> bytes:
+        """Record the time, then read."""
         self.woke = time.monotonic()
         return super().read_now()
 
@@ -141,6 +142,7 @@ class _Sleeps:
         self._period = period
 
     def run(self, ticks: int) -> None:
+        """Run a block of ticks."""
         deadline = time.monotonic() + self._period
         for _ in range(ticks):
             time.sleep(max(0.0, deadline - time.monotonic()))

@@ -81,6 +81,7 @@ class Report:
         ]
 
     def _late(self) -> Check:
+        """Judge the share of late ticks."""
         late = self.lateness
         bad = late.late_share > MOST_LATE
         return Check(
@@ -92,6 +93,7 @@ class Report:
         )
 
     def _against_bare(self) -> Check:
+        """Judge the lateness in comparison with the bare loop."""
         bad = self.ratio > MOST_RATIO
         return Check(
             "lateness",
@@ -102,6 +104,7 @@ class Report:
         )
 
     def _feedback(self) -> Check:
+        """Judge the number of feedback lines."""
         few = self.lines < FEWEST_LINES * self.lines_expected - 2.0
         return Check(
             "feedback lines",
@@ -114,6 +117,7 @@ class Report:
         )
 
     def _age(self) -> Check:
+        """Report the age of the feedback."""
         age = self.feedback_age
         return Check(
             "feedback age",
@@ -122,6 +126,7 @@ class Report:
         )
 
     def _processor(self) -> Check:
+        """Judge the CPU time."""
         bad = self.cpu_share > MOST_CPU
         policy = self.policy_time
         thinking = f"policy {_ms(policy.p50)} a step" if policy else "no policy: no onnxruntime"
@@ -141,6 +146,7 @@ class Report:
         ]
 
     def _drawn(self) -> Table:
+        """Format both histograms as a table."""
         title = f"lateness of {self.lateness.ticks} ticks at {self.rate:g} Hz over {self.device}"
         drawn = Table(title=title, title_justify="left", caption="Bars are logarithmic.")
         drawn.add_column("up to", justify="right")
@@ -177,6 +183,7 @@ def _bar(count: int, most: int) -> str:
 
 
 def _checks(title: str, checks: tuple[Check, ...] | list[Check]) -> Table:
+    """Format check results as a table."""
     drawn = Table(title=title, title_justify="left")
     for column in ("", "", "found", "what to change"):
         drawn.add_column(column, overflow="fold")

@@ -61,6 +61,7 @@ class _Stoppable(SerialLink):
         self._listener = StopListener()
 
     def read_now(self) -> bytes:
+        """Return what has arrived; LinkError at an emergency stop."""
         if self._listener.is_requested():
             self.stop()
             self._listener.confirm()

@@ -118,6 +118,7 @@ class Watchdog:
         return self._open and self._runs()
 
     def _runs(self) -> bool:
+        """Update and return whether the process runs."""
         if self._process.returncode is None and not self._halted:
             try:
                 process, status = os.waitpid(self._process.pid, os.WNOHANG | os.WUNTRACED)
@@ -192,7 +193,7 @@ class Watchdog:
 
     def _stopped(self) -> LinkError:
         """Return the error for a robot that the watchdog stopped."""
-        # A suspension after the trip makes the second value larger.
+        # `stand` keeps BEAT after a trip: it is the time of the last sign of life.
         silent = max(self._page[TRIPPED], time.monotonic() - self._page[BEAT])
         return LinkError(
             f"the watchdog stopped the robot: nothing was commanded for {silent * 1000.0:.0f} ms",
