@@ -24,7 +24,7 @@ def open_link(
     window: bool = False,
     realtime: bool = False,
 ) -> Link:
-    """Make a link; it connects only in `open()` or `Robot.activate()`.
+    """Make a link, closed; it connects only in `open()` or `Robot.activate()`.
 
     Args:
         url: "bullet" or "planar" for a simulation; "/dev/ttyUSB0", "COM3", "usb:A50285BI" (USB
@@ -33,9 +33,6 @@ def open_link(
         config: configuration, preset or file of the robot; None for the default.
         window: open PyBullet's window; implies `realtime`.
         realtime: run a simulation in real time instead of as fast as possible.
-
-    Returns:
-        The link, closed.
 
     Raises:
         ConfigError: for any other URL.
