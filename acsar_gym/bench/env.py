@@ -56,6 +56,7 @@ def measure(policy: str | None = None) -> list[Figure]:
 
 
 def _env(link: str) -> gymnasium.Env[Any, Any]:
+    """Make a PointGoal env and reset it."""
     env = gymnasium.make("acsar_gym/PointGoal-v0", link=link)
     env.reset(seed=0)
     return env

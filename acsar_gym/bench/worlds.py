@@ -72,6 +72,7 @@ def _rays() -> list[Figure]:
 
 
 def _env(world: World) -> gymnasium.Env[Any, Any]:
+    """Make an ObstacleGoal env in PyBullet and reset it."""
     env = gymnasium.make("acsar_gym/ObstacleGoal-v0", link="bullet", worlds=world)
     env.reset(seed=0)
     return env
@@ -84,6 +85,7 @@ def _tick(env: gymnasium.Env[Any, Any]) -> Callable[[], float]:
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (STEPS, 2)).astype(np.float32)
 
     def block() -> float:
+        """Measure one block."""
         env.reset(seed=0)
         begin = time.perf_counter()
         for action in actions:

@@ -62,7 +62,7 @@ def emulate(
     with Emulator(
         config, body=body, log=log, silent=silent, world=one, sees=lidar, name=name
     ) as emulator:
-        ended = _heeded(emulator)
+        ended = _handle_signals(emulator)
         print(f"serving a robot on {emulator.device}", flush=True)
         if lidar:
             print(f"serving a LiDAR on {emulator.lidar_device}", flush=True)
@@ -70,7 +70,7 @@ def emulate(
     return 0
 
 
-def _heeded(emulator: Emulator) -> list[int]:
+def _handle_signals(emulator: Emulator) -> list[int]:
     """Install the signal handlers of `emulate`; the list receives SIGTERM's number.
 
     A list, because an exception raised in a signal handler can be lost.

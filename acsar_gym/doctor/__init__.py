@@ -1,1 +1,1 @@
-"""What a robot, its wire and its host are like: checks that say what to do."""
+"""Diagnosis of robot, serial line and computer, with advice what to fix."""

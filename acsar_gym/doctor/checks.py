@@ -1,4 +1,4 @@
-"""Findings of the doctor, for people and for programs, and those about this computer."""
+"""Results of diagnostic checks, and the checks of this computer."""
 
 from __future__ import annotations
 
@@ -20,7 +20,14 @@ MARKS = {
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One finding: status is ok, warn, fail or skip; `fix` says what to do."""
+    """Result of one check.
+
+    Attributes:
+        name: what was checked.
+        status: "ok", "warn", "fail" or "skip".
+        found: what was found.
+        fix: what to do; empty if nothing.
+    """
 
     name: str
     status: str
@@ -29,7 +36,7 @@ class Check:
 
 
 def port_list() -> Check:
-    """The ports of this computer."""
+    """List the serial ports of this computer."""
     found = [f"{port.device} ({port.description})" for port in ports()]
     if not found:
         return Check(
@@ -39,7 +46,7 @@ def port_list() -> Check:
 
 
 def emergency_stop() -> Check:
-    """Whether `acsar-gym estop` can stop what is driven from here."""
+    """Check whether `acsar-gym estop` can stop programs on this computer."""
     listener = StopListener()
     folders = ", ".join(str(path.parent) for path in listener.paths)
     faults = "; ".join(fault.found for fault in listener.faults)
@@ -52,12 +59,12 @@ def emergency_stop() -> Check:
 
 
 def as_json(checks: list[Check]) -> dict[str, Any]:
-    """The findings for programs."""
+    """Format results for JSON."""
     return {"checks": [asdict(check) for check in checks]}
 
 
 def table(checks: list[Check]) -> Table:
-    """The findings for people."""
+    """Format results as a table."""
     drawn = Table(title="acsar-gym doctor", title_justify="left")
     for column in ("check", "", "found", "what to do"):
         drawn.add_column(column, overflow="fold")

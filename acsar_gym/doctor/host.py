@@ -1,4 +1,4 @@
-"""Ticks on time: this process ahead of others, and what about this computer makes ticks late."""
+"""Real-time priority of this process, and checks of what delays ticks on this computer."""
 
 from __future__ import annotations
 
@@ -14,22 +14,26 @@ from acsar_gym.errors import ConfigError
 WITHOUT = "or run without --realtime"
 LIMITS = "/etc/security/limits.d/99-realtime.conf"
 BUSY = 0.7
-"""A load of this share of the cores leaves the loop waiting for one now and then."""
+"""Load, as a share of the cores, above which the control loop may have to wait."""
 TIGHT = 0.8
-"""Lines that take this share of the wire's time leave little for a line that comes late."""
+"""Utilization of the serial line above which late lines can pile up."""
 LOW_LATENCY = 1 << 13
-"""ASYNC_LOW_LATENCY of Linux' linux/tty_flags.h."""
+"""ASYNC_LOW_LATENCY of linux/tty_flags.h."""
 PORT = re.compile(r"\d+-\d+(\.\d+)*")
-"""A USB port in sysfs: bus, port of the computer, and a dot and a port for each hub."""
+"""Name of a USB port in sysfs: bus, root port, and ".port" for each hub."""
 
 
 def prepare(priority: int | None = None, cores: Sequence[int] | None = None) -> None:
-    """Run this thread, and whatever it starts, at SCHED_FIFO `priority` and on these cores only.
+    """Set scheduling and CPU affinity of this thread and of those that it starts.
 
-    None leaves either as it is. Open links afterwards: their watchdogs run one priority above,
-    which must be allowed, too.
+    Open links afterwards: their watchdogs run with one priority more, which must be allowed, too.
 
-    Raises ConfigError, in one line that says what to do, where this isn't allowed or possible.
+    Args:
+        priority: SCHED_FIFO priority, 1 to 98; None to leave it.
+        cores: numbers of the cores to run on; None to leave them.
+
+    Raises:
+        ConfigError: it isn't allowed or possible.
     """
     if cores is not None:
         _pin(cores)
@@ -38,6 +42,7 @@ def prepare(priority: int | None = None, cores: Sequence[int] | None = None) -> 
 
 
 def _pin(cores: Sequence[int]) -> None:
+    """Set the CPU affinity."""
     if not hasattr(os, "sched_setaffinity"):
         raise ConfigError("cores: this operating system can't pin a process; run without --cores")
     before = os.sched_getaffinity(0)
@@ -59,6 +64,7 @@ def _listed(cores: Sequence[int]) -> str:
 
 
 def _raise_priority(priority: int) -> None:
+    """Set the SCHED_FIFO priority."""
     if not hasattr(os, "sched_setscheduler"):
         raise ConfigError(
             "real-time priority: this operating system has no SCHED_FIFO; run without --realtime"
@@ -75,6 +81,7 @@ def _raise_priority(priority: int) -> None:
 
 
 def _not_allowed(priority: int) -> str:
+    """Return the error message for a priority that isn't allowed."""
     if os.geteuid() == 0:
         return (
             f"real-time priority {priority}: refused even to root, as in a container: start it "
@@ -88,9 +95,16 @@ def _not_allowed(priority: int) -> str:
 
 
 def machine(device: str | None, config: RobotConfig, root: Path = Path("/")) -> list[Check]:
-    """What about this computer, and the way to the device, makes ticks or feedback late.
+    """Check what in this computer, and between it and the device, delays ticks or feedback.
 
-    Look while the link is open: it switches an adapter's delays off. `root` holds sys and proc.
+    Args:
+        device: the serial device; None for none. Its link must be open, which disables an
+            adapter's latency timer.
+        config: configuration of the robot.
+        root: folder with sys and proc.
+
+    Returns:
+        The results.
     """
     return [
         *_processor(root),
@@ -100,6 +114,7 @@ def machine(device: str | None, config: RobotConfig, root: Path = Path("/")) -> 
 
 
 def _processor(root: Path) -> Iterator[Check]:
+    """Check kernel, frequency scaling and load."""
     cores = _cores()
     yield Check(
         "cores",
@@ -127,13 +142,14 @@ def _processor(root: Path) -> Iterator[Check]:
 
 
 def _cores() -> int:
-    """How many this process may use."""
+    """Return the number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def _way_to(device: str, root: Path) -> Iterator[Check]:
+    """Check the USB adapter of a device."""
     name = (root / device.lstrip("/")).resolve().name
     yield _latency_timer(name, root)
     yield _low_latency(device, root / "sys/class/tty" / name / "flags")
@@ -141,6 +157,7 @@ def _way_to(device: str, root: Path) -> Iterator[Check]:
 
 
 def _latency_timer(name: str, root: Path) -> Check:
+    """Check the latency timer of an FTDI adapter."""
     file = f"sys/bus/usb-serial/devices/{name}/latency_timer"
     delay = _read(root / file)
     if not delay:
@@ -155,6 +172,7 @@ def _latency_timer(name: str, root: Path) -> Check:
 
 
 def _low_latency(device: str, file: Path) -> Check:
+    """Check the low-latency flag of a serial driver."""
     flags = _read(file)
     if not flags:
         return Check("low-latency mode", "skip", "this driver has none, or doesn't tell")
@@ -164,6 +182,7 @@ def _low_latency(device: str, file: Path) -> Check:
 
 
 def _hubs(link: Path) -> Check:
+    """Check for USB hubs between computer and adapter."""
     ports = [part for part in link.resolve().parts if PORT.fullmatch(part)]
     if not ports:
         return Check("USB hub", "skip", "not a USB device")
@@ -179,6 +198,7 @@ def _hubs(link: Path) -> Check:
 
 
 def _wire(config: RobotConfig) -> Check:
+    """Check the utilization of the serial line."""
     line = LINE_BYTES + config.trailing_comma
     lines = config.baud_rate / (BITS_PER_BYTE * line)
     rates = f"{config.control_rate:g} commands and {config.feedback_rate:g} feedback lines"
@@ -193,7 +213,7 @@ def _wire(config: RobotConfig) -> Check:
 
 
 def _read(file: Path) -> str:
-    """The text of a small file; "" where there is none."""
+    """Read a small file; empty if it doesn't exist."""
     try:
         return file.read_text(encoding="ascii").strip()
     except (OSError, ValueError):

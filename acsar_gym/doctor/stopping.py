@@ -1,9 +1,9 @@
-"""How soon the wheels are commanded to stop, whatever befalls the program that drives them.
+"""Measures how soon wheels are commanded to stop after a fault of the driving program.
 
-Three processes, as in earnest: the emulator, whose log tells when a command arrived; the program,
-which drives at 100 Hz; and whoever does something to it. All share one monotonic clock. A time is
-from the fault to the first zero command at the emulator, which looks every 5 ms. Through a cable
-that is out no command can come, so there it is from the moment at which it is plugged in again.
+Three processes take part: the emulator, whose log holds the times of commands; the program, which
+drives at 100 Hz; and one that causes faults. All use the same monotonic clock. The measured time is
+from the fault to the first zero command at the emulator, which polls every 5 ms. While a cable is
+unplugged no command can arrive, so then it starts when the cable is plugged in again.
 
 `acsar-gym doctor --stopping` measures all kinds of faults.
 """
@@ -26,32 +26,32 @@ from acsar_gym.doctor.stopping_programs import CONTAINED, KINDS, REPLUGGED, no_n
 from acsar_gym.errors import AcsarError, ConfigError, shown, suggestion
 
 MOST_TRIALS = 100_000
-"""Of each kind of fault."""
+"""Most trials of each kind of fault."""
 LIMIT = 0.25
-"""So soon the zero command shall be there [s]."""
+"""Required time from fault to zero command [s]."""
 TRIES = 3
-"""Programs that may end before they are harmed."""
-Told = Callable[[str, float], None]
-"""Told of each trial's kind and time [s]."""
+"""Attempts per trial, as a program may end before its fault."""
+OnTrial = Callable[[str, float], None]
+"""Called after each trial with its kind and time [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stops:
-    """The times from one kind of fault to the zero command [s]; inf where none came."""
+    """Times from one kind of fault to the zero command [s]; inf if none arrived."""
 
     kind: str
     times: tuple[float, ...]
     skipped: str = ""
-    """Why it can't be had on this computer."""
+    """Why this kind can't be tested on this computer; empty if it can."""
 
     @property
     def sound(self) -> bool:
-        """Whether no trial was too late."""
+        """Whether all trials were within LIMIT."""
         return self.in_time == len(self.times)
 
     @property
     def in_time(self) -> int:
-        """How many were within LIMIT."""
+        """Number of trials within LIMIT."""
         return sum(time <= LIMIT for time in self.times)
 
 
@@ -59,12 +59,22 @@ def measure(
     trials: int = 100,
     kinds: Sequence[str] = tuple(KINDS),
     config: RobotConfig | None = None,
-    progress: Told | None = None,
+    progress: OnTrial | None = None,
 ) -> list[Stops]:
-    """So many trials of each kind of fault, each in a program of its own, on an emulated robot.
+    """Run trials of each kind of fault on an emulated robot, each with a new program.
 
-    Raises ConfigError for an unknown kind, for no trials and too many of them, and AcsarError where
-    no program can drive.
+    Args:
+        trials: number of trials of each kind.
+        kinds: keys of KINDS.
+        config: configuration of the robot; None for the default.
+        progress: called after each trial.
+
+    Returns:
+        One result per kind.
+
+    Raises:
+        ConfigError: a kind is unknown, or `trials` is out of range.
+        AcsarError: no program can drive.
     """
     _check(trials, kinds)
     config = config or RobotConfig.of(None)
@@ -81,7 +91,13 @@ def measure(
 
 
 def measure_visibly(trials: int, kinds: Sequence[str] | None, config: RobotConfig) -> list[Stops]:
-    """As `measure`, behind a progress bar; all kinds where none are named."""
+    """Run `measure` with a progress bar.
+
+    Args:
+        trials: number of trials of each kind.
+        kinds: keys of KINDS; None for all.
+        config: configuration of the robot.
+    """
     kinds = kinds or tuple(KINDS)
     _check(trials, kinds)
     columns = (
@@ -101,6 +117,7 @@ def measure_visibly(trials: int, kinds: Sequence[str] | None, config: RobotConfi
 
 
 def _check(trials: int, kinds: Sequence[str]) -> None:
+    """Validate the arguments of `measure`."""
     if not 1 <= trials <= MOST_TRIALS:
         raise ConfigError(f"trials = {shown(trials)}: must be 1 to {MOST_TRIALS:,}")
     for kind in kinds:
@@ -108,7 +125,8 @@ def _check(trials: int, kinds: Sequence[str]) -> None:
             raise ConfigError(f"kind {kind!r} of fault is unknown{suggestion(kind, KINDS)}")
 
 
-def _trial(kind: str, program: Programs, board: Board, progress: Told | None) -> float:
+def _trial(kind: str, program: Programs, board: Board, progress: OnTrial | None) -> float:
+    """Run one trial; returns the time from fault to zero command [s]."""
     board.log.forget()
     fault = _fault(kind, program)
     if kind in REPLUGGED:
@@ -123,7 +141,7 @@ def _trial(kind: str, program: Programs, board: Board, progress: Told | None) ->
 
 
 def _fault(kind: str, program: Programs) -> float:
-    """When a program that drove was harmed; another one where a busy machine had stopped it."""
+    """Cause a fault and return its time; retries if the program stopped before."""
     for _ in range(TRIES - 1):
         try:
             return program.fault(kind)
@@ -133,7 +151,7 @@ def _fault(kind: str, program: Programs) -> float:
 
 
 def as_json(stops: Sequence[Stops]) -> dict[str, Any]:
-    """The times [s] for programs; null where no zero command came."""
+    """Format times [s] for JSON; null if no zero command arrived."""
     return {
         "limit": LIMIT,
         "stops": {
@@ -149,7 +167,7 @@ def as_json(stops: Sequence[Stops]) -> dict[str, Any]:
 
 
 def table(stops: Sequence[Stops]) -> Table:
-    """The times for people [ms]."""
+    """Format times [ms] as a table."""
     drawn = Table(title=escape("from fault to zero command [ms]"), title_justify="left")
     drawn.add_column("fault")
     for column in ("min", "median", "max", f"within {LIMIT * 1000.0:.0f}"):

@@ -1,4 +1,4 @@
-"""The other processes of `doctor --stopping`: the emulator with its log, and who harms programs."""
+"""Helper processes of `doctor --stopping`: the emulator, and one that causes faults."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from acsar_gym.errors import AcsarError
 from acsar_gym.protocol import ZERO, Decoder
 
 PATIENCE = 3.0
-"""A zero command that isn't there after so long won't come [s]."""
+"""Longest wait for a zero command [s]."""
 SURE = 1.0
-"""For so long no other command may follow the zeros [s]: a program that resets takes half of it."""
+"""Time after a zero command without other commands [s]; a reset takes half of it."""
 POLL = 0.005
 PULLED = (0.05, 0.5)
-"""A cable is out for a time drawn from this range [s]."""
+"""Range of the random time for which a cable is unplugged [s]."""
 
 
 class Log:
-    """The end of the emulator's log."""
+    """Reads new events of the emulator's log."""
 
     def __init__(self, file: IO[str]) -> None:
         self._file = file
@@ -39,12 +39,19 @@ class Log:
         self._decoder = Decoder()
 
     def forget(self) -> None:
-        """What has been written is of no concern."""
+        """Skip what has been written so far."""
         self._line = ""
         self._file.seek(0, os.SEEK_END)
 
     def zero_after(self, fault: float) -> float:
-        """Time from the fault to the zero command that no other command follows; inf for none."""
+        """Wait for a zero command that no other command follows.
+
+        Args:
+            fault: time of the fault [s, monotonic clock].
+
+        Returns:
+            Time from the fault to that command [s]; inf if there is none.
+        """
         self._decoder.reset()
         zero = math.inf
         while time.monotonic() - min(zero, fault + PATIENCE) < SURE:
@@ -55,21 +62,22 @@ class Log:
         return zero - fault
 
     def turns_wheels(self) -> bool:
-        """Whether any command since then does."""
+        """Return whether any later command isn't zero."""
         return not all(stopped for _, stopped in self._commands())
 
     def _commands(self) -> Iterator[tuple[float, bool]]:
-        """When commands arrived, and whether they were zero."""
+        """Yield the time of each command, and whether it is zero."""
         for event in self._events():
             for reading in self._decoder.feed(str(event.get("rx", "")).encode("latin-1")):
                 yield float(event["t"]), reading.speeds == ZERO
 
     def _events(self) -> Iterator[dict[str, Any]]:
+        """Yield the complete events of the log."""
         for piece in self._file:
             self._line += piece
             if self._line.endswith("\n"):
                 line, self._line = self._line, ""
-                with contextlib.suppress(ValueError):  # the first one may be cut
+                with contextlib.suppress(ValueError):  # the first line may be incomplete
                     yield json.loads(line)
 
 
@@ -82,7 +90,7 @@ class Board:
     log: Log
 
     def replug(self) -> float:
-        """Pull the cable and plug it in again; when that was [s, monotonic clock]."""
+        """Unplug the cable and plug it in again; returns the time of that [s, monotonic clock]."""
         self.process.send_signal(signal.SIGUSR1)
         time.sleep(random.uniform(*PULLED))
         now = time.monotonic()
@@ -92,7 +100,7 @@ class Board:
 
 @contextlib.contextmanager
 def emulator(config: RobotConfig) -> Iterator[Board]:
-    """`acsar-gym emulate`, whose device keeps its name."""
+    """Run `acsar-gym emulate` with a device name that stays the same."""
     with tempfile.TemporaryDirectory(prefix="acsar-stopping-") as folder:
         log, robot = Path(folder, "log.jsonl"), Path(folder, "robot.yaml")
         robot.write_text(config.model_dump_json(), encoding="utf-8")  # YAML contains JSON
@@ -106,7 +114,7 @@ def emulator(config: RobotConfig) -> Iterator[Board]:
 
 @contextlib.contextmanager
 def _process(options: list[str]) -> Iterator[subprocess.Popen[str]]:
-    """This Python in another process, safe from Ctrl-C; ended with the block."""
+    """Run this Python in another process, which ignores Ctrl-C and ends with the context."""
     with subprocess.Popen(
         [sys.executable, *options],
         stdin=subprocess.PIPE,
@@ -121,7 +129,7 @@ def _process(options: list[str]) -> Iterator[subprocess.Popen[str]]:
 
 
 def _line(process: subprocess.Popen[str]) -> str:
-    """What it says next."""
+    """Read a line of the output; AcsarError if the process has ended."""
     assert process.stdout is not None  # noqa: S101 - for the type checker
     line = process.stdout.readline().strip()
     if not line:
@@ -130,13 +138,23 @@ def _line(process: subprocess.Popen[str]) -> str:
 
 
 class Programs:
-    """Starts programs that drive, and harms them: see `stopping_programs.serve`."""
+    """Starts driving programs and causes faults; client of `stopping_programs.serve`."""
 
     def __init__(self, process: subprocess.Popen[str]) -> None:
         self._process = process
 
     def fault(self, kind: str) -> float:
-        """When a new program, which drove, was harmed [s, monotonic clock]."""
+        """Start a program, let it drive, and cause a fault.
+
+        Args:
+            kind: key of KINDS.
+
+        Returns:
+            Time of the fault [s, monotonic clock].
+
+        Raises:
+            AcsarError: the program didn't drive.
+        """
         self._say(kind)
         answer = _line(self._process)
         try:
@@ -145,11 +163,12 @@ class Programs:
             raise AcsarError(f"{kind}: the program didn't drive: {answer}") from None
 
     def bury(self) -> None:
-        """End what is left of the program."""
+        """End the program, if it still runs."""
         self._say("")
         _line(self._process)
 
     def _say(self, line: str) -> None:
+        """Send a line to the process."""
         assert self._process.stdin is not None  # noqa: S101 - for the type checker
         self._process.stdin.write(f"{line}\n")
         self._process.stdin.flush()
@@ -157,11 +176,11 @@ class Programs:
 
 @contextlib.contextmanager
 def programs(device: str, config: RobotConfig) -> Iterator[Programs]:
-    """A process that starts programs on the device, and harms them."""
+    """Run a process that starts programs and causes faults."""
     code = "import sys; from acsar_gym.doctor import stopping_programs as s; s.serve(*sys.argv[1:])"
     with _process(["-c", code, device, config.model_dump_json()]) as process:
         try:
             yield Programs(process)
-        finally:  # it ends its program first
+        finally:  # it ends its program before itself
             with contextlib.suppress(OSError, subprocess.TimeoutExpired):
                 process.communicate(timeout=PATIENCE)

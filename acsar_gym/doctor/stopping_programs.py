@@ -1,4 +1,4 @@
-"""Programs that drive, and whatever befalls them: the half of `stopping` that is harmed."""
+"""Driving programs and their faults, for `doctor --stopping`."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ KINDS = {
 }
 REPLUGGED = ("unplug", "reset")
 CONTAINED = ("pid1-term", "pid1-hup")
-"""These need a PID namespace of their own."""
+"""Kinds that need a new PID namespace."""
 THREADED = ("thread-term", "thread-hup", "thread-end")
 SIGNALS = {
     "kill": signal.SIGKILL,
@@ -52,38 +52,42 @@ SIGNALS = {
     "thread-term": signal.SIGTERM,
     "thread-hup": signal.SIGHUP,
 }
-"""What the program is sent."""
+"""Signals sent to the program, by kind."""
 TICKS = 30
-"""How long the robot drives before the fault, at least."""
+"""Ticks before the fault, at least."""
 JITTER = 0.02
-"""The fault comes at any time within two ticks [s]."""
+"""Range of the random delay before a fault [s]; two ticks."""
 HANG = 5.0
 LIFE = 30.0
-"""A forked child lives on for so long [s]."""
+"""Lifetime of a forked child [s]."""
 CLONE_NEWUSER, CLONE_NEWPID, PR_SET_PDEATHSIG = 0x10000000, 0x20000000, 1
-"""Linux' numbers, which Python has from 3.12 on."""
+"""Constants of Linux that Python has since 3.12."""
 
 
 def serve(device: str, config: str) -> None:
-    """Fork a program for each kind that standard input names, and answer when it was harmed.
+    """Fork a program for each kind of fault read from stdin, and print the time of the fault.
 
-    A fork has all imports behind it. What it does afterwards is what a program of its own would do,
-    down to the interpreter's end, which is why `_drive` may return or raise from here.
+    The fork has all modules imported already. From there on it behaves like a separate program,
+    including the shutdown of the interpreter; so `_drive` may return or raise from here.
+
+    Args:
+        device: device of the emulator.
+        config: configuration of the robot, as JSON.
     """
     robot = RobotConfig.model_validate_json(config)
     for line in sys.stdin:
         kind = line.strip()
-        ear, mouth = os.pipe()
+        reader, writer = os.pipe()
         program, terminal = pty.fork() if kind == "terminal" else (os.fork(), -1)
         if program == 0:
-            os.close(ear)
+            os.close(reader)
             if kind in CONTAINED:
-                _become_pid_1(mouth)
-            _drive(device, robot, kind, mouth)
+                _become_pid_1(writer)
+            _drive(device, robot, kind, writer)
             return
-        os.close(mouth)
+        os.close(writer)
         try:
-            with open(ear, encoding="ascii") as report:
+            with open(reader, encoding="ascii") as report:
                 print(_harm(kind, program, terminal, report), flush=True)
                 sys.stdin.readline()
         finally:
@@ -92,7 +96,7 @@ def serve(device: str, config: str) -> None:
 
 
 def no_namespace() -> str:
-    """Why this process can't have a PID namespace, as a container has one; "" where it can."""
+    """Return why this process can't create a PID namespace; empty if it can."""
     child = os.fork()
     if child == 0:
         os._exit(_unshare())
@@ -101,7 +105,7 @@ def no_namespace() -> str:
 
 
 def _unshare() -> int:
-    """Give the next child a PID namespace: 0, or the number of an error."""
+    """Put the next child into a new PID namespace; returns 0 or an errno."""
     try:
         libc = ctypes.CDLL(None, use_errno=True)
         if libc.unshare(CLONE_NEWPID) == 0 or libc.unshare(CLONE_NEWUSER | CLONE_NEWPID) == 0:
@@ -111,22 +115,22 @@ def _unshare() -> int:
         return errno.ENOSYS
 
 
-def _become_pid_1(mouth: int) -> None:
-    """Go on as PID 1 of a namespace, after a process outside has said which one that is."""
+def _become_pid_1(writer: int) -> None:
+    """Continue as PID 1 of a new namespace; a process outside reports its outer PID."""
     os.setsid()
     _unshare()
     inner = os.fork()
     if inner == 0:
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
         return
-    os.write(mouth, f"{inner}\n".encode())
-    os.close(mouth)
+    os.write(writer, f"{inner}\n".encode())
+    os.close(writer)
     status = os.waitstatus_to_exitcode(os.waitpid(inner, 0)[1])
     os._exit(status if status >= 0 else 128 - status)
 
 
 def _harm(kind: str, program: int, terminal: int, report: IO[str]) -> str:
-    """Wait until it drives, do something to it, and say when."""
+    """Wait until the program drives, cause the fault, and return its time."""
     first = report.readline().strip()
     if kind in CONTAINED and first.isdecimal():
         program, first = int(first), report.readline().strip()
@@ -144,21 +148,21 @@ def _harm(kind: str, program: int, terminal: int, report: IO[str]) -> str:
 
 
 def _end(program: int) -> None:
-    """Kill it and its children, which share its session."""
+    """Kill the program and its children, which are in its session."""
     with contextlib.suppress(ProcessLookupError):
         os.killpg(program, signal.SIGKILL)
     os.waitpid(program, 0)
 
 
-def _drive(device: str, config: RobotConfig, kind: str, mouth: int) -> None:
-    """The program: it drives until it is harmed, or harms itself as `kind` says."""
+def _drive(device: str, config: RobotConfig, kind: str, writer: int) -> None:
+    """Run the driving program, which causes its own fault for some kinds."""
     if kind != "terminal":
         os.setsid()
     for number in (signal.SIGHUP, signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_DFL)
     nowhere = os.open(os.devnull, os.O_RDWR)
     os.dup2(nowhere, 2)
-    with open(mouth, "w", buffering=1, encoding="ascii") as report:
+    with open(writer, "w", buffering=1, encoding="ascii") as report:
         robot = Robot(open_link(device, config), config)
         if kind in THREADED:
             _drive_in_a_thread(robot, kind, report)
@@ -174,6 +178,7 @@ def _drive(device: str, config: RobotConfig, kind: str, mouth: int) -> None:
 
 
 def _drive_until_harmed(robot: Robot, kind: str, report: IO[str]) -> None:
+    """Drive in the main thread until the fault."""
     robot.activate()
     if kind == "fork" and os.fork() == 0:
         time.sleep(LIFE)
@@ -191,10 +196,11 @@ def _drive_until_harmed(robot: Robot, kind: str, report: IO[str]) -> None:
 
 
 def _drive_in_a_thread(robot: Robot, kind: str, report: IO[str]) -> None:
-    """The main thread waits meanwhile, or returns, which ends the program."""
+    """Drive in a thread, while the main thread waits or returns, which ends the program."""
     drives = threading.Event()
 
     def drive() -> None:
+        """Drive until the process ends."""
         try:
             robot.activate()
             _go(robot, TICKS)
@@ -215,7 +221,7 @@ def _drive_in_a_thread(robot: Robot, kind: str, report: IO[str]) -> None:
 
 
 def _insist(robot: Robot) -> None:
-    """Drive, and drive again after a reset whenever an error has ended an episode."""
+    """Drive, and after every error reset and drive again."""
     while True:
         with contextlib.suppress(AcsarError):
             robot.activate()
@@ -223,6 +229,7 @@ def _insist(robot: Robot) -> None:
 
 
 def _go(robot: Robot, ticks: int) -> None:
+    """Drive for some ticks."""
     for _ in range(ticks):
         robot.drive(0.2, 0.0)
 
@@ -248,4 +255,4 @@ FAULTS: dict[str, Callable[[Robot], None]] = {
     "exit": lambda _: os._exit(1),
     "watchdog": _suspend_watchdog,
 }
-"""What a policy can do to its own program."""
+"""Faults that a policy causes in its own program, by kind."""

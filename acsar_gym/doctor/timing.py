@@ -1,8 +1,8 @@
-"""How late the control loop's ticks are over a device, next to a bare loop, and what to change.
+"""Measures how late the ticks of the control loop are on a device, compared with a bare loop.
 
-The loop is the driver's own at the control rate, and all it ever commands is zero. It takes turns
-with a bare loop of absolute sleeps in this process, half a second each: what the machine does to
-both is the same, so the ratio says what the driver adds.
+The loop is the driver's own at the control rate, with zero commands only. It alternates every half
+second with a bare loop of absolute sleeps in the same process. The computer delays both equally, so
+the ratio shows what the driver adds.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ from acsar_gym.tasks.base import remembered
 from acsar_gym.tasks.goal import PointGoal
 
 BLOCK = 0.5
-"""Each loop's turn [s]; what arrives meanwhile waits in the device's buffer."""
+"""Duration of a block of either loop [s]; feedback waits in the device's buffer meanwhile."""
 LONGEST = 86_400.0
-"""Of a measurement [s]."""
+"""Longest measurement [s]."""
 SHORTEST_BLOCK = 5
-"""Ticks of a turn, at least."""
+"""Smallest number of ticks of a block."""
 POLICY_RATE = 10.0
-"""About how often the policy is asked [Hz]."""
+"""Approximate rate of the policy [Hz]."""
 
 
 def examine(device: str | None, config: RobotConfig, duration: float) -> Report:
-    """`measure` with the packaged policy; ConfigError without a device."""
+    """Run `measure` with the packaged policy; ConfigError without a device."""
     if device is None:
         raise ConfigError("--timing needs a device, as in: acsar-gym doctor /dev/ttyUSB0 --timing")
     return measure(device, config, duration)
@@ -47,13 +47,18 @@ def examine(device: str | None, config: RobotConfig, duration: float) -> Report:
 def measure(
     device: str, config: RobotConfig, duration: float, policy: Policy | None = None
 ) -> Report:
-    """Drive zero commands for `duration` [s], and a bare loop for as long in between.
+    """Measure the timing with zero commands; the wheels never turn.
 
-    The wheels never turn. `policy` is asked ten times a second, as in an episode, and its answer
-    dropped; without one it is the packaged point_goal, where onnxruntime is installed.
+    Args:
+        device: the serial device.
+        config: configuration of the robot.
+        duration: time of the control loop [s]; the bare loop takes as long again.
+        policy: called ten times per second, its action isn't used; None for the packaged
+            point_goal, if onnxruntime is installed.
 
-    Raises LinkError as `Robot.activate` and `Robot.drive`, or at an emergency stop, and ConfigError
-    for a duration that isn't a positive number, or is longer than a day.
+    Raises:
+        LinkError: as Robot.activate and Robot.drive, and for an emergency stop.
+        ConfigError: `duration` isn't positive, or is longer than a day.
     """
     if not 0.0 < duration <= LONGEST:
         raise ConfigError(
@@ -74,7 +79,7 @@ def measure(
 
 
 def _report(loop: _ControlLoop, bare: _Sleeps, seconds: float, first_line: int) -> Report:
-    """What both loops have measured in so many seconds, since the line with this number."""
+    """Build the report of both loops over `seconds`, counting lines from `first_line` on."""
     config, decoder, device = loop.robot.config, loop.robot.decoder, loop.device
     return Report(
         device=device,
@@ -89,12 +94,13 @@ def _report(loop: _ControlLoop, bare: _Sleeps, seconds: float, first_line: int) 
         refused=sum(decoder.refused.values()),
         feedback_age=loop.ages.spread(),
         cpu_share=loop.processor / loop.seconds,
-        policy_time=loop.thinking.spread() if loop.thinking.count else None,
+        policy_time=loop.decision_times.spread() if loop.decision_times.count else None,
         findings=tuple(realtime.machine(device, config)),
     )
 
 
 def _packaged() -> Policy | None:
+    """Load the packaged policy, if onnxruntime is installed."""
     try:
         return OnnxPolicy("point_goal")
     except MissingExtraError:
@@ -102,17 +108,18 @@ def _packaged() -> Policy | None:
 
 
 class _Stopwatch(SerialLink):
-    """Notes when it last woke up: it reads as soon as a tick's deadline has passed."""
+    """A link that records when it woke up: it reads right after the deadline of a tick."""
 
     woke = 0.0
 
     def read_now(self) -> bytes:
+        """Record the time, then read."""
         self.woke = time.monotonic()
         return super().read_now()
 
 
 class _Record:
-    """Lateness of the ticks of one loop, and the histogram's bars."""
+    """Lateness of the ticks of one loop, with a histogram."""
 
     def __init__(self, period: float) -> None:
         self.lateness = Lateness(period)
@@ -120,7 +127,7 @@ class _Record:
         self._period = period
 
     def add(self, woke: float, deadline: float) -> float:
-        """Count one; the next deadline, which starts anew after a missed tick, as the link's do."""
+        """Count a tick; returns the next deadline, which restarts after a missed tick."""
         lateness = woke - deadline
         self.lateness.add(lateness)
         self.bars[bisect_left(EDGES, lateness)] += 1
@@ -128,13 +135,14 @@ class _Record:
 
 
 class _Sleeps:
-    """The bare loop: nothing but sleeps until absolute deadlines."""
+    """The bare loop, which only sleeps until absolute deadlines."""
 
     def __init__(self, period: float) -> None:
         self.record = _Record(period)
         self._period = period
 
     def run(self, ticks: int) -> None:
+        """Run a block of ticks."""
         deadline = time.monotonic() + self._period
         for _ in range(ticks):
             time.sleep(max(0.0, deadline - time.monotonic()))
@@ -142,30 +150,30 @@ class _Sleeps:
 
 
 class _ControlLoop:
-    """The driver at the control rate, and a policy that nobody obeys."""
+    """The control loop with a policy whose actions aren't used."""
 
     def __init__(self, link: _Stopwatch, config: RobotConfig, policy: Policy | None) -> None:
         self.robot = Robot(link, config)
         self.device = link.device
         self.record = _Record(config.period)
-        self.ages, self.thinking = Durations(), Durations()
+        self.ages, self.decision_times = Durations(), Durations()
         self.processor = self.seconds = 0.0
         self._link = link
         self._period = config.period
         self._policy = policy
-        self._thoughts = _thoughts(policy, self.robot) if policy else None
+        self._decisions = _decisions(policy, self.robot) if policy else None
         self._ticks_per_step = max(1, round(config.control_rate / POLICY_RATE))
-        if self._thoughts is not None:
-            next(self._thoughts)  # the first one may compile, which an episode does at its reset
+        if self._decisions is not None:
+            next(self._decisions)  # the first one may compile, as a reset does in an episode
 
     def run(self, ticks: int) -> None:
-        """The first tick reads what came in the bare loop's turn, and isn't measured."""
+        """Run a block; its first tick isn't measured, as it reads the feedback of the bare loop."""
         self._drive()
         deadline = self._link.woke + self._period
         begin, used = time.monotonic(), time.process_time()
         for number in range(ticks):
-            if number % self._ticks_per_step == 0 and self._thoughts is not None:
-                self.thinking.add(next(self._thoughts))
+            if number % self._ticks_per_step == 0 and self._decisions is not None:
+                self.decision_times.add(next(self._decisions))
             self._drive()
             deadline = self.record.add(self._link.woke, deadline)
             self.ages.add(self.robot.feedback_age)
@@ -173,13 +181,14 @@ class _ControlLoop:
         self.seconds += time.monotonic() - begin
 
     def _drive(self) -> None:
+        """Send a zero command; LinkError at an emergency stop."""
         self.robot.drive(0.0, 0.0)
         if self.robot.safety.reason is Reason.EMERGENCY_STOP:
             raise LinkError("emergency stop", "start again when all is well")
 
 
-def _thoughts(policy: Policy, robot: Robot) -> Iterator[float]:
-    """How long each decision on the way to a goal takes [s], observation included."""
+def _decisions(policy: Policy, robot: Robot) -> Iterator[float]:
+    """Yield the duration of each decision of a policy, observation included [s]."""
     task, goal = PointGoal(), (2.0, 1.0)
     memory, action = remembered(task), (0.0, 0.0)
     top = (robot.config.max_linear, robot.config.max_angular)

@@ -1,4 +1,4 @@
-"""What `doctor --timing` found, judged and drawn."""
+"""The report of `doctor --timing`."""
 
 from __future__ import annotations
 
@@ -12,65 +12,65 @@ from acsar_gym.doctor.checks import MARKS, Check
 from acsar_gym.links.lateness import Spread, Timing
 
 EDGES = (2e-5, 5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1)
-"""Upper edges of the histogram's bars [s]; the last bar has none."""
+"""Upper edges of the histogram's bins [s]; the last bin has none."""
 BAR = 24
-"""Length of the longest bar."""
+"""Length of the longest bar [characters]."""
 
 MOST_LATE = 0.001
-"""A larger share of late ticks is worth a word."""
+"""Share of late ticks above which the report warns."""
 MOST_RATIO = 2.0
-"""The same for the 99th percentile against the bare loop's."""
+"""Ratio of the 99th percentiles, to the bare loop's, above which it warns."""
 MOST_CPU = 0.05
-"""The same for the share of a core."""
+"""Share of a core above which it warns."""
 FEWEST_LINES = 0.99
-"""The same for feedback lines against those expected."""
+"""Share of the expected feedback lines below which it warns."""
 AHEAD = "see the computer below; --realtime and --cores put the loop ahead of other programs"
 
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What was measured. Times in s."""
+    """Results of the measurement. Times in s."""
 
     device: str
     rate: float
     """Ticks per second [Hz]."""
     lateness: Timing
-    """Of the control loop: how long after its deadline each tick woke up."""
+    """Lateness of the control loop: time from a tick's deadline to its wake-up."""
     bare: Timing
-    """The same of the bare loop."""
+    """Lateness of the bare loop."""
     histogram: tuple[int, ...]
-    """Ticks up to each of EDGES, and beyond the last."""
+    """Ticks per bin of EDGES, with one more bin above the last edge."""
     bare_histogram: tuple[int, ...]
     seconds: float
-    """From the first to the last tick, the bare loop's turns included."""
+    """Time from the first to the last tick, with the blocks of the bare loop."""
     lines: int
-    """Valid feedback lines in that time; none is dropped on purpose."""
+    """Valid feedback lines during this time."""
     lines_expected: float
-    """By the configured feedback rate; the board's clock may differ by a percent."""
+    """Lines expected by the configured feedback rate; a board's clock can be off by 1 %."""
     refused: int
-    """Parts of lines that came damaged."""
+    """Damaged parts of lines."""
     feedback_age: Spread
-    """Time since the newest line, as the driver knows it after a tick: 0 where one came in it."""
+    """Age of the newest line after a tick; 0 if it arrived during the tick."""
     cpu_share: float
-    """Of one core, while the control loop ran."""
+    """CPU time of the control loop, as a share of one core."""
     policy_time: Spread | None
-    """Of an evaluation of the policy; None where none was evaluated."""
+    """Duration of a decision of the policy; None without a policy."""
     findings: tuple[Check, ...]
-    """About the computer and the way to the device."""
+    """Results of the checks of computer and adapter."""
 
     @property
     def ratio(self) -> float:
-        """The control loop's 99th percentile of lateness in those of the bare loop."""
+        """99th percentile of lateness, divided by that of the bare loop."""
         return self.lateness.p99 / max(self.bare.p99, 1e-6)
 
     @property
     def lost_lines(self) -> int:
-        """Lines that should have come and didn't; one may be under way at either end."""
+        """Number of missing lines; one at either end isn't counted."""
         return max(0, math.floor(self.lines_expected) - 2 - self.lines)
 
     @property
     def figures(self) -> list[Check]:
-        """What was measured, judged; round trips can't be where no wheel may turn."""
+        """Judge the measurement; round trips can't be measured without turning wheels."""
         return [
             self._late(),
             self._against_bare(),
@@ -81,6 +81,7 @@ class Report:
         ]
 
     def _late(self) -> Check:
+        """Judge the share of late ticks."""
         late = self.lateness
         bad = late.late_share > MOST_LATE
         return Check(
@@ -92,6 +93,7 @@ class Report:
         )
 
     def _against_bare(self) -> Check:
+        """Judge the lateness in comparison with the bare loop."""
         bad = self.ratio > MOST_RATIO
         return Check(
             "lateness",
@@ -102,6 +104,7 @@ class Report:
         )
 
     def _feedback(self) -> Check:
+        """Judge the number of feedback lines."""
         few = self.lines < FEWEST_LINES * self.lines_expected - 2.0
         return Check(
             "feedback lines",
@@ -114,6 +117,7 @@ class Report:
         )
 
     def _age(self) -> Check:
+        """Report the age of the feedback."""
         age = self.feedback_age
         return Check(
             "feedback age",
@@ -122,6 +126,7 @@ class Report:
         )
 
     def _processor(self) -> Check:
+        """Judge the CPU time."""
         bad = self.cpu_share > MOST_CPU
         policy = self.policy_time
         thinking = f"policy {_ms(policy.p50)} a step" if policy else "no policy: no onnxruntime"
@@ -133,7 +138,7 @@ class Report:
         )
 
     def tables(self) -> list[Table]:
-        """Histogram, figures, and what to change, for people."""
+        """Format histogram, figures and advice as tables."""
         return [
             self._drawn(),
             _checks("the control loop", self.figures),
@@ -141,6 +146,7 @@ class Report:
         ]
 
     def _drawn(self) -> Table:
+        """Format both histograms as a table."""
         title = f"lateness of {self.lateness.ticks} ticks at {self.rate:g} Hz over {self.device}"
         drawn = Table(title=title, title_justify="left", caption="Bars are logarithmic.")
         drawn.add_column("up to", justify="right")
@@ -157,7 +163,7 @@ class Report:
         return drawn
 
     def as_dict(self) -> dict[str, Any]:
-        """For programs."""
+        """Return everything for JSON."""
         return asdict(self) | {
             "edges": EDGES,
             "late_share": self.lateness.late_share,
@@ -177,6 +183,7 @@ def _bar(count: int, most: int) -> str:
 
 
 def _checks(title: str, checks: tuple[Check, ...] | list[Check]) -> Table:
+    """Format check results as a table."""
     drawn = Table(title=title, title_justify="left")
     for column in ("", "", "found", "what to change"):
         drawn.add_column(column, overflow="fold")

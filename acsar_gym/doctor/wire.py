@@ -1,4 +1,4 @@
-"""What is wrong with the wire to one board: opening, feedback, and, on request, turning wheels."""
+"""Checks of one serial device: opening, feedback, and optionally turning wheels."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from acsar_gym.safety.estop import StopListener
 from acsar_gym.safety.layer import Safety
 
 LISTEN = 2.0
-"""How long feedback is counted [s]."""
+"""Time during which feedback is counted [s]."""
 SPIN = 3.0
-"""Wheel speed of the moving checks [rad/s]."""
+"""Wheel speed of the checks that turn wheels [rad/s]."""
 POLL = 0.0005
 """Resolution of the round-trip time [s]."""
 PATIENCE = 3.0
@@ -24,7 +24,16 @@ PATIENCE = 3.0
 
 
 def examine(device: str, config: RobotConfig, *, spin: bool) -> Iterator[Check]:
-    """The checks of one device, in order; the first failure ends them. `spin` turns the wheels."""
+    """Check one device; the first failure ends the checks.
+
+    Args:
+        device: the serial device.
+        config: configuration of the robot.
+        spin: whether to turn the wheels, too.
+
+    Yields:
+        The results in order.
+    """
     link = _Stoppable(device, config)
     begin = time.monotonic()
     try:
@@ -45,13 +54,14 @@ def examine(device: str, config: RobotConfig, *, spin: bool) -> Iterator[Check]:
 
 
 class _Stoppable(SerialLink):
-    """Obeys `acsar-gym estop`, as a Robot does."""
+    """A link that obeys `acsar-gym estop`, as a Robot does."""
 
     def __init__(self, device: str, config: RobotConfig) -> None:
         super().__init__(device, config)
         self._listener = StopListener()
 
     def read_now(self) -> bytes:
+        """Return what has arrived; LinkError at an emergency stop."""
         if self._listener.is_requested():
             self.stop()
             self._listener.confirm()
@@ -69,9 +79,9 @@ def _failed_to_open(error: LinkError) -> Check:
 
 
 def _feedback(link: SerialLink, config: RobotConfig) -> Iterator[Check]:
-    """Lines a second and refused parts while the robot stands."""
+    """Check the rate of feedback and damaged parts while the robot stands."""
     decoder = Decoder()
-    decoder.feed(b"-" * (MAX_LINE + 1))  # whatever line is under way is cut: skip to its end
+    decoder.feed(b"-" * (MAX_LINE + 1))  # skip the rest of an incomplete line
     decoder.refused.clear()
     begin = time.monotonic()
     while time.monotonic() - begin < LISTEN:
@@ -101,7 +111,7 @@ def _standing() -> Iterator[Check]:
 
 
 def _moving(link: SerialLink, config: RobotConfig) -> Iterator[Check]:
-    """Round trip of a command, then whether the firmware's own time-out stops the wheels."""
+    """Measure the round trip of a command, and the firmware's command time-out."""
     spin = min(Safety(config).bounded((SPIN, SPIN, SPIN, SPIN), (0.0, 0.0, 0.0), 0.0))
     line = _line((spin, spin, spin, spin), config)
     round_trip = _until(link, line, lambda speeds: min(speeds) > 0.0)
@@ -131,9 +141,16 @@ def _moving(link: SerialLink, config: RobotConfig) -> Iterator[Check]:
 
 
 def _until(link: SerialLink, line: bytes, reached: Callable[[list[float]], bool]) -> float | None:
-    """Seconds until the four wheels' absolute speeds satisfy `reached`; None after PATIENCE.
+    """Wait until the absolute speeds of the four wheels satisfy `reached`.
 
-    `line` is sent again every 50 ms, so that the firmware's time-out doesn't end the check.
+    Args:
+        link: the open link.
+        line: command that is repeated every 50 ms, to prevent the firmware's time-out; empty
+            for none.
+        reached: condition on the four absolute speeds [rad/s].
+
+    Returns:
+        Seconds until then; None after PATIENCE.
     """
     decoder = Decoder()
     begin = sent = time.monotonic()

@@ -1,4 +1,4 @@
-"""Links: the wire's other side, chosen by a name or a device path."""
+"""Links: connections to a robot, real or simulated, chosen by name or device path."""
 
 from acsar_gym.links.base import Link
 from acsar_gym.links.factory import open_link

@@ -1,4 +1,4 @@
-"""The contract of everything that can stand on the other side of the wire."""
+"""The interface of links."""
 
 from __future__ import annotations
 
@@ -9,47 +9,63 @@ from acsar_gym.worlds import Scene
 
 
 class Link(Protocol):
-    """A wire to a robot, real or simulated. `advance` is the only place in which time passes."""
+    """A connection to a robot, real or simulated. Time passes only in `advance`."""
 
     @property
     def lateness(self) -> float | None:
-        """How long after its deadline the newest period ended [s]; None where time is simulated."""
+        """Time from the newest period's deadline to its end [s]; None if time is simulated."""
 
     @property
     def truth(self) -> GroundTruth | None:
-        """What only a simulator knows; None on hardware. Never feeds an observation."""
+        """Ground truth of a simulation; None on hardware. Never part of an observation."""
 
     def open(self) -> None:
-        """Ready for commands when it returns; opening an open link does nothing.
+        """Connect, so that commands can be sent on return. Idempotent.
 
-        Raises LinkError, which says what to do, and leaves no half-open port behind.
+        Raises:
+            LinkError: the connection failed; nothing stays open then.
         """
 
     def reset(self, scene: Scene) -> None:
-        """Begin an episode at rest; a simulated link also builds the scene."""
+        """Start an episode with the robot at rest.
+
+        Args:
+            scene: start, goal, world and physics; used by simulated links only.
+        """
 
     def write(self, data: bytes) -> None:
-        """Put bytes on the wire. Raises LinkLostError where the device is gone."""
+        """Send bytes to the robot.
+
+        Raises:
+            LinkLostError: the device is gone.
+        """
 
     def advance(self, period: float) -> bytes:
-        """Let one control period [s] pass; return the bytes that arrived in it."""
+        """Let one control period pass.
+
+        Args:
+            period: duration [s].
+
+        Returns:
+            The bytes that arrived during it.
+        """
 
     def now(self) -> float:
-        """Seconds on the link's own clock."""
+        """Return the time on the link's own clock [s]."""
 
     def close(self) -> None:
-        """Stop the motors, then close; idempotent."""
+        """Stop the motors, then close the connection. Idempotent."""
 
 
 @runtime_checkable
 class CameraLink(Protocol):
-    """A link behind which a camera may stand: a simulated one, or one that passes on to it."""
+    """A link that may have a camera: a simulated one, or a wrapper around one."""
 
     @property
     def camera(self) -> Camera | None:
-        """The camera; None where there is none."""
+        """The camera; None if there is none."""
 
 
 def camera_of(link: Link) -> Camera | None:
-    """The camera that sees the robot behind a link; None where there is none, as on hardware."""
+    """Return the camera of a link; None if it has none, as on hardware."""
     return link.camera if isinstance(link, CameraLink) else None

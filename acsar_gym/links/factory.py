@@ -1,4 +1,4 @@
-"""From a URL to a link. Everything behind it is imported late: a robot needs no pybullet."""
+"""Makes links from URLs. Links are imported late: hardware doesn't need pybullet."""
 
 from __future__ import annotations
 
@@ -24,13 +24,18 @@ def open_link(
     window: bool = False,
     realtime: bool = False,
 ) -> Link:
-    """The link that `url` names; it opens nothing before `open()` or `Robot.activate()`.
+    """Make a link, closed; it connects only in `open()` or `Robot.activate()`.
 
-    "bullet" and "planar" are simulations, as fast as they go; `realtime` holds them to the wall
-    clock, and so does `window`, which opens PyBullet's own window. "/dev/ttyUSB0", "COM3",
-    "usb:A50285BI" (an adapter by its USB serial number) and "socket://host:port" are serial
-    devices, "serial" is the one that the config names, and "replay:FILE" plays a recording back.
-    Raises ConfigError for anything else.
+    Args:
+        url: "bullet" or "planar" for a simulation; "/dev/ttyUSB0", "COM3", "usb:A50285BI" (USB
+            serial number of an adapter) or "socket://host:port" for a serial device; "serial"
+            for the device that the config names; "replay:FILE" for a recording.
+        config: configuration, preset or file of the robot; None for the default.
+        window: open PyBullet's window; implies `realtime`.
+        realtime: run a simulation in real time instead of as fast as possible.
+
+    Raises:
+        ConfigError: for any other URL.
     """
     config = RobotConfig.of(config)
     if not isinstance(url, str | os.PathLike):
@@ -53,12 +58,14 @@ def open_link(
 
 
 def _simulated(name: str, config: RobotConfig, window: bool) -> Link:
+    """Make the link of a simulated robot."""
     from acsar_gym.links.simulated import SimulatedLink  # noqa: PLC0415
 
     return SimulatedLink(config, partial(_body, name, config, window))
 
 
 def _body(name: str, config: RobotConfig, window: bool) -> Body:
+    """Make the physics of a simulated robot."""
     if name == "planar":
         from acsar_gym.bodies.planar import PlanarBody  # noqa: PLC0415
 
@@ -69,6 +76,7 @@ def _body(name: str, config: RobotConfig, window: bool) -> Body:
 
 
 def _device(url: str, config: RobotConfig) -> str:
+    """Return the device that a URL or the config names."""
     if url != "serial":
         return url
     if config.serial_port is None:

@@ -1,4 +1,4 @@
-"""The wait for a board that has just been opened, and what its silence or disobedience may mean."""
+"""Waits for a newly opened board, and makes the errors for boards that don't answer or stop."""
 
 from __future__ import annotations
 
@@ -10,13 +10,20 @@ from acsar_gym.errors import BoardGarbledError, BoardSilentError, LinkError
 from acsar_gym.protocol import Decoder, Speeds
 
 POLL = 0.01
-"""How often activation looks for the first valid line [s]."""
+"""Interval of polling for the first valid line [s]."""
 
 
 def wait_for_board(read: Callable[[], bytes], device: str, config: RobotConfig) -> None:
-    """Return with the board's first valid line; `read` gives what has arrived.
+    """Wait for the first valid line of the board.
 
-    Raises BoardSilentError or BoardGarbledError after the config's `connect_timeout`.
+    Args:
+        read: returns the bytes that have arrived.
+        device: name of the device, for messages.
+        config: configuration of the robot; has the `connect_timeout`.
+
+    Raises:
+        BoardSilentError: nothing arrived.
+        BoardGarbledError: bytes arrived, but no valid line.
     """
     decoder = Decoder()
     heard = 0
@@ -31,6 +38,7 @@ def wait_for_board(read: Callable[[], bytes], device: str, config: RobotConfig) 
 
 
 def _no_board(device: str, config: RobotConfig, heard: int) -> BoardSilentError:
+    """Return the error for a board from which `heard` bytes have arrived."""
     waited, baud = config.connect_timeout, config.baud_rate
     if heard:
         others = ", ".join(str(rate) for rate in BAUD_RATES if rate != baud)
@@ -45,7 +53,12 @@ def _no_board(device: str, config: RobotConfig, heard: int) -> BoardSilentError:
 
 
 def silence(age: float, refused: int) -> BoardSilentError:
-    """The error of a board in use that was heard of `age` [s] ago, `refused` bad parts aside."""
+    """Return the error for a board in use that sends no valid feedback.
+
+    Args:
+        age: time since the newest valid line [s].
+        refused: number of damaged parts since then.
+    """
     if refused:
         return BoardGarbledError(
             f"no valid feedback line for {age:.2f} s, {refused} bad parts",
@@ -55,7 +68,12 @@ def silence(age: float, refused: int) -> BoardSilentError:
 
 
 def still_turning(waited: float, speeds: Speeds) -> LinkError:
-    """The error of a board that was told to stop `waited` [s] ago."""
+    """Return the error for wheels that turn in spite of a stop command.
+
+    Args:
+        waited: time since the stop command [s].
+        speeds: wheel speeds [rad/s].
+    """
     listed = ", ".join(f"{speed:.2f}" for speed in speeds)
     return LinkError(
         f"the wheels still turn {waited:g} s after the stop command ({listed} rad/s)",

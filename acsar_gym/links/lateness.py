@@ -1,6 +1,4 @@
-"""How late ticks are, how old feedback is, and how long it takes to answer a command.
-
-All in bounded memory, however long it goes on.
+"""Statistics of tick lateness, feedback age and round trip time, in bounded memory.
 
 Durations are counted in buckets that are linear within each octave, so a percentile is at most 3 %
 too large, and adding one costs less than a microsecond. Extremes and counts are exact.
@@ -14,20 +12,20 @@ from dataclasses import dataclass
 from itertools import accumulate
 
 LATE = 0.001
-"""A tick that ends this long after its deadline is late [s]."""
+"""A tick is late if it ends more than this after its deadline [s]."""
 
 PER_OCTAVE = 32
 SHORTEST = 2.0**-20
-"""What is shorter, less than a microsecond, counts as zero [s]."""
+"""Shorter durations count as zero [s]."""
 LONGEST = 64.0
-"""What takes this long or longer falls into the last bucket [s]; `worst` still tells how long."""
+"""Durations from here on are in the last bucket [s]; `worst` stays exact."""
 _FIRST = math.frexp(SHORTEST)[1]
 _BUCKETS = (math.frexp(LONGEST)[1] - _FIRST) * PER_OCTAVE + 2
 
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """Percentiles and the largest of some durations [s]; NaN where there were none."""
+    """Percentiles and maximum of durations [s]; NaN if there were none."""
 
     count: int
     p50: float
@@ -37,48 +35,48 @@ class Spread:
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """How late the ticks of an episode ended [s]; NaN where there were none."""
+    """Lateness of the ticks of an episode [s]; NaN if there were none."""
 
     ticks: int
     late_ticks: int
-    """Ticks that ended more than a millisecond after their deadline."""
+    """Ticks that ended more than 1 ms after their deadline."""
     missed_ticks: int
-    """Whole periods that passed without a tick."""
+    """Control periods that passed without a tick."""
     p50: float
     p99: float
     worst: float
 
     @property
     def late_share(self) -> float:
-        """Late ticks among all; 0 where there were none."""
+        """Share of late ticks; 0 if there were no ticks."""
         return self.late_ticks / self.ticks if self.ticks else 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class EpisodeTiming:
-    """How good the timing of an episode was, from the end of its first tick on."""
+    """Timing of an episode, from the end of its first tick on."""
 
     lateness: Timing
     feedback_age: Spread
-    """Time since the newest valid line, after every tick; 0 where one came in it [s]."""
+    """Age of the newest valid line after every tick [s]; 0 if it arrived during the tick."""
     round_trip: Spread
-    """From a command that sets standing wheels in motion to feedback that says so [s]."""
+    """Time from a command that starts standing wheels to feedback of their motion [s]."""
 
 
 class Durations:
-    """Any number of durations [s]; negative ones count as zero."""
+    """Counts any number of durations [s]; negative ones count as zero."""
 
     def __init__(self) -> None:
         self.reset()
 
     def reset(self) -> None:
-        """Forget them all."""
+        """Discard all durations."""
         self.count = 0
         self._worst = 0.0
         self._buckets = [0] * _BUCKETS
 
     def add(self, seconds: float) -> None:
-        """Count one."""
+        """Add a duration [s]."""
         self.count += 1
         self._worst = max(self._worst, seconds)
         if seconds < SHORTEST:
@@ -92,13 +90,16 @@ class Durations:
 
     @property
     def worst(self) -> float:
-        """The longest one [s], exactly; NaN where there is none."""
+        """The longest duration [s], exact; NaN if there is none."""
         return self._worst if self.count else math.nan
 
     def percentile(self, q: float) -> float:
-        """The duration [s] that `q` percent don't exceed; NaN where there is none.
+        """Return a percentile [s]; NaN if there are no durations.
 
-        At most 3 % too large, and never too small, but for what counts as zero.
+        At most 3 % too large; never too small, except durations that count as zero.
+
+        Args:
+            q: 0 to 100.
         """
         if not self.count:
             return math.nan
@@ -107,15 +108,20 @@ class Durations:
         return min(_upper_edge(bucket), self._worst)
 
     def spread(self) -> Spread:
-        """What an episode keeps of them."""
+        """Return percentiles and maximum."""
         return Spread(self.count, self.percentile(50.0), self.percentile(99.0), self.worst)
 
 
 class Lateness(Durations):
-    """How late each tick ended; `add` is called once a tick.
+    """Counts the lateness of ticks.
 
-    `late` counts those over a millisecond, `missed` the whole periods [s] that went by without a
-    tick: one that ends 3.5 periods late has missed three.
+    Args:
+        period: control period [s].
+
+    Attributes:
+        late: ticks more than 1 ms late.
+        missed: whole periods without a tick; a tick that ends 3.5 periods late has missed
+            three.
     """
 
     def __init__(self, period: float) -> None:
@@ -123,13 +129,13 @@ class Lateness(Durations):
         super().__init__()
 
     def reset(self) -> None:
-        """Begin anew."""
+        """Discard all ticks."""
         super().reset()
         self.late = 0
         self.missed = 0
 
     def add(self, seconds: float) -> None:
-        """A tick ended so long after its deadline."""
+        """Add a tick that ended `seconds` after its deadline."""
         super().add(seconds)
         if seconds > LATE:
             self.late += 1
@@ -137,13 +143,17 @@ class Lateness(Durations):
                 self.missed += int(seconds / self._period)
 
     def summary(self) -> Timing:
-        """What an episode keeps of them."""
+        """Return the statistics."""
         p50, p99 = self.percentile(50.0), self.percentile(99.0)
         return Timing(self.count, self.late, self.missed, p50, p99, self.worst)
 
 
 class Stopwatch:
-    """Measures one episode."""
+    """Measures the timing of one episode.
+
+    Args:
+        period: control period [s].
+    """
 
     def __init__(self, period: float) -> None:
         self._lateness = Lateness(period)
@@ -152,14 +162,25 @@ class Stopwatch:
         self._asked: float | None = None
 
     def tick(self, lateness: float, age: float) -> None:
-        """A tick ended so late, with feedback of that age [s]."""
-        if self._begun:  # before the first one somebody may have thought for long
+        """Add a tick.
+
+        Args:
+            lateness: time from its deadline to its end [s].
+            age: age of the newest feedback [s].
+        """
+        if self._begun:  # time between reset and first step doesn't count
             self._lateness.add(lateness)
             self._ages.add(age)
         self._begun = True
 
     def asked(self, stamp: float, *, drives: bool, turns: bool) -> None:
-        """A command goes out at `stamp`; whether it drives, and whether the wheels turn by now."""
+        """Add a command.
+
+        Args:
+            stamp: time at which it is sent [s].
+            drives: whether the command isn't zero.
+            turns: whether the wheels turn, by the newest feedback.
+        """
         if turns or not drives:
             if turns and self._asked is not None:
                 self._trips.add(stamp - self._asked)
@@ -168,12 +189,12 @@ class Stopwatch:
             self._asked = stamp
 
     def summary(self) -> EpisodeTiming:
-        """What an episode keeps of it."""
+        """Return the timing of the episode."""
         return EpisodeTiming(self._lateness.summary(), self._ages.spread(), self._trips.spread())
 
 
 def _upper_edge(bucket: int) -> float:
-    """What no duration in this bucket reaches [s]; infinite for the last one, 0 for the first."""
+    """Return the upper bound of a bucket [s]; 0 for the first one, inf for the last one."""
     if bucket == 0:
         return 0.0
     if bucket == _BUCKETS - 1:

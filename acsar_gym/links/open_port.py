@@ -1,4 +1,4 @@
-"""A serial port that is open: bytes out and in without waiting, in one kind of error or in none."""
+"""An open serial port with non-blocking reads and writes, and exceptions of this package."""
 
 from __future__ import annotations
 
@@ -9,18 +9,22 @@ import time
 from acsar_gym.links.ports import PORT_ERRORS, Port, put, translated
 
 CHUNK = 4096
-"""Most bytes taken from the port at once."""
+"""Bytes read from the port by one call."""
 MOST_CHUNKS = 256
-"""Chunks taken in one go, at most: what lies in any driver's buffer, and no endless stream."""
+"""Most chunks per read: enough to empty a driver's buffer, but not an endless stream."""
 DRAIN = 0.05
-"""What was sent has so long to leave the port when it is closed [s]."""
+"""Longest wait for sent bytes to leave the port when it is closed [s]."""
 
 
 class OpenPort:
-    """pyserial's open port of a device.
+    """An open port of pyserial.
 
-    `put`, `read` and `drop_input` raise LinkLostError where the device is gone; `says`, `is_quiet`
-    and `close` raise nothing, for whoever must stop now.
+    `put`, `read` and `drop_input` raise LinkLostError if the device is gone. `says`, `is_quiet` and
+    `close` raise nothing, so that stopping can't fail halfway.
+
+    Args:
+        port: pyserial's port.
+        device: its name, for messages.
     """
 
     def __init__(self, port: Port, device: str) -> None:
@@ -28,12 +32,12 @@ class OpenPort:
         self._device = device
 
     def put(self, data: bytes) -> None:
-        """Send all of these bytes."""
+        """Send all of the bytes; LinkLostError if the device is gone."""
         with translated(self._device):
             put(self._port, data)
 
     def read(self) -> bytes:
-        """What has arrived; waits for nothing."""
+        """Return what has arrived, without waiting; LinkLostError if the device is gone."""
         data = b""
         with translated(self._device):
             for _ in range(MOST_CHUNKS):
@@ -44,33 +48,33 @@ class OpenPort:
         return data
 
     def drop_input(self) -> None:
-        """Drop what has arrived and wasn't read."""
+        """Discard what has arrived and wasn't read."""
         with translated(self._device):
             self._port.reset_input_buffer()
 
     def drop_output(self) -> None:
-        """Drop what hasn't left the port yet."""
+        """Discard what hasn't left the port yet."""
         with translated(self._device):
             self._port.reset_output_buffer()
 
     def fileno(self) -> int | None:
-        """Its descriptor; None where it has none that can be shared, as with rfc2217."""
+        """Return the file descriptor; None if it can't be shared, as with rfc2217."""
         try:
             return int(self._port.fileno())
         except OSError:
             return None
 
     def says(self, data: bytes) -> bool:
-        """Send, and whether the port took it."""
+        """Send bytes; returns whether the port accepted them."""
         with contextlib.suppress(*PORT_ERRORS):
             put(self._port, data)
             return True
         return False
 
     def is_drained(self) -> bool:
-        """Whether the port has sent everything soon.
+        """Wait up to DRAIN; returns whether all bytes have been sent.
 
-        What a board doesn't take is dropped, for it would hold up whoever closes the port.
+        The rest is discarded, as it would delay the closing of the port.
         """
         deadline = time.monotonic() + DRAIN
         with contextlib.suppress(*PORT_ERRORS):
@@ -83,18 +87,18 @@ class OpenPort:
         return False
 
     def is_quiet(self) -> bool:
-        """Whether nothing has arrived, or the device is gone."""
+        """Return whether nothing has arrived, or the device is gone."""
         with contextlib.suppress(*PORT_ERRORS):
             return not self._port.in_waiting
         return True
 
     def close(self) -> None:
-        """Close it, in whatever state it is."""
+        """Close the port, in any state."""
         with contextlib.suppress(*PORT_ERRORS):
             self._port.close()
 
     def detach(self) -> None:
-        """Let go of a parent's connection, which `close` would end."""
+        """Close this process's copy of a socket, without ending the parent's connection."""
         own = getattr(self._port, "_socket", None)
         if own is not None:
             os.close(own.detach())

@@ -1,4 +1,4 @@
-"""A simulated link held to real time, for windows and people at the keyboard."""
+"""A simulated link in real time, for windows and keyboard control."""
 
 from __future__ import annotations
 
@@ -10,9 +10,12 @@ from acsar_gym.worlds import Scene
 
 
 class PacedLink:
-    """Passes everything on; `advance` returns no sooner than its absolute deadline.
+    """Forwards to another link; `advance` doesn't return before its absolute deadline.
 
-    The clock and the bytes stay those of the link behind it.
+    Clock and bytes are those of the inner link.
+
+    Args:
+        link: the inner link.
     """
 
     def __init__(self, link: Link) -> None:
@@ -24,38 +27,38 @@ class PacedLink:
         self._link.open()
 
     def reset(self, scene: Scene) -> None:
-        """Reset the link and begin a new row of deadlines."""
+        """Reset the link and restart the deadlines."""
         self._link.reset(scene)
         self._deadline = time.monotonic()
 
     def write(self, data: bytes) -> None:
-        """Pass on."""
+        """Send bytes to the link."""
         self._link.write(data)
 
     def advance(self, period: float) -> bytes:
-        """Advance the link, then wait for the deadline; one that is long gone is forgotten."""
+        """Advance the link, then wait for the deadline; missed deadlines are skipped."""
         got = self._link.advance(period)
         self._deadline = max(self._deadline + period, time.monotonic() - period)
         time.sleep(max(0.0, self._deadline - time.monotonic()))
         return got
 
     def now(self) -> float:
-        """The link's clock."""
+        """Return the time on the link's clock [s]."""
         return self._link.now()
 
     @property
     def truth(self) -> GroundTruth | None:
-        """The link's truth."""
+        """Ground truth of the link."""
         return self._link.truth
 
     @property
     def lateness(self) -> float | None:
-        """The link's lateness: its time stays simulated, however long it is held up."""
+        """Lateness of the link, which is None, as its time is simulated."""
         return self._link.lateness
 
     @property
     def camera(self) -> Camera | None:
-        """The link's camera."""
+        """Camera of the link."""
         return camera_of(self._link)
 
     def close(self) -> None:

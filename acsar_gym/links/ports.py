@@ -1,6 +1,6 @@
-"""Serial ports: which there are, under which names they come back, and how one is opened.
+"""Serial ports: listing, persistent names, and opening.
 
-The only file that imports pyserial.
+This is the only module that imports pyserial.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from acsar_gym.errors import (
 )
 
 Port = Any
-"""pyserial's, which has no types."""
+"""An open port of pyserial, which has no type annotations."""
 BY_ID = Path("/dev/serial/by-id")
-"""Linux' names for USB adapters, made of vendor, product and serial number."""
+"""Folder of persistent names of USB adapters on Linux: vendor, product, serial number."""
 BY_SERIAL_NUMBER = "usb:"
-"""What begins so names an adapter by its USB serial number."""
+"""Prefix of a name that is the USB serial number of an adapter."""
 
 PORT_ERRORS: tuple[type[Exception], ...] = (serial.SerialException, OSError, TypeError)
-"""What pyserial lets out where a port in use goes away."""
+"""Exceptions of pyserial when a port disappears while in use."""
 with contextlib.suppress(ImportError):  # Windows has no termios
     import termios
 
@@ -45,15 +45,15 @@ with contextlib.suppress(ImportError):  # Windows has no termios
 
 
 MORE_FILES = "close some, or allow more with 'ulimit -n'"
-"""What to do where a process can't open any more files."""
+"""Advice for a process that has too many open files."""
 WRITE_TIMEOUT = 0.2
-"""A socket that takes no bytes for so long is lost [s]."""
+"""A socket that accepts no bytes for this time is lost [s]."""
 TURNS = (0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.0)
-"""Pauses between tries at a port that another process writes to; none after the last one [s]."""
+"""Pauses between attempts to write, while another process writes to the port [s]."""
 BUSY_PATIENCE = 0.7
-"""A program that was killed leaves its port to its watchdog for so long, at most [s]."""
+"""Longest time for which the watchdog of a killed program keeps its port [s]."""
 BACK_OFF = (0.02, 0.1)
-"""Pause before the second try to open a port, and the longest one; each is twice the last [s]."""
+"""First and longest pause between attempts to open a port [s]; each is twice the last."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,11 +63,11 @@ class PortInfo:
     device: str
     description: str
     serial_number: str | None = None
-    """Of its USB adapter, where that has one."""
+    """Serial number of its USB adapter; None if it has none."""
 
 
 def ports() -> list[PortInfo]:
-    """The serial devices that the operating system knows."""
+    """List the serial devices of this computer."""
     return [
         PortInfo(port.device, port.description, port.serial_number)
         for port in sorted(list_ports.comports())
@@ -75,9 +75,15 @@ def ports() -> list[PortInfo]:
 
 
 def located(name: str) -> str:
-    """The device behind a name: "usb:A50285BI" is the one that has this USB serial number now.
+    """Find the device of a name.
 
-    Raises PortNotFoundError where none has, and ConfigError where several have.
+    Args:
+        name: a device, which is returned unchanged, or "usb:" with the USB serial number of an
+            adapter.
+
+    Raises:
+        PortNotFoundError: no adapter has this serial number.
+        ConfigError: several adapters have it.
     """
     if not name.startswith(BY_SERIAL_NUMBER):
         return name
@@ -95,11 +101,11 @@ def located(name: str) -> str:
 
 
 def lasting(device: str) -> str:
-    """The name under which the adapter behind a device comes back when it is plugged in again.
+    """Return the persistent name of a device, under which it reappears when plugged in again.
 
-    /dev/ttyUSB0 may be /dev/ttyUSB1 then, but its name in /dev/serial/by-id stays. Where it has
-    none, or shares its serial number with another adapter, as cheap ones do, and for a name that is
-    a link by itself: the device as given.
+    /dev/ttyUSB0 may become /dev/ttyUSB1, but its name in /dev/serial/by-id stays. The device itself
+    is returned if it has no such name, is a symbolic link already, or shares its serial number with
+    another adapter, as some cheap ones do.
     """
     with contextlib.suppress(OSError):
         path = Path(device)
@@ -111,15 +117,21 @@ def lasting(device: str) -> str:
 
 
 def _has_its_own_number(path: Path) -> bool:
+    """Return whether no other adapter has the same serial number."""
     known = [port for port in ports() if port.serial_number]
     mine = [port.serial_number for port in known if Path(port.device).resolve() == path.resolve()]
     return bool(mine) and [port.serial_number for port in known].count(mine[0]) == 1
 
 
 class Location:
-    """Where a port is, and where it comes back when it was lost.
+    """The name of a port, and the name under which it reappears after it was lost.
 
-    `path` is the name that it was opened under, None before that; set `lost` where it went away.
+    Args:
+        name: a device, URL, or "usb:" and a serial number.
+
+    Attributes:
+        path: persistent name of the open or lost port; None before the first opening.
+        lost: whether the port disappeared while in use.
     """
 
     def __init__(self, name: str) -> None:
@@ -129,13 +141,19 @@ class Location:
 
     @property
     def lasts(self) -> bool:
-        """Whether no other device can get its name."""
+        """Whether no other device can get the name `path`."""
         return self.path is not None and Path(self.path).is_symlink()
 
     def opened(self, config: RobotConfig, make_way: Callable[[], None] = lambda: None) -> Port:
-        """The open port, as `opened`; a lost one has the config's `reconnect_timeout` to come back.
+        """Open the port; a lost one has `reconnect_timeout` to reappear.
 
-        `make_way` is called where the port is in use and when it is open: it may be our own search.
+        Args:
+            config: configuration of the robot.
+            make_way: called if the port is busy, and after it was opened, to end this program's
+                own watchdog that searches for the port.
+
+        Raises:
+            LinkError: the port can't be opened.
         """
         start, (pause, longest) = time.monotonic(), BACK_OFF
         while True:
@@ -148,6 +166,7 @@ class Location:
             pause = min(2.0 * pause, longest)
 
     def _opened_now(self, config: RobotConfig, make_way: Callable[[], None]) -> Port:
+        """Try once to open the port."""
         device = located(self.name)
         if device == self.name and self.path is not None:
             device = self.path
@@ -161,19 +180,25 @@ class Location:
         return port
 
     def _patience(self, error: LinkError, config: RobotConfig) -> float:
+        """Return how long to retry after an error [s]."""
         lost = config.reconnect_timeout if self.lost else 0.0
         return max(lost, BUSY_PATIENCE if isinstance(error, PortBusyError) else 0.0)
 
     def left(self, *, lost: bool) -> None:
-        """The port was closed; one that wasn't lost may be another one next time."""
+        """Note that the port was closed; only a lost port is looked for under the same name."""
         self.lost = lost
         self.path = self.path if lost else None
 
 
 def opened(device: str, config: RobotConfig) -> Port:
-    """The open port, held exclusively; `put` and reads wait for nothing.
+    """Open a port exclusively, with non-blocking reads.
 
-    Raises LinkError, which says what to do.
+    Args:
+        device: a device or URL.
+        config: configuration of the robot; has the baud rate.
+
+    Raises:
+        LinkError: the port can't be opened; the message says why and what to do.
     """
     options: dict[str, Any] = {
         "baudrate": config.baud_rate,
@@ -195,15 +220,18 @@ def opened(device: str, config: RobotConfig) -> Port:
         raise _why_not_open(device, error) from None
     with contextlib.suppress(AttributeError, ValueError, NotImplementedError, OSError):
         port.set_low_latency_mode(True)
-    with contextlib.suppress(AttributeError, OSError):  # a socket's packets must not wait
+    with contextlib.suppress(AttributeError, OSError):  # send packets at once
         port._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # noqa: SLF001
     return port
 
 
 def put(port: Port, data: bytes) -> None:
-    """Send without waiting. Raises one of PORT_ERRORS where the port doesn't take all of it.
+    """Send bytes without blocking.
 
-    pyserial's own write waits until there is room for more, and may say that it failed afterwards.
+    pyserial's own write blocks until there is room, and may report a failure only afterwards.
+
+    Raises:
+        Exception: one of PORT_ERRORS, if the port doesn't accept all bytes.
     """
     descriptor = getattr(port, "fd", None)
     if descriptor is None:  # a socket, or Windows
@@ -214,9 +242,9 @@ def put(port: Port, data: bytes) -> None:
 
 
 def _sent(descriptor: int, data: bytes) -> int:
-    """How many bytes a port takes at once.
+    """Write to a descriptor; returns the number of bytes that were accepted.
 
-    The kernel also refuses a write while another process, as the watchdog, writes to the same port.
+    The kernel also refuses a write while another process, such as the watchdog, is writing.
     """
     for pause in TURNS:
         with contextlib.suppress(BlockingIOError):
@@ -226,7 +254,7 @@ def _sent(descriptor: int, data: bytes) -> int:
 
 
 def _check_url(url: str) -> None:
-    """ConfigError unless it names a host and a port."""
+    """Raise ConfigError unless the URL has a host and a port."""
     try:
         parts = urlsplit(url)
         complete = bool(parts.hostname and parts.port)
@@ -237,6 +265,7 @@ def _check_url(url: str) -> None:
 
 
 def _why_not_open(device: str, error: Exception) -> LinkError:
+    """Convert an exception of pyserial to a LinkError with advice."""
     code = getattr(error, "errno", None)
     text = str(error)
     if code in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or isinstance(error, FileNotFoundError):
@@ -259,7 +288,7 @@ def _why_not_open(device: str, error: Exception) -> LinkError:
 
 @contextlib.contextmanager
 def translated(device: str) -> Iterator[None]:
-    """Errors of a port in use become LinkLostError."""
+    """Convert exceptions of a port in use to LinkLostError, as a context manager."""
     try:
         yield
     except PORT_ERRORS as error:

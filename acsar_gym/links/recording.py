@@ -1,7 +1,7 @@
-"""Recordings of what went over a wire: one JSON line per event, readable with any text tool.
+"""Recordings of the bytes of a link: text files with one JSON line per event.
 
-`{"reset": t}` begins an episode with the link's clock at t [s]; `{"sent": [...], "got": "...",
-"t": t}` is one period: what was written in it, what arrived, and the clock at its end.
+`{"reset": t}` starts an episode at time t [s] of the link's clock. `{"sent": [...], "got": "...",
+"t": t}` is one period: bytes sent, bytes received, and time at its end.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from acsar_gym.reading import bounded, structured
 from acsar_gym.worlds import Scene
 
 MOST_BYTES = 40_000_000
-"""Of a recording: an hour at 100 Hz."""
+"""Largest accepted file [bytes]; an hour at 100 Hz."""
 MOST_LINES = 360_000
 MOST_LINE = 100_000
-"""Bytes of a line: what a fast wire carries in several seconds."""
+"""Longest accepted line [bytes]; several seconds of a fast serial line."""
 
 
 @dataclass(frozen=True, slots=True)
 class Period:
-    """One period of a recording."""
+    """One period of a recording: bytes sent and received, and the time at its end [s]."""
 
     sent: bytes
     got: bytes
@@ -39,14 +39,19 @@ class Period:
 
 @dataclass(frozen=True, slots=True)
 class Episode:
-    """The periods after one reset, and the clock at that reset [s]."""
+    """The periods after one reset, and the time of that reset [s]."""
 
     start: float
     periods: list[Period]
 
 
 class RecordingLink:
-    """Passes everything on to another link and writes it down. The file grows as it goes."""
+    """Forwards to another link and records its bytes in a file, line by line.
+
+    Args:
+        link: the link to record.
+        path: file to write.
+    """
 
     def __init__(self, link: Link, path: Path) -> None:
         self._link = link
@@ -57,7 +62,7 @@ class RecordingLink:
         self._now = 0.0
 
     def open(self) -> None:
-        """Open the link and the file; what is recorded after a close is appended."""
+        """Open link and file; after a close, recording continues at the end of the file."""
         self._link.open()
         if self._file is None:
             try:
@@ -68,18 +73,18 @@ class RecordingLink:
             self._mode = "a"
 
     def reset(self, scene: Scene) -> None:
-        """Begin an episode; what was written before belongs to its first period."""
+        """Start an episode; bytes written before the reset belong to its first period."""
         self._link.reset(scene)
         self._now = self._link.now()
         self._note({"reset": self._now})
 
     def write(self, data: bytes) -> None:
-        """Pass on and remember."""
+        """Send bytes to the link and record them."""
         self._link.write(data)
         self._sent += data
 
     def advance(self, period: float) -> bytes:
-        """Pass on, and write the period down."""
+        """Advance the link and record the period."""
         got = self._link.advance(period)
         self._now = self._link.now()
         sent, self._sent = self._sent.decode("latin-1"), b""
@@ -87,30 +92,31 @@ class RecordingLink:
         return got
 
     def _note(self, event: dict[str, object]) -> None:
+        """Write an event to the file."""
         if self._file is not None:
             written(self._file, json.dumps(event) + "\n")
 
     def now(self) -> float:
-        """The link's clock at the last reset or period: the stamp that is written down."""
+        """Return the time of the last reset or period, as recorded [s]."""
         return self._now
 
     @property
     def truth(self) -> GroundTruth | None:
-        """The link's truth; it isn't recorded."""
+        """Ground truth of the link; it isn't recorded."""
         return self._link.truth
 
     @property
     def lateness(self) -> float | None:
-        """The link's lateness."""
+        """Lateness of the link [s]."""
         return self._link.lateness
 
     @property
     def camera(self) -> Camera | None:
-        """The link's camera."""
+        """Camera of the link."""
         return camera_of(self._link)
 
     def __reduce__(self) -> tuple[type[RecordingLink], tuple[Link, Path]]:
-        """Copies record a link of their own."""
+        """Copy with a copy of the link."""
         return RecordingLink, (self._link, self._path)
 
     def close(self) -> None:
@@ -122,7 +128,7 @@ class RecordingLink:
 
 
 def opened(path: Path, mode: str = "w") -> IO[str]:
-    """A text file that is written line by line. Raises ConfigError where it can't be."""
+    """Open a text file for writing line by line; ConfigError if that fails."""
     try:
         return open(path, mode, buffering=1, encoding="ascii", opener=bounded.opener)
     except (OSError, ValueError) as error:
@@ -130,7 +136,14 @@ def opened(path: Path, mode: str = "w") -> IO[str]:
 
 
 def read(path: Path) -> list[Episode]:
-    """All episodes of a recording of at most 40 MB. Raises ConfigError where the file isn't one."""
+    """Read all episodes of a recording.
+
+    Args:
+        path: the file, at most 40 MB.
+
+    Raises:
+        ConfigError: the file can't be read, or isn't a recording.
+    """
     episodes: list[Episode] = []
     newest = -math.inf
     for number, line in _lines(path):
@@ -145,6 +158,7 @@ def read(path: Path) -> list[Episode]:
 
 
 def _lines(path: Path) -> Iterator[tuple[int, bytes]]:
+    """Yield the lines with their numbers."""
     data = bounded.read(path, MOST_BYTES)
     if data.count(b"\n") > MOST_LINES:
         raise ConfigError(f"{path}: has more than {MOST_LINES:,} lines: cut out a part of it")
@@ -153,7 +167,7 @@ def _lines(path: Path) -> Iterator[tuple[int, bytes]]:
 
 
 def _add(event: Any, episodes: list[Episode], newest: float) -> float:
-    """Add what a line says, and return its stamp, which is no earlier than the one before."""
+    """Add one event to the episodes; returns its time, which must not go backwards."""
     if "reset" in event:
         stamp = _stamp(event["reset"])
         episodes.append(Episode(stamp, []))
@@ -167,14 +181,14 @@ def _add(event: Any, episodes: list[Episode], newest: float) -> float:
 
 
 def _stamp(value: Any) -> float:
-    """A finite number; text and truth values are none."""
+    """Return a finite number; strings and booleans are errors."""
     if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
         raise TypeError
     return float(value)
 
 
 def written(file: IO[str], line: str) -> None:
-    """Write a line. Raises ConfigError where that can't be done, as on a full disk."""
+    """Write a line; ConfigError if that fails, as on a full disk."""
     try:
         file.write(line)
     except OSError as error:
@@ -183,6 +197,6 @@ def written(file: IO[str], line: str) -> None:
 
 
 def closed(file: IO[str]) -> None:
-    """Close a file; what can't be written any more is lost."""
+    """Close a file; ignore errors."""
     with contextlib.suppress(OSError):
         file.close()

@@ -1,4 +1,4 @@
-"""A recording, played back as a link: the same bytes at the same stamps, whatever is commanded."""
+"""Replays a recording as a link: the same bytes at the same times, whatever is commanded."""
 
 from __future__ import annotations
 
@@ -11,20 +11,23 @@ from acsar_gym.worlds import Scene
 
 
 class Port(Protocol):
-    """A byte stream, such as an open tty."""
+    """A byte stream, such as an open serial port."""
 
     def write(self, data: bytes) -> object:
         """Send bytes."""
 
     def read(self, size: int) -> bytes:
-        """Exactly `size` bytes, or fewer after the port's own time-out."""
+        """Read exactly `size` bytes, or fewer after the port's own time-out."""
 
 
 class ReplayLink:
-    """Plays the episodes of a recording in turn, one a reset. Its clock shows the recorded stamps.
+    """Replays the episodes of a recording, one per reset, with the recorded times.
 
-    With a `port`, the feedback of each period is read from there instead of from the file: a tape
-    player at the other end of a tty sends it, and this link only knows how many bytes to expect.
+    Args:
+        path: the recording.
+        port: read the feedback of each period from this port, to which another program replays
+            it; the recording then only provides the number of bytes. None to use the recorded
+            bytes.
     """
 
     truth = None
@@ -40,13 +43,13 @@ class ReplayLink:
         self._is_open = False
 
     def open(self) -> None:
-        """Read the recording."""
+        """Read the recording; ConfigError if it can't be read."""
         if not self._episodes:
             self._episodes = recording.read(self._path)
         self._is_open = True
 
     def reset(self, scene: Scene) -> None:
-        """Begin the next recorded episode. Raises LinkLostError after the last one."""
+        """Start the next episode; LinkLostError after the last one."""
         self.open()
         if self._next_episode >= len(self._episodes):
             raise LinkLostError(
@@ -58,13 +61,13 @@ class ReplayLink:
         self._next_period = 0
 
     def write(self, data: bytes) -> None:
-        """Commands change nothing about a recording; a port gets them all the same."""
+        """Send commands to the port, if there is one; they don't affect the replay."""
         self._check_open()
         if self._port is not None:
             self._port.write(data)
 
     def advance(self, period: float) -> bytes:
-        """The bytes of the next recorded period. Raises LinkLostError at the episode's end."""
+        """Return the bytes of the next period; LinkLostError at the end of the episode."""
         self._check_open()
         periods = self._episodes[self._next_episode - 1].periods
         if self._next_period >= len(periods):
@@ -88,13 +91,13 @@ class ReplayLink:
             raise LinkLostError(f"{self._path}: nothing plays", "call reset() first")
 
     def now(self) -> float:
-        """The recorded clock [s]."""
+        """Return the recorded time [s]."""
         return self._now
 
     def __reduce__(self) -> tuple[type[ReplayLink], tuple[Path, Port | None]]:
-        """Copies play from the beginning."""
+        """Copy with the replay at its beginning."""
         return ReplayLink, (self._path, self._port)
 
     def close(self) -> None:
-        """Nothing to stop: the port belongs to whoever opened it. A reset opens the link again."""
+        """Close the link, but not the port, which its owner closes. A reset opens it again."""
         self._is_open = False

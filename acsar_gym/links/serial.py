@@ -1,4 +1,4 @@
-"""The real wire: a serial port, absolute deadlines, and a watchdog beside them."""
+"""A link to a real board: serial port, absolute deadlines, and watchdog."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from acsar_gym.protocol import ZERO, encode
 from acsar_gym.worlds import Scene
 
 SILENT_SHARE = 0.5
-"""A board that is silent for this share of `feedback_timeout` may not have heard the zeros."""
+"""A board silent for this share of `feedback_timeout` may not have received zero commands."""
 PATIENCE = 1.0
-"""Longest wait for another thread to finish its write [s]; a socket's takes 0.2 s at most."""
+"""Longest wait for another thread's write [s]; a socket's takes at most 0.2 s."""
 
 
 class SerialLink:
     """A board on a serial device: 8N1, no flow control, opened exclusively.
 
-    `device` is a device, a URL, or "usb:" and the serial number of a USB adapter. A port that was
-    lost is looked for under the same adapter's name, wherever it was plugged in again.
-    `lateness` is how long after its deadline the newest period ended [s]. While it is driven, no
-    call takes longer than a period.
+    A lost port is searched under the persistent name of its adapter. While open, a watchdog process
+    sends zero commands if this process dies, or hangs longer than `watchdog_timeout` while wheels
+    turn. During driving, no call takes longer than a period.
 
-    While it is open, a process of its own commands zero where this one dies, or hangs for longer
-    than the config's `watchdog_timeout` while wheels turn; `watched` tells whether there is one.
+    Args:
+        device: a device, a URL, or "usb:" and the serial number of a USB adapter.
+        config: configuration of the robot.
     """
 
     truth = None
@@ -41,25 +41,25 @@ class SerialLink:
         self.device = device
         self._config = config
         self._port: OpenPort | None = None
-        self._lock = threading.RLock()  # a signal's handler may interrupt whoever has it
+        self._lock = threading.RLock()  # a signal handler may run while this thread holds it
         self._location = Location(device)
         self._heard = 0.0
         self._moved = False
         self._zeros = encode(ZERO, trailing_comma=config.trailing_comma)
-        self._stop_line = b"\r\n" + self._zeros  # a command cut short can't swallow these zeros
+        self._stop_line = b"\r\n" + self._zeros  # ends a truncated command
         self._watch = WatchdogHandle(config, self._location, self._stop_line)
         self._deadline = 0.0
         self.lateness = 0.0
         install()
 
     def open(self) -> None:
-        """Open the device, command zero, and wait for the board's first valid line.
+        """Open the device, command zero, and wait for the first valid line. Idempotent.
 
-        Where the port was lost before, it has the config's `reconnect_timeout` to come back.
+        A port that was lost before has `reconnect_timeout` to reappear.
 
-        Raises PortNotFoundError, PortPermissionError, PortBusyError, BoardSilentError or
-        BoardGarbledError, or LinkError where no watchdog can be started or the program is about to
-        end; the device is closed again then.
+        Raises:
+            LinkError: port or board can't be reached (see its subclasses), no watchdog can be
+                started, or the program is ending; the device is closed again.
         """
         if self._port is not None:
             return
@@ -83,28 +83,29 @@ class SerialLink:
         self._deadline = self.now()
 
     def _flush(self) -> None:
+        """Discard the buffers of the port."""
         self._require().drop_input()
         self._require().drop_output()
 
     @property
     def watched(self) -> bool:
-        """Whether a process of its own would stop the robot now, did this one die or hang."""
+        """Whether a running watchdog would stop the robot if this process died or hung."""
         return self._watch.alive
 
     @property
     def watchdog_pid(self) -> int | None:
-        """That process; None where there is none."""
+        """PID of the watchdog; None if there is none."""
         return self._watch.pid
 
     def reset(self, scene: Scene) -> None:
-        """Command zero, drop what lies in the buffer, and start the deadlines anew.
+        """Command zero, discard received bytes, and restart the deadlines.
 
-        A watchdog that stopped the robot lets it drive again.
+        After the watchdog stopped the robot, this allows driving again.
         """
         self._stop_motors()
         try:
             self._watch_anew()
-        except BaseException:  # nothing drives unwatched
+        except BaseException:  # don't drive without a watchdog
             self.close()
             raise
         self.reset_input()
@@ -113,7 +114,8 @@ class SerialLink:
         self.lateness = 0.0
 
     def _watch_anew(self) -> None:
-        with self._lock:  # a descriptor that is closed meanwhile may soon be another file's
+        """Restart a watchdog that doesn't run, and rearm it."""
+        with self._lock:  # a closed descriptor may be reused for another file
             fresh = self._watch.renew(self._require())
         if fresh:
             self._watch.wait()
@@ -121,10 +123,11 @@ class SerialLink:
             self._watch.rearm()
 
     def write(self, data: bytes) -> None:
-        """Send bytes to the board.
+        """Send bytes to the board; zero commands are always sent.
 
-        Raises LinkError where they turn wheels and the watchdog has stopped the robot or doesn't
-        run, or the program is about to end; zeros always go out.
+        Raises:
+            LinkError: wheels would turn, but the watchdog stopped the robot or doesn't run, or
+                the program is ending.
         """
         with self._lock:
             if not data:
@@ -141,9 +144,9 @@ class SerialLink:
                 self._watch.driven()
 
     def advance(self, period: float) -> bytes:
-        """Sleep until the period's absolute deadline, then take what has arrived.
+        """Sleep until the absolute deadline of the period [s]; return what has arrived.
 
-        After a delay of more than a period the deadlines start anew from now.
+        After a delay of more than a period, the deadlines restart from now.
         """
         self._deadline += period
         while (remaining := self._deadline - self.now()) > 0.0:
@@ -155,15 +158,16 @@ class SerialLink:
         return self.read_now()
 
     def _beat(self) -> None:
+        """Signal the watchdog that this process runs."""
         with self._lock:
             self._watch.beat()
 
     def reset_input(self) -> None:
-        """Drop what has arrived and wasn't read."""
+        """Discard what has arrived and wasn't read."""
         self._require().drop_input()
 
     def read_now(self) -> bytes:
-        """What has arrived; waits for nothing."""
+        """Return what has arrived, without waiting."""
         self._beat()
         data = self._require().read()
         if data:
@@ -171,15 +175,14 @@ class SerialLink:
         return data
 
     def now(self) -> float:
-        """The monotonic clock [s]."""
+        """Return the monotonic clock [s]."""
         return time.monotonic()
 
     def close(self) -> None:
-        """Command zero, let it leave the port, close; idempotent.
+        """Command zero, wait until it has been sent, and close. Idempotent.
 
-        An interrupt while the zeros are on their way sends them again before it goes on. Where they
-        may not have arrived, because the port is lost, or the board silent since wheels turned, the
-        watchdog goes on commanding zero for a minute, or until the board answers.
+        After an interrupt meanwhile, zeros are sent again. If they may not have arrived (lost port,
+        silent board), the watchdog keeps sending them for a minute, or until the board answers.
         """
         with self._alone():
             port = self._port
@@ -196,7 +199,7 @@ class SerialLink:
 
     @contextlib.contextmanager
     def _alone(self) -> Iterator[None]:
-        """No other thread writes inside the block; one that is writing now delays no zero."""
+        """Lock out other threads; if one is writing now, send zeros without waiting for it."""
         alone = self._lock.acquire(blocking=False)
         if not alone:
             port = self._port
@@ -211,9 +214,9 @@ class SerialLink:
 
     @contextlib.contextmanager
     def held(self) -> Iterator[None]:
-        """Command zero; inside the block no other thread commands anything else.
+        """Command zero, and lock out commands of other threads, as a context manager.
 
-        Errors are no concern of whoever must stop now.
+        Errors are ignored, so that stopping goes on.
         """
         with self._alone():
             port = self._port
@@ -222,12 +225,12 @@ class SerialLink:
             yield
 
     def _is_silent(self, port: OpenPort) -> bool:
-        """Whether the board hasn't answered for a while, since wheels were commanded to turn."""
+        """Return whether the board hasn't answered for a while, since wheels turned."""
         silent = self.now() - self._heard > SILENT_SHARE * self._config.feedback_timeout
         return self._moved and silent and port.is_quiet()
 
     def _say_stop(self, port: OpenPort) -> bool:
-        """Whether the zeros have left the port."""
+        """Command zero; returns whether it has left the port."""
         if not port.says(self._stop_line):
             return False
         self._watch.stand()
@@ -237,12 +240,12 @@ class SerialLink:
         return True
 
     def stop(self) -> None:
-        """Command zero and stay open; errors are no concern of whoever must stop now."""
+        """Command zero and stay open; errors are ignored."""
         with self.held():
             pass
 
     def _release(self, port: OpenPort, *, lost: bool) -> None:
-        """The last word is zero; then the watchdog first, since it shares the port's lock."""
+        """Command zero, end the watchdog, which shares the port's lock, and close the port."""
         with contextlib.ExitStack() as last_to_first:
             last_to_first.callback(self._let_go, port, lost=lost)
             last_to_first.callback(self._watch.end, lost=lost)
@@ -250,14 +253,15 @@ class SerialLink:
                 self._say_stop(port)
 
     def _let_go(self, port: OpenPort, *, lost: bool) -> None:
+        """Close the port."""
         self._port = None
         self._location.left(lost=lost)
         forget(self)
         port.close()
 
     def abandon(self) -> None:
-        """Let go without a word, as a forked child must do with its parent's port."""
-        self._lock = threading.RLock()  # another thread, which isn't here, may have had it
+        """Release the port without sending anything, for a forked child."""
+        self._lock = threading.RLock()  # a thread of the parent may have held it
         port = self._port
         if port is None:
             return
@@ -270,7 +274,7 @@ class SerialLink:
             self.close()
 
     def __reduce__(self) -> tuple[type[SerialLink], tuple[str, RobotConfig]]:
-        """Copies and pickles are closed links to the same device; a port can't be shared."""
+        """Copy and pickle as a closed link to the same device; a port can't be shared."""
         return SerialLink, (self.device, self._config)
 
     def _stop_motors(self) -> None:

@@ -1,14 +1,14 @@
-"""Open ports are closed, motors first, on any way out of the process that Python can see.
+"""Stops motors and closes ports however the process ends, as far as Python can notice.
 
-Interpreter exit runs `atexit`; SIGTERM, SIGHUP, SIGQUIT and Windows' SIGBREAK run a handler that
-closes the ports and then lets the signal have its usual effect; SIGTSTP (Ctrl-Z) stops the motors
-before the process is suspended. SIGINT needs none: KeyboardInterrupt unwinds the stack. A handler
-that the program has installed itself is left alone. Only the main thread can install handlers: make
-the first link there. A forked child closes its copies of the ports without a word: they are its
-parent's.
+At the exit of the interpreter this is done by `atexit`. SIGTERM, SIGHUP, SIGQUIT and SIGBREAK
+(Windows) have a handler that closes the ports and then lets the signal take its usual effect.
+SIGTSTP (Ctrl-Z) stops the motors before the process is suspended. SIGINT needs no handler:
+KeyboardInterrupt unwinds the stack. A handler that the program has installed itself is kept. Only
+the main thread can install handlers, so make the first link there. A forked child closes its copies
+of the ports without sending anything.
 
-Other threads may go on driving while this happens. From the first zero command on, links refuse
-whatever turns wheels: `is_ending` says so.
+Other threads may go on driving meanwhile. From the first zero command on, links refuse commands
+that turn wheels: see `is_ending`.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from typing import Protocol
 
 
 class Closable(Protocol):
-    """Whatever has to be closed before the process ends."""
+    """An object to be closed before the process ends."""
 
     def held(self) -> contextlib.AbstractContextManager[None]:
-        """Command zero; inside the block no other thread commands anything else."""
+        """Command zero, and lock out commands of other threads, as a context manager."""
 
     def close(self) -> None:
-        """Stop the motors and close; idempotent."""
+        """Stop the motors and close. Idempotent."""
 
     def abandon(self) -> None:
-        """Close without a word."""
+        """Close without sending anything."""
 
 
 ENDING = ("SIGTERM", "SIGHUP", "SIGQUIT", "SIGBREAK")
@@ -42,16 +42,16 @@ SUSPENDING = ("SIGTSTP",)
 
 _open: weakref.WeakSet[Closable] = weakref.WeakSet()
 _ending = [False]
-"""A plain flag: the handler of a second signal would wait for an Event's lock forever."""
+"""A plain flag; with an Event, the handler of a second signal could deadlock."""
 
 
 def is_ending() -> bool:
-    """Whether the program is about to end, so that nothing may turn wheels any more."""
+    """Return whether the program is ending, so that wheels must not turn any more."""
     return _ending[0]
 
 
 def install() -> None:
-    """Install the signal handlers, where this is the main thread and the program has none."""
+    """Install the signal handlers, in the main thread and where the program has none."""
     if threading.current_thread() is not threading.main_thread():
         return
     for names, handler in ((ENDING, _on_end), (SUSPENDING, _on_suspend)):
@@ -68,20 +68,21 @@ def close_at_exit(link: Closable) -> None:
 
 
 def forget(link: Closable) -> None:
-    """The link is closed; forget it."""
+    """Don't close `link` at exit, as it is closed."""
     _open.discard(link)
 
 
 def _links() -> list[Closable]:
+    """Return the open links."""
     while True:
         with contextlib.suppress(RuntimeError):  # another thread opened or closed one meanwhile
             return list(_open)
 
 
 def close_all() -> None:
-    """Stop every open link, then close them, whatever goes wrong with one of them.
+    """Stop all open links, then close them, even if some of that fails.
 
-    For the end of the program: nothing can turn wheels afterwards.
+    For the end of the program: wheels can't be turned afterwards.
     """
     _ending[0] = True
     with contextlib.ExitStack() as stack:
@@ -91,6 +92,7 @@ def close_all() -> None:
 
 
 def _on_end(number: int, frame: FrameType | None) -> None:
+    """Handle a signal that ends the program."""
     try:
         close_all()
     finally:
@@ -100,7 +102,7 @@ def _on_end(number: int, frame: FrameType | None) -> None:
 
 
 def _exit(status: int) -> None:
-    """End at once: the kernel spares PID 1, as in a container, the signals that it sends itself."""
+    """Exit now; a PID 1, as in a container, isn't ended by signals that it sends to itself."""
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(Exception):
             stream.flush()
@@ -108,13 +110,15 @@ def _exit(status: int) -> None:
 
 
 def _on_suspend(number: int, frame: FrameType | None) -> None:
+    """Stop the motors, then suspend this process."""
     with contextlib.ExitStack() as stack:
         for link in _links():
             stack.enter_context(link.held())
-        signal.raise_signal(signal.SIGSTOP)  # to this thread, so that no other one runs after it
+        signal.raise_signal(signal.SIGSTOP)  # sent to this thread, so that it takes effect at once
 
 
 def _in_child() -> None:
+    """Abandon the parent's links in a forked child, and remove the signal handlers."""
     _ending[0] = False
     for link in _links():
         link.abandon()

@@ -1,4 +1,4 @@
-"""A simulated robot behind the wire: the firmware's twin over a Body."""
+"""A link to a simulated robot: emulated firmware on a Body."""
 
 from __future__ import annotations
 
@@ -13,7 +13,12 @@ from acsar_gym.worlds import Scene
 
 
 class SimulatedLink:
-    """Runs firmware and physics as fast as they go. Its clock starts at zero with every reset."""
+    """Runs firmware and physics as fast as possible; its clock is 0 at every reset.
+
+    Args:
+        config: configuration of the robot.
+        make_body: makes the physics; called by `open`.
+    """
 
     lateness = None
 
@@ -25,13 +30,13 @@ class SimulatedLink:
         self._now = 0.0
 
     def open(self) -> None:
-        """Build the body and switch the board on."""
+        """Make the body and start the firmware."""
         if self._body is None:
             self._body = self._make_body()
             self._firmware = Firmware(self._config, self._body)
 
     def reset(self, scene: Scene) -> None:
-        """Put the robot at the scene's start, at rest, with its physics and an empty wire."""
+        """Put the robot at rest at the scene's start, with the scene's world and physics."""
         self.open()
         if self._body is None or self._firmware is None:
             raise _closed()
@@ -40,13 +45,13 @@ class SimulatedLink:
         self._now = 0.0
 
     def write(self, data: bytes) -> None:
-        """Put bytes on the simulated UART."""
+        """Send bytes over the simulated UART; LinkLostError if closed."""
         if self._firmware is None:
             raise _closed()
         self._firmware.receive(data)
 
     def advance(self, period: float) -> bytes:
-        """Simulate one period [s]."""
+        """Simulate one period [s]; returns the bytes that arrived during it."""
         if self._body is None or self._firmware is None:
             raise _closed()
         self._now += period
@@ -55,34 +60,35 @@ class SimulatedLink:
         return got
 
     def now(self) -> float:
-        """Simulated seconds since the reset."""
+        """Return the simulated time since the reset [s]."""
         return self._now
 
     @property
     def body(self) -> Body | None:
-        """The physics behind the wire, for benchmarks and tests; None while the link is closed."""
+        """The physics, for benchmarks and tests; None while closed."""
         return self._body
 
     @property
     def truth(self) -> GroundTruth:
-        """The body's state; the origin before the link is opened."""
+        """State of the body; the origin before the link is opened."""
         return self._body.truth if self._body else GroundTruth()
 
     @property
     def camera(self) -> Camera | None:
-        """The body's camera; None where it has none, or the link is closed."""
+        """Camera of the body; None if it has none, or the link is closed."""
         return self._body if isinstance(self._body, Camera) else None
 
     def __reduce__(self) -> tuple[type[SimulatedLink], tuple[RobotConfig, Callable[[], Body]]]:
-        """Copies are closed links to a robot of their own."""
+        """Copy as a closed link with its own robot."""
         return SimulatedLink, (self._config, self._make_body)
 
     def close(self) -> None:
-        """Free the body."""
+        """Free the body. Idempotent."""
         if self._body is not None:
             self._body.close()
             self._body = self._firmware = None
 
 
 def _closed() -> LinkLostError:
+    """Return the error for a closed link."""
     return LinkLostError("the simulated link is closed", "call open() or env.reset() first")

@@ -1,24 +1,22 @@
-"""A process of our own that commands zero where the program hangs, is suspended, starved or killed.
+"""A watchdog process that commands zero if the driving program hangs, is suspended or killed.
 
-Nothing inside a process can stop a robot whose process doesn't run. So `SerialLink.open` starts
-`watchdog_child.py`, which shares the open port, is deaf to the terminal's signals, and
+Code inside a process can't stop a robot while the process doesn't run. So `SerialLink.open` starts
+`watchdog_child.py`, which shares the open port, ignores the terminal's signals, and
 
-- commands zero as soon as the program is dead, whatever killed it, and then lets the port go;
-- goes on commanding zero where a port was lost, as where a cable comes loose, or its board fell
-  silent, until it is there again and answers, whether the program still runs or not. It looks for a
-  lost port only under a name that no other device can get, as in /dev/serial/by-id, and leaves it
-  to any other program that locks it;
-- commands zero where the newest command turns wheels and the program gave no sign of life for the
+- commands zero as soon as the program is dead, and then releases the port;
+- keeps commanding zero when a port was lost, as with a loose cable, or its board fell silent, until
+  it is back and answers, even without the program. A lost port is searched only under a name that
+  no other device can get, as in /dev/serial/by-id, and left to any program that locks it;
+- commands zero if the newest command turns wheels and the program gave no sign of life for the
   time-out, and again every 50 ms for a second. The link then refuses to drive until it is reset.
 
-While the newest command is zero, whoever thinks between reset and the first step isn't interrupted.
-A zero command that has been the program's last word for 0.1 s is repeated, since a wire may have
-swallowed it. Zeros begin with a line end, so that a command cut short can't swallow them.
+While the newest command is zero, the program may pause, as between reset and first step. A zero
+command that is the newest one for 0.1 s is repeated, as it may have been lost. Zeros begin with a
+line end, which ends a truncated command.
 
-Driving needs a watchdog that runs: one that is suspended, or hasn't run for long, is as good as
-none.
+Driving needs a running watchdog: not one that is suspended, or hasn't run for long.
 
-POSIX only: Windows processes can't share an open port in this way. `AVAILABLE` tells.
+POSIX only: Windows processes can't share an open port in this way (see `AVAILABLE`).
 """
 
 from __future__ import annotations
@@ -39,13 +37,13 @@ from acsar_gym.errors import LinkError
 from acsar_gym.links.ports import MORE_FILES
 
 AVAILABLE = os.name == "posix"
-"""Whether this operating system can have one."""
+"""Whether watchdogs work on this operating system."""
 PATIENCE = 5.0
-"""Longest wait for its start and for its end [s]; 20 ms and 1 ms are usual."""
+"""Longest wait for its start and its end [s]; usually 20 ms and 1 ms."""
 ASLEEP = 0.5
-"""While the program drove for so long and a time-out [s], it should have run."""
+"""It counts as halted if it didn't run during this driving time plus the time-out [s]."""
 TICK = 0.05
-"""So much of that counts between two commands, at most: a machine that stood held up both [s]."""
+"""Most driving time counted between two commands [s]; a stalled machine delays both processes."""
 PROGRAM = Path(__file__).resolve().with_name("watchdog_child.py")
 STANDING = 0.0
 
@@ -54,13 +52,16 @@ if AVAILABLE:
 
 
 class Watchdog:
-    """Watches this process from the moment it is made, and commands zero through `port`.
+    """Watches this process, and commands zero through a shared port.
 
-    `port` is the open port's descriptor, `zeros` the bytes that stop the robot, `timeout` how long
-    no sign of life may come [s] while the newest command turns wheels, and `place` the name under
-    which a lost port comes back, "" for none. Raises LinkError where no process can be started.
+    Args:
+        port: descriptor of the open port; close the watchdog before it, as they share its lock.
+        zeros: bytes that stop the robot.
+        timeout: longest time without a sign of life while the newest command turns wheels [s].
+        place: name under which a lost port reappears; empty if there is none.
 
-    `close` it before the port: the two processes share the port's lock.
+    Raises:
+        LinkError: the process can't be started.
     """
 
     def __init__(self, port: int, zeros: bytes, timeout: float, place: str = "") -> None:
@@ -79,22 +80,22 @@ class Watchdog:
         with contextlib.ExitStack() as inherited, contextlib.ExitStack() as ours:
             page = _memory()
             inherited.callback(os.close, page)
-            ear, self._lifeline = os.pipe()
-            inherited.callback(os.close, ear)
+            watched, self._lifeline = os.pipe()
+            inherited.callback(os.close, watched)
             ours.callback(os.close, self._lifeline)
-            self._ready, mouth = os.pipe()
-            inherited.callback(os.close, mouth)
+            self._ready, ready = os.pipe()
+            inherited.callback(os.close, ready)
             ours.callback(os.close, self._ready)
             self._map = mmap.mmap(page, PAGE)
             ours.callback(self._map.close)
             self._page = memoryview(self._map).cast("d")
             ours.callback(self._page.release)
-            self._process = _started((port, page, ear, mouth), timeout, zeros, place)
+            self._process = _started((port, page, watched, ready), timeout, zeros, place)
             self._ours = ours.pop_all()
             self._open = True
 
     def wait(self) -> None:
-        """Return when it watches; LinkError where it doesn't come to that."""
+        """Wait until it is ready; LinkError if that fails."""
         pipe = select.poll()
         pipe.register(self._ready, select.POLLIN)
         if not pipe.poll(1000.0 * PATIENCE):
@@ -108,23 +109,24 @@ class Watchdog:
 
     @property
     def pid(self) -> int:
-        """Its process."""
+        """Its PID."""
         return self._process.pid
 
     @property
     def alive(self) -> bool:
-        """Whether its process runs, and wasn't suspended since it was started."""
+        """Whether its process runs, and was never suspended."""
         return self._open and self._runs()
 
     def _runs(self) -> bool:
+        """Update and return whether the process runs."""
         if self._process.returncode is None and not self._halted:
             try:
                 process, status = os.waitpid(self._process.pid, os.WNOHANG | os.WUNTRACED)
-            except ChildProcessError:  # somebody else has waited for it
+            except ChildProcessError:  # another part of the program has reaped it
                 self._process.returncode = 0
                 return False
             if process and os.WIFSTOPPED(status):
-                self._halted = True  # for good: the kernel says it once
+                self._halted = True  # permanently, as the kernel reports it only once
             elif process:
                 self._process.returncode = os.waitstatus_to_exitcode(status)
         return self._process.returncode is None and not self._halted
@@ -135,15 +137,12 @@ class Watchdog:
         return self._open and self._page[TRIPPED] != 0.0
 
     def beat(self) -> None:
-        """The program is alive; 0.2 us, and never waits. Changes nothing once it has tripped."""
+        """Give a sign of life; takes 0.2 us and has no effect once the robot was stopped."""
         if self._driving and not self._page[TRIPPED]:
             self._page[BEAT] = time.monotonic()
 
     def drive(self) -> None:
-        """A command that turns wheels goes out now; say `driven` afterwards.
-
-        Raises LinkError where the robot was stopped, or where nobody watches any more.
-        """
+        """Call before a command that turns wheels, and `driven` after it; LinkError if refused."""
         self.driven()
         now = self._page[BEAT]
         if self._page[AWAKE] != self._awake:
@@ -155,14 +154,14 @@ class Watchdog:
             raise self._absent()
 
     def driven(self) -> None:
-        """A command that turns wheels went out. LinkError where the robot was stopped meanwhile."""
+        """Call after a command that turns wheels; LinkError if the robot was stopped meanwhile."""
         if self._page[TRIPPED]:
             raise self._stopped()
         self._driving = True
         self._page[BEAT] = time.monotonic()
 
     def stand(self) -> None:
-        """A zero command went out: nothing has to be stopped."""
+        """Call after a zero command."""
         self._driving = False
         if self._resting:
             self._page[STOOD] = time.monotonic()
@@ -170,17 +169,18 @@ class Watchdog:
             self._page[BEAT] = STANDING
 
     def rearm(self) -> None:
-        """Forget that it tripped; a zero command went out, which it repeats from now on.
+        """Allow driving again; from now on the last zero command is repeated.
 
-        Not before: the bootloader of a board that starts may take any byte for its own affair.
+        Not earlier, as the bootloader of a starting board may interpret any byte.
         """
         self._driving = False
         self._resting = True
         self._page[STOOD] = time.monotonic()
-        self._page[BEAT] = STANDING  # first, lest it trips again on the old one
+        self._page[BEAT] = STANDING  # before TRIPPED, or it would trip on the old value
         self._page[TRIPPED] = 0.0
 
     def _absent(self) -> LinkError:
+        """Return the error for a watchdog that doesn't run."""
         why = "has ended"
         if self._halted:
             why = "is suspended"
@@ -192,7 +192,8 @@ class Watchdog:
         )
 
     def _stopped(self) -> LinkError:
-        # A stop between the trip and this error has left the last beat as it was.
+        """Return the error for a robot that the watchdog stopped."""
+        # `stand` keeps BEAT after a trip: it is the time of the last sign of life.
         silent = max(self._page[TRIPPED], time.monotonic() - self._page[BEAT])
         return LinkError(
             f"the watchdog stopped the robot: nothing was commanded for {silent * 1000.0:.0f} ms",
@@ -200,20 +201,17 @@ class Watchdog:
         )
 
     def search(self, name: str) -> None:
-        """Go on commanding zero on this port, which may be lost or its board silent.
-
-        It ends after a minute, when the board answers, or with `call_back` of that name.
-        """
+        """Keep commanding zero after closing; ends by an answer, `call_back`, or after a minute."""
         if self._open:
             self._let_go()
             if self._halted:
                 self._process.send_signal(signal.SIGCONT)
-            self._process.returncode = 0  # it may outlive this program
+            self._process.returncode = 0  # don't wait for it: it may outlive this program
             call_back(name)
             _searching[name] = self._process.pid
 
     def close(self) -> None:
-        """End its process, without a word on the wire, and wait for that; idempotent."""
+        """End the process, and wait for that; it sends nothing. Idempotent."""
         if not self._open:
             return
         self._page[LEAVE] = 1.0
@@ -227,10 +225,10 @@ class Watchdog:
                 self._process.wait(PATIENCE)
 
     def abandon(self) -> None:
-        """Let go without a word, as a forked child must do with its parent's watchdog."""
+        """Release the parent's watchdog in a forked child."""
         if self._open:
             self._let_go()
-            self._process.returncode = 0  # it isn't this process's to wait for
+            self._process.returncode = 0  # only the parent can wait for it
 
     def _let_go(self) -> None:
         self._open = False
@@ -238,25 +236,25 @@ class Watchdog:
 
 
 _searching: dict[str, int] = {}
-"""Processes that look after a port which the program has given up, by its name."""
-if hasattr(os, "register_at_fork"):  # they are the parent's; a number may soon be another's
+"""PIDs of watchdogs that search for ports which the program has closed, by name."""
+if hasattr(os, "register_at_fork"):  # PIDs of the parent's children
     os.register_at_fork(after_in_child=_searching.clear)
 
 
 def call_back(name: str | None = None) -> None:
-    """End whatever looks after the port with this name, or any: the program takes over."""
+    """End the watchdogs that search for the port with this name, or all of them."""
     for each, process in list(_searching.items()):
         if name in (None, each):
             with contextlib.suppress(ProcessLookupError):
                 os.kill(process, signal.SIGKILL)
-        with contextlib.suppress(ChildProcessError):  # a fork's parent has it
+        with contextlib.suppress(ChildProcessError):  # it is a child of this process's parent
             if os.waitpid(process, 0 if name in (None, each) else os.WNOHANG) == (0, 0):
                 continue
         del _searching[each]
 
 
 def _memory() -> int:
-    """A descriptor of one page of memory, all zero, that two processes can share."""
+    """Return a descriptor of one shared page of memory, filled with zeros."""
     if sys.platform == "linux":
         page = os.memfd_create("acsar-watchdog")
     else:
@@ -269,9 +267,9 @@ def _memory() -> int:
 def _started(
     shared: tuple[int, int, int, int], timeout: float, zeros: bytes, place: str
 ) -> subprocess.Popen[bytes]:
-    """The watchdog's process: a session of its own, and no file but those that it needs."""
+    """Start the process, in a new session and with only the descriptors that it needs."""
     options = map(str, (*shared, os.getpid(), timeout))
-    # TTYs and pipes of this program must not stay open with its watchdog.
+    # The watchdog must not keep TTYs and pipes of this program open.
     nowhere = subprocess.DEVNULL
     try:
         return subprocess.Popen(
@@ -288,6 +286,7 @@ def _started(
 
 
 def _failed(reason: str) -> LinkError:
+    """Return the error for a watchdog that can't be started."""
     if any(os.strerror(code) in reason for code in (errno.EMFILE, errno.ENFILE)):
         return LinkError(f"the watchdog can't be started ({reason})", MORE_FILES)
     return LinkError(

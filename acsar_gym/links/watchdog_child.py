@@ -1,10 +1,10 @@
-"""The watchdog's own process: it commands zero where the program that drives can't any more.
+"""The watchdog process: commands zero when the driving program can't any more.
 
-`watchdog.Watchdog` runs this file as a script, so it imports nothing of this package and starts in
-20 ms. It shares the open port with the program, and a page of memory in which the program notes
-when it last gave a sign of life. It looks at that four times in each time-out, whatever the rate of
-the signs, and leaves a sign of its own there. A pipe whose other end only the program holds tells
-of the program's death at once.
+`watchdog.Watchdog` runs this file as a script. It imports nothing of this package, to start in 20
+ms. It shares the open port with the program, and a page of memory in which the program stores the
+time of its last sign of life. The watchdog checks that four times per time-out, and stores a sign
+of life of its own. A pipe whose other end only the program holds reports the program's death at
+once.
 """
 
 from __future__ import annotations
@@ -24,64 +24,73 @@ from typing import Protocol
 
 SLOTS = 5
 BEAT, TRIPPED, LEAVE, STOOD, AWAKE = range(SLOTS)
-"""What the page holds, doubles of 8 bytes each, which are stored at once.
+"""Slots of the page; 8-byte doubles, which are stored atomically. Times: monotonic clock [s].
 
-BEAT: when the program last gave a sign of life [s, monotonic clock]; 0 while the newest command is
-zero. TRIPPED: how old that was when the robot was stopped [s]; 0 where it wasn't. LEAVE: 1 where
-the watchdog shall end, for the program closes the port in order. STOOD: when the program last
-commanded zero [s]; 0 before its first reset. AWAKE: when the watchdog last ran [s].
+BEAT: time of the program's last sign of life; 0 while the newest command is zero.
+TRIPPED: age of that when the robot was stopped [s]; 0 if it wasn't.
+LEAVE: 1 if the watchdog must end, as the program closes the port.
+STOOD: time of the program's last zero command; 0 before its first reset.
+AWAKE: time at which the watchdog last ran.
 """
 PAGE = 8 * SLOTS
 
 LOOKS = 4
-"""It looks so often in each time-out, and then says that it is awake."""
+"""Checks per time-out."""
 LONGEST = 0.25
-"""But it sleeps no longer than this [s]."""
+"""Longest sleep between two checks [s]."""
 STANDS = 0.1
-"""A program that stands and says nothing has its zero command repeated every so often [s]."""
+"""Interval of repeating the zero command of a program that sends nothing [s]."""
 
 TURNS, TURN = 4, 0.0005
-"""A port refuses a write while the program writes to it, too: tries, and the pause between [s]."""
+"""Attempts to write, and the pause between them [s], while the program writes to the port."""
 REPEAT = 0.05
-"""Zero commands come again after so long, since a wire may swallow one [s]."""
+"""Interval of repeated zero commands [s], as some may be lost."""
 REPEATS = 21
-"""So often while the program hangs."""
+"""Number of zero commands while the program hangs."""
 LAST_WORDS = 7
-"""Zero commands for a program that is dead, at least; then the port is free."""
+"""Smallest number of zero commands after the program died; then the port is released."""
 SEARCH = 60.0
-"""How long to look for a port that is lost, or to wait for a board's answer [s]."""
+"""Longest search for a lost port, or wait for the answer of a board [s]."""
 SEARCH_EVERY = 0.02
-"""[s]"""
+"""Interval of the search [s]."""
 CHUNK = 4096
 LATE = 0.01
-"""Whoever wakes up later than this was held up himself [s]: perhaps the whole machine stood."""
+"""If the watchdog wakes up later than this, the whole machine may have stalled [s]."""
 SURE = 0.02
-"""So long the program may take to go on after the machine stood [s]."""
-DEAF_TO = ("SIGHUP", "SIGINT", "SIGQUIT", "SIGTERM", "SIGTSTP", "SIGTTIN", "SIGTTOU")
+"""Time that the program then has to continue [s]."""
+IGNORED = ("SIGHUP", "SIGINT", "SIGQUIT", "SIGTERM", "SIGTSTP", "SIGTTIN", "SIGTTOU")
 
 
 class Board(Protocol):
-    """Where zero commands go."""
+    """Receiver of zero commands."""
 
     def stop(self, wanted: Callable[[], bool] = ...) -> bool:
-        """Command zero, where it is still wanted; whether the port took it."""
+        """Command zero if `wanted()`; returns whether the port accepted it."""
 
     def find(self) -> bool:
-        """Open a port that was lost, where it is back; whether there is one."""
+        """Open a lost port again; returns whether that succeeded."""
 
     def answers(self) -> bool:
-        """Whether the board has said anything since it was last asked."""
+        """Return whether anything has arrived since the last call."""
 
     def share(self) -> None:
-        """Let another program have the port, until the next zero command."""
+        """Unlock the port for other programs, until the next zero command."""
 
     @property
     def taken(self) -> bool:
-        """Whether another program has the port, or nobody knows where to look for it."""
+        """Whether another program has the port, or its name isn't known."""
 
 
 class Watch:
-    """Watches one program, `parent`, until it closes the port or dies."""
+    """Watches one program until it closes the port or dies.
+
+    Args:
+        page: the shared page.
+        lifeline: descriptor of a pipe that is closed when the program dies.
+        parent: PID of the program.
+        timeout: longest time without a sign of life [s].
+        board: receiver of zero commands.
+    """
 
     def __init__(
         self, page: memoryview[float], lifeline: int, parent: int, timeout: float, board: Board
@@ -102,7 +111,7 @@ class Watch:
         page[AWAKE] = time.monotonic()
 
     def run(self) -> None:
-        """Until the program closes the port; until it is dead and the zeros are on the wire."""
+        """Watch until the program closes the port, or is dead and zeros have been sent."""
         pipe = select.poll()
         pipe.register(self._lifeline, select.POLLIN)
         while not self._page[LEAVE]:
@@ -115,13 +124,13 @@ class Watch:
             self._due = min(self._look(now), now + self._pace)
 
     def _bury(self) -> None:
-        """The program is dead, has lost the port, or has given up a board that is silent."""
+        """Command zero for a program that is dead, or lost its port, or whose board is silent."""
         deadline = time.monotonic() + SEARCH
-        words = 0
+        sent = 0
         while not self._page[LEAVE] and not self._board.taken and time.monotonic() < deadline:
             if self._board.stop():
-                words += 1
-                if words >= LAST_WORDS:
+                sent += 1
+                if sent >= LAST_WORDS:
                     if self._board.answers():
                         return
                     self._board.share()
@@ -130,7 +139,7 @@ class Watch:
                 time.sleep(SEARCH_EVERY)
 
     def _look(self, now: float) -> float:
-        """Command zero where that is due; when to look again."""
+        """Command zero if that is due; returns the time of the next check."""
         if self._page[TRIPPED]:
             return self._repeat(now)
         beat = self._page[BEAT]
@@ -139,12 +148,12 @@ class Watch:
         due = max(beat + self._timeout, self._watched_since(beat, now) + SURE)
         if now < due:
             return due
-        self._page[TRIPPED] = now - beat  # first, so that no command can follow the zeros unnoticed
+        self._page[TRIPPED] = now - beat  # before the zeros, so that no command follows them
         self._repeats, self._until = REPEATS, now + SEARCH
         return self._repeat(now)
 
     def _watched_since(self, beat: float, now: float) -> float:
-        """Since when this sign has been the newest, on a machine that ran all the while."""
+        """Return since when this sign of life is known, restarting after a machine's stall."""
         if beat != self._seen:
             self._seen, self._since, self._excused = beat, now, False
         elif now - self._due > LATE and not self._excused:
@@ -152,7 +161,7 @@ class Watch:
         return self._since
 
     def _stand(self, now: float) -> float:
-        """Repeat the zero command where the program says nothing: a wire may have swallowed it."""
+        """Repeat the last zero command if the program sends nothing, as it may have been lost."""
         stood = self._page[STOOD]
         due = max(stood, self._said) + STANDS
         if stood and now >= due:
@@ -161,7 +170,7 @@ class Watch:
         return due if now < due else now + STANDS
 
     def _repeat(self, now: float) -> float:
-        """The zeros of a program that hangs; through a lost port when it is found again."""
+        """Repeat zeros while the program hangs, also on a lost port once it is found."""
         if not self._repeats or self._board.taken or now > self._until:
             return now + self._timeout
         if self._board.stop() or (self._board.find() and self._board.stop()):
@@ -171,7 +180,7 @@ class Watch:
 
 
 class Port:
-    """The open port that the program shares, and where it comes back under its `place`."""
+    """The port that the program shares, and the name under which it reappears."""
 
     taken = False
 
@@ -184,7 +193,7 @@ class Port:
             self._settings = termios.tcgetattr(descriptor)
 
     def stop(self, wanted: Callable[[], bool] = lambda: True) -> bool:
-        """Put the zero command on the wire, ahead of whatever is stuck there."""
+        """Send the zero command, discarding unsent bytes if the port is stuck."""
         if not self._locked() or not wanted():
             return False
         with contextlib.suppress(OSError, termios.error):
@@ -199,17 +208,17 @@ class Port:
         return False
 
     def _locked(self) -> bool:
-        """Whether the lock is ours: the program's own, or one that is taken now."""
+        """Return whether the port's lock is held by the program, or could be taken now."""
         try:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             self.taken = True
-        except OSError:  # not every descriptor has one
+        except OSError:  # not every descriptor can be locked
             pass
         return not self.taken
 
     def answers(self) -> bool:
-        """Whether anything has arrived."""
+        """Return whether anything has arrived."""
         with contextlib.suppress(OSError):
             return bool(os.read(self._descriptor, CHUNK))
         return False
@@ -220,9 +229,9 @@ class Port:
             fcntl.flock(self._descriptor, fcntl.LOCK_UN)
 
     def find(self) -> bool:
-        """Open the port anew, with the settings it had; it is held exclusively."""
+        """Open the port again, exclusively and with its former settings."""
         if not self._place or self._settings is None:
-            self.taken = True  # nowhere to look
+            self.taken = True  # its name isn't known
             return False
         try:
             found = os.open(self._place, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
@@ -241,28 +250,28 @@ class Port:
 
 
 def be_urgent() -> None:
-    """Ahead of other processes, and of the program that started this one, where this user may."""
+    """Run with one real-time priority more than the program, if that is allowed."""
     with contextlib.suppress(OSError, AttributeError):
         priority = os.sched_getparam(0).sched_priority + 1
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
 
 
 def main() -> None:
-    """One byte goes into the mouth as soon as it watches.
+    """Run the watchdog; it writes one byte to `ready` when it watches.
 
-    Arguments: port, page, lifeline, mouth (descriptors), parent (pid), time-out [s], zeros (hex),
+    Arguments: port, page, lifeline, ready (descriptors), parent (PID), time-out [s], zeros (hex),
     place.
     """
-    for name in DEAF_TO:
+    for name in IGNORED:
         signal.signal(getattr(signal, name), signal.SIG_IGN)
-    port, page, lifeline, mouth, parent = map(int, sys.argv[1:6])
+    port, page, lifeline, ready, parent = map(int, sys.argv[1:6])
     be_urgent()
     memory = memoryview(mmap.mmap(page, PAGE)).cast("d")
     board = Port(port, bytes.fromhex(sys.argv[7]), sys.argv[8])
     watch = Watch(memory, lifeline, parent, float(sys.argv[6]), board)
     with contextlib.suppress(OSError):
-        os.write(mouth, b".")
-    os.close(mouth)
+        os.write(ready, b".")
+    os.close(ready)
     watch.run()
     os._exit(0)
 

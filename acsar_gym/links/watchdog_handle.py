@@ -1,4 +1,4 @@
-"""The watchdog of one link, from its opening to its closing, or none."""
+"""Manages the watchdog of one link, if it has one."""
 
 from __future__ import annotations
 
@@ -12,10 +12,13 @@ from acsar_gym.links.watchdog import Watchdog
 
 
 class WatchdogHandle:
-    """Starts, tells and ends the watchdog that a config wants, where a port can be shared.
+    """Starts, signals and ends the watchdog, if it is configured and the port can be shared.
 
-    Whoever calls sees to it that no two threads do so at once, but for `wait`. `watchdog` is the
-    watchdog, None where there is none; `nap` how long its link may sleep between beats [s].
+    Callers prevent concurrent calls from several threads, except for `wait`.
+
+    Attributes:
+        watchdog: the watchdog; None if there is none.
+        nap: longest sleep of the link between two `beat` calls [s].
     """
 
     def __init__(self, config: RobotConfig, location: Location, zeros: bytes) -> None:
@@ -26,7 +29,7 @@ class WatchdogHandle:
         self.nap = math.inf
 
     def start(self, port: OpenPort) -> None:
-        """Start the watchdog; LinkError where that fails."""
+        """Start the watchdog; LinkError if that fails."""
         descriptor = port.fileno()
         if self._timeout is None or not watchdog.AVAILABLE or descriptor is None:
             return
@@ -35,7 +38,7 @@ class WatchdogHandle:
         self.nap = self._timeout / 3.0
 
     def renew(self, port: OpenPort) -> bool:
-        """Start another one in place of one that doesn't run any more; whether it was so."""
+        """Restart a watchdog that doesn't run any more; returns whether that was necessary."""
         running = self.watchdog
         if running is None or running.alive:
             return False
@@ -45,47 +48,47 @@ class WatchdogHandle:
         return True
 
     def wait(self) -> None:
-        """Return when it watches; LinkError where it doesn't come to that."""
+        """Wait until the watchdog is ready; LinkError if that fails."""
         if (running := self.watchdog) is not None:
             running.wait()
 
     @property
     def alive(self) -> bool:
-        """Whether there is one, and it runs."""
+        """Whether there is a watchdog and it runs."""
         return (running := self.watchdog) is not None and running.alive
 
     @property
     def pid(self) -> int | None:
-        """Its process; None where there is none."""
+        """PID of the watchdog; None if there is none."""
         return None if (running := self.watchdog) is None else running.pid
 
     def rearm(self) -> None:
-        """Let a robot that it stopped drive again."""
+        """Allow driving again after the watchdog stopped the robot."""
         if (running := self.watchdog) is not None:
             running.rearm()
 
     def beat(self) -> None:
-        """The program is alive."""
+        """Signal that the program runs."""
         if (running := self.watchdog) is not None:
             running.beat()
 
     def stand(self) -> None:
-        """A zero command went out."""
+        """Note that a zero command was sent."""
         if (running := self.watchdog) is not None:
             running.stand()
 
     def drive(self) -> None:
-        """A command that turns wheels goes out now. LinkError where nobody watches any more."""
+        """Call before a command that turns wheels; LinkError if the watchdog doesn't run."""
         if (running := self.watchdog) is not None:
             running.drive()
 
     def driven(self) -> None:
-        """A command that turns wheels went out. LinkError where the robot was stopped meanwhile."""
+        """Call after a command that turns wheels; LinkError if the robot was stopped meanwhile."""
         if (running := self.watchdog) is not None:
             running.driven()
 
     def end(self, *, lost: bool) -> None:
-        """End it; where the port is lost it goes on commanding zero when that is there again."""
+        """End the watchdog; if the port is lost, it continues to search for it."""
         running, self.watchdog = self.watchdog, None
         if running is not None and lost:
             running.search(self._name)
@@ -93,11 +96,11 @@ class WatchdogHandle:
             running.close()
 
     def end_search(self) -> None:
-        """End a search of before: not before the port is there, for it may stay lost."""
+        """End a former search for the port; call once the port is there."""
         watchdog.call_back(self._name)
 
     def abandon(self) -> None:
-        """Let go without a word, as a forked child must do."""
+        """Release the watchdog without ending it, for a forked child."""
         running, self.watchdog = self.watchdog, None
         if running is not None:
             running.abandon()

@@ -92,7 +92,14 @@ class FilePolicy(ABC):
 
     @abstractmethod
     def __call__(self, observation: Observation) -> NDArray[np.float32]:
-        """The deterministic action in [-1, 1], shape (2,), for one observation."""
+        """Compute the deterministic action for one observation.
+
+        Args:
+            observation: float32, shape of the env's observation space.
+
+        Returns:
+            The action in [-1, 1], float32, shape (2,).
+        """
 
 
 def resolve(path: str | Path) -> Path:

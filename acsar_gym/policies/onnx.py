@@ -92,7 +92,7 @@ class OnnxPolicy(FilePolicy):
             )
 
     def __call__(self, observation: Observation) -> NDArray[np.float32]:
-        """The deterministic action in [-1, 1], shape (2,), for one observation."""
+        """Compute the deterministic action in [-1, 1], shape (2,), for one observation."""
         action: NDArray[np.float32] = self._session.run(None, {"observation": observation[None]})[
             0
         ][0]

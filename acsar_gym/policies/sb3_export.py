@@ -37,6 +37,7 @@ class _Actor(torch.nn.Module):
         self.policy = policy
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
+        """Map observations (batch, n) to mean actions (batch, 2)."""
         policy: Any = self.policy
         if isinstance(policy, ActorCriticPolicy):
             features: Any = policy.extract_features(observation, policy.pi_features_extractor)

@@ -82,7 +82,7 @@ class ZipPolicy(FilePolicy):
         return self.network.action_space, self.network.observation_space
 
     def __call__(self, observation: Observation) -> NDArray[np.float32]:
-        """The deterministic action in [-1, 1], shape (2,), for one observation."""
+        """Compute the deterministic action in [-1, 1], shape (2,), for one observation."""
         action, _ = self.network.predict(observation, deterministic=True)
         return np.asarray(action, np.float32)
 

@@ -85,6 +85,7 @@ def _limit() -> None:
 
 
 def _main() -> None:
+    """Run the trial of the file on stdin; a failure is the exit message."""
     import onnxruntime  # noqa: F401, PLC0415 - before the limits: it isn't the network's cost
 
     data = sys.stdin.buffer.read()

@@ -10,7 +10,7 @@ from acsar_gym.render.canvas import Bounds, Canvas, Colour, View, round_length
 from acsar_gym.worlds import Region, World
 
 Point = tuple[float, float]
-"""x, y [m]."""
+"""Position (x, y) [m]."""
 
 FLOOR: Colour = (251, 251, 249)
 GRID: Colour = (231, 233, 236)

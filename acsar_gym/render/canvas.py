@@ -38,7 +38,7 @@ class View:
     centre: tuple[float, float]
     """Position at the centre of the picture [m]."""
     scale: float
-    """[pixels/m]"""
+    """Scale [pixels/m]."""
     size: tuple[int, int]
     """Width and height [pixels]."""
     up: Up = "x"

@@ -55,7 +55,7 @@ class Frame:
     """True pose; None on hardware."""
     goal: Point | None = None
     goal_radius: float = 0.15
-    """[m]"""
+    """Radius of the goal [m]."""
     odom_path: Sequence[Point] = ()
     true_path: Sequence[Point] = ()
     rays: tuple[Floats, Floats] | None = None

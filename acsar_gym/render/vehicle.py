@@ -1,4 +1,4 @@
-"""The robot as shapes from above, in its base frame [m]."""
+"""Shapes of the robot from above, in its base frame [m]."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ TYRE: Colour = (30, 31, 34)
 
 
 def parts(config: RobotConfig) -> list[tuple[Floats, Colour]]:
-    """Footprint, wheels, chassis, heading and LiDAR: corners in the base frame [m], and colours."""
+    """Return the corners (N, 2) in the base frame [m] and the colours of the robot's parts.
+
+    They are in drawing order: footprint, wheels, chassis, heading and LiDAR.
+    """
     body, a, b = config.body, config.wheelbase / 2.0, config.wheel_separation / 2.0
     tyre = max(0.02, body.width - config.wheel_separation)
     inner = max(0.02, config.wheel_separation - tyre - 0.02)
@@ -42,7 +45,7 @@ def parts(config: RobotConfig) -> list[tuple[Floats, Colour]]:
 
 
 def footprint(config: RobotConfig) -> Floats:
-    """Corners of the robot's polygon, or of its body [m]."""
+    """Return the corners of the footprint (N, 2) in the base frame [m]."""
     body = config.body
     if config.footprint is None:
         return _box(0.0, 0.0, body.length, body.width)
@@ -50,11 +53,12 @@ def footprint(config: RobotConfig) -> Floats:
 
 
 def _box(x: float, y: float, length: float, width: float) -> Floats:
+    """Return the corners of a rectangle around (x, y) [m]."""
     corners = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
     box: Floats = corners * (length, width) + (x, y)
     return box
 
 
 def polar(angles: Floats, ranges: Floats) -> Floats:
-    """N x 2: points at angles [rad] and distances [m] from the origin."""
+    """Convert angles (N,) [rad] and distances (N,) [m] to points (N, 2) [m]."""
     return np.column_stack([ranges * np.cos(angles), ranges * np.sin(angles)])
