@@ -129,16 +129,16 @@ class Batch:
 
     def reset(self, mask: Mask, share: Share) -> None:
         """New episodes for robots in the mask."""
-
-        def begin(first: int, last: int) -> None:
-            episode.reset(self.tables, mask, first, last, self._setup, self._spawns, self._around)
-            if self._together:
-                self._loops.start(mask, first, last)
-
-        share(begin, self.robots)
+        share(lambda first, last: self._begin(mask, first, last), self.robots)
         if not self._together:
             self._sense(mask, driven=False)
             self._apart(lambda first, last: self._loops.start(mask, first, last), share)
+
+    def _begin(self, mask: Mask, first: int, last: int) -> None:
+        """New episodes for robots in the mask, among first to last."""
+        episode.reset(self.tables, mask, first, last, self._setup, self._spawns, self._around)
+        if self._together:
+            self._loops.start(mask, first, last)
 
     def step(self, share: Share) -> None:
         """An env step of all robots, as `tables.actions` and `tables.over` say."""

@@ -160,8 +160,8 @@ class LostReport:
 
 
 INTERRUPTS: dict[str, Callable[[RobotVectorEnv], object]] = {
-    "in a reset": lambda env: Interrupted(env, "reset", 1),
-    "in the caller's share": lambda env: Interrupted(env, "step", 1),
+    "in a reset": lambda env: Interrupted(env, "_begin", 1),
+    "in the caller's share": lambda env: Interrupted(env, "_drive", 1),
     "waiting": lambda env: LostReport(env, 2),
     "waiting, later": lambda env: LostReport(env, 5),
 }
