@@ -156,7 +156,9 @@ class Decoder:
 
     def _read(self, line: bytes) -> Reading | None:
         """Decode one line; four cached parts take the fast path."""
-        parts = line.removesuffix(b",").split(b",")
+        parts = line.split(b",")
+        if not parts[-1] and len(parts) > 1:
+            parts.pop()  # a trailing comma
         try:
             a, b, c, d = parts
             reading = Reading((_KNOWN[0][a], _KNOWN[1][b], _KNOWN[2][c], _KNOWN[3][d]))

@@ -48,8 +48,8 @@ class PathFollowEnv(RobotEnv):
 
     ## Arguments
 
-    - `link`, `robot`, `policy_rate`, `render_mode`, `view`, `faults`, `on_fault` as in
-      `acsar_gym/PointGoal-v0`.
+    - `link`, `robot`, `policy_rate`, `render_mode`, `view`, `faults`, `sensors`, `randomization`,
+      `on_fault` as in `acsar_gym/PointGoal-v0`.
     - `worlds`: "smooth_path:train" or "waypoint_path:train", "smooth_path:test" and the like, as in
       `acsar_gym/ObstacleGoal-v0`; or a file, a folder or a list of worlds that have a path.
     - `difficulty` of generated paths, 0 to 1: how tight they turn; None or a range varies it.
@@ -57,7 +57,7 @@ class PathFollowEnv(RobotEnv):
 
     ## Info
 
-    As in `acsar_gym/PointGoal-v0` but for the goal's distances, and by odometry:
+    As in `acsar_gym/PointGoal-v0` but for `goal_distance`, and by odometry:
     `cross_track_error` [m], `heading_error` [rad], `path_progress` (0 to 1), and the score:
     `mean_cross_track_error` [m] and `mean_heading_error` [rad], means of the absolute errors over
     the steps so far. `world` is the generator's number of the path, -1 for a given one.

@@ -44,6 +44,9 @@ class Faults:
     to fail with the start of the drive: their clock starts anew after every reset, with the first
     command that turns wheels, however long the reset took. Lines and garbage suffer at all times.
 
+    A batch knows `dropped_lines`, `late_lines`, `lateness`, `episodes` and `direction`, and loses
+    the very lines that the single env loses.
+
     Raises ConfigError for values out of range.
     """
 

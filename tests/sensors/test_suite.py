@@ -58,7 +58,7 @@ def test_a_name_is_imported() -> None:
     [
         ((ThreeRays, ThreeRays), "two are named 'three_rays'"),
         (("lidar", "lidar"), "two are named 'lidar'"),
-        (("mine:Rays",), "sensor = 'mine:Rays': No module named 'mine'; must be like"),
+        (("nobodys:Rays",), "sensor = 'nobodys:Rays': No module named 'nobodys'; must be like"),
         (("range_finder:TwoRays",), "has no attribute 'TwoRays'; must be like 'module:Class'"),
         (("lidr",), "unknown sensor 'lidr'; did you mean 'lidar'"),
         ((3,), "3 must be a subclass of Sensor or a factory"),

@@ -84,8 +84,11 @@ def compare(kind: str, arguments: dict[str, Any], steps: int) -> dict[str, float
     )
     one = Single(env_id, arguments)
     observations, info = many.reset(seed=40)
-    rewards, ends = np.zeros(3), np.zeros((2, 3))
-    count: dict[str, float] = {"cut": 0, "failed": 0, "stale": 0}
+    rewards, ends, count = (
+        np.zeros(3),
+        np.zeros((2, 3)),
+        dict.fromkeys(("cut", "failed", "stale"), 0.0),
+    )
     one.reset(seed=41)
     rng = np.random.default_rng(0)
     for step in range(steps):

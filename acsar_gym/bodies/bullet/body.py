@@ -24,6 +24,10 @@ from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.worlds import Scene, World
 
 Floats = NDArray[np.float64]
+# What every loop of the firmware calls, without a look-up in the module each time:
+_pose_of, _velocity_of = pybullet.getBasePositionAndOrientation, pybullet.getBaseVelocity
+_apply_force, _apply_torque = pybullet.applyExternalForce, pybullet.applyExternalTorque
+_simulate, _WORLD = pybullet.stepSimulation, pybullet.WORLD_FRAME
 GOAL_COLOUR = (0.15, 0.68, 0.38, 0.85)
 
 
@@ -103,8 +107,8 @@ class BulletBody:
     def step(self, set_points: Speeds) -> None:
         """One loop period: tyre force and torque, then one engine step."""
         robot, client = self._robot, self._client
-        position, (qx, qy, qz, qw) = pybullet.getBasePositionAndOrientation(robot, client)
-        (vx, vy, _), (_, _, rate) = pybullet.getBaseVelocity(robot, client)
+        position, (qx, qy, qz, qw) = _pose_of(robot, client)
+        (vx, vy, _), (_, _, rate) = _velocity_of(robot, client)
         (nx, ny, new_rate), self.wheel_speeds, self.wheel_angles = dynamics.robot_step(
             1.0 - 2.0 * (qy * qy + qz * qz),
             2.0 * (qw * qz + qx * qy),
@@ -117,9 +121,9 @@ class BulletBody:
         )
         force = (self._push * (nx - vx), self._push * (ny - vy), 0.0)
         torque = (0.0, 0.0, self._twist * (new_rate - rate))
-        pybullet.applyExternalForce(robot, -1, force, position, pybullet.WORLD_FRAME, client)
-        pybullet.applyExternalTorque(robot, -1, torque, pybullet.WORLD_FRAME, client)
-        pybullet.stepSimulation(client)
+        _apply_force(robot, -1, force, position, _WORLD, client)
+        _apply_torque(robot, -1, torque, _WORLD, client)
+        _simulate(client)
 
     def feel(self) -> None:
         """Note whether the robot touches an obstacle now: overlaps it, or is pushed by it."""

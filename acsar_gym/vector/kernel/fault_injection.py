@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.jit import jit, loop
+from acsar_gym.jit import jit
 from acsar_gym.links.faults import DROPPED, EPSILON, LATE
 from acsar_gym.links.lots import COMMANDS, EPISODE, FEEDBACK, lot
 from acsar_gym.safety import rules
@@ -116,7 +116,7 @@ def send(state: Floats, i: int, tick: float, setup: Setup) -> tuple[float, float
     return newest, math.ceil(read - 1e-6) + state[COMMAND_LOOPS, i] - setup.wire_loops
 
 
-@loop
+@jit
 def dispatch(tables: Tables, first: int, last: int, slot: int, setup: Setup) -> None:
     """What reaches the boards of this tick's commands, which are in their slot of the ring."""
     state, commands, arrivals = tables.state, tables.commands, tables.arrivals
@@ -131,7 +131,7 @@ def dispatch(tables: Tables, first: int, last: int, slot: int, setup: Setup) -> 
             arrivals[slot, 2, i] = commands[place, 1, i]
 
 
-@loop
+@jit
 def obey(tables: Tables, first: int, last: int, slot: int, turn: int, setup: Setup) -> None:
     """Boards hear what has arrived by this loop of a tick, and set points move towards it.
 
@@ -185,7 +185,7 @@ def settle_late(state: Floats, i: int, setup: Setup) -> None:
     state[HEARD_LOOP, i] = -1e18
 
 
-@loop
+@jit
 def prepare(tables: Tables, first: int, last: int, setup: Setup) -> None:
     """Note what robots are told now, for those whose board falls silent in the step to come."""
     for i in range(first, last):
@@ -203,7 +203,7 @@ def rays(tables: Tables, i: int, setup: Setup) -> NDArray[np.float32]:
     return tables.observations[i, setup.numbers : setup.numbers + tables.ranges.shape[1]]
 
 
-@loop
+@jit
 def watch(tables: Tables, first: int, last: int, setup: Setup) -> None:
     """Robots whose board has been silent for too long drive no more; see `rules.silent`."""
     for i in range(first, last):
@@ -211,7 +211,7 @@ def watch(tables: Tables, first: int, last: int, setup: Setup) -> None:
             tables.idle[i] = True
 
 
-@loop
+@jit
 def put_back(tables: Tables, first: int, last: int, setup: Setup) -> None:
     """Robots that fell silent are told what they were told last, and that it is a fault."""
     state = tables.state

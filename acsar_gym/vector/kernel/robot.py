@@ -94,7 +94,7 @@ def dead_reckoning(state: Floats, first: int, last: int, setup: Setup) -> None:
         angulars[i] = angular
 
 
-@loop
+@jit
 def receive(state: Floats, counts: Floats, first: int, last: int, slot: int, setup: Setup) -> None:
     """`feedback` where lines are lost or late."""
     for i in range(first, last):
