@@ -186,8 +186,9 @@ class Batch:
     def _move_on(self) -> None:
         """All robots have done their step: move on in the rings."""
         ring, setup = self.tables.ring, self._setup
-        ring[0] = (ring[0] + setup.ticks * setup.loops) % self.tables.counts.shape[0]
-        ring[1] = (ring[1] + setup.ticks) % self.tables.commands.shape[0]
+        slot, line, *_ = ring.tolist()
+        ring[0] = (slot + setup.ticks * setup.loops) % self.tables.counts.shape[0]
+        ring[1] = (line + setup.ticks) % self.tables.commands.shape[0]
 
     def info(self) -> dict[str, NDArray[np.float64]]:
         """What the single env's info says, an array for each of its keys."""

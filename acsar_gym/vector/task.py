@@ -15,7 +15,7 @@ from acsar_gym.tasks.base import Memory, Outcome, State, Task, is_compiled, reme
 from acsar_gym.vector.kernel import layout
 from acsar_gym.vector.kernel import task as kernel
 from acsar_gym.vector.kernel.episode import report
-from acsar_gym.vector.kernel.layout import Setup, Spawns, Tables
+from acsar_gym.vector.kernel.layout import Setup, Spawns, Tables, TaskSetup, TaskTables
 
 Mask = NDArray[np.bool_]
 Info = dict[str, NDArray[np.float64]]
@@ -40,7 +40,9 @@ class Loops(Protocol):
 def loops_of(task: Task, tables: Tables, setup: Setup, spawns: Spawns) -> Loops:
     """Compiled where the task can be and numba is installed, otherwise in Python."""
     kind = CompiledLoops if COMPILED and is_compiled(task) else PythonLoops
-    return kind(task, tables, setup, spawns)
+    own = TaskTables(*(getattr(tables, name) for name in TaskTables._fields))
+    numbers = TaskSetup(*(getattr(setup, name) for name in TaskSetup._fields))
+    return kind(task, own, numbers, spawns)
 
 
 class CompiledLoops:
@@ -48,7 +50,7 @@ class CompiledLoops:
 
     compiled = True
 
-    def __init__(self, task: Task, tables: Tables, setup: Setup, spawns: Spawns) -> None:
+    def __init__(self, task: Task, tables: TaskTables, setup: TaskSetup, spawns: Spawns) -> None:
         self._task, self._tables, self._setup, self._spawns = task, tables, setup, spawns
         self._numbers = numbers_of(task)
         kinds = [(name, np.float64) for name in task.memory] or [("nothing", np.float64)]
@@ -107,7 +109,7 @@ class PythonLoops:
 
     compiled = False
 
-    def __init__(self, task: Task, tables: Tables, setup: Setup, spawns: Spawns) -> None:
+    def __init__(self, task: Task, tables: TaskTables, setup: TaskSetup, spawns: Spawns) -> None:
         self._task, self._tables, self._setup, self._spawns = task, tables, setup, spawns
         self._memory: list[Memory] = [remembered(task) for _ in tables.rewards]
         self._numbers = len(task.observation)

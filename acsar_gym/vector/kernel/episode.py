@@ -53,6 +53,7 @@ from acsar_gym.vector.kernel.layout import (
     Setup,
     Spawns,
     Tables,
+    TaskSetup,
     X,
     Y,
     row,
@@ -206,7 +207,7 @@ def step(
 
 
 @loop
-def report(state: Floats, first: int, last: int, setup: Setup) -> None:
+def report(state: Floats, first: int, last: int, setup: TaskSetup) -> None:
     """Rows of info that nothing else needs."""
     xs, ys, thetas = (
         row(state, X, first, last),
@@ -233,7 +234,7 @@ def report(state: Floats, first: int, last: int, setup: Setup) -> None:
 
 
 @loop
-def scan_ages(state: Floats, first: int, last: int, setup: Setup) -> None:
+def scan_ages(state: Floats, first: int, last: int, setup: TaskSetup) -> None:
     """How old every robot's newest scan is [s]."""
     for i in range(first, last):
         age = (state[STEPS, i] * setup.ticks - state[SCAN_TICK, i]) * setup.period

@@ -210,6 +210,31 @@ class Tables(NamedTuple):
     the ticks of a step that the next call drives, from and up to."""
 
 
+class TaskSetup(NamedTuple):
+    """What the task's loops need of `Setup`: fewer numbers to unpack in every call."""
+
+    numbers: int
+    ticks: int
+    period: float
+    max_linear: float
+    max_angular: float
+    max_steps: float
+    lidar_rate: float
+    stale: float
+
+
+class TaskTables(NamedTuple):
+    """What the task's loops need of `Tables`."""
+
+    state: Floats
+    over: NDArray[np.bool_]
+    idle: NDArray[np.bool_]
+    ranges: Floats
+    observations: NDArray[np.float32]
+    rewards: Floats
+    ends: NDArray[np.bool_]
+
+
 @jit
 def row(state: Floats, number: int, first: int, last: int) -> Floats:
     """One number of robots first to last, contiguous."""

@@ -40,9 +40,9 @@ from acsar_gym.vector.kernel.layout import (
     SENT_LINEAR,
     STEPS,
     WORLD,
-    Setup,
     Spawns,
-    Tables,
+    TaskSetup,
+    TaskTables,
 )
 
 STATE_ROWS = [
@@ -75,7 +75,7 @@ task_observe: Any = Task.observe
 
 
 @jit
-def state_of(tables: Tables, i: int, setup: Setup, spawns: Spawns) -> State:
+def state_of(tables: TaskTables, i: int, setup: TaskSetup, spawns: Spawns) -> State:
     """What robot i's task is told."""
     s, world = tables.state, int(tables.state[WORLD, i])
     path = spawns.paths[0 if len(spawns.samples) == 0 else world]
@@ -102,7 +102,7 @@ def state_of(tables: Tables, i: int, setup: Setup, spawns: Spawns) -> State:
 
 
 @jit
-def ended(tables: Tables, i: int, reward: float, outcome: int, setup: Setup) -> None:
+def ended(tables: TaskTables, i: int, reward: float, outcome: int, setup: TaskSetup) -> None:
     """Note what robot i's step was worth, and whether its episode has ended with it."""
     state = tables.state
     state[OUTCOME, i] = outcome
@@ -113,7 +113,7 @@ def ended(tables: Tables, i: int, reward: float, outcome: int, setup: Setup) -> 
 
 
 @jit
-def cut_short(tables: Tables, i: int) -> None:
+def cut_short(tables: TaskTables, i: int) -> None:
     """The end of robot i's episode because its board is silent; it is told what it was told."""
     tables.rewards[i] = 0.0
     tables.ends[0, i], tables.ends[1, i] = False, True
@@ -122,11 +122,11 @@ def cut_short(tables: Tables, i: int) -> None:
 def start(
     task: Any,
     memory: NDArray[Any],
-    tables: Tables,
+    tables: TaskTables,
     mask: NDArray[np.bool_],
     first: int,
     last: int,
-    setup: Setup,
+    setup: TaskSetup,
     spawns: Spawns,
 ) -> None:
     """The first observations of robots in the mask; the last memory holds the first values."""
@@ -142,10 +142,10 @@ def start(
 def step(
     task: Any,
     memory: NDArray[Any],
-    tables: Tables,
+    tables: TaskTables,
     first: int,
     last: int,
-    setup: Setup,
+    setup: TaskSetup,
     spawns: Spawns,
 ) -> None:
     """Reward, end and observation of robots first to last; some of them have begun anew."""
