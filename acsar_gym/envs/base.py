@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.bodies import display
-from acsar_gym.bodies.base import Image
+from acsar_gym.bodies.base import GroundTruth, Image
 from acsar_gym.config import RobotConfig, RobotSource, whole_ratio
 from acsar_gym.dynamics.randomizer import Randomizer
 from acsar_gym.envs.options import RENDER_MODES, EnvOptions
@@ -86,6 +86,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         self.action_space, self.observation_space = task_spaces(self.task, self.sensors)
         self._episode: Episode | None = None
         self._sensed: Observation = NOTHING_SENSED
+        self._truth: GroundTruth | None = None
         self._told_last: tuple[Observation, Info] | None = None
 
     def _connect(self, link: Any, config: RobotConfig) -> None:
@@ -209,11 +210,14 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def _state(self, episode: Episode, action: tuple[float, float]) -> State:
         """What the task is told."""
-        return state_of(self.robot, episode, action, self._sensed, self.ticks_per_step)
+        self._truth = self.robot.link.truth
+        contact = self._truth is not None and self._truth.contact
+        ticks = self.ticks_per_step
+        return state_of(self.robot, episode, action, self._sensed, ticks, contact=contact)
 
     def _told(self, episode: Episode, state: State) -> tuple[Observation, Info]:
         """What the agent gets, and what the screen shows."""
-        truth = self.robot.link.truth
+        truth = self._truth
         self._screen.show(state, truth, newest_scan(self.robot.sensors))
         numbers = np.array(episode.observe(state), np.float32)
         if numbers.shape != (len(self.task.observation),):

@@ -33,7 +33,13 @@ def fault_code(error: LinkError) -> int:
 
 
 def state_of(
-    robot: Robot, episode: Episode, action: tuple[float, float], sensed: Observation, ticks: int
+    robot: Robot,
+    episode: Episode,
+    action: tuple[float, float],
+    sensed: Observation,
+    ticks: int,
+    *,
+    contact: bool,
 ) -> State:
     """What the task is told after a step.
 
@@ -43,9 +49,10 @@ def state_of(
         action: the last one, in [-1, 1].
         sensed: numbers of all sensors, as in the observation.
         ticks: of a step.
+        contact: whether a simulated robot has touched an obstacle.
     """
     assignment, config = episode.assignment, robot.config
-    truth, scan = robot.link.truth, newest_scan(robot.sensors)
+    scan = newest_scan(robot.sensors)
     return State(
         pose=robot.odometry.pose,
         twist=robot.odometry.twist,
@@ -57,7 +64,7 @@ def state_of(
         sensed=sensed,
         time=episode.steps * ticks * config.period,
         feedback_age=robot.feedback_age,
-        contact=truth is not None and truth.contact,
+        contact=contact,
         goal=assignment.goal,
         path=NO_PATH if assignment.path is None else assignment.path,
         length=assignment.length,
