@@ -1,8 +1,8 @@
-"""The microcontroller's twin: bytes in, bytes out, over a Body, on its own simulated clock.
+"""An emulation of the microcontroller: bytes in, bytes out, over a Body, with a simulated clock.
 
-It parses command lines by the same rules as the driver, ramps the motors' set points, stops them
-when commands stop, and sends encoder lines at its own rate. Bytes take their time on the UART
-(10 bits each at the baud rate, one after the other) and in the processor.
+It parses command lines by the same rules as the driver, ramps the motors' set points, stops the
+motors when commands stop, and sends encoder lines at its own rate. The time that bytes take on the
+UART (10 bits each at the baud rate, one after the other) and in the processor is simulated.
 """
 
 from __future__ import annotations
@@ -21,7 +21,14 @@ EPSILON = 1e-9
 
 
 class Firmware:
-    """One board. `advance` lets time pass; `decoder` keeps the counters of what it refused."""
+    """One emulated board. `advance` lets time pass.
+
+    Args:
+        config: of the robot.
+        body: that the board drives.
+
+    Attributes: `decoder`, with counters of refused input.
+    """
 
     def __init__(self, config: RobotConfig, body: Body) -> None:
         self._body = body
@@ -41,9 +48,10 @@ class Firmware:
         self.reset()
 
     def reset(self, own: Physics | None = None) -> None:
-        """As after power-up: nothing on the wire, set points zero, encoder history at rest.
+        """Reset to the state after power-up: nothing on the wire, set points and encoders zero.
 
-        `own` has the latency and the feedback rate of this robot; None: as configured.
+        Args:
+            own: physics with the latency and the feedback rate of this robot; None: as configured.
         """
         own = own or self._configured
         self._latency = own.latency_loops * self._dt
@@ -64,15 +72,18 @@ class Firmware:
         self.decoder.reset()
 
     def receive(self, data: bytes) -> None:
-        """Bytes that the host puts on the wire now; they arrive one after the other."""
+        """Take bytes that the host sends now; they arrive one after the other."""
         start = max(self._receive_free, self._elapsed)
         self._receive_free = start + len(data) * self._byte_time
         self._received.append((self._receive_free + self._processing + self._latency, data))
 
     def advance(self, period: float) -> bytes:
-        """Let `period` [s] pass; return the feedback bytes that reach the host in it.
+        """Let time pass, and return the feedback bytes that reach the host meanwhile.
 
-        What is left of a period after whole loops of the firmware is added to the next one.
+        Time that is left after whole firmware loops is added to the next period.
+
+        Args:
+            period: [s].
         """
         self._elapsed += period
         now = self._elapsed + EPSILON
@@ -84,6 +95,7 @@ class Firmware:
         return arrived
 
     def _loop(self) -> None:
+        """Run one firmware loop."""
         now, received, body = self._loops * self._dt, self._received, self._body
         while received and received[0][0] <= now + EPSILON:
             self._obey(received.popleft()[1], now)
@@ -100,6 +112,7 @@ class Firmware:
             self._answer()
 
     def _obey(self, data: bytes, now: float) -> None:
+        """Set the targets from command lines, saturated at the top speed."""
         top = self._top
         for reading in self.decoder.feed(data):
             self._last_command = now
@@ -112,13 +125,14 @@ class Firmware:
             )
 
     def _answer(self) -> None:
+        """Send an encoder line."""
         line = line_of(*self._encoder_speeds(), self._end)
         start = max(self._send_free, self._loops * self._dt + self._processing)
         self._send_free = start + len(line) * self._byte_time
         self._sent.append((self._send_free + self._latency, line))
 
     def _encoder_speeds(self) -> Speeds:
-        """Whole counts of the last window, as speeds [rad/s]."""
+        """Wheel speeds from the whole counts of the last window [rad/s]."""
         (a1, b1, c1, d1), (a0, b0, c0, d0) = self._angles[-1], self._angles[0]
         k, scale, floor = self._per_radian, self._per_count, math.floor
         return (

@@ -1,9 +1,10 @@
-"""The ids of the environments, told to Gymnasium once it is imported.
+"""Register the ids of the environments with Gymnasium, without importing Gymnasium.
 
-Importing Gymnasium takes longer than an emergency stop may, so this package doesn't. Where it is
-there already the ids are registered at once; else as soon as somebody imports it, and before
-anybody can see it: a finder on `sys.meta_path` hands out Gymnasium's own module spec, with the
-registration behind the execution of the module. Python holds the module's import lock meanwhile.
+Importing Gymnasium takes longer than an emergency stop may, so this package doesn't import it.
+If it is imported already, the ids are registered at once. Otherwise they are registered when it
+is imported, before anybody can use it: a finder on `sys.meta_path` returns Gymnasium's own module
+spec, with the registration added after the execution of the module. Python holds the module's
+import lock meanwhile.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ IDS: dict[str, dict[str, Any]] = {
     "Barn": {"max_episode_steps": 1000, "reward_threshold": 14.0},
     "PathFollow": {"max_episode_steps": 400, "reward_threshold": 10.0},
 }
-"""What `gymnasium.register` is told of each."""
+"""What `gymnasium.register` gets for each id."""
 
 
 def register(
@@ -39,17 +40,17 @@ def register(
     reward_threshold: float | None = None,
     **options: Any,
 ) -> None:
-    """Register a task of one's own with Gymnasium: one id for a single env and for batches.
+    """Register a user's own task with Gymnasium: one id for a single env and for batches.
 
     Args:
         id: such as "mine/Clearance-v0".
         task: the class of the task, a subclass of `acsar_gym.Task`, or "module:Class".
-        max_episode_steps: after so many steps an episode is truncated; None is never.
-        reward_threshold: from this mean return on the task counts as solved.
-        **options: defaults of the env's options and the task's, such as worlds="clutter:train".
+        max_episode_steps: time limit of an episode [steps]; None is none.
+        reward_threshold: mean return from which the task counts as solved.
+        **options: defaults of the env's and the task's options, such as worlds="clutter:train".
 
     Raises:
-        ConfigError: for anything else than a class of tasks.
+        ConfigError: where `task` isn't a class of tasks.
     """
     from acsar_gym.tasks.made import importable  # noqa: PLC0415 - this module is light
 
@@ -65,7 +66,7 @@ def register(
 
 
 def register_all() -> None:
-    """Register this package's ids; idempotent. Waits for a thread that is importing Gymnasium."""
+    """Register this package's ids. Idempotent; waits for a thread that is importing Gymnasium."""
     gymnasium = importlib.import_module(GYMNASIUM)
     for name, options in IDS.items():
         if f"acsar_gym/{name}-v0" not in gymnasium.registry:
@@ -79,26 +80,26 @@ def register_all() -> None:
 
 
 def _snake(name: str) -> str:
-    """PointGoal as point_goal."""
+    """Convert "PointGoal" to "point_goal"."""
     return re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()
 
 
 def when_gymnasium_is_imported() -> None:
     """Register the ids now, or right after the import of Gymnasium."""
     finder = _Finder()
-    sys.meta_path.insert(0, finder)  # first, for another thread may begin to import it here
+    sys.meta_path.insert(0, finder)  # before the check: another thread may import it meanwhile
     if sys.modules.get(GYMNASIUM) is not None:
         sys.meta_path.remove(finder)
         register_all()
 
 
 class _Finder(MetaPathFinder):
-    """Finds Gymnasium as the other finders do, and registers the ids when it has been executed."""
+    """Finds Gymnasium with the other finders, and registers the ids once it has been executed."""
 
     def find_spec(
         self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """The spec of Gymnasium that a later finder has; nothing for any other module."""
+        """Return Gymnasium's spec from a later finder; None for any other module."""
         if name != GYMNASIUM:
             return None
         later = list(itertools.dropwhile(lambda finder: finder is not self, sys.meta_path))[1:]
@@ -109,7 +110,7 @@ class _Finder(MetaPathFinder):
         return spec
 
     def _follow(self, loader: Loader) -> None:
-        """Let the loader register the ids once it has executed Gymnasium."""
+        """Make the loader register the ids once it has executed Gymnasium."""
         execute = loader.exec_module
 
         def exec_module(module: ModuleType) -> None:

@@ -1,4 +1,4 @@
-"""The driver of one robot: Link, Decoder and Odometry with a lifecycle. No clock of its own."""
+"""The driver of one robot: sends commands over a Link, decodes feedback, and keeps odometry."""
 
 from __future__ import annotations
 
@@ -28,21 +28,20 @@ from acsar_gym.sensors import Factory, Sensor, Sensors
 from acsar_gym.worlds import Scene
 
 STANDSTILL = 0.1
-"""Wheels slower than this count as standing [rad/s]."""
+"""Wheels slower than this count as standing still [rad/s]."""
 STANDSTILL_TIMEOUT = 5.0
-"""How long a reset waits for the wheels to stand [s]."""
+"""How long a reset waits for the wheels to stand still [s]."""
 STANDSTILL_TICKS = 2
-"""Fresh readings in a row that must say so."""
+"""How many fresh readings in a row must show standstill."""
 
 
 class Robot:
-    """Drives whatever stands behind `link`.
+    """Drives the robot, real or simulated, behind `link`.
 
-    Attributes: `link`, `config`, `odometry`; `speeds`, the newest wheel speeds [rad/s], of which a
-    motor keeps its last one where a line doesn't name it; `feedback_age`, seconds since the last
-    valid line; `decoder`, with the counters of refused input; `safety`, with the twist that was
-    really sent and the reason where it isn't the one that was asked for; `sensors`, the list of its
-    sensors, the LiDAR first.
+    Attributes: `link`, `config`, `odometry`; `speeds`, the newest wheel speeds [rad/s], old ones
+    for motors that a line doesn't name; `feedback_age`, the time since the last valid line [s];
+    `decoder`, with the counters of refused input; `safety`, with the twist that was really sent
+    and the reason where it isn't the one asked for; `sensors`, the LiDAR first.
 
     As a context manager it is active inside the block, and stopped and closed on any way out of it.
 
@@ -50,7 +49,7 @@ class Robot:
         link: The wire to the robot.
         config: Its parameters; None is the ACSAR robot.
         sensors: Names ("lidar", "mine.rays:ThreeRays"), factories (subclasses of Sensor) or ready
-            sensors. They are the robot's from now on: reset and polled with it, closed by `close`.
+            sensors. The robot owns them: it resets, polls and closes them.
     """
 
     def __init__(
@@ -83,20 +82,18 @@ class Robot:
         self._clocked = self.sensors.clocked
 
     def activate(self) -> None:
-        """Zero the states, open the link and wait until the board answers and stands still.
-
-        Raises LinkError; the link is closed then. Activating an active robot does nothing.
-        """
+        """Reset, if the robot isn't active. Errors as for `reset`."""
         if not self.active:
             self.reset(Scene())
 
     def reset(self, scene: Scene, rng: np.random.Generator | None = None) -> None:
-        """Stop, wait for standstill, and set the odometry to zero: the same on every link.
+        """Open the link, stop, wait for standstill, and reset odometry and sensors.
 
-        Then the sensors begin an episode, with `rng` for their noise. Opens the link where it isn't
-        open. Raises LinkError where it can't be opened, the board is silent, the wheels keep
-        turning or a sensor doesn't measure; the link is closed then. Warns (SafetyWarning) where
-        `acsar-gym estop` can't reach a real robot.
+        Where this raises, the link is closed. Warns (SafetyWarning) where `acsar-gym estop` can't
+        reach a real robot. `rng` is for the noise of sensors.
+
+        Raises:
+            LinkError: link or sensors don't work, the board is silent, or the wheels keep turning.
         """
         if not self.active:
             self.link.open()
@@ -126,10 +123,9 @@ class Robot:
             raise
 
     def read(self) -> NDArray[np.float64]:
-        """The numbers of all sensors, in order, as they stand in an observation.
+        """Read the numbers of all sensors, as in an observation.
 
-        Raises SensorError for numbers that can't be, and what a sensor raises; the robot is stopped
-        and the link closed then.
+        Any error deactivates the robot.
         """
         try:
             return self.sensors.read()
@@ -138,7 +134,7 @@ class Robot:
             raise
 
     def tell(self, info: dict[str, float]) -> None:
-        """Add what the sensors tell to an env's info. Errors as `read`."""
+        """Add the sensors' info to an env's. Errors as for `read`."""
         try:
             self.sensors.info(info)
         except BaseException:
@@ -153,7 +149,10 @@ class Robot:
             warnings.warn(said, SafetyWarning, stacklevel=4)
 
     def _settle(self) -> None:
-        """Ticks are counted, not seconds: a clock that jumps doesn't turn the wheels."""
+        """Command zero until the wheels stand still.
+
+        Counts ticks, so that clock jumps don't matter.
+        """
         standing = 0
         for _ in range(math.ceil(STANDSTILL_TIMEOUT / self._period)):
             self._exchange(ZERO)
@@ -167,14 +166,15 @@ class Robot:
         raise still_turning(STANDSTILL_TIMEOUT, self.speeds)
 
     def tick(self, speeds: Sequence[float]) -> None:
-        """One control period: send four wheel speeds [rad/s], let it pass, read, integrate.
+        """Do one control period: send four wheel speeds [rad/s], read feedback, update odometry.
 
-        All four shrink by one factor where they would exceed `max_wheel_speed`, or their twist the
-        robot's speed limits; acceleration is limited by `drive` alone. Zeros are sent instead while
-        `safety` holds the robot. Raises CommandError for speeds that aren't four finite numbers,
-        and LinkError where the robot isn't active or the link is lost or silent for longer than
-        `feedback_timeout`, and what a sensor raises. On any error the wheels are commanded to stop
-        and the link is closed.
+        All are scaled by one factor where one exceeds `max_wheel_speed`, or their twist the speed
+        limits; only `drive` limits acceleration. Zeros are sent while `safety` holds the robot. Any
+        error deactivates the robot.
+
+        Raises:
+            CommandError: unless `speeds` are four finite numbers.
+            LinkError: not active, link lost or silent for `feedback_timeout`, or a sensor fails.
         """
         try:
             self._heed()
@@ -187,9 +187,9 @@ class Robot:
             raise
 
     def drive(self, linear: float, angular: float) -> None:
-        """One tick towards a twist (linear [m/s], angular [rad/s]) within the limits.
+        """Do one control period towards a twist (linear [m/s], angular [rad/s]), within the limits.
 
-        (0, 0) stops at once. Errors as `tick`.
+        (0, 0) stops at once. Errors as for `tick`.
         """
         try:
             self._heed()
@@ -202,7 +202,7 @@ class Robot:
             raise
 
     def _heed(self) -> None:
-        """Whether the robot may be driven at all, and whether somebody has asked for a stop."""
+        """Stop where a stop was requested; LinkError where the robot isn't active."""
         if not self.active:
             raise LinkError("the robot isn't active", "call activate() or env.reset() first")
         if self._listener is not None and self._listener.is_requested():
@@ -211,20 +211,20 @@ class Robot:
 
     @property
     def timing(self) -> EpisodeTiming | None:
-        """How good the timing has been since the reset; None where it is always perfect."""
+        """How late ticks were since the reset; None for simulated links, whose time is exact."""
         return self._stopwatch.summary() if self._stopwatch else None
 
     def wheel_speeds(self, linear: float, angular: float) -> Speeds:
-        """Wheel speeds [rad/s] for a twist, shrunk to `max_wheel_speed` at the same turn radius."""
+        """Wheel speeds [rad/s] for a twist, scaled to `max_wheel_speed` at the same turn radius."""
         return self.safety.wheels(linear, angular)
 
     def estop(self) -> None:
-        """Emergency stop: zero now, and whatever is commanded until the next reset."""
+        """Emergency stop: command zero now, and hold zero until the next reset."""
         self.safety.estop()
         self.stop()
 
     def stop(self) -> None:
-        """Put a zero command on the wire; no time passes."""
+        """Send a zero command; no time passes."""
         self.safety.halt(self.safety.reason)
         if self.active:
             self.link.write(self._line(ZERO))
@@ -268,13 +268,13 @@ class Robot:
             raise silence(self.feedback_age, sum(self.decoder.refused.values()))
 
     def _line(self, speeds: Speeds) -> bytes:
-        """The command line; it is made anew only where the tuple of speeds is another one."""
+        """The command line; encoded again only where the tuple of speeds is another object."""
         if speeds is not self._encoded:
             self._encoded, self._command = speeds, line_of(*speeds, self._end)
         return self._command
 
     def _integrate(self, readings: list[Reading], dt: float) -> None:
-        """The newest reading counts for the tick; after a pause each has its share of the time."""
+        """Update odometry with the newest reading; after a pause, with all, each for its share."""
         paused = dt > 2.0 * self._period and len(readings) > 1
         for reading in readings:
             self.speeds = reading.over(self.speeds)

@@ -1,4 +1,7 @@
-"""Bodies: what the wheels carry. PyBullet's robot and the planar one share `dynamics.py`."""
+"""Bodies: a simulated chassis, in PyBullet or planar.
+
+Both use the motor and tyre model of `dynamics`.
+"""
 
 from acsar_gym.bodies.base import Body, GroundTruth
 

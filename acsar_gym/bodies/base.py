@@ -1,4 +1,4 @@
-"""The contract between the firmware's twin and the physics below it."""
+"""The contract between the emulated firmware and the simulated body that it drives."""
 
 from __future__ import annotations
 
@@ -13,44 +13,48 @@ from acsar_gym.protocol import Speeds
 from acsar_gym.worlds import Pose, Scene
 
 Image = NDArray[np.uint8]
-"""height x width x 3, RGB."""
+"""(height, width, 3): an RGB picture."""
 
 
 @dataclass(frozen=True, slots=True)
 class GroundTruth:
-    """What only a simulator knows; it never feeds an observation. World frame."""
+    """What only a simulator knows, in the frame of the world.
+
+    It is never part of an observation.
+    """
 
     pose: Pose = (0.0, 0.0, 0.0)
-    """x [m], y [m], theta [rad]"""
+    """x [m], y [m], theta [rad]."""
     twist: tuple[float, float] = (0.0, 0.0)
-    """forward speed [m/s], yaw rate [rad/s]"""
+    """Forward speed [m/s], yaw rate [rad/s]."""
     contact: bool = False
-    """whether the robot has touched an obstacle since the reset, at the end of any period"""
+    """Whether the robot has touched an obstacle since the reset; checked at the end of every
+    tick."""
 
 
 class Body(Protocol):
-    """Motors, tyres and chassis, stepped by the firmware once a loop period."""
+    """Motors, tyres and chassis of a robot; the firmware steps it once a loop."""
 
     wheel_speeds: Speeds
     """Speeds of the four wheels [rad/s]."""
     wheel_angles: Speeds
-    """Angles turned by the four wheels since the reset [rad]; what encoders see."""
+    """Angles turned by the four wheels since the reset [rad]; the encoders measure them."""
 
     def reset(self, scene: Scene) -> None:
-        """Build the scene; the robot stands still at its start."""
+        """Build the scene, with the robot at rest at its start."""
 
     def step(self, set_points: Speeds) -> None:
-        """Let one loop period pass with these wheel speed set points [rad/s]."""
+        """Simulate one firmware loop with these set points of the four wheel speeds [rad/s]."""
 
     def feel(self) -> None:
-        """Note whether the robot touches an obstacle now, for `truth`."""
+        """Check whether the robot touches an obstacle now; `truth` then tells it."""
 
     @property
     def truth(self) -> GroundTruth:
-        """The state of the robot now."""
+        """Ground truth of the robot, in the frame of the world."""
 
     def close(self) -> None:
-        """Free the engine; twice is once."""
+        """Close the physics engine; idempotent."""
 
 
 @runtime_checkable
@@ -58,9 +62,9 @@ class Camera(Protocol):
     """Takes pictures of the robot and its scene."""
 
     def image(self, width: int, height: int) -> Image:
-        """A picture, height x width x 3, RGB."""
+        """Take a picture, (height, width, 3), RGB."""
 
 
 def wrapped(theta: float) -> float:
-    """The angle within [-pi, pi]."""
+    """Wrap an angle to [-pi, pi] [rad]."""
     return math.remainder(theta, 2.0 * math.pi)

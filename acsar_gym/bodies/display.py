@@ -1,4 +1,4 @@
-"""Whether a window can open here."""
+"""Find out whether a window can be opened."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 
 def found() -> bool:
-    """Whether there is an X server; PyBullet would end the whole process without one."""
+    """Whether there is an X server; without one PyBullet's window would end the whole process."""
     if not sys.platform.startswith("linux"):
         return True
     name = os.environ.get("DISPLAY", "")

@@ -1,4 +1,4 @@
-"""A robot on a plane without an engine: the tyre model, integrated."""
+"""A robot on a plane, simulated without a physics engine."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from acsar_gym.worlds.geometry import Obstacles, surroundings
 
 
 class PlanarBody:
-    """Semi-implicit Euler on x, y and theta, as PyBullet integrates."""
+    """Integrates the tyre model by semi-implicit Euler on x, y and theta, as PyBullet does."""
 
     def __init__(self, config: RobotConfig) -> None:
         self._config = config
@@ -23,7 +23,7 @@ class PlanarBody:
         self.reset(Scene())
 
     def reset(self, scene: Scene) -> None:
-        """At rest at the scene's start, with the scene's physics."""
+        """Put the robot at rest at the scene's start, with the scene's obstacles and physics."""
         self._physics = model.numbers_of(scene.physics or self._configured)
         self.wheel_angles: Speeds = ZERO
         self.wheel_speeds: Speeds = ZERO
@@ -36,7 +36,7 @@ class PlanarBody:
         self._around = surroundings(obstacles, None, 1, self._config)
 
     def step(self, set_points: Speeds) -> None:
-        """One loop period."""
+        """Simulate one firmware loop with these set points of the four wheel speeds [rad/s]."""
         x, y, theta = self._pose
         self._velocity, self.wheel_speeds, self.wheel_angles = model.robot_step(
             math.cos(theta),
@@ -53,18 +53,18 @@ class PlanarBody:
         self._pose = (x + vx * dt, y + vy * dt, theta + rate * dt)
 
     def feel(self) -> None:
-        """Note whether the footprint touches an obstacle now; the robot drives on through it."""
+        """Check whether the footprint touches an obstacle now. Obstacles don't stop the robot."""
         if self._crowded and not self._touched:
             x, y, theta = self._pose
             self._touched = collides(x, y, math.cos(theta), math.sin(theta), 0, self._around)
 
     @property
     def truth(self) -> GroundTruth:
-        """Pose, twist, and whether the footprint has touched an obstacle."""
+        """Ground truth of the robot, in the frame of the world."""
         x, y, theta = self._pose
         vx, vy, rate = self._velocity
         forward = vx * math.cos(theta) + vy * math.sin(theta)
         return GroundTruth((x, y, wrapped(theta)), (forward, rate), self._touched)
 
     def close(self) -> None:
-        """Nothing to free."""
+        """Do nothing: there is no engine."""

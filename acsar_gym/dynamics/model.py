@@ -22,9 +22,9 @@ from acsar_gym.jit import COMPILED, jit, leading
 from acsar_gym.protocol import Speeds
 
 GRAVITY = 9.81
-"""[m/s^2]"""
+"""Acceleration of gravity [m/s^2]."""
 ROUNDS = 3
-"""Fixed-point rounds for the secant friction."""
+"""Fixed-point iterations for the secant friction."""
 
 Velocity = tuple[float, float, float]
 """vx, vy [m/s] and yaw rate [rad/s]."""
@@ -37,29 +37,38 @@ class Physics(NamedTuple):
     """
 
     radius: float
+    """Wheel radius [m]."""
     half_wheelbase: float
+    """Half the distance between the front and rear axles [m]."""
     half_track: float
+    """Half the distance between the left and right wheels [m]."""
     mass: float
+    """Mass of the robot [kg]."""
     yaw_inertia: float
+    """Moment of inertia about the vertical axis [kg m^2]."""
     grip: float
     """Greatest friction force of one tyre [N]."""
     slip_speed: float
+    """Below this slip speed friction grows linearly with it [m/s]."""
     max_speed: float
+    """Top speed of a motor [rad/s]."""
     deadband: float
+    """Set points below this don't turn a wheel [rad/s]."""
     blend_a: float
-    """Share of the distance to its set point that a wheel's speed covers in a loop of the board."""
+    """Share of the difference to its set point by which a wheel's speed changes in a firmware
+    loop."""
     blend_b: float
     blend_c: float
     blend_d: float
     gain_a: float
-    """A wheel's speed for its set point."""
+    """Factor from a wheel's set point to its speed."""
     gain_b: float
     gain_c: float
     gain_d: float
     latency_loops: float
-    """Delay of commands and of feedback beyond the wire's own, in loops of the board."""
+    """Delay of commands and of feedback on top of the wire's own [firmware loops]."""
     feedback_loops: float
-    """Loops of the board from one feedback line to the next."""
+    """Period of feedback lines [firmware loops]."""
 
 
 SIZE = len(Physics._fields)
@@ -68,15 +77,16 @@ Numbers = NDArray[np.float64] | Sequence[float]
 
 @jit
 def physics_of(numbers: Numbers) -> Physics:
-    """The numbers with their names."""
+    """Make a Physics of an array of its numbers."""
     return Physics(*leading(numbers, SIZE))
 
 
 @jit
 def physics_at(rows: NDArray[np.float64], i: int) -> Physics:
-    """Physics of robot i of many: column i of an array that has a row for each number.
+    """Make the Physics of robot i from column i of an array with a row for each number.
 
-    The index is unsigned so that no negative one has to be looked for: loops over robots vectorise.
+    The index is unsigned so that compiled code needs no check for negative ones, and can be
+    vectorized.
     """
     k = np.uintp(i)
     return Physics(
@@ -103,23 +113,23 @@ def physics_at(rows: NDArray[np.float64], i: int) -> Physics:
 
 
 def numbers_of(own: Physics) -> Numbers:
-    """What `robot_step` takes: an array is quick to hand to compiled code, a tuple without it."""
+    """Convert a Physics to what `robot_step` takes: an array with numba, else a tuple (faster)."""
     return np.array(own, np.float64) if COMPILED else tuple(own)
 
 
 def substep(config: RobotConfig) -> float:
-    """The firmware's loop period, in which physics advances [s]."""
+    """Period of the firmware loop, which is also the step of the physics [s]."""
     return 1.0 / config.firmware.loop_rate
 
 
 def wire_loops(config: RobotConfig) -> int:
-    """Loops of the firmware that a line takes from its being sent until it is used."""
+    """Firmware loops from sending a line until it is used, without extra latency."""
     line = (LINE_BYTES + config.trailing_comma) * BITS_PER_BYTE / config.baud_rate
     return math.ceil((line + config.firmware.processing_time) / substep(config) - 1e-6)
 
 
 def physics(config: RobotConfig) -> Physics:
-    """The physics of a robot as it is configured."""
+    """Compute the physics of a robot from its configuration."""
     body, motor = config.body, config.motor
     dt, lag = substep(config), motor.time_constant
     blend = 1.0 - math.exp(-dt / lag) if lag > 0.0 else 1.0
@@ -148,7 +158,15 @@ def physics(config: RobotConfig) -> Physics:
 
 @jit
 def wheel_speed(speed: float, set_point: float, gain: float, blend: float, own: Physics) -> float:
-    """A wheel's speed [rad/s] one substep later: gain, deadband, saturation, first-order lag."""
+    """Compute a wheel's speed one substep later: gain, deadband, saturation, first-order lag.
+
+    Args:
+        speed: of the wheel [rad/s].
+        set_point: of the firmware [rad/s].
+        gain: of this wheel.
+        blend: of this wheel.
+        own: physics of the robot.
+    """
     set_point *= gain
     if abs(set_point) < own.deadband:
         set_point = 0.0
@@ -159,13 +177,13 @@ def wheel_speed(speed: float, set_point: float, gain: float, blend: float, own: 
 
 @jit
 def towards(value: float, target: float, step: float) -> float:
-    """The value moved to the target by at most one step."""
+    """Move a value towards a target by at most `step`."""
     return min(max(target, value - step), value + step)
 
 
 @jit
 def ramped(set_points: Speeds, targets: Speeds, step: float) -> Speeds:
-    """Four set points [rad/s], each moved to its target by at most one step."""
+    """Move four set points [rad/s] towards their targets by at most `step`."""
     return (
         towards(set_points[0], targets[0], step),
         towards(set_points[1], targets[1], step),
@@ -183,7 +201,7 @@ def tyre_step(
     own: Physics,
     dt: float,
 ) -> Velocity:
-    """The body's velocity one substep later, under the forces of four tyres. Body frame.
+    """Velocity (body frame) one substep later, under the forces of four tyres; wheels in [rad/s].
 
     Solves m (v' - v) / dt = sum F_i(v') with F_i = -D_i slip_i(v') and D_i = grip / |slip_i|, in
     which slip_i is the velocity of contact patch i over the ground.
@@ -228,11 +246,20 @@ def robot_step(
     numbers: Numbers,
     dt: float,
 ) -> tuple[Velocity, Speeds, Speeds]:
-    """Motors, then tyres, over one substep, for a robot whose heading has this cosine and sine.
+    """Advance motors, then tyres, by one substep.
 
-    `velocity` is (vx, vy [m/s], yaw rate [rad/s]) in the world frame, before and after. Returns it
-    with the new wheel speeds [rad/s] and the angles turned by the wheels [rad]. `numbers` are those
-    of its `Physics`, see `numbers_of`.
+    Args:
+        cos: of the heading.
+        sin: of the heading.
+        velocity: vx, vy [m/s] in the world frame, yaw rate [rad/s].
+        wheels: speeds of the four wheels [rad/s].
+        angles: turned by the four wheels [rad].
+        set_points: of the firmware [rad/s].
+        numbers: of the robot's `Physics`, see `numbers_of`.
+        dt: substep [s].
+
+    Returns:
+        The new velocity, wheel speeds and wheel angles.
     """
     own = physics_of(numbers)
     a = wheel_speed(wheels[0], set_points[0], own.gain_a, own.blend_a, own)
@@ -251,7 +278,7 @@ def robot_step(
 
 
 def closed_form_yaw_rate(speeds: Speeds, config: RobotConfig) -> float:
-    """Yaw rate [rad/s] of a steady turn with constant wheel speeds, neglecting inertia."""
+    """Yaw rate [rad/s] of a steady turn with constant wheel speeds [rad/s], neglecting inertia."""
     right, left = (speeds[0] + speeds[3]) / 2.0, (speeds[1] + speeds[2]) / 2.0
     plain = (right - left) * config.wheel_radius / config.wheel_separation
     return plain / (1.0 + (config.wheelbase / config.wheel_separation) ** 2)

@@ -1,12 +1,12 @@
-"""Domain randomization: what varies from robot to robot, and from episode to episode.
+"""Domain randomization: which parameters of a robot are drawn anew for every episode, and how.
 
-All that can vary is defined in this file: its range (`Randomization`), the numbers that an episode
-draws for it (`Drawn`), and what they do to a robot's physics (`varied`). The single env and the
+This file defines everything that can vary: the ranges (`Randomization`), the numbers that an
+episode draws (`Drawn`), and their effect on a robot's physics (`varied`). The single env and the
 batch both draw with `draw`, so that the same seed gives the same robot.
 
-Another parameter is a field of `Randomization`, one of `Drawn` (at the end, so that seeds go on
-drawing what they drew), and its part in `varied`. If the physics lacks its number, that is a field
-of `model.Physics`, and is used there; batches and both bodies follow.
+To add a parameter: add a field to `Randomization`, one to the end of `Drawn` (so that existing
+seeds still draw the same numbers), and its effect to `varied`. If the physics has no such number,
+add a field to `model.Physics` and use it there; batches and both bodies need no change.
 """
 
 from __future__ import annotations
@@ -30,33 +30,33 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Randomization:
-    """Ranges (low, high) from which every episode draws; None varies nothing.
+    """Ranges (low, high) from which every episode draws; a parameter that is None doesn't vary.
 
-    The same on every simulated link and in a batch. Factors multiply the configured value; the
-    others replace it or come on top. What an episode has drawn is told in its info, as applied,
+    The same on every simulated link and in a batch. Factors multiply the configured value; other
+    values replace it or are added to it. The info of an episode has what was drawn, as applied,
     under "drawn_" and the name.
     """
 
     mass: Range | None = None
-    """Factor on the mass, and with it on inertia and wheel loads."""
+    """Factor on the mass, and so on inertia and wheel loads."""
     friction: Range | None = None
-    """Factor on the friction of tyre on ground."""
+    """Factor on the friction between tyre and ground."""
     motor_gain: Range | None = None
     """Factor on each wheel's speed for its set point; four numbers."""
     motor_lag: Range | None = None
-    """Factor on each wheel's time constant; four numbers. Motors without lag have none to vary."""
+    """Factor on each wheel's time constant; four numbers. No effect on motors without lag."""
     deadband: Range | None = None
     """Set points below this don't turn the wheel [rad/s]."""
     wheel_radius: Range | None = None
-    """Factor on the real radius; odometry goes on with the configured one."""
+    """Factor on the real wheel radius; odometry still assumes the configured one."""
     latency: Range | None = None
-    """Delay that commands and feedback have on top of the wire's own [s], in whole loops of the
-    firmware; shorter than a step of the policy."""
+    """Delay of commands and feedback on top of the wire's own [s], in whole firmware loops;
+    shorter than an env step."""
     feedback_rate: Range | None = None
-    """Feedback lines per second [Hz], rounded to whole loops of the firmware."""
+    """Feedback lines per second [Hz], rounded to whole firmware loops."""
     track_width: Range | None = None
-    """Factor on the real distance between left and right wheels; odometry goes on with the
-    configured one. Tyres that wear or bulge shift where they touch the ground."""
+    """Factor on the real distance between left and right wheels; odometry still assumes the
+    configured one. Tyres that wear or bulge change where they touch the ground."""
 
     def __post_init__(self) -> None:
         for name in self.names:
@@ -64,7 +64,10 @@ class Randomization:
 
     @classmethod
     def of(cls, ranges: Mapping[str, Range] | Self | None) -> Randomization:
-        """From a mapping of names to ranges.
+        """Make a Randomization from a mapping of names to ranges.
+
+        Args:
+            ranges: a mapping, a Randomization, or None for nothing.
 
         Raises:
             ConfigError: A name is unknown, or a range is malformed.
@@ -85,15 +88,15 @@ class Randomization:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of what varies."""
+        """Names of the parameters that vary."""
         return tuple(f.name for f in fields(self) if getattr(self, f.name) is not None)
 
     def ranges(self, config: RobotConfig, step: float) -> Ranges:
-        """The range of every number that an episode of this robot draws.
+        """Compute the range of every number that an episode draws.
 
         Args:
             config: The robot.
-            step: Length of a step of the policy [s].
+            step: Duration of an env step [s].
 
         Raises:
             ConfigError: The latency is as long as a step, or the wire or `feedback_timeout` doesn't
@@ -116,9 +119,9 @@ class Randomization:
 
 
 class Drawn(NamedTuple):
-    """What one draw gives, in the order of drawing; the defaults leave a robot as configured.
+    """The numbers that an episode draws, in the order of drawing; defaults change nothing.
 
-    Names that end in _a to _d are one wheel's each.
+    Names that end in _a to _d are for one wheel each.
     """
 
     mass: float = 1.0
@@ -139,7 +142,7 @@ class Drawn(NamedTuple):
 
 
 class Ranges(NamedTuple):
-    """Least and largest value of each number; both are its default where it doesn't vary."""
+    """Least and largest value of each number; both are the default where it doesn't vary."""
 
     low: Drawn
     high: Drawn
@@ -151,20 +154,20 @@ LATENCY, FEEDBACK_RATE = Drawn._fields.index("latency"), Drawn._fields.index("fe
 
 @jit
 def loops_between(rate: float, dt: float) -> float:
-    """Whole loops of the firmware between lines at this rate [Hz], at least one; NaN for NaN."""
+    """Whole firmware loops between lines at this rate [Hz], at least one; NaN for NaN."""
     loops: float = np.rint(1.0 / (rate * dt))
     return 1.0 if loops < 1.0 else loops
 
 
 @jit
 def replaced(configured: float, value: float) -> float:
-    """The value, or the configured one where it is NaN."""
+    """The value, or the configured one where the value is NaN."""
     return configured if np.isnan(value) else value
 
 
 @jit
 def lagging(blend: float, factor: float, dt: float) -> float:
-    """A wheel's `blend` when its time constant is multiplied by this factor."""
+    """A wheel's `blend` after its time constant is multiplied by a factor."""
     if factor == 1.0 or blend >= 1.0:
         return blend
     return 1.0 - math.exp(math.log(1.0 - blend) / factor)
@@ -172,7 +175,13 @@ def lagging(blend: float, factor: float, dt: float) -> float:
 
 @jit
 def varied(nominal: Physics, drawn: Drawn, dt: float) -> Physics:
-    """A robot's physics for what was drawn; dt is the substep [s]."""
+    """Apply what was drawn to a robot's physics.
+
+    Args:
+        nominal: physics of the configured robot.
+        drawn: numbers of the episode.
+        dt: firmware loop period [s].
+    """
     return Physics(
         radius=nominal.radius * drawn.wheel_radius,
         half_wheelbase=nominal.half_wheelbase,
@@ -200,14 +209,17 @@ def varied(nominal: Physics, drawn: Drawn, dt: float) -> Physics:
 def draw(
     nominal: Floats, low: Floats, high: Floats, samples: Floats, dt: float
 ) -> tuple[Physics, Drawn]:
-    """A robot's physics for one episode, and what was drawn for it, as applied.
+    """Draw a robot's physics for one episode.
 
     Args:
-        nominal: The numbers of the configured `Physics`.
-        low: The least value of each number of `Drawn`.
-        high: The largest one.
-        samples: A number of [0, 1) for each of them; it is ignored where low == high.
+        nominal: Numbers of the configured `Physics`.
+        low: Least value of each number of `Drawn`.
+        high: Largest value of each.
+        samples: A uniform sample of [0, 1) for each; ignored where low == high.
         dt: The firmware's loop period [s].
+
+    Returns:
+        The physics, and the numbers that were drawn, as applied.
     """
     numbers = np.empty(SIZE)
     for k in range(SIZE):
@@ -219,20 +231,23 @@ def draw(
 
 
 def places(name: str) -> tuple[int, ...]:
-    """Where a parameter's numbers are in `Drawn`: one, or four in the order of the wheels."""
+    """Indices of a parameter's numbers in `Drawn`: one, or four in the order of the wheels."""
     return tuple(Drawn._fields.index(number) for number in _numbers(name))
 
 
 def _numbers(name: str) -> tuple[str, ...]:
+    """Names of a parameter's numbers in `Drawn`."""
     return (name,) if name in Drawn._fields else tuple(f"{name}_{wheel}" for wheel in "abcd")
 
 
 LEAST = {"deadband": 0.0, "latency": 0.0, "feedback_rate": 0.1}
 MOST = {"latency": 10.0, "feedback_rate": 1e4}
-"""Of what isn't a factor from 1e-6 to 1,000; slow feedback and late lines are held in memory."""
+"""Limits of parameters that aren't factors from 1e-6 to 1,000. The rate and the latency are
+limited because lines on their way are held in memory."""
 
 
 def _checked(name: str, value: Range) -> Range:
+    """Check a range; ConfigError where it is malformed or out of bounds."""
     least, most = LEAST.get(name, 1e-6), MOST.get(name, 1e3)
     try:
         low, high = (float(limit) for limit in value)
@@ -245,7 +260,7 @@ def _checked(name: str, value: Range) -> Range:
 
 
 def _check_latency(latency: Range, config: RobotConfig, step: float) -> None:
-    """The board must hear of a command before the next one's step is over."""
+    """ConfigError where a command can take longer than an env step to reach the board."""
     dt = substep(config)
     slowest = wire_loops(config) * dt + latency[1]
     if slowest > step - dt / 2.0:
@@ -256,7 +271,7 @@ def _check_latency(latency: Range, config: RobotConfig, step: float) -> None:
 
 
 def _check_feedback(rates: Range, config: RobotConfig) -> None:
-    """Lines must fit on the wire, and not be so rare that the driver takes the board for dead."""
+    """ConfigError where lines don't fit on the wire, or come too rarely for `feedback_timeout`."""
     dt = substep(config)
     for rate in rates:
         applied = 1.0 / (loops_between(rate, dt) * dt)

@@ -19,16 +19,17 @@ class Randomizer:
     """Draws the physics of one robot, episode by episode."""
 
     def __init__(self, given: Any, config: RobotConfig, step: float, *, simulated: bool) -> None:
-        """Check what may vary.
+        """Check the ranges.
 
         Args:
-            given: What `Randomization.of` takes.
+            given: As for `Randomization.of`.
             config: The robot.
-            step: Length of a step of the policy [s].
-            simulated: Whether the robot's physics can vary at all.
+            step: Duration of an env step [s].
+            simulated: Whether the link is simulated, so that physics can vary.
 
         Raises:
-            ConfigError: It can't, or see `Randomization.of` and `Randomization.ranges`.
+            ConfigError: Physics can't vary on this link, or as `Randomization.of` and
+                `Randomization.ranges`.
         """
         randomization = Randomization.of(given)
         self._names = randomization.names
@@ -43,7 +44,14 @@ class Randomizer:
         self._drawn = Drawn()
 
     def draw(self, rng: np.random.Generator) -> Physics | None:
-        """Physics for an episode; None where nothing varies. Takes a sample for each number."""
+        """Draw the physics of an episode.
+
+        Args:
+            rng: the env's generator; one sample is taken for each number that varies.
+
+        Returns:
+            The physics; None where nothing varies.
+        """
         if not self._names:
             return None
         samples, varies = np.zeros(SIZE), self._high > self._low
@@ -58,5 +66,6 @@ class Randomizer:
 
 
 def _told(drawn: Drawn, name: str) -> float | Floats:
+    """One parameter's value for info."""
     numbers = np.array([drawn[k] for k in places(name)])
     return float(numbers[0]) if len(numbers) == 1 else numbers

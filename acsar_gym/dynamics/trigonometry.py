@@ -13,9 +13,10 @@ from acsar_gym.jit import jit, overloads
 
 @jit
 def sincos(theta: float) -> tuple[float, float]:
-    """Sine and cosine without a branch, to 1e-15 for |theta| below 1e4, so that loops vectorise.
+    """Sine and cosine to 1e-15 for |theta| below 1e4 rad, branchless so that loops vectorize.
 
-    Reduction to a quarter turn in two parts, then the usual minimax polynomials.
+    The angle is reduced to a quarter turn in two parts, then the usual minimax polynomials are
+    used.
     """
     turns = np.floor(theta * (2.0 / math.pi) + 0.5)
     r = (theta - turns * 1.5707963267341256) - turns * 6.077100506506192e-11
@@ -74,7 +75,7 @@ def direction(theta: float) -> tuple[float, float]:
 
 @overloads(direction)
 def _direction(theta: Any) -> Callable[..., Any]:
-    """What compiled functions call instead: the same to 1e-15."""
+    """Replacement for `direction` in compiled functions; equal to 1e-15."""
 
     def compiled(theta: Any) -> Any:
         sine, cosine = sincos(theta)

@@ -1,4 +1,4 @@
-"""The registered environments; each class is the manual of its id."""
+"""The registered environments; the docstring of each class is the manual of its id."""
 
 from acsar_gym.envs.barn import BarnEnv, BarnVectorEnv
 from acsar_gym.envs.obstacle_goal import ObstacleGoalEnv, ObstacleGoalVectorEnv

@@ -1,4 +1,4 @@
-"""BARN against the clock: the manual of the id, for one robot and for many."""
+"""`acsar_gym/Barn-v0`: the manual of the id, and its classes for one robot and for many."""
 
 from __future__ import annotations
 

@@ -40,9 +40,9 @@ from acsar_gym.worlds.scene import point_in_world
 
 
 class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
-    """A four-wheel skid-steer robot with a task; `acsar_gym.envs` has the manuals of the ids.
+    """A four-wheel skid-steer robot with a task; the manuals of the ids are in `acsar_gym.envs`.
 
-    Attributes: `task`; `robot`, the driver; `episode`, what the current one is about and remembers;
+    Attributes: `task`; `robot`, the driver; `episode`, the current episode's assignment and memory;
     `pool`, the worlds, None on an open floor.
     """
 
@@ -62,12 +62,12 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
 
         Args:
             task: a task, its class, or "module:Class".
-            link: what stands behind the wire.
-            robot: its configuration.
+            link: "bullet", "planar", a serial device, a URL, or a Link; see `open_link`.
+            robot: its configuration; see `RobotConfig.of`.
             **options: of the env (see `EnvOptions` and the manual of PointGoal), and the task's.
 
         Raises:
-            ConfigError, RenderError, WorldError: for options that make no sense.
+            ConfigError, RenderError, WorldError: for unknown options, or values out of range.
         """
         config = RobotConfig.of(robot)
         self._options, rest = EnvOptions.split(options)
@@ -90,7 +90,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         self._told_last: tuple[Observation, Info] | None = None
 
     def _connect(self, link: Any, config: RobotConfig) -> None:
-        """Make the robot with its link and sensors, and what shows it; opens nothing."""
+        """Make the robot with its link and sensors, and the screen; opens nothing."""
         wire = self._link(link, config)
         self._randomizer = Randomizer(
             self._options.randomization,
@@ -113,6 +113,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         return factories(names, lidar)
 
     def _link(self, link: Any, config: RobotConfig) -> Link:
+        """Make the link that the `link` argument names, or return a Link that was given."""
         if not isinstance(link, str | os.PathLike) and hasattr(link, "advance"):
             ready: Link = link
             return ready
@@ -120,13 +121,22 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         return open_link(link, config, window=self._bullets_window(link), realtime=human)
 
     def _bullets_window(self, link: Any) -> bool:
-        """Whether PyBullet shows the robot in a window of its own."""
+        """Whether PyBullet shows the robot in its own window."""
         return self.render_mode == "human" and link == "bullet" and display.found()
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, Info]:
-        """Begin an episode; opens link and sensors the first time. See the class for `options`."""
+        """Begin an episode; opens link and sensors the first time.
+
+        Args:
+            seed: of the env's generator; None goes on with the one that there is.
+            options: see the class of the id, such as "goal" and "world".
+
+        Raises:
+            ConfigError, WorldError: for unknown options, or values out of range.
+            LinkError: where the link can't be opened, or the board or a sensor doesn't answer.
+        """
         self._halt()
         self._told_last = None
         super().reset(seed=seed)
@@ -145,7 +155,16 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
             return self._told(episode, state)
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, Info]:
-        """Drive for one step of the policy; see the class for spaces, reward and end."""
+        """Drive for one env step; the class of the id describes spaces, reward and end.
+
+        Args:
+            action: (2,), linear and angular, clipped to [-1, 1].
+
+        Raises:
+            CommandError: for another shape, NaN or infinity; the wheels are commanded to stop.
+            ConfigError: before the first reset.
+            LinkError: where the link or the board fails and `on_fault` is "raise".
+        """
         episode = self._episode
         if episode is None:
             raise ConfigError("step() before reset(): call reset() first")
@@ -167,7 +186,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
 
     @contextlib.contextmanager
     def _stopping(self) -> Iterator[None]:
-        """Whatever goes wrong inside, in a user's task for instance, stops the robot."""
+        """Stop the robot and close the link where anything inside the block raises."""
         try:
             yield
         except BaseException:
@@ -175,14 +194,17 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
             raise
 
     def _halt(self) -> None:
-        """Stop between episodes; a link that is lost is closed, for the next reset to open."""
+        """Stop the wheels between episodes.
+
+        A link that is lost is closed, and the next reset opens it.
+        """
         try:
             self.robot.stop()
         except LinkError:
             self.robot.deactivate()
 
     def _cut_short(self, error: LinkError) -> tuple[Observation, float, bool, bool, Info]:
-        """The end of an episode by a fault: what was seen last, and why; nothing drives now."""
+        """Truncate the episode because the link failed; the observation is the last one."""
         self.robot.deactivate()
         assert self._told_last is not None  # noqa: S101 - for the type checker
         (observation, info), self._told_last = self._told_last, None
@@ -190,12 +212,16 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         return observation.copy(), 0.0, False, True, info | {"is_success": 0.0} | reason
 
     def _drive(self, linear: float, angular: float) -> None:
+        """Drive towards a twist [m/s, rad/s] for one env step, then read the sensors."""
         for _ in range(self.ticks_per_step):
             self.robot.drive(linear, angular)
         self._sensed = self.robot.read().astype(np.float32)
 
     def _checked(self, action: NDArray[np.float32]) -> tuple[float, float]:
-        """The action as two floats in [-1, 1]; stops the wheels and raises for anything else."""
+        """The action as two floats in [-1, 1].
+
+        CommandError, and the wheels stop, for anything else.
+        """
         try:
             linear, angular = np.asarray(action, np.float64).tolist()
             sound = math.isfinite(linear + angular)
@@ -209,14 +235,14 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         return min(max(linear, -1.0), 1.0), min(max(angular, -1.0), 1.0)
 
     def _state(self, episode: Episode, action: tuple[float, float]) -> State:
-        """What the task is told."""
+        """The State that the task is given."""
         self._truth = self.robot.link.truth
         contact = self._truth is not None and self._truth.contact
         ticks = self.ticks_per_step
         return state_of(self.robot, episode, action, self._sensed, ticks, contact=contact)
 
     def _told(self, episode: Episode, state: State) -> tuple[Observation, Info]:
-        """What the agent gets, and what the screen shows."""
+        """Observation and info after a reset or step; also updates the screen."""
         truth = self._truth
         self._screen.show(state, truth, newest_scan(self.robot.sensors))
         numbers = np.array(episode.observe(state), np.float32)
@@ -245,7 +271,11 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         return self._episode
 
     def render(self) -> Image | None:
-        """A picture, height x width x 3 uint8, in mode rgb_array; windows draw themselves."""
+        """Take a picture in mode rgb_array: (height, width, 3) uint8; None in other modes.
+
+        Raises:
+            RenderError: before the first reset.
+        """
         if self.render_mode != "rgb_array":
             return None
         if not self.robot.active:
@@ -261,11 +291,11 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
             self._screen.close()
 
     def __getstate__(self) -> dict[str, Any]:
-        """Copies and pickles have a robot of their own and are in no episode: reset them first."""
+        """Copies and pickles have a robot of their own and must be reset first."""
         return self.__dict__ | {"_episode": None, "_told_last": None}
 
     def __copy__(self) -> Self:
-        """Two environments never share a robot, so that every copy is a deep one."""
+        """Every copy is a deep one, because two environments can't share a robot."""
         return copy.deepcopy(self)
 
     def __del__(self) -> None:

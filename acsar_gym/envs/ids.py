@@ -20,19 +20,19 @@ from acsar_gym.vector.env import RobotVectorEnv
 
 
 def full_id(name: str) -> str:
-    """An env's id: "point_goal" is short for "acsar_gym/PointGoal-v0"."""
+    """Expand an env's short name: "point_goal" is "acsar_gym/PointGoal-v0"."""
     if not name or "/" in name or ":" in name:
         return name
     return f"acsar_gym/{name.title().replace('_', '')}-v0"
 
 
 def without_module(env_id: str) -> str:
-    """The id alone, as files keep it: what a file says imports nothing."""
+    """Remove the module from an id, so that a file which stores the id can't cause an import."""
     return env_id.rpartition(":")[2]
 
 
 def registered(name: str) -> str:
-    """The full id of an environment that exists; its module, where one is named, is imported.
+    """Find the full id of a registered environment; imports its module first, where one is named.
 
     Modules are also looked for in the current folder, as Python does for a script there.
 
@@ -58,6 +58,7 @@ def registered(name: str) -> str:
 
 
 def _import(module: str, name: str) -> None:
+    """Import a module, also from the current folder; ConfigError for whatever it raises."""
     if "" not in sys.path:
         sys.path.append("")
     try:
@@ -70,15 +71,15 @@ def _import(module: str, name: str) -> None:
 
 
 def make_vec(env_id: str, num_envs: int, **options: Any) -> RobotVectorEnv:
-    """A batch of planar robots of an id that is registered.
+    """Make a batch of planar robots of a registered id.
 
     Args:
         env_id: as `registered` returns it.
-        num_envs: robots.
+        num_envs: number of robots.
         **options: of the env and of `RobotVectorEnv`.
 
     Raises:
-        ConfigError: there is no such batch, or it doesn't take these options.
+        ConfigError: the id has no such batch, or it doesn't take these options.
     """
     mode = "vector_entry_point"
     try:
@@ -92,4 +93,5 @@ def make_vec(env_id: str, num_envs: int, **options: Any) -> RobotVectorEnv:
 
 
 def _one_line(error: BaseException) -> str:
+    """The message of an error without line breaks."""
     return " ".join(str(error).split())

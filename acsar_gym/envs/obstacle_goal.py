@@ -1,4 +1,4 @@
-"""Drive to a point among obstacles: the id's manual, for one robot and for many."""
+"""`acsar_gym/ObstacleGoal-v0`: the manual of the id, and its classes for one robot and for many."""
 
 from __future__ import annotations
 

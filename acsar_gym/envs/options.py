@@ -13,7 +13,10 @@ RENDER_MODES = ("human", "rgb_array")
 
 @dataclass(frozen=True, kw_only=True)
 class EnvOptions:
-    """Of a single environment; see the manual of `acsar_gym/PointGoal-v0`."""
+    """The options of a single environment.
+
+    The manual of `acsar_gym/PointGoal-v0` describes them.
+    """
 
     worlds: Any = None
     difficulty: Any = None
@@ -38,21 +41,27 @@ class EnvOptions:
 
     @classmethod
     def names(cls) -> tuple[str, ...]:
-        """Of all options."""
+        """Names of all options."""
         return tuple(field.name for field in fields(cls))
 
     @classmethod
     def split(cls, given: Mapping[str, Any]) -> tuple[Self, dict[str, Any]]:
-        """These options, and the others, which are the task's.
+        """Separate the options of the env from those of the task.
+
+        Args:
+            given: all options, by name.
+
+        Returns:
+            The env's options, and the others.
 
         Raises:
-            ConfigError: for values that make no sense.
+            ConfigError: for values that are unknown.
         """
         own = cls.names()
         rest = {name: value for name, value in given.items() if name not in own}
         return cls(**{name: value for name, value in given.items() if name in own}), rest
 
     def check_view(self, link: Any) -> None:
-        """Raise RenderError where a link has no camera for view="camera"."""
+        """Raise RenderError for view="camera" where the link has no camera."""
         if self.view == "camera" and isinstance(link, str) and link != "bullet":
             raise RenderError(f"link {link!r} has no camera; view='camera' needs link='bullet'")

@@ -1,4 +1,4 @@
-"""Follow a path on an open floor: the id's manual, for one robot and for many."""
+"""`acsar_gym/PathFollow-v0`: the manual of the id, and its classes for one robot and for many."""
 
 from __future__ import annotations
 

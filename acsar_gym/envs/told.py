@@ -1,4 +1,4 @@
-"""What the environment tells the task, and the agent in info."""
+"""Make the State for the task, and the info for the agent."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from acsar_gym.worlds.scene import to_odometry
 
 Info = dict[str, Any]
 NOWHERE: Pose = (math.nan, math.nan, math.nan)
-"""The true pose where nothing knows it."""
+"""The true pose on links without ground truth."""
 
 
 def fault_code(error: LinkError) -> int:
-    """A number for what went wrong: 1 silent, 2 garbled, 3 link lost, 4 LiDAR, 5 anything else."""
+    """Number of a link's error for info: 1 silent, 2 garbled, 3 link lost, 4 LiDAR, 5 any other."""
     kinds = (BoardGarbledError, 2), (BoardSilentError, 1), (LinkLostError, 3), (LidarError, 4)
     return next((code for kind, code in kinds if isinstance(error, kind)), 5)
 
@@ -41,14 +41,14 @@ def state_of(
     *,
     contact: bool,
 ) -> State:
-    """What the task is told after a step.
+    """Make the State of a robot after a reset or step.
 
     Args:
         robot: with the odometry and the sensors.
         episode: with the goal, the path and the number of steps.
         action: the last one, in [-1, 1].
         sensed: numbers of all sensors, as in the observation.
-        ticks: of a step.
+        ticks: control periods of an env step.
         contact: whether a simulated robot has touched an obstacle.
     """
     assignment, config = episode.assignment, robot.config
@@ -74,7 +74,13 @@ def state_of(
 
 
 def info_of(episode: Episode, state: State, truth: GroundTruth | None) -> Info:
-    """The floats that every environment tells; what only a simulator knows is NaN without one."""
+    """Make the info that every environment has; ground truth is NaN on links without it.
+
+    Args:
+        episode: with the start of the robot, and what the task adds.
+        state: after the reset or step.
+        truth: of the robot, in the frame of its world; None on hardware.
+    """
     x, y, theta = state.pose
     start = episode.assignment.start
     true_x, true_y, true_theta = to_odometry(start, truth.pose) if truth else NOWHERE

@@ -1,4 +1,7 @@
-"""Everything that the first use of an environment would make: compiled loops, generated worlds."""
+"""Compile and generate ahead of time what the first use of an environment needs.
+
+That is the compiled loops and the worlds of a batch, which are kept on disk.
+"""
 
 from __future__ import annotations
 
@@ -18,23 +21,24 @@ from acsar_gym.errors import MissingExtraError
 from acsar_gym.registration import IDS
 
 NAMES = tuple(IDS)
-"""What is warmed up where nothing is named."""
+"""Names of the ids that are warmed up where none is given."""
 
 
 class Warm(NamedTuple):
     """What was done for one id."""
 
     functions: int
-    """That were compiled."""
+    """How many functions were compiled."""
     worlds: int
-    """That are kept on disk now, or were before."""
+    """How many worlds are kept on disk now."""
     seconds: float
+    """How long it took [s]."""
 
 
 def run(
     name: str, robot: RobotConfig | str | Path | None = None, options: Mapping[str, Any] = {}
 ) -> Warm:
-    """Reset and step an env and a batch of one id.
+    """Reset and step an env and a batch of one id once.
 
     Args:
         name: such as "PointGoal" or "mine.module:mine/Clearance-v0".
@@ -42,14 +46,14 @@ def run(
         options: of the env, such as worlds.
 
     Raises:
-        MissingExtraError: without numba nothing is ever compiled.
+        MissingExtraError: numba isn't installed, so nothing can be compiled.
         ConfigError: there is no such env.
     """
     if not compiled.COMPILED:
         raise MissingExtraError("compiling ahead of time", "fast")
     before, begin = len(compiled.NEW), time.perf_counter()
     level = compiled.LOG.level
-    compiled.LOG.setLevel(logging.ERROR)  # whoever warms up knows that this compiles
+    compiled.LOG.setLevel(logging.ERROR)  # no warning that compiling takes a minute
     try:
         worlds = _use(name, robot, options)
     finally:
@@ -58,7 +62,7 @@ def run(
 
 
 def _use(name: str, robot: RobotConfig | str | Path | None, options: Mapping[str, Any]) -> int:
-    """How many worlds a batch of this id has."""
+    """Use an env and a batch once; returns the number of the batch's worlds."""
     env_id = ids.registered(f"acsar_gym/{name}-v0" if name in NAMES else name)
     one = gymnasium.make(env_id, link="planar", robot=robot, **options)
     one.reset(seed=0)

@@ -1,1 +1,1 @@
-"""Range sensors, simulated and real."""
+"""LiDARs, simulated and real."""

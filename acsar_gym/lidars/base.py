@@ -1,4 +1,4 @@
-"""LiDARs: scans of ranges around the robot, simulated by analytic rays or from a real device."""
+"""The contract of LiDARs, and the sensor that puts their ranges into the observation."""
 
 from __future__ import annotations
 
@@ -17,38 +17,47 @@ from acsar_gym.worlds import Scene
 from acsar_gym.worlds.geometry import RaySpec
 
 STALE = 2.0
-"""A scan that is older than so many periods of the sensor is stale."""
+"""A scan that is older than this many periods of the LiDAR counts as stale."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Scan:
-    """One turn of the sensor."""
+    """One revolution of a LiDAR."""
 
     ranges: NDArray[np.float64]
     """(rays,): range in each direction [m], within min_range to max_range, counter-clockwise from
     -field_of_view / 2 of the robot's x axis; max_range where nothing was measured."""
     stamp: float
-    """When the turn ended, on the link's clock [s]."""
+    """When the revolution ended, on the link's clock [s]."""
 
 
 class Lidar(Protocol):
-    """A range sensor, simulated or real. Its scans are stamped on the clock of the robot's link."""
+    """A LiDAR, simulated or real. Its scans are stamped on the clock of the robot's link."""
 
     def reset(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Begin an episode; opens a closed device. Raises LidarError, which says what to do."""
+        """Begin an episode; opens a device that is closed.
+
+        Args:
+            scene: the world, and the robot's start in it.
+            rng: for the noise.
+
+        Raises:
+            LidarError: the device can't be opened, or doesn't measure.
+        """
 
     def scan(self) -> Scan:
-        """The newest scan; waits for nothing.
+        """Return the newest scan; doesn't wait for one.
 
-        Raises LidarError where it is older than the configured time-out, or the device is gone.
+        Raises:
+            LidarError: it is older than the configured time-out, or the device is gone.
         """
 
     def close(self) -> None:
-        """Stop the motor and let go of the device; idempotent."""
+        """Stop the motor and close the device; idempotent."""
 
 
 class LidarSensor(Sensor):
-    """A LiDAR's ranges in the observation: shares of `max_range`, 0 to 1, one for each ray.
+    """Adds a LiDAR's ranges to the observation: range / `max_range`, 0 to 1, one for each ray.
 
     Attributes: `lidar`, which measures, at its own rate; `scan`, its newest scan.
     """
@@ -64,51 +73,51 @@ class LidarSensor(Sensor):
 
     @property
     def scan(self) -> Scan:
-        """The newest scan at the end of the last tick. Raises LidarError before a reset."""
+        """The newest scan at the end of the last tick. LidarError before a reset."""
         if self._scan is None:
             raise LidarError("the LiDAR has no scan yet", "call reset() first")
         return self._scan
 
     def reset(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Begin an episode; opens a closed device. Raises LidarError, which says what to do."""
+        """Begin an episode; opens a device that is closed. LidarError where that fails."""
         self.lidar.reset(scene, rng)
 
     def poll(self, truth: GroundTruth | None, now: float) -> None:
-        """Take the newest scan. Raises LidarError where it is too old, or the device is gone."""
+        """Take the newest scan. LidarError where it is too old, or the device is gone."""
         self._scan = self.lidar.scan()
 
     def read(self, truth: GroundTruth | None, now: float) -> NDArray[np.float64]:
-        """Each ray's range / `max_range`, (rays,)."""
+        """Return range / `max_range` of each ray, (rays,)."""
         return self.scan.ranges / self.config.lidar.max_range
 
     def info(self, now: float) -> dict[str, float]:
-        """`scan_age` [s], and `scan_stale`: 1 where that is over two periods of the LiDAR."""
+        """`scan_age` [s], and `scan_stale`: 1 where the age is over two periods of the LiDAR."""
         age = now - self.scan.stamp
         return {"scan_age": age, "scan_stale": float(age > stale_after(self.config))}
 
     def close(self) -> None:
-        """Stop the motor and let go of the device; idempotent."""
+        """Stop the motor and close the device; idempotent."""
         self.lidar.close()
 
     @property
     def layout(self) -> str:
-        """How many ranges, over which angle, up to which distance."""
+        """Number of rays, field of view and longest range, in words."""
         lidar = self.config.lidar
         return f"{lidar.rays} ranges over {lidar.field_of_view:.4g} rad to {lidar.max_range:g} m"
 
 
 def newest_scan(sensors: Sequence[Sensor]) -> Scan | None:
-    """The newest scan of the LiDAR among a robot's sensors; None without one."""
+    """The newest scan of the LiDAR among a robot's sensors; None without a LiDAR."""
     first = sensors[0] if sensors else None
     return first.scan if isinstance(first, LidarSensor) else None
 
 
 def ray_spec(config: RobotConfig) -> RaySpec:
-    """The directions and the reach of a robot's LiDAR."""
+    """The rays of a robot's LiDAR."""
     lidar = config.lidar
     return RaySpec(lidar.rays, lidar.max_range, lidar.field_of_view)
 
 
 def stale_after(config: RobotConfig) -> float:
-    """Age at which a scan counts as stale [s]."""
+    """Age from which a scan counts as stale [s]."""
     return STALE / config.lidar.rate

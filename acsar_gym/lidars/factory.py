@@ -1,4 +1,4 @@
-"""Which LiDAR a URL means, and the sensors that a name stands for."""
+"""Open the LiDAR that a URL names, and find the sensors that names stand for."""
 
 from __future__ import annotations
 
@@ -15,11 +15,16 @@ from acsar_gym.sensors import LIDAR, Factory, Sensor
 
 
 def open_lidar(url: Any, link: Link, config: RobotConfig) -> Lidar:
-    """The LiDAR that `url` names; it opens nothing before `reset`.
+    """Make the LiDAR that a user names; nothing is opened before its `reset`.
 
-    None or "simulated" is the analytic one of a simulated link, "rplidar:///dev/ttyUSB1" an
-    RPLIDAR on a serial device; a Lidar is taken as it is. Raises ConfigError for anything else,
-    and where a link without a simulated world needs a real device.
+    Args:
+        url: None or "simulated" for rays in the world of a simulated link, or
+            "rplidar:///dev/ttyUSB1" for an RPLIDAR on a serial device, or a Lidar.
+        link: of the robot.
+        config: of the robot.
+
+    Raises:
+        ConfigError: for anything else, and for a simulated LiDAR on a link without a simulation.
     """
     if hasattr(url, "scan"):
         ready: Lidar = url
@@ -43,7 +48,7 @@ def open_lidar(url: Any, link: Link, config: RobotConfig) -> Lidar:
 def factories(
     sensors: Iterable[str | Sensor | Factory], lidar: Any = None
 ) -> list[Sensor | Factory]:
-    """The sensors of a task or an env, with a factory in place of each name.
+    """Replace names among the sensors of a task or an env by factories.
 
     Args:
         sensors: "lidar", names like "mine.rays:ThreeRays", factories and ready sensors.
@@ -56,6 +61,7 @@ def factories(
 
 
 def _named(name: str, lidar: Any) -> Factory:
+    """The factory that a name stands for."""
     if ":" in name:
         made: Factory = imported("sensor", name)
         return made

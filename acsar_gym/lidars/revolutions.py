@@ -1,4 +1,4 @@
-"""From an RPLIDAR's bytes to complete turns, and from a turn to the ranges of a scan."""
+"""Decode an RPLIDAR's bytes into complete revolutions, and these into the ranges of a scan."""
 
 from __future__ import annotations
 
@@ -16,22 +16,24 @@ Floats = NDArray[np.float64]
 NODE = 5
 """Bytes of a measurement."""
 FEWEST, MOST = 36, 10_000
-"""Measurements of a turn; anything else is none."""
+"""A revolution has at least 36 and at most 10,000 measurements; any other is dropped."""
 UNEVEN = 15.0
-"""Angles of a turn grow evenly, but for this much; if not, bytes were lost [deg]."""
+"""Angles of a revolution grow evenly, up to this deviation; otherwise bytes were lost [deg]."""
 SURE = 8
-"""Measurements in a row that prove a start flag: what a lost byte has shifted fails sooner."""
+"""Valid measurements in a row that prove a start flag: bytes shifted by a loss are invalid
+sooner."""
 NEIGHBOUR = 0.75
-"""A direction takes a measurement this near, in parts of the sensor's own step."""
+"""A ray takes a measurement that is this near, in parts of the angle between two measurements."""
 
 Turn = tuple[Floats, Floats]
-"""Bearings [rad], counter-clockwise from the sensor's zero, and distances [m], 0: not measured."""
+"""Bearings [rad], counter-clockwise from the LiDAR's zero, and distances [m], 0 where nothing
+was measured."""
 
 
 class Turns:
-    """Bytes in, complete turns out. `library` is lds2d.drivers.rplidar.
+    """Decodes bytes into complete revolutions. `library` is lds2d.drivers.rplidar.
 
-    A turn in which a byte was lost is dropped as a whole: a hole in it would read as free space.
+    A revolution in which bytes were lost is dropped: a gap in it would look like free space.
     """
 
     def __init__(self, library: Any) -> None:
@@ -39,16 +41,20 @@ class Turns:
         self.forget()
 
     def forget(self) -> None:
-        """Drop what has come so far, and wait for the beginning of a turn."""
+        """Drop all bytes so far, and wait for the beginning of a revolution."""
         self._rest = b""
         self._drop()
 
     def _drop(self) -> None:
+        """Drop the measurements so far."""
         self._points: list[Any] | None = None
         self._ended: list[Any] | None = None
 
     def feed(self, data: bytes) -> list[Turn]:
-        """The turns that `data` completes: each goes from one start flag to the next."""
+        """Return the revolutions that `data` completes.
+
+        Each goes from one start flag to the next.
+        """
         buffer, at, turns = self._rest + data, 0, []
         while len(buffer) - at >= NODE:
             node = buffer[at : at + NODE]
@@ -62,7 +68,7 @@ class Turns:
         return turns
 
     def _take(self, point: Any, starts: bool) -> list[Turn]:
-        """The turn that this measurement completes, if it does."""
+        """Add a measurement; returns the revolution that it completes, if it does."""
         if starts:
             self._ended, self._points = self._points, []
         if self._points is None:
@@ -76,7 +82,7 @@ class Turns:
 
 
 def _turn(points: list[Any]) -> list[Turn]:
-    """The points as a turn, or none where some are missing."""
+    """A revolution of these points; empty where some are missing."""
     if len(points) < FEWEST:
         return []
     angles = np.array([point.angle_deg for point in points], dtype=np.float64)
@@ -85,7 +91,10 @@ def _turn(points: list[Any]) -> list[Turn]:
 
 
 def _even(angles: Floats, measured: NDArray[np.bool_]) -> bool:
-    """Whether the angles [deg] grow by a full turn; those of missed measurements mean nothing."""
+    """Whether the angles [deg] grow evenly by a full turn.
+
+    Missed measurements have no valid angle.
+    """
     (places,) = np.nonzero(measured)
     if not len(places):
         return True
@@ -95,9 +104,19 @@ def _even(angles: Floats, measured: NDArray[np.bool_]) -> bool:
 
 
 def binned(bearings: Floats, distances: Floats, lidar: LidarConfig) -> Floats:
-    """Ranges (rays,) [m] of one turn: bearings [rad], counter-clockwise, and distances [m].
+    """Compute the ranges of a scan from one revolution.
 
-    Each direction takes the measurement next to it, as a simulated ray sees what is exactly there.
+    Each ray takes the measurement whose bearing is next to it, while a simulated ray has exactly
+    its
+    own bearing.
+
+    Args:
+        bearings: counter-clockwise [rad].
+        distances: of the same shape [m]; 0 where nothing was measured.
+        lidar: configuration of the rays.
+
+    Returns:
+        (rays,) [m], within min_range to max_range.
     """
     spec = RaySpec(lidar.rays, lidar.max_range, lidar.field_of_view)
     spacing = 2.0 * math.pi / max(len(bearings), 1)
@@ -111,7 +130,10 @@ def binned(bearings: Floats, distances: Floats, lidar: LidarConfig) -> Floats:
 
 
 def _next_to(directions: Floats, bearings: Floats, distances: Floats, reach: float) -> Floats:
-    """The distance whose bearing is next to each direction, inf where none is within `reach`."""
+    """The distance whose bearing is next to each direction.
+
+    Inf where none is within `reach` [rad].
+    """
     order = np.argsort(bearings)
     bearings, distances = bearings[order], distances[order]
     right = np.searchsorted(bearings, _wrapped(directions)) % len(bearings)
@@ -122,5 +144,5 @@ def _next_to(directions: Floats, bearings: Floats, distances: Floats, reach: flo
 
 
 def _wrapped(angles: Floats) -> Floats:
-    """The same angles within -pi to pi [rad]."""
+    """Wrap angles to [-pi, pi) [rad]."""
     return (angles + math.pi) % (2.0 * math.pi) - math.pi

@@ -1,9 +1,9 @@
 """A real RPLIDAR (A1, A2, C1 in its standard mode) on a serial device, through lds2d.
 
-lds2d knows the commands, the bauds and the measurements. What it lacks for a robot is done here:
-its port isn't exclusive and leaves DTR asserted, which holds an A1's motor; its `scans()` waits
-forever for a silent device, begins with a part of a turn, splits turns where the angle jitters
-around zero, and passes on what lost bytes have shifted.
+lds2d knows the commands, the baud rates and the measurements. What it lacks for a robot is done
+here: its port isn't exclusive and leaves DTR asserted, which holds an A1's motor; its `scans()`
+waits forever for a silent device, begins with a part of a revolution, splits revolutions where the
+angle jitters around zero, and passes on measurements that lost bytes have shifted.
 """
 
 from __future__ import annotations
@@ -35,17 +35,23 @@ from acsar_gym.links.shutdown import close_at_exit, forget, install
 from acsar_gym.worlds import Scene
 
 STALL = 0.1
-"""What has lain in the port while the reader slept so long is too old to be stamped [s]."""
+"""If the reader slept for longer, the bytes in the port are too old to be stamped and are
+dropped [s]."""
 SPIN_UP = 5.0
-"""From standstill to the first complete turn, at most [s]."""
+"""From standstill to the first complete revolution, at most [s]."""
 END = 0.5
-"""How long closing waits for the reader to end [s]."""
+"""How long closing waits for the reader thread to end [s]."""
 
 
 class RplidarLidar:
-    """An RPLIDAR behind the serial device `device`; `now` is the clock of the robot's link [s].
+    """An RPLIDAR behind a serial device. A thread keeps the newest complete revolution.
 
-    Its zero points along the robot's x axis. A thread keeps the newest complete turn.
+    Its zero points along the robot's x axis.
+
+    Args:
+        device: such as "/dev/ttyUSB1".
+        config: of the robot.
+        now: clock of the robot's link [s].
     """
 
     def __init__(self, device: str, config: RobotConfig, now: Callable[[], float]) -> None:
@@ -59,11 +65,15 @@ class RplidarLidar:
         install()
 
     def reset(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Open a device that is closed or doesn't deliver; waits for its first complete turn.
+        """Open the device if it is closed or doesn't deliver, and wait for a complete revolution.
 
-        One that was lost has the config's `reconnect_timeout` to come back.
+        A device that was lost has the config's `reconnect_timeout` to come back. The device is
+        closed
+        again where this raises.
 
-        Raises LidarError, or MissingExtraError without lds2d; the device is closed again then.
+        Raises:
+            LidarError: the device can't be opened, or doesn't measure.
+            MissingExtraError: lds2d isn't installed.
         """
         with contextlib.suppress(LidarError):
             self._newest()
@@ -76,6 +86,7 @@ class RplidarLidar:
             raise
 
     def _open(self, models: Any) -> None:
+        """Open the port, start LiDAR and reader thread, and wait for a complete revolution."""
         try:
             self._port = self._location.opened(self._config.with_(baud_rate=115200))
         except LinkError as error:
@@ -91,6 +102,7 @@ class RplidarLidar:
         self._wait_for_a_turn(self._reader)
 
     def _wait_for_a_turn(self, reader: _Reader) -> None:
+        """Wait for the first complete revolution; LidarError after SPIN_UP."""
         deadline = time.monotonic() + SPIN_UP
         while reader.newest is None:
             if reader.lost:
@@ -103,14 +115,16 @@ class RplidarLidar:
             time.sleep(POLL)
 
     def scan(self) -> Scan:
-        """The newest complete turn, stamped when it was complete; waits for nothing.
+        """Return the newest complete revolution, stamped when it was complete; doesn't wait.
 
-        Raises LidarError where it is older than lidar.timeout, or the device is gone or closed.
+        Raises:
+            LidarError: it is older than lidar.timeout, or the device is gone or closed.
         """
         newest = self._newest()
         return Scan(newest.ranges.copy(), newest.stamp)
 
     def _newest(self) -> Scan:
+        """The reader's newest scan; LidarError as for `scan`."""
         reader = self._reader
         if reader is None or reader.newest is None:
             raise LidarError(f"LiDAR {self.device} is closed", "call reset() first")
@@ -127,7 +141,7 @@ class RplidarLidar:
         return newest
 
     def close(self) -> None:
-        """Stop measuring and the motor, end the thread, let go of the port; twice is once."""
+        """Stop measuring and the motor, end the thread and close the port; idempotent."""
         port = self._port
         if port is None:
             return
@@ -141,6 +155,7 @@ class RplidarLidar:
             self._release(port)
 
     def _end_reader(self) -> None:
+        """Tell the reader thread to end and wait for it."""
         reader = self._reader
         if reader is None:
             return
@@ -150,6 +165,7 @@ class RplidarLidar:
             reader.join(END)
 
     def _say_stop(self, port: Any) -> None:
+        """Command the LiDAR to stop measuring, and its motor to stop."""
         with contextlib.suppress(*PORT_ERRORS):
             if self._driver is not None:
                 self._driver.stop()
@@ -157,6 +173,7 @@ class RplidarLidar:
         hold_motor(port)
 
     def _release(self, port: Any) -> None:
+        """Close the port and forget it."""
         self._location.left(lost=self._reader is not None and bool(self._reader.lost))
         self._port = self._driver = self._reader = None
         forget(self)
@@ -164,11 +181,11 @@ class RplidarLidar:
             port.close()
 
     def held(self) -> contextlib.AbstractContextManager[None]:
-        """Leaving the motor running is harmless while the process is suspended."""
+        """Return a context that does nothing: the motor may run while the process is suspended."""
         return contextlib.nullcontext()
 
     def abandon(self) -> None:
-        """Let go without a word, as a forked child must do with its parent's port."""
+        """Close the port without commands; a forked child must not write to its parent's port."""
         port = self._port
         if port is None:
             return
@@ -187,7 +204,10 @@ class RplidarLidar:
 
 
 class _Reader(threading.Thread):
-    """Takes the bytes as they come and keeps the newest turn; holds no LiDAR, only its port."""
+    """Thread that reads the port and keeps the newest revolution.
+
+    It has no reference to the LiDAR.
+    """
 
     def __init__(
         self, port: Any, turns: Turns, lidar: LidarConfig, now: Callable[[], float]
@@ -195,7 +215,7 @@ class _Reader(threading.Thread):
         super().__init__(name="rplidar", daemon=True)
         self.newest: Scan | None = None
         self.lost = ""
-        """Why there is no device any more."""
+        """Why the device is gone; empty while it isn't."""
         self.running = True
         self._port = port
         self._turns = turns
@@ -220,6 +240,7 @@ class _Reader(threading.Thread):
             self._keep(self._turns.feed(data))
 
     def _keep(self, turns: list[Turn]) -> None:
+        """Keep the newest of these revolutions as a scan."""
         if turns:
             stamp = self._now()
             bearings, distances = turns[-1]
@@ -228,7 +249,7 @@ class _Reader(threading.Thread):
 
 @contextlib.contextmanager
 def _translated(device: str) -> Iterator[None]:
-    """Errors of a port in use become LidarError."""
+    """Convert errors of an open port to LidarError."""
     try:
         yield
     except PORT_ERRORS as error:
@@ -236,4 +257,5 @@ def _translated(device: str) -> Iterator[None]:
 
 
 def _lost(device: str, why: str) -> LidarError:
+    """The LidarError for a device that is gone."""
     return LidarError(f"LiDAR {device}: lost while in use ({why})", "check the cable, then reset")

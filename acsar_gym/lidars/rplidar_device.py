@@ -1,4 +1,4 @@
-"""What is said to an RPLIDAR before it measures: which model, which baud, its motor, its health."""
+"""Start an RPLIDAR: find its model and baud rate, start its motor, and check its health."""
 
 from __future__ import annotations
 
@@ -20,18 +20,19 @@ HEALTH = b"\xa5\x5a\x03\x00\x00\x00\x06"
 BROKEN = 2
 """Health status of a device that refuses to scan."""
 MOTOR_ON = bytes.fromhex("a5 f0 02 94 02 c1")
-"""660 of 1023, the maker's default; adapters that switch the motor by DTR ignore it."""
+"""Motor speed of 660 of 1023, the maker's default; adapters that switch the motor by DTR ignore
+it."""
 MOTOR_OFF = bytes.fromhex("a5 f0 02 00 00 57")
 SETTLE = 0.02
-"""From a stop command to the last measurement behind it [s]."""
+"""Time from a stop command to the last measurement that still comes [s]."""
 ANSWER = 0.6
-"""A device answers within this, or not at this baud [s]."""
+"""A device that doesn't answer within this time doesn't use this baud rate [s]."""
 TRIES = 2
-"""How often each baud is tried."""
+"""How often each baud rate is tried."""
 
 
 class _Outbox:
-    """What lds2d's drivers send through: the port, without pyserial's wait for more room."""
+    """The port as lds2d's drivers write to it, without pyserial's wait for a full buffer."""
 
     def __init__(self, port: Any) -> None:
         self._port = port
@@ -41,7 +42,7 @@ class _Outbox:
 
 
 def library() -> Any:
-    """lds2d's module; MissingExtraError where it isn't installed."""
+    """Import lds2d's module; MissingExtraError where it isn't installed."""
     try:
         from lds2d.drivers import rplidar  # noqa: PLC0415
     except ImportError:
@@ -50,9 +51,20 @@ def library() -> Any:
 
 
 def greeted(port: Any, device: str, models: Any) -> Any:
-    """lds2d's driver on the port, its motor on, at the baud at which the device answers.
+    """Find the baud rate at which the device answers, and start its motor.
 
     A device that still measures for a process that crashed is stopped first.
+
+    Args:
+        port: open.
+        device: its name, for messages.
+        models: lds2d's module.
+
+    Returns:
+        lds2d's driver on the port.
+
+    Raises:
+        LidarError: nothing answers, or something else than an RPLIDAR.
     """
     heard = 0
     for model in (models.RPLIDAR_A1, models.RPLIDAR_C1) * TRIES:
@@ -79,14 +91,17 @@ def greeted(port: Any, device: str, models: Any) -> Any:
 
 
 def _start_motor(port: Any) -> None:
-    """By DTR, as adapters of the A1 do it (a terminal has none), and by command, as others do."""
+    """Start the motor by DTR, for adapters of the A1, and by command, for other models.
+
+    A pseudo-terminal has no DTR.
+    """
     with contextlib.suppress(*PORT_ERRORS):
         port.dtr = False
     put(port, MOTOR_ON)
 
 
 def hold_motor(port: Any) -> None:
-    """By DTR, which stays when the port is closed: without it an A1's motor would turn again."""
+    """Stop an A1's motor by DTR, and keep DTR asserted after the port is closed."""
     with contextlib.suppress(*PORT_ERRORS):
         port.dtr = True
     with contextlib.suppress(ImportError, *PORT_ERRORS):  # Windows has no termios
@@ -98,7 +113,7 @@ def hold_motor(port: Any) -> None:
 
 
 def check_health(port: Any, device: str) -> None:
-    """LidarError where the device says that it is broken."""
+    """Raise LidarError where the device reports that it is broken."""
     health, _ = _ask(port, GET_HEALTH, HEALTH)
     if health is not None and health[0] == BROKEN:
         raise LidarError(
@@ -108,7 +123,10 @@ def check_health(port: Any, device: str) -> None:
 
 
 def _ask(port: Any, request: bytes, descriptor: bytes) -> tuple[bytes | None, int]:
-    """What follows the descriptor, None if that never comes; and how many bytes came."""
+    """Send a request.
+
+    Returns the payload behind the descriptor, or None, and how many bytes came.
+    """
     put(port, request)
     heard, size = b"", descriptor[2]
     deadline = time.monotonic() + ANSWER

@@ -1,4 +1,4 @@
-"""The LiDAR of a simulated robot: analytic rays, with noise and drop-outs."""
+"""The LiDAR of a simulated robot: rays in the world, with noise and drop-outs."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from acsar_gym.worlds.geometry import Obstacles, cast, surroundings
 
 
 class SimulatedLidar:
-    """Analytic rays from the true pose of a simulated robot, with noise and drop-outs.
+    """Exact rays from the true pose of a simulated robot, with noise and drop-outs.
 
-    A scan is taken at the reset and then at the first tick of every period of the sensor; the robot
-    counts as standing still during a turn.
+    A scan is taken at the reset and then at the first tick of every period of the LiDAR. All rays
+    of
+    a scan start from the same pose.
     """
 
     def __init__(self, link: Link, config: RobotConfig) -> None:
@@ -32,7 +33,7 @@ class SimulatedLidar:
         self._first, self._taken = 0.0, 0
 
     def reset(self, scene: Scene, rng: np.random.Generator) -> None:
-        """The scene's obstacles, and the generator of the noise."""
+        """Take over the scene's obstacles, and the generator for the noise."""
         world = scene.world
         obstacles = Obstacles() if world is None else Obstacles(world.circles, world.segments)
         self._around = surroundings(obstacles, ray_spec(self._config), 1, self._config)
@@ -40,7 +41,7 @@ class SimulatedLidar:
         self._first, self._taken = self._link.now(), 0
 
     def scan(self) -> Scan:
-        """The newest scan."""
+        """Return the newest scan; takes one where it is due."""
         now = self._link.now()
         if now - self._first > self._taken / self._settings.rate - 1e-9:
             self._taken = 1 + math.floor((now - self._first) * self._settings.rate + 1e-9)
@@ -48,6 +49,7 @@ class SimulatedLidar:
         return self._scan
 
     def _ranges(self) -> NDArray[np.float64]:
+        """Ranges of a scan at the robot's true pose [m]."""
         truth = self._link.truth
         x, y, theta = truth.pose if truth else (0.0, 0.0, 0.0)
         ranges = np.empty(self._settings.rays)
@@ -60,17 +62,17 @@ class SimulatedLidar:
         return ranges
 
     def close(self) -> None:
-        """Nothing to close."""
+        """Do nothing: there is no device."""
 
 
 def draws(lidar: LidarConfig) -> int:
-    """Numbers of [0, 1) that the noise of a scan takes."""
+    """How many uniform samples one noisy scan consumes."""
     pairs = (lidar.rays + 1) // 2 if lidar.noise > 0.0 else 0
     return 2 * pairs + (lidar.rays if lidar.dropouts > 0.0 else 0)
 
 
 def measured(lidar: LidarConfig) -> tuple[float, float, float, float]:
-    """Noise, drop-outs, and the two limits of a range, as `measure` takes them."""
+    """Noise [m], drop-out share, and least and longest range [m], as `measure` takes them."""
     return lidar.noise, lidar.dropouts, lidar.min_range, lidar.max_range
 
 
@@ -83,10 +85,16 @@ def measure(
     nearest: float,
     farthest: float,
 ) -> None:
-    """What a sensor makes of true ranges [m]: normal noise on what it meets, drop-outs, limits.
+    """Apply noise, drop-outs and limits to true ranges, in place.
 
-    `uniforms` are numbers of [0, 1), as many as `draws` says: two for a pair of rays (Box and
-    Muller 1958), then one for each ray that may drop out.
+    Args:
+        ranges: (rays,), true ranges [m]; changed.
+        uniforms: samples of [0, 1), as many as `draws` says: two for each pair of rays (Box and
+            Muller 1958), then one for each ray that may drop out.
+        noise: standard deviation of ranges that meet something [m].
+        dropouts: share of rays that measure nothing, which read `farthest`.
+        nearest: least range [m].
+        farthest: longest range [m].
     """
     rays, used = len(ranges), 0
     if noise > 0.0:

@@ -1,1 +1,1 @@
-"""What stands between a wanted twist and the wheels."""
+"""Safety: limits, geofence, stale feedback and emergency stop, between a command and the wheels."""

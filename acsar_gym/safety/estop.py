@@ -1,8 +1,8 @@
-"""Emergency stop from another terminal: owner-only sockets in the file system, no network port.
+"""Emergency stop from another terminal, by sockets in folders that only their owner can use.
 
-Every process that drives a real robot listens on sockets of its own, which its control loop reads
-once a tick. A datagram there stops its robots, and is answered when they have been stopped. The
-standard library is all that this module needs, so that `acsar-gym estop` acts at once.
+Every process that drives a real robot has such sockets, and its control loop reads them once a
+tick. A datagram stops its robots, and is answered when they have been stopped. This module imports
+the standard library only, so that `acsar-gym estop` acts at once.
 """
 
 from __future__ import annotations
@@ -26,32 +26,33 @@ ANSWER = 2.0
 """How long a stop waits for answers [s]; a control loop answers within a tick."""
 STOP = b"stop"
 SESSIONS = Path("/run/user")
-"""Holds a folder of each user who is logged in, in which nobody else can make anything."""
+"""Has a folder for each user who is logged in, in which nobody else can create files."""
 SHARED = Path("/tmp")  # noqa: S108 - what is found there is checked
-"""Where anybody can make anything, always there."""
+"""A folder in which everybody can create files; it exists on every system."""
 ELSEWHERE = "ACSAR_GYM_RUNTIME_DIR"
-"""Environment variable with a folder to use instead of these two."""
+"""Environment variable that names a folder to use instead of these two."""
 LONGEST = 80
-"""Bytes of a folder's path: an address of a socket has at most 103 on every system."""
+"""Most bytes of a folder's path, because the address of a socket has at most 103 on every
+system."""
 DRIVER = re.compile(r"[0-9]+-[0-9]+")
-"""Name of a listener's socket: process and number."""
+"""Name of a listener's socket: process id and a number."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stopped:
-    """What became of one process that drives a robot."""
+    """The result of a stop for one process that drives a robot."""
 
     process: int
     answered: bool
-    """Whether it said that its wheels were commanded to stop."""
+    """Whether it confirmed that its wheels were commanded to stop."""
 
 
 def candidates() -> list[Path]:
-    """The folders that sockets belong in. Drivers listen in all of them, and a stop asks in all.
+    """List the folders for sockets. Drivers listen in all of them, and a stop asks in all of them.
 
-    A process that was started before its user logged in knows only the shared one, and where
-    somebody else has made that one, it is the other that works. Both are the same in every
-    environment of a user's, as XDG_RUNTIME_DIR and TMPDIR aren't.
+    A process that was started before its user logged in knows only the shared folder. Where
+    another user has made a folder of that name there, only the session's folder works. Both paths
+    are the same in every environment of a user, unlike XDG_RUNTIME_DIR and TMPDIR.
     """
     name = f"acsar_gym-{os.getuid()}"
     if os.environ.get(ELSEWHERE):
@@ -61,7 +62,7 @@ def candidates() -> list[Path]:
 
 
 def _is_ours(path: Path) -> bool:
-    """Whether that is a folder in which nobody else can make anything."""
+    """Whether this is a folder in which nobody else can create files."""
     try:
         found = path.lstat()
     except OSError:
@@ -70,9 +71,10 @@ def _is_ours(path: Path) -> bool:
 
 
 def made(path: Path) -> Path:
-    """The folder, made where it is missing.
+    """Make a folder that only its owner can use, if it doesn't exist, and return its path.
 
-    Raises LinkError where it can't be made, or isn't readable and writable by its owner alone.
+    Raises:
+        LinkError: it can't be made, its path is too long, or others can use it.
     """
     if len(os.fsencode(path)) > LONGEST:
         raise LinkError(
@@ -93,7 +95,7 @@ def made(path: Path) -> Path:
 
 
 def folders() -> tuple[list[Path], list[LinkError]]:
-    """The folders that can be used, and what is wrong with the others."""
+    """The folders that can be used, and the errors of the others."""
     if not hasattr(socket, "AF_UNIX") or not hasattr(os, "getuid"):
         return [], [LinkError("this operating system has no local sockets", "stop with Ctrl-C")]
     usable, wrong = [], []
@@ -111,7 +113,7 @@ class StopListener:
     Where no socket can be opened nothing is received, and `unavailable` says why: a robot must be
     drivable on a computer without such sockets, and Ctrl-C stops it everywhere.
 
-    Attributes: `paths`, the addresses; `faults`, what is wrong with each folder that isn't used.
+    Attributes: `paths`, the addresses; `faults`, the errors of folders that can't be used.
     """
 
     def __init__(self) -> None:
@@ -131,27 +133,27 @@ class StopListener:
 
     @property
     def unavailable(self) -> str:
-        """Why no stop can be received; empty where one can."""
+        """Why no stop can be received; empty where it can."""
         return "" if self._sockets else "; ".join(map(str, self.faults))
 
     def is_requested(self) -> bool:
-        """Whether somebody has asked for a stop; waits for nothing."""
+        """Whether a stop has been requested; doesn't block."""
         self._askers = []
         for each in self._sockets if self._process == os.getpid() else ():
-            with contextlib.suppress(OSError):  # nothing there
+            with contextlib.suppress(OSError):  # no datagram
                 data, sender = each.recvfrom(len(STOP))
                 if data == STOP:
                     self._askers.append((each, sender))
         return bool(self._askers)
 
     def confirm(self) -> None:
-        """Tell whoever asked that the wheels have been commanded to stop."""
+        """Answer the requests: the wheels have been commanded to stop."""
         for each, sender in self._askers:
-            with contextlib.suppress(OSError, TypeError):  # gone, or one without an address
+            with contextlib.suppress(OSError, TypeError):  # ended, or its socket has no address
                 each.sendto(STOP, sender)
 
     def close(self) -> None:
-        """Idempotent; a forked child leaves its parent's sockets alone."""
+        """Close the sockets; idempotent. A forked child doesn't remove its parent's sockets."""
         sockets, self._sockets = self._sockets, []
         for each, path in zip(sockets, self.paths, strict=True):
             each.close()
@@ -161,7 +163,7 @@ class StopListener:
         self.paths = []
 
     def __reduce__(self) -> tuple[type[StopListener], tuple[()]]:
-        """Copies listen on sockets of their own."""
+        """Copies and pickles listen on sockets of their own."""
         return StopListener, ()
 
     def __del__(self) -> None:
@@ -170,27 +172,28 @@ class StopListener:
 
 
 def _free_name(usable: list[Path]) -> str:
-    """A name with this process's number at which nobody listens in any of the folders.
+    """A name with this process's id at which nobody listens in any of the folders.
 
-    Containers that share a folder have processes of the same number.
+    Processes in containers that share a folder can have the same id.
     """
     names = (f"{os.getpid()}-{number}" for number in itertools.count(1))
     return next(name for name in names if not any(_is_taken(path / name) for path in usable))
 
 
 def _is_taken(path: Path) -> bool:
+    """Whether somebody listens on this socket."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect(str(path))
         except (ConnectionRefusedError, FileNotFoundError):
             return False
-        except OSError:  # of somebody else
+        except OSError:  # another user's socket
             return True
     return True
 
 
 def _bound(path: Path) -> socket.socket:
-    """A socket at this address, in place of what a dead process of the same number has left."""
+    """A socket at this address; replaces the file that a dead process of the same id has left."""
     ours = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     try:
         ours.setblocking(False)
@@ -204,9 +207,13 @@ def _bound(path: Path) -> socket.socket:
 
 
 def stop_all() -> list[Stopped]:
-    """Ask every process of this user that drives a robot to stop, and wait for its answer.
+    """Ask every process of this user that drives a robot to stop, and wait for the answers.
 
-    Raises LinkError where there is no folder to look in.
+    Returns:
+        One result for each process, by process id.
+
+    Raises:
+        LinkError: no folder can be used.
     """
     usable, wrong = folders()
     if not usable:
@@ -221,12 +228,13 @@ def stop_all() -> list[Stopped]:
 
 
 def _process(name: str) -> int:
+    """The process id in a socket's name."""
     return int(name.split("-", maxsplit=1)[0])
 
 
 @contextlib.contextmanager
 def _asker(folder: Path) -> Iterator[socket.socket]:
-    """A socket to ask from. Where it can't have an address it asks all the same, unanswered."""
+    """A socket that sends requests. If it can't be bound, it still sends, but gets no answers."""
     path = folder / f"estop-{os.getpid()}"
     try:
         asker = _bound(path)
@@ -240,15 +248,15 @@ def _asker(folder: Path) -> Iterator[socket.socket]:
 
 
 def _drivers(folder: Path) -> list[Path]:
-    """Addresses of the processes that drive."""
+    """Addresses of all listeners in a folder."""
     try:
         return [path for path in folder.iterdir() if DRIVER.fullmatch(path.name)]
-    except OSError:  # it went away meanwhile, and so did they
+    except OSError:  # the folder was removed meanwhile
         return []
 
 
 def _ask(asker: socket.socket, path: Path) -> bool:
-    """Whether somebody is there, even one who is too busy; a dead process's socket is removed."""
+    """Send a request; False where nobody listens. Removes the socket of a dead process."""
     try:
         asker.sendto(STOP, str(path))
     except ConnectionRefusedError:
@@ -258,13 +266,13 @@ def _ask(asker: socket.socket, path: Path) -> bool:
         return False
     except FileNotFoundError:
         return False
-    except OSError:  # suspended, and its queue is full: it will stop when it wakes
+    except OSError:  # the process is suspended and its queue is full: it stops when it resumes
         return True
     return True
 
 
 def _answers(askers: list[socket.socket], asked: set[str]) -> set[str]:
-    """Names of the sockets that have answered in time."""
+    """Wait for answers; returns the names of the sockets that have answered in time."""
     found: set[str] = set()
     deadline = time.monotonic() + ANSWER
     while not asked <= found and (left := deadline - time.monotonic()) > 0.0:
@@ -277,7 +285,7 @@ def _answers(askers: list[socket.socket], asked: set[str]) -> set[str]:
 
 
 def command() -> int:
-    """`acsar-gym estop`: stop what drives, say so, and return the exit code."""
+    """Run `acsar-gym estop`: stop all robots, print the results, and return the exit code."""
     try:
         found = stop_all()
     except LinkError as error:

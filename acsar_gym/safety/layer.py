@@ -1,7 +1,7 @@
-"""What stands between a wanted twist and the wheels: limits, geofence, stale feedback, and stop.
+"""The safety layer between a wanted twist and the wheels: limits, geofence, stale feedback, stop.
 
-The same on every link, so that policies train through it. What is really sent, and why it differs
-from what was asked, is told in `sent` and `reason`.
+It is the same on every link, so that policies are trained with it. `sent` is the twist that was
+really sent, and `reason` says why it differs from what was asked for.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Twist = tuple[float, float]
 
 
 class Safety:
-    """One robot's safety layer: `allowed` or `bounded` is the one call of a tick."""
+    """The safety layer of one robot. Every tick calls either `allowed` or `bounded` once."""
 
     def __init__(self, config: RobotConfig) -> None:
         self._rules = rules.of(config)
@@ -34,47 +34,54 @@ class Safety:
         self.reset()
 
     def reset(self) -> None:
-        """Arm: nothing has been sent, and every stop is forgotten."""
+        """Begin an episode: nothing has been sent, and all stops are cleared."""
         self._memory[0] = 0.0
         self.halt(Reason.NONE)
-        self.allowed(0.0, 0.0, (0.0, 0.0, 0.0), 0.0)  # loads compiled code before wheels turn
+        self.allowed(0.0, 0.0, (0.0, 0.0, 0.0), 0.0)  # loads compiled code before driving
 
     def estop(self) -> None:
-        """Stop now and until the reset."""
+        """Hold the wheels at zero from now until the reset."""
         self._memory[0] = float(Reason.EMERGENCY_STOP)
 
     @property
     def stopped(self) -> bool:
-        """Whether a stop is latched."""
+        """Whether the robot is held until the reset."""
         return self._memory[0] > 0.0
 
     @property
     def sent(self) -> Twist:
-        """The newest twist on the wire (linear [m/s], angular [rad/s])."""
+        """The twist sent last: linear [m/s], angular [rad/s]."""
         return float(self._memory[rules.SENT]), float(self._memory[rules.SENT + 1])
 
     @property
     def reason(self) -> Reason:
-        """Why it isn't the one that was asked for."""
+        """Why `sent` differs from the twist that was asked for."""
         return Reason(int(self._memory[1]))
 
     def halt(self, reason: Reason) -> Speeds:
-        """Wheels at zero, at once: limits are for driving, not for stopping."""
+        """Set the wheels to zero at once; acceleration limits don't apply to stops.
+
+        Args:
+            reason: to be told for this tick.
+
+        Returns:
+            Four wheel speeds of zero.
+        """
         self._memory[1:] = [float(reason)] + [0.0] * (rules.NUMBERS - 2)
         self._speeds = ZERO
         return ZERO
 
     def allowed(self, linear: float, angular: float, pose: Pose, feedback_age: float) -> Speeds:
-        """Wheel speeds [rad/s] that may be sent in this tick for a wanted twist.
+        """Compute the wheel speeds that may be sent in this tick for a wanted twist.
 
         Args:
-            linear: Wanted velocity [m/s].
-            angular: Wanted turn rate [rad/s]; (0, 0) is a stop, and immediate.
-            pose: Of the odometry (x [m], y [m], theta [rad]).
-            feedback_age: Seconds since the last valid line.
+            linear: wanted velocity [m/s].
+            angular: wanted turn rate [rad/s]; (0, 0) is a stop, which is immediate.
+            pose: by odometry (x [m], y [m], theta [rad]).
+            feedback_age: time since the last valid line [s].
 
         Returns:
-            Four wheel speeds; the very same tuple for as long as they don't change.
+            Four wheel speeds [rad/s]; the same tuple object for as long as they don't change.
 
         Raises:
             CommandError: for a twist that isn't finite.
@@ -91,10 +98,17 @@ class Safety:
         return speeds
 
     def bounded(self, speeds: Sequence[float], pose: Pose, feedback_age: float) -> Speeds:
-        """Wheel speeds [rad/s] that may be sent in this tick for wanted ones.
+        """Compute the wheel speeds that may be sent in this tick for wanted ones.
 
-        All shrink by one factor where a wheel, or their twist, is too fast. `pose` and
-        `feedback_age` as in `allowed`. Raises CommandError unless `speeds` are four finite numbers.
+        All are scaled by one factor where a wheel, or their twist, is too fast.
+
+        Args:
+            speeds: four wanted wheel speeds, wheels a to d [rad/s].
+            pose: by odometry (x [m], y [m], theta [rad]).
+            feedback_age: time since the last valid line [s].
+
+        Raises:
+            CommandError: unless `speeds` are four finite numbers.
         """
         a, b, c, d = finite(speeds)
         reason = rules.hold(pose[0], pose[1], feedback_age, self._memory, self._numbers)
@@ -117,18 +131,18 @@ class Safety:
         return a, b, c, d
 
     def wheels(self, linear: float, angular: float) -> Speeds:
-        """Wheel speeds [rad/s] for a twist, shrunk to the wheels' top speed at the same radius."""
+        """Wheel speeds [rad/s] for a twist, at most the top speed, at the same turn radius."""
         own = self._rules
         return kinematics.inverse(linear, angular, own.radius, own.separation, own.top)
 
 
 def block(numbers: list[float]) -> list[float]:
-    """Numbers as compiled code takes them fastest; plain Python is faster with a list."""
+    """Numbers in the form that `rules.tick` reads fastest: an array with numba, else a list."""
     return np.array(numbers) if COMPILED else numbers  # type: ignore[return-value]
 
 
 def _share(value: float, low: float, high: float) -> float:
-    """The factor, at most 1, that brings the value within low (at most 0) and high."""
+    """The factor, at most 1, that scales a value into the range low (at most 0) to high."""
     if value > high:
         return high / value
     return low / value if value < low else 1.0

@@ -1,8 +1,8 @@
-"""Limits on speed, acceleration and jerk, named and behaving as in ROS diff_drive_controller.
+"""Limits on speed, acceleration and jerk, with the names and rules of ROS diff_drive_controller.
 
-The controller's SpeedLimiter (ROS 1, and ROS 2 up to Humble) limits a velocity against the two
-velocities before it: first jerk, then acceleration, then velocity. Pure functions, compiled for
-whole batches of robots, too.
+The controller's SpeedLimiter (ROS 1, and ROS 2 up to Humble) limits a velocity by the two
+velocities before it: first jerk, then acceleration, then velocity. These are pure functions, so
+that numba can compile them for batches.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from acsar_gym.config import RobotConfig, SpeedLimits
 from acsar_gym.jit import jit
 
 FREE = 1e18
-"""Stands for no limit."""
+"""Number that stands for no limit."""
 
 
 class Limits(NamedTuple):
-    """Of one axis: m or rad, and s."""
+    """Limits of one axis; velocity, acceleration and jerk in m or rad, and s."""
 
     min_velocity: float = -FREE
     max_velocity: float = FREE
@@ -33,9 +33,11 @@ class Limits(NamedTuple):
 
 
 def limits(config: SpeedLimits, top: float = FREE) -> Limits:
-    """Numbers for what a robot's config limits; a missing minimum is minus the maximum.
+    """Convert the limits of one axis to numbers.
 
-    `top` bounds the velocity in both directions.
+    Args:
+        config: of the axis; a missing minimum is minus the maximum.
+        top: bounds the velocity in both directions [m/s or rad/s].
     """
     numbers = []
     for name in ("velocity", "acceleration", "jerk"):
@@ -47,7 +49,7 @@ def limits(config: SpeedLimits, top: float = FREE) -> Limits:
 
 
 def both(config: RobotConfig) -> tuple[Limits, Limits]:
-    """Of a robot's linear and angular velocity, whatever commands it."""
+    """Limits of a robot's linear and angular velocity, including the speeds of a full action."""
     return (
         limits(config.linear_limits, config.max_linear),
         limits(config.angular_limits, config.max_angular),
@@ -55,15 +57,22 @@ def both(config: RobotConfig) -> tuple[Limits, Limits]:
 
 
 def free(config: RobotConfig) -> bool:
-    """Whether a full action and what leads to it is limited by nothing."""
+    """Whether the configuration has no limits beside the speeds of a full action."""
     return limits(config.linear_limits).free and limits(config.angular_limits).free
 
 
 @jit
 def limited(wanted: float, last: float, before: float, dt: float, axis: Limits) -> float:
-    """The velocity that may follow `last` and the one `before` it, each `dt` [s] earlier.
+    """Compute the velocity that may follow the last two.
 
-    As the ROS controller does it, jerk is the change of the change of velocity over 2 dt^2.
+    As in the ROS controller, jerk is the change of the change of velocity over 2 dt^2.
+
+    Args:
+        wanted: velocity of one axis [m/s or rad/s].
+        last: velocity one period ago.
+        before: velocity two periods ago.
+        dt: period [s].
+        axis: limits of the axis.
     """
     step, scale = last - before, 2.0 * dt * dt
     change = min(max(wanted - last - step, axis.min_jerk * scale), axis.max_jerk * scale)

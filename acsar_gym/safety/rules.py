@@ -1,7 +1,7 @@
 """The rules of the safety layer, as pure functions of one robot and one tick.
 
-`Safety` calls them for the single robot, and the loops of `vector/kernel` for thousands. Everything
-that a rule needs to know of the robot's configuration is in `Rules`.
+`Safety` calls them for the single robot, and the loops of `vector/kernel` for batches. `Rules` has
+everything that they need of the robot's configuration.
 """
 
 from __future__ import annotations
@@ -19,39 +19,39 @@ from acsar_gym.safety.limiter import Limits, limited
 STALE_SHARE = 0.8
 """Feedback older than this share of `feedback_timeout` stops the wheels until it is fresh again."""
 TELLABLE = 1e-9
-"""A twist that differs by less was sent as asked [m/s, rad/s]."""
+"""A sent twist that differs by less than this counts as the one asked for [m/s, rad/s]."""
 SLACK = 1e-9
-"""For comparing ages, which are sums of periods [s]."""
+"""Tolerance for comparing ages, which are sums of periods [s]."""
 
 _sides = jit(kinematics.sides)
 _twist = jit(kinematics.twist)
 
 
 class Reason(IntEnum):
-    """Why the twist that was sent isn't the one that was asked for."""
+    """Why the twist that was sent differs from the one that was asked for."""
 
     NONE = 0
     LIMITS = 1
-    """Of speed, acceleration or jerk, or the wheels' top speed."""
+    """A limit of speed, acceleration or jerk, or the wheels' top speed."""
     GEOFENCE = 2
-    """Odometry is outside; until the next reset."""
+    """The robot has left the geofence by odometry; holds until the next reset."""
     STALE_FEEDBACK = 3
-    """The board hasn't answered for a while; until it does."""
+    """The feedback is too old; holds until a new line comes."""
     EMERGENCY_STOP = 4
-    """A person said so; until the next reset."""
+    """An emergency stop; holds until the next reset."""
 
 
 _LIMITS, _GEOFENCE, _STALE = 1.0, 2.0, 3.0
-"""Numbers of these reasons, as compiled functions have them."""
+"""These reasons as floats, for compiled functions."""
 
 
 class Rules(NamedTuple):
-    """What the rules need to know of a robot's configuration; SI units."""
+    """The numbers of a robot's configuration that the rules need; SI units."""
 
     period: float
-    """Of a tick [s]."""
+    """Duration of a tick [s]."""
     free: bool
-    """Whether nothing but the full speeds limits a twist."""
+    """Whether only the speeds of a full action limit a twist."""
     linear: Limits
     angular: Limits
     fence: tuple[float, float, float, float]
@@ -61,15 +61,15 @@ class Rules(NamedTuple):
     timeout: float
     """Feedback older than this ends the episode [s]."""
     radius: float
-    """Of the wheels [m]."""
+    """Wheel radius [m]."""
     separation: float
-    """Of the wheels, multiplied for their skidding [m]."""
+    """Effective wheel separation, which includes the factor for skidding [m]."""
     top: float
-    """The fastest that a wheel may be asked to turn [rad/s]."""
+    """Fastest wheel speed that may be sent [rad/s]."""
 
 
 def of(config: RobotConfig) -> Rules:
-    """The rules' numbers for a configured robot."""
+    """Take the rules' numbers from a robot's configuration."""
     linear, angular = limiter.both(config)
     fence = config.geofence or Geofence()
     return Rules(
@@ -90,24 +90,32 @@ class Memory(NamedTuple):
     """What the rules remember of a robot from tick to tick; all zeros at a reset."""
 
     latched: float = 0.0
-    """The `Reason` that holds the robot until the reset."""
+    """The `Reason` that holds the robot until the reset; 0 for none."""
     reason: float = 0.0
-    """The `Reason` that holds it in this tick."""
+    """The `Reason` that holds it in this tick; 0 for none."""
     linear: float = 0.0
-    """The newest twist, on its way to the wheels [m/s]."""
+    """Linear part of the newest twist [m/s]."""
     angular: float = 0.0
-    """[rad/s]"""
+    """Angular part of the newest twist [rad/s]."""
     past_linear: float = 0.0
-    """The twist before it [m/s]."""
+    """Linear part of the twist before it [m/s]."""
     past_angular: float = 0.0
-    """[rad/s]"""
+    """Angular part of the twist before it [rad/s]."""
 
 
 @jit
 def held(memory: Memory, x: float, y: float, age: float, rules: Rules) -> tuple[float, float]:
-    """Reasons for which the wheels must not turn: until the reset, and in this tick; 0 for none.
+    """Reasons for which the wheels must not turn.
 
-    Odometry is at (x, y) [m], and the newest feedback is of this age [s].
+    Args:
+        memory: of the robot.
+        x: by odometry [m].
+        y: by odometry [m].
+        age: of the newest feedback [s].
+        rules: of the robot.
+
+    Returns:
+        The reason that holds until the reset, and the one that holds in this tick; 0 for none.
     """
     low_x, high_x, low_y, high_y = rules.fence
     inside = (low_x <= x) & (x <= high_x) & (low_y <= y) & (y <= high_y)
@@ -120,9 +128,19 @@ def held(memory: Memory, x: float, y: float, age: float, rules: Rules) -> tuple[
 def allowed(
     linear: float, angular: float, x: float, y: float, age: float, memory: Memory, rules: Rules
 ) -> Memory:
-    """The twist that may be sent in this tick, when this one is wanted (linear, angular).
+    """Compute the twist that may be sent in this tick. A stop, (0, 0), is immediate.
 
-    A stop is immediate. Where odometry is, and how old the newest feedback, is as in `held`.
+    Args:
+        linear: wanted velocity [m/s].
+        angular: wanted turn rate [rad/s].
+        x: by odometry [m].
+        y: by odometry [m].
+        age: of the newest feedback [s].
+        memory: of the last tick.
+        rules: of the robot.
+
+    Returns:
+        The memory of this tick, with the twist.
     """
     latched, reason = held(memory, x, y, age, rules)
     stands = (reason > 0.0) | ((linear == 0.0) & (angular == 0.0))
@@ -156,33 +174,46 @@ def wheels(memory: Memory, rules: Rules) -> tuple[float, float]:
 def told(
     linear: float, angular: float, right: float, left: float, reason: float, rules: Rules
 ) -> tuple[float, float, float]:
-    """The twist that these wheel speeds are, and the `Reason` why it isn't the one wanted."""
+    """Compute the twist of sent wheel speeds, and why it differs from the wanted one.
+
+    Args:
+        linear: wanted velocity [m/s].
+        angular: wanted turn rate [rad/s].
+        right: wheel speed sent [rad/s].
+        left: wheel speed sent [rad/s].
+        reason: that holds the robot in this tick; 0 for none.
+        rules: of the robot.
+
+    Returns:
+        Velocity [m/s], turn rate [rad/s] and the `Reason`.
+    """
     ahead, turn = _twist(right, left, left, right, rules.radius, rules.separation)
     same = (abs(ahead - linear) < TELLABLE) & (abs(turn - angular) < TELLABLE)
     return ahead, turn, (reason if reason > 0.0 else (0.0 if same else _LIMITS))
 
 
 def silent(age: float, rules: Rules) -> bool:
-    """Whether feedback is so old [s] that the episode ends; plain Python, to be compiled or not."""
+    """Whether feedback of this age [s] ends the episode. Not compiled here; the kernel does it."""
     return age > rules.timeout + SLACK
 
 
-# One robot at a time: numba takes two arrays in a fifth of the time that it takes for named tuples.
+# For a single robot: passing two arrays to numba takes a fifth of the time of named tuples.
 
 SENT = len(Memory._fields)
-"""Where the memory of one robot has the twist that was sent, behind what the rules remember."""
+"""Index of the twist that was sent in the memory of one robot; the fields of Memory are before
+it."""
 NUMBERS = SENT + 2
 
 
 def flat(rules: Rules) -> list[float]:
-    """The rules' numbers, one after the other."""
+    """The rules' numbers as one list."""
     first, last = (rules.period, float(rules.free)), rules[5:]
     return [*first, *rules.linear, *rules.angular, *rules.fence, *last]
 
 
 @jit
 def _rules(n: Sequence[float]) -> Rules:
-    """The rules of which these are the numbers."""
+    """The rules of a list of numbers that `flat` made."""
     return Rules(
         n[0],
         n[1] > 0.0,
@@ -199,7 +230,7 @@ def _rules(n: Sequence[float]) -> Rules:
 
 @jit
 def hold(x: float, y: float, age: float, memory: list[float], numbers: Sequence[float]) -> float:
-    """`held` for one robot whose memory is kept in place; the reason that holds in this tick."""
+    """`held` for one robot, whose memory is changed in place; returns the reason of this tick."""
     before = Memory(memory[0], memory[1], memory[2], memory[3], memory[4], memory[5])
     memory[0], memory[1] = held(before, x, y, age, _rules(numbers))
     return memory[1]
@@ -215,7 +246,11 @@ def tick(
     memory: list[float],
     numbers: Sequence[float],
 ) -> tuple[float, float]:
-    """`allowed` for one robot whose memory is kept in place; right and left wheels [rad/s]."""
+    """`allowed` for one robot, whose memory is changed in place.
+
+    Returns:
+        Speeds of the right and the left wheels [rad/s].
+    """
     rules = _rules(numbers)
     before = Memory(memory[0], memory[1], memory[2], memory[3], memory[4], memory[5])
     after = allowed(linear, angular, x, y, age, before, rules)

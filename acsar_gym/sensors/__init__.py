@@ -1,4 +1,4 @@
-"""What a robot senses beside its wheels: the contract of a sensor, and the list of a robot."""
+"""Sensors beside the wheel encoders: the base class, and the sensors of a robot."""
 
 from acsar_gym.sensors.base import LIDAR, Bound, Factory, Sensor
 from acsar_gym.sensors.suite import Sensors

@@ -1,4 +1,4 @@
-"""The contract of a sensor, which a user's own one implements by a short subclass."""
+"""The base class of sensors, of which users write subclasses."""
 
 from __future__ import annotations
 
@@ -17,15 +17,16 @@ from acsar_gym.worlds import Scene
 Floats = NDArray[np.float64]
 Numbers = NDArray[np.floating | np.integer | np.bool_]
 Bound = float | Sequence[float] | Floats
-"""One number for all numbers of a sensor, or one for each."""
+"""One bound for all numbers of a sensor, or one for each."""
 LIDAR = "lidar"
-"""Name of the LiDAR among a robot's sensors, in a task's `sensors`, and the first of every list."""
+"""Name of the LiDAR in a task's `sensors`, and of the sensor; it is the first of a robot's
+sensors."""
 
 
 class Sensor(ABC):
-    """Something that a robot senses, and that an observation tells as `size` numbers.
+    """Something that a robot senses, which adds `size` numbers to the observation.
 
-    A subclass says `name`, `size`, `low` and `high`, and how to `read`:
+    A subclass sets `name`, `size`, `low` and `high`, and implements `read`:
 
         class Heading(Sensor):
             name, size, low, high = "compass", 2, -1.0, 1.0
@@ -34,14 +35,14 @@ class Sensor(ABC):
                 theta = truth.pose[2] + self.rng.normal(0.0, 0.05)
                 return np.array([math.cos(theta), math.sin(theta)])
 
-    The class itself is a factory then, `Heading(link, config)`, for `RobotEnv(sensors=[Heading])`,
+    The class itself is then a factory, `Heading(link, config)`, for `RobotEnv(sensors=[Heading])`,
     the `sensors` of a Task, or `Robot(link, config, [Heading])`. A function `factory(link, config)`
     may choose another sensor where there is a real robot: `link.truth` is None there.
 
     Attributes:
-        name: What errors call it; no two sensors of a robot have the same.
+        name: Name in errors; no two sensors of a robot may have the same.
         size: How many numbers it adds to the observation.
-        low: Their least values, as they stand in the observation: a number, or (size,).
+        low: Their least values, as in the observation: a number, or (size,).
         high: Their largest values.
         uses_truth: Whether `poll` and `read` use `truth`; without it a tick costs a little less.
         link: The wire to the robot.
@@ -63,7 +64,7 @@ class Sensor(ABC):
         self.config = config
 
     def reset(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Begin an episode; a sensor with a device opens it here, where it isn't open yet.
+        """Begin an episode; a sensor with a device opens it here, if it isn't open.
 
         Args:
             scene: The world, and the robot's start in it.
@@ -86,7 +87,7 @@ class Sensor(ABC):
 
     @abstractmethod
     def read(self, truth: GroundTruth | None, now: float) -> Numbers:
-        """The sensor's numbers as they stand in the observation: once a step, after its last tick.
+        """Return the sensor's numbers for the observation; called once a step, after its last tick.
 
         Args:
             truth: What only a simulator knows, in the scene's frame; None on hardware.
@@ -96,15 +97,19 @@ class Sensor(ABC):
             Finite numbers, of shape (size,).
 
         Raises:
-            LinkError: The device is gone or silent. The robot is stopped then, as by any error.
+            LinkError: The device is gone or silent. The robot is then stopped, as by any error.
         """
 
     def info(self, now: float) -> Mapping[str, float]:
-        """Numbers for the env's info: the same keys at every step."""
+        """Return numbers for the env's info; the keys must be the same at every step.
+
+        Args:
+            now: Time on the link's clock [s].
+        """
         return {}
 
     def close(self) -> None:  # noqa: B027 - not all have
-        """Let go of a device; idempotent."""
+        """Close the device; idempotent."""
 
     @property
     def bounds(self) -> tuple[Floats, Floats]:
@@ -114,7 +119,7 @@ class Sensor(ABC):
 
     @property
     def layout(self) -> str:
-        """Its numbers in words; a policy fits an env whose sensors say the same."""
+        """Name, size and bounds in words; a policy fits an env whose sensors have the same."""
         low, high = self.bounds
         return f"{self.name}[{self.size}] from {low.min():g} to {high.max():g}"
 

@@ -1,4 +1,4 @@
-"""The sensors of one robot as one list: made, reset, polled, read, checked and closed together."""
+"""The sensors of one robot: made, reset, polled, read, checked and closed together."""
 
 from __future__ import annotations
 
@@ -17,9 +17,16 @@ from acsar_gym.worlds import Scene
 
 
 class Sensors(Sequence[Sensor]):
-    """The sensors of a robot, in the order in which their numbers follow the task's; LiDAR first.
+    """The sensors of a robot, the LiDAR first, in the order of their numbers in the observation.
 
-    Raises ConfigError for a sensor that is none, or whose name, size or bounds can't be used.
+    Args:
+        wanted: factories, or ready sensors.
+        link: of the robot.
+        config: of the robot.
+
+    Raises:
+        ConfigError: for something that isn't a sensor, or a name, size or bounds that can't be
+            used.
     """
 
     def __init__(self, wanted: Iterable[Sensor | Factory], link: Link, config: RobotConfig) -> None:
@@ -47,26 +54,35 @@ class Sensors(Sequence[Sensor]):
 
     @property
     def clocked(self) -> bool:
-        """Whether any of them has a clock of its own, and so must be polled at every tick."""
+        """Whether any of them has a clock of its own, and must be polled after every tick."""
         return bool(self._polled)
 
     def reset(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Begin an episode: each one is reset and takes its first measurement, one by one."""
+        """Begin an episode: reset each sensor; those with a clock of their own measure.
+
+        Args:
+            scene: the world, and the robot's start in it.
+            rng: the env's generator.
+        """
         for sensor in self._sensors:
             sensor.reset(scene, rng)
             if sensor in self._polled:
                 sensor.poll(self._truth(), self._link.now())
 
     def poll(self) -> None:
-        """After a tick: those with a clock of their own measure, if it is time."""
+        """Poll sensors with a clock of their own, after a tick."""
         truth, now = self._truth(), self._link.now()
         for sensor in self._polled:
             sensor.poll(truth, now)
 
     def read(self) -> Floats:
-        """The numbers of all of them, of shape (sum of sizes,).
+        """Read all of them.
 
-        Raises SensorError, which names the sensor, for anything but its `size` finite numbers.
+        Returns:
+            Their numbers, of shape (sum of sizes,).
+
+        Raises:
+            SensorError: for anything else than `size` finite numbers; names the sensor.
         """
         if not self._sensors:
             return np.zeros(0)
@@ -75,23 +91,36 @@ class Sensors(Sequence[Sensor]):
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def _truth(self) -> GroundTruth | None:
+        """The link's ground truth, if any sensor uses it."""
         return self._link.truth if self._uses_truth else None
 
     def info(self, told: dict[str, float]) -> None:
-        """Add what they tell to an env's info. Raises ConfigError for a key that is there."""
+        """Add what the sensors tell to an env's info.
+
+        ConfigError for a key that is there already.
+        """
         now = self._link.now()
         for sensor in self._sensors:
             add_info(told, sensor, now)
 
     def close(self) -> None:
-        """Close them all, also where one can't be closed; idempotent."""
+        """Close all of them, even where one raises; idempotent."""
         with contextlib.ExitStack() as stack:
             for sensor in reversed(self._sensors):
                 stack.callback(sensor.close)
 
 
 def made_by(factory: Any, link: Link, config: RobotConfig) -> Sensor:
-    """The sensor that a factory makes, or that is ready already."""
+    """Make a sensor with its factory; a ready sensor is returned.
+
+    Args:
+        factory: a factory, or a ready sensor.
+        link: of the robot.
+        config: of the robot.
+
+    Raises:
+        ConfigError: it isn't a sensor, or its name, size or bounds can't be used.
+    """
     if not callable(factory) and not isinstance(factory, Sensor):
         raise ConfigError(f"sensors: {shown(factory)} must be a subclass of Sensor or a factory")
     sensor = factory if isinstance(factory, Sensor) else factory(link, config)
@@ -102,7 +131,7 @@ def made_by(factory: Any, link: Link, config: RobotConfig) -> Sensor:
 
 
 def check_layout(sensor: Sensor) -> None:
-    """ConfigError for a name, size or bounds that can't be used."""
+    """Raise ConfigError for a name, size or bounds that can't be used."""
     name, size = getattr(sensor, "name", None), getattr(sensor, "size", None)
     if not isinstance(name, str) or not name.isidentifier():
         raise ConfigError(
@@ -123,7 +152,7 @@ def check_layout(sensor: Sensor) -> None:
 
 
 def check_names(sensors: Sequence[Sensor]) -> None:
-    """ConfigError where two have one name."""
+    """Raise ConfigError where two sensors have the same name."""
     names = [sensor.name for sensor in sensors]
     for name in names:
         if names.count(name) > 1:
@@ -131,7 +160,15 @@ def check_names(sensors: Sequence[Sensor]) -> None:
 
 
 def checked(sensor: Sensor, numbers: Any) -> Floats:
-    """What a sensor has read, as float64. Raises SensorError for anything but finite (size,)."""
+    """Convert what a sensor has read to float64.
+
+    Args:
+        sensor: that has read it.
+        numbers: as returned by `read`.
+
+    Raises:
+        SensorError: for anything else than finite numbers of shape (size,).
+    """
     try:
         array = np.asarray(numbers)
     except ValueError:  # lists of lists of unequal lengths
@@ -149,14 +186,14 @@ def checked(sensor: Sensor, numbers: Any) -> Floats:
 
 
 def add_info(told: dict[str, float], sensor: Sensor, now: float) -> None:
-    """Add what a sensor tells. Raises ConfigError for a key that is there already."""
+    """Add a sensor's info to the env's. ConfigError for a key that is there already."""
     for key, value in sensor.info(now).items():
         unused(told, sensor, key)
         told[key] = float(value)
 
 
 def unused(told: Mapping[str, Any], sensor: Sensor, key: str) -> None:
-    """ConfigError where info has the key already."""
+    """Raise ConfigError where info has the key already."""
     if key in told:
         raise ConfigError(
             f"sensor {sensor.name!r}: info tells {key!r}, which is there already: "

@@ -1,4 +1,4 @@
-"""Tasks: goals, observation, reward and end of an episode, as pure functions of numbers."""
+"""Tasks: the goal, the observation, the reward and the end of an episode."""
 
 from acsar_gym.tasks.base import (
     OBSERVATION_LIMIT,

@@ -1,7 +1,7 @@
-"""What a task is: names and bounds of its observation, a reward, an end, and what it remembers.
+"""The base class of all tasks, the state that they see, and functions that they share.
 
-A task is written once. The single environment calls its methods in Python; a batch calls them for
-every robot, in Python too, or compiled by numba where the task says `compiled = True`.
+A task is written once. The single environment calls its methods in Python. A batch calls them for
+every robot: in Python, too, or compiled by numba where the task sets `compiled = True`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ Memory = SimpleNamespace
 """What a task remembers in one episode, as attributes; a record of floats where it is compiled."""
 
 OBSERVATION_LIMIT = 2.0
-"""Scaled distances and speeds are clipped to this, which bounds the observation space."""
+"""Scaled distances and speeds in observations are clipped to -2 to 2, so that spaces are
+bounded."""
 
 
 NO_RANGES: Floats = np.zeros(0)
@@ -45,57 +46,57 @@ class Outcome(IntEnum):
 
 
 class State(NamedTuple):
-    """What a task is told after every step; a real robot knows all of it, but for `contact`.
+    """What a task knows after every step. On a real robot all of it is known except `contact`.
 
     Poses and points are in the odometry frame, in which the robot starts at the origin.
     """
 
     pose: Pose = (0.0, 0.0, 0.0)
-    """By odometry: x [m], y [m], theta [rad]."""
+    """Pose by odometry: x [m], y [m], theta [rad]."""
     twist: tuple[float, float] = (0.0, 0.0)
-    """By odometry: linear [m/s], angular [rad/s]."""
+    """Velocity by odometry: linear [m/s], angular [rad/s]."""
     wheel_speeds: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-    """By the encoders, in the order of the wheels a to d [rad/s]."""
+    """Wheel speeds by the encoders, in the order of the wheels a to d [rad/s]."""
     action: tuple[float, float] = (0.0, 0.0)
     """The last action (linear, angular), in [-1, 1]; zeros at a reset."""
     sent: tuple[float, float] = (0.0, 0.0)
-    """The twist that was really sent in the last tick [m/s, rad/s]."""
+    """The velocity command of the last tick, after all limits: linear [m/s], angular [rad/s]."""
     reason: int = 0
-    """Why it isn't the one that was asked for: a `safety.layer.Reason`; 0 where it is."""
+    """Why `sent` differs from the action: a `safety.layer.Reason`; 0 where it doesn't."""
     ranges: Floats = NO_RANGES
     """(rays,): the LiDAR's newest scan [m]; empty where the task uses none."""
     sensed: Observation = NOTHING_SENSED
-    """(numbers,): what all sensors add to the observation, as it stands there."""
+    """(numbers,): what all sensors add to the observation, scaled as it is there."""
     time: float = 0.0
-    """Since the reset, in whole steps of the policy [s]."""
+    """Time since the reset, a whole number of env steps [s]."""
     feedback_age: float = 0.0
-    """Since the board was last heard of [s]."""
+    """Time since the last feedback line of the board [s]."""
     contact: bool = False
-    """Whether a simulated robot has touched an obstacle; False on hardware."""
+    """Whether a simulated robot has touched an obstacle; always False on hardware."""
     goal: Goal = (1.0, 0.0)
-    """[m]"""
+    """The goal: x, y [m]."""
     path: Floats = NO_PATH
-    """(samples, 3): x, y [m] and direction [rad] every 0.05 m along the path to follow; empty
-    unless the task says `follows`."""
+    """(samples, 3): x [m], y [m] and direction [rad] every 0.05 m along the path to follow;
+    empty unless the task sets `follows`."""
     length: float = math.nan
-    """Of the world's own path from start to goal [m]; NaN where there is none."""
+    """Length of the world's own path from start to goal [m]; NaN where there is none."""
     max_twist: tuple[float, float] = (1.0, 1.0)
-    """The twist of a full action [m/s, rad/s]."""
+    """The velocity of a full action: linear [m/s], angular [rad/s]."""
     period: float = 0.1
-    """Of a step of the policy [s]."""
+    """Duration of an env step [s]."""
 
 
 class Task:
-    """A job for the robot. Subclass it; options are fields of a dataclass, or of `__init__`.
+    """Base class of all tasks. Subclass it; options are fields of a dataclass, or of `__init__`.
 
-    A task never changes; what it remembers in an episode are the attributes of `memory`. The env
-    calls `begin` and `observe` at a reset; after every step `outcome`, then `reward`, `observe`.
+    A task object never changes. What changes during an episode are the attributes of `memory`. The
+    env calls `begin` and `observe` at a reset, and `outcome`, `reward`, `observe` after every step.
 
-    Where `compiled` is true, numba compiles these four methods for batches. `self` is then a named
+    Where `compiled` is True, numba compiles these four methods for batches. `self` is then a named
     tuple of the task's numbers (fields, class attributes and properties that are numbers, tuples of
-    numbers or arrays), so that methods can't call each other; functions of a module can be called
-    from all of them where `acsar_gym.jit.compilable` decorates them. A subclass that overrides a
-    method of a compiled task runs in Python unless it says `compiled = True` itself.
+    numbers or arrays), so that methods can't call each other. They can call functions that
+    `acsar_gym.jit.compilable` decorates. A subclass that overrides a method of a compiled task runs
+    in Python unless it sets `compiled = True` itself.
 
     Class attributes:
         observation: name and (least, largest) value of each number that `observe` returns.
@@ -106,7 +107,8 @@ class Task:
         difficulty: of generated worlds; None or (low, high) varies it.
         goal_distance: nearest and farthest goal on an open floor [m].
         goal_tolerance: radius of the goal in pictures [m].
-        follows: whether the robot follows the world's path, and starts on it, looking along it.
+        follows: whether the robot is to follow the world's path; it then starts at the path's
+            beginning, heading along it.
         compiled: whether numba compiles the methods for batches.
         id: of the environment; `gymnasium.make` sets it.
     """
@@ -124,7 +126,7 @@ class Task:
     id: str = ""
 
     def begin(self, state: State, memory: Any) -> None:
-        """Note what an episode begins with.
+        """Initialize the memory of an episode.
 
         Args:
             state: of the robot at rest, after a reset.
@@ -132,7 +134,7 @@ class Task:
         """
 
     def outcome(self, state: State, memory: Any) -> Outcome:
-        """Whether and how the episode has ended with this step.
+        """Decide whether and how the episode has ended with this step.
 
         Args:
             state: after the step.
@@ -144,7 +146,7 @@ class Task:
         return Outcome.GOING
 
     def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
-        """What the step was worth.
+        """Compute the reward of a step.
 
         Args:
             state: after the step.
@@ -157,24 +159,24 @@ class Task:
         raise NotImplementedError
 
     def observe(self, state: State, memory: Any) -> tuple[float, ...]:
-        """What the policy sees, besides what the sensors add.
+        """Compute the task's own part of the observation; that of the sensors follows it.
 
         Args:
             state: after the reset or step.
             memory: of the episode.
 
         Returns:
-            As many numbers as `observation` has names, in its order.
+            One number for each name in `observation`, in its order.
         """
         raise NotImplementedError
 
 
 METHODS = ("begin", "outcome", "reward", "observe")
-"""What a task's class may override, and a batch compiles."""
+"""The methods of a task that a batch calls, and compiles where the task is compiled."""
 
 
 def is_compiled(task: Task) -> bool:
-    """Whether a batch compiles the task's methods: not those that override compiled ones."""
+    """Whether a batch compiles the task's methods; not where a subclass overrides compiled ones."""
     for one in type(task).__mro__:
         if "compiled" in vars(one):
             return bool(vars(one)["compiled"])
@@ -184,7 +186,7 @@ def is_compiled(task: Task) -> bool:
 
 
 def remembered(task: Task) -> Memory:
-    """A new episode's memory."""
+    """Make the memory of a new episode, with the first values."""
     return SimpleNamespace(**task.memory)
 
 
@@ -194,7 +196,15 @@ def told(task: Task) -> tuple[str, ...]:
 
 
 def signature(task: Task, sensors: Iterable[Sensor]) -> str:
-    """What an observation consists of, in words; a policy fits an env that has the same."""
+    """Describe an observation in words, to check that a policy was trained on the same one.
+
+    Args:
+        task: whose numbers come first.
+        sensors: in the order of their numbers.
+
+    Returns:
+        Names of the task's numbers and layouts of the sensors, separated by commas.
+    """
     return ",".join([*task.observation, *(sensor.layout for sensor in sensors)])
 
 
@@ -203,7 +213,7 @@ def signature(task: Task, sensors: Iterable[Sensor]) -> str:
 
 @compilable
 def within(x: float, y: float, radius: float, u: float, v: float) -> tuple[float, float]:
-    """A point of the disc around (x, y) for two numbers u, v of [0, 1)."""
+    """Map two uniform samples u, v of [0, 1) to a point of the disc around (x, y)."""
     distance, bearing = radius * math.sqrt(u), 2.0 * math.pi * v
     return x + distance * math.cos(bearing), y + distance * math.sin(bearing)
 
@@ -212,16 +222,28 @@ def within(x: float, y: float, radius: float, u: float, v: float) -> tuple[float
 def relative(
     x: float, y: float, cos: float, sin: float, other_x: float, other_y: float
 ) -> tuple[float, float]:
-    """A point as seen from (x, y) in the direction of this cosine and sine: ahead and left [m]."""
+    """Transform a point into the frame of a pose.
+
+    Args:
+        x: of the pose [m].
+        y: of the pose [m].
+        cos: of the pose's heading.
+        sin: of the pose's heading.
+        other_x: of the point [m].
+        other_y: of the point [m].
+
+    Returns:
+        How far the point lies ahead and to the left of the pose [m].
+    """
     dx, dy = other_x - x, other_y - y
     return dx * cos + dy * sin, dy * cos - dx * sin
 
 
 @compilable
 def clipped(value: float, limit: float) -> float:
-    """The value within -limit to limit."""
+    """Clip a value to -limit to limit."""
     return min(max(value, -limit), limit)
 
 
 Factory = Callable[..., Task]
-"""Makes a task of its options."""
+"""Makes a task from its options."""

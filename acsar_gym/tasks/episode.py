@@ -7,7 +7,7 @@ from acsar_gym.tasks.spawn import Assignment
 
 
 class Episode:
-    """A task, what this episode of it is about, and what it remembers.
+    """The running episode of a task: its assignment (world, start, goal) and its memory.
 
     Attributes: `task`, `assignment`, `memory`; `steps` so far; `outcome` of the last step.
     """
@@ -20,19 +20,19 @@ class Episode:
         self._told = told(task)
 
     def begin(self, state: State) -> None:
-        """The robot stands at the start."""
+        """Begin the episode with the state after the reset."""
         self.task.begin(state, self.memory)
 
     def step(self, state: State) -> tuple[float, Outcome]:
-        """Reward and outcome of the step that led to this state."""
+        """Return the reward and the outcome of the step that led to this state."""
         self.outcome = Outcome(self.task.outcome(state, self.memory))
         return float(self.task.reward(state, self.memory, self.outcome)), self.outcome
 
     def observe(self, state: State) -> tuple[float, ...]:
-        """The task's numbers of the observation."""
+        """Return the task's own numbers of the observation."""
         return self.task.observe(state, self.memory)
 
     def info(self) -> Info:
-        """What the task tells, the same keys at every step."""
+        """Return what the task adds to info; the keys are the same at every step."""
         memory = vars(self.memory)
         return {name: float(memory[name]) for name in self._told} | self.assignment.info

@@ -1,7 +1,7 @@
-"""Drive to a point: on an open floor, among obstacles, or through the worlds of BARN.
+"""Tasks with a goal: on an open floor, among obstacles, or through the worlds of BARN.
 
-Observation and the end of an episode see odometry only, so they are the same on hardware; what a
-simulated robot alone can tell, that it has touched something, ends an episode among obstacles.
+Observation, success and bounds use odometry only, so they are the same on hardware. Only a
+simulated robot knows that it has touched something: there a collision ends the episode, too.
 """
 
 from __future__ import annotations
@@ -38,20 +38,20 @@ GOAL_OBSERVATION: Mapping[str, tuple[float, float]] = {
 
 
 class GoalTask(Task):
-    """What tasks with a goal share."""
+    """Base of the tasks in which the robot drives to a goal."""
 
     observation = GOAL_OBSERVATION
     memory: ClassVar[Mapping[str, float]] = {"goal_distance": 0.0}
     compiled = True
     scale: float = 10.0
-    """Observed distances are divided by it [m]."""
+    """Observed distances are divided by this [m]."""
     boundary: float = math.inf
     """An episode ends without success this far from the start [m]."""
     end: float = 5.0
     """Reward at the goal; a collision, or leaving the bounds, costs as much."""
 
     def begin(self, state: State, memory: Any) -> None:
-        """Note the distance to the goal."""
+        """Remember the distance to the goal."""
         memory.goal_distance = goal_distance(state.pose[0], state.pose[1], state.goal)
 
     def outcome(self, state: State, memory: Any) -> Outcome:
@@ -63,13 +63,13 @@ class GoalTask(Task):
         )
 
     def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
-        """See `goal_reward`."""
+        """Reward of the step, see `goal_reward`; remembers the distance to the goal."""
         before = memory.goal_distance
         memory.goal_distance = goal_distance(state.pose[0], state.pose[1], state.goal)
         return goal_reward(before, memory.goal_distance, state.action[0], outcome, self.end)
 
     def observe(self, state: State, memory: Any) -> tuple[float, ...]:
-        """As GOAL_OBSERVATION; distance and speeds scaled."""
+        """The numbers that GOAL_OBSERVATION names; distance and speeds are scaled."""
         return goal_numbers(
             state.pose, state.twist, state.goal, (self.scale, *state.max_twist), state.action
         )
@@ -77,7 +77,7 @@ class GoalTask(Task):
 
 @dataclass(frozen=True, kw_only=True)
 class PointGoal(GoalTask):
-    """Reach a point of an open floor."""
+    """Reach a point on an open floor."""
 
     id = "acsar_gym/PointGoal-v0"
     goal_distance: tuple[float, float] = (0.5, 3.0)
@@ -108,13 +108,13 @@ class PointGoal(GoalTask):
 
     @property
     def boundary(self) -> float:  # type: ignore[override]
-        """Twice that [m]."""
+        """Twice the largest goal distance [m]."""
         return OBSERVATION_LIMIT * self.goal_distance[1]
 
 
 @dataclass(frozen=True, kw_only=True)
 class ObstacleGoal(GoalTask):
-    """Reach a point among obstacles that a LiDAR sees."""
+    """Reach a point among obstacles, with a LiDAR."""
 
     id = "acsar_gym/ObstacleGoal-v0"
     sensors = ("lidar",)
@@ -127,7 +127,7 @@ class ObstacleGoal(GoalTask):
 
 
 class Barn(GoalTask):
-    """BARN: 10 m through a field of cylinders, scored by the time it took."""
+    """Drive 10 m through a field of cylinders (BARN), with a LiDAR; info has the score."""
 
     id = "acsar_gym/Barn-v0"
     sensors = ("lidar",)
@@ -137,26 +137,38 @@ class Barn(GoalTask):
     compiled = True
 
     def begin(self, state: State, memory: Any) -> None:
-        """Note the distance to the goal; the scores are zero until it is reached."""
+        """Remember the distance to the goal; the scores are zero until it is reached."""
         memory.goal_distance = goal_distance(state.pose[0], state.pose[1], state.goal)
         score(state, memory, 0)
 
     def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
-        """As among obstacles; the score is kept."""
+        """Reward of the step, see `goal_reward`; remembers the distance and the scores."""
         before = memory.goal_distance
         memory.goal_distance = goal_distance(state.pose[0], state.pose[1], state.goal)
         score(state, memory, outcome)
         return goal_reward(before, memory.goal_distance, state.action[0], outcome, self.end)
 
 
-# The functions below are compiled, for whole batches of robots, too: scalars in, scalars out.
+# The functions below take and return scalars, so that numba can compile them for batches.
 
 
 @compilable
 def seen_from(
     x: float, y: float, cos: float, sin: float, goal_x: float, goal_y: float
 ) -> tuple[float, float, float]:
-    """Distance to a point [m], and its bearing's cosine and sine in the frame of the pose."""
+    """Polar coordinates of a point in the frame of a pose.
+
+    Args:
+        x: of the pose [m].
+        y: of the pose [m].
+        cos: of the pose's heading.
+        sin: of the pose's heading.
+        goal_x: of the point [m].
+        goal_y: of the point [m].
+
+    Returns:
+        Distance [m], and cosine and sine of the bearing.
+    """
     ahead, left = relative(x, y, cos, sin, goal_x, goal_y)
     dx, dy = goal_x - x, goal_y - y
     distance = math.sqrt(dx * dx + dy * dy)
@@ -172,7 +184,15 @@ def goal_numbers(
     scales: tuple[float, float, float],
     action: tuple[float, float],
 ) -> tuple[float, float, float, float, float, float, float]:
-    """As GOAL_OBSERVATION; `scales` of distance, linear and angular velocity."""
+    """Compute the numbers that GOAL_OBSERVATION names.
+
+    Args:
+        pose: x [m], y [m], theta [rad] by odometry.
+        twist: linear [m/s] and angular [rad/s] velocity by odometry.
+        goal: x, y in the odometry frame [m].
+        scales: of distance [m], linear [m/s] and angular velocity [rad/s].
+        action: the last one, in [-1, 1].
+    """
     x, y, theta = pose
     cos, sin = direction(theta)
     distance, ahead, left = seen_from(x, y, cos, sin, goal[0], goal[1])
@@ -196,7 +216,7 @@ def goal_distance(x: float, y: float, goal: Goal) -> float:
 
 @compilable
 def score(state: State, memory: Any, outcome: int) -> None:
-    """Note BARN's scores at the end of a step."""
+    """Write BARN's scores of the run so far into the memory; zeros without success."""
     success = 1.0 if outcome == 1 else 0.0
     s2, s4, own2, own4 = barn.scores(success, state.time, state.length, state.max_twist[0])
     memory.barn_score, memory.barn_score_k4 = s2, s4
@@ -207,7 +227,7 @@ def score(state: State, memory: Any, outcome: int) -> None:
 def goal_outcome(
     distance: float, from_start: float, tolerance: float, boundary: float, contact: bool
 ) -> int:
-    """The Outcome's number for a distance to the goal and one from the start [m]."""
+    """Return the Outcome's number for the distances to the goal and from the start [m]."""
     if contact:
         return 3
     if distance <= tolerance:
@@ -217,11 +237,18 @@ def goal_outcome(
 
 @compilable
 def goal_reward(before: float, after: float, linear: float, outcome: int, end: float) -> float:
-    """Twice the metres gained on the goal, less 0.02 a step and up to 0.05 for driving backwards.
+    """Reward of a step towards a goal.
 
-    Plus `end` at the goal, and minus `end` for a collision or beyond the boundary. `before` and
-    `after` are goal distances [m], `linear` is the action's linear part in [-1, 1]. Backwards
-    costs, because sensors look ahead.
+        2 (before - after) - 0.02 + 0.05 min(linear, 0) + (end, -end or 0)
+
+    Driving backwards costs up to 0.05 a step, because sensors look ahead.
+
+    Args:
+        before: distance to the goal before the step [m].
+        after: distance to the goal after it [m].
+        linear: the action's linear part, in [-1, 1].
+        outcome: number of the step's Outcome.
+        end: added at success, subtracted for a collision or beyond the boundary.
     """
     last = end if outcome == 1 else (-end if outcome > 1 else 0.0)
     return 2.0 * (before - after) - 0.02 + 0.05 * min(linear, 0.0) + last

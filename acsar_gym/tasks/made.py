@@ -1,4 +1,4 @@
-"""From what a user names to a task that is sound."""
+"""Make a task from what a user passes as `task`, and check it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from acsar_gym.tasks.base import Outcome, State, Task, remembered
 
 
 def made(task: Any, options: Mapping[str, Any], others: Sequence[str] = ()) -> Task:
-    """A task of what a user names; see `tried`, too.
+    """Make a task from what a user passes as `task`, and check its class; see `tried`, too.
 
     Args:
         task: a Task, a subclass of it, or "module:Class".
@@ -41,9 +41,16 @@ def made(task: Any, options: Mapping[str, Any], others: Sequence[str] = ()) -> T
 
 
 def importable(task: Any) -> Any:
-    """A class of tasks as "module:Class" where others can import it so, otherwise itself.
+    """Name a class of tasks in a way that can be stored in a spec.
 
-    Raises ConfigError for anything else.
+    Args:
+        task: a subclass of Task, or "module:Class".
+
+    Returns:
+        "module:Class" where other processes can import it so, otherwise the class.
+
+    Raises:
+        ConfigError: for anything else.
     """
     kind = imported("task", task) if isinstance(task, str) else task
     if not (isinstance(kind, type) and issubclass(kind, Task)):
@@ -52,6 +59,7 @@ def importable(task: Any) -> Any:
 
 
 def _built(task: type[Task], options: Mapping[str, Any], others: Sequence[str]) -> Task:
+    """Call a class of tasks with its options; ConfigError for unknown ones."""
     known = list(inspect.signature(task).parameters)
     for name in options:
         if name not in known:
@@ -66,16 +74,18 @@ def _built(task: type[Task], options: Mapping[str, Any], others: Sequence[str]) 
 
 
 def _listed(options: Mapping[str, Any]) -> str:
+    """The names of options, separated by commas."""
     return ", ".join(str(name)[:40] for name in options)
 
 
 def named(task: Task | type[Task]) -> str:
-    """The id of a task, or its class's name, for messages."""
+    """The id of a task, or the name of its class, for messages."""
     kind = task if isinstance(task, type) else type(task)
     return task.id or kind.__qualname__
 
 
 def _check_class(task: Task) -> None:
+    """Check methods, bounds and names of a task's class; ConfigError where they are wrong."""
     for name in ("reward", "observe"):
         if getattr(type(task), name) is getattr(Task, name):
             raise ConfigError(f"{named(task)}: has no method {name}()")
@@ -94,9 +104,15 @@ def _check_class(task: Task) -> None:
 
 
 def tried(task: Task, config: RobotConfig, sensors: Sequence[Sensor]) -> None:
-    """Call all methods once, at the beginning of an episode that nobody drives.
+    """Call all methods of a task once with an example state, to find mistakes early.
 
-    Raises ConfigError where they don't return what they should.
+    Args:
+        task: to try.
+        config: of the robot.
+        sensors: that the robot has.
+
+    Raises:
+        ConfigError: where a method returns something of the wrong type or shape.
     """
     state, memory = _example(task, config, sensors), remembered(task)
     task.begin(state, memory)
@@ -115,7 +131,7 @@ def tried(task: Task, config: RobotConfig, sensors: Sequence[Sensor]) -> None:
 
 
 def _example(task: Task, config: RobotConfig, sensors: Sequence[Sensor]) -> State:
-    """A robot that has stood for one step, a metre from its goal; its sensors read the most."""
+    """An example state: at rest, 1 m from the goal, all sensors at their upper bounds."""
     rays = sum(sensor.size for sensor in sensors if sensor.name == LIDAR)
     most = np.concatenate([np.zeros(0), *(sensor.bounds[1] for sensor in sensors)])
     path = np.column_stack([np.linspace(0.0, 1.0, 21), np.zeros((21, 2))])

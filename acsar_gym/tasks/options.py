@@ -11,7 +11,18 @@ from acsar_gym.tasks.base import Goal
 
 
 def known(options: Mapping[str, Any], names: tuple[str, ...]) -> Mapping[str, Any]:
-    """The options of a reset; ConfigError for one that the task doesn't know."""
+    """Check the names of a reset's options.
+
+    Args:
+        options: as passed to `reset`.
+        names: that the task knows.
+
+    Returns:
+        The options.
+
+    Raises:
+        ConfigError: for an unknown name, or where `options` is no mapping.
+    """
     if not isinstance(options, Mapping):
         raise ConfigError(f"options = {shown(options)}: must be a mapping of names to values")
     for name in options:
@@ -23,7 +34,15 @@ def known(options: Mapping[str, Any], names: tuple[str, ...]) -> Mapping[str, An
 
 
 def positive(name: str, value: Any) -> float:
-    """A positive number; ConfigError for anything else."""
+    """Check that an option is a positive, finite number, and return it.
+
+    Args:
+        name: of the option, for the message.
+        value: of the option.
+
+    Raises:
+        ConfigError: for anything else.
+    """
     try:
         number = float(value)
     except (TypeError, ValueError, OverflowError):
@@ -34,7 +53,15 @@ def positive(name: str, value: Any) -> float:
 
 
 def point(name: str, value: Any) -> Goal:
-    """A point as two finite floats; ConfigError where it is malformed."""
+    """Check that an option is a point of two finite numbers (x, y) [m], and return it.
+
+    Args:
+        name: of the option, for the message.
+        value: of the option.
+
+    Raises:
+        ConfigError: for anything else.
+    """
     try:
         x, y = (float(number) for number in value)
         sound = math.isfinite(x + y)

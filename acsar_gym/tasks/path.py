@@ -1,4 +1,4 @@
-"""Follow a path by odometry: where the robot is beside it, and where the path goes on."""
+"""Follow a path by odometry: cross-track and heading error, and points of the path ahead."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from acsar_gym.tasks.options import positive
 
 _SCALED = (-OBSERVATION_LIMIT, OBSERVATION_LIMIT)
 LOOKAHEAD = 4
-"""Points of the path ahead that the robot sees."""
+"""How many points of the path ahead are observed."""
 PATH_OBSERVATION: Mapping[str, tuple[float, float]] = {
     "cross_track_error": _SCALED,
     "heading_cos": (-1.0, 1.0),
@@ -35,15 +35,16 @@ PATH_OBSERVATION: Mapping[str, tuple[float, float]] = {
     "last_angular": (-1.0, 1.0),
 }
 STRIDE = 5
-"""Samples of the path between two of them: 0.25 m."""
+"""Samples of the path between two observed points: 0.25 m."""
 BACK, AHEAD = 10, 20
-"""Samples of the path that are searched behind and ahead of the last progress."""
+"""How many samples of the path behind and ahead of the last position on it are searched."""
 TIE = 1e-12
-"""Squared distances this near count as equal, as beside a corner: the first piece counts [m^2]."""
+"""Squared distances that differ by less count as equal, as at a corner; the first piece is taken
+[m^2]."""
 LENGTH_SCALE = 10.0
-"""Scales the length that remains [m]."""
+"""The observed remaining length is divided by this [m]."""
 TOLERANCE = 0.15
-"""An odometry position this close to the end of the path is a success [m]."""
+"""Success once odometry is this close to the end of the path [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +52,8 @@ class PathFollow(Task):
     """Follow a smooth path, or straight pieces between waypoints."""
 
     max_cross_track: float = 0.5
-    """An episode ends without success this far beside the path; also scales what is seen [m]."""
+    """An episode ends without success this far beside the path; also scales the observed error
+    [m]."""
     id = "acsar_gym/PathFollow-v0"
     observation = PATH_OBSERVATION
     memory: ClassVar[Mapping[str, float]] = {
@@ -83,11 +85,11 @@ class PathFollow(Task):
         object.__setattr__(self, "max_cross_track", most)
 
     def begin(self, state: State, memory: Any) -> None:
-        """Find the robot's place at the path's beginning."""
+        """Find the robot's position on the path."""
         locate(state, memory)
 
     def outcome(self, state: State, memory: Any) -> Outcome:
-        """Success near the path's end, out of bounds too far beside it."""
+        """Success near the path's end, out of bounds too far beside it; keeps mean errors."""
         locate(state, memory)
         steps = math.floor(state.time / state.period + 0.5)
         memory.cross_sum += abs(memory.cross_track_error)
@@ -101,12 +103,12 @@ class PathFollow(Task):
         )
 
     def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
-        """See `path_reward`."""
+        """Reward of the step, see `path_reward`."""
         gain, cross = memory.gain, memory.cross_track_error
         return path_reward(gain, cross, state.action[0], outcome)
 
     def observe(self, state: State, memory: Any) -> tuple[float, ...]:
-        """As PATH_OBSERVATION; lengths and speeds scaled."""
+        """The numbers that PATH_OBSERVATION names; lengths and speeds are scaled."""
         limit, (cos, sin) = OBSERVATION_LIMIT, direction(state.pose[2])
         return (
             clipped(memory.cross_track_error / self.max_cross_track, limit),
@@ -124,7 +126,7 @@ class PathFollow(Task):
 
 @compilable
 def locate(state: State, memory: Any) -> None:
-    """Note where the robot is on its path, from where it was before."""
+    """Find the robot's position on its path, near the last one, and write it into the memory."""
     x, y, theta = state.pose
     last, before = len(state.path) - 1, memory.progress
     progress, cross, bearing = nearest(state.path, last, before, x, y)
@@ -137,7 +139,7 @@ def locate(state: State, memory: Any) -> None:
 
 @compilable
 def remaining(state: State, memory: Any) -> float:
-    """Length of the path that the robot hasn't driven yet [m]."""
+    """Length of the path that is still ahead of the robot [m]."""
     last = len(state.path) - 1
     length: float = (last - memory.progress) * (state.length / last)
     return length
@@ -147,9 +149,17 @@ def remaining(state: State, memory: Any) -> float:
 def point_ahead(
     state: State, memory: Any, cos: float, sin: float, number: int
 ) -> tuple[float, float]:
-    """A point of the path as the robot sees it: ahead and left [m], bounded.
+    """Transform an observed point of the path into the frame of the robot.
 
-    `cos` and `sin` are those of the robot's heading.
+    Args:
+        state: has the pose and the path.
+        memory: has the robot's position on the path.
+        cos: of the robot's heading.
+        sin: of the robot's heading.
+        number: of the point, from 1; they are STRIDE samples apart.
+
+    Returns:
+        How far the point lies ahead and to the left [m], clipped to the OBSERVATION_LIMIT.
     """
     k = min(int(memory.progress) + number * STRIDE, len(state.path) - 1)
     x, y = state.path[k, 0], state.path[k, 1]
@@ -161,10 +171,19 @@ def point_ahead(
 def nearest(
     path: Floats, last: int, progress: float, x: float, y: float
 ) -> tuple[float, float, float]:
-    """Where on the path the point is: progress [samples], distance beside it, and its direction.
+    """Find the point of a path that is nearest to a given point, near the last one found.
 
-    Of the path's pieces near the last progress, the nearest counts. The distance [m] is positive to
-    the left of the path; before its first and behind its last sample it is that to the sample.
+    Args:
+        path: (samples, 3): x [m], y [m], direction [rad].
+        last: number of the path's last sample.
+        progress: the last position on the path [samples].
+        x: of the point [m].
+        y: of the point [m].
+
+    Returns:
+        Position on the path [samples]; signed distance from it [m], positive to the left of the
+        path; and the path's direction there [rad]. Before the first and behind the last sample it
+        is the distance to that sample.
     """
     first = max(int(progress) - BACK, 0)
     best, place, side, bearing = math.inf, progress, 0.0, 0.0
@@ -183,14 +202,21 @@ def nearest(
 
 @compilable
 def heading_error(theta: float, bearing: float) -> float:
-    """Heading against the path's direction [rad], within -pi to pi; positive to the left."""
+    """Heading minus path direction [rad], wrapped to [-pi, pi); positive to the left."""
     error = theta - bearing
     return error - 2.0 * math.pi * math.floor(error / (2.0 * math.pi) + 0.5)
 
 
 @compilable
 def path_outcome(remaining: float, far: float, beside: float, most: float) -> int:
-    """The Outcome's number: success near the end [m] both along the path and straight."""
+    """Return the Outcome's number for a position on the path and beside it.
+
+    Args:
+        remaining: length of the path ahead [m].
+        far: straight distance to its end [m].
+        beside: distance from the path [m].
+        most: allowed distance from the path [m].
+    """
     if remaining <= TOLERANCE and far <= TOLERANCE:
         return 1
     return 2 if beside > most else 0
@@ -198,9 +224,15 @@ def path_outcome(remaining: float, far: float, beside: float, most: float) -> in
 
 @compilable
 def path_reward(gain: float, cross: float, linear: float, outcome: int) -> float:
-    """Twice the metres gained along the path, less 0.02 and 0.5 a metre beside it, a step.
+    """Reward of a step along a path.
 
-    Less up to 0.05 for driving backwards; plus 2 at the end, or -2 out of bounds.
+        2 gain - 0.02 - 0.5 |cross| + 0.05 min(linear, 0) + (2 at success, -2 out of bounds)
+
+    Args:
+        gain: length of the path covered in the step [m].
+        cross: distance from the path [m].
+        linear: the action's linear part, in [-1, 1].
+        outcome: number of the step's Outcome.
     """
     end = 2.0 if outcome == 1 else (-2.0 if outcome > 1 else 0.0)
     return 2.0 * gain - 0.02 - 0.5 * abs(cross) + 0.05 * min(linear, 0.0) + end

@@ -1,4 +1,4 @@
-"""Which world an episode takes place in, and where in it the robot stands."""
+"""Draw the world of an episode, and the robot's start and goal in it."""
 
 from __future__ import annotations
 
@@ -22,50 +22,53 @@ from acsar_gym.worlds.search import footprint_radius
 from acsar_gym.worlds.world import Floats
 
 DRAWS = 6
-"""Numbers of [0, 1) that a place takes: world, start (2), heading, goal (2)."""
+"""How many uniform samples an episode in a world takes: world, start (2), heading, goal (2)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Assignment:
-    """What one episode is about."""
+    """World, start, goal and path of one episode."""
 
     goal: Goal
-    """In the odometry frame, in which the robot starts at the origin [m]."""
+    """The goal x, y in the odometry frame, in which the robot starts at the origin [m]."""
     world: World | None = None
     path: Floats | None = None
-    """N x 3: x, y [m] and direction [rad] of a path to follow, in the odometry frame."""
+    """(samples, 3): x [m], y [m] and direction [rad] of the path to follow, in the odometry
+    frame."""
     length: float = math.nan
-    """Of the world's own path from start to goal [m]."""
+    """Length of the world's own path from start to goal [m]; NaN where there is none."""
     number: int = -1
-    """Of the world: its generator's number, its place in a list or folder, or -1."""
+    """Number of the world: its generator's number, or its place in a list or folder; -1 for
+    none."""
     start: Pose = (0.0, 0.0, 0.0)
-    """Where the robot starts, in the frame of the world."""
+    """Where the robot starts: x [m], y [m], theta [rad] in the frame of the world."""
 
     @property
     def info(self) -> Info:
-        """The number of the world; -1 for one that was given. Nothing where there are no worlds."""
+        """What it adds to info: the world's number; nothing on an open floor."""
         return {} if self.world is None else {"world": float(self.number)}
 
 
 class Spawn:
-    """Draws what the episodes of a task are about.
+    """Draws the assignments of a task's episodes.
 
-    Attributes: `pool`, the worlds, None on an open floor; `options`, those of a reset.
+    Attributes: `pool`, the worlds, or None on an open floor; `options`, the names that a reset
+    knows.
     """
 
     def __init__(
         self, task: Task, worlds: Source | None, difficulty: Level, config: RobotConfig
     ) -> None:
-        """Make the pool.
+        """Make the pool of worlds.
 
         Args:
-            task: has the worlds where none are given here.
+            task: its worlds and difficulty are used where none are given here.
             worlds: see `Pool.of`; None for the task's own.
             difficulty: of generated worlds; None for the task's own.
-            config: of the robot, whose footprint the worlds are made for.
+            config: of the robot, whose footprint must fit into the worlds.
 
         Raises:
-            ConfigError, WorldError: for values that make no sense.
+            ConfigError, WorldError: for unknown worlds, or a difficulty where there are no worlds.
         """
         self._task = task
         source = task.worlds if worlds is None else worlds
@@ -78,7 +81,7 @@ class Spawn:
             self.options = ("world", "difficulty", "path" if task.follows else "goal")
 
     def draw(self, rng: np.random.Generator, options: Mapping[str, Any]) -> Assignment:
-        """What the next episode is about.
+        """Draw the assignment of the next episode.
 
         Args:
             rng: the env's generator.
@@ -87,7 +90,8 @@ class Spawn:
                 tasks that follow "path", points (x, y) [m], instead of "goal".
 
         Raises:
-            ConfigError, WorldError: for options that make no sense.
+            ConfigError, WorldError: for unknown options, or values that are malformed or out of
+                range.
         """
         options = known(options, self.options)
         if options.get("path") is not None:
@@ -98,12 +102,19 @@ class Spawn:
         return Assignment(self._goal(rng) if goal is None else self.checked(point("goal", goal)))
 
     def _goal(self, rng: np.random.Generator) -> Goal:
-        """A goal in any direction, its distance uniform between the task's limits."""
+        """Draw a goal in any direction, its distance uniform between the task's limits."""
         distance = rng.uniform(*self._task.goal_distance)
         return goal_at(distance, rng.uniform(-math.pi, math.pi))
 
     def checked(self, goal: Goal) -> Goal:
-        """A goal (x, y) [m] on an open floor. ConfigError for one too near or too far."""
+        """Return a goal on an open floor once its distance is checked.
+
+        Args:
+            goal: x, y in the odometry frame [m].
+
+        Raises:
+            ConfigError: where it is nearer or farther than the task's `goal_distance`.
+        """
         nearest, farthest = self._task.goal_distance
         if not nearest <= math.hypot(*goal) <= farthest:
             raise ConfigError(
@@ -120,7 +131,19 @@ def goal_at(distance: float, bearing: float) -> Goal:
 
 
 def chosen(worlds: Pool, share: float, options: Mapping[str, Any]) -> tuple[int, World]:
-    """Number and world: as the options say, or for a number of [0, 1)."""
+    """Choose the world of an episode.
+
+    Args:
+        worlds: to choose from.
+        share: a uniform sample of [0, 1), used where the options name no world.
+        options: of the reset; "world" and "difficulty" are used.
+
+    Returns:
+        Number of the world (-1 for a World object) and the world.
+
+    Raises:
+        ConfigError, WorldError: for a world that isn't in the pool, or isn't one.
+    """
     asked = options.get("world")
     if asked is None:
         number = worlds.numbers[_drawn(worlds, share, options.get("difficulty"))]
@@ -135,12 +158,12 @@ def chosen(worlds: Pool, share: float, options: Mapping[str, Any]) -> tuple[int,
 
 
 def _whole(value: Any) -> bool:
-    """Whether it is a float without a fraction, as info["world"]."""
+    """Whether a value is a float without a fraction, as info["world"] is."""
     return isinstance(value, float | np.floating) and float(value).is_integer()
 
 
 def _drawn(worlds: Pool, share: float, difficulty: Level) -> int:
-    """A world's place in the pool's numbers, drawn from all, or those of a range of difficulty."""
+    """Index into the pool's numbers for a uniform sample, among all or a range of difficulty."""
     if difficulty is None:
         return min(int(share * len(worlds)), len(worlds) - 1)
     ranks = worlds.ranks(difficulty)
@@ -150,13 +173,16 @@ def _drawn(worlds: Pool, share: float, difficulty: Level) -> int:
 def drawn(
     worlds: Pool, rng: np.random.Generator, options: Mapping[str, Any], *, follow: bool = False
 ) -> Assignment:
-    """A world of the pool, where in it the robot starts, and where its goal is.
+    """Draw a world, the start in it and the goal.
 
-    `follow` asks for the world's path, sampled, from one end to the other; WorldError where it has
-    none.
+    Args:
+        worlds: to draw from.
+        rng: the env's generator; DRAWS numbers are taken.
+        options: of the reset: "world", "difficulty" and "goal", see `Spawn.draw`.
+        follow: whether the assignment gets the world's path, and starts at one of its ends.
 
-    Options: "world", a number or a World; "difficulty", (low, high) of the worlds to draw from;
-    "goal", (x, y) in the odometry frame [m].
+    Raises:
+        ConfigError, WorldError: for options out of range, and for a world without a path to follow.
     """
     u = rng.random(DRAWS).tolist()
     number, world = chosen(worlds, u[0], options)
@@ -174,7 +200,10 @@ def drawn(
 
 
 def given(path: Any) -> Assignment:
-    """A path in the odometry frame: the robot starts at its origin, wherever the path begins."""
+    """Make an assignment of a path that a user gives as points (x, y) in the odometry frame [m].
+
+    The robot starts at the origin of that frame, wherever the path begins.
+    """
     world = along(path)
     goal = (world.goal.x, world.goal.y)
     start = Region(0.0, 0.0, 0.0, 0.0)
@@ -183,9 +212,16 @@ def given(path: Any) -> Assignment:
 
 
 def followed(world: World) -> Floats:
-    """N x 3: the samples of a world's path, seen from its start, which is at the path's beginning.
+    """Transform a world's path from the frame of the world into that of its start.
 
-    Raises WorldError where it has no path.
+    Args:
+        world: whose start is at the path's beginning.
+
+    Returns:
+        (samples, 3): x [m], y [m], direction [rad].
+
+    Raises:
+        WorldError: where the world has no path.
     """
     if world.path is None or world.start.theta is None:
         raise WorldError(f"{world.name or 'the world'}: has no path to follow")

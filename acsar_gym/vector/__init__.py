@@ -1,1 +1,1 @@
-"""Thousands of planar robots at once."""
+"""Batches: thousands of planar robots in one environment, simulated by compiled loops."""

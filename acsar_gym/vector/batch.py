@@ -1,4 +1,4 @@
-"""The arrays of many robots, and the calls of `kernel/` on shares of them."""
+"""The arrays of a batch of robots, and the calls of the compiled loops in `kernel/` on them."""
 
 from __future__ import annotations
 
@@ -28,11 +28,27 @@ from acsar_gym.vector.task import Loops, loops_of
 
 Mask = NDArray[np.bool_]
 Share = Callable[[Callable[[int, int], None], int], None]
-"""Runs a loop, given as a function of its first and last robot, over so many robots."""
+"""Runs a loop, given as a function of its first and last robot, for a number of robots, which it
+splits into slices for several threads."""
 
 
 class Batch:
-    """Robots are columns of the state, and rows of all other tables."""
+    """The arrays of all robots of a batch, and what is done with them at a reset and in a step.
+
+    Robots are columns of the state, and rows of all other tables.
+
+    Args:
+        robots: how many.
+        config: of every robot.
+        task: of every robot.
+        spawn: has the worlds.
+        sensors: names, sensors or factories, as `RobotVectorEnv` takes them.
+        setup: numbers that all robots share.
+        randomization: what every robot draws anew for every episode.
+
+    Attributes: `robots`, how many; `tables`, the arrays; `python`, the sensors written in Python;
+    `seeded`, whether the robots have generators.
+    """
 
     def __init__(
         self,
@@ -59,7 +75,7 @@ class Batch:
         self.tables = self.tables._replace(observations=observations)
         self._loops: Loops = loops_of(task, self.tables, self._setup, self._spawns)
         self._together = self._loops.compiled and not len(self.python)
-        """Whether a robot's task can follow its physics at once, on the same thread."""
+        """Whether a robot's task can run right after its physics, on the same thread."""
         self._rows = dict(layout.INFO)
         self._rows |= {} if spawn.pool is None else layout.WORLD_INFO
         self._rows |= layout.SCAN_INFO if sees else {}
@@ -68,18 +84,19 @@ class Batch:
 
     @property
     def _first_python(self) -> int:
-        """Where in the observation the numbers of sensors in Python begin."""
+        """The first column of the observation that belongs to a sensor written in Python."""
         return self._setup.numbers + len(self._around.directions)
 
     @property
     def sensors(self) -> list[Sensor]:
-        """One of each of the robots' sensors, in the order of their numbers in the observation."""
+        """One instance of each kind of sensor, in the order of their numbers in the observation."""
         if self._setup.lidar_rate == 0.0:
             return self.python.kinds
         lidar = SimulatedLidar(RobotLink(self._view, 0), self._config)
         return [LidarSensor(lidar, self._config), *self.python.kinds]
 
     def _tables(self, randomization: Randomization) -> layout.Tables:
+        """Make all arrays. Columns for Python sensors are added to the observations later."""
         robots, setup = self.robots, self._setup
         columns, rays = _columns(robots), len(self._around.directions)
         ranges = randomization.ranges(self._config, setup.ticks * setup.period)
@@ -108,11 +125,17 @@ class Batch:
 
     @property
     def state(self) -> NDArray[np.float64]:
-        """Rows as `layout` names them, a column for each robot."""
+        """(rows, robots): the state; `layout` names the rows."""
         return self.tables.state[:, : self.robots]
 
     def seed(self, seeds: list[int | None] | None, mask: Mask) -> None:
-        """New generators for the robots in the mask; the first time also without seeds."""
+        """Make new generators.
+
+        Args:
+            seeds: one for each robot; None for a robot, or for all, keeps the generators that there
+                are, and draws seeds from the system the first time.
+            mask: (robots,): for which robots.
+        """
         if seeds is None and self.seeded:
             return
         for robot in np.flatnonzero(mask):
@@ -123,25 +146,25 @@ class Batch:
         self.seeded = True
 
     def wish(self, wishes: Wishes, mask: Mask) -> None:
-        """What the next episodes of the robots in the mask are about."""
+        """Set the reset options that hold for the next episodes of the robots in the mask."""
         for row in range(layout.WISHED_WORLD, layout.LAST_RANK + 1):
             self.state[row, mask] = wishes[row][mask] if row in wishes else 0.0
 
     def reset(self, mask: Mask, share: Share) -> None:
-        """New episodes for robots in the mask."""
+        """Begin new episodes of the robots in the mask."""
         share(lambda first, last: self._begin(mask, first, last), self.robots)
         if not self._together:
             self._sense(mask, driven=False)
             self._apart(lambda first, last: self._loops.start(mask, first, last), share)
 
     def _begin(self, mask: Mask, first: int, last: int) -> None:
-        """New episodes for robots in the mask, among first to last."""
+        """Begin new episodes of those robots first to last that are in the mask."""
         episode.reset(self.tables, mask, first, last, self._setup, self._spawns, self._around)
         if self._together:
             self._loops.start(mask, first, last)
 
     def step(self, share: Share) -> None:
-        """An env step of all robots, as `tables.actions` and `tables.over` say."""
+        """Do an env step of all robots with `tables.actions`. Those in `tables.over` begin anew."""
         if self.python.clocked:
             self._drive_tick_by_tick(share)
         else:
@@ -152,13 +175,13 @@ class Batch:
         self._move_on()
 
     def _drive(self, first: int, last: int) -> None:
-        """Physics of robots first to last, and their task where no sensor in Python is between."""
+        """Run the physics of robots first to last, and their task where `_together`."""
         episode.step(self.tables, first, last, self._setup, self._spawns, self._around)
         if self._together:
             self._loops.step(first, last)
 
     def _drive_tick_by_tick(self, share: Share) -> None:
-        """A step in which sensors with a clock of their own are polled at every tick."""
+        """Run the physics of a step tick by tick, and poll sensors after every tick."""
         ring = self.tables.ring
         try:
             for tick in range(self._setup.ticks):
@@ -169,14 +192,17 @@ class Batch:
             ring[2:] = 0, self._setup.ticks
 
     def _apart(self, loop: Callable[[int, int], None], share: Share) -> None:
-        """Run the task's loop for all robots, on one thread where it is Python."""
+        """Run a loop of the task for all robots, on several threads if it is compiled."""
         if self._loops.compiled:
             share(loop, self.robots)
         else:
             loop(0, self.robots)
 
     def _sense(self, begun: Mask, *, driven: bool) -> None:
-        """Let sensors in Python measure: of robots in the mask anew, of the others after a step."""
+        """Reset and read Python sensors of robots that have begun.
+
+        Read the others' too if driven.
+        """
         if len(self.python):
             columns = self.tables.observations[:, self._first_python :]
             self.python.reset(np.flatnonzero(begun), columns)
@@ -184,14 +210,14 @@ class Batch:
                 self.python.read(np.flatnonzero(~self.tables.idle), columns)
 
     def _move_on(self) -> None:
-        """All robots have done their step: move on in the rings."""
+        """Advance the positions in the ring buffers by one env step."""
         ring, setup = self.tables.ring, self._setup
         slot, line, *_ = ring.tolist()
         ring[0] = (slot + setup.ticks * setup.loops) % self.tables.counts.shape[0]
         ring[1] = (line + setup.ticks) % self.tables.commands.shape[0]
 
     def info(self) -> dict[str, NDArray[np.float64]]:
-        """What the single env's info says, an array for each of its keys."""
+        """Info with the keys of the single env, each an array with a row for each robot."""
         rows = self.state[list(self._rows.values())]
         info = dict(zip(self._rows, rows, strict=True))
         if self._pool is not None:
@@ -201,19 +227,19 @@ class Batch:
         return info
 
     def _told(self) -> dict[str, NDArray[np.float64]]:
-        """What the episodes have drawn: one number a robot, or four, in the order of the wheels."""
+        """Randomized parameters of the episodes: (robots,), or (robots, 4) in wheel order."""
         drawn = self.tables.drawn[:, : self.robots]
         rows = {name: drawn[numbers].T for name, numbers in self._drawn.items()}
         return {name: row[:, 0] if row.shape[1] == 1 else row for name, row in rows.items()}
 
     @property
     def bytes_per_robot(self) -> float:
-        """Memory that a robot takes in all arrays."""
+        """Memory of all arrays, divided by the number of robots [bytes]."""
         return sum(array.nbytes for array in self.tables) / self.robots
 
 
 def _columns(robots: int) -> int:
-    """Columns for so many robots: an odd number of cache lines a row.
+    """Number of columns for so many robots: an odd number of cache lines a row.
 
     Rows a power of two apart would all fall into the same few sets of the cache.
     """

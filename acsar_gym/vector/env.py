@@ -1,4 +1,4 @@
-"""Thousands of planar robots as one Gymnasium VectorEnv."""
+"""The Gymnasium VectorEnv: thousands of planar robots with one task."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ Info = dict[str, Any]
 
 
 class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
-    """Many planar robots with one task; `acsar_gym.envs` has the ids' classes.
+    """Many planar robots with one task; the classes of the registered ids are in `acsar_gym.envs`.
 
-    Spaces, reward, end and info are those of the single env, one row a robot, and so are commands,
+    Spaces, reward, end and info are those of the single env, one row a robot. So are commands,
     latency, motors, tyres, encoders, odometry, LiDAR and worlds: with the same seed and actions a
     robot does what `link="planar"` does, to 1e-9. Make it with
 
@@ -45,30 +45,30 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
 
     Arguments besides those of the single env:
 
-    - `num_envs`: robots.
+    - `num_envs`: number of robots.
     - `max_episode_steps`: time limit; registration gives that of the id.
     - `autoreset_mode`: an AutoresetMode or its value, "NextStep" (default), "SameStep", "Disabled".
     - `threads`: cores to use, at most; None uses all where there is enough to do. Results don't
       depend on it.
-    - `faults`: lines that are lost or late, in the words of `acsar_gym.links.faults.Faults`:
+    - `faults`: lines that are lost or late, with these fields of `acsar_gym.links.faults.Faults`:
       dropped_lines, late_lines, lateness, episodes and direction. The same lines as in the single
       env. Where feedback stays away for longer than the robot's `feedback_timeout` the episode is
-      truncated with `fault` 1 in info, as there, and in its first step where it stays away in the
-      reset.
+      truncated with `fault` 1 in info, as in the single env. Where it stays away during the reset,
+      the episode is truncated in its first step.
 
     All worlds, at most 10,000, are made when the batch is. Seeds: `reset(seed=s)` seeds robot i
-    with s + i, or a list names each one's. Every robot has its own generator, the same as the
+    with s + i, or a list has one seed for each. Every robot has its own generator, the same as the
     single env's.
 
     ## Options of a reset
 
-    As in the single env, an array with a row for each robot, or one value for all; NaN is not to
-    ask. They hold for these robots in all episodes that follow by autoreset, until their next
-    `reset`; one without options takes them back. `set_options` sets them for the episodes to come
-    without ending any: a curriculum.
+    The options of the single env, each as an array with a row for each robot or as one value for
+    all; NaN leaves a robot without the option. Options hold for these robots in all episodes that
+    follow by autoreset, until their next `reset`; a reset without options removes them.
+    `set_options` sets them for later episodes without ending any, for instance for a curriculum.
 
-    - `reset_mask`: which robots are meant, num_envs booleans; without it, all.
-    - `world`: numbers of worlds (num_envs). `goal`: (num_envs, 2), in the odometry frame [m].
+    - `reset_mask`: (num_envs,) booleans, the robots to reset; all where it is missing.
+    - `world`: (num_envs,) numbers of worlds. `goal`: (num_envs, 2), in the odometry frame [m].
     - `difficulty`: (num_envs, 2), low and high: worlds are drawn among those of the batch whose
       difficulty lies in that range. A batch made with `difficulty=None` has all from 0 to 1.
 
@@ -76,8 +76,8 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
 
     That of the single env, an array with a row for each robot under each key.
 
-    After Ctrl-C in `reset` or `step` all robots must be reset; with a seed, they do what those of a
-    new batch do.
+    After Ctrl-C in `reset` or `step` all robots must be reset; with a seed, they then behave like
+    those of a new batch.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - as VectorEnv declares it
@@ -96,12 +96,12 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
 
         Args:
             task: a task, its class, or "module:Class".
-            num_envs: robots.
-            robot: their configuration.
-            **options: of the batch, see above, and of the task.
+            num_envs: number of robots.
+            robot: configuration of every robot; see `RobotConfig.of`.
+            **options: of the batch, see the class, and of the task.
 
         Raises:
-            ConfigError, WorldError: for options that make no sense.
+            ConfigError, WorldError: for unknown options, or values out of range.
         """
         config = RobotConfig.of(robot)
         asked, rest = BatchOptions.split(options)
@@ -122,10 +122,11 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         self._masks: tuple[str, ...] = ()
         self._done = np.zeros(self.num_envs, np.bool_)
         self._whole = True
-        """Whether no call was interrupted since all robots were reset."""
+        """False from the beginning of a call until its end; it stays False where one was
+        interrupted."""
 
     def _batch(self, asked: BatchOptions, ticks: int) -> Batch:
-        """The robots, and `sensors`, one of each of theirs; the task is tried with them."""
+        """Make the robots and check the task with their sensors."""
         task, config, steps = self.task, self.config, asked.max_episode_steps
         sensors = (*task.sensors, *asked.sensors)
         faults, numbers = checked(asked.faults, config), len(task.observation)
@@ -142,9 +143,18 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         seed: int | Sequence[int | None] | None = None,
         options: Mapping[str, Any] | None = None,
     ) -> tuple[Array, Info]:
-        """New episodes for all robots, or those in `options["reset_mask"]`.
+        """Begin new episodes for all robots, or those in `options["reset_mask"]`.
 
-        The other options, see the class, hold for these robots until they are reset again.
+        Args:
+            seed: s seeds robot i with s + i; a list has one seed for each robot; None keeps the
+                generators.
+            options: see the class; they hold for these robots until they are reset again.
+
+        Returns:
+            Observations (num_envs, numbers) and info.
+
+        Raises:
+            ConfigError, WorldError: for unknown options, or values that are malformed.
         """
         mask, asked = self._asked(options)
         if not (mask.all() or (self.batch.seeded and self._whole)):
@@ -162,14 +172,21 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         return self.batch.tables.observations.copy(), self._info(mask)
 
     def set_options(self, options: Mapping[str, Any]) -> None:
-        """Options as in `reset`, for the episodes to come; those that run go on."""
+        """Set options as in `reset`, for later episodes; running episodes go on.
+
+        Args:
+            options: see the class.
+
+        Raises:
+            ConfigError, WorldError: for unknown options, or values that are malformed.
+        """
         mask, asked = self._asked(options)
         self.batch.wish(asked, mask)
 
     def _asked(self, options: Mapping[str, Any] | None) -> tuple[Array, Wishes]:
-        """Which robots a reset's options are for, and what they ask for.
+        """Which robots a reset's options are for, and the options as rows of the state.
 
-        Threads of an interrupted call have ended, so that the state can be written.
+        Waits for the threads of an interrupted call, because the state is written next.
         """
         self._threads.wait()
         given = known(options or {}, (MASK, *self._spawn.options))
@@ -177,9 +194,13 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         return _mask(given.get(MASK), self.num_envs), wishes(self._spawn, rest, self.num_envs)
 
     def step(self, actions: Array) -> tuple[Array, Array, Array, Array, Info]:
-        """One env step of every robot; `actions` is num_envs x 2.
+        """Do one env step of every robot.
 
-        Raises CommandError for another shape, and for NaN or infinity, naming the first bad env.
+        Args:
+            actions: (num_envs, 2), linear and angular, clipped to [-1, 1].
+
+        Raises:
+            CommandError: for another shape, NaN or infinity; names the first bad env.
         """
         actions = self._checked(actions)
         if not self.batch.seeded:
@@ -205,6 +226,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         return tables.observations.copy(), rewards, terminated, truncated, info
 
     def _checked(self, actions: Array) -> Array:
+        """The actions as float64 (num_envs, 2); CommandError for another shape, NaN or infinity."""
         actions = np.array(actions, np.float64, order="C")  # others would compile loops anew
         if actions.shape != (self.num_envs, 2):
             raise CommandError(f"actions of shape {actions.shape}: must be ({self.num_envs}, 2)")
@@ -214,7 +236,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         return actions
 
     def _finals(self, done: Array) -> Info:
-        """What Gymnasium wants to know of episodes that ended in this very step."""
+        """The keys that Gymnasium asks for where an episode ends and is reset in the same step."""
         final = np.full(self.num_envs, None, object)
         for index in np.flatnonzero(done):
             final[index] = self.batch.tables.observations[index].copy()
@@ -225,7 +247,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         return {"final_obs": final, "_final_obs": done, "final_info": info, "_final_info": done}
 
     def _info(self, mask: Array) -> Info:
-        """The single env's info as arrays, each with its mask."""
+        """The batch's info, and under "_key" the mask of the robots that it is valid for."""
         info = self.batch.info()
         if len(self._masks) != len(info):
             self._masks = tuple(f"_{name}" for name in info)
@@ -237,6 +259,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
 
 
 def _mask(mask: Any, robots: int) -> Array:
+    """Check a reset mask; all robots where it is None."""
     if mask is None:
         return np.ones(robots, np.bool_)
     asked: Array = np.array(mask, order="C")
@@ -246,7 +269,7 @@ def _mask(mask: Any, robots: int) -> Array:
 
 
 def _seeds(seed: int | Sequence[int | None] | None, robots: int) -> list[int | None] | None:
-    """A seed for each robot; None where none is seeded."""
+    """A seed for each robot; None where nothing is seeded."""
     if seed is None:
         return None
     if isinstance(seed, int | np.integer):
@@ -261,6 +284,7 @@ def _seeds(seed: int | Sequence[int | None] | None, robots: int) -> list[int | N
 
 
 def _seed(value: Any) -> int:
+    """Check one seed."""
     if not isinstance(value, int | np.integer) or value < 0:
         raise ConfigError(f"seed = {shown(value)}: must be a whole number of at least 0")
     return int(value)

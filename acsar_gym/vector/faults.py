@@ -1,4 +1,4 @@
-"""The faults that a batch knows: lines that are lost or late."""
+"""The faults that a batch can simulate: lines that are lost or late."""
 
 from __future__ import annotations
 
@@ -18,10 +18,14 @@ KNOWN = ("dropped_lines", "late_lines", "lateness", "episodes", "direction")
 
 
 def checked(faults: Mapping[str, Any] | Faults | None, config: RobotConfig) -> Faults:
-    """The faults of a batch, from what users may pass as `faults=`.
+    """Check the faults of a batch.
+
+    Args:
+        faults: as users pass `faults=`; see `Faults.of`.
+        config: of the robots.
 
     Raises:
-        ConfigError: for one that a batch doesn't know, or a value out of range.
+        ConfigError: for a fault that a batch can't simulate, or a value out of range.
     """
     asked, sound = Faults.of(faults), Faults()
     for field in fields(asked):
@@ -40,7 +44,7 @@ def checked(faults: Mapping[str, Any] | Faults | None, config: RobotConfig) -> F
 
 
 def line_faults(faults: Faults, config: RobotConfig) -> LineFaults:
-    """These faults as compiled loops need them."""
+    """Convert faults to the numbers that compiled loops need."""
     firmware = config.firmware
     line = (LINE_BYTES + config.trailing_comma) * BITS_PER_BYTE / config.baud_rate
     return LineFaults(

@@ -1,4 +1,4 @@
-"""What a sensor of a batch is told of its robot: the truth, the time and the scene, but no wire."""
+"""What a sensor of a batch can know of its robot's link: ground truth, time and scene."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from acsar_gym.worlds import Scene, World
 
 Floats = NDArray[np.float64]
 Robots = NDArray[np.int64]
-"""Numbers of robots."""
+"""Indices of robots in the batch."""
 
 
 class Truths(NamedTuple):
@@ -41,7 +41,7 @@ class View:
         self._state, self._dt, self._worlds = state, dt, worlds
 
     def truths(self, robots: Robots) -> Truths:
-        """Where these robots are in their worlds, how fast, and whether they have touched."""
+        """Ground truth of these robots, in the frames of their worlds."""
         s = self._state[:, robots]
         cos, sin = s[layout.START_COS], s[layout.START_SIN]
         x = s[layout.START_X] + cos * s[layout.X] - sin * s[layout.Y]
@@ -53,12 +53,12 @@ class View:
         return Truths(np.column_stack([x, y, theta]), twist, s[layout.CONTACT] > 0.0)
 
     def now(self, robots: Robots) -> Floats:
-        """Time since these robots' links were reset [s]."""
+        """Simulated time since these robots' links were reset [s], (robots,)."""
         time: Floats = self._state[layout.LOOPS, robots] * self._dt
         return time
 
     def scenes(self, robots: Robots) -> list[Scene]:
-        """The worlds of these robots' episodes, with their starts and goals in them."""
+        """World, start and goal of these robots' episodes, in the frames of the worlds."""
         s = self._state[:, robots]
         rows = [layout.START_X, layout.START_Y, layout.START_THETA, layout.GOAL_X, layout.GOAL_Y]
         worlds = s[layout.WORLD].astype(np.int64).tolist()
@@ -72,7 +72,7 @@ class View:
 
 
 class RobotLink:
-    """What a sensor in a batch knows of its robot's link: the truth and the time, but no wire."""
+    """The link that a sensor of a batch is given: it has ground truth and time, but no wire."""
 
     lateness: float | None = None
 
@@ -82,29 +82,29 @@ class RobotLink:
 
     @property
     def truth(self) -> GroundTruth:
-        """Where the robot is now."""
+        """Ground truth of the robot, in the frame of its world."""
         (x, y, theta), (forward, rate), contact = (
             array[0].tolist() for array in self._view.truths(self._robots)
         )
         return GroundTruth((x, y, theta), (forward, rate), contact)
 
     def now(self) -> float:
-        """Seconds of simulated time since the reset."""
+        """Simulated time since the reset [s]."""
         return float(self._view.now(self._robots)[0])
 
     def open(self) -> None:
-        """Nothing to open."""
+        """Do nothing: there is no device."""
 
     def reset(self, scene: Scene) -> None:
-        """The batch resets its robots."""
+        """Do nothing: the batch resets its robots."""
 
     def close(self) -> None:
-        """Nothing to close."""
+        """Do nothing: there is no device."""
 
     def write(self, data: bytes) -> NoReturn:
-        """There is no wire."""
+        """Raise LinkError: robots of a batch have no wire."""
         raise LinkError("a robot of a batch has no wire", "use the single env")
 
     def advance(self, period: float) -> NoReturn:
-        """There is no wire."""
+        """Raise LinkError: robots of a batch have no wire."""
         raise LinkError("a robot of a batch has no wire", "use the single env")

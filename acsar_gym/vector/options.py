@@ -1,4 +1,4 @@
-"""Options of a batch's reset: what the episodes of each robot are about from now on."""
+"""The options of a batch's reset, as rows of the state."""
 
 from __future__ import annotations
 
@@ -16,13 +16,20 @@ from acsar_gym.worlds.pool import Pool
 
 Array = NDArray[Any]
 Wishes = dict[int, Array]
-"""Rows of the state, a number for each robot; those that aren't there are zero."""
+"""Rows of the state that hold reset options: the row's number -> (robots,). Missing rows are
+zero."""
 
 
 def wishes(spawn: Spawn, options: Mapping[str, Any], robots: int) -> Wishes:
-    """The options "world", "difficulty" and "goal" of a reset, as far as the task has them.
+    """Convert a reset's options "world", "difficulty" and "goal" to rows of the state.
 
-    Raises ConfigError for an unknown option or a value that makes no sense, naming the robot.
+    Args:
+        spawn: knows which options the task has.
+        options: of the reset, without the mask.
+        robots: number of robots.
+
+    Raises:
+        ConfigError, WorldError: for an unknown option, or a bad value; names the robot.
     """
     given = known(options, tuple(name for name in spawn.options if name != "path"))
     found: Wishes = {}
@@ -39,7 +46,7 @@ def wishes(spawn: Spawn, options: Mapping[str, Any], robots: int) -> Wishes:
 
 
 def _numbers(name: str, value: Any, robots: int, width: int) -> Array:
-    """Robots x width numbers, from one row for each robot, or one for all."""
+    """(robots, width) numbers of an option that has one row for each robot, or one for all."""
     try:
         array = np.asarray(value, np.float64)
     except (TypeError, ValueError):
@@ -65,7 +72,7 @@ def _goals(spawn: Spawn, goals: Array) -> Wishes:
 
 
 def _worlds(pool: Pool, numbers: Array) -> Array:
-    """Places of worlds among the pool's, from 1; 0 for robots that draw theirs."""
+    """Indices of worlds in the pool, from 1; 0 for robots that draw theirs."""
     asked = ~np.isnan(numbers)
     first, last = pool.numbers[0], pool.numbers[-1]
     sound = (numbers >= first) & (numbers <= last) & (numbers == np.floor(numbers))
@@ -78,7 +85,7 @@ def _worlds(pool: Pool, numbers: Array) -> Array:
 
 
 def _ranks(pool: Pool, ranges: Array) -> Wishes:
-    """First and last rank of each robot's range of difficulty; 0 and 0 for NaN, which is all."""
+    """First and last rank of each robot's range of difficulty; 0 and 0 where it is NaN."""
     ranks = np.zeros((len(ranges), 2))
     rows, which = np.unique(ranges, axis=0, return_inverse=True)
     for number, (low, high) in enumerate(rows.tolist()):

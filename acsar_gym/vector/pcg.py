@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from acsar_gym.jit import COMPILED, jit
 
 Generators = NDArray[np.uint64]
-"""n x 4: one generator a row."""
+"""(n, 4): one generator a row."""
 
 _MULTIPLIER_HIGH = np.uint64(2549297995355413924)
 _MULTIPLIER_LOW = np.uint64(4865540595714422341)
@@ -25,24 +25,30 @@ _MASK = np.uint64(0xFFFFFFFF)
 
 
 def seeded(seed: int | None) -> tuple[int, int, int, int]:
-    """A generator's row for a seed, as `np.random.PCG64(seed)` starts; None: from the system."""
+    """Row of a new `np.random.PCG64(seed)`; None draws a seed from the system."""
     return of_state(np.random.PCG64(seed))
 
 
 def of_state(bits: np.random.BitGenerator) -> tuple[int, int, int, int]:
-    """A generator's row with the state of NumPy's one, a PCG64."""
+    """Row of a generator with the state of a NumPy PCG64."""
     inner: Any = bits.state["state"]
     state, increment = inner["state"], inner["inc"]
     return state >> 64, state & _WORD, increment >> 64, increment & _WORD
 
 
 class Lent(Sequence[np.random.Generator]):
-    """Generators of some rows, as NumPy's: they go on where the rows are, until `give_back`."""
+    """NumPy generators that go on where some rows are, until `give_back` stores their states."""
 
     def __init__(
         self, rows: Generators, which: Sequence[int], made: dict[int, np.random.Generator]
     ) -> None:
-        """`made` keeps a generator for each row: half a number of 64 bits may be left in it."""
+        """Make no generator yet; each is made when it is first used.
+
+        Args:
+            rows: (n, 4): generators of all robots.
+            which: rows to lend, in order.
+            made: NumPy generators by row, reused because half of a 64-bit number may be buffered.
+        """
         self._rows, self._which, self._made = rows, which, made
         self._lent: dict[int, np.random.Generator] = {}
 
@@ -69,14 +75,14 @@ class Lent(Sequence[np.random.Generator]):
         return self._lent[row]
 
     def give_back(self) -> None:
-        """Let the rows go on where the generators are now."""
+        """Write the states of the generators back into the rows."""
         for row, generator in self._lent.items():
             self._rows[row] = of_state(generator.bit_generator)
         self._lent = {}
 
 
 def _go_on(bits: np.random.BitGenerator, row: Sequence[int]) -> None:
-    """Put NumPy's generator where a row is."""
+    """Set the state of a NumPy generator to that of a row."""
     state: Any = bits.state
     state["state"] = {"state": row[0] << 64 | row[1], "inc": row[2] << 64 | row[3]}
     bits.state = state
@@ -84,7 +90,7 @@ def _go_on(bits: np.random.BitGenerator, row: Sequence[int]) -> None:
 
 @jit
 def _high(a: np.uint64, b: np.uint64) -> np.uint64:
-    """Upper half of the 128-bit product."""
+    """Upper half of the 128-bit product of two 64-bit numbers."""
     a_low, a_high, b_low, b_high = a & _MASK, a >> _HALF, b & _MASK, b >> _HALF
     middle = a_high * b_low + ((a_low * b_low) >> _HALF)
     other = a_low * b_high + (middle & _MASK)
@@ -93,7 +99,7 @@ def _high(a: np.uint64, b: np.uint64) -> np.uint64:
 
 @jit
 def uniform(generators: Generators, i: int) -> float:
-    """The next double in [0, 1) of generator i, as `Generator.random()` gives it."""
+    """The next double in [0, 1) of generator i, equal to `Generator.random()`."""
     high, low = generators[i, 0], generators[i, 1]
     new_low = low * _MULTIPLIER_LOW
     new_high = _high(low, _MULTIPLIER_LOW) + high * _MULTIPLIER_LOW + low * _MULTIPLIER_HIGH
@@ -111,6 +117,6 @@ if not COMPILED:
     _wrapping = uniform
 
     def uniform(generators: Generators, i: int) -> float:
-        """The same in plain NumPy, whose scalars warn where words wrap around, as they must."""
+        """The next double in [0, 1) of generator i; NumPy's overflow warnings are expected here."""
         with np.errstate(over="ignore"):
             return _wrapping(generators, i)

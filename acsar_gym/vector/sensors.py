@@ -1,4 +1,4 @@
-"""Sensors written in Python, in a batch: they run over the robots behind the compiled physics.
+"""Sensors written in Python, in a batch: they run over all robots after the compiled physics.
 
 The LiDAR isn't among them: it is compiled.
 """
@@ -22,11 +22,11 @@ from acsar_gym.vector.pcg import Lent
 from acsar_gym.worlds import Scene
 
 Observations = NDArray[np.float32]
-"""(robots, numbers): rows of those numbers of an observation that these sensors give."""
+"""(robots, numbers): the columns of the observations that these sensors fill."""
 
 
 class Moment(NamedTuple):
-    """What sensors of some robots are told, one row or item each."""
+    """What the sensors of some robots are given at one time, one row or item for each robot."""
 
     robots: list[int]
     truths: Truths
@@ -35,17 +35,17 @@ class Moment(NamedTuple):
     rngs: Sequence[np.random.Generator]
 
     def each(self) -> Iterator[tuple[int, GroundTruth, float]]:
-        """Number, truth and time of robot after robot, as in the single env."""
+        """Index, ground truth and time [s] of each robot, as in the single env."""
         rows = (self.robots, *(array.tolist() for array in (*self.truths, self.now)))
         for robot, pose, twist, contact, now in zip(*rows, strict=True):
             yield robot, GroundTruth(tuple(pose), tuple(twist), contact), now
 
 
 class BatchSensors:
-    """The sensors of all robots of a batch, but for the LiDAR.
+    """The sensors of all robots of a batch, except the LiDAR.
 
-    Attributes: `kinds`, one of each; `size`, how many numbers they give; `clocked`, whether any of
-    them must be polled at every tick; `info`, an array for each key that they tell.
+    Attributes: `kinds`, one instance of each; `size`, their numbers in the observation; `clocked`,
+    whether any of them must be polled after every tick; `info`, an array for each key of theirs.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class BatchSensors:
         return len(self._groups)
 
     def tell(self, info: dict[str, Floats]) -> None:
-        """Add what they tell to a batch's info. ConfigError for a key that is there already."""
+        """Add the sensors' info to the batch's. ConfigError for a key that is there already."""
         if self.info:
             for group in self._groups:
                 for key in group.keys:
@@ -73,11 +73,16 @@ class BatchSensors:
             info |= self.info
 
     def forget(self, robot: int) -> None:
-        """The generator of this robot has been seeded anew."""
+        """Drop the NumPy generator of a robot that has been seeded anew."""
         self._generators.pop(robot, None)
 
     def reset(self, robots: Robots, observations: Observations) -> None:
-        """These robots begin an episode: reset their sensors, and read them."""
+        """Reset the sensors of robots that begin an episode, and read them.
+
+        Args:
+            robots: indices of the robots.
+            observations: (all robots, numbers): their rows are written.
+        """
         for robot, scene in zip(robots.tolist(), self._view.scenes(robots), strict=True):
             self._scenes[robot] = scene
         with self._moment(robots) as moment:
@@ -86,17 +91,23 @@ class BatchSensors:
             self._read(moment, observations)
 
     def poll(self, robots: Robots) -> None:
-        """A tick of these robots has passed."""
+        """Poll the sensors of these robots after a tick."""
         with self._moment(robots) as moment:
             for group in self._groups:
                 group.poll(moment)
 
     def read(self, robots: Robots, observations: Observations) -> None:
-        """The last tick of a step of these robots has passed."""
+        """Read the sensors of these robots after the last tick of a step.
+
+        Args:
+            robots: indices of the robots.
+            observations: (all robots, numbers): their rows are written.
+        """
         with self._moment(robots) as moment:
             self._read(moment, observations)
 
     def _read(self, moment: Moment, observations: Observations) -> None:
+        """Write what the sensors read into the observations, and their info."""
         first = 0
         for group in self._groups:
             out = np.full((len(moment.robots), group.kind.size), np.nan)
@@ -106,7 +117,7 @@ class BatchSensors:
         self._tell(moment)
 
     def _tell(self, moment: Moment) -> None:
-        """What they tell to info: new arrays, for those that were told once never change."""
+        """Collect the sensors' info in new arrays: those that a user has don't change."""
         told: dict[str, list[float]] = {}
         for group in self._groups:
             group.tell(moment, told)
@@ -117,7 +128,7 @@ class BatchSensors:
 
     @contextlib.contextmanager
     def _moment(self, robots: Robots) -> Iterator[Moment]:
-        """What the sensors are told now; the numbers that they draw are the robots' own."""
+        """What the sensors are given now; generators are lent to them inside the block."""
         numbers = robots.tolist()
         whole = len(numbers) == len(self._scenes)
         scenes = self._scenes if whole else [self._scenes[robot] for robot in numbers]
@@ -130,7 +141,7 @@ class BatchSensors:
 
 
 class _Each:
-    """A sensor for each robot, as in the single env."""
+    """One sensor object for each robot, as in the single env."""
 
     def __init__(self, sensors: Sequence[Sensor]) -> None:
         self.kind = sensors[0]
@@ -140,7 +151,7 @@ class _Each:
         self.keys: list[str] = []
 
     def reset(self, moment: Moment) -> None:
-        """Reset them and let them take their first measurement."""
+        """Reset them; those with a clock of their own take a first measurement."""
         with _named(self.kind) as at:
             for place, (robot, truth, now) in enumerate(moment.each()):
                 at[0] = robot
@@ -149,7 +160,7 @@ class _Each:
                     self._sensors[robot].poll(truth, now)
 
     def poll(self, moment: Moment) -> None:
-        """Let them measure, if it is time."""
+        """Poll those with a clock of their own."""
         if self._polled:
             self._lend(moment)
             with _named(self.kind) as at:
@@ -158,7 +169,7 @@ class _Each:
                     self._sensors[robot].poll(truth, now)
 
     def read(self, moment: Moment, out: Floats) -> None:
-        """Their numbers, a row each."""
+        """Read them into `out`, (robots, size)."""
         self._lend(moment)
         with _named(self.kind) as at:
             for row, (robot, truth, now) in zip(out, moment.each(), strict=True):
@@ -167,12 +178,12 @@ class _Each:
                 row[:] = checked(sensor, sensor.read(truth, now))
 
     def _lend(self, moment: Moment) -> None:
-        """Sensors keep the generators of their reset: those are to go on where the batch is."""
+        """Set the generators that sensors keep to the batch's current states."""
         for _ in moment.rngs:
             pass
 
     def tell(self, moment: Moment, told: dict[str, list[float]]) -> None:
-        """Add what they tell, a number for each robot. ConfigError for a key that is there."""
+        """Add their info, one number for each robot. ConfigError for a key that is there."""
         if self._tells:
             rows: list[dict[str, float]] = []
             for robot, now in zip(moment.robots, moment.now.tolist(), strict=True):
@@ -185,7 +196,7 @@ class _Each:
 
 
 class _Whole:
-    """One sensor whose `read_batch` reads all robots at once."""
+    """One sensor object whose `read_batch` reads all robots at once."""
 
     keys: Sequence[str] = ()
 
@@ -193,13 +204,13 @@ class _Whole:
         self.kind = sensor
 
     def reset(self, moment: Moment) -> None:
-        """Nothing: it remembers nothing."""
+        """Do nothing: such a sensor keeps no state."""
 
     def poll(self, moment: Moment) -> None:
-        """Nothing: it has no clock of its own."""
+        """Do nothing: such a sensor has no clock of its own."""
 
     def read(self, moment: Moment, out: Floats) -> None:
-        """The numbers of all robots, a row each."""
+        """Read all robots into `out`, (robots, size). SensorError where it isn't finite."""
         self.kind.read_batch(moment.truths, moment.scenes, moment.now, moment.rngs, out)
         sound = np.isfinite(out).all(axis=1)
         if not sound.all():
@@ -210,11 +221,11 @@ class _Whole:
             )
 
     def tell(self, moment: Moment, told: dict[str, list[float]]) -> None:
-        """Nothing."""
+        """Do nothing: such a sensor has no info."""
 
 
 def _group(factory: Any, config: RobotConfig, robots: int, view: View) -> _Each | _Whole:
-    """The sensors that a factory makes for a batch."""
+    """Make the sensors of one factory for all robots. ConfigError where a batch can't use them."""
     one = made_by(factory, RobotLink(view, 0), config)
     if hasattr(one, "read_batch"):
         if overrides(one, "poll") or overrides(one, "info"):
@@ -232,13 +243,13 @@ def _group(factory: Any, config: RobotConfig, robots: int, view: View) -> _Each 
 
 
 def overrides(sensor: Sensor, method: str) -> bool:
-    """Whether a sensor has a method of its own, and not Sensor's."""
+    """Whether the sensor's class overrides a method of `Sensor`."""
     return getattr(type(sensor), method) is not getattr(Sensor, method)
 
 
 @contextlib.contextmanager
 def _named(kind: Sensor) -> Iterator[list[int]]:
-    """Errors inside the block say which robot's sensor it was: the number put into the list."""
+    """Add the sensor and the robot (the list's number) to errors inside the block."""
     at = [0]
     try:
         yield at

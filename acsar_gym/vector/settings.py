@@ -15,16 +15,16 @@ from acsar_gym import jit
 from acsar_gym.errors import ConfigError, shown
 
 MOST_ROBOTS = 1_000_000
-"""They take about 2 GB."""
+"""Robots of a batch, at most; so many take about 2 GB."""
 MOST_STEPS = 10**9
-"""Of an episode."""
+"""Largest time limit of an episode [steps]."""
 FAIR_SHARE = 256
-"""Robots for which another thread is worth its start."""
+"""A thread more is used for so many robots; with fewer its start costs more than it saves."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BatchOptions:
-    """Of a batch; see `RobotVectorEnv`."""
+    """The options of a batch; `RobotVectorEnv` describes them."""
 
     worlds: Any = None
     difficulty: Any = None
@@ -58,15 +58,21 @@ class BatchOptions:
 
     @classmethod
     def names(cls) -> tuple[str, ...]:
-        """Of all options."""
+        """Names of all options."""
         return tuple(field.name for field in fields(cls))
 
     @classmethod
     def split(cls, given: Mapping[str, Any]) -> tuple[Self, dict[str, Any]]:
-        """These options, and the others, which are the task's.
+        """Separate the options of the batch from those of the task.
+
+        Args:
+            given: all options, by name.
+
+        Returns:
+            The batch's options, and the others.
 
         Raises:
-            ConfigError: for values that make no sense.
+            ConfigError: for values that are unknown or out of range.
         """
         own = cls.names()
         rest = {name: value for name, value in given.items() if name not in own}
@@ -74,6 +80,7 @@ class BatchOptions:
 
 
 def _autoreset(mode: AutoresetMode | str) -> AutoresetMode:
+    """Convert an autoreset mode or its value; ConfigError for anything else."""
     try:
         return AutoresetMode(mode)
     except ValueError:
@@ -82,14 +89,31 @@ def _autoreset(mode: AutoresetMode | str) -> AutoresetMode:
 
 
 def count(name: str, value: int, most: int) -> int:
-    """A whole number from 1 to `most`. Raises ConfigError for anything else."""
+    """Check that an option is a whole number from 1 to `most`, and return it.
+
+    Args:
+        name: of the option, for the message.
+        value: of the option.
+        most: largest allowed value.
+
+    Raises:
+        ConfigError: for anything else.
+    """
     if not isinstance(value, int | np.integer) or not 1 <= value <= most:
         raise ConfigError(f"{name} = {shown(value)}: must be a whole number from 1 to {most:,}")
     return int(value)
 
 
 def threads_for(asked: int | None, robots: int) -> int:
-    """Threads to use: as asked, or all cores where every thread gets a fair share."""
+    """Number of threads to use.
+
+    Args:
+        asked: by the user; None uses all cores, but gives each at least FAIR_SHARE robots.
+        robots: of the batch.
+
+    Raises:
+        ConfigError: for fewer than 1, or more than this machine's cores.
+    """
     cores = (
         len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     )

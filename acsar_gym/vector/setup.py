@@ -1,4 +1,9 @@
-"""What all robots of a batch share, as the kernel takes it, and how much of the past is kept."""
+"""Compute the numbers that all robots of a batch share, and the sizes of its ring buffers.
+
+`setup_of` takes `ticks`, the control periods in an env step; `max_steps`, the time limit of an
+episode in env steps; `numbers`, how many numbers of the observation are the task's own; and
+`sees`, whether the robots have a LiDAR.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +31,7 @@ def setup_of(
     *,
     sees: bool,
 ) -> layout.Setup:
-    """What all robots share: ticks and longest episode [steps], the task's numbers, a LiDAR."""
+    """Compute the numbers that all robots of a batch share; see the module for the arguments."""
     dt = substep(config)
     firmware, encoder = config.firmware, config.encoder
     window = round(encoder.window * firmware.loop_rate)
@@ -72,13 +77,24 @@ def _lidar(config: RobotConfig, *, sees: bool) -> dict[str, Any]:
 
 
 def lines_kept(setup: layout.Setup, ranges: Ranges) -> int:
-    """Command lines to keep: as many ticks as the slowest one is on its way."""
+    """Size of the ring of command lines [ticks]: the longest time that one can be on its way."""
     late = 2 * math.ceil(setup.faults.lateness / setup.period) if setup.faults.possible else 0
     return 2 + late + math.ceil(_delay(setup, ranges) / setup.loops)
 
 
 def counts_kept(setup: layout.Setup, ranges: Ranges, config: RobotConfig) -> int:
-    """Loops of encoder counts to keep: the window behind the oldest line still on its way."""
+    """Size of the ring of encoder counts [firmware loops].
+
+    The oldest feedback line that may still be on its way, and the encoders' window before it.
+
+    Args:
+        setup: of the batch.
+        ranges: of the randomized parameters.
+        config: of the robots.
+
+    Raises:
+        ConfigError: where a line can be on its way for longer than an env step.
+    """
     delay = _delay(setup, ranges)
     if delay >= setup.ticks * setup.loops:
         raise ConfigError(
@@ -92,5 +108,5 @@ def counts_kept(setup: layout.Setup, ranges: Ranges, config: RobotConfig) -> int
 
 
 def _delay(setup: layout.Setup, ranges: Ranges) -> int:
-    """Loops that the slowest line takes."""
+    """The longest time that a line can be on its way, without faults [firmware loops]."""
     return round(setup.wire_loops + ranges.high.latency / setup.dt)

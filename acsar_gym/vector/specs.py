@@ -21,14 +21,14 @@ from acsar_gym.tasks.base import Task
 
 
 class PlainSpec:
-    """Mixin of an environment: `gymnasium.make` sets its `spec`, which keeps plain arguments."""
+    """Mixin of environments: keeps the arguments in Gymnasium's `spec` as plain data."""
 
     task: Task
     _spec: EnvSpec | None = None
 
     @property
     def spec(self) -> EnvSpec | None:
-        """How this environment was made; None where it wasn't made by Gymnasium."""
+        """How Gymnasium made this environment; None where it was made directly."""
         return self._spec
 
     @spec.setter
@@ -41,9 +41,9 @@ class PlainSpec:
 
 
 def plain(value: Any) -> Any:
-    """Configs, faults, sensors, arrays, paths and containers of them as JSON knows them.
+    """Convert configs, faults, sensors, arrays, paths and containers of them for JSON.
 
-    Other objects as given.
+    Other objects are returned unchanged.
     """
     if isinstance(value, BaseModel):
         value = value.model_dump(mode="json")

@@ -21,15 +21,20 @@ from acsar_gym.worlds.world import Floats
 
 Integers = NDArray[np.int64]
 MOST_WORLDS = 10_000
-"""Of a batch."""
+"""Worlds of a batch, at most."""
 FAR = 1e6
-"""Where unused circles and segments lie [m]."""
+"""Coordinates of the unused circles and segments that pad the arrays [m]."""
 
 
 def worlds_of(pool: Pool | None, *, follow: bool) -> list[World]:
-    """All worlds of a pool; none on an open floor.
+    """Make all worlds of a pool.
 
-    Raises WorldError for more than 10,000, before any is made.
+    Args:
+        pool: the worlds; None on an open floor, for which the list is empty.
+        follow: whether robots follow the worlds' paths, from their beginnings.
+
+    Raises:
+        WorldError: for more than 10,000, before any is made.
     """
     if pool is None:
         return []
@@ -44,7 +49,13 @@ def worlds_of(pool: Pool | None, *, follow: bool) -> list[World]:
 
 
 def spawns(task: Task, pool: Pool | None, worlds: Sequence[World]) -> layout.Spawns:
-    """Starts, goals and paths of the worlds, and how goals are drawn where there are none."""
+    """Make the arrays of starts, goals and paths.
+
+    Args:
+        task: of the batch; has the goal distances for an open floor.
+        pool: the worlds, or None.
+        worlds: all worlds of the pool, in its order.
+    """
     paths, samples = _paths(worlds if task.follows else ())
     low, high = task.goal_distance
     return layout.Spawns(
@@ -60,19 +71,20 @@ def spawns(task: Task, pool: Pool | None, worlds: Sequence[World]) -> layout.Spa
 
 
 def _order(pool: Pool | None) -> Integers:
-    """The worlds from the easiest to the hardest; as they are where they have no difficulty."""
+    """Indices of the worlds from the easiest to the hardest, or unsorted."""
     if pool is None:
         return np.zeros(0, np.int64)
     return pool.by_difficulty[0] if pool.generated else np.arange(len(pool), dtype=np.int64)
 
 
 def _start(world: World) -> tuple[float, float, float, float]:
+    """x, y, radius [m] and theta [rad] of a world's start region; NaN for any direction."""
     start = world.start
     return start.x, start.y, start.radius, math.nan if start.theta is None else start.theta
 
 
 def _paths(worlds: Sequence[World]) -> tuple[Floats, Integers]:
-    """Samples of every world's path, padded to the longest, and how many they are."""
+    """Samples of every world's path, padded to the longest, and the number of samples of each."""
     every = [followed(world) for world in worlds]
     longest = max((len(samples) for samples in every), default=0)
     padded = np.zeros((max(len(every), 1), longest, 3))
@@ -84,7 +96,13 @@ def _paths(worlds: Sequence[World]) -> tuple[Floats, Integers]:
 def surroundings(
     worlds: Sequence[World], config: RobotConfig, *, sees: bool
 ) -> geometry.Surroundings:
-    """Obstacles of all worlds, padded to the most crowded one, and the robots' LiDAR."""
+    """Make the arrays of obstacles of all worlds, padded to the world with most of them, and rays.
+
+    Args:
+        worlds: of the batch; none on an open floor.
+        config: of the robots.
+        sees: whether the robots have a LiDAR.
+    """
     obstacles = geometry.Obstacles(
         _padded([world.circles for world in worlds], (FAR, FAR, 0.0)),
         _padded([world.segments for world in worlds], (FAR, FAR, FAR, FAR)),
@@ -94,6 +112,7 @@ def surroundings(
 
 
 def _padded(rows: Sequence[Floats], unused: tuple[float, ...]) -> Floats:
+    """Stack arrays of different lengths to (arrays, longest, numbers), padded with `unused`."""
     longest = max((len(array) for array in rows), default=0)
     padded = np.tile(np.array(unused), (max(len(rows), 1), longest, 1))
     for number, array in enumerate(rows):

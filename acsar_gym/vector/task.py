@@ -1,4 +1,4 @@
-"""A task over a batch: compiled loops, or its own Python for one robot after the other."""
+"""Run a task over a batch: by compiled loops, or in Python for one robot after the other."""
 
 from __future__ import annotations
 
@@ -22,23 +22,24 @@ Info = dict[str, NDArray[np.float64]]
 
 
 class Loops(Protocol):
-    """What a batch asks of its task."""
+    """The loops over robots that call a task."""
 
     compiled: bool
-    """Whether `start` and `step` run without the GIL, for shares of the robots at once."""
+    """Whether `start` and `step` release the GIL, so that threads can run them for slices of
+    robots."""
 
     def start(self, mask: Mask, first: int, last: int) -> None:
-        """First observations of robots in the mask, whose places have been drawn."""
+        """Begin the episodes of robots in the mask and write their first observations."""
 
     def step(self, first: int, last: int) -> None:
-        """Rewards, ends and observations of robots first to last, after their physics."""
+        """Write rewards, ends and observations of robots first to last, after their physics."""
 
     def info(self) -> Info:
-        """What the task tells, an array for each key."""
+        """The task's part of info, an array for each key."""
 
 
 def loops_of(task: Task, tables: Tables, setup: Setup, spawns: Spawns) -> Loops:
-    """Compiled where the task can be and numba is installed, otherwise in Python."""
+    """Choose compiled loops where task and installation allow it, otherwise Python loops."""
     kind = CompiledLoops if COMPILED and is_compiled(task) else PythonLoops
     own = TaskTables(*(getattr(tables, name) for name in TaskTables._fields))
     numbers = TaskSetup(*(getattr(setup, name) for name in TaskSetup._fields))
@@ -46,7 +47,7 @@ def loops_of(task: Task, tables: Tables, setup: Setup, spawns: Spawns) -> Loops:
 
 
 class CompiledLoops:
-    """Loops that call the task's methods, compiled for the class of the task."""
+    """Loops that numba compiles together with the methods of the task's class."""
 
     compiled = True
 
@@ -61,26 +62,30 @@ class CompiledLoops:
         self._step = kernel.bound(kernel.step, task)
 
     def start(self, mask: Mask, first: int, last: int) -> None:
-        """First observations of robots in the mask. Raises ConfigError where numba fails."""
+        """Begin the episodes of robots in the mask.
+
+        ConfigError where numba can't compile the task.
+        """
         self._call(self._start, mask, first, last)
 
     def step(self, first: int, last: int) -> None:
-        """Rewards, ends and observations of robots first to last."""
+        """Write rewards, ends and observations of robots first to last."""
         self._call(self._step, first, last)
 
     def _call(self, loop: Callable[..., None], *share: Any) -> None:
+        """Call a compiled loop; ConfigError where numba can't compile the task."""
         try:
             loop(self._numbers, self._memory, self._tables, *share, self._setup, self._spawns)
         except NumbaError as error:
             raise kernel.explained(self._task, error) from None
 
     def info(self) -> Info:
-        """What the task remembers."""
+        """The task's part of info: what it remembers."""
         return {name: self._memory[name][:-1].copy() for name in told(self._task)}
 
 
 def numbers_of(task: Task) -> Any:
-    """What compiled methods have for `self`: the task's numbers, under their names."""
+    """Make the named tuple that compiled methods get as `self`: the task's numbers by name."""
     found = {}
     for name in dir(task):
         value = None if name.startswith("_") else getattr(task, name)
@@ -97,6 +102,7 @@ def numbers_of(task: Task) -> Any:
 
 
 def _is_numbers(value: Any) -> bool:
+    """Whether a value is a non-empty tuple of numbers."""
     return (
         isinstance(value, tuple)
         and bool(value)
@@ -105,7 +111,7 @@ def _is_numbers(value: Any) -> bool:
 
 
 class PythonLoops:
-    """The task's methods in Python, for one robot after the other."""
+    """Loops that call the task's methods in Python, for one robot after the other."""
 
     compiled = False
 
@@ -119,7 +125,7 @@ class PythonLoops:
         )
 
     def start(self, mask: Mask, first: int, last: int) -> None:
-        """First observations of robots in the mask."""
+        """Begin the episodes of robots in the mask and write their first observations."""
         robots = np.flatnonzero(mask[first:last]) + first
         rows = []
         for robot, state in zip(robots.tolist(), self._states(robots), strict=True):
@@ -130,7 +136,7 @@ class PythonLoops:
         report(self._tables.state, first, last, self._setup)
 
     def step(self, first: int, last: int) -> None:
-        """Rewards, ends and observations of robots first to last."""
+        """Write rewards, ends and observations of robots first to last."""
         tables, over = self._tables, self._tables.over
         tables.rewards[first:last], tables.ends[0, first:last] = 0.0, False
         tables.ends[1, first:last] = tables.idle[first:last] & ~over[first:last]
@@ -138,7 +144,7 @@ class PythonLoops:
         self.start(over, first, last)
 
     def _judge(self, robots: NDArray[np.int64]) -> None:
-        """Outcome, reward and observation of robots that have driven."""
+        """Call outcome, reward and observe for robots that have driven, and write the results."""
         task, memories = self._task, self._memory
         rewards, outcomes, rows = [], [], []
         for robot, state in zip(robots.tolist(), self._states(robots), strict=True):
@@ -156,6 +162,7 @@ class PythonLoops:
         tables.ends[1, robots] = tables.state[layout.STEPS, robots] >= self._setup.max_steps
 
     def _observed(self, robots: NDArray[np.int64], rows: list[tuple[float, ...]]) -> None:
+        """Write the observations of these robots; ConfigError where their number doesn't fit."""
         if rows and self._numbers:
             try:
                 self._tables.observations[robots, : self._numbers] = rows
@@ -163,7 +170,7 @@ class PythonLoops:
                 raise ConfigError(f"{type(self._task).__qualname__}.observe: {error}") from None
 
     def _states(self, robots: NDArray[np.int64]) -> list[State]:
-        """What the task is told of each of these robots."""
+        """The State of each of these robots."""
         tables, numbers = self._tables, self._numbers
         rows = tables.state[:, robots][kernel.STATE_ROWS].T.tolist()
         ranges, sensed = tables.ranges, tables.observations[:, numbers:]
@@ -193,7 +200,7 @@ class PythonLoops:
         ]  # fmt: skip
 
     def _way(self, world: int, given: bool) -> tuple[NDArray[np.float64], float]:
-        """A world's path and its length, as far as they are known."""
+        """Samples of a world's path and its length [m]; NaN where it doesn't lead to the goal."""
         spawns = self._spawns
         known = len(spawns.lengths) > 0 and not given
         length = float(spawns.lengths[world]) if known else float("nan")
@@ -202,7 +209,7 @@ class PythonLoops:
         return spawns.paths[world, : spawns.samples[world]], length
 
     def info(self) -> Info:
-        """What the task remembers."""
+        """The task's part of info: what it remembers."""
         memories = [vars(memory) for memory in self._memory]
         return {
             name: np.array([memory[name] for memory in memories], np.float64)

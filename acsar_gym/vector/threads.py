@@ -1,7 +1,7 @@
 """Run a compiled loop, which holds no GIL, over slices of the robots on several threads.
 
-`concurrent.futures` takes 70 us to hand out one piece of work and to hear of its end, which is a
-tenth of a step of a thousand robots; bare queues take 20.
+`concurrent.futures` needs 70 us to hand out one piece of work and wait for it, which is a tenth of
+a step of a thousand robots; plain queues need 20 us.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ from collections.abc import Callable
 from queue import SimpleQueue
 
 Work = Callable[[int, int], None]
-"""Something to be done for items first to last."""
+"""A loop over items first to last."""
 Order = tuple[int, Work, int, int]
-"""The order's number, and its work."""
+"""Number of the order, the loop, and its first and last item."""
 Report = tuple[int, BaseException | None]
-"""The number of the order that is done, and what it raised."""
+"""Number of the order that is done, and the exception that it raised."""
 
 
 HEAD_START = 48
-"""Items that the caller takes on top of its share, for it begins before the others wake up."""
+"""Items that the calling thread takes on top of its share, because it begins before the others."""
 
 
 class Threads:
@@ -36,6 +36,7 @@ class Threads:
         self._start(count - 1)
 
     def _start(self, others: int) -> None:
+        """Start so many threads, with new queues."""
         self._process = os.getpid()
         self._idle = True
         self._orders: list[SimpleQueue[Order | None]] = []
@@ -46,10 +47,17 @@ class Threads:
             threading.Thread(target=_serve, args=(orders, self._reports), daemon=True).start()
 
     def share(self, work: Work, items: int) -> None:
-        """Do the work on contiguous shares of so many items; raises what any share raised.
+        """Run a loop over slices of the items, one slice on each thread, and wait for all.
 
-        When it ends, however it does, no thread works on the items any more; only an interrupt of
-        that wait leaves threads at work, until `wait` or the next `share`.
+        Also where this raises, no thread works on the items any more when it returns. Only Ctrl-C
+        during that wait leaves threads at work, until `wait` or the next `share`.
+
+        Args:
+            work: called with the first and last item of a slice.
+            items: how many.
+
+        Raises:
+            BaseException: what any slice raised.
         """
         self.wait()
         threads = len(self._orders) + 1
@@ -82,7 +90,7 @@ class Threads:
             self._idle = True
 
     def _errors_of(self, number: int) -> list[BaseException]:
-        """What the others raised, once all have reported on this order; older reports are lost."""
+        """Wait for the other threads' reports on this order and return their exceptions."""
         errors, missing = [], len(self._orders)
         while missing:
             done, error = self._reports.get()
@@ -92,17 +100,18 @@ class Threads:
         return errors
 
     def close(self) -> None:
-        """End the other threads; the caller goes on alone. Idempotent."""
+        """End the other threads; later calls run on the calling thread alone. Idempotent."""
         self.wait()
         self._end()
 
     def _end(self) -> None:
+        """Tell the other threads to end."""
         for orders in self._orders:
             orders.put(None)
         self._orders = []
 
     def __reduce__(self) -> tuple[type[Threads], tuple[int]]:
-        """Copies have threads of their own."""
+        """Copies and pickles start threads of their own."""
         return Threads, (len(self._orders) + 1,)
 
     def __del__(self) -> None:
@@ -111,10 +120,11 @@ class Threads:
 
 
 def _nothing(first: int, last: int) -> None:
-    """The work of an order that only tells that all before it are done."""
+    """Do nothing: its report says that all orders before it are done."""
 
 
 def _serve(orders: SimpleQueue[Order | None], reports: SimpleQueue[Report]) -> None:
+    """Work on orders until None comes; the body of a thread."""
     while (order := orders.get()) is not None:
         number, work, first, last = order
         try:

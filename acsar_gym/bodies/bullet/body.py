@@ -1,8 +1,8 @@
-"""The skid-steer robot in PyBullet: one rigid body, pushed by the tyre forces of `dynamics.py`.
+"""The skid-steer robot in PyBullet: one rigid body, pushed by the tyre forces of `dynamics.model`.
 
-PyBullet's own contact friction can't skid-steer (its friction axes are fixed in the world), so all
-contacts with the floor are frictionless and the four tyre forces are applied as one force and one
-torque on the chassis.
+PyBullet's own contact friction can't model skid steering (its friction axes are fixed in the
+world), so all contacts with the floor are frictionless and the four tyre forces are applied as one
+force and one torque on the chassis.
 """
 
 from __future__ import annotations
@@ -32,9 +32,14 @@ GOAL_COLOUR = (0.15, 0.68, 0.38, 0.85)
 
 
 class BulletBody:
-    """One PyBullet client with a floor and a robot.
+    """A PyBullet simulation with a floor, a robot and the obstacles of a world.
 
-    `window` opens PyBullet's own window; RenderError where there is no display.
+    Args:
+        config: of the robot.
+        window: whether to open PyBullet's own window.
+
+    Raises:
+        RenderError: a window is asked for, and there is no display.
     """
 
     def __init__(self, config: RobotConfig, *, window: bool = False) -> None:
@@ -48,7 +53,7 @@ class BulletBody:
         self.reset(Scene())
 
     def _build(self, world: World | None) -> None:
-        """An empty simulation with a floor, a robot and the obstacles of a world."""
+        """Make an empty simulation with a floor, the robot and the obstacles of a world."""
         client = self._client
         pybullet.resetSimulation(physicsClientId=client)
         pybullet.setGravity(0.0, 0.0, -GRAVITY, physicsClientId=client)
@@ -64,7 +69,7 @@ class BulletBody:
         self._touched = False
 
     def reset(self, scene: Scene) -> None:
-        """At rest at the scene's start, with its physics, obstacles and the goal's marker."""
+        """Put the robot at rest at the scene's start, with the scene's world, physics and goal."""
         if scene.world is not self._statics.world:
             self._build(scene.world)
         self._equip(scene.physics or self._configured)
@@ -83,12 +88,13 @@ class BulletBody:
         self.wheel_speeds: Speeds = ZERO
 
     def _equip(self, own: Physics) -> None:
-        """Physics of the episode that begins."""
+        """Set the robot's physics for the episode that begins."""
         model.weigh(self._robot, own, self._client)
         self._physics = dynamics.numbers_of(own)
         self._push, self._twist = own.mass / self._dt, own.yaw_inertia / self._dt
 
     def _mark(self, goal: tuple[float, float] | None) -> None:
+        """Put the goal marker at a point of the world [m]."""
         if goal is None:
             return
         if self._goal < 0:
@@ -105,7 +111,7 @@ class BulletBody:
         )
 
     def step(self, set_points: Speeds) -> None:
-        """One loop period: tyre force and torque, then one engine step."""
+        """Simulate one firmware loop: tyre force and torque, then one engine step."""
         robot, client = self._robot, self._client
         position, (qx, qy, qz, qw) = _pose_of(robot, client)
         (vx, vy, _), (_, _, rate) = _velocity_of(robot, client)
@@ -126,7 +132,7 @@ class BulletBody:
         _simulate(client)
 
     def feel(self) -> None:
-        """Note whether the robot touches an obstacle now: overlaps it, or is pushed by it."""
+        """Check whether the robot touches an obstacle now: overlaps it, or is pushed by it."""
         if self._statics and not self._touched:
             points = pybullet.getContactPoints(bodyA=self._robot, physicsClientId=self._client)
             self._touched = any(
@@ -134,13 +140,21 @@ class BulletBody:
             )
 
     def engine_step(self) -> None:
-        """PyBullet's stepSimulation alone, which benchmarks compare with."""
+        """Call PyBullet's stepSimulation alone, for benchmarks."""
         pybullet.stepSimulation(self._client)
 
     def rays(self, place: tuple[float, float], bearings: Floats, reach: float) -> Floats:
-        """PyBullet's own ranges from a place at each bearing [rad], for tests and benchmarks.
+        """Measure ranges with PyBullet's own rays, for tests and benchmarks.
 
-        It stops a ray up to a millimetre beside a cylinder's surface; environments don't use it.
+        A ray may stop up to a millimetre beside a cylinder's surface; environments don't use it.
+
+        Args:
+            place: x, y in the frame of the world [m].
+            bearings: (rays,) in the frame of the world [rad].
+            reach: longest range [m].
+
+        Returns:
+            (rays,) [m].
         """
         (x, y), height = place, self._config.lidar_z_offset
         ends = np.column_stack([x + reach * np.cos(bearings), y + reach * np.sin(bearings)])
@@ -152,7 +166,7 @@ class BulletBody:
 
     @property
     def truth(self) -> GroundTruth:
-        """Pose, twist, and whether the robot has been felt to touch an obstacle."""
+        """Ground truth of the robot, in the frame of the world."""
         robot, client = self._robot, self._client
         (x, y, _), orientation = pybullet.getBasePositionAndOrientation(robot, client)
         (vx, vy, _), (_, _, rate) = pybullet.getBaseVelocity(robot, client)
@@ -161,7 +175,7 @@ class BulletBody:
         return GroundTruth((x, y, theta), (forward, rate), self._touched)
 
     def image(self, width: int, height: int) -> Image:
-        """PyBullet's camera, behind and above the robot."""
+        """Take a picture with PyBullet's camera from behind and above: (height, width, 3), RGB."""
         self._seen = True
         self._statics.paint()
         x, y, theta = self.truth.pose
@@ -188,5 +202,5 @@ class BulletBody:
         return np.ascontiguousarray(np.reshape(pixels, (height, width, 4))[:, :, :3], np.uint8)
 
     def close(self) -> None:
-        """Disconnect the client; twice is once."""
+        """Disconnect from PyBullet; idempotent."""
         self._disconnect()

@@ -1,4 +1,4 @@
-"""PyBullet itself: the only file that imports it."""
+"""Import PyBullet; no other file imports it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from acsar_gym.errors import MissingExtraError, RenderError
 
 @contextlib.contextmanager
 def _quiet_stderr() -> Iterator[None]:
-    """Swallow the banner that PyBullet's C code prints when it is imported."""
+    """Hide the banner that PyBullet's C code prints when it is imported."""
     saved = os.dup(2)
     try:
         with open(os.devnull, "w") as sink:
@@ -33,7 +33,17 @@ __all__ = ["connected", "pybullet"]
 
 
 def connected(window: bool) -> int:
-    """A new client; RenderError where a window has no display."""
+    """Connect to a new PyBullet simulation.
+
+    Args:
+        window: whether it has a window.
+
+    Returns:
+        PyBullet's number of the connection.
+
+    Raises:
+        RenderError: a window is asked for, and there is no display.
+    """
     if not window:
         return int(pybullet.connect(pybullet.DIRECT))
     if not display.found():

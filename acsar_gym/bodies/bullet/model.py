@@ -16,7 +16,7 @@ CHASSIS_COLOUR = (0.16, 0.35, 0.58, 1.0)
 DECK_COLOUR = (0.85, 0.87, 0.9, 1.0)
 WHEEL_COLOUR = (0.12, 0.12, 0.13, 1.0)
 FEET = 100
-"""Places between a hub and the middle at which a foot may stand."""
+"""Places between a hub and the middle of the robot that are tried for a foot."""
 LEAST_FOOT = 1e-3
 """Radius of the smallest foot [m]."""
 CLEARANCE = 0.02
@@ -24,7 +24,7 @@ CLEARANCE = 0.02
 
 
 def floor(client: int) -> int:
-    """A frictionless plane; returns its body."""
+    """Make a frictionless plane; returns PyBullet's number of its body."""
     plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
     plane_id = int(pybullet.createMultiBody(0.0, plane, physicsClientId=client))
     pybullet.changeDynamics(plane_id, -1, lateralFriction=0.0, physicsClientId=client)
@@ -32,11 +32,11 @@ def floor(client: int) -> int:
 
 
 def robot(config: RobotConfig, client: int) -> int:
-    """Chassis and four wheels in one rigid body, its origin at the height of the axles.
+    """Make a rigid body of chassis and four wheels, its origin at the height of the axles.
 
     The chassis is a box, or upright convex prisms where the footprint is a polygon. The wheels'
-    collision shapes are small spheres that touch the floor below the hubs: one contact each, at the
-    right place, and nothing beyond the footprint.
+    collision shapes are small spheres ("feet") that touch the floor below the hubs: one contact
+    each, at the right place, and nothing beyond the footprint. Returns PyBullet's number.
     """
     body, radius = config.body, config.wheel_radius
     bottom = min(CLEARANCE, radius) - radius
@@ -68,7 +68,7 @@ def robot(config: RobotConfig, client: int) -> int:
 
 
 def weigh(body_id: int, own: Physics, client: int) -> None:
-    """Give the robot its mass and inertia."""
+    """Set the robot's mass and inertia."""
     pybullet.changeDynamics(
         body_id,
         -1,
@@ -79,7 +79,7 @@ def weigh(body_id: int, own: Physics, client: int) -> None:
 
 
 def _touchable(config: RobotConfig, bottom: float, top: float, file: str, client: int) -> int:
-    """The collision shape: a box or the prisms of a file, and a sphere below each hub."""
+    """Make the collision shape: a box or the prisms of a file, and a foot below each hub."""
     feet, foot = _feet(config)
     z = foot - config.wheel_radius
     is_box = not file
@@ -100,9 +100,9 @@ def _touchable(config: RobotConfig, bottom: float, top: float, file: str, client
 
 
 def _feet(config: RobotConfig) -> tuple[list[Point], float]:
-    """Where the spheres stand and their radius [m], so that none sticks out of the footprint.
+    """Centres and radius [m] of the feet, such that none is outside the footprint.
 
-    Below the hubs, or as far towards them as the footprint reaches.
+    They are below the hubs, or as near to them as the footprint allows.
     """
     outline, radius = config.outline, config.wheel_radius
     feet, room = [], []
@@ -124,7 +124,7 @@ def _hubs(config: RobotConfig, z: float = 0.0) -> list[tuple[float, float, float
 
 
 class _Shape(NamedTuple):
-    """One visual shape: a box of half sizes, a cylinder of (radius, length) along z, or a file."""
+    """A visual shape: a box of half sizes, a cylinder of (radius, length) along z, or a file."""
 
     box: tuple[float, float, float] | None
     cylinder: tuple[float, float]
@@ -142,7 +142,7 @@ class _Shape(NamedTuple):
 
 
 def _shapes(config: RobotConfig, bottom: float, top: float, file: str) -> list[_Shape]:
-    """A narrow chassis, or a polygon's prisms, four tyres, a lighter deck, and the LiDAR's drum."""
+    """The visual shapes: chassis and deck, or a polygon's prisms, then LiDAR and four tyres."""
     body, flat = config.body, (0.0, 0.0)
     tyre = max(0.02, body.width - config.wheel_separation)
     inner = max(0.02, config.wheel_separation - tyre - 0.01)
@@ -165,6 +165,7 @@ def _shapes(config: RobotConfig, bottom: float, top: float, file: str) -> list[_
 
 
 def _visual(config: RobotConfig, bottom: float, top: float, file: str, client: int) -> int:
+    """Make the visual shape; returns PyBullet's number of it."""
     shapes = _shapes(config, bottom, top, file)
     return int(
         pybullet.createVisualShapeArray(

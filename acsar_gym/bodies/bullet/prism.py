@@ -1,4 +1,4 @@
-"""A footprint that is a polygon, as a mesh of upright convex prisms that PyBullet reads."""
+"""Write a polygonal footprint as a mesh of upright convex prisms that PyBullet can read."""
 
 from __future__ import annotations
 
@@ -12,11 +12,19 @@ from acsar_gym.config.footprint import Outline, convex_pieces
 
 @contextlib.contextmanager
 def mesh(outline: Outline, low: float, high: float) -> Iterator[str]:
-    """The name of a Wavefront file with a prism from `low` to `high` [m] for each convex piece.
+    """Write a temporary Wavefront file with a prism for each convex piece of an outline.
 
-    PyBullet takes shapes of many corners from files alone, and each object of a file for its own
-    convex hull, so that notches stay open. Its hulls are 1 mm larger on every side. The file is
-    gone after the block.
+    PyBullet reads shapes of many corners from files only. It uses the convex hull of each object
+    in a file, so each piece is an object, and notches stay open. Its hulls are 1 mm larger on
+    every side. The file is deleted after the block.
+
+    Args:
+        outline: corners in the base frame [m].
+        low: least height [m].
+        high: largest height [m].
+
+    Yields:
+        Name of the file.
     """
     with tempfile.TemporaryDirectory(prefix="acsar_gym_") as folder:
         file = Path(folder) / "footprint.obj"
@@ -41,4 +49,5 @@ def _lines(pieces: list[Outline], low: float, high: float) -> Iterator[str]:
 
 
 def _face(corners: range | Iterator[int] | tuple[int, ...]) -> str:
+    """Wavefront line of a face."""
     return "f " + " ".join(map(str, corners))

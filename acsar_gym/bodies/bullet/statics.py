@@ -1,7 +1,7 @@
 """A world's obstacles as PyBullet bodies: a few static compounds of up to 16 shapes each.
 
-A body costs time in every step of the engine, and a compound that comes near the robot costs more,
-so neighbours go together.
+Every body costs time in every step of the engine, and a compound near the robot costs more, so a
+compound has obstacles that are near each other.
 """
 
 from __future__ import annotations
@@ -17,24 +17,24 @@ from acsar_gym.bodies.bullet.engine import pybullet
 from acsar_gym.worlds import World
 
 MOST_SHAPES = 16
-"""Of a compound, as PyBullet allows."""
+"""Shapes of a compound, at most; PyBullet's limit."""
 HEIGHT = 0.6
-"""Of every obstacle [m]."""
+"""Height of every obstacle [m]."""
 THICKNESS = 0.002
-"""Of a segment's wall [m]."""
+"""Thickness of a segment's wall [m]."""
 FRAME = ("Positions", "Orientations")
-"""Keys that PyBullet names differently for what is touched and what is seen."""
+"""Keys to which PyBullet adds a prefix, another for collision shapes than for visual ones."""
 COLOUR = (0.42, 0.45, 0.5, 1.0)
 
 Rows = NDArray[np.float64]
 
 
 class Statics:
-    """The obstacles of one world, empty where there is none, built once and for all.
+    """The obstacles of one world, or none. They are never changed or removed.
 
     PyBullet leaks the shapes of bodies that are removed, but not those of a simulation that is
-    reset, so another world means another simulation. What is only seen costs ten times as much to
-    build as what is touched, so that comes with `paint`.
+    reset, so another world needs another simulation. Visual shapes take ten times as long to make
+    as collision shapes, so `paint` makes them when they are needed.
     """
 
     def __init__(self, client: int, world: World | None) -> None:
@@ -46,7 +46,10 @@ class Statics:
         self._bodies = {self._touchable(options, hidden) for options in self._compounds}
 
     def _hidden(self) -> int:
-        """A speck below the floor: PyBullet would make a costly picture of a body without one."""
+        """A tiny shape below the floor.
+
+        Without a visual shape PyBullet would make a slow one itself.
+        """
         return int(
             pybullet.createVisualShape(
                 pybullet.GEOM_BOX,
@@ -57,7 +60,10 @@ class Statics:
         )
 
     def _touchable(self, options: dict[str, Any], visual: int) -> int:
-        """Rigid bodies in maximal coordinates cost a third of what PyBullet's multibodies do."""
+        """Make the body of a compound's collision shapes.
+
+        A rigid body in maximal coordinates takes a third of the time of PyBullet's multibodies.
+        """
         named = {f"collisionFrame{key}" if key in FRAME else key: options[key] for key in options}
         shape = pybullet.createCollisionShapeArray(**named, physicsClientId=self._client)
         return int(
@@ -67,7 +73,7 @@ class Statics:
         )
 
     def paint(self) -> None:
-        """Make the obstacles visible to PyBullet's camera and window; twice is once."""
+        """Make the obstacles visible to PyBullet's camera and window; idempotent."""
         if self._painted:
             return
         self._painted = True
@@ -87,7 +93,7 @@ class Statics:
 
 
 def _compounds(world: World) -> Iterator[dict[str, Any]]:
-    """Shapes of every compound, as PyBullet's arrays take them."""
+    """Arguments of PyBullet's createCollisionShapeArray for every compound."""
     for circles in _neighbours(world.circles, world.circles[:, :2]):
         yield _cylinders(circles)
     middles = (world.segments[:, :2] + world.segments[:, 2:]) / 2.0
@@ -96,7 +102,7 @@ def _compounds(world: World) -> Iterator[dict[str, Any]]:
 
 
 def _neighbours(rows: Rows, places: Rows) -> Iterator[Rows]:
-    """Rows in groups of neighbours, each small enough for a compound."""
+    """Split rows into groups that are near each other and small enough for a compound."""
     if len(rows) > MOST_SHAPES:
         axis = int(np.ptp(places[:, 1]) > np.ptp(places[:, 0]))
         order = np.argsort(places[:, axis], kind="stable")
@@ -108,7 +114,7 @@ def _neighbours(rows: Rows, places: Rows) -> Iterator[Rows]:
 
 
 def _cylinders(circles: Rows) -> dict[str, Any]:
-    """Upright cylinders."""
+    """PyBullet's arguments for circles, as upright cylinders."""
     return {
         "shapeTypes": [pybullet.GEOM_CYLINDER] * len(circles),
         "radii": np.maximum(circles[:, 2], 1e-3).tolist(),
@@ -118,7 +124,7 @@ def _cylinders(circles: Rows) -> dict[str, Any]:
 
 
 def _walls(segments: Rows) -> dict[str, Any]:
-    """Thin upright boxes."""
+    """PyBullet's arguments for segments, as thin upright boxes."""
     along = segments[:, 2:] - segments[:, :2]
     lengths, angles = np.hypot(along[:, 0], along[:, 1]), np.arctan2(along[:, 1], along[:, 0])
     middles = ((segments[:, :2] + segments[:, 2:]) / 2.0).tolist()

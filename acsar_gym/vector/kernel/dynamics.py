@@ -1,4 +1,4 @@
-"""Commands, motors and tyres of many planar robots, a loop of the firmware at a time."""
+"""Commands, motors and tyres of many planar robots, one firmware loop at a time."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ from acsar_gym.vector.kernel.layout import (
 
 @jit
 def on_the_wire(speed: float) -> float:
-    """The speed [rad/s] after encoding and decoding: two decimals, saturated."""
+    """A wheel speed [rad/s] after encoding and decoding: two decimals, saturated."""
     rounded: float = np.rint(speed * 100.0) / 100.0
     return min(max(rounded, -MAX_SPEED), MAX_SPEED)
 
 
 @jit
 def ask(state: Floats, actions: Floats, first: int, last: int) -> None:
-    """The actions of this step, each within [-1, 1]."""
+    """Store the actions of this step, clipped to [-1, 1]."""
     for i in range(first, last):
         state[LAST_LINEAR, i] = min(max(actions[i, 0], -1.0), 1.0)
         state[LAST_ANGULAR, i] = min(max(actions[i, 1], -1.0), 1.0)
@@ -56,7 +56,7 @@ def ask(state: Floats, actions: Floats, first: int, last: int) -> None:
 
 @jit
 def command(state: Floats, first: int, last: int, setup: Setup) -> None:
-    """The targets that the board will hear of in this step, where nothing limits commands."""
+    """Compute the wheel targets of this step's command line. Only without limits or faults."""
     old_right, old_left = row(state, OLD_RIGHT, first, last), row(state, OLD_LEFT, first, last)
     new_right, new_left = row(state, NEW_RIGHT, first, last), row(state, NEW_LEFT, first, last)
     heard, delay = row(state, HEARD, first, last), row(state, COMMAND_LOOPS, first, last)
@@ -76,7 +76,7 @@ def command(state: Floats, first: int, last: int, setup: Setup) -> None:
 
 @jit
 def ramp(state: Floats, first: int, last: int, now: float, setup: Setup) -> None:
-    """Set points of the firmware move towards the targets it has heard of by loop `now`."""
+    """Move set points towards the newest targets that the board knows by loop `now`."""
     a, b = row(state, POINT, first, last), row(state, POINT + 1, first, last)
     c, d = row(state, POINT + 2, first, last), row(state, POINT + 3, first, last)
     old_right, old_left = row(state, OLD_RIGHT, first, last), row(state, OLD_LEFT, first, last)
@@ -94,7 +94,7 @@ def ramp(state: Floats, first: int, last: int, now: float, setup: Setup) -> None
 
 @jit
 def motors(state: Floats, counts: Floats, first: int, last: int, slot: int, setup: Setup) -> None:
-    """Wheel speeds, wheel angles, and the encoders' counts of this loop."""
+    """Advance wheel speeds and angles by one loop, and store the encoder counts."""
     physics = state[PHYSICS:]
     for k in range(4):
         speeds, angles = row(state, WHEEL + k, first, last), row(state, ANGLE + k, first, last)
@@ -111,7 +111,7 @@ def motors(state: Floats, counts: Floats, first: int, last: int, slot: int, setu
 
 @jit
 def tyres(state: Floats, first: int, last: int, setup: Setup) -> None:
-    """Tyre forces, then semi-implicit Euler, as the planar body does it."""
+    """Advance velocity and pose by one loop: tyre forces, then semi-implicit Euler."""
     xs, ys, thetas = (
         row(state, X, first, last),
         row(state, Y, first, last),

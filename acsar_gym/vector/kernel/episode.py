@@ -1,4 +1,4 @@
-"""Episodes of many robots: resets with physics of their own, and env steps."""
+"""Resets and env steps of many robots."""
 
 from __future__ import annotations
 
@@ -66,7 +66,13 @@ from acsar_gym.worlds.geometry import Surroundings
 
 @jit
 def settle_ticks(delay: float, every: float, loops: float) -> float:
-    """Ticks that a reset takes until two fresh readings have come, as in `Robot.reset`."""
+    """Number of ticks that a reset waits for two fresh readings, as in `Robot.reset`.
+
+    Args:
+        delay: from making a feedback line to its use [firmware loops].
+        every: period of feedback lines [firmware loops].
+        loops: firmware loops in a tick.
+    """
     one: float = np.ceil((np.ceil(every - 1e-9) + delay) / loops)
     two: float = np.ceil((np.ceil(2.0 * every - 1e-9) + delay) / loops)
     return max(one + 1.0, two)
@@ -74,7 +80,7 @@ def settle_ticks(delay: float, every: float, loops: float) -> float:
 
 @loop
 def equip(tables: Tables, i: int, setup: Setup) -> None:
-    """Robot i's own physics for the episode that begins."""
+    """Draw robot i's physics for the episode that begins."""
     state, low, high = tables.state, tables.low, tables.high
     samples = np.zeros(len(low))
     for k in range(len(low)):
@@ -90,7 +96,7 @@ def equip(tables: Tables, i: int, setup: Setup) -> None:
 
 @jit
 def aim(state: Floats, random: NDArray[np.uint64], i: int, spawns: Spawns) -> None:
-    """Robot i's goal on an open floor, in any direction."""
+    """Set robot i's goal on an open floor: as its reset option says, or drawn in any direction."""
     state[START_COS, i] = 1.0
     if state[WISHED_GOAL, i] > 0.0:
         state[GOAL_X, i], state[GOAL_Y, i] = state[WISHED_X, i], state[WISHED_Y, i]
@@ -104,7 +110,7 @@ def aim(state: Floats, random: NDArray[np.uint64], i: int, spawns: Spawns) -> No
 
 @jit
 def choose(state: Floats, i: int, share: float, spawns: Spawns) -> int:
-    """Robot i's world, as `tasks.place.chosen` does it, for a number of [0, 1)."""
+    """Index of robot i's world, as `tasks.spawn.chosen` for a uniform sample `share` of [0, 1)."""
     first, last = int(state[FIRST_RANK, i]), int(state[LAST_RANK, i])
     if state[WISHED_WORLD, i] > 0.0:
         return int(state[WISHED_WORLD, i]) - 1
@@ -115,7 +121,7 @@ def choose(state: Floats, i: int, share: float, spawns: Spawns) -> int:
 
 @jit
 def settle(state: Floats, random: NDArray[np.uint64], i: int, spawns: Spawns) -> None:
-    """Robot i's world, and its start and goal there, as `tasks.place.drawn` does it."""
+    """Set robot i's world, start and goal, as `tasks.spawn.drawn`."""
     u0, u1, u2 = uniform(random, i), uniform(random, i), uniform(random, i)
     u3, u4, u5 = uniform(random, i), uniform(random, i), uniform(random, i)
     world = choose(state, i, u0, spawns)
@@ -136,7 +142,7 @@ def settle(state: Floats, random: NDArray[np.uint64], i: int, spawns: Spawns) ->
 
 @loop
 def begin(tables: Tables, i: int, setup: Setup, spawns: Spawns) -> None:
-    """A new episode of robot i: at rest, in a place of its own generator's making."""
+    """Begin a new episode of robot i: at rest, with new start, goal and physics."""
     state, random = tables.state, tables.random
     for number in range(COMMAND_LOOPS):
         state[number, i] = 0.0
@@ -169,7 +175,7 @@ def reset(
     spawns: Spawns,
     around: Surroundings,
 ) -> None:
-    """New episodes for the robots in the mask."""
+    """Begin new episodes for the robots of the slice that are in the mask."""
     anew = False
     for i in range(first, last):
         if mask[i]:
@@ -183,9 +189,10 @@ def reset(
 def step(
     tables: Tables, first: int, last: int, setup: Setup, spawns: Spawns, around: Surroundings
 ) -> None:
-    """Physics and driver of robots first to last over the ticks that the ring says, or all.
+    """Run physics and driver of the robots over the ticks that `tables.ring` says.
 
-    With the last one a step ends: robots that are over begin anew. The task's loops come after it.
+    The step ends with its last tick: robots in `tables.over` then begin anew. The task's loops are
+    called after this.
     """
     state = tables.state
     for low in range(first, last, BLOCK):
@@ -208,7 +215,7 @@ def step(
 
 @loop
 def report(state: Floats, first: int, last: int, setup: TaskSetup) -> None:
-    """Rows of info that nothing else needs."""
+    """Compute the rows of the state that only info uses."""
     xs, ys, thetas = (
         row(state, X, first, last),
         row(state, Y, first, last),
@@ -235,7 +242,7 @@ def report(state: Floats, first: int, last: int, setup: TaskSetup) -> None:
 
 @loop
 def scan_ages(state: Floats, first: int, last: int, setup: TaskSetup) -> None:
-    """How old every robot's newest scan is [s]."""
+    """Compute the age of every robot's newest scan [s]."""
     for i in range(first, last):
         age = (state[STEPS, i] * setup.ticks - state[SCAN_TICK, i]) * setup.period
         state[SCAN_AGE, i] = age

@@ -1,8 +1,8 @@
-"""Lines between drivers and boards that are lost or late, as `links.fault_injection` has them.
+"""Lines between drivers and boards that are lost or late, the same as in `links.fault_injection`.
 
-Which ones is a hash of the episode's key and the line's number. Lines keep their order: one behind
-a late line comes no earlier than that. Numbers count from the reset on, those of the ticks in which
-a reset waits for the wheels to stand included; commands from 0, feedback from 1.
+A hash of the episode's key and the line's number decides which lines. Lines keep their order: none
+overtakes a late one. Lines are numbered from the reset on, including the ticks in which a reset
+waits for the wheels to stand; commands from 0, feedback from 1.
 """
 
 from __future__ import annotations
@@ -46,16 +46,22 @@ from acsar_gym.vector.pcg import uniform
 
 silent = jit(rules.silent)
 SILENCE = 1.0
-"""The number of BoardSilentError, see `envs.base.fault_code`."""
+"""The code of BoardSilentError in info's `fault`, see `envs.told.fault_code`."""
 
 
 @jit
 def released(
     key: float, whose: int, number: float, arrived: float, before: float, faults: LineFaults
 ) -> float:
-    """When a line that arrived then is let through [s]; NaN where it never is.
+    """Time at which the wire passes a line on [s]; NaN where the line is lost.
 
-    `before` is when the line before it was. A negative key is that of a sound episode.
+    Args:
+        key: of the episode; negative where it has no faults.
+        whose: COMMANDS or FEEDBACK.
+        number: of the line.
+        arrived: when it would arrive without faults [s].
+        before: when the line before it was passed on [s].
+        faults: of the batch.
     """
     suffers = faults.feedback if whose == FEEDBACK else faults.commands
     if key < 0.0 or not suffers:
@@ -68,9 +74,9 @@ def released(
 
 @jit
 def listen(state: Floats, i: int, setup: Setup) -> float:
-    """Number of the newest feedback line that comes to robot i by the end of its tick, or 0.
+    """Number of the newest feedback line that reaches robot i by the end of its tick; 0 for none.
 
-    The tick's loops have been counted.
+    LOOPS must include the loops of this tick.
     """
     loops, every, delay = state[LOOPS, i], state[FEEDBACK_LOOPS, i], state[DELAY_LOOPS, i]
     now, found = loops * setup.dt, 0.0
@@ -92,10 +98,11 @@ def listen(state: Floats, i: int, setup: Setup) -> float:
 
 @jit
 def send(state: Floats, i: int, tick: float, setup: Setup) -> tuple[float, float]:
-    """What the wire lets through at the beginning of robot i's tick, after its command is written.
+    """Write robot i's command of this tick, and pass on what the wire lets through by now.
 
-    Returns the number of the newest line, -1 where none is let through, and the loop in which the
-    board has read all of them, one byte after the other.
+    Returns:
+        Number of the newest line that is passed on, -1 for none, and the firmware loop in which
+        the board has read all of them, one byte after the other.
     """
     now, newest, count = tick * setup.period, -1.0, 0.0
     while state[LAST_COMMAND, i] < tick:
@@ -118,7 +125,7 @@ def send(state: Floats, i: int, tick: float, setup: Setup) -> tuple[float, float
 
 @jit
 def dispatch(tables: Tables, first: int, last: int, slot: int, setup: Setup) -> None:
-    """What reaches the boards of this tick's commands, which are in their slot of the ring."""
+    """Store in the ring's slot which commands the wire passes on to the boards in this tick."""
     state, commands, arrivals = tables.state, tables.commands, tables.arrivals
     slots = commands.shape[0]
     for i in range(first, last):
@@ -133,9 +140,9 @@ def dispatch(tables: Tables, first: int, last: int, slot: int, setup: Setup) -> 
 
 @jit
 def obey(tables: Tables, first: int, last: int, slot: int, turn: int, setup: Setup) -> None:
-    """Boards hear what has arrived by this loop of a tick, and set points move towards it.
+    """Let boards obey the commands that have arrived by this loop.
 
-    A board that hears nothing for too long stops its motors.
+    A board that gets no command for longer than its time-out stops its motors.
     """
     state, arrivals, slots = tables.state, tables.arrivals, tables.arrivals.shape[0]
     for i in range(first, last):
@@ -157,7 +164,7 @@ def obey(tables: Tables, first: int, last: int, slot: int, turn: int, setup: Set
 
 @jit
 def draw_key(tables: Tables, i: int, setup: Setup) -> None:
-    """The key of robot i's episode, negative where nothing goes wrong in it."""
+    """Draw the key of robot i's episode; negative where the episode has no faults."""
     key = uniform(tables.random, i)
     ill = lot(key, EPISODE, 0.0, 0) < setup.faults.episodes
     tables.state[KEY, i] = key if ill else -1.0
@@ -165,9 +172,9 @@ def draw_key(tables: Tables, i: int, setup: Setup) -> None:
 
 @jit
 def settle_late(state: Floats, i: int, setup: Setup) -> None:
-    """Robot i's reset, which takes until two fresh readings have come, as `Robot.reset` has it.
+    """Run robot i's reset with faults: it waits for two fresh readings, as `Robot.reset`.
 
-    Where that one raises, because the board is silent for too long, the robot is noted as silent.
+    Where the single env would raise BoardSilentError, SILENT is set.
     """
     ticks, fresh, age = 0.0, 0, 0.0
     state[LAST_COMMAND, i] = -1.0
@@ -187,7 +194,10 @@ def settle_late(state: Floats, i: int, setup: Setup) -> None:
 
 @jit
 def prepare(tables: Tables, first: int, last: int, setup: Setup) -> None:
-    """Note what robots are told now, for those whose board falls silent in the step to come."""
+    """Note which robots don't drive in this step, and keep the state before it.
+
+    `put_back` restores it for robots whose board falls silent during the step.
+    """
     for i in range(first, last):
         tables.idle[i] = tables.over[i]
     if setup.falls_silent:
@@ -199,13 +209,13 @@ def prepare(tables: Tables, first: int, last: int, setup: Setup) -> None:
 
 @jit
 def rays(tables: Tables, i: int, setup: Setup) -> NDArray[np.float32]:
-    """The ranges in robot i's observation."""
+    """View of the LiDAR ranges in robot i's observation."""
     return tables.observations[i, setup.numbers : setup.numbers + tables.ranges.shape[1]]
 
 
 @jit
 def watch(tables: Tables, first: int, last: int, setup: Setup) -> None:
-    """Robots whose board has been silent for too long drive no more; see `rules.silent`."""
+    """Mark robots as idle whose feedback is too old; see `rules.silent`."""
     for i in range(first, last):
         if silent(tables.state[AGE, i], setup.rules):
             tables.idle[i] = True
@@ -213,7 +223,7 @@ def watch(tables: Tables, first: int, last: int, setup: Setup) -> None:
 
 @jit
 def put_back(tables: Tables, first: int, last: int, setup: Setup) -> None:
-    """Robots that fell silent are told what they were told last, and that it is a fault."""
+    """Restore the state before the step for robots that fell silent, and set their fault."""
     state = tables.state
     for i in range(first, last):
         if tables.idle[i] and not tables.over[i]:

@@ -1,6 +1,7 @@
-"""Where a batch keeps its numbers: robots are columns of one float64 array, these are its rows.
+"""The arrays of a batch: the rows of its state, and the named tuples that compiled loops take.
 
-Loops over robots thus run over contiguous memory, and vectorise.
+Robots are columns of one float64 array and their numbers are its rows, so that loops over robots
+run over contiguous memory and can be vectorized.
 """
 
 from __future__ import annotations
@@ -23,31 +24,33 @@ WHEEL, POINT, ANGLE = 6, 10, 14  # four each: speeds, set points, angles
 # The commands: targets of the right and left side, before and after the newest line.
 OLD_RIGHT, OLD_LEFT, NEW_RIGHT, NEW_LEFT, HEARD = range(18, 23)
 # What the driver knows:
-LOOPS, LAST_LINE, AGE, READ = 23, 24, 25, 26  # four readings
+LOOPS, LAST_LINE, AGE, READ = 23, 24, 25, 26  # READ: four wheel speeds [rad/s]
 ODOM_X, ODOM_Y, ODOM_THETA, LINEAR, ANGULAR = range(30, 35)
 # The episode:
 GOAL_X, GOAL_Y, LAST_LINEAR, LAST_ANGULAR, STEPS, RETURN, OUTCOME = range(35, 42)
 CONTACT, WORLD, START_X, START_Y, START_THETA, START_COS, START_SIN = range(42, 49)
 SCANS, SCAN_TICK = 49, 50
-# The safety layer: the twists sent last and before that, and why they aren't those asked for.
+# The safety layer: the last two twists sent, and why they differ from those asked for.
 SENT_LINEAR, SENT_ANGULAR, REASON, PAST_LINEAR, PAST_ANGULAR, LATCHED = range(51, 57)
 NEW_LINEAR, NEW_ANGULAR = 57, 58
-# What is only told:
+# Numbers that only info uses:
 TRUE_THETA, TRUE_DISTANCE, ERROR, SUCCESS, SCAN_AGE, STALE = range(59, 65)
 GOAL_GIVEN = 65
-"""Whether this episode's goal was given, so that the world's path doesn't lead there."""
-# Where lines may be lost or late: the episode's key; the newest command that the wire has let
-# through or lost, and when; when it let the newest feedback through; when the board's UART is free
-# [s]; up to which tick the board has heard, and in which loop for the last time; what went wrong.
+"""Whether this episode's goal was given as an option, so that the world's path doesn't lead to
+it."""
+# Where lines may be lost or late: the episode's key; the newest command that the wire has passed on
+# or lost, and when [s]; when it passed on the newest feedback [s]; when the board's UART is free
+# [s]; up to which tick the board has taken over commands, and in which loop it got the last one;
+# whether the board is silent; the fault code of info.
 KEY, LAST_COMMAND, COMMAND_RELEASE, FEEDBACK_RELEASE, BOARD_FREE = range(66, 71)
 HEARD_TICK, HEARD_LOOP, SILENT, FAULT = range(71, 75)
 # How long this episode's commands and feedback are on their way, in loops of the firmware:
 COMMAND_LOOPS, DELAY_LOOPS = 75, 76
-# What options of a reset ask for, in this and all later episodes; zero where they don't. A world is
-# its place from 1 on; worlds of a range of difficulty have ranks from FIRST_RANK up to LAST_RANK.
+# Options of a reset, for this and all later episodes; zero where there are none. WISHED_WORLD is an
+# index from 1; worlds of a range of difficulty have ranks from FIRST_RANK up to LAST_RANK.
 WISHED_WORLD, WISHED_GOAL, WISHED_X, WISHED_Y, FIRST_RANK, LAST_RANK = range(77, 83)
 PHYSICS = 83
-"""The first of the rows for the numbers of the robot's own `Physics`, drawn for the episode."""
+"""The first of the rows with the numbers of the robot's `Physics`, drawn for the episode."""
 BLEND = PHYSICS + Physics._fields.index("blend_a")  # four each
 GAIN = PHYSICS + Physics._fields.index("gain_a")
 FEEDBACK_LOOPS = PHYSICS + Physics._fields.index("feedback_loops")
@@ -80,134 +83,161 @@ TURN = 2.0 * math.pi
 
 
 class LineFaults(NamedTuple):
-    """Lines between drivers and boards that are lost or late; see `links.faults.Faults`."""
+    """Faults of the lines between drivers and boards; see `links.faults.Faults`."""
 
     possible: bool
-    """Whether anything can go wrong at all."""
+    """Whether any fault can occur."""
     episodes: float
+    """Share of episodes that have faults."""
     feedback: bool
-    """Whether feedback suffers."""
+    """Whether feedback lines have faults."""
     commands: bool
-    """Whether commands suffer."""
+    """Whether command lines have faults."""
     dropped: float
+    """Share of lines that are lost."""
     late: float
+    """Share of lines that are late."""
     lateness: float
+    """How much later they are [s]."""
     patience: float
-    """Ticks that a reset waits for the wheels to stand."""
+    """Ticks that a reset waits for the wheels to stand, at most."""
     line_time: float
-    """Of a command on the wire [s]."""
+    """Duration of a command line on the wire [s]."""
     processing_time: float
-    """[s]"""
+    """From the last byte of a command to its use by the board [s]."""
     command_timeout: float
-    """After which a board that hears nothing stops its motors [s]."""
+    """A board that gets no command for so long stops its motors [s]."""
 
 
 class Setup(NamedTuple):
-    """What all robots of a batch share."""
+    """Numbers that all robots of a batch share."""
 
     dt: float
+    """Duration of a firmware loop, which is also the physics' step [s]."""
     period: float
+    """Duration of a tick, the control period [s]."""
     wire_loops: float
-    """Loops of the firmware that a line takes until it is used."""
+    """Firmware loops from writing a line to its use."""
     ramp: float
+    """Most that a set point changes in a firmware loop [rad/s]."""
     top: float
+    """Top speed of a motor [rad/s]."""
     counts_per_radian: float
+    """Encoder counts per angle of a wheel [1/rad]."""
     speed_per_count: float
+    """Wheel speed for one count within the encoders' window [rad/s]."""
     window: int
-    """Loops over which the encoders average."""
+    """Firmware loops over which the encoders average."""
     ticks: int
     """Control periods in an env step."""
     loops: int
     """Firmware loops in a control period."""
     radius: float
-    """What the odometry takes the wheel radius for."""
+    """The wheel radius that the odometry assumes [m]."""
     separation: float
+    """The effective wheel separation that the odometry assumes [m]."""
     max_wheel_speed: float
+    """Fastest wheel speed that a command may ask for [rad/s]."""
     max_linear: float
+    """Linear velocity of a full action [m/s]."""
     max_angular: float
+    """Angular velocity of a full action [rad/s]."""
     max_steps: float
+    """Time limit of an episode [env steps]; infinite for none."""
     guarded: bool
-    """Whether commands change from tick to tick: there are limits, a geofence, or faults."""
+    """Whether commands can change from tick to tick: there are limits, a geofence, or faults."""
     rules: Rules
-    """Of the safety layer."""
+    """Numbers of the safety layer."""
     faults: LineFaults
+    """Faults of the lines."""
     falls_silent: bool
     """Whether feedback may stay away for so long that the episode ends."""
     lidar_rate: float
-    """Scans per second; 0 where the task has no LiDAR [Hz]."""
+    """Scans per second; 0 where the robots have no LiDAR [Hz]."""
     stale: float
-    """Age of a stale scan [s]."""
+    """Age from which a scan counts as stale [s]."""
     noise: float
+    """Standard deviation of a range [m]."""
     dropouts: float
+    """Share of rays that measure nothing."""
     min_range: float
+    """Least range [m]."""
     draws: int
-    """Numbers that the noise of a scan takes."""
+    """How many uniform samples one noisy scan consumes."""
     numbers: int
-    """Of an observation that are the task's own; those of the sensors follow, the LiDAR first."""
+    """Numbers of an observation that are the task's own; those of the sensors follow, the LiDAR
+    first."""
 
 
 class Spawns(NamedTuple):
-    """Where episodes begin, and where they lead."""
+    """Starts, goals and paths of the worlds; the goal distances for an open floor."""
 
     min_distance: float
+    """Nearest goal on an open floor [m]."""
     max_distance: float
-    """Of goals drawn on an open floor, where there are no worlds [m]."""
+    """Farthest goal on an open floor [m]."""
     starts: Floats
-    """W x 4: x, y, radius [m] and theta [rad], NaN for any."""
+    """(worlds, 4): x, y, radius [m] and theta [rad], NaN for any direction."""
     goals: Floats
-    """W x 3: x, y, radius [m]."""
+    """(worlds, 3): x, y, radius [m]."""
     lengths: Floats
-    """W: lengths of the worlds' paths [m]."""
+    """(worlds,): lengths of the worlds' paths [m]."""
     paths: Floats
-    """W x N x 3: samples of the paths to follow, in the odometry frame; no worlds otherwise."""
+    """(worlds, samples, 3): the paths to follow, x [m], y [m], direction [rad], in the odometry
+    frame; one world without samples where the task follows none."""
     samples: NDArray[np.int64]
-    """W: samples of each path."""
+    """(worlds,): number of samples of each path."""
     order: NDArray[np.int64]
-    """W: the worlds from the easiest to the hardest."""
+    """(worlds,): indices of the worlds from the easiest to the hardest."""
 
 
 class Tables(NamedTuple):
-    """All arrays that change, of a batch of R robots."""
+    """All arrays of a batch of R robots that change. Columns are at least R."""
 
     state: Floats
-    """ROWS x columns: at least R, see above."""
+    """(ROWS, columns)."""
     counts: Floats
-    """loops x 4 x columns: a ring of encoder counts."""
+    """(firmware loops, 4, columns): a ring of encoder counts."""
     commands: Floats
-    """ticks x 2 x columns: a ring of command lines; empty where nothing limits commands."""
+    """(ticks, 2, columns): a ring of command lines, wheel speeds right and left [rad/s]; no
+    columns where nothing limits commands."""
     arrivals: Floats
-    """ticks x 3 x columns: in which loop the boards hear what the wire let through in a tick, and
-    its two speeds; empty where no lines are lost or late."""
+    """(ticks, 3, columns): the firmware loop in which the boards get what the wire passed on in
+    a tick, and its two wheel speeds; no columns where no lines are lost or late."""
     random: NDArray[np.uint64]
-    """R x 4: generators, see `pcg`."""
+    """(R, 4): generators, see `pcg`."""
     nominal: Floats
-    """The configured robot's `Physics`."""
+    """The configured robot's `Physics`, as an array."""
     low: Floats
+    """Least value of each randomized number: `randomization.Drawn`."""
     high: Floats
-    """Least and largest of each number that an episode draws: `randomization.Drawn`."""
+    """Largest value of each randomized number."""
     drawn: Floats
-    """numbers x columns: what the episodes have drawn; empty where nothing varies."""
+    """(numbers, columns): what the episodes have drawn; no rows where nothing varies."""
     actions: Floats
-    """R x 2"""
+    """(R, 2): linear and angular, as given to the step."""
     over: NDArray[np.bool_]
-    """R: whether the robot begins a new episode in this step."""
+    """(R,): whether the robot begins a new episode in this step."""
     idle: NDArray[np.bool_]
-    """R: whether it drives no more in this step: it begins anew, or its board is silent."""
+    """(R,): whether the robot doesn't drive in this step: it begins anew, or its board is
+    silent."""
     kept: Floats
-    """The state of the episode before the step, where boards may fall silent."""
+    """(COMMAND_LOOPS, columns): the state before the step; no columns where boards can't fall
+    silent."""
     kept_rays: NDArray[np.float32]
-    """R x rays: the observed ranges before the step, where boards fall silent."""
+    """(R, rays): the observed ranges before the step; no rows where boards can't fall silent."""
     ranges: Floats
-    """R x rays: the LiDAR's newest scan [m]."""
+    """(R, rays): the LiDAR's newest scan [m]."""
     observations: NDArray[np.float32]
-    """R x numbers."""
+    """(R, numbers)."""
     rewards: Floats
-    """R"""
+    """(R,)."""
     ends: NDArray[np.bool_]
-    """2 x R: terminated, truncated."""
+    """(2, R): terminated, truncated."""
     ring: NDArray[np.int64]
-    """4: where the last loop of the last step wrote its counts, and the last tick its command line;
-    the ticks of a step that the next call drives, from and up to."""
+    """(4,): the slot of `counts` that the last loop of the last step wrote, the slot of
+    `commands` that its last tick wrote, and the first tick (and the one after the last) of a
+    step that the next call drives."""
 
 
 class TaskSetup(NamedTuple):
@@ -237,13 +267,13 @@ class TaskTables(NamedTuple):
 
 @jit
 def row(state: Floats, number: int, first: int, last: int) -> Floats:
-    """One number of robots first to last, contiguous."""
+    """View of one number of robots first to last; contiguous."""
     return state[number, first:last]
 
 
 @jit
 def to_world(state: Floats, i: int, x: float, y: float) -> tuple[float, float]:
-    """A point of robot i's odometry frame in the frame of its world."""
+    """Transform a point of robot i's odometry frame into the frame of its world [m]."""
     cos, sin = state[START_COS, i], state[START_SIN, i]
     return (
         state[START_X, i] + cos * x - sin * y,

@@ -1,4 +1,4 @@
-"""What robots touch and see: exact footprint collisions and LiDAR scans in their worlds."""
+"""Collisions of exact footprints and LiDAR scans of many robots in their worlds."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ measure = lidar.measure
 
 @jit
 def true_pose(state: Floats, i: int) -> tuple[float, float, float, float]:
-    """Where robot i is in its world: x, y, and its heading's cosine and sine."""
+    """Robot i's pose in the frame of its world: x [m], y [m], cosine and sine of its heading."""
     x, y = to_world(state, i, state[X, i], state[Y, i])
     s, c = sincos(state[THETA, i])
     cos, sin = state[START_COS, i], state[START_SIN, i]
@@ -42,7 +42,7 @@ def true_pose(state: Floats, i: int) -> tuple[float, float, float, float]:
 
 @loop
 def touch(state: Floats, first: int, last: int, around: Surroundings) -> None:
-    """Note which robots touch an obstacle now."""
+    """Set CONTACT of robots that touch an obstacle now."""
     for i in range(first, last):
         if state[CONTACT, i] == 0.0:
             x, y, cos, sin = true_pose(state, i)
@@ -54,7 +54,10 @@ def touch(state: Floats, first: int, last: int, around: Surroundings) -> None:
 def scan(
     tables: Tables, i: int, tick: int, uniforms: Floats, setup: Setup, around: Surroundings
 ) -> None:
-    """Robot i's scan by the end of this tick of its step; -1 is the reset."""
+    """Take robot i's scan at the end of a tick of its step; -1 is the reset.
+
+    `uniforms` is a buffer for the samples that the noise consumes.
+    """
     state = tables.state
     ticks = state[STEPS, i] * setup.ticks + tick + 1
     elapsed = ticks * setup.period
@@ -72,7 +75,7 @@ def scan(
 
 @jit
 def is_due(state: Floats, i: int, tick: int, setup: Setup) -> bool:
-    """Whether robot i scans in this tick. It is asked in each, so that it is no call of its own."""
+    """Whether a scan of robot i is due in this tick; inlined, as it is asked in every tick."""
     ticks = state[STEPS, i] * setup.ticks + tick + 1
     due: bool = ticks * setup.period > state[SCANS, i] / setup.lidar_rate - 1e-9
     return due
@@ -89,7 +92,7 @@ def look(
     setup: Setup,
     around: Surroundings,
 ) -> None:
-    """Scans that are due, of robots whose place in the mask is as wanted."""
+    """Take the scans that are due, of robots whose entry in the mask equals `wanted`."""
     uniforms = np.empty(setup.draws)
     for i in range(first, last):
         if mask[i] == wanted and is_due(tables.state, i, tick, setup):

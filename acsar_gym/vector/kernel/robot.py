@@ -1,4 +1,4 @@
-"""What the driver of each robot knows: feedback lines and dead reckoning, tick by tick."""
+"""The drivers of many robots, tick by tick: feedback lines and dead reckoning."""
 
 from __future__ import annotations
 
@@ -37,14 +37,20 @@ integrate = jit(odometry.integrate)
 
 @jit
 def newest_line(loops: float, delay: float, every: float) -> float:
-    """Number of the newest line that has arrived by loop `loops`; line n is made n * `every` on."""
+    """Number of the newest feedback line that has arrived by a firmware loop.
+
+    Args:
+        loops: firmware loops since the reset.
+        delay: from making a line to its use [firmware loops].
+        every: line n is made n * `every` firmware loops after the reset.
+    """
     line: float = np.floor((loops - delay) / every + 1e-9)
     return line
 
 
 @jit
 def read(state: Floats, counts: Floats, i: int, slot: int, ago: int, setup: Setup) -> None:
-    """Robot i's reading of what its encoders had counted so many loops ago."""
+    """Set robot i's wheel speeds from what its encoders had counted `ago` firmware loops ago."""
     slots = counts.shape[0]
     new = slot - ago
     new += slots if new < 0 else 0
@@ -57,7 +63,7 @@ def read(state: Floats, counts: Floats, i: int, slot: int, ago: int, setup: Setu
 
 @jit
 def feedback(state: Floats, counts: Floats, first: int, last: int, slot: int, setup: Setup) -> None:
-    """The newest line that has arrived by the end of a tick, if it hasn't been read before."""
+    """Read the newest feedback line that has arrived by the end of a tick, if it is new."""
     loops, ages = row(state, LOOPS, first, last), row(state, AGE, first, last)
     lines, every = row(state, LAST_LINE, first, last), row(state, FEEDBACK_LOOPS, first, last)
     delays = row(state, DELAY_LOOPS, first, last)
@@ -76,7 +82,7 @@ def feedback(state: Floats, counts: Floats, first: int, last: int, slot: int, se
 
 @jit
 def dead_reckoning(state: Floats, first: int, last: int, setup: Setup) -> None:
-    """Equations (1)-(10) on the newest readings."""
+    """Update odometry with equations (1)-(10) on the newest wheel speeds."""
     a, b = row(state, READ, first, last), row(state, READ + 1, first, last)
     c, d = row(state, READ + 2, first, last), row(state, READ + 3, first, last)
     xs, ys = row(state, ODOM_X, first, last), row(state, ODOM_Y, first, last)
@@ -96,7 +102,7 @@ def dead_reckoning(state: Floats, first: int, last: int, setup: Setup) -> None:
 
 @jit
 def receive(state: Floats, counts: Floats, first: int, last: int, slot: int, setup: Setup) -> None:
-    """`feedback` where lines are lost or late."""
+    """Read feedback lines as `feedback` does, where lines can be lost or late."""
     for i in range(first, last):
         state[LOOPS, i] += setup.loops
         line = listen(state, i, setup)
@@ -108,7 +114,7 @@ def receive(state: Floats, counts: Floats, first: int, last: int, slot: int, set
 
 @jit
 def command_tick(tables: Tables, first: int, last: int, line: int, setup: Setup) -> None:
-    """The command lines of one tick, and what reaches the boards of them."""
+    """Make the command lines of one tick, and pass them on to the boards."""
     guard(tables.state, first, last, setup)
     lines(tables.state, tables.commands, first, last, line, setup)
     if setup.faults.possible:
@@ -119,7 +125,7 @@ def command_tick(tables: Tables, first: int, last: int, line: int, setup: Setup)
 def turn_wheels(
     tables: Tables, first: int, last: int, tick: int, slot: int, line: int, setup: Setup
 ) -> None:
-    """The firmware's loops of one tick, from encoder slot `slot` on."""
+    """Run the firmware loops of one tick; encoder counts go to slots from `slot` on."""
     state, counts = tables.state, tables.counts
     for turn in range(setup.loops):
         if setup.faults.possible:
@@ -134,7 +140,7 @@ def turn_wheels(
 
 @loop
 def drive(tables: Tables, first: int, last: int, setup: Setup, around: Surroundings) -> None:
-    """The ticks of an env step that the ring says."""
+    """Run the ticks of an env step that `tables.ring` says, with all that happens in them."""
     state, counts, slots = tables.state, tables.counts, tables.counts.shape[0]
     begin, lines_kept = tables.ring[2], max(tables.commands.shape[0], 1)
     slot = (tables.ring[0] + begin * setup.loops) % slots

@@ -1,8 +1,8 @@
 """The safety layer of many robots, tick by tick, and commands on their way to the board.
 
-Only where there are limits, a geofence or faults: without them all commands of a step are the same,
-which `dynamics.command` and `dynamics.ramp` make use of. Here every tick's command is kept in a
-ring until the board hears of it. The rules are those of `acsar_gym.safety.rules`.
+Used only where there are limits, a geofence or faults. Without them all commands of a step are the
+same, and `dynamics.command` and `dynamics.ramp` are faster. Here every tick's command is kept in a
+ring until the board uses it. The rules are those of `acsar_gym.safety.rules`.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from acsar_gym.vector.kernel.layout import (
 
 @jit
 def guard(state: Floats, first: int, last: int, setup: Setup) -> None:
-    """The twist that every robot is sent in this tick."""
+    """Compute the twist that every robot is sent in this tick."""
     asks, turns = row(state, LAST_LINEAR, first, last), row(state, LAST_ANGULAR, first, last)
     new, past = row(state, NEW_LINEAR, first, last), row(state, PAST_LINEAR, first, last)
     bent, past_bent = row(state, NEW_ANGULAR, first, last), row(state, PAST_ANGULAR, first, last)
@@ -60,7 +60,7 @@ def guard(state: Floats, first: int, last: int, setup: Setup) -> None:
 
 @jit
 def lines(state: Floats, commands: Floats, first: int, last: int, slot: int, setup: Setup) -> None:
-    """This tick's command lines: speeds of the right and the left side, as the wire has them."""
+    """Store this tick's command lines: wheel speeds right and left [rad/s]."""
     new, bent = row(state, NEW_LINEAR, first, last), row(state, NEW_ANGULAR, first, last)
     rights, lefts = commands[slot, 0, first:last], commands[slot, 1, first:last]
     for i in range(last - first):
@@ -71,7 +71,7 @@ def lines(state: Floats, commands: Floats, first: int, last: int, slot: int, set
 
 @jit
 def explain(state: Floats, first: int, last: int, setup: Setup) -> None:
-    """What the newest command was, and why it isn't the one that was asked for."""
+    """Store the twist of the newest command line, and the reason why it isn't the one asked for."""
     for i in range(first, last):
         linear = state[LAST_LINEAR, i] * setup.max_linear
         angular = state[LAST_ANGULAR, i] * setup.max_angular
@@ -85,7 +85,15 @@ def explain(state: Floats, first: int, last: int, setup: Setup) -> None:
 
 @jit
 def heard(delay: float, slot: int, slots: int, turn: int, loops: int) -> int:
-    """The slot of the newest command that a board hears of by this loop of a tick."""
+    """Slot of the newest command that a board knows by a firmware loop of a tick.
+
+    Args:
+        delay: from writing a command to its use [firmware loops].
+        slot: of this tick's command.
+        slots: of the ring.
+        turn: number of the firmware loop within the tick.
+        loops: firmware loops in a tick.
+    """
     place = slot + int(np.floor((turn - delay) / loops))
     return place + slots if place < 0 else place
 
@@ -94,7 +102,7 @@ def heard(delay: float, slot: int, slots: int, turn: int, loops: int) -> int:
 def follow(
     state: Floats, commands: Floats, first: int, last: int, slot: int, turn: int, setup: Setup
 ) -> None:
-    """Set points move towards the newest command that the board has heard of by this loop."""
+    """Move set points towards the newest command that each board knows by this loop."""
     slots, delays = commands.shape[0], row(state, COMMAND_LOOPS, first, last)
     differ = 0
     for i in range(last - first):
@@ -113,7 +121,7 @@ def follow(
 def approach(
     state: Floats, rights: Floats, lefts: Floats, first: int, last: int, step: float
 ) -> None:
-    """Set points move towards these targets of the right and the left side."""
+    """Move set points towards these targets of the right and the left wheels [rad/s]."""
     a, b = row(state, POINT, first, last), row(state, POINT + 1, first, last)
     c, d = row(state, POINT + 2, first, last), row(state, POINT + 3, first, last)
     for i in range(last - first):

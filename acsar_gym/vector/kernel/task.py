@@ -1,7 +1,7 @@
 """The loops that call a task's compiled methods for every robot.
 
-`bound` makes copies of them whose `task_*` names are those of one task. numba keeps what it has
-compiled of a copy in the cache of the task's own file, under the task's name.
+`bound` makes copies of the loops in which the names `task_*` are the methods of one task. numba
+caches a compiled copy beside the task's own file, under the name of the task's class.
 """
 
 from __future__ import annotations
@@ -65,9 +65,9 @@ STATE_ROWS = [
     WORLD,
     GOAL_GIVEN,
 ]
-"""What a State is made of, for tasks in Python."""
+"""The rows that a State is made of, for tasks in Python."""
 
-# What the copies that `bound` makes have in their place:
+# Placeholders: in the copies that `bound` makes, these names are the task's compiled methods.
 task_begin: Any = Task.begin
 task_outcome: Any = Task.outcome
 task_reward: Any = Task.reward
@@ -76,7 +76,7 @@ task_observe: Any = Task.observe
 
 @jit
 def state_of(tables: TaskTables, i: int, setup: TaskSetup, spawns: Spawns) -> State:
-    """What robot i's task is told."""
+    """Make robot i's State."""
     s, world = tables.state, int(tables.state[WORLD, i])
     path = spawns.paths[0 if len(spawns.samples) == 0 else world]
     samples = 0 if len(spawns.samples) == 0 else spawns.samples[world]
@@ -103,7 +103,7 @@ def state_of(tables: TaskTables, i: int, setup: TaskSetup, spawns: Spawns) -> St
 
 @jit
 def ended(tables: TaskTables, i: int, reward: float, outcome: int, setup: TaskSetup) -> None:
-    """Note what robot i's step was worth, and whether its episode has ended with it."""
+    """Store the reward and the outcome of robot i's step, and whether its episode has ended."""
     state = tables.state
     state[OUTCOME, i] = outcome
     state[RETURN, i] += reward
@@ -114,7 +114,7 @@ def ended(tables: TaskTables, i: int, reward: float, outcome: int, setup: TaskSe
 
 @jit
 def cut_short(tables: TaskTables, i: int) -> None:
-    """The end of robot i's episode because its board is silent; it is told what it was told."""
+    """Truncate robot i's episode because its board is silent; the observation stays as it was."""
     tables.rewards[i] = 0.0
     tables.ends[0, i], tables.ends[1, i] = False, True
 
@@ -129,7 +129,10 @@ def start(
     setup: TaskSetup,
     spawns: Spawns,
 ) -> None:
-    """The first observations of robots in the mask; the last memory holds the first values."""
+    """Begin the task's episodes of robots in the mask and write their first observations.
+
+    `memory` has a row for each robot, and a last one with the first values.
+    """
     for i in range(first, last):
         if mask[i]:
             memory[i] = memory[len(memory) - 1]
@@ -148,7 +151,7 @@ def step(
     setup: TaskSetup,
     spawns: Spawns,
 ) -> None:
-    """Reward, end and observation of robots first to last; some of them have begun anew."""
+    """Write reward, end and observation of robots first to last; robots in `over` begin anew."""
     for i in range(first, last):
         if tables.idle[i] and not tables.over[i]:
             cut_short(tables, i)
@@ -168,7 +171,7 @@ def step(
 
 
 def store(rows: NDArray[np.float32], i: int, k: int, numbers: Any) -> None:
-    """Put numbers into row i, from column k on."""
+    """Write numbers into row i, from column k on."""
     for number, value in enumerate(numbers):
         rows[i, k + number] = value
 
@@ -178,11 +181,11 @@ if COMPILED:
     from numba.extending import overload
 
     HEAD = "def unrolled(rows: Any, i: Any, k: Any, numbers: Any):"
-    """numba compares it with the head of `_store`."""
+    """The signature must equal that of `_store`: numba compares them."""
 
     @overload(store)  # type: ignore[untyped-decorator]
     def _store(rows: Any, i: Any, k: Any, numbers: Any) -> Callable[..., None]:
-        """One number after the other: they may be of different types."""
+        """Compile `store` as one assignment for each number, because their types may differ."""
         lines = [f"    rows[i, k + {n}] = numbers[{n}]" for n in range(len(numbers))] or [
             "    pass"
         ]
@@ -193,9 +196,13 @@ if COMPILED:
 
 
 def bound(loop: Callable[..., None], task: Task) -> Callable[..., None]:
-    """A copy of `start` or `step` for one class of task, compiled.
+    """Make a copy of `start` or `step` that calls the methods of one task, compiled.
 
-    Compilation happens with the first call; `explained` makes a message of what numba says then.
+    Compilation happens at the first call; `explained` makes a message of numba's errors.
+
+    Args:
+        loop: `start` or `step` of this module.
+        task: whose class has the methods.
     """
     kind = type(task)
     module = sys.modules[kind.__module__]
@@ -217,7 +224,7 @@ def bound(loop: Callable[..., None], task: Task) -> Callable[..., None]:
 
 
 def explained(task: Task, error: Exception) -> ConfigError:
-    """What numba says of a task that it can't compile, in one line."""
+    """Make a ConfigError of one line from numba's error about a task that it can't compile."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     said = "; ".join(lines[:3])[:300]
     return ConfigError(
