@@ -91,19 +91,15 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def _connect(self, link: Any, config: RobotConfig) -> None:
         """Make the robot with its link and sensors, and the screen; opens nothing."""
-        wire = self._link(link, config)
-        self._randomizer = Randomizer(
-            self._options.randomization,
-            config,
-            self.ticks_per_step * config.period,
-            simulated=wire.truth is not None,
-        )
-        faults = Faults.of(self._options.faults)
+        wire, asked = self._link(link, config), self._options
+        step, simulated = self.ticks_per_step * config.period, wire.truth is not None
+        self._randomizer = Randomizer(asked.randomization, config, step, simulated=simulated)
+        faults = Faults.of(asked.faults)
         self._faulty = FaultyLink(wire, faults) if faults.possible else None
         self.robot = Robot(self._faulty or wire, config, self._factories())
         self._top = (config.max_linear, config.max_angular)
         mode = None if self._bullets_window(link) else self.render_mode
-        self._screen = Screen(config, mode, self._options.view)
+        self._screen = Screen(config, mode, asked.view)
 
     def _factories(self) -> list[Sensor | Factory]:
         """Factories of the task's sensors and the env's."""
