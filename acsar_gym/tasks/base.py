@@ -6,6 +6,7 @@ every robot: in Python, too, or compiled by numba where the task sets `compiled 
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Iterable, Mapping
 from enum import IntEnum
@@ -186,8 +187,12 @@ def is_compiled(task: Task) -> bool:
 
 
 def remembered(task: Task) -> Memory:
-    """Make the memory of a new episode, with the first values."""
-    return SimpleNamespace(**task.memory)
+    """Make a new episode's memory, with the first values and nothing of other episodes."""
+    first = {
+        name: value if isinstance(value, float | int) else copy.deepcopy(value)
+        for name, value in task.memory.items()
+    }
+    return SimpleNamespace(**first)
 
 
 def told(task: Task) -> tuple[str, ...]:

@@ -2,8 +2,25 @@
 
 from __future__ import annotations
 
-from acsar_gym.tasks.base import Info, Outcome, State, Task, remembered, told
+from acsar_gym.errors import ConfigError, shown
+from acsar_gym.tasks.base import Info, Memory, Outcome, State, Task, remembered, told
+from acsar_gym.tasks.made import named
 from acsar_gym.tasks.spawn import Assignment
+
+
+def outcome_of(task: Task, state: State, memory: Memory) -> Outcome:
+    """Ask a task for the outcome of a step.
+
+    Raises:
+        ConfigError: it is no Outcome.
+    """
+    outcome = task.outcome(state, memory)
+    try:
+        return Outcome(outcome)
+    except ValueError:
+        raise ConfigError(
+            f"{named(task)}.outcome returned {shown(outcome)}: must be an Outcome"
+        ) from None
 
 
 class Episode:
@@ -25,7 +42,7 @@ class Episode:
 
     def step(self, state: State) -> tuple[float, Outcome]:
         """Return the reward and the outcome of the step that led to this state."""
-        self.outcome = Outcome(self.task.outcome(state, self.memory))
+        self.outcome = outcome_of(self.task, state, self.memory)
         return float(self.task.reward(state, self.memory, self.outcome)), self.outcome
 
     def observe(self, state: State) -> tuple[float, ...]:

@@ -13,7 +13,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, shown, suggestion
 from acsar_gym.reading.objects import imported, name_of
 from acsar_gym.sensors import LIDAR, Sensor
-from acsar_gym.tasks.base import Outcome, State, Task, remembered
+from acsar_gym.tasks.base import Outcome, State, Task, is_compiled, remembered
 
 
 def made(task: Any, options: Mapping[str, Any], others: Sequence[str] = ()) -> Task:
@@ -128,6 +128,8 @@ def tried(task: Task, config: RobotConfig, sensors: Sequence[Sensor]) -> None:
             f"{named(task)}.observe returned numbers of shape {np.shape(numbers)}: must be "
             f"{len(task.observation)}, as `observation` has names"
         )
+    if is_compiled(task) and not isinstance(numbers, tuple):
+        raise ConfigError(f"{named(task)}.observe: must return a tuple where the task is compiled")
 
 
 def _example(task: Task, config: RobotConfig, sensors: Sequence[Sensor]) -> State:

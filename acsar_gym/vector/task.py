@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections import namedtuple
 from collections.abc import Callable
 from typing import Any, Protocol
@@ -12,6 +13,8 @@ from numpy.typing import NDArray
 from acsar_gym.errors import ConfigError
 from acsar_gym.jit import COMPILED, NumbaError
 from acsar_gym.tasks.base import Memory, Outcome, State, Task, is_compiled, remembered, told
+from acsar_gym.tasks.episode import outcome_of
+from acsar_gym.tasks.made import named
 from acsar_gym.vector.kernel import layout
 from acsar_gym.vector.kernel import task as kernel
 from acsar_gym.vector.kernel.episode import report
@@ -19,6 +22,8 @@ from acsar_gym.vector.kernel.layout import Setup, Spawns, Tables, TaskSetup, Tas
 
 Mask = NDArray[np.bool_]
 Info = dict[str, NDArray[np.float64]]
+_NAMING = threading.Lock()
+"""Two threads may make the first batches of a class at once."""
 
 
 class Loops(Protocol):
@@ -78,6 +83,8 @@ class CompiledLoops:
             loop(self._numbers, self._memory, self._tables, *share, self._setup, self._spawns)
         except NumbaError as error:
             raise kernel.explained(self._task, error) from None
+        except (IndexError, ValueError, ZeroDivisionError) as error:
+            raise ConfigError(f"{named(self._task)}: {error}, in a compiled method") from None
 
     def info(self) -> Info:
         """The task's part of info: what it remembers."""
@@ -92,13 +99,19 @@ def numbers_of(task: Task) -> Any:
         if isinstance(value, bool | int | float | np.ndarray | np.generic) or _is_numbers(value):
             found[name] = value
     kind: Any = type(task)
+    with _NAMING:
+        return _params(kind, tuple(found))(**found)
+
+
+def _params(kind: Any, names: tuple[str, ...]) -> Any:
+    """Return a class's named tuple with these names; numba's cache finds it again in the class."""
     made: Any = vars(kind).get("TaskParams")
-    if made is None or made._fields != tuple(found):
+    if made is None or made._fields != names:
         make: Any = namedtuple  # its fields are found at run time
-        made = make("TaskParams", list(found))
+        made = make("TaskParams", names)
         made.__module__, made.__qualname__ = kind.__module__, f"{kind.__qualname__}.TaskParams"
-        kind.TaskParams = made  # where numba's cache finds it again
-    return made(**found)
+        kind.TaskParams = made
+    return made
 
 
 def _is_numbers(value: Any) -> bool:
@@ -149,7 +162,7 @@ class PythonLoops:
         rewards, outcomes, rows = [], [], []
         for robot, state in zip(robots.tolist(), self._states(robots), strict=True):
             memory = memories[robot]
-            outcome = task.outcome(state, memory)
+            outcome = outcome_of(task, state, memory)
             rewards.append(task.reward(state, memory, outcome))
             outcomes.append(outcome)
             rows.append(task.observe(state, memory))
@@ -173,7 +186,7 @@ class PythonLoops:
         """The State of each of these robots."""
         tables, numbers = self._tables, self._numbers
         rows = tables.state[:, robots][kernel.STATE_ROWS].T.tolist()
-        ranges, sensed = tables.ranges, tables.observations[:, numbers:]
+        ranges, sensed = tables.ranges[robots], tables.observations[robots, numbers:]
         max_twist, period = self._constants
         return [
             State(
@@ -183,8 +196,8 @@ class PythonLoops:
                 (ahead, turn),
                 (sent_linear, sent_angular),
                 int(reason),
-                ranges[robot],
-                sensed[robot],
+                ranges[place],
+                sensed[place],
                 steps * self._setup.ticks * self._setup.period,
                 age,
                 contact > 0.0,
@@ -193,10 +206,10 @@ class PythonLoops:
                 max_twist,
                 period,
             )
-            for robot, (
+            for place, (
                 x, y, theta, linear, angular, a, b, c, d, ahead, turn, sent_linear, sent_angular,
                 reason, steps, age, contact, goal_x, goal_y, world, given,
-            ) in zip(robots.tolist(), rows, strict=True)
+            ) in enumerate(rows)
         ]  # fmt: skip
 
     def _way(self, world: int, given: bool) -> tuple[NDArray[np.float64], float]:

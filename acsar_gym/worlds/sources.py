@@ -21,10 +21,24 @@ def fingerprint(function: Any) -> str:
     """
     if not isinstance(function, FunctionType) or function.__closure__:
         return ""
-    said = hashlib.sha256(function.__qualname__.encode())
+    said = of_modules(function.__module__)
+    return hashlib.sha256(f"{function.__qualname__} {said}".encode()).hexdigest() if said else ""
+
+
+def of_modules(*modules: str) -> str:
+    """A hash of the sources of modules, and of the user's own modules that they import.
+
+    Args:
+        *modules: their names.
+
+    Returns:
+        A hexadecimal number; empty where a module has no source file.
+    """
+    said = hashlib.sha256()
     try:
-        for name, content in sorted(_sources(function.__module__).items()):
-            said.update(f"{name} {len(content)} ".encode() + content)
+        for module in modules:
+            for name, content in sorted(_sources(module).items()):
+                said.update(f"{name} {len(content)} ".encode() + content)
     except (OSError, SyntaxError, ValueError):
         return ""
     return said.hexdigest()

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from acsar_gym.errors import ConfigError
 from acsar_gym.jit import COMPILED, FINGERPRINT, jit
-from acsar_gym.tasks.base import METHODS, State, Task
+from acsar_gym.tasks.base import METHODS, Outcome, State, Task
 from acsar_gym.tasks.made import named
 from acsar_gym.vector.kernel.episode import report
 from acsar_gym.vector.kernel.layout import (
@@ -44,6 +44,7 @@ from acsar_gym.vector.kernel.layout import (
     TaskSetup,
     TaskTables,
 )
+from acsar_gym.worlds.sources import of_modules as sources_of
 
 STATE_ROWS = [
     ODOM_X,
@@ -68,6 +69,8 @@ STATE_ROWS = [
 """The rows that a State is made of, for tasks in Python."""
 
 # Placeholders: in the copies that `bound` makes, these names are the task's compiled methods.
+OUTCOMES = len(Outcome)
+
 task_begin: Any = Task.begin
 task_outcome: Any = Task.outcome
 task_reward: Any = Task.reward
@@ -165,6 +168,8 @@ def step(
             tables.ends[0, i] = tables.ends[1, i] = False
         else:
             outcome = 0 + task_outcome(task, state, own)  # an Outcome, or its number
+            if not 0 <= outcome < OUTCOMES:
+                raise ValueError("outcome returned what is no Outcome")
             ended(tables, i, task_reward(task, state, own, outcome), outcome, setup)
         store(tables.observations, i, 0, task_observe(task, state, own))
     report(tables.state, first, last, setup)
@@ -204,23 +209,31 @@ def bound(loop: Callable[..., None], task: Task) -> Callable[..., None]:
         loop: `start` or `step` of this module.
         task: whose class has the methods.
     """
-    kind = type(task)
-    module = sys.modules[kind.__module__]
-    names = {
-        f"task_{name}": numba.njit(forceinline=True, error_model="numpy", nogil=True)(
-            getattr(kind, name)
-        )
-        for name in METHODS
-    }
+    kind, name = type(task), _cached_as(type(task), loop)
+    options: dict[str, Any] = {"forceinline": True, "boundscheck": True, "nogil": True}
+    names = {f"task_{one}": numba.njit(**options)(getattr(kind, one)) for one in METHODS}
     template: Any = loop
-    file = getattr(module, "__file__", None) or __file__
+    file = getattr(sys.modules[kind.__module__], "__file__", None) or __file__
     code = template.__code__.replace(co_filename=file, co_firstlineno=1)
     copy = FunctionType(code, template.__globals__ | names, loop.__name__)
-    copy.__module__ = kind.__module__
-    copy.__qualname__ = f"{kind.__qualname__}.{loop.__name__}.{FINGERPRINT}"
-    keep = getattr(module, "__file__", None) is not None
-    compiled: Callable[..., None] = numba.njit(cache=keep, error_model="numpy", nogil=True)(copy)
+    copy.__module__, copy.__qualname__ = kind.__module__, name or kind.__qualname__
+    compiled: Callable[..., None]
+    compiled = numba.njit(cache=bool(name), error_model="numpy", nogil=True)(copy)
     return compiled
+
+
+def _cached_as(kind: type[Task], loop: Callable[..., None]) -> str:
+    """Make the name under which numba keeps a compiled loop: it holds a hash of all its sources.
+
+    numba itself would only notice a change of the file that has the class. Empty, for not to be
+    kept, where a source isn't known, as in a notebook, and for classes made in functions.
+    """
+    modules = {one.__module__ for one in kind.__mro__}
+    own = [name for name in modules if name.partition(".")[0] not in ("builtins", "acsar_gym")]
+    sources = sources_of(*sorted(own)) if own else FINGERPRINT
+    if not sources or "<locals>" in kind.__qualname__:
+        return ""
+    return f"{kind.__qualname__}.{loop.__name__}.{FINGERPRINT}.{sources[:16]}"
 
 
 def explained(task: Task, error: Exception) -> ConfigError:
