@@ -42,8 +42,7 @@ from acsar_gym.worlds.scene import point_in_world
 class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
     """A four-wheel skid-steer robot with a task; the manuals of the ids are in `acsar_gym.envs`.
 
-    Attributes: `task`; `robot`, the driver; `episode`, the current episode's assignment and memory;
-    `pool`, the worlds, None on an open floor.
+    Attributes: `task`; `robot`, the driver; `episode`, the current one; `pool`, worlds or None.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - as gymnasium.Env declares it
@@ -131,7 +130,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
 
         Raises:
             ConfigError, WorldError: for unknown options, or values out of range.
-            LinkError: where the link can't be opened, or the board or a sensor doesn't answer.
+            LinkError: link, board or a sensor doesn't work.
         """
         self._halt()
         self._told_last = None
@@ -158,7 +157,6 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
 
         Raises:
             CommandError: for another shape, NaN or infinity; the wheels are commanded to stop.
-            ConfigError: before the first reset.
             LinkError: where the link or the board fails and `on_fault` is "raise".
         """
         episode = self._episode
@@ -267,11 +265,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         return self._episode
 
     def render(self) -> Image | None:
-        """Take a picture in mode rgb_array: (height, width, 3) uint8; None in other modes.
-
-        Raises:
-            RenderError: before the first reset.
-        """
+        """Take a picture (height, width, 3); None unless the mode is rgb_array."""
         if self.render_mode != "rgb_array":
             return None
         if not self.robot.active:

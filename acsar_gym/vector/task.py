@@ -97,7 +97,7 @@ def numbers_of(task: Task) -> Any:
         make: Any = namedtuple  # its fields are found at run time
         made = make("TaskParams", list(found))
         made.__module__, made.__qualname__ = kind.__module__, f"{kind.__qualname__}.TaskParams"
-        kind.TaskParams = made  # where numba's cache finds it again
+        kind.TaskParams = made  # numba's cache loads it from there
     return made(**found)
 
 

@@ -158,7 +158,7 @@ def _published_path(path: Path) -> Floats | None:
 def _cells(path: Path) -> Floats:
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of Python 2, which may have written it
+            warnings.simplefilter("ignore")  # the file may be of Python 2
             # Mapped, because a header may claim more bytes than the file has.
             cells = np.lib.format.open_memmap(path, mode="r")
     except NPY_ERRORS:
