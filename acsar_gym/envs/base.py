@@ -42,7 +42,8 @@ from acsar_gym.worlds.scene import point_in_world
 class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
     """A four-wheel skid-steer robot with a task; the manuals of the ids are in `acsar_gym.envs`.
 
-    Attributes: `task`; `robot`, the driver; `episode`, the current one; `pool`, worlds or None.
+    Attributes: `task`; `robot`, the driver; `episode`, the current episode's assignment and memory;
+    `pool`, the worlds, None on an open floor.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - as gymnasium.Env declares it
@@ -130,7 +131,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
 
         Raises:
             ConfigError, WorldError: for unknown options, or values out of range.
-            LinkError: link, board or a sensor doesn't work.
+            LinkError: where the link can't be opened, or the board or a sensor doesn't answer.
         """
         self._halt()
         self._told_last = None
@@ -157,6 +158,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
 
         Raises:
             CommandError: for another shape, NaN or infinity; the wheels are commanded to stop.
+            ConfigError: before the first reset.
             LinkError: where the link or the board fails and `on_fault` is "raise".
         """
         episode = self._episode
@@ -265,7 +267,11 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         return self._episode
 
     def render(self) -> Image | None:
-        """Take a picture (height, width, 3); None unless the mode is rgb_array."""
+        """Take a picture in mode rgb_array: (height, width, 3) uint8; None in other modes.
+
+        Raises:
+            RenderError: before the first reset.
+        """
         if self.render_mode != "rgb_array":
             return None
         if not self.robot.active:
