@@ -114,7 +114,7 @@ class Robot:
             raise
         self.odometry.reset()
         if self.link.lateness is not None:
-            gc.collect()  # takes 60 ms: better now than while the wheels turn
+            gc.collect()  # takes 60 ms, so it is done before the wheels turn
             self._stopwatch = Stopwatch(self._period)
         try:
             self.sensors.reset(scene, np.random.default_rng(0) if rng is None else rng)

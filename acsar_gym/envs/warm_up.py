@@ -25,7 +25,7 @@ NAMES = tuple(IDS)
 
 
 class Warm(NamedTuple):
-    """What was done for one id."""
+    """Counts and duration of a warm-up of one id."""
 
     functions: int
     """How many functions were compiled."""

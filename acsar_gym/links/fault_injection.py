@@ -1,6 +1,6 @@
-"""A link on which things go wrong: lines, encoders, wheels, the board, its supply and the cable.
+"""A link with faults: of lines, encoders, wheels, the board, its supply and the cable.
 
-Between driver and board a byte passes these, and back in the opposite order:
+Bytes from driver to board pass these stages; bytes of the board pass them in the opposite order:
 
     driver -> cable (plugged in?) -> wire (lines, garbage) -> board (running?) -> wheels -> link
 """
@@ -26,21 +26,28 @@ from acsar_gym.worlds import Scene
 WAIT = 0.01
 """Steps in which `open` waits for a cable to be plugged in again [s]."""
 STOP = b"\r\n" + encode(ZERO)
-"""What a board that isn't running does to its motors; a half command before it can't swallow it."""
+"""Command that stops the motors while the board isn't running; the line end ends a half command
+that the board may have received before."""
 Seed = int | np.integer[Any] | np.random.Generator | None
 
 
 class FaultyLink:
-    """Passes everything on to another link, with faults; without any, byte by byte as it comes.
+    """Passes bytes to and from another link, with faults; without faults it changes nothing.
 
-    `faults` is a mapping, Faults or None; `reset` draws from them what goes wrong in the episode,
-    and before the first reset nothing does. The same seed, resets and input give the same bytes.
-    Times are those of the link's own clock, so that a simulation goes as fast as it can.
+    `reset` draws the faults of the episode; before the first reset there are none. The same seed,
+    resets and input give the same bytes. Times are those of the link's own clock, so a simulation
+    isn't slowed down.
 
     While the cable is out, `write` and `advance` raise LinkLostError until the link is opened
-    again: `open` lets the rest of `replug_time` pass, or raises PortNotFoundError where the cable
-    stays out. The device then has another name. Where it really has (two emulators, two boards),
-    `relink` makes the link to it.
+    again: `open` waits for the rest of `replug_time`, or raises PortNotFoundError where the cable
+    stays out. The device then has another name.
+
+    Args:
+        link: the link behind this one.
+        faults: a mapping, Faults, or None.
+        seed: a whole number, a generator, or None for a random one.
+        relink: makes the link for the device that appears after a replug, where it has another
+            name (two emulators, two boards).
 
     Attributes: `faults`; `injected`, how often each fault has happened since the last reset, by
     name; `wheels`, the wheels that fail in this episode; `device`; `link`, the link behind it.
@@ -65,7 +72,14 @@ class FaultyLink:
         self.seed(seed)
 
     def seed(self, seed: Seed) -> None:
-        """What the next resets draw from; of a generator one number is taken, and no more."""
+        """Set what the next resets draw from.
+
+        Args:
+            seed: a whole number or None; of a generator one number is taken, and no more.
+
+        Raises:
+            ConfigError: for anything else.
+        """
         if isinstance(seed, np.random.Generator):
             self._key = float(seed.random())
             self._rng = _generator(self._key)
@@ -77,11 +91,15 @@ class FaultyLink:
 
     @property
     def device(self) -> str:
-        """The name of the device; links without one are robot0, and after a replug robot1."""
+        """Name of the device; links without one are called robot0, and after a replug robot1."""
         return str(getattr(self.link, "device", f"robot{self._replugs}"))
 
     def open(self) -> None:
-        """Open the link; where the cable was pulled, wait until it is plugged in again."""
+        """Open the link; where the cable was pulled, wait until it is plugged in again.
+
+        Raises:
+            PortNotFoundError: the cable stays out.
+        """
         if self._back_at is None:
             self.link.open()
             return
@@ -101,7 +119,7 @@ class FaultyLink:
         self._replugs += 1
 
     def reset(self, scene: Scene) -> None:
-        """Reset the link; what went wrong is over, and the new episode's faults are drawn."""
+        """Reset the link, end the faults of the last episode and draw those of the new one."""
         self._check_cable()
         self.link.reset(scene)
         self.injected.clear()
@@ -113,7 +131,7 @@ class FaultyLink:
             self._episode = _Episode(self, key, generators)
 
     def write(self, data: bytes) -> None:
-        """Send bytes; what arrives of them is a matter of luck."""
+        """Send bytes; faults may change or lose them."""
         if self._episode is not None:
             self._episode.watch(data, self.link.now())
         self._check_cable()
@@ -123,7 +141,11 @@ class FaultyLink:
             self.link.write(data)
 
     def advance(self, period: float) -> bytes:
-        """Let one period [s] pass; what the wire lets through of what arrived in it."""
+        """Let a period pass, and return the feedback bytes after all faults.
+
+        Args:
+            period: [s].
+        """
         self._check_cable()
         episode = self._episode
         if episode is None:
@@ -135,7 +157,10 @@ class FaultyLink:
         return episode.heard(data, self.link.now(), period)
 
     def _check_cable(self) -> None:
-        """Raise LinkLostError where the cable is out; pulling it closes the link behind."""
+        """Raise LinkLostError where the cable is out.
+
+        When it is pulled, the link behind is closed.
+        """
         if self._episode is not None and self._episode.unplugged(self.link.now()):
             self._back_at = self.link.now() + self.faults.replug_time
             self.close()
@@ -146,41 +171,41 @@ class FaultyLink:
             )
 
     def now(self) -> float:
-        """The link's clock."""
+        """Time on the link's clock [s]."""
         return self.link.now()
 
     @property
     def truth(self) -> GroundTruth | None:
-        """The link's truth."""
+        """Ground truth of the link."""
         return self.link.truth
 
     @property
     def lateness(self) -> float | None:
-        """The link's lateness."""
+        """Lateness of the link's last period [s]."""
         return self.link.lateness
 
     @property
     def camera(self) -> Camera | None:
-        """The link's camera."""
+        """Camera of the link."""
         return camera_of(self.link)
 
     def __reduce__(self) -> tuple[type[FaultyLink], tuple[object, ...]]:
-        """Copies have a link of their own and begin with the first seed."""
+        """Copies and pickles have a link of their own and begin with the first seed."""
         return FaultyLink, (self.link, self.faults, self._first_seed, self._relink)
 
     def close(self) -> None:
-        """Close the link; nothing goes wrong until the next reset, but a cable stays out."""
+        """Close the link. Faults end until the next reset, but a pulled cable stays out."""
         self._episode = None
         self.link.close()
 
 
 def _generator(key: float) -> np.random.Generator:
-    """All that isn't a line's own lot is drawn from it; `key` is a number of [0, 1)."""
+    """The generator of all faults except those that `lot` draws; `key` is a number of [0, 1)."""
     return np.random.default_rng(int(key * 2**53))
 
 
 class _Episode:
-    """What goes wrong between two resets; feedback, commands and all else have own generators."""
+    """The faults between two resets; feedback, commands and events have generators of their own."""
 
     def __init__(self, link: FaultyLink, key: float, generators: list[np.random.Generator]) -> None:
         faults, count = link.faults, link.injected
@@ -197,7 +222,7 @@ class _Episode:
         self._waiting: Decoder | None = Decoder()
 
     def watch(self, data: bytes, now: float) -> None:
-        """Start the clock of events where the driver's bytes turn wheels for the first time."""
+        """Start the clock of events with the first command of the driver that turns wheels."""
         if self._waiting is None or all(r.speeds == ZERO for r in self._waiting.feed(data)):
             return
         self._waiting = None
@@ -206,10 +231,14 @@ class _Episode:
             event.start(now)
 
     def unplugged(self, now: float) -> bool:
+        """Whether the cable is out now."""
         return self._unplug.going(now)
 
     def _down(self, now: float) -> bool:
-        """Whether the board isn't running; half a line that it knew or said is forgotten then."""
+        """Whether the board isn't running now.
+
+        It then forgets incomplete lines in both directions.
+        """
         reset, brown_out = (outage.going(now) for outage in self._outages)
         if reset or brown_out:
             for stream in (self._feedback, self._commands, self._wheels):
@@ -217,16 +246,16 @@ class _Episode:
         return reset or brown_out
 
     def sent(self, data: bytes, now: float) -> bytes:
-        """What reaches the motors now of what the driver writes now."""
+        """Bytes that reach the motors now, when the driver writes `data` now."""
         arrived = self._commands.carry(data, now)
         return b"" if self._down(now) else self._wheels.commanded(arrived, now)
 
     def due(self, now: float, period: float) -> bytes:
-        """What reaches the motors in a period besides."""
+        """Other bytes that reach the motors in a period: late lines and garbage."""
         arrived = self._commands.noisy(self._commands.carry(b"", now), period)
         return STOP if self._down(now) else self._wheels.commanded(arrived, now)
 
     def heard(self, data: bytes, now: float, period: float) -> bytes:
-        """What reaches the driver of what the board said in the period that ends now."""
+        """Bytes that reach the driver, when the board sent `data` in the period that ends now."""
         said = b"" if self._down(now) else self._wheels.felt(data, now)
         return self._feedback.noisy(self._feedback.carry(said, now), period)

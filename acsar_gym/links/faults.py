@@ -1,6 +1,6 @@
-"""What may go wrong between a driver and its board: frozen, validated, in numbers and letters.
+"""The configuration of faults between a driver and its board, and their effect on lines.
 
-`links/fault_injection.py` lets it happen.
+`links/fault_injection.py` applies them.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from acsar_gym.protocol import MAX_LINE, MOTORS
 
 Direction = Literal["feedback", "commands", "both"]
 Wheels = str | int
-"""Letters such as "ad" name motors; a number is how many, drawn anew with every episode."""
+"""Letters such as "ad" name motors; a number is how many, drawn anew in every episode."""
 
 HIGHEST_RATE = 1000.0
-"""Highest rate of anything [1/s]."""
+"""Highest rate of any event [1/s]."""
 LONGEST = 60.0
-"""Longest time that anything lasts [s]."""
+"""Longest duration of any fault [s]."""
 LARGEST_BURST = 4096
-"""[bytes]"""
+"""Longest burst of garbage [bytes]."""
 
 EPSILON = 1e-9
-"""Slack for comparing times that are sums of periods [s]."""
+"""Tolerance for comparing times that are sums of periods [s]."""
 STOPPED = b"p00.00"
 
 _PART = re.compile(rb"(?<![^,\r\n])([abcd])([pn])([0-9]{2}\.[0-9]{2})(?![^,\r\n])")
@@ -37,68 +37,70 @@ _PART = re.compile(rb"(?<![^,\r\n])([abcd])([pn])([0-9]{2}\.[0-9]{2})(?![^,\r\n]
 
 @dataclass(frozen=True, slots=True)
 class Faults:
-    """Shares of lines, rates of events, and wheels that fail. By default nothing goes wrong.
+    """Shares of lines, rates of events, and wheels that fail. By default there are no faults.
 
-    An event with a rate comes at random, that many times a second on average; `*_at` says when the
-    first one comes, in seconds on the link's clock. Wheels, encoders, board, supply and cable begin
-    to fail with the start of the drive: their clock starts anew after every reset, with the first
-    command that turns wheels, however long the reset took. Lines and garbage suffer at all times.
+    An event with a rate comes at random, on average so many times a second; `*_at` is the time of
+    the first one [s]. Faults of wheels, encoders, board, supply and cable begin with the drive:
+    their clock starts anew after every reset, with the first command that turns wheels. Faults of
+    lines and garbage occur at all times.
 
     A batch knows `dropped_lines`, `late_lines`, `lateness`, `episodes` and `direction`, and loses
-    the very lines that the single env loses.
+    the same lines as the single env.
 
     Raises ConfigError for values out of range.
     """
 
     episodes: float = 1.0
-    """Share of episodes in which anything goes wrong at all; the others are sound."""
+    """Share of episodes that have faults; the others have none."""
     direction: Direction = "both"
-    """Where lines suffer and garbage appears: "feedback", "commands" or "both"."""
+    """Where lines have faults and garbage appears: "feedback", "commands" or "both"."""
 
     dropped_lines: float = 0.0
     """Share of lines that never arrive."""
     duplicated_lines: float = 0.0
     """Share of lines that arrive twice."""
     cut_lines: float = 0.0
-    """Share of lines that lose their tail, line end included, so that the next one is glued on."""
+    """Share of lines that lose their tail, line end included, so that the next line is appended
+    to them."""
     corrupted_lines: float = 0.0
-    """Share of lines of which one to three bytes arrive with one bit flipped."""
+    """Share of lines in which one to three bytes arrive with one bit flipped."""
     late_lines: float = 0.0
-    """Share of lines that are held up by `lateness`, and with them all lines behind them."""
+    """Share of lines that are delayed by `lateness`, and all lines behind them with them."""
     lateness: float = 0.05
-    """How long a late line is held up [s], rounded up to whole periods."""
+    """Delay of a late line [s], rounded up to whole periods."""
     garbage_rate: float = 0.0
     """Bursts of random bytes per second [1/s]."""
     garbage_bytes: int = 64
     """Length of a burst [bytes]."""
 
     stuck_encoders: Wheels = 0
-    """Encoders that repeat the reading they had at `wheel_faults_at`, which at the start is 0."""
+    """Encoders that repeat the reading they had at `wheel_faults_at`; at the start that is 0."""
     reversed_encoders: Wheels = 0
-    """Encoders whose sign is wrong: p reads n, and n reads p."""
+    """Encoders with the wrong sign: p instead of n, and n instead of p."""
     dead_wheels: Wheels = 0
-    """Wheels whose commands become zero on the board; their encoders tell the truth."""
+    """Wheels whose commands become zero on the board; their encoders still work."""
     wheel_faults_at: float = 0.0
-    """When encoders and wheels fail [s after the drive's start]; at 0 they fail before it, too."""
+    """When encoders and wheels fail [s after the drive's start]; with 0 they fail before it,
+    too."""
 
     board_reset_rate: float = 0.0
     """Resets of the board per second [1/s]."""
     board_reset_at: float | None = None
     """When the first reset of the board happens [s after the drive's start]."""
     reset_time: float = 2.0
-    """A board that resets stops its motors, hears nothing and says nothing for so long [s]."""
+    """For how long a board that resets doesn't run: motors off, no input, no output [s]."""
     brown_out_rate: float = 0.0
     """Dips of the supply per second [1/s]."""
     brown_out_at: float | None = None
     """When the first dip happens [s after the drive's start]."""
     brown_out_time: float = 0.3
-    """In a dip the motors stop, and the board neither hears nor speaks, for so long [s]."""
+    """For how long a board doesn't run in a dip: motors off, no input, no output [s]."""
     unplug_rate: float = 0.0
     """How often the cable is pulled [1/s]."""
     unplug_at: float | None = None
     """When the cable is pulled [s after the drive's start]."""
     replug_time: float = 1.0
-    """After so long it is plugged in again, under another device's name [s]; inf: it stays out."""
+    """Time until it is plugged in again, under another device's name [s]; inf: never."""
 
     def __post_init__(self) -> None:
         for name, (is_sound, allowed) in _RULES.items():
@@ -108,9 +110,13 @@ class Faults:
 
     @classmethod
     def of(cls, faults: Mapping[str, Any] | Faults | None) -> Faults:
-        """What users may pass as `faults=`: a mapping, Faults, or None for none.
+        """Make Faults from what users may pass as `faults=`.
 
-        Raises ConfigError for an unknown key or a value out of range.
+        Args:
+            faults: a mapping, Faults, or None for no faults.
+
+        Raises:
+            ConfigError: for an unknown key or a value out of range.
         """
         if isinstance(faults, Faults):
             return faults
@@ -128,12 +134,12 @@ class Faults:
 
     @property
     def lines_suffer(self) -> bool:
-        """Whether any share of lines is above zero."""
+        """Whether any share of lines with a fault is above zero."""
         return any(getattr(self, name) for name in LINE_FAULTS)
 
     @property
     def possible(self) -> bool:
-        """Whether anything can go wrong at all."""
+        """Whether any fault can occur."""
         wheels = any(getattr(self, name) for name in _WHEELS)
         rates = any(getattr(self, name) for name in _RATES)
         times = any(getattr(self, name) is not None for name in _WHEN)
@@ -142,7 +148,7 @@ class Faults:
 
 @dataclass(frozen=True, slots=True)
 class WheelFaults:
-    """Which motors of an episode have which fault, as letters, "" for none."""
+    """Which motors have which fault in an episode, as letters; "" for none."""
 
     stuck: str = ""
     reversed: str = ""
@@ -150,7 +156,7 @@ class WheelFaults:
 
     @classmethod
     def drawn(cls, faults: Faults, rng: np.random.Generator) -> Self:
-        """The named wheels, and as many others as are asked for."""
+        """Take the named wheels, and draw as many as are asked for by number."""
         return cls(
             _drawn(faults.stuck_encoders, rng),
             _drawn(faults.reversed_encoders, rng),
@@ -159,19 +165,23 @@ class WheelFaults:
 
 
 def _drawn(wheels: Wheels, rng: np.random.Generator) -> str:
+    """Letters of the motors that are named, or drawn."""
     if isinstance(wheels, str):
         return wheels
     return "".join(sorted(rng.choice(list(MOTORS), int(wheels), replace=False).tolist()))
 
 
 class Lines:
-    """Puts a stream together to lines. Holds back one that isn't complete, if it is no monster."""
+    """Joins a stream of bytes to lines.
+
+    Keeps an incomplete line, unless it is too long to be one.
+    """
 
     def __init__(self) -> None:
         self.partial = b""
 
     def feed(self, data: bytes) -> list[bytes]:
-        """The lines that `data` completes, with their ends."""
+        """Return the lines that `data` completes, with their line ends."""
         lines = (self.partial + data).splitlines(keepends=True)
         self.partial = b""
         if lines and not lines[-1].endswith((b"\r", b"\n")) and len(lines[-1]) <= MAX_LINE:
@@ -180,7 +190,7 @@ class Lines:
 
 
 class WheelEditor:
-    """Feedback and commands of one episode, as failed encoders and motors have them.
+    """Changes feedback and commands of one episode as failed encoders and motors would.
 
     Attributes: `at`, when they fail, on the link's clock [s]; may be set later.
     """
@@ -194,21 +204,22 @@ class WheelEditor:
         self._commands, self._feedback = Lines(), Lines()
 
     def cut_off(self) -> None:
-        """Forget half lines."""
+        """Forget incomplete lines."""
         self._commands.partial = self._feedback.partial = b""
 
     def commanded(self, data: bytes, now: float) -> bytes:
-        """Commands as the motors obey them."""
+        """Commands with zeros for dead wheels."""
         if not self._dead:
             return data
         lines = b"".join(self._commands.feed(data))
         return lines if now + EPSILON < self.at else _PART.sub(self._obeyed, lines)
 
     def _obeyed(self, part: re.Match[bytes]) -> bytes:
+        """One motor's part of a command."""
         return part[1] + STOPPED if part[1] in self._dead else part[0]
 
     def felt(self, data: bytes, now: float) -> bytes:
-        """Feedback as the encoders have it."""
+        """Feedback with the readings of failed encoders."""
         if not (self._stuck or self._reversed):
             return data
         lines = b"".join(self._feedback.feed(data))
@@ -218,6 +229,7 @@ class WheelEditor:
         return _PART.sub(self._read, lines)
 
     def _read(self, part: re.Match[bytes]) -> bytes:
+        """One motor's part of a feedback line."""
         motor, direction, digits = part.groups()
         if motor in self._stuck:
             return self._readings.get(motor, motor + STOPPED)
@@ -227,7 +239,7 @@ class WheelEditor:
 
 
 LINE_FAULTS = ("dropped_lines", "duplicated_lines", "cut_lines", "corrupted_lines", "late_lines")
-"""In the order of their kinds, see `lots`."""
+"""In the order of their kinds, see `lots.lot`."""
 DROPPED, LATE = LINE_FAULTS.index("dropped_lines"), LINE_FAULTS.index("late_lines")
 _RATES = ("garbage_rate", "board_reset_rate", "brown_out_rate", "unplug_rate")
 _WHEELS = ("stuck_encoders", "reversed_encoders", "dead_wheels")
@@ -238,7 +250,7 @@ Check = Callable[[Any], bool]
 
 
 def _within(least: float, most: float, kind: Any = (int, float, np.number)) -> Check:
-    """Whether a value is a number in the range; True and False are none."""
+    """Make a check whether a value is a number in a range; True and False aren't numbers."""
     return lambda value: (
         isinstance(value, kind) and not isinstance(value, bool) and bool(least <= value <= most)
     )
@@ -250,6 +262,7 @@ _is_finite = _within(0.0, sys.float_info.max)
 
 
 def _holds(is_sound: Check, value: Any) -> bool:
+    """Whether a check passes; not for values that it can't compare."""
     try:
         return bool(is_sound(value))
     except (TypeError, ValueError, OverflowError):  # an array, or an int too long for a float
@@ -257,6 +270,7 @@ def _holds(is_sound: Check, value: Any) -> bool:
 
 
 def _are_wheels(value: Any) -> bool:
+    """Whether a value names motors, or is a number of them."""
     if isinstance(value, str):
         return set(value) <= set(MOTORS) and len(set(value)) == len(value)
     return _is_count(value)

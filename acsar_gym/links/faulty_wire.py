@@ -1,4 +1,4 @@
-"""One direction of a cable on which lines suffer, and events that begin by chance."""
+"""One direction of a cable whose lines have faults, and events that begin at random."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from acsar_gym.links.faults import EPSILON, LINE_FAULTS, Faults, Lines
 from acsar_gym.links.lots import COMMANDS, FEEDBACK, lot
 
 BUFFER = 65536
-"""Most bytes that wait behind a late line; what comes then is lost, as in any driver's buffer."""
+"""Most bytes that wait behind a late line; more are lost, as in a driver's buffer."""
 MOST_BURSTS = 16
 """Bursts of garbage in one period, at most."""
 
 
 class Event:
-    """Something that begins at a set time or at times drawn at a rate [1/s], and lasts a while.
+    """An event that begins at a set time or at random at a rate [1/s], and has a duration [s].
 
     Times count from `start` on.
     """
@@ -38,14 +38,15 @@ class Event:
         self._until = -math.inf
 
     def start(self, now: float) -> None:
-        """Start the clock; before that nothing happens."""
+        """Start the clock; before that the event can't begin."""
         self._next = now + self._after
 
     def _pause(self) -> float:
+        """Draw the time until the next event [s]."""
         return float(self._rng.exponential(1.0 / self._rate)) if self._rate else math.inf
 
     def going(self, now: float) -> bool:
-        """Whether it lasts now; it is counted where it begins."""
+        """Whether the event is going on now; counts it when it begins."""
         if now + EPSILON >= max(self._next, self._until):
             self._count[self._name] += 1
             self._until = now + self._lasting
@@ -54,7 +55,7 @@ class Event:
 
 
 class FaultyWire:
-    """One direction of the cable. Lines keep their order, however late one of them is."""
+    """One direction of the cable. Lines keep their order: none overtakes a late one."""
 
     def __init__(
         self,
@@ -79,11 +80,11 @@ class FaultyWire:
         self._waiting = 0
 
     def cut_off(self) -> None:
-        """Forget half a line."""
+        """Forget an incomplete line."""
         self._lines.partial = b""
 
     def carry(self, data: bytes, now: float) -> bytes:
-        """What comes out at the other end now, when `data` goes in."""
+        """Put bytes in, and return those that come out at the other end now."""
         if not self._suffers:
             return data
         for line in self._lines.feed(data):
@@ -95,8 +96,9 @@ class FaultyWire:
         return out
 
     def _send(self, line: bytes, now: float) -> None:
+        """Queue a complete line with its faults."""
         hits: set[str] = set()
-        if line.strip():  # the second half of a line end that was torn apart is no line
+        if line.strip():  # the second half of a line end that was split isn't a line
             key, whose, number = self._key, self._whose, self._number
             hits = {name for name, n, share in self._shares if lot(key, whose, number, n) < share}
             self._number += 1
@@ -109,6 +111,7 @@ class FaultyWire:
             self._waiting += len(line)
 
     def _damaged(self, line: bytes, hits: set[str]) -> bytes:
+        """Apply faults to a line; empty where it is dropped."""
         if "dropped_lines" in hits:
             return b""
         if "cut_lines" in hits:
@@ -123,7 +126,7 @@ class FaultyWire:
         return line * (1 + ("duplicated_lines" in hits))
 
     def noisy(self, data: bytes, period: float) -> bytes:
-        """The bytes of a period with the garbage that falls into it."""
+        """Insert garbage into the bytes of a period [s]."""
         if not self._burst_rate:
             return data
         bursts = min(int(self._rng.poisson(self._burst_rate * period)), MOST_BURSTS)

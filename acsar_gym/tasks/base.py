@@ -213,7 +213,7 @@ def signature(task: Task, sensors: Iterable[Sensor]) -> str:
     return ",".join([*task.observation, *(sensor.layout for sensor in sensors)])
 
 
-# Compiled functions for tasks: scalars in, scalars out.
+# Functions for tasks; they take and return scalars, so that numba can compile them.
 
 
 @compilable

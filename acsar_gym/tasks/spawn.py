@@ -191,7 +191,7 @@ def drawn(
     theta = ends.start.theta
     theta = (2.0 * u[3] - 1.0) * math.pi if theta is None else theta
     start: Pose = (x, y, theta)
-    if options.get("goal") is not None:  # the world's own path leads elsewhere
+    if options.get("goal") is not None:  # without the world's path, which leads elsewhere
         return Assignment(point("goal", options["goal"]), world, number=number, start=start)
     goal_x, goal_y = within(ends.goal.x, ends.goal.y, ends.goal.radius, u[4], u[5])
     goal: Goal = relative(x, y, math.cos(theta), math.sin(theta), goal_x, goal_y)

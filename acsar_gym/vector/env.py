@@ -227,7 +227,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
 
     def _checked(self, actions: Array) -> Array:
         """The actions as float64 (num_envs, 2); CommandError for another shape, NaN or infinity."""
-        actions = np.array(actions, np.float64, order="C")  # others would compile loops anew
+        actions = np.array(actions, np.float64, order="C")  # numba would compile for other types
         if actions.shape != (self.num_envs, 2):
             raise CommandError(f"actions of shape {actions.shape}: must be ({self.num_envs}, 2)")
         if not np.isfinite(actions).all():

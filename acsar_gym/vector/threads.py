@@ -71,7 +71,7 @@ class Threads:
                 orders.put((number, work, *other))
             work(*first)
             errors = self._errors_of(number)
-        except BaseException:  # some may have no order, or have been heard already
+        except BaseException:  # some threads may have no order, or have reported already
             self.wait()
             raise
         self._idle = True

@@ -1,4 +1,4 @@
-"""Where a robot drives: worlds and scenes, in frames of REP 105 (x, y [m], theta [rad])."""
+"""Worlds: obstacles, start and goal of a robot, in frames of REP 105 (x, y [m], theta [rad])."""
 
 from acsar_gym.worlds.registry import register
 from acsar_gym.worlds.scene import Pose, Scene

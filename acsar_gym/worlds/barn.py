@@ -1,7 +1,8 @@
 """Worlds like those of BARN (Perille et al. 2020), made by its cellular automaton.
 
-A field of 30 x 30 cells of 0.15 m, a cylinder in each filled one, behind a walled corridor of 5 m.
-The same layout and frame as the published worlds: start (-2, 3) heading along +y, goal 10 m ahead.
+A field of 30 x 30 cells of 0.15 m, with a cylinder in each filled cell, behind a walled corridor of
+5 m. Layout and frame are those of the published worlds: start (-2, 3) heading along +y, goal 10 m
+ahead.
 """
 
 from __future__ import annotations
@@ -20,34 +21,42 @@ from acsar_gym.worlds.world import Floats, Region, World
 
 CELLS = 30
 SIDE = 0.15
-"""Of a cell [m]."""
+"""Side of a cell [m]."""
 CYLINDER = 0.075
 """Radius of a cylinder [m]."""
 FIELD = (-4.425, 5.175)
 """Centre of cell (0, 0) [m]."""
 ROBOT_CELLS = 5
-"""Side of the robot that must be able to cross."""
+"""Side of the square robot that must be able to cross [cells]."""
 ROBOT_RADIUS = ROBOT_CELLS * SIDE / 2.0
-"""Half of it [m]; that robot keeps this distance from the cylinders."""
+"""Half of that side [m]: this robot's centre keeps this distance from the cylinders."""
 FILLED = (25, 209)
-"""Cells filled without the first and the last row, least and most of the published worlds."""
+"""Least and most cells filled in the published worlds, without the first and the last row."""
 LENGTHS = (10.0, 13.9)
-"""Lengths of the published worlds' paths [m]."""
+"""Least and greatest length of the published worlds' paths [m]."""
 START = Region(-2.0, 3.0, 0.0, math.pi / 2.0)
 GOAL = Region(-2.0, 13.0)
 AT_ONCE = 64
-"""Fields that are made and looked at together."""
+"""Fields that are made and checked together."""
 MOST_ROUNDS = 1000
 MOST_TRIED = 50
-"""Fields that BARN's robot can cross, and a larger footprint can't, before it is too large."""
+"""So many fields that BARN's robot can cross are tried before a larger footprint is rejected."""
 
 
 def barn(rng: np.random.Generator, difficulty: float, radius: float) -> World:
-    """A world that the 5 x 5-cell robot of BARN can cross, and a footprint of this radius, too.
+    """Make a world that BARN's 5 x 5-cell robot can cross, and a footprint of this radius, too.
 
-    Difficulty is the share of cells filled before smoothing: one of 0.15, 0.2, 0.25 and 0.3. The
-    world's path is made as the published ones: a shortest one over cells from any free cell of the
+    The path is made like the published ones: a shortest one over cells from any free cell of the
     first column to any of the last one, with the start before and the goal behind it.
+
+    Args:
+        rng: of the world.
+        difficulty: 0 to 1; picks the share of cells filled before smoothing: 0.15, 0.2, 0.25 or
+            0.3.
+        radius: of the disc around the footprint [m].
+
+    Raises:
+        GeneratorError: the footprint is too large.
     """
     fill = 0.15 + 0.05 * min(int(4.0 * difficulty), 3)
     passes = int(rng.integers(2, 5))
@@ -67,7 +76,7 @@ def barn(rng: np.random.Generator, difficulty: float, radius: float) -> World:
 
 
 def _lets_through(world: World, radius: float) -> bool:
-    """Whether a footprint larger than BARN's robot can cross."""
+    """Whether a footprint can cross that may be larger than BARN's robot."""
     try:
         return radius <= ROBOT_RADIUS or len(shortest_path(world, radius)) > 0
     except WorldError:
@@ -75,7 +84,7 @@ def _lets_through(world: World, radius: float) -> bool:
 
 
 def _path(rng: np.random.Generator, room: NDArray[np.bool_]) -> Floats:
-    """P x 2: from the start through the robot's room to the goal [m]."""
+    """(points, 2): from the start through the cells that the robot can reach to the goal [m]."""
     entries, exits = np.flatnonzero(room[:, 0]), np.flatnonzero(room[:, -1])
     first, last = int(rng.choice(entries)), int(rng.choice(exits))
     grid = Grid(room, *FIELD, SIDE)
@@ -85,7 +94,7 @@ def _path(rng: np.random.Generator, room: NDArray[np.bool_]) -> Floats:
 
 
 def _fields(rng: np.random.Generator, fill: float, passes: int) -> NDArray[np.bool_]:
-    """N x 30 x 30 cells: random ones, smoothed; the first and the last row are walls."""
+    """(fields, 30, 30): random cells, smoothed; the first and the last row are walls."""
     cells = rng.random((AT_ONCE, CELLS, CELLS)) < fill
     cells[:, 0] = cells[:, -1] = True
     for _ in range(passes):
@@ -95,7 +104,7 @@ def _fields(rng: np.random.Generator, fill: float, passes: int) -> NDArray[np.bo
 
 
 def _smoothed(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Of its eight neighbours, five or more fill a cell, one or none clears it."""
+    """Smooth fields: five or more of its eight neighbours fill a cell, one or none clears it."""
     padded = np.pad(cells.astype(np.int8), ((0, 0), (1, 1), (1, 1)))
     around = sum(
         padded[:, i : i + CELLS, j : j + CELLS]
@@ -110,9 +119,10 @@ def _smoothed(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _crossable(
     fields: NDArray[np.bool_],
 ) -> Iterator[tuple[NDArray[np.bool_], NDArray[np.bool_]]]:
-    """Fields filled as the published ones that the 5 x 5-cell robot can cross, and its room there.
+    """Fields that BARN's robot can cross, with as many filled cells as published ones.
 
-    The room is where its centre may be: cells connected with the first and the last column.
+    Yields the field's cells, and those in which the robot's centre may be: cells that are connected
+    with the first and the last column.
     """
     from scipy.ndimage import label  # noqa: PLC0415 - slow to import
 
@@ -127,7 +137,7 @@ def _crossable(
 
 
 def _room(fields: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Cells in which the robot's centre may be."""
+    """Cells in which the centre of BARN's robot may be."""
     half = ROBOT_CELLS // 2
     padded = np.pad(fields, ((0, 0), (half, half), (half, half)))
     filled = np.zeros_like(fields)
@@ -138,7 +148,7 @@ def _room(fields: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _cylinders(cells: NDArray[np.bool_]) -> Floats:
-    """C x 3: the field's cylinders, and those of the corridor's three walls."""
+    """(circles, 3): the field's cylinders, and those of the corridor's three walls."""
     field = np.argwhere(cells) * SIDE + FIELD
     xs = FIELD[0] + SIDE * np.arange(CELLS)
     ys = 0.225 + SIDE * np.arange(33)

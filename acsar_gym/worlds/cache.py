@@ -1,10 +1,10 @@
 """Generated worlds kept on disk: a batch needs hundreds of them, which take seconds to make.
 
-A file holds up to 100 neighbouring worlds of one kind, difficulty and footprint. Its name contains
-a hash of these and of the generator's source, so a changed generator never finds old worlds. What
-is broken, can't be read or can't be written counts as absent: the worlds are made again.
+A file has up to 100 consecutive worlds of one kind, difficulty and footprint. Its name has a hash
+of these and of the generator's source, so a changed generator never finds old worlds. A file that
+is broken, can't be read or can't be written counts as missing: the worlds are made again.
 
-The files are in the user's cache folder, or where ACSAR_GYM_CACHE says; "off" keeps none.
+The files are in the user's cache folder, or in the folder of ACSAR_GYM_CACHE; "off" keeps none.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from acsar_gym.worlds.world import Floats, Region, World
 
 VARIABLE = "ACSAR_GYM_CACHE"
 BLOCK = 100
-"""Worlds in a file, at most."""
+"""Worlds of a file, at most."""
 LARGEST = 32 * 2**20
-"""A file larger than this isn't read, nor written [bytes]."""
+"""A larger file is neither read nor written [bytes]."""
 MOST = 200 * 2**20
-"""All files together; those used least recently go first [bytes]."""
+"""Limit of all files together; those used least recently are deleted first [bytes]."""
 HEAD = 12
-"""Numbers that stand for a world in front of its rows: see `_row`."""
+"""Numbers of a world before its obstacles and path: see `_row`."""
 _CHECK = hashlib.sha256().digest_size
 
 Worlds = Mapping[int, World]
@@ -46,7 +46,7 @@ _new: ContextVar[dict[Path, dict[int, World]] | None] = ContextVar("new worlds",
 
 
 def folder() -> Path | None:
-    """Where worlds are kept; None where they aren't."""
+    """The folder of the files; None where no worlds are kept."""
     asked = os.environ.get(VARIABLE)
     if asked is not None:
         return None if asked.lower() in ("", "0", "off") else Path(asked) / "worlds"
@@ -58,7 +58,17 @@ def folder() -> Path | None:
 
 
 def world(kind: str, number: int, difficulty: generators.Level, radius: float) -> World:
-    """As `generators.generate`; from its file where there is one."""
+    """Make a world as `generators.generate`, or read it from its file.
+
+    Args:
+        kind: of the world.
+        number: of the world.
+        difficulty: one, a range, or None.
+        radius: of the disc around the footprint [m].
+
+    Raises:
+        WorldError: as `generators.generate`.
+    """
     file = _file(kind, number, difficulty, radius)
     kept = None if file is None else _known(file, kind).get(number)
     if kept is not None:
@@ -72,7 +82,7 @@ def world(kind: str, number: int, difficulty: generators.Level, radius: float) -
 
 @contextlib.contextmanager
 def keeping() -> Iterator[None]:
-    """Write the worlds that are generated within, by this thread, to their files at the end."""
+    """Write the worlds that this thread generates inside the block to their files at its end."""
     new: dict[Path, dict[int, World]] = {}
     token = _new.set(new)
     try:
@@ -88,7 +98,7 @@ def keeping() -> Iterator[None]:
 
 
 def _file(kind: str, number: int, difficulty: generators.Level, radius: float) -> Path | None:
-    """The file of a world; None where none is kept."""
+    """The file of a world; None where it isn't kept."""
     place, source = folder(), source_hash(kind)
     sound = isinstance(number, int | np.integer) and isinstance(radius, SupportsFloat)
     if place is None or not (source and sound):
@@ -100,7 +110,7 @@ def _file(kind: str, number: int, difficulty: generators.Level, radius: float) -
 
 
 def source_hash(kind: str) -> str:
-    """Of all that the worlds of a kind depend on; empty where that can't be known."""
+    """Hash of everything that the worlds of a kind depend on; empty where that can't be known."""
     own = registry.own(kind)
     if own is None:
         return generators_hash()
@@ -109,7 +119,7 @@ def source_hash(kind: str) -> str:
 
 @cache
 def generators_hash() -> str:
-    """Of the generators' source, and of the versions and machine that worlds depend on, too.
+    """Hash of the generators' source, and of the versions and machine that worlds depend on.
 
     Empty where the source can't be read.
     """
@@ -125,7 +135,7 @@ def generators_hash() -> str:
 
 
 def _read(file: Path, kind: str) -> Worlds:
-    """The worlds of a file; none where it is broken, or isn't there."""
+    """The worlds of a file; none where it is broken or missing."""
     try:
         data = bounded.content(file, LARGEST)
         if hashlib.sha256(data[_CHECK:]).digest() != data[:_CHECK]:
@@ -134,16 +144,16 @@ def _read(file: Path, kind: str) -> Worlds:
     except (ConfigError, ValueError, IndexError, OverflowError):
         return {}
     with contextlib.suppress(OSError):
-        os.utime(file)  # used just now
+        os.utime(file)  # notes that it was used
     return found
 
 
 _known = lru_cache(maxsize=16)(_read)
-"""The same, from memory."""
+"""`_read`, kept in memory."""
 
 
 def _write(file: Path, worlds: Worlds) -> None:
-    """Replace the file at once, so that nobody ever reads half of it."""
+    """Replace the file in one operation, so that nobody reads half of it."""
     body = _encoded(worlds).tobytes()
     if len(body) + _CHECK > LARGEST:
         return
@@ -160,7 +170,7 @@ def _write(file: Path, worlds: Worlds) -> None:
 
 
 def _prune() -> None:
-    """Remove the files used least recently, until the rest is small enough."""
+    """Delete the files used least recently, until the rest is within the limit."""
     place = folder()
     with contextlib.suppress(OSError):
         files = [*place.glob("*.worlds"), *place.glob("*.part")] if place else []
@@ -173,7 +183,7 @@ def _prune() -> None:
 
 
 def _encoded(worlds: Worlds) -> Floats:
-    """How many worlds, a row for each, and then each one's circles, segments and path."""
+    """Encode worlds: how many, a row for each, then each one's circles, segments and path."""
     rows = [_row(number, world) for number, world in worlds.items()]
     parts = [
         part.ravel()
@@ -185,6 +195,7 @@ def _encoded(worlds: Worlds) -> Floats:
 
 
 def _row(number: int, world: World) -> list[float]:
+    """Numbers of a world: number, three lengths, start and goal."""
     start, goal = world.start, world.goal
     theta = math.nan if start.theta is None else start.theta
     points = -1 if world.path is None else len(world.path)
@@ -196,9 +207,9 @@ def _row(number: int, world: World) -> list[float]:
 
 
 def _decoded(numbers: Floats, kind: str) -> Worlds:
-    """The worlds that were encoded.
+    """Decode what `_encoded` made.
 
-    Raises ValueError, IndexError, OverflowError or WorldError where none were.
+    Raises ValueError, IndexError, OverflowError or WorldError for anything else.
     """
     count = int(numbers[0])
     rows, at, found = numbers[1 : 1 + HEAD * count].reshape(count, HEAD), 1 + HEAD * count, {}

@@ -1,7 +1,7 @@
 """Exact collisions of footprints, boxes and polygons, with circles and segments.
 
 Scalar functions and loops over obstacles, compiled where numba is installed. Footprints are in the
-base frame: x ahead, y to the left [m]. Obstacles out of reach are culled.
+base frame: x ahead, y to the left [m]. Obstacles out of reach are skipped early.
 """
 
 from __future__ import annotations
@@ -14,7 +14,16 @@ from acsar_gym.worlds.geometry import Floats, Surroundings
 
 @loop
 def collides(x: float, y: float, cos: float, sin: float, which: int, around: Surroundings) -> bool:
-    """Whether the footprint at this pose touches an obstacle of set `which`."""
+    """Whether the footprint touches an obstacle.
+
+    Args:
+        x: of the base in the frame of the world [m].
+        y: of the base in the frame of the world [m].
+        cos: of the heading.
+        sin: of the heading.
+        which: index of the set of obstacles.
+        around: obstacles and footprint.
+    """
     half_x, half_y = around.half_length, around.half_width
     outer = math.sqrt(half_x * half_x + half_y * half_y)
     circles, segments, is_box = around.circles, around.segments, len(around.sides) == 0
@@ -42,7 +51,7 @@ def collides(x: float, y: float, cos: float, sin: float, which: int, around: Sur
 
 @jit
 def circle_meets_box(x: float, y: float, radius: float, half_x: float, half_y: float) -> bool:
-    """Whether a circle at (x, y) overlaps the box of half sizes around the origin."""
+    """Whether a circle at (x, y) overlaps the box of these half sizes around the origin."""
     dx = x - min(max(x, -half_x), half_x)
     dy = y - min(max(y, -half_y), half_y)
     return dx * dx + dy * dy <= radius * radius
@@ -52,7 +61,10 @@ def circle_meets_box(x: float, y: float, radius: float, half_x: float, half_y: f
 def segment_meets_box(
     ax: float, ay: float, bx: float, by: float, half_x: float, half_y: float
 ) -> bool:
-    """Whether a segment touches the box of half sizes around the origin (Liang and Barsky 1984)."""
+    """Whether a segment touches the box of these half sizes around the origin.
+
+    By the algorithm of Liang and Barsky (1984).
+    """
     near, far = 0.0, 1.0
     for start, along, half in ((ax, bx - ax, half_x), (ay, by - ay, half_y)):
         if abs(along) < 1e-15:
@@ -66,7 +78,7 @@ def segment_meets_box(
 
 @loop
 def inside(x: float, y: float, polygon: Floats) -> bool:
-    """Whether a point lies within the sides of a polygon."""
+    """Whether a point lies within a polygon, (sides, 4)."""
     found = False
     for n in range(len(polygon)):
         ax, ay, bx, by = polygon[n, 0], polygon[n, 1], polygon[n, 2], polygon[n, 3]
@@ -77,7 +89,7 @@ def inside(x: float, y: float, polygon: Floats) -> bool:
 
 @loop
 def circle_meets_polygon(x: float, y: float, radius: float, polygon: Floats) -> bool:
-    """Whether a circle at (x, y) overlaps a polygon."""
+    """Whether a circle at (x, y) overlaps a polygon, (sides, 4)."""
     for n in range(len(polygon)):
         ax, ay = polygon[n, 0], polygon[n, 1]
         ex, ey = polygon[n, 2] - ax, polygon[n, 3] - ay
@@ -91,7 +103,7 @@ def circle_meets_polygon(x: float, y: float, radius: float, polygon: Floats) -> 
 
 @loop
 def segment_meets_polygon(ax: float, ay: float, bx: float, by: float, polygon: Floats) -> bool:
-    """Whether a segment from a to b touches a polygon, or lies within it."""
+    """Whether a segment from a to b touches a polygon, (sides, 4), or lies within it."""
     for n in range(len(polygon)):
         if segments_meet(
             ax, ay, bx, by, polygon[n, 0], polygon[n, 1], polygon[n, 2], polygon[n, 3]

@@ -1,10 +1,10 @@
 """How hard a world is along its path: the five measures of BARN.
 
 D. Perille, A. Truong, X. Xiao, P. Stone: Benchmarking Metric Ground Navigation, SSRR 2020
-(arXiv:2008.13315), and its code, difficulty_quant.py of dperille/jackal-map-creation. Published,
-they are means over the cells of a path on an occupancy grid of 0.15 m, in which obstacles are grown
-by the robot. Here they are means over places every 0.15 m along the path, so that they don't depend
-on how many points it has, and are taken on the exact obstacles, not grown, in m. So they compare
+(arXiv:2008.13315), and its code, difficulty_quant.py of dperille/jackal-map-creation. The published
+measures are means over the cells of a path on an occupancy grid of 0.15 m, with obstacles enlarged
+by the robot. Here they are means over points every 0.15 m along the path, so that they don't depend
+on how many points it has, and are taken on the exact obstacles, not enlarged, in m. So they compare
 worlds of this project with each other, not with the published figures.
 """
 
@@ -22,16 +22,17 @@ from acsar_gym.worlds.world import World
 
 Floats = NDArray[np.float64]
 STEP = 0.15
-"""Between two places of a path at which a world is measured, at most [m]."""
+"""Distance between two points of the path that are measured, at most [m]."""
 RAYS = 64
-"""Directions into which the robot looks, one of them along x; published: 8, for dispersion 16."""
+"""Rays from each point, the first one along x; published: 8, and 16 for dispersion."""
 REACH = 5.0
-"""As far as it looks; where nothing is nearer, this is the distance [m]."""
+"""Length of the rays [m]; this is also the distance where nothing is nearer."""
 RADIUS = 0.75
-"""Of dispersion: the published 3 cells, and 2 by which the published obstacles are grown [m]."""
+"""Default radius of dispersion: the published 3 cells, and 2 by which the published obstacles
+are enlarged [m]."""
 MOST_PLACES = 20_000
 CHUNK = 2**16
-"""Distances held at a time."""
+"""Distances that are computed at a time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,21 +42,27 @@ class Difficulty:
     closest_obstacle: float
     """Distance to the nearest surface, at least 0 and at most REACH [m]."""
     visibility: float
-    """Mean length of rays into all directions, each at most REACH [m]."""
+    """Mean length of rays in all directions, each at most REACH [m]."""
     dispersion: float
-    """How often, once around, the view changes between an obstacle within `radius` and none."""
+    """How often, in a full turn, the view changes between an obstacle within `radius` and none."""
     characteristic_dimension: float
-    """Length of the shortest straight line through the place from obstacle to obstacle: of a ray
+    """Length of the shortest straight line through the point from obstacle to obstacle: a ray
     and the opposite one, over 32 axes; at most 2 REACH [m]."""
     tortuosity: float
-    """Length of the path by the distance of its ends; 1 is straight, inf a round trip."""
+    """Length of the path divided by the distance of its ends; 1 is straight, inf a round trip."""
 
 
 def measure(world: World, path: Floats | None = None, radius: float = RADIUS) -> Difficulty:
-    """The difficulty of a world along `path` (P, 2), or along its own [m].
+    """Measure the difficulty of a world.
 
-    `radius` [m] is that of dispersion, at most REACH. Raises WorldError without a path, and for
-    one that isn't of finite numbers, has no length, or is longer than 3 km.
+    Args:
+        world: with the obstacles.
+        path: (points, 2) [m]; None for the world's own.
+        radius: of dispersion, at most REACH [m].
+
+    Raises:
+        WorldError: there is no path, or it isn't of finite numbers, has no length, or is longer
+            than 3 km.
     """
     if not 0.0 < radius <= REACH:
         raise WorldError(f"radius = {radius}: must be within (0, {REACH:g}] m")
@@ -74,6 +81,7 @@ def measure(world: World, path: Floats | None = None, radius: float = RADIUS) ->
 
 
 def _way(world: World, path: Floats | None) -> Floats:
+    """The path to measure along, checked."""
     chosen = world.path if path is None else path
     if chosen is None:
         raise WorldError(f"world {world.name!r} has no path to measure its difficulty along")
@@ -84,18 +92,19 @@ def _way(world: World, path: Floats | None) -> Floats:
 
 
 def _lengths(way: Floats) -> Floats:
-    """Of the pieces of a path [m]."""
+    """Lengths of the lines of a path [m]."""
     lengths: Floats = np.hypot(*np.diff(way, axis=0).T)
     return lengths
 
 
 def _tortuosity(way: Floats) -> float:
+    """Length of the path divided by the distance of its ends."""
     chord = math.dist(way[0], way[-1])
     return float(_lengths(way).sum()) / chord if chord > 0.0 else math.inf
 
 
 def _places(way: Floats) -> Floats:
-    """Points at even steps along a path, both ends among them."""
+    """Points at even steps along a path, including both ends."""
     along = np.concatenate([[0.0], np.cumsum(_lengths(way))])
     count = math.ceil(along[-1] / STEP - 1e-9) + 1
     if count > MOST_PLACES:
@@ -105,13 +114,14 @@ def _places(way: Floats) -> Floats:
 
 
 def _ranges(places: Floats, world: World) -> Floats:
-    """Lengths of rays (places, RAYS), counter-clockwise from the x axis [m]; 0 inside a circle."""
+    """Lengths of rays (points, RAYS), counter-clockwise from the x axis [m]; 0 inside a circle."""
     rows = max(1, CHUNK // (RAYS * max(1, world.obstacles)))
     chunks = (places[first : first + rows] for first in range(0, len(places), rows))
     return np.concatenate([_some_ranges(chunk, world) for chunk in chunks])
 
 
 def _some_ranges(places: Floats, world: World) -> Floats:
+    """`_ranges` of one chunk."""
     low, high = places.min(axis=0) - REACH, places.max(axis=0) + REACH
     circles, segments = world.circles, world.segments
     centres, radii = circles[:, :2], circles[:, 2:]
@@ -126,12 +136,13 @@ def _some_ranges(places: Floats, world: World) -> Floats:
 
 
 def _directions() -> tuple[Floats, Floats]:
+    """Cosine and sine of the rays, (RAYS, 1)."""
     angles = np.arange(RAYS) * (2.0 * math.pi / RAYS)
     return np.cos(angles)[:, None], np.sin(angles)[:, None]
 
 
 def _to_circles(places: Floats, circles: Floats) -> Floats:
-    """Ray lengths (places, RAYS), inf where no circle is met."""
+    """Ray lengths (points, RAYS), inf where no circle is hit."""
     cos, sin = _directions()
     x, y = (circles[:, axis] - places[:, axis, None, None] for axis in (0, 1))
     along, off = x * cos + y * sin, x * sin - y * cos
@@ -144,7 +155,7 @@ def _to_circles(places: Floats, circles: Floats) -> Floats:
 
 
 def _to_segments(places: Floats, segments: Floats) -> Floats:
-    """Ray lengths (places, RAYS), inf where no segment is met."""
+    """Ray lengths (points, RAYS), inf where no segment is hit."""
     cos, sin = _directions()
     x, y = (segments[:, axis] - places[:, axis, None, None] for axis in (0, 1))
     along_x, along_y = segments[:, 2] - segments[:, 0], segments[:, 3] - segments[:, 1]

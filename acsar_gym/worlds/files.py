@@ -1,6 +1,6 @@
-"""Worlds from files and to files: Gazebo's SDF, ROS maps, and a JSON or YAML of this project.
+"""Read and write files of worlds: Gazebo's SDF, ROS maps, and this project's JSON or YAML.
 
-The project's own format holds the fields of `World` [m, rad]:
+The project's own format has the fields of `World` [m, rad]:
 
     name: three pillars
     circles: [[2.0, 0.3, 0.1], [3.0, -0.4, 0.1]]    # x, y, radius
@@ -9,10 +9,10 @@ The project's own format holds the fields of `World` [m, rad]:
     goal: {x: 4.0, y: 0.0}                          # and radius
     path: [[0.0, 0.0], [4.0, 0.0]]                  # optional
 
-A YAML with an `image` is a ROS map; `start` and `goal` must be added to it, the others may be. A
-Gazebo world is taken for one of BARN's: it gets their start and goal, and the path in `path_N.npy`
-beside `world_N.world`, or in a folder `path_files` there or above, as in BARN's own repository.
-Every file that can't be used is one WorldError of one line.
+A YAML with an `image` is a ROS map; `start` and `goal` must be added to it, other keys are
+optional. A Gazebo world is read as one of BARN's: it gets their start and goal, and the path in
+`path_N.npy` beside `world_N.world`, or in a folder `path_files` there or above, as in BARN's own
+repository. Every file that can't be used raises a WorldError of one line.
 """
 
 from __future__ import annotations
@@ -38,34 +38,34 @@ from acsar_gym.worlds.world import FARTHEST, MOST_OBSTACLES, Region, World
 
 Floats = NDArray[np.float64]
 MOST_BYTES = 64_000_000
-"""Of an SDF file or a picture."""
+"""Most bytes of an SDF file or a picture."""
 MOST_TEXT = 5_000_000
-"""Bytes of a JSON or YAML; 20,000 segments and a path of 20,000 points are 3 MB."""
+"""Most bytes of a JSON or YAML; 20,000 segments and a path of 20,000 points are 3 MB."""
 MOST_FILES = 10_000
-"""Of a folder."""
+"""Most worlds of a folder."""
 MOST_TOGETHER = 1_000_000
-"""Obstacles of a folder's worlds."""
+"""Most obstacles of all worlds of a folder."""
 MOST_NAME = 1_000
-"""Characters of a name."""
+"""Most characters of a name."""
 KEYS = ("name", "circles", "segments", "start", "goal", "path")
 REGION_KEYS = {"start": ("x", "y", "theta", "radius"), "goal": ("x", "y", "radius")}
 BARN_START = Region(-2.0, 3.0, 0.0, math.pi / 2.0)
 BARN_GOAL = Region(-2.0, 13.0)
 BARN_CELL = 0.15
-"""[m]"""
+"""Side of a cell of a published path [m]."""
 BARN_CORNER = (-4.575, 5.075)
-"""Where cell (0, 0) of a published path is [m]."""
+"""Position of cell (0, 0) of a published path [m]."""
 NPY_ERRORS = (
     *(OSError, ValueError, TypeError, LookupError, ArithmeticError, SyntaxError, EOFError),
     *(MemoryError, RecursionError, tokenize.TokenError),
 )
-"""What NumPy lets out for broken files."""
+"""Exceptions that NumPy raises for broken files."""
 
 
 def load(path: Path) -> World:
-    """The world in a `.world`, `.sdf`, `.yaml`, `.yml` or `.json` file.
+    """Read a world from a `.world`, `.sdf`, `.yaml`, `.yml` or `.json` file.
 
-    Raises WorldError for what can't be read, and MissingExtraError for a map without Pillow.
+    Raises WorldError where it can't be read, and MissingExtraError for a map without Pillow.
     """
     reader = READERS.get(path.suffix.lower())
     if reader is None:
@@ -79,7 +79,7 @@ def load(path: Path) -> World:
 
 
 def load_folder(folder: Path) -> list[World]:
-    """All worlds of a folder in natural order: world_2 comes before world_10.
+    """Read all worlds of a folder in natural order: world_2 comes before world_10.
 
     Raises WorldError for a folder that is missing, without worlds or with too many, and for the
     first bad file.
@@ -108,9 +108,10 @@ def _loaded(folder: Path, paths: Iterable[Path]) -> Iterator[World]:
 
 
 def save(world: World, path: Path) -> None:
-    """Write the project's own format, `.json`, `.yaml` or `.yml`; `load` gives the same world.
+    """Write a world in the project's own format; `load` gives the same world.
 
-    Raises WorldError for other suffixes, and where the file can't be written.
+    Raises WorldError for other suffixes than `.json`, `.yaml` and `.yml`, and where the file can't
+    be written.
     """
     if path.suffix.lower() not in (".json", ".yaml", ".yml"):
         raise WorldError(f"{path}: a world is saved as .json, .yaml or .yml")
@@ -141,7 +142,7 @@ def _from_sdf(path: Path) -> World:
 
 
 def _published_path(path: Path) -> Floats | None:
-    """The way from start to goal of a published world, from its cells (row, column)."""
+    """The path from start to goal of a published world, from its cells (row, column)."""
     name = path.stem.replace("world_", "path_", 1) + ".npy"
     folders = (path.parent, path.parent / "path_files", path.parent.parent / "path_files")
     found = [folder / name for folder in folders if (folder / name).is_file()]
@@ -157,8 +158,8 @@ def _published_path(path: Path) -> Floats | None:
 def _cells(path: Path) -> Floats:
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of Python 2, which may have written it
-            # Mapped, for a header may promise more than there is.
+            warnings.simplefilter("ignore")  # the file may be of Python 2
+            # Mapped, because a header may claim more bytes than the file has.
             cells = np.lib.format.open_memmap(path, mode="r")
     except NPY_ERRORS:
         raise WorldError(f"{path.name}: isn't a sound .npy file: remove or replace it") from None
@@ -211,7 +212,7 @@ def _known(data: Mapping[Any, Any], keys: Iterable[str], where: str = "") -> Non
 
 
 def _region(name: str, data: object) -> Region:
-    """A start or goal: x, y, and maybe radius and theta."""
+    """A start or goal: x, y, and optionally radius and theta."""
     keys = REGION_KEYS[name]
     if data is None:
         raise WorldError(f"has no {name}: add a line like '{name}: {{x: 0.0, y: 0.0}}' [m]")
@@ -226,7 +227,7 @@ def _region(name: str, data: object) -> Region:
 
 
 def _is_number(value: object) -> bool:
-    """Whether it is finite and not too large; true and false are no numbers."""
+    """Whether a value is a finite number that isn't too large; True and False aren't numbers."""
     if not isinstance(value, int | float) or isinstance(value, bool):
         return False
     return abs(value) <= FARTHEST
@@ -246,7 +247,7 @@ def _rows(data: Mapping[str, Any], name: str, width: int) -> Floats:
 
 
 def _fields(world: World) -> dict[str, Any]:
-    """The world in numbers and text alone."""
+    """The world as numbers and text."""
     start, goal = ({"x": r.x, "y": r.y, "radius": r.radius} for r in (world.start, world.goal))
     if world.start.theta is not None:
         start["theta"] = world.start.theta
@@ -261,7 +262,7 @@ def _fields(world: World) -> dict[str, Any]:
 
 
 def _as_json(fields: Mapping[str, Any]) -> str:
-    """One line for each field, and for each row of numbers."""
+    """JSON with one line for each field, and for each row of numbers."""
     lines = (f"  {json.dumps(key)}: {_json_value(value)}" for key, value in fields.items())
     return "{\n" + ",\n".join(lines) + "\n}\n"
 

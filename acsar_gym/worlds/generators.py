@@ -1,7 +1,7 @@
 """Numbered worlds: each generator makes the same world from the same number and difficulty.
 
 `generate("clutter", 17)` is the same world on every machine, so a benchmark can name its worlds.
-Every world is solvable: a shortest way for the footprint, with a margin, is part of it.
+Every world is solvable: it has a shortest path for the footprint, with a margin.
 """
 
 from __future__ import annotations
@@ -22,29 +22,36 @@ from acsar_gym.worlds.shapes import box, outline
 from acsar_gym.worlds.world import Region, World
 
 MARGIN = 0.05
-"""Room that every way leaves on both sides of the footprint [m]."""
+"""Distance that every path keeps from obstacles on top of the footprint's radius [m]."""
 DEFAULT_RADIUS = 0.25
-"""Disc around the footprint of a small robot, where none is given [m]."""
+"""Radius of the disc around a small robot's footprint, where none is given [m]."""
 EASE = 0.97
-"""Where difficulty varies, every attempt that fails makes the next one easier."""
+"""Where difficulty varies, every attempt that fails multiplies the next one's difficulty by
+this."""
 ATTEMPTS = 200
 """Worlds that are tried before a footprint counts as too large."""
 ARENA = 4.0
 """Half the side of the open and the cluttered floor [m]."""
 
 Level = float | tuple[float, float] | None
-"""Difficulty of worlds: one for all, a range (low, high) in which it varies from world to world, or
-None, which is (0, 1)."""
+"""Difficulty of worlds: one for all, a range (low, high) in which it varies from world to world,
+or None, which is (0, 1)."""
 
 
 def generate(
     kind: str, number: int, difficulty: Level = None, radius: float = DEFAULT_RADIUS
 ) -> World:
-    """World `number` of a kind: open, clutter, rooms, barn, smooth_path, waypoint_path, or an own.
+    """Make a world.
 
-    `difficulty` is from 0 to 1; None or a range varies it from world to world. `radius` is that of
-    the disc around the robot's footprint [m]. Raises WorldError for an unknown kind, a bad number,
-    or a footprint that no such world lets through.
+    Args:
+        kind: open, clutter, rooms, barn, smooth_path, waypoint_path, or a registered one.
+        number: of the world, from 0.
+        difficulty: from 0 to 1; None or a range varies it from world to world.
+        radius: of the disc around the robot's footprint [m].
+
+    Raises:
+        WorldError: for an unknown kind, a bad number, or a footprint that can't cross any such
+            world.
     """
     check(kind, difficulty)
     try:
@@ -66,26 +73,28 @@ def generate(
 
 
 def level(kind: str, number: int, difficulty: Level = None) -> float:
-    """The difficulty from which `generate` starts for this world, 0 to 1, without making it.
+    """The difficulty from which `generate` starts for this world, 0 to 1; doesn't make the world.
 
-    Where no world so hard can be crossed, `generate` makes an easier one, within the range.
+    Where no world of this difficulty can be crossed, `generate` makes an easier one, within the
+    range.
     """
     low, high = limits(difficulty)
     return low + (high - low) * _generator(kind, number).uniform()
 
 
 def _generator(kind: str, number: int) -> np.random.Generator:
+    """The random generator of a world."""
     return np.random.default_rng([zlib.crc32(kind.encode()), int(number)])
 
 
 def check(kind: str, difficulty: Level) -> None:
-    """WorldError for an unknown kind, or a difficulty that isn't from 0 to 1."""
+    """Raise WorldError for an unknown kind, or a difficulty that isn't from 0 to 1."""
     registry.check(kind)
     limits(difficulty)
 
 
 def limits(difficulty: Level) -> tuple[float, float]:
-    """Least and largest difficulty. WorldError for one that isn't from 0 to 1."""
+    """Least and largest difficulty; WorldError for one that isn't from 0 to 1."""
     given: Any = (0.0, 1.0) if difficulty is None else difficulty
     try:
         low, high = map(float, (given, given) if isinstance(given, SupportsFloat) else given)
@@ -101,7 +110,7 @@ def limits(difficulty: Level) -> tuple[float, float]:
 
 
 def _crossable(own: Own, rng: np.random.Generator, difficulty: float, radius: float) -> World:
-    """An attempt of a generator of others, whose path is checked."""
+    """Call a registered generator once, and check the path of its world."""
     world = own.world(rng, difficulty, radius)
     if world.path is not None:
         check_path(world, radius)
@@ -115,9 +124,9 @@ def _solvable(
     levels: tuple[float, float, float],
     radius: float,
 ) -> World:
-    """A world that can be crossed.
+    """Call a generator until it makes a world that can be crossed.
 
-    `levels` are the difficulty, the least one, and the factor with which each attempt that fails
+    `levels` are the difficulty, the least one, and the factor by which each attempt that fails
     makes the next one easier.
     """
     hard, least, ease = levels
@@ -139,7 +148,7 @@ def _solvable(
 
 
 def open_floor(rng: np.random.Generator, difficulty: float, radius: float) -> World:
-    """Nothing but a floor; goals are 1 to 2 m away, or up to 5 m with difficulty."""
+    """Make an empty floor; goals are 1 to 2 m away, or up to 5 m at difficulty 1."""
     distance = rng.uniform(1.0, 2.0 + 3.0 * difficulty)
     bearing = rng.uniform(-math.pi, math.pi)
     goal = Region(distance * math.cos(bearing), distance * math.sin(bearing))
@@ -147,7 +156,7 @@ def open_floor(rng: np.random.Generator, difficulty: float, radius: float) -> Wo
 
 
 def clutter(rng: np.random.Generator, difficulty: float, radius: float) -> World:
-    """Cylinders and boxes, 10 to 45 of them, on a walled floor of 8 x 8 m."""
+    """Make a walled floor of 8 x 8 m with 10 to 45 cylinders and boxes."""
     count = round(10 + 35 * difficulty)
     round_ones = int(rng.binomial(count, 0.6))
     places = rng.uniform(-ARENA, ARENA, (count, 2))
@@ -162,7 +171,7 @@ def clutter(rng: np.random.Generator, difficulty: float, radius: float) -> World
 
 
 def _far_apart(rng: np.random.Generator, radius: float) -> tuple[Region, Region]:
-    """Start, in any heading, and goal, at least half the arena's side apart."""
+    """A start, in any heading, and a goal, at least half the floor's side apart."""
     inside = ARENA - radius - 2.0 * MARGIN
     if inside < 0.6 * ARENA:
         raise WorldError(f"a footprint of radius {radius:g} m is too large for this floor")

@@ -1,8 +1,8 @@
-"""Circles and segments around a robot, and range rays; see `collisions` for what it touches.
+"""Obstacles around a robot, and the ranges of rays to them; `collisions` has contacts.
 
-Scalar functions and loops over obstacles, compiled where numba is installed. Everything happens in
-a frame of the robot's or the sensor's own: x ahead, y to the left, lengths in m, angles in rad.
-Obstacles out of reach are culled, and an obstacle costs only the rays that it can meet.
+Scalar functions and loops over obstacles, compiled where numba is installed. They work in the frame
+of the robot or the sensor: x ahead, y to the left, lengths in m, angles in rad. Obstacles out of
+reach are skipped early, and only rays that can meet an obstacle are computed.
 """
 
 from __future__ import annotations
@@ -23,22 +23,25 @@ from acsar_gym.worlds.world import World
 Floats = NDArray[np.float64]
 TURN = 2.0 * math.pi
 EDGE = 1e-9
-"""Slack at the ends of an obstacle's window of rays [rad]."""
+"""Tolerance at both ends of the range of rays that can meet an obstacle [rad]."""
 
 
 @dataclass(frozen=True)
 class Obstacles:
-    """Circles (x, y, radius) and segments (x1, y1, x2, y2) of the world frame [m].
+    """Circles (x, y, radius) and segments (x1, y1, x2, y2) in the frame of the world [m].
 
     Either one set for all robots, of shapes (C, 3) and (S, 4), or one for each robot, of shapes
-    (robots, C, 3) and (robots, S, 4). Unused places may be circles of radius zero far away.
+    (robots, C, 3) and (robots, S, 4). Unused rows may be circles of radius zero far away.
     """
 
     circles: Floats | Sequence[Any] = ()
     segments: Floats | Sequence[Any] = ()
 
     def arrays(self, robots: int) -> tuple[Floats, Floats]:
-        """Circles (W, C, 3) and segments (W, S, 4), W being 1 or `robots`."""
+        """Circles (W, C, 3) and segments (W, S, 4), W being 1 or `robots`.
+
+        ConfigError for other shapes.
+        """
         circles = _stacked("circles", self.circles, 3, robots)
         segments = _stacked("segments", self.segments, 4, robots)
         if (circles[:, :, 2] < 0.0).any():
@@ -49,13 +52,13 @@ class Obstacles:
 
 @dataclass(frozen=True, slots=True)
 class RaySpec:
-    """A planar range sensor. Rays turn counter-clockwise, the first one at -field_of_view / 2."""
+    """The rays of a planar LiDAR, counter-clockwise, the first one at -field_of_view / 2."""
 
     rays: int
     reach: float = 5.0
     """Longest range, which also scales the observation [m]."""
     field_of_view: float = 2.0 * math.pi
-    """[rad]; a full turn has no ray twice."""
+    """Angle that the rays cover [rad]; in a full turn the last ray isn't the first one again."""
 
     def __post_init__(self) -> None:
         if not (1 <= self.rays <= 10_000 and 0.0 < self.reach < math.inf):
@@ -64,7 +67,7 @@ class RaySpec:
             raise ConfigError(f"{self}: field_of_view must be within (0, 2 pi] rad")
 
     def angles(self) -> Floats:
-        """Angle of every ray in the sensor's frame [rad]."""
+        """Angle of every ray in the sensor's frame, (rays,) [rad]."""
         angles: Floats = -self.field_of_view / 2.0 + self.step * np.arange(self.rays, dtype=float)
         return angles
 
@@ -76,29 +79,42 @@ class RaySpec:
 
 
 class Surroundings(NamedTuple):
-    """What compiled loops need of obstacles, sensor and footprint."""
+    """Obstacles, rays and footprint as compiled loops need them."""
 
     circles: Floats
+    """(sets, circles, 3): x, y, radius [m]."""
     segments: Floats
+    """(sets, segments, 4): x1, y1, x2, y2 [m]."""
     directions: Floats
-    """rays x 2: cosine and sine of each ray's angle."""
+    """(rays, 2): cosine and sine of each ray's angle."""
     start: float
+    """Angle of the first ray [rad]."""
     step: float
+    """Angle between two rays [rad]."""
     reach: float
+    """Longest range [m]."""
     mount_x: float
-    """The sensor in the base frame [m]."""
+    """Position of the LiDAR in the base frame, ahead [m]."""
     mount_y: float
+    """Position of the LiDAR in the base frame, to the left [m]."""
     half_length: float
+    """Half the length of a box around the origin of the base frame that contains the footprint
+    [m]."""
     half_width: float
-    """Half the sizes of a box around the origin of the base frame that holds the footprint [m]."""
+    """Half the width of that box [m]."""
     sides: Floats
-    """N x 4: the sides (x1, y1, x2, y2) of a footprint that is a polygon; none of that box [m]."""
+    """(sides, 4): x1, y1, x2, y2 of a polygonal footprint; none where the footprint is the box
+    [m]."""
 
 
 def surroundings(
     obstacles: Obstacles, spec: RaySpec | None, robots: int, config: RobotConfig
 ) -> Surroundings:
-    """Everything around a batch of robots, as arrays."""
+    """Make the arrays around a batch of robots.
+
+    `spec` are the rays of the LiDAR, None without one. Raises ConfigError for obstacles of a wrong
+    shape, or that aren't finite numbers.
+    """
     circles, segments = obstacles.arrays(robots)
     angles = spec.angles() if spec else np.zeros(0)
     return Surroundings(
@@ -117,18 +133,19 @@ def surroundings(
 
 
 def _sides(config: RobotConfig) -> Floats:
-    """N x 4: the sides (x1, y1, x2, y2) of a robot's polygon; none where its footprint is a box."""
+    """(sides, 4): the sides of a polygonal footprint; none where the footprint is a box."""
     if config.footprint is None:
         return np.zeros((0, 4))
     return np.array([(*a, *b) for a, b in footprint.sides(config.footprint)])
 
 
 def _repeated(array: Floats, sets: int) -> Floats:
-    """The same obstacles in every set, where there is one set for all."""
+    """Repeat one set of obstacles for all sets."""
     return np.ascontiguousarray(np.broadcast_to(array, (sets, *array.shape[1:])))
 
 
 def _stacked(name: str, rows: Floats | Sequence[Any], width: int, robots: int) -> Floats:
+    """Check rows and convert them to (sets, rows, width)."""
     try:
         array = np.array(rows, np.float64)
     except (TypeError, ValueError):
@@ -149,7 +166,7 @@ def _stacked(name: str, rows: Floats | Sequence[Any], width: int, robots: int) -
 def shorten_by_circle(
     ranges: Floats, x: float, y: float, radius: float, low: int, high: int, directions: Floats
 ) -> None:
-    """Ranges of rays low to high that meet the circle at (x, y)."""
+    """Shorten the rays low to high that meet the circle at (x, y) in the sensor's frame."""
     square = x * x + y * y - radius * radius
     for k in range(low, high + 1):
         along = x * directions[k, 0] + y * directions[k, 1]
@@ -169,7 +186,7 @@ def shorten_by_segment(
     high: int,
     directions: Floats,
 ) -> None:
-    """Ranges of rays low to high that meet the segment from a to b."""
+    """Shorten the rays low to high that meet the segment from a to b in the sensor's frame."""
     ex, ey = bx - ax, by - ay
     cross = ax * ey - ay * ex
     for k in range(low, high + 1):
@@ -217,9 +234,10 @@ def cast(
     around: Surroundings,
     ranges: Floats,
 ) -> None:
-    """Distance [m] along every ray from a base at this pose to the obstacles of set `which`.
+    """Compute the ranges of all rays (rays,) [m] from a base at this pose; writes `ranges`.
 
-    Rays that meet nothing within reach have the reach. From within a circle all ranges are zero.
+    `which` is the index of the set of obstacles. Rays that meet nothing within reach have the
+    reach. From inside a circle all ranges are zero.
     """
     x += cos * around.mount_x - sin * around.mount_y
     y += sin * around.mount_x + cos * around.mount_y
@@ -245,9 +263,15 @@ def cast(
 
 
 def look(place: tuple[float, float], bearings: Floats, world: World | None) -> Floats:
-    """Range [m] at each bearing [rad] of the world from a place (x, y); inf where nothing is.
+    """Compute ranges at any bearings, in plain NumPy; `cast` is faster for evenly spaced rays.
 
-    Plain NumPy, for any bearings; `cast` is for evenly spaced rays, many times.
+    Args:
+        place: x, y in the frame of the world [m].
+        bearings: (rays,) in the frame of the world [rad].
+        world: with the obstacles, or None.
+
+    Returns:
+        (rays,) [m]; inf where there is no obstacle.
     """
     ranges: Floats = np.full(len(bearings), np.inf)
     if world is None:

@@ -1,4 +1,4 @@
-"""Cells of a world in which a disc's centre may be, and a shortest way over them, by scipy."""
+"""A grid of cells in which a disc's centre may be, and shortest paths over it, by scipy."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from acsar_gym.worlds.world import Floats, World
 
 RESOLUTION = 0.05
-"""Side of a cell of the search [m]."""
+"""Side of a cell [m]."""
 MOST_CELLS = 1_000_000
-"""Of a search: 2,500 m^2. Larger surroundings are searched more coarsely."""
+"""Most cells of a search: 2,500 m^2. Larger areas get larger cells."""
 MOST_WORK = 200_000_000
-"""Distances from cells to obstacles: where long obstacles make them more, cells are larger."""
+"""Most distances from cells to obstacles; where long obstacles need more, cells are larger."""
 SLACK = 1e-3
-"""How far a path may cut into the clearance between two cells [m]."""
+"""How much nearer than the clearance a path may be to an obstacle between two cells [m]."""
 WALL = 0.75
 """Cells nearer to an obstacle than this share of their side are never free."""
 
@@ -28,41 +28,50 @@ class Grid:
     """Cells of a world in which a disc's centre may be."""
 
     free: NDArray[np.bool_]
-    """nx x ny."""
+    """(nx, ny): whether the disc's centre may be in the cell."""
     x: float
-    """Centre of cell (0, 0) [m]."""
+    """x of the centre of cell (0, 0) [m]."""
     y: float
+    """y of the centre of cell (0, 0) [m]."""
     side: float
+    """Side of a cell [m]."""
 
     def cell(self, x: float, y: float) -> int:
-        """Number of the cell that holds a point."""
+        """Number of the cell that contains a point."""
         i, j = round((x - self.x) / self.side), round((y - self.y) / self.side)
         return i * int(self.free.shape[1]) + j
 
     def centres(self, cells: NDArray[np.int64]) -> Floats:
-        """N x 2: centres of cells."""
+        """(cells, 2): centres of cells [m]."""
         i, j = np.divmod(cells, self.free.shape[1])
         return np.column_stack([self.x + i * self.side, self.y + j * self.side])
 
 
 def box_around(world: World, ends: Floats) -> Floats:
-    """Least x and y, largest x and y of a world and the ends of a way [m]."""
+    """Least x and y, largest x and y of a world and the ends of a path [m]."""
     low, high = world.bounds[:2], world.bounds[2:]
     return np.concatenate([np.minimum(low, ends.min(axis=0)), np.maximum(high, ends.max(axis=0))])
 
 
 def _margin(radius: float) -> float:
+    """Width that is added on each side of a box [m]."""
     return 2.0 * radius + 4.0 * RESOLUTION
 
 
 def cells_in(box: Floats, radius: float, side: float) -> float:
-    """How many cells cover a box with its margins."""
+    """How many cells a box needs with its margins.
+
+    Args:
+        box: least x and y, largest x and y [m].
+        radius: of the disc [m].
+        side: of a cell [m].
+    """
     width, height = (box[2:] - box[:2] + 2.0 * _margin(radius)).tolist()
     return float(width * height / side**2)
 
 
 def near(world: World, box: Floats) -> World:
-    """The world with those obstacles only whose own boxes meet this one."""
+    """The world with only those obstacles whose bounding boxes overlap this box."""
     centres, radii = world.circles[:, :2], world.circles[:, 2:]
     low = np.minimum(world.segments[:, :2], world.segments[:, 2:])
     high = np.maximum(world.segments[:, :2], world.segments[:, 2:])
@@ -74,10 +83,15 @@ def near(world: World, box: Floats) -> World:
 def free_cells(
     world: World, radius: float, ends: Floats | None = None, reach: float = math.inf
 ) -> Grid:
-    """Cells whose centre is at least `radius` [m] away from every obstacle.
+    """Make the grid of cells whose centre is at least `radius` away from every obstacle.
 
-    They cover the world and the `ends` (n, 2) of a way, but no more than `reach` [m] around these.
-    No wall fits between two cells.
+    No wall fits between two neighbouring cells.
+
+    Args:
+        world: with the obstacles.
+        radius: of the disc [m].
+        ends: (n, 2), ends of the path [m]; the grid covers them and the world.
+        reach: the grid covers no more than this around the ends [m].
     """
     box, margin = (
         np.array(world.bounds) if ends is None else box_around(world, ends),
@@ -107,7 +121,7 @@ def free_cells(
 
 
 def _work(world: World, radius: float, width: float, height: float) -> float:
-    """Sum of the boxes around all obstacles, as far as they can lie in the grid [m^2]."""
+    """Sum of the bounding boxes of all obstacles, as far as they can lie in the grid [m^2]."""
     sizes = np.concatenate(
         [
             np.repeat(2.0 * world.circles[:, 2:], 2, axis=1),
@@ -118,7 +132,7 @@ def _work(world: World, radius: float, width: float, height: float) -> float:
 
 
 def _block(grid: Grid, ends: tuple[float, float, float, float], radius: float) -> None:
-    """Cells nearer than `radius` to a straight piece aren't free."""
+    """Mark the cells nearer than `radius` to a line as not free."""
     x1, y1, x2, y2 = ends
     reach = radius - SLACK / 2.0
     low_i = max(math.ceil((min(x1, x2) - reach - grid.x) / grid.side), 0)
@@ -135,7 +149,7 @@ def _block(grid: Grid, ends: tuple[float, float, float, float], radius: float) -
 
 
 def search(grid: Grid, start: int, goal: int) -> NDArray[np.int64] | None:
-    """Cells of a shortest way between two cells; None where there is none."""
+    """Find the cells of a shortest path between two cells; None where there is none."""
     from scipy.sparse.csgraph import dijkstra  # noqa: PLC0415 - slow to import
 
     search_from: Any = dijkstra  # its stubs know no single start
@@ -157,7 +171,7 @@ def _graph(grid: Grid) -> Any:
 
 
 def leaves(grid: Grid, start: int, goal: int) -> bool:
-    """Whether a way between two cells may lead through what lies beyond the grid."""
+    """Whether a path between two cells may lead through the area outside the grid."""
     from scipy.ndimage import label  # noqa: PLC0415 - slow to import
 
     parts = label(grid.free, np.ones((3, 3)))[0]
@@ -166,7 +180,7 @@ def leaves(grid: Grid, start: int, goal: int) -> bool:
 
 
 def _edges(grid: Grid) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
-    """Pairs of neighbouring free cells and their distances; no diagonal cuts a corner."""
+    """Pairs of neighbouring free cells and their distances; diagonals don't cut corners."""
     free = grid.free
     number = np.arange(free.size).reshape(free.shape)
     ahead, side = free[:-1] & free[1:], free[:, :-1] & free[:, 1:]

@@ -1,7 +1,7 @@
 """ROS maps, as map_server writes them: a YAML of settings and a picture of what is occupied.
 
 The outlines of all occupied pixels become segments along the pixels' edges. Unknown pixels count as
-free. Lengths in m, in the frame of the map, whose `origin` is the lower left corner of the picture.
+free. Lengths in m, in the frame of the map; `origin` is the lower left corner of the picture.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 PICTURES = (".pgm", ".png", ".pbm", ".ppm", ".bmp", ".jpg", ".jpeg")
 FORMATS = ("PPM", "PNG", "BMP", "JPEG")
-"""What Pillow may take a picture for; PGM is a PPM to it."""
+"""Formats that Pillow may try; PGM is a PPM for it."""
 MOST_KEYS = 100
 MOST_PIXELS = 4096 * 4096
 PLAIN = (b"P1", b"P2", b"P3")
-"""What begins pictures whose pixels are decimal numbers."""
+"""First bytes of pictures whose pixels are decimal numbers."""
 MOST_PLAIN = 1_000_000
-"""Pixels of these, which take long to read."""
+"""Most pixels of such pictures, which are slow to read."""
 PICTURE_ERRORS = (
     *(OSError, ValueError, TypeError, LookupError, ArithmeticError, SyntaxError, EOFError),
     *(struct.error, MemoryError, NotImplementedError),
 )
-"""What Pillow lets out for broken pictures."""
+"""Exceptions that Pillow raises for broken pictures."""
 Share = Annotated[float, Field(strict=True, ge=0.0, le=1.0)]
 Coordinate = Annotated[float, Field(strict=True, ge=-FARTHEST, le=FARTHEST)]
 Size = Annotated[float, Field(strict=True, gt=0.0, le=100.0)]
@@ -49,26 +49,26 @@ class MapSettings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore")
 
     image: Annotated[str, Field(min_length=1, max_length=1000)]
-    """The picture; a relative path starts at the YAML's folder."""
+    """File of the picture; a relative path starts at the YAML's folder."""
     resolution: Size
     """Size of a pixel [m]."""
     origin: tuple[Coordinate, Coordinate, Angle]
     """x, y [m] and yaw [rad] of the lower left corner of the lower left pixel."""
     negate: bool = False
-    """Whether white is occupied, not black."""
+    """Whether white is occupied, instead of black."""
     occupied_thresh: Share = 0.65
-    """A pixel is occupied where it is more so than this."""
+    """A pixel is occupied if its occupancy is above this."""
     free_thresh: Share = 0.196
     """Between this and `occupied_thresh` a pixel is unknown or, in mode scale, partly occupied;
     neither is an obstacle here."""
     mode: Literal["trinary", "scale", "raw"] = "trinary"
-    """Raw pixels are percentages themselves; those above 100 are unknown."""
+    """In mode raw, pixels are percentages; those above 100 are unknown."""
 
 
 def settings(data: Mapping[str, Any]) -> MapSettings:
-    """The settings in a map's YAML. WorldError says what is missing or wrong.
+    """Read the settings in a map's YAML. WorldError says what is missing or wrong.
 
-    Keys that belong to others are ignored, as map_server does, but not those that are misspelt.
+    Unknown keys are ignored, as map_server does, unless they look like a misspelt one.
     """
     fields = MapSettings.model_fields
     if len(data) > MOST_KEYS:
@@ -84,6 +84,7 @@ def settings(data: Mapping[str, Any]) -> MapSettings:
 
 
 def _problem(item: Mapping[str, Any]) -> str:
+    """One line for a validation error."""
     name = ".".join(map(str, item["loc"]))
     if item["type"] == "missing":
         return f"{name}: is missing: add it"
@@ -91,10 +92,18 @@ def _problem(item: Mapping[str, Any]) -> str:
 
 
 def segments(picture: bytes, config: MapSettings) -> Floats:
-    """Outlines S x 4 of what is occupied in a picture file's content.
+    """Compute the outlines of what is occupied in a picture.
 
-    Raises WorldError for a picture that is broken, too large or too detailed, and
-    MissingExtraError without Pillow.
+    Args:
+        picture: content of the file.
+        config: settings of the map.
+
+    Returns:
+        (segments, 4) in the frame of the map [m].
+
+    Raises:
+        WorldError: the picture is broken, too large or too detailed.
+        MissingExtraError: Pillow isn't installed.
     """
     x, y, yaw = config.origin
     lines = outlines(_mask(picture, config)) * config.resolution
@@ -105,7 +114,12 @@ def segments(picture: bytes, config: MapSettings) -> Floats:
 
 
 def occupied(shades: Floats, config: MapSettings) -> Mask:
-    """Which pixels are obstacles; `shades` are 0 (black) to 1 (white), NaN where transparent."""
+    """Which brightness levels are obstacles.
+
+    Args:
+        shades: 0 (black) to 1 (white), NaN where transparent.
+        config: settings of the map.
+    """
     bright = 1.0 - shades if config.negate else shades
     if config.mode == "raw":
         percent = np.round(bright * 255.0)
@@ -116,9 +130,16 @@ def occupied(shades: Floats, config: MapSettings) -> Mask:
 
 
 def outlines(mask: Mask) -> Floats:
-    """Edges S x 4 between occupied pixels and others, in pixels from the lower left corner.
+    """Find the edges between occupied pixels and others; edges in a row become one segment.
 
-    Edges in a row are one segment. WorldError for more than 20,000.
+    Args:
+        mask: (rows, columns), whether a pixel is occupied.
+
+    Returns:
+        (segments, 4) in pixels from the lower left corner.
+
+    Raises:
+        WorldError: for more than 20,000.
     """
     filled = np.pad(mask[::-1], 1).astype(np.int8)  # from now on the first row is the lowest
     level, left, right = _runs(np.diff(filled, axis=0)[:, 1:-1] != 0)
@@ -134,7 +155,7 @@ def outlines(mask: Mask) -> Floats:
 
 
 def _runs(edges: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-    """Line, first and one past the last place of every run of true values along lines."""
+    """Line, first and one past the last index of every run of true values along lines."""
     steps = np.diff(np.pad(edges, ((0, 0), (1, 1))).astype(np.int8), axis=1)
     lines, firsts = np.nonzero(steps == 1)
     return lines, firsts, np.nonzero(steps == -1)[1]
@@ -148,7 +169,7 @@ def _mask(picture: bytes, config: MapSettings) -> Mask:
 
 
 def _levels(picture: bytes) -> tuple[NDArray[Any], Floats, Mask | None]:
-    """The level of every pixel, the brightness of each level from 0 to 1, and what is opaque."""
+    """Levels of all pixels, brightness (0 to 1) of each level, and which pixels are opaque."""
     try:
         from PIL import Image  # noqa: PLC0415
     except ImportError:
@@ -167,6 +188,7 @@ def _levels(picture: bytes) -> tuple[NDArray[Any], Floats, Mask | None]:
 
 
 def _check_size(width: int, height: int, most: int) -> None:
+    """WorldError where a picture has too many pixels."""
     if width * height > most:
         plain = ", or save it in binary form" if most == MOST_PLAIN else ""
         raise WorldError(
@@ -175,8 +197,8 @@ def _check_size(width: int, height: int, most: int) -> None:
 
 
 def _brightness(image: Any) -> tuple[NDArray[Any], Floats, Mask | None]:
-    """Levels are grey, or the sum of three colours; a table is smaller than a picture of floats."""
-    if image.mode.startswith("I"):  # 16 bits, which Pillow would cut off and not scale
+    """As `_levels`; a level is the grey value or the sum of three colours, to use less memory."""
+    if image.mode.startswith("I"):  # 16 bits, which Pillow would clip instead of scaling
         grey = np.clip(np.asarray(image), 0, 65535)
         return grey, np.arange(65536) / 65535.0, None
     if image.mode in ("1", "L"):

@@ -14,14 +14,14 @@ _FOREIGN = re.compile(rf"((?:[A-Za-z_]\w*)(?:\.\w+)*):([a-z][a-z0-9_]*){_NUMBERS
 
 @dataclass(frozen=True, slots=True)
 class Name:
-    """What the name of some generated worlds says."""
+    """The parts of a name of generated worlds."""
 
     module: str
-    """What to import first, which registers the generator; "" for what is known already."""
+    """Module to import first, which registers the generator; "" for none."""
     kind: str
     """The generator's name."""
     numbers: str
-    """"train", "test", "50" or "50-99"; "" where nothing is said."""
+    """"train", "test", "50" or "50-99"; "" where the name has none."""
 
     @property
     def generator(self) -> str:
@@ -30,7 +30,7 @@ class Name:
 
 
 def parsed(text: str) -> Name | None:
-    """The parts of a name; None for what has another form. It imports nothing."""
+    """Split a name into its parts; None for a text of another form. Imports nothing."""
     match = _KIND.fullmatch(text)
     if match:
         return Name("", match[1], match[2] or "")
@@ -41,10 +41,16 @@ def parsed(text: str) -> Name | None:
 
 
 def generated(text: str) -> Name | None:
-    """The name of worlds whose generator is known, or registered by the module that it names.
+    """Split a name of worlds whose generator is known; imports its module, if it names one.
 
-    None for anything else, such as a path. Raises WorldError where that module can't be imported,
-    or registers no such generator.
+    Args:
+        text: a name, or anything else, such as a path.
+
+    Returns:
+        The parts; None where the text isn't such a name.
+
+    Raises:
+        WorldError: the module can't be imported, or registers no such generator.
     """
     name = parsed(text)
     if name is None:

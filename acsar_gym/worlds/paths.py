@@ -1,4 +1,4 @@
-"""Paths to follow on an empty floor: smooth ones, and straight pieces between waypoints."""
+"""Worlds with a path to follow on an empty floor: smooth, or straight lines between waypoints."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from acsar_gym.errors import WorldError
 from acsar_gym.worlds.world import Floats, Region, World
 
 SPACING = 0.05
-"""Between the points of a sampled path [m]."""
+"""Distance between the points of a sampled path [m]."""
 WAVES = 3
 
 
 def smooth(rng: np.random.Generator, difficulty: float, radius: float) -> World:
-    """A path of 4 to 8 m from the origin whose curvature swings up to 0.5 to 2 1/m."""
+    """Make a path of 4 to 8 m from the origin, with a curvature of up to 0.5 to 2 1/m."""
     length = rng.uniform(4.0, 8.0)
     s = np.arange(0.0, length, SPACING)
     waves = rng.uniform(0.5, 2.0, WAVES), rng.uniform(-math.pi, math.pi, WAVES)
@@ -28,7 +28,7 @@ def smooth(rng: np.random.Generator, difficulty: float, radius: float) -> World:
 
 
 def waypoints(rng: np.random.Generator, difficulty: float, radius: float) -> World:
-    """Straight pieces of 0.8 to 2 m, 3 to 6 of them, with turns of up to 45 to 120 degrees."""
+    """Make a path of 3 to 6 lines of 0.8 to 2 m, with turns of up to 45 to 120 degrees."""
     pieces = int(rng.integers(3, 7))
     sharpest = math.radians(45.0 + 75.0 * difficulty)
     turns = rng.uniform(-sharpest, sharpest, pieces)
@@ -39,9 +39,13 @@ def waypoints(rng: np.random.Generator, difficulty: float, radius: float) -> Wor
 
 
 def along(path: Floats) -> World:
-    """An empty world with a path to follow; the robot starts on it, looking along it.
+    """Make an empty world with a path to follow; the robot starts on it, heading along it.
 
-    Raises WorldError unless the path has two different points.
+    Args:
+        path: (points, 2) [m].
+
+    Raises:
+        WorldError: unless the path has two different points.
     """
     world = World(path=path)
     if world.path is None or len(world.path) < 2 or not world.length > 0.0:
@@ -55,9 +59,10 @@ def along(path: Floats) -> World:
 
 
 def to_follow(world: World) -> World:
-    """The same world with its start and goal at the ends of its path, looking along it.
+    """Move a world's start and goal to the ends of its path; the start's heading is along it.
 
-    Raises WorldError where it has no path.
+    Raises:
+        WorldError: the world has no path.
     """
     if world.path is None:
         raise WorldError(f"{world.name or 'the world'}: has no path to follow")
@@ -66,16 +71,22 @@ def to_follow(world: World) -> World:
 
 
 def distinct(path: Floats) -> Floats:
-    """The path without points that repeat the one before them."""
+    """Remove points of a path that repeat the one before them."""
     moved = np.concatenate([[True], np.abs(np.diff(path, axis=0)).sum(axis=1) > 0.0])
     kept: Floats = path[moved]
     return kept
 
 
 def sampled(path: Floats, spacing: float = SPACING) -> Floats:
-    """N x 3: x, y [m] and direction [rad] every `spacing` along a polyline, its end included.
+    """Sample a path at even distances, its end included.
 
-    The direction at a point is that of the way on, at the end that of the last piece.
+    Args:
+        path: (points, 2) [m].
+        spacing: between two samples, at most [m].
+
+    Returns:
+        (samples, 3): x [m], y [m] and direction [rad] of the line that follows; at the end that of
+        the last line.
     """
     path = distinct(path)
     steps = np.diff(path, axis=0)

@@ -1,7 +1,7 @@
 """The worlds of an environment: numbered, and made or read when they are needed.
 
 A generated world has its generator's number everywhere: in info, options, errors and tables. Worlds
-of files and lists are counted from 0.
+of files and lists are numbered from 0.
 """
 
 from __future__ import annotations
@@ -23,10 +23,11 @@ from acsar_gym.worlds.search import check_region, shortest_path
 from acsar_gym.worlds.world import World
 
 MOST = 10**9
+"""Most numbers of a pool."""
 KEPT = 512
-"""Generated worlds that a pool remembers."""
+"""Generated worlds that a pool keeps in memory."""
 RANKED = 100_000
-"""A larger pool can't be ordered by difficulty."""
+"""Largest pool that can be sorted by difficulty."""
 
 Source = str | Path | World | Sequence[World]
 """What users may pass as `worlds=`."""
@@ -37,7 +38,8 @@ class Pool:
 
     Attributes: `kind`, the generator's name or where the worlds come from; `numbers`, a range;
     `split`, "train" or "test" where all of them belong to it, otherwise empty; `difficulty`;
-    `radius`, of the footprint that they were made or checked for [m]; `generated`.
+    `radius`, of the footprint that they were made or checked for [m]; `generated`, whether a
+    generator makes them.
     """
 
     def __init__(
@@ -67,12 +69,20 @@ class Pool:
         radius: float = 0.25,
         count: int | None = None,
     ) -> Pool:
-        """From a generator's name, a file, a folder, a World, or several.
+        """Make a pool from a generator's name, a file, a folder, a World, or a list of World.
 
-        "clutter:train" and "clutter:test" mean the worlds of these splits, "clutter:50" the first
-        50 and "clutter:100-149" those with these numbers. "clutter" alone means the training split,
-        or the first `count`. "mine.module:corridors:50" imports the module first, which registers
-        the generator. Raises WorldError for anything else.
+        "clutter:train" and "clutter:test" are the worlds of these splits, "clutter:50" the first 50
+        and "clutter:100-149" those with these numbers. "clutter" alone is the training split.
+        "mine.module:corridors:50" imports the module first, which registers the generator.
+
+        Args:
+            source: of the worlds, as above.
+            difficulty: of generated worlds.
+            radius: of the disc around the footprint [m].
+            count: a generator's name alone is then its first `count` worlds.
+
+        Raises:
+            WorldError: for anything else.
         """
         worlds = _given(source)
         if worlds is not None:
@@ -86,12 +96,12 @@ class Pool:
         return cls(kind, numbers, make, radius, difficulty, generated=True)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Copies make their worlds anew."""
+        """Copies and pickles make their worlds again."""
         told = (self.kind, self.numbers, self._made_by, self.radius, self.difficulty)
         return partial(Pool, generated=self.generated), told
 
     def __str__(self) -> str:
-        """For a table's title, such as "clutter 0 to 199 (test split)"."""
+        """Title of a table, such as "clutter 0 to 199 (test split)"."""
         split = f" ({self.split} split)" if self.split else ""
         return f"{self.kind} {self.numbers[0]} to {self.numbers[-1]}{split}"
 
@@ -111,7 +121,7 @@ class Pool:
 
     @cached_property
     def by_difficulty(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Places of the worlds in `numbers`, from the easiest to the hardest; their difficulties.
+        """Indices into `numbers` from the easiest to the hardest world, and their difficulties.
 
         Raises WorldError for worlds that have none, and for a pool of more than 100,000.
         """
@@ -124,7 +134,10 @@ class Pool:
         return order, np.array(levels)[order]
 
     def ranks(self, difficulty: Level) -> range:
-        """Which of them lie in a range (low, high) of difficulty. WorldError where none does."""
+        """Range of ranks (see `by_difficulty`) whose difficulty is in a range (low, high).
+
+        Raises WorldError where there is none.
+        """
         low, high = generators.limits(difficulty)
         _, levels = self.by_difficulty
         first, last = np.searchsorted(levels, low), np.searchsorted(levels, high, "right")
@@ -137,17 +150,24 @@ class Pool:
 
 
 def _generated(module: str, kind: str, difficulty: Level, radius: float, number: int) -> World:
-    """A world, also in another process, which hasn't imported the generator's module yet."""
+    """Make a world, also in a process that hasn't imported the generator's module yet."""
     registry.imported(module, kind)
     return cache.world(kind, number, difficulty, radius)
 
 
 @lru_cache(maxsize=16)
 def checked(world: World, radius: float) -> World:
-    """The world with a path, where it had none; the same object for the same world.
+    """Check a world's start and goal, and add a shortest path where it has none.
 
-    Raises WorldError where start or goal aren't free for a footprint of this radius [m], or there
-    is no way between them.
+    Args:
+        world: to check.
+        radius: of the disc around the footprint [m].
+
+    Returns:
+        The world with a path; the same object for the same world.
+
+    Raises:
+        WorldError: start or goal aren't free for the footprint, or there is no path between them.
     """
     if world.path is None:
         return replace(world, path=shortest_path(world, radius))
@@ -172,7 +192,10 @@ def _given(source: Any) -> list[World] | None:
 
 
 def read(source: str | Path) -> list[World] | None:
-    """Worlds of a file or a folder; None for the name of a generator."""
+    """Read worlds of a file or a folder; None for the name of a generator.
+
+    Raises WorldError where they can't be read.
+    """
     if isinstance(source, str) and (not source or names.generated(source)):
         return None
     path = Path(source)
@@ -186,7 +209,7 @@ def read(source: str | Path) -> list[World] | None:
 
 
 def _numbers(text: str, count: int | None) -> tuple[names.Name, range]:
-    """The generator's name, and world numbers."""
+    """The parts of a name, and the numbers of its worlds."""
     name = names.parsed(text)
     if name is None:
         raise WorldError(

@@ -1,4 +1,4 @@
-"""Generators of worlds by name: those of this package, and those that others register."""
+"""Generators of worlds by name: those of this package, and those that users register."""
 
 from __future__ import annotations
 
@@ -20,33 +20,38 @@ if TYPE_CHECKING:
 BUILT_IN = ("open", "clutter", "rooms", "barn", "smooth_path", "waypoint_path")
 """Names of the generators of this package."""
 LONGEST = 40
-"""Characters of a name."""
+"""Most characters of a name."""
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 
 Maker = Callable[["np.random.Generator", float, float], World]
-"""(rng, difficulty, footprint radius [m]) to a world that may not be solvable yet."""
+"""Takes (rng, difficulty, footprint radius [m]), and makes a world that may not be solvable."""
 
 
 class GeneratorError(WorldError):
-    """A generator that won't make a world however often it is called, with the reason."""
+    """A generator can't make a world, also if it is called again."""
 
 
 @dataclass(frozen=True)
 class Own:
-    """A generator that another package has registered."""
+    """A generator that a user or another package has registered."""
 
     name: str
     make: Maker
     home: str
     """The module of `make`, which should be the one that registers it."""
     source: str
-    """A hash of the source that its worlds depend on; empty where it can't be known."""
+    """Hash of the source that its worlds depend on; empty where it can't be known."""
 
     def __str__(self) -> str:
         return f"generator {self.name!r} of {self.home}"
 
     def world(self, rng: np.random.Generator, difficulty: float, radius: float) -> World:
-        """One attempt at a world. Raises GeneratorError; WorldError means: try again."""
+        """Call the generator once.
+
+        Raises:
+            GeneratorError: it raised an error, or returned something else than a World.
+            WorldError: this attempt failed; the next one may succeed.
+        """
         try:
             made = self.make(rng, difficulty, radius)
         except WorldError:
@@ -69,24 +74,24 @@ def register(name: str, make: Maker) -> None:
     none, or `make` raises WorldError, it is called again, up to 200 times and, where the difficulty
     is a range, each time with a lower one.
 
-    In a process that hasn't imported the module which registers, name it, as in
-    `worlds="mine.module:corridors:0-99"`: on the command line, and in worker processes, as those of
-    `gymnasium.vector.AsyncVectorEnv`, that are spawned and not forked.
+    In a process that hasn't imported the module that registers, name the module, as in
+    `worlds="mine.module:corridors:0-99"`: on the command line, and in worker processes that are
+    spawned and not forked, such as those of `gymnasium.vector.AsyncVectorEnv`.
 
-    Worlds of a batch are kept on disk, under the source of the module of `make` and of those it
-    imports its names from. A closure or callable object, and one whose source can't be read, is
-    called anew every time. Where worlds depend on something else, such as a file that is read, set
-    ACSAR_GYM_CACHE=off.
+    Worlds of a batch are kept on disk, with a hash of the source of the module of `make` and of
+    the modules that it imports. A closure or callable object, and a function whose source can't be
+    read, is called anew every time. Where worlds depend on something else, such as a file that is
+    read, set ACSAR_GYM_CACHE=off.
 
     Args:
         name: lower-case letters, digits and underscores, at most 40, beginning with a letter.
         make: called as `make(rng, difficulty, footprint_radius)` with a numpy.random.Generator,
-            from which alone it may draw, a difficulty from 0 to 1, and the radius of the disc
+            its only source of random numbers, a difficulty from 0 to 1, and the radius of the disc
             around the robot's footprint [m]; returns a `World`, in m and rad of its own frame.
 
     Raises:
         ConfigError: for another form of name, one that is taken, or a `make` that can't be called
-            with three arguments. The same function of the same module replaces itself.
+            with three arguments. The same function of the same module may be registered again.
     """
     if not isinstance(name, str) or not _NAME.fullmatch(name) or len(name) > LONGEST:
         raise ConfigError(
@@ -103,7 +108,7 @@ def register(name: str, make: Maker) -> None:
 
 
 def _check_callable(name: str, make: Any) -> None:
-    """ConfigError for what can't be called with three arguments."""
+    """ConfigError for something that can't be called with three arguments."""
     try:
         inspect.signature(make).bind(None, 0.0, 0.0)
     except (TypeError, ValueError):
@@ -114,15 +119,17 @@ def _check_callable(name: str, make: Any) -> None:
 
 
 def _home(make: Maker) -> str:
+    """Name of the module of a generator."""
     return str(getattr(make, "__module__", None) or type(make).__module__)
 
 
 def _called(make: Maker) -> str:
+    """Name of a generator within its module."""
     return str(getattr(make, "__qualname__", type(make).__qualname__))
 
 
 def one_line(error: BaseException) -> str:
-    """What others' code raised, on one line."""
+    """The error of a user's code, on one line."""
     return shortened(" ".join(f"{type(error).__name__}: {error}".split()), 300)
 
 
@@ -132,7 +139,7 @@ def kinds() -> tuple[str, ...]:
 
 
 def own(kind: str) -> Own | None:
-    """The generator that another package has registered under this name, if any."""
+    """The registered generator of this name, if any."""
     return _OWN.get(kind)
 
 
@@ -142,7 +149,7 @@ def home(kind: str) -> str:
 
 
 def check(kind: str) -> None:
-    """WorldError for a name that no generator has."""
+    """Raise WorldError for a name that no generator has."""
     if kind not in kinds():
         raise WorldError(
             f"unknown kind of world {kind!r}{suggestion(kind, kinds())}; that of another package "
@@ -151,14 +158,15 @@ def check(kind: str) -> None:
 
 
 def imported(module: str, kind: str) -> None:
-    """Import the module that registers a generator; "" and the main program are imported already.
+    """Import the module that registers a generator; nothing for "" and the main program.
 
-    Raises WorldError where the module can't be imported, or registers no such generator.
+    Raises:
+        WorldError: the module can't be imported, or registers no such generator.
     """
     if module in ("", "__main__"):
         return
     if "" not in sys.path:
-        sys.path.append("")  # a file beside which the command line is used
+        sys.path.append("")  # modules in the current folder
     try:
         importlib.import_module(module)
     except ImportError as error:

@@ -12,20 +12,20 @@ from acsar_gym.worlds.shapes import box, outline, wall
 from acsar_gym.worlds.world import Floats, Region, World
 
 LENGTH = 10.0
-"""Of the corridor, along x [m]."""
+"""Length of the corridor, along x [m]."""
 DEPTH = 3.0
-"""Of the rooms, along y [m]."""
+"""Depth of the rooms, along y [m]."""
 WIDEST_DOOR = 1.3
-"""[m]"""
+"""Width of doors at difficulty 0 [m]."""
 ROOM_TO_SPARE = 0.2
-"""By which the narrowest door is wider than the footprint's disc [m]."""
+"""How much wider than the footprint's disc doors are at difficulty 1 [m]."""
 
 
 def rooms(rng: np.random.Generator, difficulty: float, radius: float) -> World:
-    """Three or four rooms on each side of a corridor; start and goal lie in different rooms.
+    """Make three or four rooms on each side of a corridor; start and goal are in different rooms.
 
-    Doors narrow from 1.3 m to the footprint's width and 20 cm, and furniture grows from none to
-    four pieces a room, with difficulty.
+    With difficulty doors narrow from 1.3 m to the footprint's width and 20 cm, and furniture
+    increases from none to four pieces a room.
     """
     door = WIDEST_DOOR + difficulty * (2.0 * radius + ROOM_TO_SPARE - WIDEST_DOOR)
     half = rng.uniform(0.6, 0.9)
@@ -47,7 +47,7 @@ def rooms(rng: np.random.Generator, difficulty: float, radius: float) -> World:
 
 
 def _edges(rng: np.random.Generator) -> list[float]:
-    """Where the walls between the rooms of one side stand [m]."""
+    """Positions of the walls between the rooms of one side, along x [m]."""
     count = int(rng.integers(3, 5))
     inner = (np.arange(1, count) + rng.uniform(-0.15, 0.15, count - 1)) * LENGTH / count
     return [0.0, *inner.tolist(), LENGTH]
@@ -56,7 +56,7 @@ def _edges(rng: np.random.Generator) -> list[float]:
 def _walls(
     rng: np.random.Generator, edges: list[float], side: float, half: float, door: float
 ) -> list[Floats]:
-    """The wall to the corridor, a door for each room, and walls with a door now and then."""
+    """The wall to the corridor with a door to each room, and walls between rooms, some with one."""
     narrowest = min(right - left for left, right in pairwise(edges))
     if door > min(narrowest - 0.4, DEPTH - 0.6):
         raise WorldError(f"doors of {door:.2f} m are too wide for these rooms")
@@ -73,7 +73,7 @@ def _walls(
 def _furniture(
     rng: np.random.Generator, place: tuple[float, float, float, float], difficulty: float
 ) -> tuple[Floats, Floats]:
-    """Circles and segments of a room's tables and pillars."""
+    """Circles and segments of a room's furniture."""
     pieces = int(rng.binomial(4, difficulty))
     low, high = np.array(place[:2]) + 0.45, np.array(place[2:]) - 0.45
     spots = rng.uniform(low, high, (pieces, 2)).tolist()
@@ -90,7 +90,7 @@ def _somewhere(
     radius: float,
     theta: float | None,
 ) -> Region:
-    """A point of a room, away from its walls."""
+    """A random point of a room, away from its walls."""
     low, high = np.array(place[:2]) + radius + 0.1, np.array(place[2:]) - radius - 0.1
     if (high <= low).any():
         raise WorldError(f"a footprint of radius {radius:g} m is too large for these rooms")

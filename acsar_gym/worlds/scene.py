@@ -16,21 +16,21 @@ Pose = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """A robot at rest at `start`, a world around it, and a marker at `goal` for pictures only.
+    """A robot at rest at `start`, a world around it, and a goal, which only pictures show.
 
-    Everything is in the frame of the world, and so is what a simulator then tells as truth. The
-    odometry frame begins at `start`.
+    Everything is in the frame of the world, as is a simulator's ground truth. The odometry frame
+    begins at `start`.
     """
 
     start: Pose = (0.0, 0.0, 0.0)
     goal: tuple[float, float] | None = None
     world: World | None = None
     physics: Physics | None = None
-    """What a simulated robot is like in this episode; None: as it is configured."""
+    """The simulated robot's physics in this episode; None: as configured."""
 
 
 def to_world(start: Pose, pose: Pose) -> Pose:
-    """A pose of the odometry frame that begins at `start`, in the frame of the world."""
+    """Transform a pose from the odometry frame that begins at `start` into the world's frame."""
     x, y, theta = start
     cos, sin = math.cos(theta), math.sin(theta)
     return (
@@ -41,7 +41,7 @@ def to_world(start: Pose, pose: Pose) -> Pose:
 
 
 def to_odometry(start: Pose, pose: Pose) -> Pose:
-    """A pose of the world's frame, in the odometry frame that begins at `start`."""
+    """Transform a pose from the world's frame into the odometry frame that begins at `start`."""
     dx, dy = pose[0] - start[0], pose[1] - start[1]
     cos, sin = math.cos(start[2]), math.sin(start[2])
     theta = math.remainder(pose[2] - start[2], math.tau)
@@ -49,6 +49,6 @@ def to_odometry(start: Pose, pose: Pose) -> Pose:
 
 
 def point_in_world(start: Pose, point: tuple[float, float]) -> tuple[float, float]:
-    """A point of the odometry frame that begins at `start`, in the frame of the world [m]."""
+    """Transform a point [m] from the odometry frame that begins at `start` to the world's."""
     x, y, _ = to_world(start, (*point, 0.0))
     return x, y

@@ -1,9 +1,9 @@
-"""Obstacles of a Gazebo world: the collision geometry of its models, seen from above.
+"""Read the obstacles of a Gazebo world: the collision geometry of its models, seen from above.
 
 Cylinders and spheres become circles, boxes four segments. Lengths in m and angles in rad, as in SDF
 1.4 to 1.9. Poses of models, links and collisions are composed; where the world has a `<state>`,
-its model poses go before the models' own, as in Gazebo. The ground plane is left out, and so is
-what ends below STEP or hangs higher than HEADROOM. Lights, actors and visuals are no obstacles.
+its model poses replace the models' own, as in Gazebo. Skipped are the ground plane, and bodies
+that end below STEP or begin above HEADROOM. Lights, actors and visuals are no obstacles.
 """
 
 from __future__ import annotations
@@ -25,30 +25,30 @@ Floats = NDArray[np.float64]
 Shape = tuple[list[list[float]], list[list[float]]]
 """Circles and segments."""
 HEADROOM = 0.5
-"""A body that begins above this height is out of the robot's and the LiDAR's way [m]."""
+"""A body that begins above this height can't touch the robot or its LiDAR's rays [m]."""
 STEP = 0.01
-"""A body no higher than this is driven over [m]."""
+"""The robot drives over a body that isn't higher than this [m]."""
 MOST_TILT = 0.01
-"""A body that leans further than this is refused [rad]."""
+"""A body that is tilted more than this is refused [rad]."""
 MOST_ELEMENTS = 2_000_000
-"""XML elements of a file; a world of 20,000 cylinders as in BARN has half as many."""
+"""Most XML elements of a file; a world of 20,000 cylinders as in BARN has half as many."""
 MOST_ATTRIBUTES = 600_000
-"""A world of 20,000 cylinders as in BARN has half as many."""
+"""Most attributes; a world of 20,000 cylinders as in BARN has half as many."""
 MOST_TAG = 1_000_000
-"""Bytes of a tag, or of a text between two."""
+"""Most bytes of a tag, or of a text between two."""
 MOST_KEPT = 20 * MOST_OBSTACLES
-"""Elements that matter here, and so are held in memory."""
+"""Most elements that are read, and so kept in memory."""
 PLACES = frozenset({"sdf", "world", "state", "model", "link", "collision", "geometry", "pose"})
 SIZES = frozenset({"radius", "length", "size", "normal"})
 ELSEWHERE = frozenset({"include", "uri", "population"})
 KEPT = PLACES | SIZES | ELSEWHERE
-"""These and every kind of geometry are read, others are skipped with everything in them."""
+"""These and every kind of geometry are read; others are skipped with everything in them."""
 HARMLESS = ("sun", "ground_plane")
 """Models that nearly every world includes, and that are no obstacles."""
 
 
 class Placed(NamedTuple):
-    """A frame in the world."""
+    """A frame in the world: position [m], yaw [rad], and whether it is tilted."""
 
     x: float = 0.0
     y: float = 0.0
@@ -57,7 +57,7 @@ class Placed(NamedTuple):
     tilted: bool = False
 
     def __matmul__(self, inner: Placed) -> Placed:
-        """A frame that is given in this one."""
+        """Transform a frame that is given in this one into the world."""
         cos, sin = math.cos(self.yaw), math.sin(self.yaw)
         x = self.x + cos * inner.x - sin * inner.y
         y = self.y + sin * inner.x + cos * inner.y
@@ -66,10 +66,14 @@ class Placed(NamedTuple):
 
 
 def obstacles(data: bytes) -> tuple[Floats, Floats]:
-    """Circles C x 3 and segments S x 4 of an SDF file's content.
+    """Read the obstacles of an SDF file's content.
 
-    Raises WorldError, which names the model, for what isn't SDF, is malicious, holds more than
-    20,000 bodies, or can't be drawn from above.
+    Returns:
+        Circles (C, 3) and segments (S, 4) [m].
+
+    Raises:
+        WorldError: it isn't SDF, is malicious, has more than 20,000 bodies, or shapes that can't
+            be read; names the model.
     """
     root = _parsed(data)
     worlds = root.findall("world")
@@ -84,7 +88,7 @@ def obstacles(data: bytes) -> tuple[Floats, Floats]:
 
 
 class _Builder(TreeBuilder):
-    """Keeps the elements that matter, and stops early where there are too many."""
+    """Keeps the elements that are needed, and stops early where there are too many."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -123,7 +127,7 @@ class _Builder(TreeBuilder):
 
 
 def _check_markup(data: bytes) -> None:
-    """Refuse what makes the parser slow before it sees it."""
+    """Refuse data that would make the parser slow."""
     ends = np.flatnonzero(np.frombuffer(data, np.uint8) == ord(">"))
     longest = np.diff(ends, prepend=0, append=len(data)).max(initial=0)
     if longest > MOST_TAG or data.count(b"=") > MOST_ATTRIBUTES:
@@ -172,7 +176,7 @@ def _of_model(model: Element, placed: Placed, depth: int) -> Iterator[Shape]:
 
 
 def _refuse_includes(parent: Element) -> None:
-    """Better no world than one with obstacles missing."""
+    """Refuse models in other files, because obstacles would be missing."""
     if parent.find("population") is not None:
         raise WorldError("has a <population>, which can't be read: place its models one by one")
     for uri in parent.iterfind("include/uri"):
@@ -186,7 +190,7 @@ def _name(element: Element) -> str:
 
 
 def _brief(text: str) -> str:
-    """As in source code, so on one line, and never long."""
+    """Quote a text on one line, at most 40 characters of it."""
     return repr(text if len(text) <= 40 else f"{text[:40]}...")
 
 
@@ -232,7 +236,7 @@ def _sizes(shape: Element, what: str, count: int, model: str) -> list[float]:
 
 
 def _shape(body: Element, placed: Placed, model: str) -> Shape:
-    """What a collision body looks like from above; nothing where it is out of the way."""
+    """A collision body seen from above; empty where the robot can't touch it."""
     shape = next(iter(body.find("geometry") or ()), None)
     if shape is None or shape.tag == "empty":
         return [], []
@@ -254,7 +258,7 @@ def _cylinder(shape: Element, placed: Placed, model: str) -> tuple[Shape, float]
 
 
 def _sphere(shape: Element, placed: Placed, model: str) -> tuple[Shape, float]:
-    """As wide as at its widest."""
+    """A circle of the sphere's radius."""
     radius = _sizes(shape, "radius", 1, model)[0]
     return ([[placed.x, placed.y, radius]], []), radius
 
@@ -268,7 +272,7 @@ def _box(shape: Element, placed: Placed, model: str) -> tuple[Shape, float]:
 
 
 def _plane(shape: Element, placed: Placed, model: str) -> tuple[Shape, float]:
-    """The ground, which is no obstacle."""
+    """No obstacle; WorldError where the plane isn't level."""
     normal = shape.find("normal")
     x, y, z = (0.0, 0.0, 1.0) if normal is None else _numbers(normal, "normal", 3, model)
     if placed.tilted or math.hypot(x, y) > MOST_TILT * abs(z):

@@ -1,4 +1,4 @@
-"""Shortest ways for a footprint through a world: its configuration space, searched by scipy.
+"""Shortest paths for a footprint through a world: its configuration space, searched by scipy.
 
 The footprint counts as the disc around it: a skid-steer robot turns on the spot, so it can follow
 any path that the disc can.
@@ -30,19 +30,19 @@ from acsar_gym.worlds.grid import (
 from acsar_gym.worlds.world import Floats, Region, World
 
 LEAST_REACH = 10.0
-"""Around start and goal, what is searched first in large worlds [m]."""
+"""In large worlds, at least this distance around start and goal is searched first [m]."""
 WIDENING = 4.0
-"""How many times as far the search reaches where it has found no way."""
+"""Factor by which this distance grows where no path was found."""
 NEAR = 4
-"""Cells around an end of a way in which it may enter the grid."""
+"""Distance to an end of a path within which the path may enter the grid [cells]."""
 CUTS = 4
 """How often corners are cut off."""
 BISECTIONS = 6
-"""Of each cut."""
+"""Bisections that find the size of each cut."""
 CULLED = 500
-"""Obstacles above which only those near a piece of the way are looked at."""
+"""With more obstacles than this, only those near a part of the path are considered."""
 BLOCK = 64
-"""Points of a path that are tried at once for a straight way."""
+"""Points of a path that are checked at once for a straight line to them."""
 
 
 def footprint_radius(config: RobotConfig) -> float:
@@ -58,12 +58,12 @@ def shortest_path(
     *,
     cuts: int = CUTS,
 ) -> Floats:
-    """P x 2: a shortest way of a disc of this radius [m] from start to goal, as straight pieces.
+    """Find a shortest path of a disc of this radius [m] from start to goal, (points, 2) [m].
 
-    A shortest way over eight-connected cells, pulled straight where obstacles allow it, its corners
-    cut off `cuts` times: within 1 % of the shortest one; without cuts it is a little longer. Start
-    and goal are the centres of the world's regions unless others are given. Raises WorldError where
-    one of the regions isn't free for the disc, or there is no way.
+    A shortest path over eight-connected cells is straightened where obstacles allow it, and its
+    corners are cut off `cuts` times: within 1 % of the shortest one; without cuts a little longer.
+    Start and goal are the centres of the world's regions unless others are given. Raises WorldError
+    where one of the regions isn't free for the disc, or there is no path.
     """
     start, goal = start or world.start, goal or world.goal
     for name, region in (("start", start), ("goal", goal)):
@@ -83,11 +83,11 @@ def shortest_path(
 
 
 def _way(world: World, radius: float, ends: Floats) -> Floats | None:
-    """P x 2: a shortest way over cells; None where there is none.
+    """Find a shortest path over cells, (points, 2); None where there is none.
 
-    In a world of many cells, as one whose obstacles lie far apart, only what is around the ends is
-    searched, until nothing beyond can be on a shorter way: all ways of length L between ends D
-    apart lie within sqrt(L^2 - D^2) / 2 of the box around the ends.
+    In a large world, such as one whose obstacles are far apart, only the area around the ends is
+    searched, and enlarged until nothing outside can be on a shorter path: all paths of length L
+    between ends D apart lie within sqrt(L^2 - D^2) / 2 of the box around the ends.
     """
     box, apart = box_around(world, ends), math.dist(*ends)
     reach = math.inf if cells_in(box, radius, RESOLUTION) <= MOST_CELLS else max(LEAST_REACH, apart)
@@ -109,7 +109,14 @@ def _way(world: World, radius: float, ends: Floats) -> Floats | None:
 
 
 def check_region(world: World, name: str, region: Region, radius: float) -> None:
-    """WorldError unless a disc of this radius is free wherever it stands in the region."""
+    """Raise WorldError unless a disc is free everywhere in a region.
+
+    Args:
+        world: with the obstacles.
+        name: of the region, for the message.
+        region: for the centre of the disc.
+        radius: of the disc [m].
+    """
     free = clearance(np.array([[region.x, region.y]]), world)[0]
     if free < radius + region.radius - SLACK:
         raise WorldError(
@@ -120,7 +127,7 @@ def check_region(world: World, name: str, region: Region, radius: float) -> None
 
 
 def check_path(world: World, radius: float) -> None:
-    """WorldError where a disc of this radius [m] can't follow the world's own path."""
+    """Raise WorldError where a disc of this radius [m] can't follow the world's own path."""
     path = np.zeros((0, 2)) if world.path is None else world.path
     if len(path) < 2:
         raise WorldError(f"{_named(world)}the path must have at least two points")
@@ -133,13 +140,14 @@ def check_path(world: World, radius: float) -> None:
 
 
 def _named(world: World) -> str:
+    """The world's name as the beginning of a message."""
     return f"{world.name}: " if world.name else ""
 
 
 def _entry(grid: Grid, end: Floats, world: World, radius: float) -> int:
-    """The free cell next to an end of the way that can be reached straight from there.
+    """The nearest free cell that can be reached in a straight line from an end of the path.
 
-    The end's own cell where there is none: the way may come a little nearer to an obstacle then.
+    The end's own cell where there is none; the path may be a little too near to an obstacle then.
     """
     own = grid.cell(float(end[0]), float(end[1]))
     i, j = divmod(own, grid.free.shape[1])
@@ -158,7 +166,7 @@ def _entry(grid: Grid, end: Floats, world: World, radius: float) -> int:
 
 
 def _cut(way: Floats, world: World, radius: float) -> Floats:
-    """The way with its corners cut off as far as obstacles allow it."""
+    """Cut off the corners of a path as far as obstacles allow it."""
     if len(way) < 3:
         return way
     before, corner, behind = way[:-2], way[1:-1], way[2:]
@@ -174,7 +182,7 @@ def _cut(way: Floats, world: World, radius: float) -> Floats:
 
 
 def _blocked(starts: Floats, ends: Floats, world: World, radius: float) -> NDArray[np.bool_]:
-    """Whether straight pieces come nearer than `radius` to an obstacle."""
+    """Whether straight lines are nearer than `radius` to an obstacle."""
     if world.obstacles > CULLED:
         both = np.concatenate([starts, ends])
         box = np.concatenate([both.min(axis=0) - radius, both.max(axis=0) + radius])
@@ -184,7 +192,7 @@ def _blocked(starts: Floats, ends: Floats, world: World, radius: float) -> NDArr
 
 
 def _pulled(way: Floats, world: World, radius: float) -> Floats:
-    """The way without the points that a straight piece can leave out."""
+    """Remove points of a path that a straight line can replace."""
     kept, here = [0], 0
     while here < len(way) - 1:
         here = _farthest(way, here, world, radius)
@@ -193,7 +201,7 @@ def _pulled(way: Floats, world: World, radius: float) -> Floats:
 
 
 def _farthest(way: Floats, here: int, world: World, radius: float) -> int:
-    """The point before the first one on the way that can't be reached straight."""
+    """The last point of the path that can be reached in a straight line, and all before it, too."""
     last = here + 1
     for first in range(here + 2, len(way), BLOCK):
         ends = way[first : first + BLOCK]
@@ -206,15 +214,21 @@ def _farthest(way: Floats, here: int, world: World, radius: float) -> int:
 
 
 def path_length(path: Floats) -> float:
-    """Length of a polyline [m]."""
+    """Length of a path [m]."""
     return sum(math.dist(a, b) for a, b in pairwise(path.tolist()))
 
 
 def way_left(world: World, radius: float, place: Region, goal: Region) -> float:
-    """Length of a shortest way from a place to the goal [m], for a robot that may have collided.
+    """Length of a shortest path to the goal [m], for a robot that may have collided.
 
-    For the disc of this radius [m], or the largest one that is free where the robot stands; inf
-    where there is no way.
+    Args:
+        world: with the obstacles.
+        radius: of the disc [m]; a smaller one is used if only that is free where the robot is.
+        place: of the robot.
+        goal: its centre is used.
+
+    Returns:
+        inf where there is no path.
     """
     ends = np.array([[place.x, place.y], [goal.x, goal.y]])
     fitting = min(radius, *(clearance(ends, world) - SLACK).tolist())

@@ -10,7 +10,7 @@ from acsar_gym.worlds.world import Floats
 
 
 def box(x: float, y: float, length: float, width: float, theta: float = 0.0) -> Floats:
-    """4 x 4: the sides of a box around (x, y), turned by theta [rad]; lengths in m."""
+    """Sides of a box around (x, y), (4, 4), rotated by theta [rad]; lengths in m."""
     cos, sin = math.cos(theta), math.sin(theta)
     half = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * (length / 2.0, width / 2.0)
     corners = half @ np.array([[cos, sin], [-sin, cos]]) + (x, y)
@@ -18,14 +18,20 @@ def box(x: float, y: float, length: float, width: float, theta: float = 0.0) -> 
 
 
 def outline(left: float, low: float, right: float, high: float) -> Floats:
-    """4 x 4: the sides of an upright rectangle [m]."""
+    """Sides of a rectangle along the axes, (4, 4) [m]."""
     return box((left + right) / 2.0, (low + high) / 2.0, right - left, high - low)
 
 
 def wall(start: tuple[float, float], end: tuple[float, float], doors: Floats) -> Floats:
-    """N x 4: a straight wall with gaps.
+    """Make a straight wall with gaps.
 
-    `doors` is n x 2: where each gap begins and ends, as distances from `start` [m], in order.
+    Args:
+        start: x, y [m].
+        end: x, y [m].
+        doors: (gaps, 2), where each gap begins and ends, as distances from `start` [m], sorted.
+
+    Returns:
+        (segments, 4) [m].
     """
     length = math.dist(start, end)
     edges = np.clip(np.concatenate([[0.0], np.ravel(doors), [length]]), 0.0, length)

@@ -1,4 +1,4 @@
-"""A hash of the source code that a function depends on, as far as that can be known."""
+"""Compute a hash of the source code that a function depends on, as far as that can be known."""
 
 from __future__ import annotations
 
@@ -13,11 +13,16 @@ from typing import Any
 
 
 def fingerprint(function: Any) -> str:
-    """A hash of the source of a function's module, and of the user's own modules that it imports.
+    """Hash the source of a function's module, and of the user's own modules that it imports.
 
-    Of other installed packages only the versions count; this package has a hash of its own. Empty
-    for what isn't a plain function of a module, such as a closure, and where there is no source
-    file, as for what is typed into a notebook.
+    Only the versions of other installed packages count; this package has a hash of its own.
+
+    Args:
+        function: a generator of worlds.
+
+    Returns:
+        The hash; empty for anything but a plain function of a module, such as a closure, and where
+        there is no source file, as in a notebook.
     """
     if not isinstance(function, FunctionType) or function.__closure__:
         return ""
@@ -45,7 +50,7 @@ def of_modules(*modules: str) -> str:
 
 
 def _sources(first: str) -> dict[str, bytes]:
-    """Contents of a module and of those that it imports, and these in turn, by their names."""
+    """Contents of a module and of all that it imports, directly or indirectly, by their names."""
     found: dict[str, bytes] = {}
     waiting = [first]
     while waiting:
@@ -65,7 +70,7 @@ def _sources(first: str) -> dict[str, bytes]:
 
 
 def _imported(source: bytes, package: str) -> Iterator[str]:
-    """Names of modules that some source code may import, not those of Python or this package."""
+    """Names of modules that source code may import, except Python's own and this package's."""
     for node in ast.walk(ast.parse(source)):
         names: list[str] = []
         if isinstance(node, ast.Import):
@@ -79,7 +84,7 @@ def _imported(source: bytes, package: str) -> Iterator[str]:
 
 
 def _file(name: str) -> Path | None:
-    """The source file of a module; None where it has none, or there is no such module."""
+    """The source file of a module; None where there is none."""
     module = sys.modules.get(name)
     try:
         file = module.__file__ if module else getattr(importlib.util.find_spec(name), "origin", "")
@@ -89,4 +94,5 @@ def _file(name: str) -> Path | None:
 
 
 def _installed(file: Path) -> bool:
+    """Whether a file belongs to an installed package."""
     return bool({"site-packages", "dist-packages"} & {*file.parts})

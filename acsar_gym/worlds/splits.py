@@ -1,4 +1,4 @@
-"""Which numbers of a kind of generated world are for training, and which for testing."""
+"""Which numbers of generated worlds are for training, and which for testing."""
 
 from __future__ import annotations
 
@@ -8,14 +8,17 @@ from acsar_gym.worlds import names
 
 TRAIN, TEST = "train", "test"
 NAMES = (TRAIN, TEST)
-"""What may stand behind a kind, as in "clutter:test"."""
+"""What may follow the name of a kind, as in "clutter:test"."""
 _NUMBERS = {TRAIN: range(1000, 1400), TEST: range(200)}
 _BARN_TEST = range(300)
-"""As many as the published ones."""
+"""As many as BARN has published."""
 
 
 def numbers(kind: str, split: str) -> range:
-    """World numbers of a split: 1000 to 1399 to train in; 0 to 199 to test in, 0 to 299 of BARN."""
+    """World numbers of a split: 1000 to 1399 for training.
+
+    0 to 199 for testing, 0 to 299 of BARN.
+    """
     return _BARN_TEST if (kind, split) == ("barn", TEST) else _NUMBERS[split]
 
 
@@ -29,6 +32,9 @@ def holding(kind: str, some: range) -> str:
 
 
 def tested(source: Any) -> Any:
-    """The test split for a kind of world alone; anything else as it is."""
+    """Replace a generator's name without numbers by its test split.
+
+    Return anything else unchanged.
+    """
     name = names.generated(source) if isinstance(source, str) else None
     return source if name is None or name.numbers else f"{name.generator}:{TEST}"

@@ -22,14 +22,14 @@ FARTHEST = 1e4
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """A disc from which a start or a goal is drawn; a point where its radius is zero."""
+    """A disc in which a start or a goal is drawn; a point where its radius is zero."""
 
     x: float
-    """[m]"""
+    """Centre [m]."""
     y: float
-    """[m]"""
+    """Centre [m]."""
     radius: float = 0.0
-    """[m]"""
+    """Radius of the disc [m]."""
     theta: float | None = None
     """Heading of a start [rad]; None is any. A goal has none."""
 
@@ -49,20 +49,20 @@ class Region:
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """Obstacles, start and goal in the world frame (x, y [m], theta [rad]). Worlds never change.
+    """Obstacles, start and goal in the frame of the world (x, y [m], theta [rad]). Immutable.
 
-    Raises WorldError for shapes, NaN, negative radii, or more than 20,000 obstacles.
+    Raises WorldError for wrong shapes, NaN, negative radii, or more than 20,000 obstacles.
     """
 
     circles: Floats = field(default_factory=lambda: np.zeros((0, 3)))
-    """C x 3: x, y, radius [m]."""
+    """(circles, 3): x, y, radius [m]."""
     segments: Floats = field(default_factory=lambda: np.zeros((0, 4)))
-    """S x 4: x1, y1, x2, y2 [m]."""
+    """(segments, 4): x1, y1, x2, y2 [m]."""
     start: Region = Region(0.0, 0.0, 0.0, 0.0)
     goal: Region = Region(1.0, 0.0)
     path: Floats | None = None
-    """P x 2: a way from the start to the goal: the shortest one for the footprint that the world
-    was made for, the published one, or the one to follow [m]."""
+    """(points, 2): a path from the start to the goal [m]: the shortest one for the footprint
+    that the world was made for, the published one, or the one to follow."""
     name: str = ""
 
     def __post_init__(self) -> None:
@@ -79,7 +79,7 @@ class World:
 
     @property
     def obstacles(self) -> int:
-        """How many circles and segments there are."""
+        """Number of circles and segments."""
         return len(self.circles) + len(self.segments)
 
     @cached_property
@@ -104,7 +104,7 @@ class World:
 
 
 def _rows(name: str, rows: Floats | Sequence[Any], width: int) -> Floats:
-    """An own, read-only copy of n x `width` finite numbers."""
+    """A read-only copy of (n, width) finite numbers; WorldError for anything else."""
     try:
         array = np.full(1, np.nan) if np.iscomplexobj(rows) else np.array(rows, np.float64)
     except (TypeError, ValueError, OverflowError):

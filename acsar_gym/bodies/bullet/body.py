@@ -24,7 +24,7 @@ from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.worlds import Scene, World
 
 Floats = NDArray[np.float64]
-# What every loop of the firmware calls, without a look-up in the module each time:
+# Functions that every firmware loop calls; local names avoid a look-up in the module each time.
 _pose_of, _velocity_of = pybullet.getBasePositionAndOrientation, pybullet.getBaseVelocity
 _apply_force, _apply_torque = pybullet.applyExternalForce, pybullet.applyExternalTorque
 _simulate, _WORLD = pybullet.stepSimulation, pybullet.WORLD_FRAME

@@ -194,7 +194,7 @@ def settle_late(state: Floats, i: int, setup: Setup) -> None:
 
 @jit
 def prepare(tables: Tables, first: int, last: int, setup: Setup) -> None:
-    """Note which robots don't drive in this step, and keep the state before it.
+    """Mark robots that don't drive in this step, and keep the state before the step.
 
     `put_back` restores it for robots whose board falls silent during the step.
     """
@@ -229,6 +229,6 @@ def put_back(tables: Tables, first: int, last: int, setup: Setup) -> None:
         if tables.idle[i] and not tables.over[i]:
             for number in range(COMMAND_LOOPS):
                 state[number, i] = tables.kept[number, i]
-            state[SCAN_TICK, i] += setup.ticks  # the scan's age, too
+            state[SCAN_TICK, i] += setup.ticks  # so that the scan's age stays, too
             state[FAULT, i] = SILENCE
             rays(tables, i, setup)[:] = tables.kept_rays[i]

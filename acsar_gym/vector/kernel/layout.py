@@ -241,7 +241,7 @@ class Tables(NamedTuple):
 
 
 class TaskSetup(NamedTuple):
-    """What the task's loops need of `Setup`: fewer numbers to unpack in every call."""
+    """The fields of `Setup` that the task's loops need; every call unpacks them."""
 
     numbers: int
     ticks: int
@@ -254,7 +254,7 @@ class TaskSetup(NamedTuple):
 
 
 class TaskTables(NamedTuple):
-    """What the task's loops need of `Tables`."""
+    """The fields of `Tables` that the task's loops need."""
 
     state: Floats
     over: NDArray[np.bool_]

@@ -1,0 +1,169 @@
+"""Tasks of users in a batch: their memory, their arrays, their mistakes, and numba's cache."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+from acsar_gym import RobotEnv, Task
+from acsar_gym.errors import ConfigError
+from acsar_gym.jit import COMPILED
+from acsar_gym.tasks import Outcome, PointGoal, State
+from acsar_gym.tasks.base import is_compiled
+from acsar_gym.vector.env import RobotVectorEnv
+
+needs_numba = pytest.mark.skipif(not COMPILED, reason="numba isn't installed")
+ACTIONS = np.random.default_rng(0).uniform(-1.0, 1.0, (12, 3, 2)).astype(np.float32)
+
+
+class Remembering(Task):
+    """Plain Python: keeps the scan before, and a list."""
+
+    observation: ClassVar[Mapping[str, tuple[float, float]]] = {"time": (0.0, 100.0)}
+    memory: ClassVar[Mapping[str, Any]] = {"before": None, "history": [], "steps": 0.0}
+    told = ("steps",)
+    sensors = ("lidar",)
+    worlds = "clutter:3"
+
+    def begin(self, state: State, memory: Any) -> None:
+        memory.before = state.ranges
+
+    def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
+        changed = float(abs(state.ranges - memory.before).sum())
+        memory.before = state.ranges
+        memory.history.append(changed)
+        memory.steps = len(memory.history)
+        return changed + memory.steps
+
+    def observe(self, state: State, memory: Any) -> tuple[float, ...]:
+        return (state.time,)
+
+
+def test_what_a_plain_task_keeps_is_its_own() -> None:
+    batch, one = RobotVectorEnv(Remembering, 3), RobotEnv(Remembering, "planar")
+    for seed in (4, 5):  # the second episode remembers nothing of the first
+        batch.reset(seed=seed)
+        one.reset(seed=seed)
+        for action in ACTIONS:
+            *_, info = batch.step(action)
+            _, reward, *_, told = one.step(action[0])
+            assert batch.batch.tables.rewards[0] == pytest.approx(reward, abs=1e-9)
+            assert info["steps"][0] == told["steps"]
+        assert told["steps"] == len(ACTIONS)
+    batch.close()
+    one.close()
+
+
+class Backwards(PointGoal):
+    """Half of a task overridden: its reward counts, in every mode."""
+
+    def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
+        return -state.action[0]
+
+
+def test_a_subclass_has_its_own_reward_in_a_batch() -> None:
+    assert is_compiled(PointGoal())
+    assert not is_compiled(Backwards())
+    batch = RobotVectorEnv(Backwards, 3)
+    batch.reset(seed=0)
+    _, rewards, *_ = batch.step(ACTIONS[0])
+    assert rewards == pytest.approx(-ACTIONS[0, :, 0])
+    batch.close()
+
+
+class Late(Remembering):
+    """What `outcome` returns after the first step isn't an Outcome."""
+
+    def outcome(self, state: State, memory: Any) -> Any:
+        return 7 if state.time > 0.15 else Outcome.GOING
+
+
+@pytest.mark.parametrize("make", [lambda: RobotEnv(Late, "planar"), lambda: RobotVectorEnv(Late)])
+def test_what_is_no_outcome_is_named(make: Any) -> None:
+    env = make()
+    env.reset(seed=0)
+    action = ACTIONS[0, 0] if isinstance(env, RobotEnv) else ACTIONS[0, :1]
+    env.step(action)
+    with pytest.raises(ConfigError, match=r"Late.outcome returned 7: must be an Outcome"):
+        env.step(action)
+    env.close()
+
+
+USER = """
+from acsar_gym import Task
+from {helper} import bonus
+
+
+class Mine(Task):
+    observation = {{"time": (0.0, 100.0)}}
+    compiled = True
+
+    def reward(self, state, memory, outcome):
+        return bonus(state.time) + {own}
+
+    def observe(self, state, memory):
+        return (state.time,)
+"""
+HELPER = """
+from acsar_gym.jit import compilable
+
+
+@compilable
+def bonus(time):
+    return {bonus}
+"""
+RUN = """
+import sys
+import numpy as np
+sys.path.insert(0, ".")
+from acsar_gym.vector.env import RobotVectorEnv
+from mine import Mine
+batch = RobotVectorEnv(Mine, 2)
+batch.reset(seed=0)
+print(batch.step(np.zeros((2, 2)))[1][0], flush=True)
+"""
+
+
+@needs_numba
+def test_an_edited_task_or_helper_is_compiled_anew(tmp_path: Path) -> None:
+    said = []
+    for own, bonus in (("0.0", "1.0"), ("10.0", "1.0"), ("10.0", "2.0")):
+        (tmp_path / "mine.py").write_text(USER.format(helper="helper", own=own))
+        (tmp_path / "helper.py").write_text(HELPER.format(bonus=bonus))
+        done = subprocess.run(
+            [sys.executable, "-c", RUN], cwd=tmp_path, capture_output=True, text=True, check=True
+        )
+        said.append(float(done.stdout))
+    assert said == [1.0, 11.0, 12.0]
+
+
+class OutOfReach(Task):
+    """Asks for a ray that there isn't."""
+
+    observation: ClassVar[Mapping[str, tuple[float, float]]] = {"ray": (0.0, 10.0)}
+    sensors = ("lidar",)
+    worlds = "clutter:2"
+    compiled = True
+
+    def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
+        ray: float = state.ranges[int(640 * (state.time > 0.15))]
+        return ray
+
+    def observe(self, state: State, memory: Any) -> tuple[float, ...]:
+        return (1.0,)
+
+
+@needs_numba
+def test_an_index_out_of_reach_is_an_error_compiled_too() -> None:
+    batch = RobotVectorEnv(OutOfReach)
+    batch.reset(seed=0)
+    batch.step(ACTIONS[0, :1])
+    with pytest.raises(ConfigError, match=r"OutOfReach: index .* out of bounds"):
+        batch.step(ACTIONS[0, :1])
+    batch.close()
