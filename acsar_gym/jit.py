@@ -22,6 +22,8 @@ R = TypeVar("R")
 LOG = logging.getLogger(__name__)
 BATCHES = "acsar_gym.vector.kernel."
 """Modules whose functions take long to compile."""
+TASKS = "acsar_gym.vector.kernel.task"
+"""One of them that is compiled anew, and soon, for every task."""
 NEW: list[str] = []
 """Names of functions that this process has compiled because the cache didn't have them."""
 

@@ -172,6 +172,30 @@ class Task:
         raise NotImplementedError
 
 
+INFO = frozenset(
+    {
+        "is_success",
+        "odom_x",
+        "odom_y",
+        "odom_theta",
+        "feedback_age",
+        "sent_linear",
+        "sent_angular",
+        "sent_reason",
+        "true_x",
+        "true_y",
+        "true_theta",
+        "true_contact",
+        "true_goal_distance",
+        "odometry_error",
+        "fault",
+        "fault_reason",
+        "world",
+        "scan_age",
+        "scan_stale",
+    }
+)
+"""Keys of info that a task's memory can't have."""
 METHODS = ("begin", "outcome", "reward", "observe")
 """The methods of a task that a batch calls, and compiles where the task is compiled."""
 

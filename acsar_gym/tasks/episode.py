@@ -23,6 +23,21 @@ def outcome_of(task: Task, state: State, memory: Memory) -> Outcome:
         ) from None
 
 
+def reward_of(task: Task, state: State, memory: Memory, outcome: Outcome) -> float:
+    """Ask a task for the reward of a step.
+
+    Raises:
+        ConfigError: it is no number.
+    """
+    reward = task.reward(state, memory, outcome)
+    try:
+        return float(reward)
+    except (TypeError, ValueError):
+        raise ConfigError(
+            f"{named(task)}.reward returned {shown(reward)}: must be a number"
+        ) from None
+
+
 class Episode:
     """The running episode of a task: its assignment (world, start, goal) and its memory.
 
@@ -43,7 +58,7 @@ class Episode:
     def step(self, state: State) -> tuple[float, Outcome]:
         """Return the reward and the outcome of the step that led to this state."""
         self.outcome = outcome_of(self.task, state, self.memory)
-        return float(self.task.reward(state, self.memory, self.outcome)), self.outcome
+        return reward_of(self.task, state, self.memory, self.outcome), self.outcome
 
     def observe(self, state: State) -> tuple[float, ...]:
         """Return the task's own numbers of the observation."""

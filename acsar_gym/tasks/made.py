@@ -13,7 +13,16 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, shown, suggestion
 from acsar_gym.reading.objects import imported, name_of
 from acsar_gym.sensors import LIDAR, Sensor
-from acsar_gym.tasks.base import Outcome, State, Task, is_compiled, remembered
+from acsar_gym.tasks.base import (
+    INFO,
+    Memory,
+    Outcome,
+    State,
+    Task,
+    is_compiled,
+    remembered,
+    told,
+)
 
 
 def made(task: Any, options: Mapping[str, Any], others: Sequence[str] = ()) -> Task:
@@ -68,9 +77,15 @@ def _built(task: type[Task], options: Mapping[str, Any], others: Sequence[str]) 
                 f"{suggestion(str(name)[:40], [*known, *others])}"
             )
     try:
-        return task(**options)
+        return task(**{name: _tuples(value) for name, value in options.items()})
     except TypeError as error:
         raise ConfigError(f"{named(task)}: {error}") from None
+
+
+def _tuples(value: Any) -> Any:
+    """Lists of numbers as tuples: JSON, as in an env's spec, has no tuples."""
+    numbers = isinstance(value, list) and all(isinstance(one, int | float) for one in value)
+    return tuple(value) if numbers else value
 
 
 def _listed(options: Mapping[str, Any]) -> str:
@@ -81,7 +96,8 @@ def _listed(options: Mapping[str, Any]) -> str:
 def named(task: Task | type[Task]) -> str:
     """The id of a task, or the name of its class, for messages."""
     kind = task if isinstance(task, type) else type(task)
-    return task.id or kind.__qualname__
+    own: str = vars(task).get("id") or vars(kind).get("id") or kind.__qualname__
+    return own
 
 
 def _check_class(task: Task) -> None:
@@ -128,8 +144,22 @@ def tried(task: Task, config: RobotConfig, sensors: Sequence[Sensor]) -> None:
             f"{named(task)}.observe returned numbers of shape {np.shape(numbers)}: must be "
             f"{len(task.observation)}, as `observation` has names"
         )
+    _check_told(task, memory)
     if is_compiled(task) and not isinstance(numbers, tuple):
         raise ConfigError(f"{named(task)}.observe: must return a tuple where the task is compiled")
+
+
+def _check_told(task: Task, memory: Memory) -> None:
+    """Check that what a task tells in info is numbers, and none of the env's own."""
+    for name in told(task):
+        value = vars(memory)[name]
+        if not isinstance(value, float | int | np.floating | np.integer):
+            raise ConfigError(
+                f"{named(task)}: memory {name!r} = {shown(value)}: is told in info, so must be a "
+                "number; list those that are to be told in `told`"
+            )
+        if name in INFO or name.startswith("drawn_"):
+            raise ConfigError(f"{named(task)}: memory {name!r}: info has that already; rename it")
 
 
 def _example(task: Task, config: RobotConfig, sensors: Sequence[Sensor]) -> State:

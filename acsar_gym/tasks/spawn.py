@@ -76,6 +76,7 @@ class Spawn:
         if source is None and level is not None:
             raise ConfigError(f"difficulty = {shown(level)}: {task.id} has no worlds")
         self.pool = None if source is None else Pool.of(source, level, footprint_radius(config))
+        _check_distances(task)
         self.options: tuple[str, ...] = ("goal",)
         if self.pool is not None:
             self.options = ("world", "difficulty", "path" if task.follows else "goal")
@@ -122,6 +123,19 @@ class Spawn:
                 "the start (goal_distance of the env)"
             )
         return goal
+
+
+def _check_distances(task: Task) -> None:
+    """Raise ConfigError unless `goal_distance` is 0 < nearest <= farthest."""
+    try:
+        nearest, farthest = (float(distance) for distance in task.goal_distance)
+    except (TypeError, ValueError):
+        nearest, farthest = math.nan, math.nan
+    if not 0.0 < nearest <= farthest < math.inf:
+        raise ConfigError(
+            f"goal_distance = {shown(task.goal_distance)}: must be (nearest, farthest) [m], with "
+            "0 < nearest <= farthest"
+        )
 
 
 @jit
@@ -228,4 +242,6 @@ def followed(world: World) -> Floats:
     samples, start, theta = sampled(world.path), world.start, world.start.theta
     cos, sin = math.cos(theta), math.sin(theta)
     points = (samples[:, :2] - (start.x, start.y)) @ np.array([[cos, -sin], [sin, cos]])
-    return np.column_stack([points, samples[:, 2] - theta])
+    seen: Floats = np.column_stack([points, samples[:, 2] - theta])
+    seen.setflags(write=False)  # tasks are told it
+    return seen

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from acsar_gym.errors import ConfigError
 from acsar_gym.jit import COMPILED, NumbaError
 from acsar_gym.tasks.base import Memory, Outcome, State, Task, is_compiled, remembered, told
-from acsar_gym.tasks.episode import outcome_of
+from acsar_gym.tasks.episode import outcome_of, reward_of
 from acsar_gym.tasks.made import named
 from acsar_gym.vector.kernel import layout
 from acsar_gym.vector.kernel import task as kernel
@@ -81,7 +81,7 @@ class CompiledLoops:
         """Call a compiled loop; ConfigError where numba can't compile the task."""
         try:
             loop(self._numbers, self._memory, self._tables, *share, self._setup, self._spawns)
-        except NumbaError as error:
+        except (NumbaError, KeyError, NotImplementedError, TypeError) as error:
             raise kernel.explained(self._task, error) from None
         except (IndexError, ValueError, ZeroDivisionError) as error:
             raise ConfigError(f"{named(self._task)}: {error}, in a compiled method") from None
@@ -130,6 +130,8 @@ class PythonLoops:
 
     def __init__(self, task: Task, tables: TaskTables, setup: TaskSetup, spawns: Spawns) -> None:
         self._task, self._tables, self._setup, self._spawns = task, tables, setup, spawns
+        self._paths = spawns.paths.view()
+        self._paths.setflags(write=False)  # all robots share them
         self._memory: list[Memory] = [remembered(task) for _ in tables.rewards]
         self._numbers = len(task.observation)
         self._constants = (
@@ -163,7 +165,7 @@ class PythonLoops:
         for robot, state in zip(robots.tolist(), self._states(robots), strict=True):
             memory = memories[robot]
             outcome = outcome_of(task, state, memory)
-            rewards.append(task.reward(state, memory, outcome))
+            rewards.append(reward_of(task, state, memory, outcome))
             outcomes.append(outcome)
             rows.append(task.observe(state, memory))
         self._observed(robots, rows)
@@ -218,8 +220,8 @@ class PythonLoops:
         known = len(spawns.lengths) > 0 and not given
         length = float(spawns.lengths[world]) if known else float("nan")
         if len(spawns.samples) == 0:
-            return spawns.paths[0, :0], length
-        return spawns.paths[world, : spawns.samples[world]], length
+            return self._paths[0, :0], length
+        return self._paths[world, : spawns.samples[world]], length
 
     def info(self) -> Info:
         """The task's part of info: what it remembers."""

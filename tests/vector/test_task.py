@@ -64,7 +64,7 @@ class Backwards(PointGoal):
     """Half of a task overridden: its reward counts, in every mode."""
 
     def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
-        return -state.action[0]
+        return -float(state.action[0])
 
 
 def test_a_subclass_has_its_own_reward_in_a_batch() -> None:
@@ -141,6 +141,49 @@ def test_an_edited_task_or_helper_is_compiled_anew(tmp_path: Path) -> None:
         )
         said.append(float(done.stdout))
     assert said == [1.0, 11.0, 12.0]
+
+
+class Bending(Remembering):
+    """Changes the path that it is told, which all robots of a world share."""
+
+    sensors = ()
+    worlds = "smooth_path:2"
+    follows = True
+    memory: ClassVar[Mapping[str, Any]] = {}
+    told = ()
+
+    def begin(self, state: State, memory: Any) -> None:
+        """Nothing to note."""
+
+    def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
+        if state.time > 0.1:
+            state.path[:, 0] += 1.0
+        return 0.0
+
+
+@pytest.mark.parametrize(
+    "make", [lambda: RobotEnv(Bending, "planar"), lambda: RobotVectorEnv(Bending)]
+)
+def test_a_path_cannot_be_changed(make: Any) -> None:
+    env = make()
+    env.reset(seed=0)
+    action = ACTIONS[0, 0] if isinstance(env, RobotEnv) else ACTIONS[0, :1]
+    env.step(action)
+    with pytest.raises(ValueError, match="read-only"):
+        env.step(action)
+    env.close()
+
+
+class Lying(Remembering):
+    """Tells a success of its own."""
+
+    memory: ClassVar[Mapping[str, Any]] = {"before": None, "history": [], "is_success": 1.0}
+    told = ("is_success",)
+
+
+def test_memory_cannot_have_the_names_of_info() -> None:
+    with pytest.raises(ConfigError, match="'is_success': info has that already"):
+        RobotEnv(Lying, "planar")
 
 
 class OutOfReach(Task):

@@ -6,6 +6,7 @@ caches a compiled copy beside the task's own file, under the name of the task's 
 
 from __future__ import annotations
 
+import hashlib
 import sys
 from collections.abc import Callable
 from types import FunctionType
@@ -233,7 +234,18 @@ def _cached_as(kind: type[Task], loop: Callable[..., None]) -> str:
     sources = sources_of(*sorted(own)) if own else FINGERPRINT
     if not sources or "<locals>" in kind.__qualname__:
         return ""
-    return f"{kind.__qualname__}.{loop.__name__}.{FINGERPRINT}.{sources[:16]}"
+    said = hashlib.sha256(f"{FINGERPRINT} {sources}".encode())
+    for name in METHODS:
+        said.update(_content(getattr(kind, name)))
+    return f"{kind.__qualname__}.{loop.__name__}.{said.hexdigest()[:16]}"
+
+
+def _content(method: FunctionType) -> bytes:
+    """What numba compiles of a method: its code, and the values of the names that it uses."""
+    code, known = method.__code__, method.__globals__
+    values = [known.get(name) for name in code.co_names]
+    used = [value for value in values if isinstance(value, bool | int | float | str | tuple)]
+    return f"{code.co_code!r} {code.co_consts!r} {used!r}".encode()
 
 
 def explained(task: Task, error: Exception) -> ConfigError:
