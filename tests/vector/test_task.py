@@ -27,7 +27,7 @@ class Remembering(Task):
 
     observation: ClassVar[Mapping[str, tuple[float, float]]] = {"time": (0.0, 100.0)}
     memory: ClassVar[Mapping[str, Any]] = {"before": None, "history": [], "steps": 0.0}
-    told = ("steps",)
+    told: ClassVar[tuple[str, ...] | None] = ("steps",)
     sensors = ("lidar",)
     worlds = "clutter:3"
 
