@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.errors import ConfigError
-from acsar_gym.jit import COMPILED, FINGERPRINT, jit
+from acsar_gym.jit import COMPILED, jit
+from acsar_gym.jit import loop as compiled
 from acsar_gym.tasks.base import METHODS, State, Task
 from acsar_gym.tasks.made import named
 from acsar_gym.vector.kernel.episode import report
@@ -217,10 +218,9 @@ def bound(loop: Callable[..., None], task: Task) -> Callable[..., None]:
     code = template.__code__.replace(co_filename=file, co_firstlineno=1)
     copy = FunctionType(code, template.__globals__ | names, loop.__name__)
     copy.__module__ = kind.__module__
-    copy.__qualname__ = f"{kind.__qualname__}.{loop.__name__}.{FINGERPRINT}"
+    copy.__qualname__ = f"{kind.__qualname__}.{loop.__name__}"
     keep = getattr(module, "__file__", None) is not None
-    compiled: Callable[..., None] = numba.njit(cache=keep, error_model="numpy", nogil=True)(copy)
-    return compiled
+    return compiled(copy, keep=keep)
 
 
 def explained(task: Task, error: Exception) -> ConfigError:
