@@ -1,9 +1,9 @@
 """Compilation by numba where it is installed; plain Python with the same results where it isn't.
 
-Compiled code is cached on disk, beside its source where that can be written. numba recompiles when
-a function's own file has changed, but not when another file has changed whose functions were
-compiled into it. So this module deletes cached code that is older than any source file of the
-package.
+Compiled code is cached on disk: beside its source, or where numba keeps it otherwise. numba
+recompiles when a function's own file has changed, but not when another file has changed whose
+functions were compiled into it. So this module stamps cached code with a fingerprint of all source
+files of the package; code with another stamp is compiled anew.
 
 A batch's first reset in a new installation compiles for up to a minute. The logger
 "acsar_gym.jit" says so before, as a warning: Python prints it to stderr by default.
@@ -11,7 +11,7 @@ A batch's first reset in a new installation compiles for up to a minute. The log
 
 from __future__ import annotations
 
-import contextlib
+import hashlib
 import logging
 from collections.abc import Callable
 from pathlib import Path
@@ -26,35 +26,21 @@ TASKS = "acsar_gym.vector.kernel.task"
 """One of them that is compiled anew, and soon, for every task."""
 NEW: list[str] = []
 """Names of functions that this process has compiled because the cache didn't have them."""
+NOT_CACHED: list[str] = []
+"""Why numba can't cache, once a function couldn't be cached."""
 
 
-def _newest(package: Path) -> int:
-    """Time of the last change of any source file of a package [ns]."""
-    return max(source.stat().st_mtime_ns for source in package.rglob("*.py"))
-
-
-FINGERPRINT = f"{_newest(Path(__file__).parent):x}"
-"""Time stamp of this package's sources, part of the names of compiled functions that numba
-caches beside other packages' files."""
-
-
-def forget_stale(package: Path) -> list[Path]:
-    """Delete the cache indices below `package` that are older than its newest source file.
+def fingerprint(package: Path) -> str:
+    """Hash of the contents of all source files of a package.
 
     Args:
         package: folder of the package.
-
-    Returns:
-        The deleted files.
     """
-    newest = _newest(package)
-    stale = []
-    for index in package.rglob("*.nbi"):
-        with contextlib.suppress(OSError):  # gone meanwhile, or not ours to delete
-            if index.stat().st_mtime_ns < newest:
-                index.unlink()
-                stale.append(index)
-    return stale
+    digest = hashlib.sha256()
+    for source in sorted(package.rglob("*.py")):
+        content = source.read_bytes()
+        digest.update(f"{source.relative_to(package)} {len(content)}\n".encode() + content)
+    return digest.hexdigest()
 
 
 try:
@@ -70,7 +56,11 @@ except ImportError:
         """Return the function unchanged: numba isn't installed."""
         return function
 
-    loop = compilable = jit
+    compilable = jit
+
+    def loop(function: Callable[P, R], *, keep: bool = True) -> Callable[P, R]:
+        """Return the function unchanged: numba isn't installed."""
+        return function
 
     def overloads(function: Callable[..., Any]) -> Callable[[Callable[P, R]], Callable[P, R]]:
         """Decorator that changes nothing: numba isn't installed."""
@@ -86,19 +76,48 @@ except ImportError:
 else:
     COMPILED = True
     NumbaError = errors.NumbaError
-    forget_stale(Path(__file__).parent)
     leading = to_fixed_tuple
+    FINGERPRINT = fingerprint(Path(__file__).parent)
 
     def jit(function: Callable[P, R]) -> Callable[P, R]:
         """Compile a scalar function and inline it into callers, so that loops vectorize."""
-        options = {"cache": True, "error_model": "numpy", "nogil": True}
-        compiled: Callable[P, R] = numba.njit(forceinline=True, **options)(function)
-        return compiled
+        return _compiled(function, forceinline=True)
 
-    def loop(function: Callable[P, R]) -> Callable[P, R]:
-        """Compile a function that loops over scalar functions. It releases the GIL."""
-        compiled: Callable[P, R] = numba.njit(cache=True, error_model="numpy", nogil=True)(function)
-        return compiled
+    def loop(function: Callable[P, R], *, keep: bool = True) -> Callable[P, R]:
+        """Compile a function that loops over scalar functions. It releases the GIL.
+
+        Args:
+            function: the loop.
+            keep: whether to cache the compiled code on disk.
+        """
+        return _compiled(function, keep=keep)
+
+    def _compiled(
+        function: Callable[P, R], *, keep: bool = True, forceinline: bool = False
+    ) -> Callable[P, R]:
+        """Compile a function; without a cache where numba can't write one."""
+        options = {"forceinline": forceinline, "error_model": "numpy", "nogil": True}
+        compiled: Any = None
+        if keep and not numba.config.DISABLE_JIT:
+            try:
+                compiled = numba.njit(cache=True, **options)(function)
+                file = compiled._cache._cache_file  # noqa: SLF001 - numba has no other way
+                file._source_stamp = (file._source_stamp, FINGERPRINT)  # noqa: SLF001
+            except (RuntimeError, AttributeError) as error:
+                _uncached(str(error))
+                compiled = None
+        plain: Callable[P, R] = compiled or numba.njit(**options)(function)
+        return plain
+
+    def _uncached(why: str) -> None:
+        """Warn, once, that numba can't cache."""
+        if not NOT_CACHED:
+            NOT_CACHED.append(why)
+            LOG.warning(
+                "acsar_gym: numba can't keep compiled code, so every process compiles anew: "
+                "set NUMBA_CACHE_DIR to a folder that can be written (%s)",
+                why,
+            )
 
     def compilable(function: Callable[P, R]) -> Callable[P, R]:
         """Leave a function as it is for Python, but let compiled functions call it, too."""
@@ -120,7 +139,8 @@ else:
             """Note a function that is compiled next, because the cache doesn't have it."""
             function = event.data["dispatcher"].py_func
             NEW.append(f"{function.__module__}.{function.__qualname__}")
-            if not self.said and (function.__module__ or "").startswith(BATCHES):
+            module = function.__module__ or ""
+            if not self.said and module.startswith(BATCHES) and module != TASKS:
                 self.said = True
                 LOG.warning(
                     "acsar_gym: compiling the loops of batches, about a minute, once after each "

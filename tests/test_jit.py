@@ -1,4 +1,4 @@
-"""Compiled code: its cache goes when any source is newer; what takes long is announced."""
+"""Compiled code: its cache is unused when any source has changed; what takes long is announced."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,27 +15,61 @@ from acsar_gym import cli
 from acsar_gym import jit as compiled
 from acsar_gym.envs import warm_up
 from acsar_gym.errors import MissingExtraError
-from acsar_gym.jit import forget_stale
+from acsar_gym.tasks import PointGoal
+from acsar_gym.vector.kernel import task as kernel
 
 needs_numba = pytest.mark.skipif(not compiled.COMPILED, reason="nothing is compiled")
 
 
-def touch(path: Path, time: float) -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.touch()
-    os.utime(path, (time, time))
-    return path
+def test_the_fingerprint_is_that_of_names_and_contents_of_all_sources(tmp_path: Path) -> None:
+    (tmp_path / "deep").mkdir()
+    caller, called = tmp_path / "caller.py", tmp_path / "deep" / "called.py"
+    caller.write_text("x = 1")
+    called.write_text("y = 1")
+    before = compiled.fingerprint(tmp_path)
+    os.utime(caller, (100.0, 100.0))
+    (tmp_path / "notes.txt").touch()
+    assert compiled.fingerprint(tmp_path) == before
+    called.write_text("y = 2")
+    os.utime(called, (100.0, 100.0))  # older than any cached code
+    after = compiled.fingerprint(tmp_path)
+    called.rename(tmp_path / "deep" / "other.py")
+    assert len({before, after, compiled.fingerprint(tmp_path)}) == 3
 
 
-def test_indices_older_than_any_source_are_dropped(tmp_path: Path) -> None:
-    touch(tmp_path / "called.py", 200.0)
-    touch(tmp_path / "caller.py", 100.0)
-    old = touch(tmp_path / "__pycache__" / "caller.nbi", 150.0)
-    new = touch(tmp_path / "deep" / "__pycache__" / "other.nbi", 250.0)
-    assert forget_stale(tmp_path) == [old]
-    assert not old.exists()
-    assert new.exists()
-    assert forget_stale(tmp_path) == []
+def plus_one(x: float) -> float:
+    return x + 1.0
+
+
+@needs_numba
+@pytest.mark.parametrize("decorator", [compiled.jit, compiled.loop])
+def test_cached_code_is_used_until_any_source_changes_wherever_numba_keeps_it(
+    decorator: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path))
+
+    def hits() -> int:
+        function = decorator(plus_one)
+        assert function(1.0) == 2.0
+        assert Path(function.stats.cache_path).parent == tmp_path
+        return sum(function.stats.cache_hits.values())
+
+    assert [hits(), hits()] == [0, 1]
+    monkeypatch.setattr(compiled, "FINGERPRINT", "of an edited package")
+    assert [hits(), hits()] == [0, 1]
+
+
+@needs_numba
+def test_where_no_cache_can_be_written_functions_are_compiled_without(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("numba.core.caching.CacheImpl._locator_classes", [])
+    monkeypatch.setattr(compiled, "NOT_CACHED", [])
+    assert compiled.jit(plus_one)(1.0) == 2.0
+    assert compiled.loop(plus_one)(1.0) == 2.0
+    assert callable(kernel.bound(kernel.start, PointGoal()))
+    assert len(caplog.messages) == 1
+    assert "set NUMBA_CACHE_DIR to a folder that can be written" in caplog.messages[0]
 
 
 COMPILE = """

@@ -38,6 +38,7 @@ class Safety:
         self._memory[0] = 0.0
         self.halt(Reason.NONE)
         self.allowed(0.0, 0.0, (0.0, 0.0, 0.0), 0.0)  # loads compiled code before driving
+        rules.hold(0.0, 0.0, 0.0, self._memory, self._numbers)  # and that of `bounded`
 
     def estop(self) -> None:
         """Hold the wheels at zero from now until the reset."""

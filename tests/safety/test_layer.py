@@ -11,10 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from acsar_gym import Robot, RobotConfig, kinematics
+from acsar_gym import jit as compiled
 from acsar_gym.envs.base import RobotEnv
 from acsar_gym.links import open_link
 from acsar_gym.protocol import Decoder
 from acsar_gym.resources import ASSETS
+from acsar_gym.safety import rules
 from acsar_gym.safety.layer import Safety
 from acsar_gym.safety.rules import Reason
 from acsar_gym.worlds import Scene
@@ -255,3 +257,16 @@ def test_info_says_what_was_sent_and_why(link: str) -> None:
     *_, info = env.step(np.array([1.0, 0.0], np.float32))
     assert (info["sent_linear"], info["sent_reason"]) == (0.0, 4.0)
     env.close()
+
+
+@pytest.mark.skipif(not compiled.COMPILED, reason="nothing is compiled")
+def test_after_a_reset_nothing_is_left_to_compile(monkeypatch: pytest.MonkeyPatch) -> None:
+    functions: list[Any] = [compiled.jit(getattr(rules, name).py_func) for name in ("tick", "hold")]
+    for function in functions:
+        monkeypatch.setattr(rules, function.__name__, function)
+    safety = Safety(ACSAR)
+    before = [list(function.signatures) for function in functions]
+    safety.allowed(0.2, 0.1, ORIGIN, 0.0)
+    safety.bounded((3.0, 3.0, 3.0, 3.0), ORIGIN, 0.0)
+    assert [function.signatures for function in functions] == before
+    assert all(before)

@@ -39,7 +39,7 @@ class Remembering(Task):
         memory.before = state.ranges
         memory.history.append(changed)
         memory.steps = len(memory.history)
-        return changed + memory.steps
+        return changed + len(memory.history)
 
     def observe(self, state: State, memory: Any) -> tuple[float, ...]:
         return (state.time,)
