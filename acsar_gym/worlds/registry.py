@@ -74,9 +74,10 @@ def register(name: str, make: Maker) -> None:
     `gymnasium.vector.AsyncVectorEnv`, that are spawned and not forked.
 
     Worlds of a batch are kept on disk, under the source of the module of `make` and of those it
-    imports its names from. A closure or callable object, and one whose source can't be read, is
-    called anew every time. Where worlds depend on something else, such as a file that is read, set
-    ACSAR_GYM_CACHE=off.
+    imports its names from, and the numbers and strings that are default arguments of `make`. A
+    closure or callable object, one with other default arguments, and one whose source can't be
+    read, is called anew every time. Where worlds depend on something else, such as a file that is
+    read, set ACSAR_GYM_CACHE=off.
 
     Args:
         name: lower-case letters, digits and underscores, at most 40, beginning with a letter.

@@ -16,18 +16,29 @@ def fingerprint(function: Any) -> str:
     """A hash of the source of a function's module, and of the user's own modules that it imports.
 
     Of other installed packages only the versions count; this package has a hash of its own. Empty
-    for what isn't a plain function of a module, such as a closure, and where there is no source
-    file, as for what is typed into a notebook.
+    for what isn't a plain function of a module, such as a closure or a function with default
+    arguments that aren't numbers or strings, and where there is no source file, as for what is
+    typed into a notebook.
     """
     if not isinstance(function, FunctionType) or function.__closure__:
         return ""
-    said = hashlib.sha256(function.__qualname__.encode())
+    defaults = [*(function.__defaults__ or ()), *sorted((function.__kwdefaults__ or {}).items())]
+    if not all(map(_exact, defaults)):
+        return ""
+    said = hashlib.sha256(f"{function.__qualname__} {defaults}".encode())
     try:
         for name, content in sorted(_sources(function.__module__).items()):
             said.update(f"{name} {len(content)} ".encode() + content)
     except (OSError, SyntaxError, ValueError):
         return ""
     return said.hexdigest()
+
+
+def _exact(value: Any) -> bool:
+    """Whether the value's repr() is all of it."""
+    if isinstance(value, tuple):
+        return all(map(_exact, value))
+    return value is None or type(value) in (bool, int, float, str)
 
 
 def _sources(first: str) -> dict[str, bytes]:
