@@ -146,7 +146,7 @@ def test_an_edited_task_or_helper_is_compiled_anew(tmp_path: Path) -> None:
 class Bending(Remembering):
     """Changes the path that it is told, which all robots of a world share."""
 
-    sensors = ()
+    sensors: tuple[Any, ...] = ()
     worlds = "smooth_path:2"
     follows = True
     memory: ClassVar[Mapping[str, Any]] = {}
