@@ -201,11 +201,13 @@ class Batch:
     def _sense(self, begun: Mask, *, driven: bool) -> None:
         """Reset and read Python sensors of robots that have begun.
 
-        Read the others' too if driven.
+        Read the others' too if driven. Those whose board is silent at the reset get zeros.
         """
         if len(self.python):
             columns = self.tables.observations[:, self._first_python :]
-            self.python.reset(np.flatnonzero(begun), columns)
+            silent = self.state[layout.SILENT] > 0.0
+            columns[begun & silent] = 0.0
+            self.python.reset(np.flatnonzero(begun & ~silent), columns)
             if driven:
                 self.python.read(np.flatnonzero(~self.tables.idle), columns)
 
