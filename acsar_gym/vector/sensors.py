@@ -253,10 +253,10 @@ def _group(factory: Any, config: RobotConfig, robots: int, view: View) -> _Each 
             f"sensor {one.name!r}: a batch has no LiDAR but its own: name it {LIDAR!r} in sensors"
         )
     if hasattr(one, "read_batch"):
-        if overrides(one, "poll") or overrides(one, "info"):
+        if any(overrides(one, method) for method in ("reset", "poll", "info")):
             raise ConfigError(
-                f"sensor {one.name!r}: has read_batch, so poll and info aren't used in a batch: "
-                "leave one or the other away"
+                f"sensor {one.name!r}: has read_batch, so reset, poll and info aren't used in a "
+                "batch: leave one or the other away"
             )
         return _Whole(one)
     if one is factory:

@@ -215,6 +215,11 @@ class Polled(AtOnce):
         """Isn't called in a batch."""
 
 
+class Biased(AtOnce):
+    def reset(self, scene: Any, rng: Any) -> None:
+        """Isn't called in a batch."""
+
+
 def own_lidar(link: Any, config: Any) -> Sensor:
     return LidarSensor(SimulatedLidar(link, config), config)
 
@@ -233,7 +238,8 @@ class Other(ThreeRays):
     [
         ((ThreeRays, ThreeRays), "two are named 'three_rays'"),
         ((ThreeRays(None, None),), "needs one for each robot: pass its class"),  # type: ignore[arg-type]
-        ((Polled,), "has read_batch, so poll and info aren't used"),
+        ((Polled,), "has read_batch, so reset, poll and info aren't used"),
+        ((Biased,), "has read_batch, so reset, poll and info aren't used"),
         ((own_lidar,), "sensor 'lidar': a batch has no LiDAR but its own: name it 'lidar'"),
         (("lidar",), "sensors: two are named 'lidar'"),
         (("lidr",), "unknown sensor 'lidr'"),
