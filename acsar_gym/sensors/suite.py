@@ -156,7 +156,12 @@ def check_names(sensors: Sequence[Sensor]) -> None:
     names = [sensor.name for sensor in sensors]
     for name in names:
         if names.count(name) > 1:
-            raise ConfigError(f"sensors: two are named {name!r}: give each a name of its own")
+            raise ConfigError(two_named(name))
+
+
+def two_named(name: str) -> str:
+    """The message about two sensors with the same name."""
+    return f"sensors: two are named {name!r}: give each a name of its own"
 
 
 def checked(sensor: Sensor, numbers: Any) -> Floats:

@@ -12,16 +12,15 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.dynamics import Randomization, physics
 from acsar_gym.dynamics.randomization import places
 from acsar_gym.lidars.base import LidarSensor
-from acsar_gym.lidars.factory import factories
 from acsar_gym.lidars.simulated import SimulatedLidar
-from acsar_gym.sensors import LIDAR, Factory, Sensor
+from acsar_gym.sensors import Factory, Sensor
 from acsar_gym.tasks.base import Task
 from acsar_gym.tasks.spawn import Spawn
 from acsar_gym.vector import pcg
 from acsar_gym.vector.kernel import episode, layout
 from acsar_gym.vector.links import RobotLink, View
 from acsar_gym.vector.options import Wishes
-from acsar_gym.vector.sensors import BatchSensors
+from acsar_gym.vector.sensors import BatchSensors, in_python
 from acsar_gym.vector.setup import counts_kept, lines_kept
 from acsar_gym.vector.tables import spawns, surroundings, worlds_of
 from acsar_gym.vector.task import Loops, loops_of
@@ -68,8 +67,7 @@ class Batch:
         self._drawn = {f"drawn_{name}": list(places(name)) for name in randomization.names}
         self.tables = self._tables(randomization)
         self._view = View(self.tables.state, self.tables.random, setup.dt, worlds)
-        python = factories([sensor for sensor in sensors if sensor != LIDAR])
-        self.python = BatchSensors(python, config, robots, self._view)
+        self.python = BatchSensors(in_python(sensors), config, robots, self._view)
         width = self._first_python + self.python.size
         observations = np.zeros((robots, width), np.float32)
         self.tables = self.tables._replace(observations=observations)
@@ -201,11 +199,13 @@ class Batch:
     def _sense(self, begun: Mask, *, driven: bool) -> None:
         """Reset and read Python sensors of robots that have begun.
 
-        Read the others' too if driven.
+        Read the others' too if driven. Those whose board is silent at the reset get zeros.
         """
         if len(self.python):
             columns = self.tables.observations[:, self._first_python :]
-            self.python.reset(np.flatnonzero(begun), columns)
+            silent = self.state[layout.SILENT] > 0.0
+            columns[begun & silent] = 0.0
+            self.python.reset(np.flatnonzero(begun & ~silent), columns)
             if driven:
                 self.python.read(np.flatnonzero(~self.tables.idle), columns)
 

@@ -15,8 +15,17 @@ from numpy.typing import NDArray
 from acsar_gym.bodies.base import GroundTruth
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, SensorError, shown
-from acsar_gym.sensors import Factory, Sensor
-from acsar_gym.sensors.suite import add_info, check_names, checked, made_by, unused
+from acsar_gym.lidars.base import LidarSensor
+from acsar_gym.lidars.factory import factories
+from acsar_gym.sensors import LIDAR, Factory, Sensor
+from acsar_gym.sensors.suite import (
+    add_info,
+    check_names,
+    checked,
+    made_by,
+    two_named,
+    unused,
+)
 from acsar_gym.vector.links import Floats, RobotLink, Robots, Truths, View
 from acsar_gym.vector.pcg import Lent
 from acsar_gym.worlds import Scene
@@ -224,14 +233,30 @@ class _Whole:
         """Do nothing: such a sensor has no info."""
 
 
+def in_python(sensors: Sequence[str | Sensor | Factory]) -> list[Sensor | Factory]:
+    """Factories of the sensors of a batch that aren't compiled: all but the LiDAR.
+
+    Raises:
+        ConfigError: A name is unknown, or the LiDAR is named twice.
+    """
+    rest = [sensor for sensor in sensors if sensor != LIDAR]
+    if len(sensors) - len(rest) > 1:
+        raise ConfigError(two_named(LIDAR))
+    return factories(rest)
+
+
 def _group(factory: Any, config: RobotConfig, robots: int, view: View) -> _Each | _Whole:
     """Make the sensors of one factory for all robots. ConfigError where a batch can't use them."""
     one = made_by(factory, RobotLink(view, 0), config)
+    if one.name == LIDAR or isinstance(one, LidarSensor):
+        raise ConfigError(
+            f"sensor {one.name!r}: a batch has no LiDAR but its own: name it {LIDAR!r} in sensors"
+        )
     if hasattr(one, "read_batch"):
-        if overrides(one, "poll") or overrides(one, "info"):
+        if any(overrides(one, method) for method in ("reset", "poll", "info")):
             raise ConfigError(
-                f"sensor {one.name!r}: has read_batch, so poll and info aren't used in a batch: "
-                "leave one or the other away"
+                f"sensor {one.name!r}: has read_batch, so reset, poll and info aren't used in a "
+                "batch: leave one or the other away"
             )
         return _Whole(one)
     if one is factory:

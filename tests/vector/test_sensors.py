@@ -10,6 +10,8 @@ import pytest
 from range_finder import BEARINGS, REACH, ThreeRays
 
 from acsar_gym.errors import ConfigError, SensorError
+from acsar_gym.lidars.base import LidarSensor
+from acsar_gym.lidars.simulated import SimulatedLidar
 from acsar_gym.sensors import Sensor
 from acsar_gym.worlds.geometry import look
 
@@ -213,6 +215,15 @@ class Polled(AtOnce):
         """Isn't called in a batch."""
 
 
+class Biased(AtOnce):
+    def reset(self, scene: Any, rng: Any) -> None:
+        """Isn't called in a batch."""
+
+
+def own_lidar(link: Any, config: Any) -> Sensor:
+    return LidarSensor(SimulatedLidar(link, config), config)
+
+
 class Shadow(ThreeRays):
     def info(self, now: float) -> dict[str, float]:
         return {"odom_x": 0.0}
@@ -227,7 +238,10 @@ class Other(ThreeRays):
     [
         ((ThreeRays, ThreeRays), "two are named 'three_rays'"),
         ((ThreeRays(None, None),), "needs one for each robot: pass its class"),  # type: ignore[arg-type]
-        ((Polled,), "has read_batch, so poll and info aren't used"),
+        ((Polled,), "has read_batch, so reset, poll and info aren't used"),
+        ((Biased,), "has read_batch, so reset, poll and info aren't used"),
+        ((own_lidar,), "sensor 'lidar': a batch has no LiDAR but its own: name it 'lidar'"),
+        (("lidar",), "sensors: two are named 'lidar'"),
         (("lidr",), "unknown sensor 'lidr'"),
         ((Shadow,), "info tells 'odom_x', which is there already"),
         ((ThreeRays, Other), "'other': info tells 'three_rays_time'"),

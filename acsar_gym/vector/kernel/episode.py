@@ -12,7 +12,7 @@ from acsar_gym.jit import jit, loop
 from acsar_gym.tasks.base import relative, within
 from acsar_gym.tasks.spawn import goal_at
 from acsar_gym.vector.kernel.dynamics import ask, command
-from acsar_gym.vector.kernel.fault_injection import draw_key, prepare, put_back, settle_late
+from acsar_gym.vector.kernel.fault_injection import draw_key, prepare, put_back, rays, settle_late
 from acsar_gym.vector.kernel.layout import (
     BLOCK,
     COMMAND_LOOPS,
@@ -32,6 +32,7 @@ from acsar_gym.vector.kernel.layout import (
     PHYSICS,
     SCAN_AGE,
     SCAN_TICK,
+    SILENT,
     STALE,
     START_COS,
     START_SIN,
@@ -158,6 +159,9 @@ def begin(tables: Tables, i: int, setup: Setup, spawns: Spawns) -> None:
     equip(tables, i, setup)
     if setup.faults.possible:
         settle_late(state, i, setup)
+        if state[SILENT, i] > 0.0:
+            tables.ranges[i, :] = 0.0
+            rays(tables, i, setup)[:] = 0.0
         return
     settled = settle_ticks(state[DELAY_LOOPS, i], state[FEEDBACK_LOOPS, i], setup.loops)
     state[LOOPS, i] = settled * setup.loops

@@ -12,6 +12,7 @@ from acsar_gym.vector.kernel.layout import (
     CONTACT,
     SCAN_TICK,
     SCANS,
+    SILENT,
     START_COS,
     START_SIN,
     STEPS,
@@ -92,8 +93,13 @@ def look(
     setup: Setup,
     around: Surroundings,
 ) -> None:
-    """Take the scans that are due, of robots whose entry in the mask equals `wanted`."""
+    """Take the scans that are due, of robots whose entry in the mask equals `wanted`.
+
+    Robots whose board is silent at the reset (tick -1) take none, as in the single env, whose
+    reset then fails.
+    """
     uniforms = np.empty(setup.draws)
     for i in range(first, last):
-        if mask[i] == wanted and is_due(tables.state, i, tick, setup):
+        hears = tick >= 0 or tables.state[SILENT, i] == 0.0
+        if mask[i] == wanted and hears and is_due(tables.state, i, tick, setup):
             scan(tables, i, tick, uniforms, setup, around)
