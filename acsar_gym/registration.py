@@ -48,11 +48,14 @@ def register(
         max_episode_steps: time limit of an episode [steps]; None is none.
         reward_threshold: mean return from which the task counts as solved.
         **options: defaults of the env's and the task's options, such as worlds="clutter:train".
+            Those that only a single env has (lidar, on_fault, view) don't count in a batch, and
+            those that only a batch has (autoreset_mode, threads) not in a single env.
 
     Raises:
         ConfigError: where `task` isn't a class of tasks.
     """
     from acsar_gym.tasks.made import importable  # noqa: PLC0415 - this module is light
+    from acsar_gym.tasks.options import by_mode  # noqa: PLC0415
 
     gymnasium = importlib.import_module(GYMNASIUM)
     gymnasium.register(
@@ -61,7 +64,7 @@ def register(
         vector_entry_point="acsar_gym.vector.env:RobotVectorEnv",
         max_episode_steps=max_episode_steps,
         reward_threshold=reward_threshold,
-        kwargs={"task": importable(task), **options},
+        kwargs={"task": importable(task), **by_mode(options)},
     )
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 from typing import Any, Self
 
 from acsar_gym.errors import ConfigError, RenderError, shown
+from acsar_gym.tasks.options import with_defaults
 
 RENDER_MODES = ("human", "rgb_array")
 
@@ -49,7 +50,8 @@ class EnvOptions:
         """Separate the options of the env from those of the task.
 
         Args:
-            given: all options, by name.
+            given: all options, by name; "defaults" has those that `acsar_gym.register` was given
+                and only one mode knows.
 
         Returns:
             The env's options, and the others.
@@ -58,8 +60,9 @@ class EnvOptions:
             ConfigError: for values that are unknown.
         """
         own = cls.names()
-        rest = {name: value for name, value in given.items() if name not in own}
-        return cls(**{name: value for name, value in given.items() if name in own}), rest
+        asked = with_defaults(given, own)
+        rest = {name: value for name, value in asked.items() if name not in own}
+        return cls(**{name: value for name, value in asked.items() if name in own}), rest
 
     def check_view(self, link: Any) -> None:
         """Raise RenderError for view="camera" where the link has no camera."""

@@ -9,6 +9,30 @@ from typing import Any
 from acsar_gym.errors import ConfigError, shown, suggestion
 from acsar_gym.tasks.base import Goal
 
+ONE_MODE = ("autoreset_mode", "lidar", "on_fault", "threads", "view")
+"""Options that only batches or only single envs have."""
+DEFAULTS = "defaults"
+"""The argument of both in which an id's registered defaults of such options are."""
+
+
+def by_mode(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Move an id's defaults that only one mode has to DEFAULTS; see `with_defaults`."""
+    own = {name: value for name, value in options.items() if name in ONE_MODE}
+    shared = {name: value for name, value in options.items() if name not in ONE_MODE}
+    return shared | ({DEFAULTS: own} if own else {})
+
+
+def with_defaults(options: Mapping[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
+    """Add an id's registered defaults of options that only one mode has.
+
+    Args:
+        options: as given to an env or a batch.
+        names: of this mode's options; defaults with other names belong to the other mode.
+    """
+    given = dict(options)
+    defaults = given.pop(DEFAULTS, {})
+    return {name: value for name, value in defaults.items() if name in names} | given
+
 
 def known(options: Mapping[str, Any], names: tuple[str, ...]) -> Mapping[str, Any]:
     """Check the names of a reset's options.

@@ -13,6 +13,7 @@ from gymnasium.vector import AutoresetMode
 
 from acsar_gym import jit
 from acsar_gym.errors import ConfigError, shown
+from acsar_gym.tasks.options import with_defaults
 
 MOST_ROBOTS = 1_000_000
 """Robots of a batch, at most; so many take about 2 GB."""
@@ -66,7 +67,8 @@ class BatchOptions:
         """Separate the options of the batch from those of the task.
 
         Args:
-            given: all options, by name.
+            given: all options, by name; "defaults" has those that `acsar_gym.register` was given
+                and only one mode knows.
 
         Returns:
             The batch's options, and the others.
@@ -75,8 +77,9 @@ class BatchOptions:
             ConfigError: for values that are unknown or out of range.
         """
         own = cls.names()
-        rest = {name: value for name, value in given.items() if name not in own}
-        return cls(**{name: value for name, value in given.items() if name in own}), rest
+        asked = with_defaults(given, own)
+        rest = {name: value for name, value in asked.items() if name not in own}
+        return cls(**{name: value for name, value in asked.items() if name in own}), rest
 
 
 def _autoreset(mode: AutoresetMode | str) -> AutoresetMode:
