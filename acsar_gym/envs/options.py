@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from typing import Any, Self
 
 from acsar_gym.errors import ConfigError, RenderError, shown
-from acsar_gym.tasks.options import with_defaults
+from acsar_gym.tasks.options import listed, with_defaults
 
 RENDER_MODES = ("human", "rgb_array")
 
@@ -31,6 +31,7 @@ class EnvOptions:
     on_fault: str = "truncate"
 
     def __post_init__(self) -> None:
+        listed("sensors", self.sensors)
         if self.render_mode not in (None, *RENDER_MODES):
             raise ConfigError(
                 f"render_mode = {shown(self.render_mode)}: must be None, human or rgb_array"

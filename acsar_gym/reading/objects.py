@@ -6,7 +6,7 @@ import importlib
 import sys
 from typing import Any
 
-from acsar_gym.errors import ConfigError, shown
+from acsar_gym.errors import AcsarError, ConfigError, shortened, shown
 
 
 def imported(what: str, name: str) -> Any:
@@ -17,16 +17,32 @@ def imported(what: str, name: str) -> Any:
         name: of the module, which is imported, and of the object in it.
 
     Raises:
-        ConfigError: there is none of that name.
+        ConfigError: there is none of that name, or its module can't be imported.
     """
     module, _, attribute = name.partition(":")
+    if not all(part.isidentifier() for part in (*module.split("."), *attribute.split("."))):
+        raise ConfigError(f"{what} = {shown(name)}: must be like 'module:Class'")
     try:
         found: Any = importlib.import_module(module)
         for part in attribute.split("."):
             found = getattr(found, part)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise ConfigError(f"{what} = {shown(name)}: {error}; must be like 'module:Class'") from None
+    except AcsarError:
+        raise
+    except (ImportError, AttributeError) as error:
+        raise ConfigError(
+            f"{what} = {shown(name)}: {_one_line(error)}; must be like 'module:Class'"
+        ) from None
+    except (Exception, SystemExit) as error:
+        said = f"{type(error).__name__}: {_one_line(error)}"
+        raise ConfigError(
+            f"{what} = {shown(name)}: the module {module} can't be imported: {said}"
+        ) from error
     return found
+
+
+def _one_line(error: BaseException) -> str:
+    """The message of an error, shortened and without line breaks."""
+    return shortened(" ".join(str(error).split()), 300)
 
 
 def name_of(kind: type) -> str | None:

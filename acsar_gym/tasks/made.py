@@ -105,6 +105,7 @@ def _check_class(task: Task) -> None:
     for name in ("reward", "observe"):
         if getattr(type(task), name) is getattr(Task, name):
             raise ConfigError(f"{named(task)}: has no method {name}()")
+    _check_types(task)
     for name, bounds in task.observation.items():
         try:
             low, high = (float(bound) for bound in bounds)
@@ -117,6 +118,17 @@ def _check_class(task: Task) -> None:
     for name in task.told or ():
         if name not in task.memory:
             raise ConfigError(f"{named(task)}: told {name!r}: isn't in memory")
+
+
+def _check_types(task: Task) -> None:
+    """Check that a task's attributes are mappings and tuples; ConfigError where they aren't."""
+    for name, wanted in (("observation", Mapping), ("memory", Mapping), ("sensors", Sequence)):
+        value = getattr(task, name)
+        if not isinstance(value, wanted) or isinstance(value, str):
+            kind = "mapping" if wanted is Mapping else "tuple"
+            raise ConfigError(f"{named(task)}: {name} = {shown(value)}: must be a {kind}")
+    if isinstance(task.told, str):
+        raise ConfigError(f"{named(task)}: told = {task.told!r}: must be a tuple of names")
 
 
 def tried(task: Task, config: RobotConfig, sensors: Sequence[Sensor]) -> None:

@@ -57,6 +57,20 @@ def known(options: Mapping[str, Any], names: tuple[str, ...]) -> Mapping[str, An
     return options
 
 
+def listed(name: str, value: Any) -> None:
+    """Check that an option is a list or a tuple.
+
+    Args:
+        name: of the option, for the message.
+        value: of the option.
+
+    Raises:
+        ConfigError: for anything else.
+    """
+    if not isinstance(value, list | tuple):
+        raise ConfigError(f"{name} = {shown(value)}: must be a list, such as [ThreeRays]")
+
+
 def positive(name: str, value: Any) -> float:
     """Check that an option is a positive, finite number, and return it.
 

@@ -13,7 +13,7 @@ from gymnasium.vector import AutoresetMode
 
 from acsar_gym import jit
 from acsar_gym.errors import ConfigError, shown
-from acsar_gym.tasks.options import with_defaults
+from acsar_gym.tasks.options import listed, with_defaults
 
 MOST_ROBOTS = 1_000_000
 """Robots of a batch, at most; so many take about 2 GB."""
@@ -40,6 +40,7 @@ class BatchOptions:
     render_mode: str | None = None
 
     def __post_init__(self) -> None:
+        listed("sensors", self.sensors)
         if self.link != "planar":
             raise ConfigError(
                 f"link = {self.link!r}: a batch has planar robots; for others make_vec with "
