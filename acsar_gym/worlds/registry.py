@@ -78,8 +78,9 @@ def register(name: str, make: Maker) -> None:
     `worlds="mine.module:corridors:0-99"`: on the command line, and in worker processes that are
     spawned and not forked, such as those of `gymnasium.vector.AsyncVectorEnv`.
 
-    Worlds of a batch are kept on disk, with a hash of the source of the module of `make` and of
-    the modules that it imports. A closure or callable object, and a function whose source can't be
+    Worlds of a batch are kept on disk, with a hash of the source of the module of `make`, of the
+    modules that it imports, and of the numbers and strings that are default arguments of `make`. A
+    closure or callable object, and a function with other default arguments or whose source can't be
     read, is called anew every time. Where worlds depend on something else, such as a file that is
     read, set ACSAR_GYM_CACHE=off.
 

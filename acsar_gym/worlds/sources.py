@@ -21,13 +21,16 @@ def fingerprint(function: Any) -> str:
         function: a generator of worlds.
 
     Returns:
-        The hash; empty for anything but a plain function of a module, such as a closure, and where
-        there is no source file, as in a notebook.
+        The hash; empty for anything but a plain function of a module, such as a closure or a
+        function with default arguments that aren't numbers or strings, and where there is no
+        source file, as in a notebook.
     """
     if not isinstance(function, FunctionType) or function.__closure__:
         return ""
-    said = of_modules(function.__module__)
-    return hashlib.sha256(f"{function.__qualname__} {said}".encode()).hexdigest() if said else ""
+    defaults = [*(function.__defaults__ or ()), *sorted((function.__kwdefaults__ or {}).items())]
+    said = of_modules(function.__module__) if all(map(_exact, defaults)) else ""
+    about = f"{function.__qualname__} {defaults} {said}".encode()
+    return hashlib.sha256(about).hexdigest() if said else ""
 
 
 def of_modules(*modules: str) -> str:
@@ -47,6 +50,13 @@ def of_modules(*modules: str) -> str:
     except (OSError, SyntaxError, ValueError):
         return ""
     return said.hexdigest()
+
+
+def _exact(value: Any) -> bool:
+    """Whether the value's repr() is all of it."""
+    if isinstance(value, tuple):
+        return all(map(_exact, value))
+    return value is None or type(value) in (bool, int, float, str)
 
 
 def _sources(first: str) -> dict[str, bytes]:

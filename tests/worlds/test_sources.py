@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from acsar_gym.worlds.sources import fingerprint
@@ -65,3 +66,19 @@ def test_what_is_not_a_plain_function_of_a_file_has_none() -> None:
     for made in (outer(1), print, Path, typed["make"]):
         assert fingerprint(made) == ""
     assert fingerprint(test_every_file_that_is_imported_counts) != ""
+
+
+def test_default_arguments_count() -> None:
+    def factory(length: Any, width: Any = 1.0) -> Any:
+        def make(
+            rng: Any, difficulty: Any, radius: Any, size: Any = length, *, w: Any = width
+        ) -> None:
+            pass
+
+        return make
+
+    prints = [fingerprint(factory(*sizes)) for sizes in [(1,), (1.5,), ("a",), (None,), (1, 2)]]
+    assert len({*prints, ""}) == 6
+    assert fingerprint(factory((1, 2.0))) == fingerprint(factory((1, 2.0)))
+    for size in ([1], Path(), (Path(),), np.zeros(2)):
+        assert fingerprint(factory(size)) == fingerprint(factory(1, size)) == ""
