@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,3 +33,8 @@ class ThreeRays(acsar_gym.Sensor):
     def info(self, now: float) -> dict[str, float]:
         """When it was read."""
         return {"three_rays_time": now}
+
+
+def three_rays(link: Any, config: acsar_gym.RobotConfig) -> ThreeRays:
+    """A factory that is a function."""
+    return ThreeRays(link, config)

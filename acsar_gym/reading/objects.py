@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import sys
+from types import FunctionType
 from typing import Any
 
 from acsar_gym.errors import AcsarError, ConfigError, shortened, shown
@@ -45,8 +46,8 @@ def _one_line(error: BaseException) -> str:
     return shortened(" ".join(str(error).split()), 300)
 
 
-def name_of(kind: type) -> str | None:
-    """The "module:Class" that imports a class; None where none does, as for a local class."""
+def name_of(kind: type | FunctionType) -> str | None:
+    """The "module:name" that imports a class or function; None where none does: a local one."""
     found: Any = sys.modules.get(kind.__module__)
     for part in kind.__qualname__.split("."):
         found = getattr(found, part, None)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from enum import Enum
 from pathlib import Path
+from types import FunctionType
 from typing import Any
 
 import numpy as np
@@ -35,9 +36,15 @@ class PlainSpec:
     def spec(self, spec: EnvSpec | None) -> None:
         if spec is not None:
             spec = copy.copy(spec)
-            spec.kwargs = {name: plain(value) for name, value in spec.kwargs.items()}
+            named = {**spec.kwargs, "sensors": _named(spec.kwargs.get("sensors", ()))}
+            spec.kwargs = {name: plain(named[name]) for name in spec.kwargs}
             object.__setattr__(self.task, "id", spec.id)  # a task's class may have several ids
         self._spec = spec
+
+
+def _named(sensors: Sequence[Any]) -> list[Any]:
+    """Replace functions among an env's `sensors` by their names, where these import them."""
+    return [(isinstance(one, FunctionType) and name_of(one)) or one for one in sensors]
 
 
 def plain(value: Any) -> Any:

@@ -13,7 +13,7 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from numpy.typing import NDArray
-from range_finder import REACH, ThreeRays
+from range_finder import REACH, ThreeRays, three_rays
 from serial_tools import Emulated, no_leak
 
 from acsar_gym import RobotConfig, Sensor, World
@@ -98,10 +98,11 @@ def test_a_copy_has_a_sensor_of_its_own(make: Make) -> None:
     other.close()
 
 
-def test_its_spec_is_plain_and_makes_an_equal_env() -> None:
-    env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar", sensors=[ThreeRays])
+@pytest.mark.parametrize("factory", [ThreeRays, three_rays])
+def test_its_spec_is_plain_and_makes_an_equal_env(factory: Any) -> None:
+    env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar", sensors=[factory])
     assert env.spec is not None
-    assert '"range_finder:ThreeRays"' in env.spec.to_json()
+    assert f'"range_finder:{factory.__name__}"' in env.spec.to_json()
     again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
     assert (again.reset(seed=1)[0] == env.reset(seed=1)[0]).all()
     local = gymnasium.make("acsar_gym/PointGoal-v0", link="planar", sensors=[broken(None)])
