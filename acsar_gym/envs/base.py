@@ -204,8 +204,8 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         self.robot.deactivate()
         assert self._told_last is not None  # noqa: S101 - for the type checker
         (observation, info), self._told_last = self._told_last, None
-        reason = {"fault": float(fault_code(error)), "fault_reason": str(error)}
-        return observation.copy(), 0.0, False, True, info | {"is_success": 0.0} | reason
+        why = {"is_success": 0.0, "fault": float(fault_code(error)), "fault_reason": str(error)}
+        return observation, 0.0, False, True, info | self._randomizer.info() | why
 
     def _drive(self, linear: float, angular: float) -> None:
         """Drive towards a twist [m/s, rad/s] for one env step, then read the sensors."""
@@ -239,19 +239,19 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def _told(self, episode: Episode, state: State) -> tuple[Observation, Info]:
         """Observation and info after a reset or step; also updates the screen."""
-        truth = self._truth
-        self._screen.show(state, truth, newest_scan(self.robot.sensors))
+        self._screen.show(state, self._truth, newest_scan(self.robot.sensors))
         numbers = np.array(episode.observe(state), np.float32)
         if numbers.shape != (len(self.task.observation),):
             raise ConfigError(
                 f"{named(self.task)}.observe returned numbers of shape {numbers.shape}: must be "
                 f"({len(self.task.observation)},)"
             )
-        info = info_of(episode, state, truth) | self._randomizer.info()
-        if self._faulty is not None or truth is None:
+        info = info_of(episode, state, self._truth) | self._randomizer.info()
+        if self._faulty is not None or self._truth is None:
             info["fault"] = 0.0
         self.robot.tell(info)
-        self._told_last = told = np.concatenate([numbers, state.sensed]), info
+        told = np.concatenate([numbers, state.sensed]), info
+        self._told_last = told[0].copy(), info.copy()  # a caller may change its own
         return told
 
     @property
