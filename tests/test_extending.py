@@ -18,6 +18,7 @@ from acsar_gym import RobotConfig, open_link
 from acsar_gym.lidars.base import Scan
 from acsar_gym.links.recording import RecordingLink
 from acsar_gym.links.replay import ReplayLink
+from acsar_gym.worlds import registry
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "extending.md"
 TASK = "mine.clearance:mine/Clearance-v0"
@@ -45,6 +46,7 @@ def mine(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     yield package
     sys.path.remove(str(folder))
     gymnasium.registry.pop("mine/Clearance-v0", None)
+    registry._OWN.pop("corridors", None)
     for name in [name for name in sys.modules if name.split(".")[0] == "mine"]:
         del sys.modules[name]
 
