@@ -6,6 +6,7 @@ import os
 import statistics
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import gymnasium
@@ -15,6 +16,7 @@ from rich.table import Table
 from acsar_gym import jit as compiled
 from acsar_gym.bench import worlds as bench_worlds
 from acsar_gym.bench.measure import Figure, each
+from acsar_gym.bench.own_task import PlainSmoothGoal, SmoothGoal
 from acsar_gym.bench.worlds import crowd
 from acsar_gym.config import RobotConfig
 from acsar_gym.envs import ObstacleGoalVectorEnv, PointGoalVectorEnv
@@ -32,6 +34,9 @@ CROWDS = 64
 """Number of worlds in the batch with obstacles."""
 STEPS = 100
 """Env steps in one block."""
+
+
+OWN_TASKS = (SmoothGoal, PlainSmoothGoal)
 
 
 def measure(policy: str | None = None) -> list[Figure]:
@@ -146,12 +151,16 @@ def _batch(single: float) -> list[Figure]:
         _stepper(seeing, ROBOTS, 1, **among), _stepper(seeing, ROBOTS, cores, **among)
     )
     few, many = _stepper(blind, 16, 1), _stepper(blind, 16384, 1)
+    own = [_stepper(partial(RobotVectorEnv, task), ROBOTS, 1) for task in OWN_TASKS]
+    compiled_task, plain_task = (ROBOTS / _median(step, 20) for step in own)
     return [
         Figure(f"batch of {ROBOTS} planar robots, one core", speed, "steps/s"),
         Figure("batch against the PyBullet env", speed / single, "x the steps"),
         Figure(f"batch on {cores} cores against one", gain, "x the steps"),
         Figure("batch with 64 rays and 60 obstacles, one core", rays, "steps/s"),
         Figure(f"that batch on {cores} cores against one", gain_rays, "x the steps"),
+        Figure("batch with a user's compiled task, one core", compiled_task, "steps/s"),
+        Figure("batch with that task in plain Python", plain_task, "steps/s"),
         Figure("batch of 16 robots: one step call", _median(few, 20) * 1e6, "us"),
         Figure("batch of 16,384 robots, a robot", each(many, 5) / 16384 * 1e6, "us"),
     ]
