@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from enum import IntEnum
 from types import SimpleNamespace
 from typing import Any, ClassVar, NamedTuple
@@ -272,7 +272,3 @@ def relative(
 def clipped(value: float, limit: float) -> float:
     """Clip a value to -limit to limit."""
     return min(max(value, -limit), limit)
-
-
-Factory = Callable[..., Task]
-"""Makes a task from its options."""

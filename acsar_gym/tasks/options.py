@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, Self
 
 from acsar_gym.errors import ConfigError, shown, suggestion
 from acsar_gym.tasks.base import Goal
@@ -32,6 +33,46 @@ def with_defaults(options: Mapping[str, Any], names: tuple[str, ...]) -> dict[st
     given = dict(options)
     defaults = given.pop(DEFAULTS, {})
     return {name: value for name, value in defaults.items() if name in names} | given
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """The options that single environments and batches share; each has a subclass of it."""
+
+    worlds: Any = None
+    difficulty: Any = None
+    sensors: Sequence[Any] = ()
+    policy_rate: float = 10.0
+    faults: Any = None
+    randomization: Any = None
+    render_mode: str | None = None
+
+    def __post_init__(self) -> None:
+        listed("sensors", self.sensors)
+
+    @classmethod
+    def names(cls) -> tuple[str, ...]:
+        """Names of all options."""
+        return tuple(field.name for field in fields(cls))
+
+    @classmethod
+    def split(cls, given: Mapping[str, Any]) -> tuple[Self, dict[str, Any]]:
+        """Separate these options from those of the task.
+
+        Args:
+            given: all options, by name; "defaults" has those that `acsar_gym.register` was given
+                and only one mode knows.
+
+        Returns:
+            These options, and the others.
+
+        Raises:
+            ConfigError: for values that are unknown or out of range.
+        """
+        own = cls.names()
+        asked = with_defaults(given, own)
+        rest = {name: value for name, value in asked.items() if name not in own}
+        return cls(**{name: value for name, value in asked.items() if name in own}), rest
 
 
 def known(options: Mapping[str, Any], names: tuple[str, ...]) -> Mapping[str, Any]:

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
-from typing import Any, Self
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from acsar_gym import jit
 from acsar_gym.errors import ConfigError, shown
-from acsar_gym.tasks.options import listed, with_defaults
+from acsar_gym.tasks.options import Options
 
 MOST_ROBOTS = 1_000_000
 """Robots of a batch, at most; so many take about 2 GB."""
@@ -24,23 +23,16 @@ FAIR_SHARE = 256
 
 
 @dataclass(frozen=True, kw_only=True)
-class BatchOptions:
+class BatchOptions(Options):
     """The options of a batch; `RobotVectorEnv` describes them."""
 
-    worlds: Any = None
-    difficulty: Any = None
-    sensors: Sequence[Any] = ()
-    policy_rate: float = 10.0
     max_episode_steps: int | None = None
     autoreset_mode: Any = AutoresetMode.NEXT_STEP
     threads: int | None = None
-    randomization: Any = None
-    faults: Any = None
     link: str = "planar"
-    render_mode: str | None = None
 
     def __post_init__(self) -> None:
-        listed("sensors", self.sensors)
+        super().__post_init__()
         if self.link != "planar":
             raise ConfigError(
                 f"link = {self.link!r}: a batch has planar robots; for others make_vec with "
@@ -57,30 +49,6 @@ class BatchOptions:
                 RuntimeWarning,
                 stacklevel=6,
             )
-
-    @classmethod
-    def names(cls) -> tuple[str, ...]:
-        """Names of all options."""
-        return tuple(field.name for field in fields(cls))
-
-    @classmethod
-    def split(cls, given: Mapping[str, Any]) -> tuple[Self, dict[str, Any]]:
-        """Separate the options of the batch from those of the task.
-
-        Args:
-            given: all options, by name; "defaults" has those that `acsar_gym.register` was given
-                and only one mode knows.
-
-        Returns:
-            The batch's options, and the others.
-
-        Raises:
-            ConfigError: for values that are unknown or out of range.
-        """
-        own = cls.names()
-        asked = with_defaults(given, own)
-        rest = {name: value for name, value in asked.items() if name not in own}
-        return cls(**{name: value for name, value in asked.items() if name in own}), rest
 
 
 def _autoreset(mode: AutoresetMode | str) -> AutoresetMode:
