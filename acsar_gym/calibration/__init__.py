@@ -1,0 +1,1 @@
+"""Measures wheel radii and the turn factor of a robot on the floor."""
