@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import gc
-import math
 import warnings
 from collections.abc import Iterable, Sequence
 from types import TracebackType
@@ -17,31 +16,22 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import LinkError, SafetyWarning
 from acsar_gym.lidars.factory import factories
 from acsar_gym.links.base import Link
-from acsar_gym.links.handshake import silence, still_turning
 from acsar_gym.links.lateness import EpisodeTiming, Stopwatch
 from acsar_gym.odometry import Odometry
-from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds, line_end, line_of
-from acsar_gym.safety import rules
+from acsar_gym.protocol import ZERO, Decoder, Speeds
 from acsar_gym.safety.estop import StopListener
 from acsar_gym.safety.layer import Safety
 from acsar_gym.sensors import Factory, Sensor, Sensors
+from acsar_gym.wire import STANDSTILL, Wire
 from acsar_gym.worlds import Scene
-
-STANDSTILL = 0.1
-"""Wheels slower than this count as standing still [rad/s]."""
-STANDSTILL_TIMEOUT = 5.0
-"""How long a reset waits for the wheels to stand still [s]."""
-STANDSTILL_TICKS = 2
-"""How many fresh readings in a row must show standstill."""
 
 
 class Robot:
     """Drives the robot, real or simulated, behind `link`.
 
-    Attributes: `link`, `config`, `odometry`; `speeds`, the newest wheel speeds [rad/s], old ones
-    for motors that a line doesn't name; `feedback_age`, the time since the last valid line [s];
-    `decoder`, with the counters of refused input; `safety`, with the twist that was really sent
-    and the reason where it isn't the one asked for; `sensors`, the LiDAR first.
+    Attributes: `link`, `config`, `odometry`; `wire`, the lines to and from the board; `safety`,
+    with the twist that was really sent and the reason where it isn't the one asked for; `sensors`,
+    the LiDAR first.
 
     As a context manager it is active inside the block, and stopped and closed on any way out of it.
 
@@ -66,19 +56,12 @@ class Robot:
             self.config.wheel_separation,
             self.config.wheel_separation_multiplier,
         )
-        self.decoder = Decoder()
-        self.speeds: Speeds = ZERO
-        self.feedback_age = 0.0
+        self.wire = Wire(link, self.config)
         self.active = False
         self.safety = Safety(self.config)
         self._listener: StopListener | None = None
         self._stopwatch: Stopwatch | None = None
-        self._stamp = 0.0
         self._period = self.config.period
-        self._end = line_end(trailing_comma=self.config.trailing_comma)
-        self._encoded: Speeds = ZERO
-        self._command = line_of(*ZERO, self._end)
-        self._rules = rules.of(self.config)
         self._clocked = self.sensors.clocked
 
     def activate(self) -> None:
@@ -102,13 +85,10 @@ class Robot:
             if self.link.truth is None and self._listener is None:
                 self._listen()
             self.link.reset(scene)
-            self.decoder.reset()
             self.safety.reset()
-            self.speeds = ZERO
-            self.feedback_age = 0.0
-            self._stamp = self.link.now()
+            self.wire.reset()
             self._stopwatch = None
-            self._settle()
+            self.wire.settle()
         except BaseException:
             self.deactivate()
             raise
@@ -148,23 +128,6 @@ class Robot:
             said = f"'acsar-gym estop' can't stop this robot: {self._listener.unavailable}"
             warnings.warn(said, SafetyWarning, stacklevel=4)
 
-    def _settle(self) -> None:
-        """Command zero until the wheels stand still.
-
-        Counts ticks, so that clock jumps don't matter.
-        """
-        standing = 0
-        for _ in range(math.ceil(STANDSTILL_TIMEOUT / self._period)):
-            self._exchange(ZERO)
-            if self.feedback_age == 0.0:
-                still = max(map(abs, self.speeds)) < STANDSTILL
-                standing = standing + 1 if still else 0
-            if standing == STANDSTILL_TICKS:
-                return
-        if max(map(abs, self.speeds)) < STANDSTILL:
-            raise silence(self.feedback_age, sum(self.decoder.refused.values()))
-        raise still_turning(STANDSTILL_TIMEOUT, self.speeds)
-
     def tick(self, speeds: Sequence[float]) -> None:
         """Do one control period: send four wheel speeds [rad/s], read feedback, update odometry.
 
@@ -178,7 +141,7 @@ class Robot:
         """
         try:
             self._heed()
-            pose, age = self.odometry.pose, self.feedback_age
+            pose, age = self.odometry.pose, self.wire.age
             self._exchange(self.safety.bounded(speeds, pose, age))
             if self._clocked:
                 self.sensors.poll()
@@ -193,13 +156,28 @@ class Robot:
         """
         try:
             self._heed()
-            pose, age = self.odometry.pose, self.feedback_age
+            pose, age = self.odometry.pose, self.wire.age
             self._exchange(self.safety.allowed(linear, angular, pose, age))
             if self._clocked:
                 self.sensors.poll()
         except BaseException:
             self.deactivate()
             raise
+
+    @property
+    def decoder(self) -> Decoder:
+        """The wire's decoder."""
+        return self.wire.decoder
+
+    @property
+    def speeds(self) -> Speeds:
+        """The newest wheel speeds [rad/s]."""
+        return self.wire.speeds
+
+    @property
+    def feedback_age(self) -> float:
+        """Time since the newest valid line [s]."""
+        return self.wire.age
 
     def _heed(self) -> None:
         """Stop where a stop was requested; LinkError where the robot isn't active."""
@@ -227,7 +205,7 @@ class Robot:
         """Send a zero command; no time passes."""
         self.safety.halt(self.safety.reason)
         if self.active:
-            self.link.write(self._line(ZERO))
+            self.wire.send(ZERO)
 
     def close(self) -> None:
         """Command zero, close the link and the sensors; idempotent."""
@@ -251,37 +229,23 @@ class Robot:
             self.link.close()
 
     def _exchange(self, speeds: Speeds) -> None:
-        link = self.link
+        """Send wheel speeds, let one control period pass, and update odometry."""
+        wire = self.wire
         if self._stopwatch is not None:
-            turns = max(map(abs, self.speeds)) > STANDSTILL
-            self._stopwatch.asked(self._stamp, drives=any(speeds), turns=turns)
-        link.write(self._line(speeds))
-        readings = self.decoder.feed(link.advance(self._period))
-        stamp = link.now()
-        dt = stamp - self._stamp
-        self._stamp = stamp
-        self.feedback_age = 0.0 if readings else self.feedback_age + dt
-        self._integrate(readings, dt)
+            turns = max(map(abs, wire.speeds)) > STANDSTILL
+            self._stopwatch.asked(wire.stamp, drives=any(speeds), turns=turns)
+        heard, dt = wire.exchange(speeds)
+        self._integrate(heard, dt)
         if self._stopwatch is not None:
-            self._stopwatch.tick(link.lateness or 0.0, self.feedback_age)
-        if rules.silent(self.feedback_age, self._rules):
-            raise silence(self.feedback_age, sum(self.decoder.refused.values()))
+            self._stopwatch.tick(self.link.lateness or 0.0, wire.age)
 
-    def _line(self, speeds: Speeds) -> bytes:
-        """The command line; encoded again only where the tuple of speeds is another object."""
-        if speeds is not self._encoded:
-            self._encoded, self._command = speeds, line_of(*speeds, self._end)
-        return self._command
-
-    def _integrate(self, readings: list[Reading], dt: float) -> None:
-        """Update odometry with the newest reading; after a pause, with all, each for its share."""
-        paused = dt > 2.0 * self._period and len(readings) > 1
-        for reading in readings:
-            self.speeds = reading.over(self.speeds)
-            if paused:
-                self.odometry.update(self.speeds, dt / len(readings))
-        if not paused:
-            self.odometry.update(self.speeds, dt)
+    def _integrate(self, heard: list[Speeds], dt: float) -> None:
+        """Update odometry with the newest speeds; after a pause, with all, each for its share."""
+        if dt > 2.0 * self._period and len(heard) > 1:
+            for speeds in heard:
+                self.odometry.update(speeds, dt / len(heard))
+        else:
+            self.odometry.update(self.wire.speeds, dt)
 
     def __reduce__(self) -> tuple[type[Robot], tuple[Link, RobotConfig, tuple[Sensor, ...]]]:
         """Copies and pickles are inactive robots with a link and sensors of their own."""

@@ -11,8 +11,8 @@ from acsar_gym.config import BITS_PER_BYTE, LINE_BYTES, RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.links.faults import Faults
 from acsar_gym.links.faulty_wire import BUFFER
-from acsar_gym.robot import STANDSTILL_TIMEOUT
 from acsar_gym.vector.kernel.layout import LineFaults
+from acsar_gym.wire import STANDSTILL_TIMEOUT
 
 KNOWN = ("dropped_lines", "late_lines", "lateness", "episodes", "direction")
 

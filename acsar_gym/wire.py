@@ -1,0 +1,103 @@
+"""The robot's end of the wire: four wheel speeds to command lines, feedback lines to speeds."""
+
+from __future__ import annotations
+
+import math
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.links.base import Link
+from acsar_gym.links.handshake import silence, still_turning
+from acsar_gym.protocol import ZERO, Decoder, Speeds, line_end, line_of
+from acsar_gym.safety import rules
+
+STANDSTILL = 0.1
+"""Wheels slower than this count as standing still [rad/s]."""
+STANDSTILL_TIMEOUT = 5.0
+"""How long a reset waits for the wheels to stand still [s]."""
+STANDSTILL_TICKS = 2
+"""How many fresh readings in a row must show standstill."""
+
+
+class Wire:
+    """Exchanges lines with the board behind a link, one command line in each control period.
+
+    Attributes: `decoder`, with the counters of refused input; `speeds`, the newest wheel speeds
+    [rad/s], old ones for motors that a line doesn't name; `age`, the time since the newest valid
+    line [s]; `stamp`, the link's time at the end of the newest period [s].
+
+    Args:
+        link: To the board.
+        config: Of the robot.
+    """
+
+    def __init__(self, link: Link, config: RobotConfig) -> None:
+        self.decoder = Decoder()
+        self._link = link
+        self._period = config.period
+        self._rules = rules.of(config)
+        self._end = line_end(trailing_comma=config.trailing_comma)
+        self._encoded: Speeds = ZERO
+        self._command = line_of(*ZERO, self._end)
+        self.speeds: Speeds = ZERO
+        self.age = 0.0
+        self.stamp = 0.0
+
+    def reset(self) -> None:
+        """Forget what was received; the wheels count as standing."""
+        self.decoder.reset()
+        self.speeds = ZERO
+        self.age = 0.0
+        self.stamp = self._link.now()
+
+    def send(self, speeds: Speeds) -> None:
+        """Send a command line; it is encoded again only where `speeds` is another object."""
+        if speeds is not self._encoded:
+            self._encoded, self._command = speeds, line_of(*speeds, self._end)
+        self._link.write(self._command)
+
+    def exchange(self, speeds: Speeds) -> tuple[list[Speeds], float]:
+        """Send a command line, let one control period pass, and decode what arrived in it.
+
+        Args:
+            speeds: Of the four wheels [rad/s].
+
+        Returns:
+            The wheel speeds of each line that arrived, oldest first, and how long the period was
+            by the link's clock [s].
+
+        Raises:
+            LinkError: The link is lost, or the board was silent for `feedback_timeout`.
+        """
+        self.send(speeds)
+        link = self._link
+        heard = []
+        for reading in self.decoder.feed(link.advance(self._period)):
+            self.speeds = reading.over(self.speeds)
+            heard.append(self.speeds)
+        stamp = link.now()
+        lasted = stamp - self.stamp
+        self.stamp = stamp
+        self.age = 0.0 if heard else self.age + lasted
+        if rules.silent(self.age, self._rules):
+            raise silence(self.age, sum(self.decoder.refused.values()))
+        return heard, lasted
+
+    def settle(self) -> None:
+        """Command zero until the wheels stand still.
+
+        Counts control periods, so that clock jumps don't matter.
+
+        Raises:
+            LinkError: As for `exchange`, or the wheels keep turning.
+        """
+        standing = 0
+        for _ in range(math.ceil(STANDSTILL_TIMEOUT / self._period)):
+            self.exchange(ZERO)
+            if self.age == 0.0:
+                still = max(map(abs, self.speeds)) < STANDSTILL
+                standing = standing + 1 if still else 0
+            if standing == STANDSTILL_TICKS:
+                return
+        if max(map(abs, self.speeds)) < STANDSTILL:
+            raise silence(self.age, sum(self.decoder.refused.values()))
+        raise still_turning(STANDSTILL_TIMEOUT, self.speeds)
