@@ -34,7 +34,7 @@ class Firmware:
         self._body = body
         self._end = line_end(trailing_comma=config.trailing_comma)
         self._dt = 1.0 / config.firmware.loop_rate
-        self._ramp = config.motor.acceleration * self._dt
+        self._ramp = config.motor.of_wheel(0).acceleration * self._dt
         self._top = config.motor.max_speed
         self._byte_time = BITS_PER_BYTE / config.baud_rate
         self._processing = config.firmware.processing_time

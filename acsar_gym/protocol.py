@@ -1,8 +1,8 @@
 r"""Codec of the serial protocol, without any I/O: speeds to lines, bytes to readings.
 
-A line is `ap12.50,bn08.75,cp15.00,dn10.25\r\n`: motor letter (a front_right, b front_left,
+A line is `ap12.50,bn08.75,cp15.00,dn10.25,\r\n`: motor letter (a front_right, b front_left,
 c rear_left, d rear_right), direction (p forward, n backward), speed in rad/s with two digits and
-two decimals. Commands and encoder feedback have the same format.
+two decimals; the last comma is optional. Commands and encoder feedback have the same format.
 Source: the robot's hardware interface document, sections 2.3 and 5.3.2.
 """
 
@@ -38,7 +38,7 @@ _MOST_KNOWN = 5000
 """Largest number of cached parts per motor."""
 
 
-def encode(speeds: Sequence[float], *, trailing_comma: bool = False) -> bytes:
+def encode(speeds: Sequence[float], *, trailing_comma: bool = True) -> bytes:
     """Encode four wheel speeds as one line, for commands and feedback alike.
 
     Args:

@@ -164,8 +164,8 @@ def test_rounding_and_saturation(speed: float, text: str) -> None:
 
 
 def test_the_documents_example_in_the_documents_wheel_order() -> None:
-    assert encode(GOOD_SPEEDS) == b"ap12.50,bn08.75,cp15.00,dn10.25\r\n"
-    assert encode(GOOD_SPEEDS, trailing_comma=True) == b"ap12.50,bn08.75,cp15.00,dn10.25,\r\n"
+    assert encode(GOOD_SPEEDS) == b"ap12.50,bn08.75,cp15.00,dn10.25,\r\n"
+    assert encode(GOOD_SPEEDS, trailing_comma=False) == b"ap12.50,bn08.75,cp15.00,dn10.25\r\n"
     assert speeds_of(b"ap15.23,bn12.45,cp14.67,dn13.89\r\n") == [(15.23, -12.45, 14.67, -13.89)]
 
 

@@ -2,13 +2,20 @@
 
 The first block of `RobotConfig` has the parameters that the robot's own driver reads from its URDF.
 The sections `motor`, `encoder`, `firmware` and `body` describe board and robot for simulated links
-only. `lidar` is the range sensor, simulated or real. Bad values raise one `ConfigError` that names
-field, value and allowed range.
+only. `lidar` is the range sensor, simulated or real, and `measured` has the intervals of what was
+measured. Bad values raise one `ConfigError` that names field, value and allowed range.
 """
 
 from acsar_gym.config.lidar import LidarConfig
 from acsar_gym.config.limits import Geofence, SpeedLimits
-from acsar_gym.config.parts import BodyConfig, EncoderConfig, FirmwareConfig, MotorConfig
+from acsar_gym.config.measured import Measured
+from acsar_gym.config.parts import (
+    BodyConfig,
+    EncoderConfig,
+    FirmwareConfig,
+    MotorConfig,
+    WheelMotor,
+)
 from acsar_gym.config.rates import whole_ratio
 from acsar_gym.config.robot import RobotConfig, RobotSource
 from acsar_gym.config.wire import BAUD_RATES, BITS_PER_BYTE, LINE_BYTES
@@ -22,9 +29,11 @@ __all__ = [
     "FirmwareConfig",
     "Geofence",
     "LidarConfig",
+    "Measured",
     "MotorConfig",
     "RobotConfig",
     "RobotSource",
     "SpeedLimits",
+    "WheelMotor",
     "whole_ratio",
 ]

@@ -17,6 +17,7 @@ from acsar_gym.config.limits import (
     SpeedLimits,
     accelerating,
 )
+from acsar_gym.config.measured import Measured, check_names
 from acsar_gym.config.parts import BodyConfig, EncoderConfig, FirmwareConfig, MotorConfig
 from acsar_gym.config.rates import whole_ratio
 from acsar_gym.config.section import Section
@@ -30,8 +31,8 @@ USUAL_RATES = (200.0, 100.0, 50.0, 40.0, 25.0, 20.0, 10.0, 5.0, 2.0, 1.0)
 """Rates that error messages suggest [Hz]."""
 MOST_SAMPLES = 2_000
 """Most encoder readings that the simulated firmware stores for averaging."""
-TWIN = ("motor", "encoder", "firmware", "body")
-"""Sections for the simulation only, which the robot's own driver doesn't have."""
+TWIN = ("motor", "encoder", "firmware", "body", "measured")
+"""Sections that the robot's own driver doesn't have: for the simulation only, or about it."""
 
 
 class RobotConfig(Section):
@@ -49,12 +50,18 @@ class RobotConfig(Section):
     wheel_separation_multiplier: Annotated[float, Field(gt=0.0, le=100.0)] = 1.0
     """Factor for skidding, as in ROS diff_drive_controller; with equal wheel loads
     1 + (wheelbase / wheel_separation)^2."""
+    left_wheel_radius_multiplier: Annotated[float, Field(gt=0.0, le=100.0)] = 1.0
+    """Factor from `wheel_radius` to the radius of the left wheels, as in ROS
+    diff_drive_controller; driver and simulation use both."""
+    right_wheel_radius_multiplier: Annotated[float, Field(gt=0.0, le=100.0)] = 1.0
+    """Factor from `wheel_radius` to the radius of the right wheels."""
     serial_port: Name | None = None
     """Device that `open_link("serial", config)` opens."""
     baud_rate: Annotated[int, AfterValidator(known_baud)] = 115200
     """Baud rate [bit/s]; 8N1, no flow control."""
-    trailing_comma: bool = False
-    """Send a comma after the last motor, as the robot's own driver does."""
+    trailing_comma: bool = True
+    """Send a comma after the last motor, as the robot's own driver does; some boards take a value
+    only at its comma."""
     control_rate: Rate = 100.0
     """Ticks per second [Hz]; one command line per tick."""
     connect_timeout: Wait = 5.0
@@ -99,6 +106,20 @@ class RobotConfig(Section):
     firmware: FirmwareConfig = FirmwareConfig()
     body: BodyConfig = BodyConfig()
     lidar: LidarConfig = LidarConfig()
+    measured: dict[str, Measured] = Field(default_factory=dict, max_length=1_000)
+    """95 % intervals of measured fields, by dotted name, such as "wheel_separation_multiplier",
+    "motor.time_constant.a" or "firmware.command_delay". Randomization can take its ranges from
+    them."""
+
+    def __hash__(self) -> int:
+        fields = [getattr(self, name) for name in type(self).model_fields if name != "measured"]
+        return hash((*fields, frozenset(self.measured.items())))
+
+    @model_validator(mode="after")
+    def _measured_fields_exist(self) -> Self:
+        """Check the names of measured fields."""
+        check_names(list(self.measured), type(self))
+        return self
 
     @model_validator(mode="after")
     def _wire_is_fast_enough(self) -> Self:
@@ -165,6 +186,12 @@ class RobotConfig(Section):
         return self.footprint or box(length, width)
 
     @property
+    def wheel_radii(self) -> tuple[float, float]:
+        """Radius of the left wheels, and of the right ones [m]."""
+        left, right = self.left_wheel_radius_multiplier, self.right_wheel_radius_multiplier
+        return self.wheel_radius * left, self.wheel_radius * right
+
+    @property
     def effective_separation(self) -> float:
         """wheel_separation * wheel_separation_multiplier [m]."""
         return self.wheel_separation * self.wheel_separation_multiplier
@@ -183,6 +210,21 @@ class RobotConfig(Section):
             nested = isinstance(value, dict) and isinstance(fields.get(name), dict)
             fields[name] = {**fields[name], **value} if nested else value
         return RobotConfig(**fields)
+
+    def save(self, path: str | Path) -> None:
+        """Write a YAML file that `load` reads back: the geometry, and what isn't the default.
+
+        Args:
+            path: the file, .yaml or .yml.
+
+        Raises:
+            ConfigError: it can't be written, or has another suffix.
+        """
+        from acsar_gym.config import saving  # noqa: PLC0415 - only saving needs the YAML writer
+
+        if not isinstance(path, str | Path) or Path(path).suffix not in (".yaml", ".yml"):
+            raise ConfigError(f"path = {shown(path)}: a robot is written to .yaml or .yml")
+        saving.save(self, Path(path))
 
     @classmethod
     def load(cls, path: str | Path) -> RobotConfig:

@@ -131,7 +131,7 @@ def wire_loops(config: RobotConfig) -> int:
 def physics(config: RobotConfig) -> Physics:
     """Compute the physics of a robot from its configuration."""
     body, motor = config.body, config.motor
-    dt, lag = substep(config), motor.time_constant
+    dt, lag = substep(config), motor.of_wheel(0).time_constant
     blend = 1.0 - math.exp(-dt / lag) if lag > 0.0 else 1.0
     return Physics(
         radius=config.wheel_radius,
@@ -142,7 +142,7 @@ def physics(config: RobotConfig) -> Physics:
         grip=body.friction * body.mass * GRAVITY / 4.0,
         slip_speed=body.slip_speed,
         max_speed=motor.max_speed,
-        deadband=motor.deadband,
+        deadband=motor.of_wheel(0).deadband,
         blend_a=blend,
         blend_b=blend,
         blend_c=blend,

@@ -106,7 +106,7 @@ class Randomization:
             _check_feedback(self.feedback_rate, config)
         if self.latency is not None:
             _check_latency(self.latency, config, step)
-        instant = () if config.motor.time_constant > 0.0 else ("motor_lag",)
+        instant = () if config.motor.of_wheel(0).time_constant > 0.0 else ("motor_lag",)
         pairs = {
             number: getattr(self, name)
             for name in self.names

@@ -73,6 +73,13 @@ def from_yaml(text: str, error: type[AcsarError] = ConfigError) -> Any:
         raise error(f"not valid YAML: {reason(problem)}") from None
 
 
+def to_yaml(data: Any) -> str:
+    """Format mappings, lists and scalars as YAML that `from_yaml` reads back equal."""
+    return yaml.dump(
+        data, Dumper=_Dumper, sort_keys=False, default_flow_style=None, allow_unicode=True
+    )
+
+
 def _whole(text: str) -> int:
     """Parse an integer of bounded length."""
     _check_length(text)
@@ -129,6 +136,16 @@ _Loader.add_implicit_resolver(
     re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)[eE][-+]?[0-9]+$"),
     list("-+.0123456789"),
 )
+
+
+class _Dumper(yaml.SafeDumper):
+    """Quotes text that `_Loader` would read as a number."""
+
+    yaml_implicit_resolvers = _Loader.yaml_implicit_resolvers
+
+    def ignore_aliases(self, data: Any) -> bool:
+        """Write equal values out: aliases are refused."""
+        return True
 
 
 def _check(events: Iterable[yaml.Event], error: type[AcsarError]) -> None:

@@ -41,7 +41,7 @@ def setup_of(
         dt=dt,
         period=config.period,
         wire_loops=wire_loops(config),
-        ramp=config.motor.acceleration * dt,
+        ramp=config.motor.of_wheel(0).acceleration * dt,
         top=config.motor.max_speed,
         counts_per_radian=per_radian,
         speed_per_count=1.0 / (per_radian * window * dt),

@@ -178,7 +178,7 @@ def test_urdf_without_a_baud_rate_means_the_drivers_9600(load_urdf: Load) -> Non
     config = load_urdf(urdf(param("serial_port", "/dev/ttyUSB0")))
     assert (config.baud_rate, config.control_rate) == (9600, 20.0)
     assert load_urdf(urdf(param("control_rate", 25))).control_rate == 25.0
-    with pytest.raises(ConfigError, match="baud_rate = 9600: carries 29 lines"):
+    with pytest.raises(ConfigError, match="baud_rate = 9600: carries 28 lines"):
         load_urdf(urdf(param("control_rate", 100)))
 
 

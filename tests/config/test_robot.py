@@ -21,8 +21,9 @@ POSITIVE: list[tuple[type[Any], str]] = [
     *((RobotConfig, name) for name in ("wheel_separation_multiplier", "control_rate")),
     *((RobotConfig, name) for name in ("connect_timeout", "feedback_timeout")),
     *((RobotConfig, name) for name in ("max_linear", "max_angular", "max_wheel_speed")),
-    *((MotorConfig, name) for name in ("max_speed", "acceleration")),
-    *((EncoderConfig, name) for name in ("counts_per_revolution", "window")),
+    *((RobotConfig, f"{side}_wheel_radius_multiplier") for side in ("left", "right")),
+    *((MotorConfig, name) for name in ("max_speed", "acceleration", "gain")),
+    *((EncoderConfig, name) for name in ("counts_per_revolution", "window", "quantum")),
     *((FirmwareConfig, name) for name in ("loop_rate", "feedback_rate", "command_timeout")),
     *((BodyConfig, name) for name in ("mass", "length", "width", "height")),
     *((BodyConfig, name) for name in ("friction", "slip_speed")),
@@ -46,7 +47,7 @@ def test_defaults_are_those_of_the_robots_driver() -> None:
     assert config.serial_port is None
     assert config.baud_rate == 115200
     assert config.control_rate == 100.0
-    assert config.trailing_comma is False
+    assert config.trailing_comma is True
     assert config.wheel_separation_multiplier == 1.0
 
 
@@ -111,7 +112,11 @@ def test_a_bad_number_names_field_value_and_what_is_allowed(
         (MotorConfig, "time_constant", -0.1, "must be greater than or equal to 0"),
         (MotorConfig, "deadband", -0.1, "must be greater than or equal to 0"),
         (FirmwareConfig, "processing_time", -1, "must be greater than or equal to 0"),
+        (FirmwareConfig, "command_delay", 1.5, "must be less than or equal to 1"),
         (EncoderConfig, "counts_per_revolution", 1.5, "must be a valid integer"),
+        (BodyConfig, "turn_factor", 1.0, "must be greater than 1"),
+        (MotorConfig, "gain", [1.0, 2.0], "must be a valid number, or four for the wheels a, b"),
+        (MotorConfig, "deadband", "none", "must be a valid number"),
     ],
 )
 def test_other_bad_values_say_what_is_allowed(
@@ -124,6 +129,26 @@ def test_other_bad_values_say_what_is_allowed(
 @pytest.mark.parametrize("bad", [None, 3, "fast"])
 def test_a_section_that_is_none_is_named(bad: object) -> None:
     assert refusal(RobotConfig, {"motor": bad}).startswith(f"motor = {bad!r}: must be")
+
+
+@pytest.mark.parametrize("field", ["gain", "acceleration", "time_constant", "deadband"])
+def test_motor_values_are_one_number_or_four(field: str) -> None:
+    one, four = config_of(motor={field: 2}), config_of(motor={field: [1, "2", 3.0, 4]})
+    assert [getattr(one.motor.of_wheel(wheel), field) for wheel in range(4)] == [2.0] * 4
+    assert [getattr(four.motor.of_wheel(wheel), field) for wheel in range(4)] == [1, 2, 3, 4]
+    assert getattr(four.motor, field) == (1.0, 2.0, 3.0, 4.0)
+    message = refusal(RobotConfig, {"motor": {field: [1.0, 2.0, -3.0, 4.0]}})
+    assert message.startswith(f"motor.{field} = -3.0: must be greater than")
+
+
+def test_a_bad_delay_sample_is_one_error() -> None:
+    message = refusal(FirmwareConfig, {"delay_samples": [0.0, -0.1]})
+    assert message == "firmware.delay_samples.1 = -0.1: must be greater than or equal to 0"
+
+
+def test_the_left_and_right_radii() -> None:
+    config = config_of(left_wheel_radius_multiplier=0.98, right_wheel_radius_multiplier=1.02)
+    assert config.wheel_radii == pytest.approx((0.049, 0.051))
 
 
 def test_long_values_are_shortened() -> None:
@@ -156,7 +181,7 @@ def test_a_typo_gets_a_suggestion(values: dict[str, Any], typo: str, meant: str)
 def test_a_name_like_no_other_gets_the_list_of_names() -> None:
     message = refusal(MotorConfig, {"zzz": 1})
     assert "unknown field 'motor.zzz'" in message
-    assert "acceleration, deadband, max_speed, time_constant" in message
+    assert "acceleration, deadband, gain, max_speed, time_constant" in message
 
 
 def test_sections_come_as_mappings_or_as_objects() -> None:

@@ -152,9 +152,9 @@ def edited(pieces: list[bytes], **wheels: str) -> bytes:
 
 
 def test_broken_wheels_in_a_line() -> None:
-    assert edited([LINE], reversed="abcd") == b"an01.00,bp02.00,cn03.00,dp00.00\r\n"
-    assert edited([LINE], stuck="ac") == b"ap00.00,bn02.00,cp00.00,dp00.00\r\n"
-    assert edited([LINE], dead="b") == b"ap01.00,bp00.00,cp03.00,dp00.00\r\n"
+    assert edited([LINE], reversed="abcd") == b"an01.00,bp02.00,cn03.00,dp00.00,\r\n"
+    assert edited([LINE], stuck="ac") == b"ap00.00,bn02.00,cp00.00,dp00.00,\r\n"
+    assert edited([LINE], dead="b") == b"ap01.00,bp00.00,cp03.00,dp00.00,\r\n"
     assert edited([LINE]) == LINE
 
 
