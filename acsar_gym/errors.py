@@ -34,6 +34,12 @@ class CommandError(AcsarError):
     exit_code = 2
 
 
+class CancelledError(AcsarError):
+    """The user cancelled before anything moved."""
+
+    exit_code = 130
+
+
 class MissingExtraError(AcsarError):
     """A feature whose optional dependency isn't installed."""
 

@@ -103,7 +103,7 @@ def test_the_command_line_evaluates_over_both(
     goal, policy = ("0.5", "0.0"), ("--policy", "obstacle_goal")
     options = ("--link", port, "--lidar", f"rplidar://{lidar}", "--json", tmp_path / "run.json")
     robot = ("--robot", robot_file(watchdog_timeout=10.0))
-    done = cli("run", *goal, *policy, *options, *robot)
+    done = cli("run", "--yes", *goal, *policy, *options, *robot)
     assert done.returncode in (0, 1), done.stderr
     assert "behind the wire" in done.stdout
     assert (tmp_path / "run.json").exists()

@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from acsar_gym.cli.asking import countdown
 from acsar_gym.cli.options import (
     File,
     HostArgs,
     Json,
     RobotArg,
     Seconds,
+    SpinArgs,
     StoppingArgs,
     StoppingOptions,
     TimingArgs,
@@ -85,11 +87,11 @@ def _handle_signals(emulator: Emulator) -> list[int]:
 def doctor(
     timing: TimingArgs,
     stopping: StoppingArgs,
+    spinning: SpinArgs,
     host: HostArgs,
     device: Device = None,
     robot: RobotArg = None,
     baud_rate: int | None = None,
-    spin: bool = False,
     json: Json = None,
 ) -> int:
     """List the serial ports, examine one, and say what to fix.
@@ -97,11 +99,11 @@ def doctor(
     Args:
         timing: timing of the control loop.
         stopping: stopping of an emulated robot.
+        spinning: turning of the wheels.
         host: process priority and cores.
         device: serial device to examine; without it, ports are only listed.
         robot: preset or config file.
         baud_rate: overrides the baud rate of the robot.
-        spin: turn the wheels to measure round trip and command time-out: lift the robot!
         json: also write the findings to this file.
     """
     from acsar_gym.evaluation import report  # noqa: PLC0415
@@ -116,7 +118,9 @@ def doctor(
         return _stopping(config, stopping, json)
     if timing.timing:
         return _timing(device, config, timing, json)
-    return _checks(device, config, json, spin=spin)
+    if spinning.spin and device is not None:
+        countdown(f"the wheels of the robot on {device} will turn: lift it", yes=spinning.yes)
+    return _checks(device, config, json, spin=spinning.spin)
 
 
 def _checks(device: str | None, config: RobotConfig, json: Path | None, *, spin: bool) -> int:

@@ -71,6 +71,17 @@ class WorldOptions:
 
 
 @dataclass(frozen=True)
+class SpinOptions:
+    """Turning of the wheels."""
+
+    spin: bool = False
+    """Turn the wheels, one after the other and together, to find how they are wired: lift the
+    robot!"""
+    yes: bool = False
+    """Turn them without a countdown."""
+
+
+@dataclass(frozen=True)
 class TimingOptions:
     """Timing of the control loop."""
 
@@ -98,5 +109,6 @@ HostArgs = Annotated[HostOptions, _flat]
 PolicyArgs = Annotated[PolicyOptions, _flat]
 RobotArgs = Annotated[RobotOptions, _flat]
 WorldArgs = Annotated[WorldOptions, _flat]
+SpinArgs = Annotated[SpinOptions, _flat]
 TimingArgs = Annotated[TimingOptions, _flat]
 StoppingArgs = Annotated[StoppingOptions, _flat]

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import tyro
 
+from acsar_gym.cli.asking import countdown
 from acsar_gym.cli.options import (
     EnvArg,
     File,
@@ -74,6 +75,7 @@ def run(
     host: HostArgs,
     record: File = None,
     json: Json = None,
+    yes: bool = False,
 ) -> int:
     """Drive to one goal with a policy (x y, in m, relative to the robot's start).
 
@@ -84,12 +86,16 @@ def run(
         host: process priority and cores.
         record: record the serial traffic to this file; replay it with --link replay:FILE.
         json: also write the metrics to this file.
+        yes: drive a real robot without a countdown.
     """
     from acsar_gym.evaluation import report, runs  # noqa: PLC0415
+    from acsar_gym.links.factory import is_device  # noqa: PLC0415
 
     report.check_writable(json)
     host.prepare()
     loaded = runs.load(policy.policy, trust=policy.trust, env=policy.env)
+    if is_device(robot.link):
+        countdown(f"the robot on {robot.link} will drive", yes=yes)
     done = runs.to_goal(loaded, robot.link, robot.robot, goal, record, lidar=robot.lidar)
     title = f"{policy.policy} to ({goal[0]:g}, {goal[1]:g}), worlds: {done.worlds}"
     report.show(report.summary_table(title, [(robot.link, done.summary)]))

@@ -50,11 +50,17 @@ def open_link(
         from acsar_gym.links.replay import ReplayLink  # noqa: PLC0415
 
         return ReplayLink(Path(url.removeprefix("replay:")))
-    if url == "serial" or _DEVICE.match(url):
+    if is_device(url):
         from acsar_gym.links.serial import SerialLink  # noqa: PLC0415
 
         return SerialLink(_device(url, config), config)
     raise ConfigError(f"unknown link {shown(url)}{suggestion(url[:40], NAMES)}")
+
+
+def is_device(url: str | os.PathLike[str]) -> bool:
+    """Return whether a URL names a serial device, whose wheels are real."""
+    url = os.fspath(url)
+    return url == "serial" or _DEVICE.match(url) is not None
 
 
 def _simulated(name: str, config: RobotConfig, window: bool) -> Link:

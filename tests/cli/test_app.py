@@ -19,14 +19,17 @@ pytestmark = pytest.mark.usefixtures("deadline")
 MISSING = "/dev/acsar-missing"
 HUGE = str(10**400)
 RUN = ("run", "1", "0", "--link", "planar")
+SOCKET = ("run", "1", "0", "--link", "socket://127.0.0.1:1")
 
 
 @pytest.mark.parametrize(
     ("arguments", "status", "said"),
     [
         (("run", "1", "0", "--link", "bulet"), 2, "did you mean 'bullet'?"),
-        (("run", "1", "0", "--link", "serial"), 2, "serial_port"),
-        (("run", "1", "0", "--link", "socket://127.0.0.1:1"), 3, "socket://127.0.0.1:1"),
+        (("run", "1", "0", "--link", "serial", "--yes"), 2, "serial_port"),
+        ((*SOCKET, "--yes"), 3, "socket://127.0.0.1:1"),
+        (SOCKET, 2, "no terminal to ask on; add --yes"),
+        (("doctor", MISSING, "--spin"), 2, "no terminal to ask on; add --yes"),
         (("run", "1", "0", "--link", "replay:missing.jsonl"), 2, "missing.jsonl"),
         (("run", "50", "0", "--link", "planar"), 2, "0.5 to 3 m"),
         (("run", "nan", "0", "--link", "planar"), 2, "goal"),
@@ -67,7 +70,7 @@ def test_errors_are_one_line_and_an_exit_code(
 @pytest.mark.parametrize(
     ("arguments", "status", "said"),
     [
-        (("run", "1", "0", "--link", MISSING), 3, f"{MISSING}: no such device"),
+        (("run", "1", "0", "--link", MISSING, "--yes"), 3, f"{MISSING}: no such device"),
         ((*RUN, "--policy", "missing.onnx"), 2, "missing.onnx: no such policy file"),
         (("emulate", "--body", "balloon"), 2, "planar or bullet"),
     ],
@@ -191,7 +194,7 @@ def test_a_recorded_run_replays_with_the_same_figures(
 ) -> None:
     link = request.getfixturevalue("shared_device") if kind == "serial" else kind
     tape, live, replayed = (tmp_path / name for name in ("tape.jsonl", "live.json", "replay.json"))
-    to_goal = ("run", "0.6", "0.2", "--robot", robot_file())
+    to_goal = ("run", "0.6", "0.2", "--yes", "--robot", robot_file())
     code, out, error = call(*to_goal, "--link", link, "--record", tape, "--json", live)
     assert not error
     assert "behind the wire" in out

@@ -113,8 +113,8 @@ def test_spin_measures_round_trip_and_stop(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     report = tmp_path / "doctor.json"
-    spin = ("doctor", shared_device, "--spin", "--robot", str(robot_file()), "--json", str(report))
-    monkeypatch.setattr(sys, "argv", ["acsar-gym", *spin])
+    options = ("--spin", "--yes", "--robot", str(robot_file()), "--json", str(report))
+    monkeypatch.setattr(sys, "argv", ["acsar-gym", "doctor", shared_device, *options])
     with pytest.raises(SystemExit, match="0"):
         main()
     out, error = capsys.readouterr()

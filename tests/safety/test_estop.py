@@ -82,7 +82,7 @@ def test_the_command_stops_a_robot_that_another_process_drives(
 
 
 def test_a_run_ends_with_one_line(emulator: Emulated, robot_file: RobotFile) -> None:
-    options = ("--link", emulator.device, "--robot", str(robot_file()))
+    options = ("--yes", "--link", emulator.device, "--robot", str(robot_file()))
     with program(DRIVING, "run", "3", "0", *options) as process:
         wait_until(emulator.is_driven, "a command that turns the wheels")
         assert [each.answered for each in estop.stop_all()] == [True]
@@ -349,7 +349,7 @@ def test_the_folders_are_the_same_in_every_environment(monkeypatch: pytest.Monke
 
 
 def test_the_doctor_heeds_it(emulator: Emulated, robot_file: RobotFile) -> None:
-    options = ("--spin", "--robot", str(robot_file()))
+    options = ("--spin", "--yes", "--robot", str(robot_file()))
     with program(DRIVING, "doctor", emulator.device, *options) as process:
         wait_until(emulator.is_driven, "a command that turns the wheels")
         assert estop.stop_all() == [estop.Stopped(process.pid, answered=True)]
