@@ -105,6 +105,26 @@ class LinkLostError(LinkError):
     """The device disappeared while it was in use."""
 
 
+class WheelError(LinkError):
+    """A wheel is dead, blocked, reversed or swapped: its speed contradicts its commands.
+
+    Args:
+        found: what happened.
+        fix: what to do.
+        wheel: name of the wheel, such as "front_left".
+    """
+
+    def __init__(self, found: str, fix: str, wheel: str) -> None:
+        super().__init__(found, fix)
+        self.wheel = wheel
+
+
+class EmergencyStopError(LinkError):
+    """The emergency stop of another terminal ended the program's work."""
+
+    exit_code = 4
+
+
 class SensorError(AcsarError):
     """A sensor's reading can't be used in an observation: wrong size, or NaN."""
 

@@ -21,6 +21,7 @@ from acsar_gym.odometry import Odometry
 from acsar_gym.protocol import ZERO, Decoder, Speeds
 from acsar_gym.safety.estop import StopListener
 from acsar_gym.safety.layer import Safety
+from acsar_gym.safety.wheel_watch import WheelWatch
 from acsar_gym.sensors import Factory, Sensor, Sensors
 from acsar_gym.wire import STANDSTILL, Wire
 from acsar_gym.worlds import Scene
@@ -61,6 +62,7 @@ class Robot:
         self.safety = Safety(self.config)
         self._listener: StopListener | None = None
         self._stopwatch: Stopwatch | None = None
+        self._watch: WheelWatch | None = None
         self._period = self.config.period
         self._clocked = self.sensors.clocked
 
@@ -87,7 +89,7 @@ class Robot:
             self.link.reset(scene)
             self.safety.reset()
             self.wire.reset()
-            self._stopwatch = None
+            self._stopwatch = self._watch = None
             self.wire.settle()
         except BaseException:
             self.deactivate()
@@ -96,6 +98,8 @@ class Robot:
         if self.link.lateness is not None:
             gc.collect()  # takes 60 ms, so it is done before the wheels turn
             self._stopwatch = Stopwatch(self._period)
+            if self.link.truth is None and self.config.wheel_check:
+                self._watch = WheelWatch(self.config)
         try:
             self.sensors.reset(scene, np.random.default_rng(0) if rng is None else rng)
         except BaseException:
@@ -238,6 +242,8 @@ class Robot:
         self._integrate(heard, dt)
         if self._stopwatch is not None:
             self._stopwatch.tick(self.link.lateness or 0.0, wire.age)
+        if self._watch is not None:
+            self._watch.tick(speeds, wire.speeds, dt, fresh=bool(heard))
 
     def _integrate(self, heard: list[Speeds], dt: float) -> None:
         """Update odometry with the newest speeds; after a pause, with all, each for its share."""

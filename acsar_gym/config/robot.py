@@ -73,6 +73,9 @@ class RobotConfig(Section):
     watchdog_timeout: Annotated[float, Field(ge=0.01, le=60.0)] | None = 0.15
     """After this time without a command, the watchdog process sends zero commands [s], 0.01 to 60;
     None: no watchdog."""
+    wheel_check: bool = True
+    """Stop a real robot with an error that names the wheel, where measured wheel speeds contradict
+    the commanded ones for longer than `motor`, `firmware` and `encoder` explain."""
     max_linear: Speed = 0.5
     """Linear speed of a full action, and limit of all commands [m/s]."""
     max_angular: Speed = 1.5
