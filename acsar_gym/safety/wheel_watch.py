@@ -55,7 +55,8 @@ class WheelWatch:
         delay += feedback + config.period
         self._look = max(LOOK, feedback)
         self._gap = max(GAP, 2.5 * feedback)
-        lag = config.motor.time_constant
+        delay += board.command_delay + max(board.delay_samples, default=0.0)
+        lag = max(config.motor.of_wheel(n).time_constant for n in range(len(WHEELS)))
         self._patience = min(max(SHORTEST, lag + feedback + LOOK), LONGEST)
         self._wheels = [_Wheel(config, n) for n in range(len(WHEELS))]
         self._looks = 1 + math.ceil(delay / self._look)
@@ -151,8 +152,8 @@ class _Wheel:
     """
 
     def __init__(self, config: RobotConfig, number: int) -> None:
-        motor = config.motor
-        self._top = motor.max_speed
+        motor = config.motor.of_wheel(number)
+        self._top = config.motor.max_speed
         self._lag = SLOWER * motor.time_constant
         self._ramp = motor.acceleration / SLOWER
         self._deadband = SLOWER * motor.deadband
