@@ -1,0 +1,125 @@
+"""Delays from a command to the feedback line that shows it, and how two samples of them differ."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+HELD = 0.15
+"""A command counts as a step if the one before was held at least this long [s]."""
+CHANGE = 0.05
+"""Smaller changes of a commanded wheel speed count as held [rad/s]."""
+SHOWN = 0.4
+"""A line shows the step once a wheel's speed has changed by this much towards it [rad/s]."""
+SETTLED = 0.3
+"""Steps are left out if the measured speeds varied by more than this before them [rad/s]."""
+LONGEST = 1.0
+"""Steps that no line shows within this time are left out [s]."""
+FEWEST = 5
+"""Fewest delays on each side for a test."""
+CONFIDENCE = 0.95
+
+
+def delays(
+    command_stamps: Floats, commands: Floats, feedback_stamps: Floats, feedback: Floats
+) -> Floats:
+    """Measure how long after a step of the command the feedback shows it.
+
+    A step is a change after wheel speeds that were held for `HELD`. Its delay ends with the first
+    line in which any wheel has moved by `SHOWN` towards its new command, so it includes the wire,
+    the board, the motors' start and the wait for the next line.
+
+    Args:
+        command_stamps: (n,) times at which command lines were written [s].
+        commands: (n, 4) commanded wheel speeds [rad/s].
+        feedback_stamps: (k,) times at which feedback lines arrived [s], on the same clock.
+        feedback: (k, 4) measured wheel speeds [rad/s].
+
+    Returns:
+        (m,) delays [s], one for each step that the feedback shows.
+    """
+    found = []
+    for number in steps(command_stamps, commands):
+        start = command_stamps[number]
+        change = commands[number] - commands[number - 1]
+        delay = _delay(start, change, feedback_stamps, feedback)
+        if delay is not None:
+            found.append(delay)
+    return np.array(found, np.float64)
+
+
+def steps(stamps: Floats, commands: Floats) -> list[int]:
+    """Return the numbers of the commands that differ from one held for `HELD` before."""
+    if len(stamps) < 2:
+        return []
+    changes = np.flatnonzero(np.abs(np.diff(commands, axis=0)).max(axis=1) > CHANGE) + 1
+    held = np.diff(stamps[changes], prepend=stamps[0])
+    return [int(number) for number in changes[held >= HELD - 1e-9]]
+
+
+def _delay(start: float, change: Floats, stamps: Floats, speeds: Floats) -> float | None:
+    """Return the delay of one step [s]; None if the wheels weren't steady, or never show it."""
+    first = int(np.searchsorted(stamps, start, side="right"))
+    before = speeds[int(np.searchsorted(stamps, start - HELD)) : first]
+    if not len(before) or np.ptp(before, axis=0).max() > SETTLED:
+        return None
+    last = int(np.searchsorted(stamps, start + LONGEST, side="right"))
+    moved = (speeds[first:last] - before[-1]) * np.sign(change) * (np.abs(change) > CHANGE)
+    shown = np.flatnonzero(moved.max(axis=1, initial=0.0) >= SHOWN)
+    return float(stamps[first + shown[0]] - start) if len(shown) else None
+
+
+@dataclass(frozen=True, slots=True)
+class TwoSample:
+    """Two samples of delays, and the Kolmogorov-Smirnov test of whether they differ."""
+
+    counts: tuple[int, int]
+    means: tuple[float, float]
+    """[s]; NaN for an empty sample."""
+    difference: float
+    """Mean of the second sample minus that of the first [s]."""
+    interval: tuple[float, float]
+    """95 % interval of the difference, percentile bootstrap [s]."""
+    statistic: float
+    """Largest distance of the two distribution functions, 0 to 1."""
+    p_value: float
+    """How often equal distributions would differ as much; NaN if a sample has under `FEWEST`."""
+
+    @property
+    def differs(self) -> bool:
+        """Whether the test tells the samples apart at 5 %."""
+        return self.p_value < 1.0 - CONFIDENCE
+
+
+def two_sample(first: Floats, second: Floats) -> TwoSample:
+    """Compare two samples of delays [s] by their means and the Kolmogorov-Smirnov test."""
+    counts = (len(first), len(second))
+    means = tuple(float(sample.mean()) if len(sample) else math.nan for sample in (first, second))
+    difference = means[1] - means[0]
+    if min(counts) < FEWEST:
+        nothing = (math.nan, math.nan)
+        return TwoSample(counts, (means[0], means[1]), difference, nothing, math.nan, math.nan)
+    from scipy.stats import ks_2samp  # noqa: PLC0415 - slow to import
+
+    test = ks_2samp(first, second)
+    return TwoSample(
+        counts,
+        (means[0], means[1]),
+        difference,
+        _interval(first, second),
+        float(test.statistic),
+        float(test.pvalue),
+    )
+
+
+def _interval(first: Floats, second: Floats) -> tuple[float, float]:
+    """Return the bootstrap interval of the difference of the means [s]."""
+    rng = np.random.default_rng(0)
+    means = [rng.choice(sample, (2000, len(sample))).mean(axis=1) for sample in (first, second)]
+    low, high = np.quantile(means[1] - means[0], [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
+    return float(low), float(high)

@@ -1,0 +1,145 @@
+"""Recordings made in memory: robots driven on a planar twin whose parameters a test knows."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from acsar_gym import Robot, RobotConfig
+from acsar_gym.links import open_link
+from acsar_gym.links.base import Link
+from acsar_gym.protocol import Speeds
+from acsar_gym.recording.types import Episode, Recording, Scans
+from acsar_gym.recording.wire_log import WireLog
+from acsar_gym.worlds import Scene
+
+SLICES = 20
+"""Parts of a tick whose bytes have stamps of their own."""
+HIDDEN: dict[str, Any] = {"motor": {"time_constant": 0.14}, "body": {"friction": 0.7}}
+"""Changes that make a robot whose default twin is wrong."""
+
+
+class Tap:
+    """Forwards to a simulated link, and keeps the bytes with their times.
+
+    Args:
+        link: the simulated link.
+        phase: time from the board's start to the log's first stamp [s].
+    """
+
+    lateness = None
+
+    def __init__(self, link: Link, phase: float = 0.0) -> None:
+        self._link, self._phase = link, phase
+        self.sent: list[tuple[float, bytes]] = []
+        self.got: list[tuple[float, bytes]] = []
+
+    @property
+    def truth(self) -> Any:
+        return self._link.truth
+
+    def open(self) -> None:
+        self._link.open()
+
+    def reset(self, scene: Scene) -> None:
+        self._link.reset(scene)
+        if self._phase:
+            self._link.advance(self._phase)
+        self.sent, self.got = [], []
+
+    def write(self, data: bytes) -> None:
+        self._link.write(data)
+        self.sent.append((self.now(), data))
+
+    def advance(self, period: float) -> bytes:
+        arrived = b""
+        for _ in range(SLICES):
+            data = self._link.advance(period / SLICES)
+            if data:
+                self.got.append((self.now(), data))
+            arrived += data
+        return arrived
+
+    def now(self) -> float:
+        return self._link.now()
+
+    def close(self) -> None:
+        self._link.close()
+
+    @property
+    def log(self) -> WireLog:
+        sent, got = self.sent, self.got
+        return WireLog(
+            np.array([t for t, _ in sent]),
+            tuple(data for _, data in sent),
+            np.array([t for t, _ in got]),
+            tuple(data for _, data in got),
+        )
+
+
+def random_steps(seed: int, duration: float, config: RobotConfig) -> list[Speeds]:
+    """Wheel speeds for each tick: a new straight line or turn every 0.3 to 0.9 s, or a stop."""
+    rng = np.random.default_rng(seed)
+    ticks: list[Speeds] = []
+    while len(ticks) < duration * config.control_rate:
+        right, left = rng.uniform(-9.0, 9.0, 2) if rng.random() < 0.75 else (0.0, 0.0)
+        ticks += [(right, left, left, right)] * int(rng.uniform(0.3, 0.9) * config.control_rate)
+    return ticks[: int(duration * config.control_rate)]
+
+
+def driven(
+    config: RobotConfig,
+    ticks: Iterable[Speeds],
+    *,
+    phase: float = 0.0,
+    info: Mapping[str, Any] | None = None,
+    start: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> Episode:
+    """Drive a twin of `config` open-loop, and return the episode."""
+    tap = Tap(open_link("planar", config), phase)
+    robot = Robot(tap, config)
+    robot.reset(Scene(start))
+    rows: list[Any] = []
+    for speeds in ticks:
+        robot.tick(speeds)
+        rows.append((tap.now(), robot.odometry.pose, robot.odometry.twist, robot.speeds))
+        rows[-1] += (tap.truth.pose,)
+    episode = of_rows(tap.log, rows, dict(info or {}))
+    robot.close()
+    return episode
+
+
+def of_rows(log: WireLog, rows: list[Any], info: Mapping[str, Any], **arrays: Any) -> Episode:
+    """Make an episode of rows (stamp, pose, twist, speeds, true pose), one for each tick."""
+    stamps, poses, twists, speeds, truth = (np.array(column) for column in zip(*rows, strict=True))
+    n = len(stamps)
+    nothing: dict[str, Any] = {
+        "asked": twists,
+        "sent": twists,
+        "reasons": np.zeros(n, np.int64),
+        "lateness": np.full(n, np.nan),
+        "observations": np.zeros((0, 0), np.float32),
+        "actions": np.zeros((0, 2), np.float32),
+        "rewards": np.zeros(0),
+        "scans": Scans(np.zeros(0), np.zeros((0, 0)), np.zeros(0, np.int64)),
+    }
+    return Episode(
+        start=0.0,
+        wire=log,
+        stamps=stamps,
+        poses=poses,
+        twists=twists,
+        speeds=speeds,
+        truth=truth,
+        info=info,
+        **(nothing | arrays),
+    )
+
+
+def recording(config: RobotConfig, *episodes: Episode, name: str = "", **header: Any) -> Recording:
+    """Make a recording; its hash is that of `name`."""
+    sha256 = hashlib.sha256(name.encode()).hexdigest()[:16]
+    return Recording(header=header, sha256=sha256, config=config, episodes=episodes)
