@@ -1,0 +1,84 @@
+"""What a recording holds, as it is read back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.recording.wire_log import Floats, WireLog
+
+
+@dataclass(frozen=True, eq=False)
+class Scans:
+    """The scans of a LiDAR during an episode."""
+
+    stamps: Floats
+    """(k,): when each revolution ended, on the link's clock [s]."""
+    ranges: Floats
+    """(k, rays): ranges [m], counter-clockwise from -field_of_view / 2 of the robot's x axis."""
+    ticks: NDArray[np.int64]
+    """(k,): number of the tick at whose end each scan was the newest; -1: at the reset."""
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """One episode of a recording: from a reset to the next one. Angles in rad, n ticks.
+
+    Ticks are those after the reset; the exchanges in which the reset waits for standstill are in
+    the wire log only.
+    """
+
+    start: float
+    """Time of the reset, on the link's clock [s]."""
+    wire: WireLog
+    """The bytes both ways, from the reset on."""
+    stamps: Floats
+    """(n,): end of each tick, on the link's clock [s]."""
+    poses: Floats
+    """(n, 3): x [m], y [m], theta [rad] by odometry."""
+    twists: Floats
+    """(n, 2): linear [m/s], angular [rad/s] by odometry."""
+    speeds: Floats
+    """(n, 4): newest wheel speeds [rad/s], wheels a to d."""
+    asked: Floats
+    """(n, 2): the twist that was asked for [m/s, rad/s]."""
+    sent: Floats
+    """(n, 2): the twist that was sent."""
+    reasons: NDArray[np.int64]
+    """(n,): `safety.rules.Reason` of each tick."""
+    lateness: Floats
+    """(n,): time from the tick's deadline to its end [s]; NaN in simulation."""
+    truth: Floats
+    """(n, 3): true pose in the frame of the world; NaN on hardware."""
+    observations: NDArray[np.float32]
+    """(steps + 1, size): the first is the reset's; (0, 0) where no env was recorded."""
+    actions: NDArray[np.float32]
+    """(steps, 2): actions of the policy, in [-1, 1]."""
+    rewards: Floats
+    """(steps,)."""
+    scans: Scans
+    """What the LiDAR measured."""
+    info: Mapping[str, Any] = field(default_factory=dict)
+    """Seed, goal, start and number of the episode, as far as they are known."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A recording, read back whole."""
+
+    header: Mapping[str, Any]
+    """Robot, env, task, policy, versions and clocks; see `recording.header`."""
+    sha256: str
+    """First 16 hex digits of the file's SHA-256."""
+    config: RobotConfig
+    """The robot that was recorded."""
+    episodes: tuple[Episode, ...]
+    cut: bool = False
+    """Whether the file's end is missing, because the program or the computer died."""
+    dropped: int = 0
+    """Ticks that were dropped because the writer couldn't keep up."""
