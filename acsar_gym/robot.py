@@ -168,6 +168,18 @@ class Robot:
             self.deactivate()
             raise
 
+    def listen(self) -> None:
+        """Do one control period without a command, as where the board's own time-out is measured.
+
+        Errors as for `tick`.
+        """
+        try:
+            self._heed()
+            self._exchange(None)
+        except BaseException:
+            self.deactivate()
+            raise
+
     @property
     def decoder(self) -> Decoder:
         """The wire's decoder."""
@@ -232,12 +244,12 @@ class Robot:
                 self._listener = None
             self.link.close()
 
-    def _exchange(self, speeds: Speeds) -> None:
-        """Send wheel speeds, let one control period pass, and update odometry."""
+    def _exchange(self, speeds: Speeds | None) -> None:
+        """Send wheel speeds, if any, let one control period pass, and update odometry."""
         wire = self.wire
         if self._stopwatch is not None:
             turns = max(map(abs, wire.speeds)) > STANDSTILL
-            self._stopwatch.asked(wire.stamp, drives=any(speeds), turns=turns)
+            self._stopwatch.asked(wire.stamp, drives=any(speeds or ZERO), turns=turns)
         heard, dt = wire.exchange(speeds)
         self._integrate(heard, dt)
         if self._stopwatch is not None:

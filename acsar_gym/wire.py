@@ -55,11 +55,11 @@ class Wire:
             self._encoded, self._command = speeds, line_of(*speeds, self._end)
         self._link.write(self._command)
 
-    def exchange(self, speeds: Speeds) -> tuple[list[Speeds], float]:
+    def exchange(self, speeds: Speeds | None) -> tuple[list[Speeds], float]:
         """Send a command line, let one control period pass, and decode what arrived in it.
 
         Args:
-            speeds: Of the four wheels [rad/s].
+            speeds: Of the four wheels [rad/s]; None to send nothing.
 
         Returns:
             The wheel speeds of each line that arrived, oldest first, and how long the period was
@@ -68,7 +68,8 @@ class Wire:
         Raises:
             LinkError: The link is lost, or the board was silent for `feedback_timeout`.
         """
-        self.send(speeds)
+        if speeds is not None:
+            self.send(speeds)
         link = self._link
         heard = []
         for reading in self.decoder.feed(link.advance(self._period)):

@@ -1,0 +1,118 @@
+"""The twin's answer of one wheel to commands: ramp, gain, deadband, saturation, lag, encoder.
+
+The same recursion as `Firmware` over a `Body`, at the same loop rate. Where the twin's loops lie
+between the host's stamps isn't known, so commands and encoder readings are interpolated between
+loops: that is the mean over all phases of the twin's clock, and it is smooth in delay and window.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym.jit import loop
+
+Floats = NDArray[np.float64]
+
+CREEP = 1e-3
+"""A wheel slower than this stands, once its set point is zero [rad/s]; as in `dynamics.model`."""
+
+
+class Wheel(NamedTuple):
+    """The motor of one wheel, as a fit varies it."""
+
+    lag: float
+    """Time constant of the speed loop [s]."""
+    gain: float
+    """Factor from set point to speed."""
+    slowness: float
+    """Time that the set point's ramp needs for 1 rad/s [s^2/rad]; 0 without a ramp."""
+    deadband: float
+    """Set points below this don't turn the wheel [rad/s]."""
+
+
+class Clock(NamedTuple):
+    """The times of a board, the same for all wheels."""
+
+    delay: float
+    """From a command's arrival to its effect, on top of the wire and the wait for a loop [s]."""
+    window: float
+    """Averaging time of the encoders [s]."""
+    timeout: float
+    """Time after the newest command at which the targets become zero [s]; inf: never."""
+
+
+@loop
+def speeds_of(
+    targets: Floats, step: float, blend: float, gain: float, deadband: float, top: float
+) -> Floats:
+    """Compute a wheel's speed after each loop of the firmware.
+
+    Args:
+        targets: commanded speed in each loop [rad/s].
+        step: largest change of the set point in a loop [rad/s].
+        blend: share of the difference by which the speed changes in a loop.
+        gain: factor from set point to speed.
+        deadband: set points below this count as zero [rad/s].
+        top: largest speed [rad/s].
+
+    Returns:
+        Speeds [rad/s], one per loop.
+    """
+    speeds = np.empty(len(targets))
+    set_point = speed = 0.0
+    for k in range(len(targets)):
+        set_point = min(max(targets[k], set_point - step), set_point + step)
+        aim = set_point * gain
+        if abs(aim) < deadband:
+            aim = 0.0
+        aim = min(max(aim, -top), top)
+        speed += blend * (aim - speed)
+        if aim == 0.0 and abs(speed) < CREEP:
+            speed = 0.0
+        speeds[k] = speed
+    return speeds
+
+
+def step_of(slowness: float, dt: float) -> float:
+    """Largest change of a set point in a loop [rad/s]; inf without a ramp."""
+    return dt / slowness if slowness > 0.0 else np.inf
+
+
+def blend_of(lag: float, dt: float) -> float:
+    """Share of the difference by which a speed changes in a loop of `dt` [s]."""
+    return float(1.0 - np.exp(-dt / lag)) if lag > 0.0 else 1.0
+
+
+def targets_at(edges: Floats, stamps: Floats, commands: Floats) -> Floats:
+    """Average of a stepwise command over each loop's wait, (k,).
+
+    Args:
+        edges: begin of each loop [s], equally spaced; a command counts from the next loop on.
+        stamps: when each command counts [s], ascending.
+        commands: [rad/s]; zero before the first.
+    """
+    dt = edges[1] - edges[0]
+    area = np.concatenate(([0.0], np.cumsum(commands[:-1] * np.diff(stamps))))
+    late = np.concatenate(([edges[0] - dt], edges))
+    covered = np.interp(late, stamps, area)
+    covered += np.where(late > stamps[-1], (late - stamps[-1]) * commands[-1], 0.0)
+    return np.diff(covered) / dt
+
+
+def windowed(edges: Floats, speeds: Floats, stamps: Floats, window: float) -> Floats:
+    """Mean speed that encoders report at each stamp, over the window before it [rad/s].
+
+    Args:
+        edges: begin of each loop [s].
+        speeds: after each loop [rad/s].
+        stamps: when lines are made [s].
+        window: averaging time [s].
+    """
+    dt = edges[1] - edges[0]
+    times = np.concatenate((edges, [edges[-1] + dt]))
+    angles = np.concatenate(([0.0], np.cumsum(speeds) * dt))
+    turned = np.interp(stamps, times, angles) - np.interp(stamps - window, times, angles)
+    return turned / window
