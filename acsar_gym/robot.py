@@ -254,8 +254,10 @@ class Robot:
         self._integrate(heard, dt)
         if self._stopwatch is not None:
             self._stopwatch.tick(self.link.lateness or 0.0, wire.age)
-        if self._watch is not None:
+        if self._watch is not None and speeds is not None:
             self._watch.tick(speeds, wire.speeds, dt, fresh=bool(heard))
+        elif self._watch is not None:
+            self._watch.reset()  # the board may stop the wheels by itself
 
     def _integrate(self, heard: list[Speeds], dt: float) -> None:
         """Update odometry with the newest speeds; after a pause, with all, each for its share."""
