@@ -2,7 +2,8 @@ r"""Codec of the serial protocol, without any I/O: speeds to lines, bytes to rea
 
 A line is `ap12.50,bn08.75,cp15.00,dn10.25,\r\n`: motor letter (a front_right, b front_left,
 c rear_left, d rear_right), direction (p forward, n backward), speed in rad/s with two digits and
-two decimals; the last comma is optional. Commands and encoder feedback have the same format.
+two decimals; the last comma is optional. Feedback may also have unpadded numbers (`ap5.23`,
+`ap105.20`, `ap 5.00`, `ap-3.20`), which the robot's own driver reads, too.
 Source: the robot's hardware interface document, sections 2.3 and 5.3.2.
 """
 
@@ -32,6 +33,17 @@ _LENGTH = len(_LINE % (0.0, 0.0, 0.0, 0.0))
 _DIRECTIONS = bytes.maketrans(b"+-", b"pn")
 _PART = re.compile(rb"([abcd])([pn])([0-9]{2}\.[0-9]{2})")
 _ENDS = (b"\n", b"\r")
+_TOLERATED = re.compile(rb"([abcd])([pn])( {0,3}[+-]?[0-9]{1,3}\.[0-9]{2,6})")
+"""Another number format; at least two decimals, since a cut number has fewer."""
+_BEGUN = re.compile(
+    rb"(?:[abcd][pn][ +-]*[0-9]+\.[0-9]+,){0,3}(?:[abcd](?:[pn][ +-]*[0-9.]{0,9})?)?"
+)
+"""A line that ends too early, as where the board was reset meanwhile."""
+_WHOLE = re.compile(rb"(?:[abcd][pn][ +-]*[0-9]{1,3}\.[0-9]{2,6},?){4}")
+_ENDED = re.compile(rb"[pn]?[ +-]*[0-9.]{0,9}")
+"""The end of a part."""
+SAMPLE = 60
+"""How much of a damaged line is kept for messages [bytes]."""
 _KNOWN: tuple[dict[bytes, float], ...] = ({}, {}, {}, {})
 """Cache of parsed parts, such as b"ap12.50" -> 12.5, for each motor."""
 _MOST_KNOWN = 5000
@@ -112,23 +124,44 @@ class Decoder:
     """Decodes a byte stream that arrives in chunks of any size; never raises an exception.
 
     Lines end with CR, LF or CRLF. Invalid parts are refused and counted; the other motors of the
-    line are still used. If a motor occurs twice, the last one counts. Memory is bounded by
-    `MAX_LINE`.
+    line are still used. If a motor occurs twice, the last one counts. A line isn't damaged but cut
+    where the port was opened in mid-line, or where a reset of the board began a new line. Memory is
+    bounded by `MAX_LINE`.
 
     Attributes:
         lines: number of lines with at least one valid part.
         refused: number of refused parts by reason.
+        tolerated: number of parts whose number isn't two digits and two decimals.
+        cut: number of cut lines.
+        sample: beginning of the newest line with a refused part, for messages.
     """
 
     def __init__(self) -> None:
         self._partial = b""
         self._skipping = False
+        self._first = True
+        self._refused_at = -1
+        self._refused_before = 0
         self.lines = 0
         self.refused: Counter[str] = Counter()
+        self.tolerated = 0
+        self.cut = 0
+        self.sample = b""
 
     def reset(self) -> None:
-        """Discard the partial line, and set the counters to zero."""
+        """Discard the partial line and all counters."""
         self.__init__()  # type: ignore[misc]
+
+    @property
+    def rest(self) -> bytes:
+        """The line that hasn't ended yet."""
+        return self._partial
+
+    @property
+    def damaged(self) -> int:
+        """Number of parts refused since the newest line with a valid part."""
+        newer = self.lines == self._refused_at
+        return sum(self.refused.values()) - self._refused_before if newer else 0
 
     def feed(self, data: bytes) -> list[Reading]:
         """Decode the lines that `data` completes.
@@ -145,14 +178,15 @@ class Decoder:
         if lines and self._skipping:
             self._skipping = False
             lines[0] = b""
+        readings = [reading for line in lines if line and (reading := self._read(line))]
         self._partial = self._bounded(rest) if rest else b""
-        return [reading for line in lines if line and (reading := self._read(line))]
+        return readings
 
     def _bounded(self, rest: bytes) -> bytes:
         """Keep a partial line, unless it is too long."""
         if len(rest) > MAX_LINE and not self._skipping:
             self._skipping = True
-            self.refused["line too long"] += 1
+            self._refuse(rest, ("line too long",))
         return b"" if self._skipping else rest
 
     def _read(self, line: bytes) -> Reading | None:
@@ -169,45 +203,96 @@ class Decoder:
         return reading
 
     def _read_parts(self, line: bytes, parts: list[bytes]) -> Reading | None:
-        """Decode a line that doesn't consist of four cached parts."""
+        """Decode a line that isn't four cached parts."""
+        first = self._first and self.lines == 0
+        self._first = False
         if len(line) > MAX_LINE:
-            self.refused["line too long"] += 1
+            self._refuse(line, ("line too long",))
             return None
-        reading, refused = _parse_parts(parts)
-        self.refused.update(refused)
-        if reading:
+        parsed = _parse_parts(parts)
+        if parsed.refused:
+            parsed = self._without_cut(line, parts, parsed, first=first)
+        self.tolerated += parsed.tolerated
+        if parsed.refused:
+            self._refuse(line, parsed.refused)
+        if parsed.reading:
             self.lines += 1
-        return reading
+        return parsed.reading
+
+    def _without_cut(
+        self, line: bytes, parts: list[bytes], parsed: _Parsed, *, first: bool
+    ) -> _Parsed:
+        """Parse a line with refused parts again, without what belongs to a cut line."""
+        if first and _ENDED.fullmatch(parts[0]):
+            self.cut += 1
+            return _parse_parts(parts[1:])
+        begin = line.rfind(line[:1], 1)
+        if begin > 0 and _BEGUN.fullmatch(line, 0, begin) and _WHOLE.fullmatch(line, begin):
+            self.cut += 1
+            return _parse_parts(line[begin:].rstrip(b",").split(b","))
+        return parsed
+
+    def _refuse(self, line: bytes, reasons: tuple[str, ...]) -> None:
+        """Count refused parts."""
+        self._first = False
+        if self._refused_at != self.lines:
+            self._refused_at = self.lines
+            self._refused_before = sum(self.refused.values())
+        self.refused.update(reasons)
+        self.sample = line[:SAMPLE]
 
 
-def _parse_parts(parts: list[bytes]) -> tuple[Reading | None, tuple[str, ...]]:
+class _Parsed(NamedTuple):
+    """What a line says: a reading, reasons of refused parts, and how many parts were tolerated."""
+
+    reading: Reading | None
+    refused: tuple[str, ...]
+    tolerated: int
+
+
+def _parse_parts(parts: list[bytes]) -> _Parsed:
     """Parse parts that are new, damaged, incomplete or in another order."""
     speeds: list[float | None] = [None, None, None, None]
-    refused = []
+    refused, tolerated = [], 0
+    zeros = any(len(part) == 7 and part[2:3] == b"0" for part in parts)
     for part in parts:
-        found = _parse_part(part)
-        if isinstance(found, str):
-            refused.append(found)
+        found = _parse_part(part, zeros=zeros)
+        if found is None:
+            refused.append(_reason(part))
             continue
-        motor, speed = found
+        motor, speed, padded = found
+        tolerated += not padded
         if speeds[motor] is not None:
             refused.append("duplicate motor")
         speeds[motor] = speed
     a, b, c, d = speeds
     named = not (a is b is c is d is None)
-    return Reading((a, b, c, d)) if named else None, tuple(refused)
+    return _Parsed(Reading((a, b, c, d)) if named else None, tuple(refused), tolerated)
 
 
-def _parse_part(part: bytes) -> tuple[int, float] | str:
-    """Parse a part such as `bn08.75`: (motor index, speed), or the reason why it is refused."""
+def _parse_part(part: bytes, *, zeros: bool) -> tuple[int, float, bool] | None:
+    """Parse a part such as `bn08.75`: motor index, speed, and whether the number is padded.
+
+    `zeros`: other numbers of the line are padded with zeros, so one that isn't has lost a digit.
+    """
     match = _PART.fullmatch(part)
-    if match:
-        motor, direction, digits = match.groups()
-        speed = float(digits) if direction == b"p" else 0.0 - float(digits)  # no negative zero
-        known = _KNOWN[b"abcd".index(motor)]
-        if len(known) < _MOST_KNOWN:
-            known[part] = speed
-        return b"abcd".index(motor), speed
+    padded = match is not None
+    match = match or _TOLERATED.fullmatch(part)
+    if match is None:
+        return None
+    letter, direction, digits = match.groups()
+    if zeros and not padded and digits[:1].isdigit():
+        return None
+    motor = b"abcd".index(letter)
+    speed = 0.0 + float(digits) if direction == b"p" else 0.0 - float(digits)  # no negative zero
+    known = _KNOWN[motor]
+    if padded and len(known) < _MOST_KNOWN:
+        known[part] = speed
+    return motor, speed, padded
+
+
+def _reason(part: bytes) -> str:
+    """Return why a part is refused."""
     if not part:
         return "empty part"
     if part[:1] not in (b"a", b"b", b"c", b"d"):

@@ -80,7 +80,7 @@ class Wire:
         self.stamp = stamp
         self.age = 0.0 if heard else self.age + lasted
         if rules.silent(self.age, self._rules):
-            raise silence(self.age, sum(self.decoder.refused.values()))
+            raise silence(self.age, self.decoder)
         return heard, lasted
 
     def settle(self) -> None:
@@ -100,5 +100,5 @@ class Wire:
             if standing == STANDSTILL_TICKS:
                 return
         if max(map(abs, self.speeds)) < STANDSTILL:
-            raise silence(self.age, sum(self.decoder.refused.values()))
+            raise silence(self.age, self.decoder)
         raise still_turning(STANDSTILL_TIMEOUT, self.speeds)

@@ -20,9 +20,10 @@ from acsar_gym.protocol import MAX_LINE, MAX_SPEED, WHEELS, Decoder, Speeds, enc
 GRAMMAR = re.compile(rb"a[pn]\d\d\.\d\d,b[pn]\d\d\.\d\d,c[pn]\d\d\.\d\d,d[pn]\d\d\.\d\d,?\r\n")
 NUMBER = re.compile(r"[pn]\d\d\.\d\d")
 NOT_NUMBERS = (
-    "nan|inf|1e001|1e+10|-1.00|+1.00| 1.00|001.00|01.000|1.000|100.0|01.0|01.|.01|0101|01:00|0x.10|"
-    "1_.00|01.00 |01.00\x00|\u0660\u0661.\u0660\u0660||ap01.00"
+    "nan|inf|1e001|1e+10|--1.00|+ 1.00|    1.00|001.00|01.000|1.000|100.0|01.0|01.|.01|0101|01:00|"
+    "0x.10|1_.00|01.00 |01.00\x00|\u0660\u0661.\u0660\u0660||ap01.00"
 )
+NEVER_NUMBERS = "5|5.|5.2|.50|1005.20|5.23x|5,23|5.2.3|0x5.00|1e5|5.2300000|nan|inf| -|"
 GOOD = b"ap12.50,bn08.75,cp15.00,dn10.25"
 GOOD_SPEEDS = (12.5, -8.75, 15.0, -10.25)
 
@@ -47,6 +48,7 @@ noise = st.one_of(
     st.text("abcdepnx0123456789.,- \r\n", max_size=60).map(str.encode),
     st.integers(MAX_LINE - 40, 3 * MAX_LINE).map(lambda length: b"x" * length),
     four_speeds.map(encode),
+    st.builds("{}p{:.2f},".format, st.sampled_from("abcd"), st.floats(-200, 200)).map(str.encode),
     st.sampled_from([b"\r", b"\n", b"\r\n", b",", GOOD, GOOD + b"\n", b"ap01.00"]),
 )
 streams = st.lists(noise, max_size=12).map(b"".join)
@@ -96,6 +98,8 @@ def test_chunking_changes_neither_readings_nor_counters(stream: bytes, places: l
     expected = whole.feed(stream)
     assert [reading for chunk in cut(stream, places) for reading in parts.feed(chunk)] == expected
     assert (parts.lines, parts.refused) == (whole.lines, whole.refused)
+    assert (parts.tolerated, parts.cut) == (whole.tolerated, whole.cut)
+    assert (parts.damaged, parts.sample) == (whole.damaged, whole.sample)
     assert whole.lines == len(expected)
 
 
@@ -249,10 +253,93 @@ def test_the_order_of_the_parts_does_not_matter(speeds: Speeds, order: list[int]
     "number",
     NOT_NUMBERS.split("|"),
 )
-def test_only_two_digits_and_two_decimals_are_a_number(number: str) -> None:
+def test_beside_padded_numbers_nothing_else_is_a_number(number: str) -> None:
     decoder = Decoder()
     assert decoder.feed(f"ap{number},bp02.00\n".encode())[0].speeds == (None, 2.0, None, None)
     assert decoder.refused == {"malformed number": 1}
+
+
+@given(hundredths=st.tuples(*[st.integers(-12_000, 12_000)] * 4), spaces=st.integers(0, 3))
+@example(hundredths=(0, 523, 10520, -320), spaces=0)
+@example(hundredths=(0, 0, 0, 0), spaces=1)
+def test_unpadded_numbers_are_read_and_counted(hundredths: Speeds, spaces: int) -> None:
+    speeds = [value / 100 for value in hundredths]
+    parts = [
+        f"{motor}{'n' if speed < 0 else 'p'}{' ' * spaces}{abs(speed):.2f}"
+        for motor, speed in zip("abcd", speeds, strict=True)
+    ]
+    decoder = Decoder()
+    read = decoder.feed(f"{','.join(parts)},\r\n".encode())
+    assert read[0].speeds == tuple(speeds)
+    assert b"-0.0" not in repr(read[0].speeds).encode()
+    assert not decoder.refused
+    assert decoder.tolerated == sum(len(part) != 7 or " " in part for part in parts)
+
+
+@pytest.mark.parametrize(
+    ("part", "speed"),
+    [
+        ("ap0.00", 0.0),
+        ("ap5.23", 5.23),
+        ("ap105.20", 105.2),
+        ("ap 5.00", 5.0),
+        ("ap-3.20", -3.2),
+        ("an-3.20", 3.2),
+        ("ap+3.20", 3.2),
+        ("an0.00", 0.0),
+        ("ap5.230000", 5.23),
+    ],
+)
+def test_a_number_as_the_robots_own_driver_reads_it(part: str, speed: float) -> None:
+    decoder = Decoder()
+    for _ in range(2):
+        (reading,) = decoder.feed(f"{part},bp10.00\n".encode())
+        assert reading.speeds == (speed, 10.0, None, None)
+        assert math.copysign(1.0, reading.speeds[0] or 0.0) == math.copysign(1.0, speed)
+    assert (decoder.tolerated, decoder.refused) == (2, {})
+
+
+@pytest.mark.parametrize("number", NEVER_NUMBERS.split("|"))
+def test_what_is_no_number_is_refused_from_a_board_that_does_not_pad(number: str) -> None:
+    decoder = Decoder()
+    decoder.feed(b"ap5.00,bp5.00\n")
+    assert decoder.feed(f"bp5.00,cp{number}\n".encode())[0].speeds == (None, 5.0, None, None)
+    assert sum(decoder.refused.values()) >= 1
+
+
+def test_a_lost_digit_is_no_unpadded_number() -> None:
+    """Among numbers padded with zeros a shorter one is damaged: 12.50 that lost its 2."""
+    decoder = Decoder()
+    assert decoder.feed(b"ap1.50,bn08.75,cp15.00,dn10.25\n")[0].speeds[0] is None
+    assert (decoder.refused, decoder.tolerated) == ({"malformed number": 1}, 0)
+
+
+@pytest.mark.parametrize("place", range(len(GOOD)))
+def test_a_first_line_without_its_beginning_is_cut_but_not_damaged(place: int) -> None:
+    decoder = Decoder()
+    decoder.feed(GOOD[place:] + b"\r\n" + GOOD + b"\r\n")
+    assert not decoder.refused
+    assert decoder.cut <= 1
+    decoder.feed(b"12.50,bn08.75\r\n")
+    assert decoder.refused == {"unknown motor": 1}
+
+
+@pytest.mark.parametrize("good", [GOOD, b"ap5.23,bn105.20,cp0.00,dp7.00"], ids=["padded", "not"])
+@pytest.mark.parametrize("place", [1, 3, 5, 6, 7, 8, 10, 14, 17, 25])
+def test_a_line_cut_by_a_reset_is_not_damaged_and_the_next_is_read(good: bytes, place: int) -> None:
+    decoder = Decoder()
+    whole = decoder.feed(good + b"\r\n")[0].speeds
+    (reading,) = decoder.feed(good[:place] + good + b",\r\n")
+    assert reading.speeds == whole
+    assert (decoder.refused, decoder.cut, decoder.lines) == ({}, 1, 2)
+
+
+def test_damage_counts_since_the_newest_good_line() -> None:
+    decoder = Decoder()
+    for line, damaged in ((b"x,y", 2), (b"z", 3), (GOOD, 0), (b"x", 1), (b"ap01.00,y", 0)):
+        decoder.feed(line + b"\n")
+        assert decoder.damaged == damaged
+    assert decoder.sample == b"ap01.00,y"
 
 
 def test_a_line_without_a_good_part_is_no_reading_and_no_line() -> None:

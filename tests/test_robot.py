@@ -172,6 +172,21 @@ def test_garbage_is_silence_with_another_name() -> None:
             robot.tick(ZERO)
 
 
+def test_garbage_is_shown() -> None:
+    robot, _ = standing(then=b"\x80\x81,nonsense\r\n")
+    with pytest.raises(BoardGarbledError, match=r"'\\x80\\x81,nonsense'"):
+        for _ in range(100):
+            robot.tick(ZERO)
+
+
+def test_a_board_frozen_in_mid_line_is_silent_whatever_was_damaged_before() -> None:
+    robot, _ = standing(b"\x80,noise\r\n", LINE + b"ap12.50,bn0", then=b"")
+    with pytest.raises(BoardSilentError, match=r"after 'ap12\.50,bn0'") as caught:
+        for _ in range(100):
+            robot.tick(ZERO)
+    assert type(caught.value) is BoardSilentError
+
+
 def test_a_reset_waits_for_standstill() -> None:
     robot, link = standing(LINE, LINE, LINE)
     commands = len(link.written)

@@ -9,6 +9,10 @@ from acsar_gym.config import BAUD_RATES, RobotConfig
 from acsar_gym.errors import BoardGarbledError, BoardSilentError, LinkError
 from acsar_gym.protocol import Decoder, Speeds
 
+PROTOCOL = frozenset(b"abcdpn0123456789.,+- ")
+"""Bytes of a line."""
+SHOWN = 40
+"""Most received bytes that a message shows."""
 POLL = 0.01
 """Interval of polling for the first valid line [s]."""
 
@@ -22,7 +26,7 @@ def wait_for_board(read: Callable[[], bytes], device: str, config: RobotConfig) 
         config: configuration of the robot; has the `connect_timeout`.
 
     Raises:
-        BoardSilentError: nothing arrived.
+        BoardSilentError: nothing arrived, or only the beginning of a line.
         BoardGarbledError: bytes arrived, but no valid line.
     """
     decoder = Decoder()
@@ -30,21 +34,29 @@ def wait_for_board(read: Callable[[], bytes], device: str, config: RobotConfig) 
     deadline = time.monotonic() + config.connect_timeout
     while not decoder.lines:
         if time.monotonic() > deadline:
-            raise _no_board(device, config, heard)
+            raise _no_board(device, config, heard, decoder)
         time.sleep(POLL)
         data = read()
         heard += len(data)
         decoder.feed(data)
 
 
-def _no_board(device: str, config: RobotConfig, heard: int) -> BoardSilentError:
+def _no_board(device: str, config: RobotConfig, heard: int, decoder: Decoder) -> BoardSilentError:
     """Return the error for a board from which `heard` bytes have arrived."""
     waited, baud = config.connect_timeout, config.baud_rate
-    if heard:
+    if _garbled(decoder):
         others = ", ".join(str(rate) for rate in BAUD_RATES if rate != baud)
         return BoardGarbledError(
-            f"{device}: {heard} bytes in {waited:g} s at {baud} baud, but no valid line",
-            f"the board probably uses another baud_rate ({others})",
+            f"{device}: {heard} bytes in {waited:g} s at {baud} baud, but no valid line, such as "
+            f"{shown_bytes(decoder.sample or decoder.rest)}",
+            "if that isn't what its program sends, the board probably uses another baud_rate "
+            f"({others})",
+        )
+    if heard:
+        return BoardSilentError(
+            f"{device}: the board stopped in mid-line, {heard} bytes in {waited:g} s: "
+            f"{shown_bytes(decoder.rest)}",
+            "press its reset button, and check its power and program",
         )
     return BoardSilentError(
         f"{device}: no byte from the board in {waited:g} s",
@@ -52,19 +64,36 @@ def _no_board(device: str, config: RobotConfig, heard: int) -> BoardSilentError:
     )
 
 
-def silence(age: float, refused: int) -> BoardSilentError:
+def silence(age: float, decoder: Decoder) -> BoardSilentError:
     """Return the error for a board in use that sends no valid feedback.
 
     Args:
         age: time since the newest valid line [s].
-        refused: number of damaged parts since then.
+        decoder: what it decoded.
     """
-    if refused:
+    if _garbled(decoder):
+        received = shown_bytes(decoder.sample or decoder.rest)
         return BoardGarbledError(
-            f"no valid feedback line for {age:.2f} s, {refused} bad parts",
+            f"no valid feedback line for {age:.2f} s, but {received}",
             "check the baud rate and the cable",
         )
+    if decoder.rest:
+        return BoardSilentError(
+            f"no feedback for {age:.2f} s, the board stopped in mid-line after "
+            f"{shown_bytes(decoder.rest)}",
+            "check the board's power and its program",
+        )
     return BoardSilentError(f"no feedback for {age:.2f} s", "check the board's power and the cable")
+
+
+def _garbled(decoder: Decoder) -> bool:
+    """Whether bytes that aren't those of a line have arrived since the newest valid line."""
+    return decoder.damaged > 0 or not set(decoder.rest) <= PROTOCOL
+
+
+def shown_bytes(data: bytes) -> str:
+    """Format received bytes for a message: printable, and at most `SHOWN` of them."""
+    return repr(data[:SHOWN])[1:] + ("..." if len(data) > SHOWN else "")
 
 
 def still_turning(waited: float, speeds: Speeds) -> LinkError:
