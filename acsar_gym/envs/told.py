@@ -12,6 +12,7 @@ from acsar_gym.errors import (
     LidarError,
     LinkError,
     LinkLostError,
+    WheelError,
 )
 from acsar_gym.lidars.base import newest_scan
 from acsar_gym.robot import Robot
@@ -22,14 +23,21 @@ from acsar_gym.worlds import Pose
 from acsar_gym.worlds.scene import to_odometry
 
 Info = dict[str, Any]
+FAULT_CODES = (
+    (BoardGarbledError, 2),
+    (BoardSilentError, 1),
+    (LinkLostError, 3),
+    (LidarError, 4),
+    (WheelError, 6),
+)
+"""Numbers of errors in info's `fault`; subclasses come first."""
 NOWHERE: Pose = (math.nan, math.nan, math.nan)
 """The true pose on links without ground truth."""
 
 
 def fault_code(error: LinkError) -> int:
-    """Number of a link's error for info: 1 silent, 2 garbled, 3 link lost, 4 LiDAR, 5 any other."""
-    kinds = (BoardGarbledError, 2), (BoardSilentError, 1), (LinkLostError, 3), (LidarError, 4)
-    return next((code for kind, code in kinds if isinstance(error, kind)), 5)
+    """Number of a link's error for info's `fault`; 5 for those that aren't in `FAULT_CODES`."""
+    return next((code for kind, code in FAULT_CODES if isinstance(error, kind)), 5)
 
 
 def state_of(

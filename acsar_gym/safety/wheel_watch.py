@@ -31,7 +31,7 @@ STILL = 0.2
 """A wheel slower than this stands still, for messages [rad/s]."""
 ADAPTER = 0.03
 """Longest delay of a USB adapter in both directions [s]; FTDI's is 16 ms each by default."""
-LOOK = 0.03
+LOOK = 0.04
 """Interval of the checks [s]."""
 GAP = 0.05
 """Longest time without a new line in which the board can't have stopped its wheels [s]."""
@@ -51,22 +51,21 @@ class WheelWatch:
     def __init__(self, config: RobotConfig) -> None:
         board, feedback = config.firmware, 1.0 / config.feedback_rate
         line = (LINE_BYTES + config.trailing_comma) * BITS_PER_BYTE / config.baud_rate
-        delay = 2.0 * (line + board.processing_time) + config.encoder.window + ADAPTER
-        delay += feedback + config.period
+        delay = 2.0 * (line + board.processing_time) + config.encoder.window + ADAPTER + feedback
         self._look = max(LOOK, feedback)
         self._gap = max(GAP, 2.5 * feedback)
         delay += board.command_delay + max(board.delay_samples, default=0.0)
         lag = max(config.motor.of_wheel(n).time_constant for n in range(len(WHEELS)))
-        self._patience = min(max(SHORTEST, lag + feedback + LOOK), LONGEST)
+        self._patience = min(max(SHORTEST, lag + LOOK), LONGEST)
         self._wheels = [_Wheel(config, n) for n in range(len(WHEELS))]
-        self._looks = 1 + math.ceil(delay / self._look)
+        self._looks = max(2, math.ceil(delay / self._look))
         self.reset()
 
     def reset(self) -> None:
         """Begin anew, with wheels that stand."""
         self._asked = deque([(ZERO, ZERO)] * self._looks, self._looks)
         self._last = self._most = self._least = ZERO
-        self._since_look = self._since_line = 0.0
+        self._since_look = self._since_line = self._fastest = 0.0
         for wheel in self._wheels:
             wheel.reset()
 
@@ -108,12 +107,16 @@ class WheelWatch:
         self._asked.append((self._most, self._least))
         self._most = self._least = self._last
         highs, lows = zip(*self._asked, strict=True)
-        fastest = 0.0
-        for wheel, high, low in zip(self._wheels, map(max, *highs), map(min, *lows), strict=True):
-            fastest = max(fastest, wheel.follow(high, low, passed))
-        worst = 0.0
-        for wheel, speed in zip(self._wheels, measured, strict=True):
-            worst = max(worst, wheel.judge(speed, fastest, passed))
+        fastest, self._fastest, worst = self._fastest, 0.0, 0.0
+        commands = zip(self._wheels, map(max, *highs), map(min, *lows), measured, strict=True)
+        for wheel, high, low, speed in commands:
+            wheel.follow(high, low, passed)
+            if wheel.contradicts(speed, fastest):
+                wheel.wrong += passed
+                worst = max(worst, wheel.wrong)
+            elif wheel.wrong:
+                wheel.wrong = max(0.0, wheel.wrong - passed)
+            self._fastest = max(self._fastest, wheel.fastest)
         if worst + SLACK >= self._patience:
             raise self._error(measured)
 
@@ -121,7 +124,7 @@ class WheelWatch:
         """Describe the wheel that has contradicted its commands for the longest time."""
         number = max(range(len(WHEELS)), key=lambda n: self._wheels[n].wrong)
         wheel, speed, asked = self._wheels[number], measured[number], self._last[number]
-        what = "turns at a wrong speed"
+        what = "turns too fast" if abs(speed) > abs(asked) else "turns too slowly"
         if abs(speed) < STILL:
             what = "stands still"
         elif (other := self._swapped(number, measured)) is not None:
@@ -149,6 +152,10 @@ class _Wheel:
     """The lowest and the highest speed [rad/s] that the commands of one wheel can explain.
 
     Attributes: `low`, `high`; `wrong`, for how long the wheel has contradicted them [s].
+
+    Args:
+        config: Of the robot.
+        number: Of the wheel, 0 to 3.
     """
 
     def __init__(self, config: RobotConfig, number: int) -> None:
@@ -163,30 +170,32 @@ class _Wheel:
         """Expect a wheel that stands."""
         self._set_low = self._set_high = self.low = self.high = self.wrong = 0.0
 
-    def follow(self, high: float, low: float, passed: float) -> float:
+    def follow(self, high: float, low: float, passed: float) -> None:
         """Update the bounds.
 
         Args:
             high: Highest command that can be in effect [rad/s].
             low: Lowest one.
             passed: Time since the last update [s].
-
-        Returns:
-            The highest absolute speed that can be explained [rad/s].
         """
-        high, low = self._obeyed(high, max), self._obeyed(low, min)
-        change = self._ramp * passed
-        self._set_high = max(high, self._set_high - change)
-        self._set_low = min(low, self._set_low + change)
+        top, deadband, change = self._top, self._deadband, self._ramp * passed
+        if high > top or high < -top or low > top or low < -top:
+            high, low = min(max(high, -top), top), min(max(low, -top), top)
+        if -deadband <= high < 0.0:
+            high = 0.0
+        if 0.0 < low <= deadband:
+            low = 0.0
         kept = math.exp(-passed / self._lag) if self._lag else 0.0
-        self.high = self._set_high + kept * max(self.high - self._set_high, 0.0)
-        self.low = self._set_low + kept * min(self.low - self._set_low, 0.0)
-        return max(self.high, -self.low)
+        falls, rises = self._set_high - change, self._set_low + change
+        self._set_high = high = high if high > falls else falls
+        self._set_low = low = low if low < rises else rises
+        self.high = high if high > self.high else high + kept * (self.high - high)
+        self.low = low if low < self.low else low + kept * (self.low - low)
 
-    def _obeyed(self, command: float, extreme: Callable[[float, float], float]) -> float:
-        """Return the speed that a command leads to; `extreme` chooses within the deadband."""
-        speed = min(max(command, -self._top), self._top)
-        return speed if abs(speed) > self._deadband else extreme(speed, 0.0)
+    @property
+    def fastest(self) -> float:
+        """Highest absolute speed that the commands can explain [rad/s]."""
+        return self.high if self.high > -self.low else -self.low
 
     def forgive(self, speed: float) -> None:
         """Also expect a wheel at this speed [rad/s], or one that stands, from now on."""
@@ -195,28 +204,23 @@ class _Wheel:
         self.wrong = 0.0
 
     def explains(self, speed: float) -> bool:
-        """Return whether commands explain this speed [rad/s]."""
-        margin = SHARE * SHARE * max(self.high, -self.low) + FLOOR
+        """Return whether the wheel's commands explain this speed [rad/s]."""
+        margin = SHARE * SHARE * self.fastest + FLOOR
         return self.low - margin <= speed <= self.high + margin
 
-    def judge(self, speed: float, fastest: float, passed: float) -> float:
-        """Count for how long the wheel contradicts its commands.
+    def contradicts(self, speed: float, fastest: float) -> bool:
+        """Return whether a speed contradicts the commands.
 
         Args:
             speed: Measured [rad/s].
             fastest: Highest absolute speed that any wheel can have [rad/s].
-            passed: Time since the last call [s].
-
-        Returns:
-            For how long it has contradicted them [s].
         """
-        forward = self.low > 0.0 and speed < SHARE * self.low - FLOOR
-        backward = self.high < 0.0 and speed > SHARE * self.high + FLOOR
-        most = FASTER * max(self.high, -self.low) + fastest + DRAGGED
-        fast = fastest > 2.0 * FLOOR and abs(speed) > most
-        wrong = forward or backward or fast
-        self.wrong = max(0.0, self.wrong + passed if wrong else self.wrong - passed)
-        return self.wrong
+        if self.low > 0.0 and speed < SHARE * self.low - FLOOR:
+            return True
+        if self.high < 0.0 and speed > SHARE * self.high + FLOOR:
+            return True
+        most = FASTER * self.fastest + fastest + DRAGGED
+        return fastest > 2.0 * FLOOR and not -most <= speed <= most
 
 
 def _each(choose: Callable[[float, float], float], some: Speeds, others: Speeds) -> Speeds:

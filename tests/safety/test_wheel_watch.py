@@ -1,0 +1,214 @@
+"""Wheels whose speeds contradict their commands are found and named, and sound ones never are.
+
+In simulated time, through the driver, on a link that looks like a board.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+from acsar_gym import Robot, RobotConfig, open_link
+from acsar_gym.dynamics.randomizer import Randomizer
+from acsar_gym.errors import WheelError
+from acsar_gym.links.fault_injection import FaultyLink
+from acsar_gym.protocol import MOTORS, WHEELS, Decoder, encode
+from acsar_gym.safety.wheel_watch import WheelWatch
+from acsar_gym.worlds import Scene
+
+ACSAR = RobotConfig.preset("acsar")
+AHEAD, LEFT, ARC = (0.3, 0.0), (0.0, 1.0), (0.3, 0.6)
+SOON = 0.5
+"""Time within which a wheel must be found [s]."""
+VARIED = {"motor_gain": (0.9, 1.1), "motor_lag": (0.5, 2.0)}
+
+
+class LikeABoard:
+    """A simulated robot without truth, which is what a board is for the driver.
+
+    `crossed` are two motors whose encoders are swapped, as letters.
+    """
+
+    truth = None
+    lateness = 0.0
+
+    def __init__(self, link: Any, crossed: str = "") -> None:
+        self.link = link
+        self._crossed = [MOTORS.index(motor) for motor in crossed]
+        self._decoder = Decoder()
+
+    def advance(self, period: float) -> bytes:
+        got: bytes = self.link.advance(period)
+        if not self._crossed:
+            return got
+        one, two = self._crossed
+        lines = b""
+        for reading in self._decoder.feed(got):
+            speeds = [speed or 0.0 for speed in reading.speeds]
+            speeds[one], speeds[two] = speeds[two], speeds[one]
+            lines += encode(speeds)
+        return lines
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.link, name)
+
+
+def board(config: RobotConfig = ACSAR, crossed: str = "", seed: int = 0, **faults: Any) -> Any:
+    return LikeABoard(FaultyLink(open_link("planar", config), faults, seed), crossed)
+
+
+def stopped(
+    link: Any, twist: tuple[float, float], seconds: float = 2.0, config: RobotConfig = ACSAR
+) -> tuple[float, WheelError]:
+    """Time of the error since the first command [s], and the error."""
+    with Robot(link, config) as robot:
+        start = link.now()
+        with pytest.raises(WheelError) as caught:
+            for _ in range(round(seconds / config.period)):
+                robot.drive(*twist)
+        assert not robot.active
+        return link.now() - start, caught.value
+
+
+@pytest.mark.parametrize("twist", [AHEAD, LEFT, (-0.2, 0.0)], ids=["ahead", "left", "back"])
+@pytest.mark.parametrize("wheel", range(4), ids=WHEELS)
+def test_a_dead_wheel_is_named(wheel: int, twist: tuple[float, float]) -> None:
+    took, error = stopped(board(dead_wheels=MOTORS[wheel]), twist)
+    assert took < SOON
+    assert error.wheel == WHEELS[wheel]
+    assert f"{WHEELS[wheel]} stands still" in str(error)
+    assert "doctor DEVICE --spin" in str(error)
+
+
+@pytest.mark.parametrize("twist", [AHEAD, LEFT], ids=["ahead", "left"])
+def test_a_reversed_encoder_is_named(twist: tuple[float, float]) -> None:
+    took, error = stopped(board(reversed_encoders="b"), twist)
+    assert took < SOON
+    assert "front_left turns backward" in str(error)
+
+
+def test_a_frozen_encoder_is_named() -> None:
+    assert "rear_right stands still" in str(stopped(board(stuck_encoders="d"), AHEAD)[1])
+
+
+@pytest.mark.parametrize(
+    ("crossed", "said"), [("ab", "front_right answers front_left's"), ("cd", "rear_left answers")]
+)
+def test_swapped_encoders_are_named(crossed: str, said: str) -> None:
+    took, error = stopped(board(crossed=crossed), LEFT)
+    assert took < SOON
+    assert said in str(error)
+
+
+def test_swapped_encoders_are_found_in_an_arc() -> None:
+    took, error = stopped(board(crossed="ab"), (0.25, 1.0))
+    assert took < SOON
+    assert error.wheel in WHEELS[:2]
+
+
+@pytest.mark.parametrize("at", [1.0, 1.234])
+def test_a_wheel_that_dies_while_driving_is_found(at: float) -> None:
+    took, error = stopped(board(dead_wheels="c", wheel_faults_at=at), AHEAD, 3.0)
+    assert at < took < at + SOON
+    assert error.wheel == "rear_left"
+
+
+def test_a_board_of_9600_baud_and_20_hz_is_judged_as_soon() -> None:
+    config = ACSAR.with_(baud_rate=9600, control_rate=20.0)
+    took, error = stopped(board(config, dead_wheels="a"), AHEAD, config=config)
+    assert took <= SOON
+    assert error.wheel == "front_right"
+
+
+CHANGES: list[dict[str, Any]] = [
+    {},
+    {"motor": {"deadband": 1.0}},
+    {"motor": {"time_constant": 0.2, "acceleration": 20.0}},
+    {"linear_limits": {"max_acceleration": None}, "angular_limits": {"max_acceleration": None}},
+    {"baud_rate": 9600, "control_rate": 20.0},
+    {"firmware": {"feedback_rate": 20.0, "command_timeout": 0.15}},
+    {"max_linear": 2.0, "max_angular": 6.0, "max_wheel_speed": 60.0},
+]
+FAULTS: list[dict[str, Any]] = [
+    {},
+    {"dropped_lines": 0.1, "late_lines": 0.05},
+    {"corrupted_lines": 0.05, "cut_lines": 0.02, "duplicated_lines": 0.1, "garbage_rate": 1.0},
+    {"brown_out_rate": 0.5, "brown_out_time": 0.15},
+]
+
+
+@pytest.mark.parametrize("faults", FAULTS, ids=["none", "lost", "damaged", "brown-out"])
+@pytest.mark.parametrize("change", CHANGES, ids=lambda change: "-".join(change) or "as-it-is")
+def test_sound_wheels_are_never_at_fault(change: dict[str, Any], faults: dict[str, Any]) -> None:
+    """Whatever is driven, with any gain and lag of those that training draws."""
+    config = ACSAR.with_(**change)
+    rng = np.random.default_rng(5)
+    draws = Randomizer(VARIED, config, 0.1, simulated=True)
+    every = round(0.1 / config.period)
+    with contextlib.closing(Robot(board(config, **faults), config)) as robot:
+        for _ in range(3):
+            robot.reset(Scene(physics=draws.draw(rng)))
+            for tick in range(round(4.0 / config.period)):
+                if tick % every == 0 and rng.random() < 0.6:
+                    twist = rng.uniform(-1.0, 1.0, 2) * (rng.random() > 0.2)
+                robot.drive(twist[0] * config.max_linear, twist[1] * config.max_angular)
+
+
+def test_stops_and_pauses_are_no_fault() -> None:
+    """An emergency stop, stale feedback, and a program that pauses until the board stops."""
+    config = ACSAR.with_(firmware={"command_timeout": 0.1})
+    link = board(config)
+    with Robot(link, config) as robot:
+        for pause in (0.0, 0.08, 0.3, 1.0):
+            for _ in range(100):
+                robot.drive(*AHEAD)
+            if pause:
+                link.advance(pause)
+        robot.estop()
+        for _ in range(100):
+            robot.drive(*AHEAD)
+
+
+def test_a_robot_that_stands_may_be_pushed() -> None:
+    watch = WheelWatch(ACSAR)
+    for _ in range(500):
+        watch.tick((0.0, 0.0, 0.0, 0.0), (4.0, 4.0, 4.0, 4.0), 0.01, fresh=True)
+
+
+def test_a_wheel_that_races_is_named() -> None:
+    watch = WheelWatch(ACSAR)
+    slow = (4.0, 4.0, 4.0, 4.0)
+    with pytest.raises(WheelError, match="front_left turns too fast"):
+        for _ in range(100):
+            watch.tick(slow, (4.0, 30.0, 4.0, 4.0), 0.01, fresh=True)
+
+
+def test_the_check_can_be_switched_off() -> None:
+    config = ACSAR.with_(wheel_check=False)
+    with Robot(board(config, dead_wheels="a"), config) as robot:
+        for _ in range(100):
+            robot.drive(*AHEAD)
+
+
+def test_simulated_robots_are_not_judged() -> None:
+    """A batch has no such check, and both must do the same."""
+    with Robot(FaultyLink(open_link("planar", ACSAR), {"dead_wheels": "a"}, 0), ACSAR) as robot:
+        for _ in range(100):
+            robot.drive(*AHEAD)
+
+
+def test_an_environment_truncates_the_episode() -> None:
+    link: Any = board(reversed_encoders="b")
+    env = gymnasium.make("acsar_gym/PointGoal-v0", link=link)
+    env.reset(seed=0)
+    for _ in range(10):
+        *_, truncated, info = env.step(np.array([0.6, 0.0], np.float32))
+        if truncated:
+            break
+    assert info["fault"] == 6.0
+    assert "front_left turns backward" in info["fault_reason"]
+    env.close()
