@@ -1,0 +1,54 @@
+"""The header of a recording: what is needed to read, repeat and align it.
+
+| key | content |
+|---|---|
+| `format` | number of this format |
+| `config`, `config_sha256` | the robot, and the hash of its whole config |
+| `versions` | of acsar_gym, python, numpy |
+| `created` | `wall` clock [ns since 1970] and `monotonic` clock [ns] at the same moment; /time_reference |
+| | repeats the wall clock every second |
+| `about` | what the program says about it: `env` (id, kwargs), `task`, `policy` (file, sha256), |
+| | `link`, `command`. Seed, goal and start are told for each episode in /acsar/episode |
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+import acsar_gym
+from acsar_gym.config import RobotConfig
+
+FORMAT = 1
+NAME = "acsar_gym"
+"""Name of the metadata record that holds the header."""
+END = "acsar_gym_end"
+"""Name of the metadata record at the end of a complete recording."""
+
+
+def header(config: RobotConfig, about: Mapping[str, Any]) -> dict[str, Any]:
+    """Make the header of a recording that begins now.
+
+    Args:
+        config: of the robot.
+        about: what the program says about it, ready for JSON.
+    """
+    dumped = config.model_dump_json()
+    return {
+        "format": FORMAT,
+        "config": json.loads(dumped),
+        "config_sha256": hashlib.sha256(dumped.encode()).hexdigest(),
+        "versions": {
+            "acsar_gym": acsar_gym.__version__,
+            "numpy": np.__version__,
+            "python": platform.python_version(),
+        },
+        "created": {"wall": time.time_ns(), "monotonic": time.monotonic_ns()},
+        "about": dict(about),
+    }

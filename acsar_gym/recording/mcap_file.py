@@ -1,0 +1,82 @@
+"""Writes messages to an MCAP file, as ROS 2's own recorder does."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import IO, Any
+
+import acsar_gym
+from acsar_gym.errors import ConfigError, MissingExtraError
+from acsar_gym.reading import bounded
+from acsar_gym.recording import typesystem
+from acsar_gym.recording.encoder import Message
+from acsar_gym.recording.header import END, NAME
+from acsar_gym.recording.topics import ENCODING, SCHEMA_ENCODING, TOPICS
+
+
+class McapFile:
+    """A file that is being written. Errors are OSError, except in the constructor.
+
+    Args:
+        path: of the file; one that is there is replaced.
+        header: of the recording.
+
+    Raises:
+        ConfigError: it can't be written.
+        MissingExtraError: mcap or rosbags isn't installed.
+    """
+
+    def __init__(self, path: Path, header: Mapping[str, Any]) -> None:
+        try:
+            from mcap.writer import Writer  # noqa: PLC0415 - optional
+        except ImportError:
+            raise MissingExtraError("recording", "record") from None
+        typesystem.store()
+        try:
+            self._file: IO[bytes] = open(path, "wb", opener=bounded.opener)
+            self._writer = Writer(self._file)
+            self._writer.start("ros2", f"acsar_gym {acsar_gym.__version__}")
+            self._writer.add_metadata(NAME, {"header": json.dumps(header, default=str)})
+            self._channels = self._registered()
+            self.flush()
+        except (OSError, ValueError) as error:
+            raise ConfigError(f"{path}: can't be written: {bounded.reason(error)}") from None
+
+    def _registered(self) -> dict[str, int]:
+        """Register all topics; returns their channels."""
+        writer, schemas = self._writer, {}
+        for kind in dict.fromkeys(topic.kind for topic in TOPICS):
+            text = typesystem.definition(kind)
+            schemas[kind] = writer.register_schema(kind, SCHEMA_ENCODING, text)
+        return {
+            topic.name: writer.register_channel(
+                topic.name, ENCODING, schemas[topic.kind], topic.metadata
+            )
+            for topic in TOPICS
+        }
+
+    def add(self, message: Message) -> None:
+        """Add a message; it is in the file after the next `flush`."""
+        channel = self._channels[message.topic.name]
+        self._writer.add_message(channel, message.time, message.data, message.time)
+
+    def flush(self) -> None:
+        """Write what was added, so that it survives a crash of the program or the computer."""
+        self._writer.flush()
+        with contextlib.suppress(OSError):  # not a regular file
+            os.fdatasync(self._file.fileno())
+
+    def close(self, end: Mapping[str, Any]) -> None:
+        """Finish the file with its index, and what is only known at the end."""
+        try:
+            self._writer.flush()
+            self._writer.add_metadata(END, {"end": json.dumps(end)})
+            self._writer.finish()
+            self._file.flush()
+        finally:
+            with contextlib.suppress(OSError):
+                self._file.close()
