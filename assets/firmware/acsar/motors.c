@@ -2,12 +2,26 @@
 
 #include "config.h"
 
+/* Where a motor is connected. */
+struct pins {
+    volatile uint8_t *duty; /* output compare register of its PWM */
+    volatile uint8_t *pwm_ddr;
+    uint8_t pwm_mask;
+    volatile uint8_t *direction_port;
+    volatile uint8_t *direction_ddr;
+    uint8_t direction_mask;
+};
+
+static const struct pins motors[WHEELS] = MOTOR_PINS;
+static const uint8_t reversed[WHEELS] = MOTOR_REVERSED;
+
 void motors_begin(void)
 {
     for (uint8_t wheel = 0; wheel < WHEELS; wheel++) {
-        PWM_DUTY(wheel) = 0;
-        PWM_DDR(wheel) |= 1 << PWM_BIT(wheel);
-        DIRECTION_DDR(wheel) |= 1 << DIRECTION_BIT(wheel);
+        const struct pins *motor = &motors[wheel];
+        *motor->duty = 0;
+        *motor->pwm_ddr |= motor->pwm_mask;
+        *motor->direction_ddr |= motor->direction_mask;
     }
     /* Phase-correct PWM at 3.9 kHz: a duty of 0 is no pulse at all. */
     TCCR0A = 1 << COM0A1 | 1 << COM0B1 | 1 << WGM00;
@@ -18,11 +32,11 @@ void motors_begin(void)
 
 void motors_set(uint8_t wheel, int16_t duty)
 {
-    static const uint8_t reversed[WHEELS] = MOTOR_REVERSED;
+    const struct pins *motor = &motors[wheel];
     uint8_t backward = (duty < 0) != reversed[wheel];
     if (backward)
-        DIRECTION_PORT(wheel) |= 1 << DIRECTION_BIT(wheel);
+        *motor->direction_port |= motor->direction_mask;
     else
-        DIRECTION_PORT(wheel) &= ~(1 << DIRECTION_BIT(wheel));
-    PWM_DUTY(wheel) = duty < 0 ? -duty : duty;
+        *motor->direction_port &= ~motor->direction_mask;
+    *motor->duty = duty < 0 ? -duty : duty;
 }
