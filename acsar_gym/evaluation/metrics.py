@@ -74,21 +74,21 @@ class Summary:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the fields for JSON; NaN and infinity become None."""
-        cleaned: dict[str, Any] = _finite(asdict(self))
+        cleaned: dict[str, Any] = finite(asdict(self))
         return cleaned
 
 
 def per_episode(results: Sequence[EpisodeResult]) -> list[dict[str, Any]]:
     """Return the results for JSON, one dict per episode, timing included."""
-    return [_finite(asdict(result)) for result in results]
+    return [finite(asdict(result)) for result in results]
 
 
-def _finite(value: Any) -> Any:
-    """Replace NaN and infinity by None, recursively."""
+def finite(value: Any) -> Any:
+    """Replace NaN and infinity by None, recursively, for JSON."""
     if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
+        return {key: finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
+        return [finite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

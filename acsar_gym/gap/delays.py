@@ -41,15 +41,14 @@ def delays(
         feedback: (k, 4) measured wheel speeds [rad/s].
 
     Returns:
-        (m,) delays [s], one for each step that the feedback shows.
+        (m,) delays [s], one for each step of `steps`; NaN where the wheels weren't steady before
+        the step, or never show it.
     """
     found = []
     for number in steps(command_stamps, commands):
         start = command_stamps[number]
         change = commands[number] - commands[number - 1]
-        delay = _delay(start, change, feedback_stamps, feedback)
-        if delay is not None:
-            found.append(delay)
+        found.append(_delay(start, change, feedback_stamps, feedback))
     return np.array(found, np.float64)
 
 
@@ -62,16 +61,16 @@ def steps(stamps: Floats, commands: Floats) -> list[int]:
     return [int(number) for number in changes[held >= HELD - 1e-9]]
 
 
-def _delay(start: float, change: Floats, stamps: Floats, speeds: Floats) -> float | None:
-    """Return the delay of one step [s]; None if the wheels weren't steady, or never show it."""
+def _delay(start: float, change: Floats, stamps: Floats, speeds: Floats) -> float:
+    """Return the delay of one step [s]; NaN if the wheels weren't steady, or never show it."""
     first = int(np.searchsorted(stamps, start, side="right"))
     before = speeds[int(np.searchsorted(stamps, start - HELD)) : first]
     if not len(before) or np.ptp(before, axis=0).max() > SETTLED:
-        return None
+        return math.nan
     last = int(np.searchsorted(stamps, start + LONGEST, side="right"))
     moved = (speeds[first:last] - before[-1]) * np.sign(change) * (np.abs(change) > CHANGE)
     shown = np.flatnonzero(moved.max(axis=1, initial=0.0) >= SHOWN)
-    return float(stamps[first + shown[0]] - start) if len(shown) else None
+    return float(stamps[first + shown[0]] - start) if len(shown) else math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +96,11 @@ class TwoSample:
 
 
 def two_sample(first: Floats, second: Floats) -> TwoSample:
-    """Compare two samples of delays [s] by their means and the Kolmogorov-Smirnov test."""
+    """Compare two samples of delays [s] by their means and the Kolmogorov-Smirnov test.
+
+    NaN is left out.
+    """
+    first, second = first[np.isfinite(first)], second[np.isfinite(second)]
     counts = (len(first), len(second))
     means = tuple(float(sample.mean()) if len(sample) else math.nan for sample in (first, second))
     difference = means[1] - means[0]

@@ -13,7 +13,7 @@ from acsar_gym.odometry import Odometry
 from acsar_gym.recording.open_loop import Replayed, replayed
 from acsar_gym.recording.types import Episode
 from acsar_gym.recording.wire_log import WireLog
-from acsar_gym.worlds.scene import to_odometry
+from acsar_gym.worlds.scene import Pose, to_odometry
 
 REGULAR = 0.25
 """Lines count as periodic if their times stray by less than this share of the period."""
@@ -58,7 +58,10 @@ class Track:
 
 def recorded(episode: Episode, config: RobotConfig) -> Track:
     """Make the track of a recorded episode; odometry is computed anew, with `config`."""
-    return _track(episode.wire, episode.stamps, _from_origin(episode.truth), config)
+    truth = episode.truth
+    if len(truth) and np.isfinite(truth).all():
+        truth = _from(episode.info.get("start", tuple(truth[0].tolist())), truth)
+    return _track(episode.wire, episode.stamps, truth, config)
 
 
 def twin(episode: Episode, config: RobotConfig, of: RobotConfig, body: str) -> Track:
@@ -124,12 +127,9 @@ def _at(wanted: Floats, stamps: Floats, values: Floats) -> Floats:
     return np.column_stack([np.interp(wanted, stamps, column) for column in values.T])
 
 
-def _from_origin(truth: Floats) -> Floats:
-    """Move true poses into the frame in which the first one is the origin."""
-    if not len(truth) or not np.isfinite(truth).all():
-        return truth
-    start = (float(truth[0, 0]), float(truth[0, 1]), float(truth[0, 2]))
-    moved = np.array([to_odometry(start, (x, y, theta)) for x, y, theta in truth.tolist()])
+def _from(start: Pose, poses: Floats) -> Floats:
+    """Move true poses into the frame that begins at `start`, with theta unwrapped."""
+    moved = np.array([to_odometry(start, (x, y, theta)) for x, y, theta in poses.tolist()])
     moved[:, 2] = np.unwrap(moved[:, 2])
     return moved
 

@@ -1,0 +1,134 @@
+"""The gap of twins whose hidden parameters are known."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from rollout_tools import HIDDEN, driven, random_steps, recording
+
+from acsar_gym import RobotConfig
+from acsar_gym.errors import ConfigError
+from acsar_gym.evaluation import report
+from acsar_gym.gap import tables
+from acsar_gym.gap.measure import Gap, conclusion, measure
+from acsar_gym.recording.types import Recording
+
+ACSAR = RobotConfig.preset("acsar")
+ROBOT = ACSAR.with_(**HIDDEN)
+BEFORE = ("acsar", ACSAR)
+
+
+@cache
+def log(seed: int = 0, duration: float = 8.0, extra: float = 0.0) -> Recording:
+    """A recording of the hidden robot, whose board takes `extra` seconds for each line."""
+    processing = ACSAR.firmware.processing_time + extra
+    hidden = ROBOT.with_(firmware={"processing_time": processing})
+    episode = driven(hidden, random_steps(seed, duration, hidden), phase=0.0025)
+    return recording(ACSAR, episode, name=f"log {seed}")
+
+
+@cache
+def fitted() -> Gap:
+    """The gap of the right twin."""
+    logs = [(f"{seed}.mcap", log(seed)) for seed in range(3)]
+    return measure(logs, ("robot.yaml", ROBOT), BEFORE)
+
+
+def test_the_right_twin_has_a_tenth_of_the_gap() -> None:
+    before, after = fitted().figures("before"), fitted().figures("after")
+    assert before["wheel_speed_rms"] > 0.5
+    assert after["wheel_speed_rms"] < 0.01
+    assert before["end_pose"] > 0.005
+    assert after["end_pose"] < 1e-4
+    assert before["time_shift"] == pytest.approx(0.14 - 0.08, abs=0.03)
+    assert abs(after["time_shift"]) < 1e-3
+
+
+def test_truth_is_left_out_where_it_isnt_known() -> None:
+    known = log()
+    blind = replace(known.episodes[0], truth=np.full_like(known.episodes[0].truth, np.nan))
+    gap = measure([("a", recording(ACSAR, blind))], ("robot.yaml", ROBOT), BEFORE)
+    assert not gap.replays[0].recorded.known
+    slip = np.abs(known.episodes[0].poses[-1] - known.episodes[0].truth[-1])[:2]
+    assert gap.figures("after")["end_pose"] == pytest.approx(np.hypot(*slip), rel=0.5)
+    assert gap.figures("after")["end_odometry"] < 1e-4
+
+
+def test_ten_milliseconds_of_delay_are_found() -> None:
+    logs = [(f"{seed}", log(seed, 20.0, extra=0.010)) for seed in (3, 4)]
+    gap = measure(logs, ("robot.yaml", ROBOT), BEFORE)
+    test = gap.delays("after")
+    assert test.differs
+    assert test.difference == pytest.approx(0.020, abs=0.005)  # the answer is late, too
+    assert gap.figures("after")["time_shift"] == pytest.approx(0.020, abs=0.002)
+    assert "delays differ: the robot answers" in conclusion(gap)[1]
+
+
+def test_equal_delays_are_said_to_be_equal() -> None:
+    assert fitted().delays("after").p_value == 1.0
+    assert "delays don't differ" in conclusion(fitted())[1]
+
+
+def test_fitted_logs_dont_count() -> None:
+    class Measured:
+        logs = (log(0).sha256,)
+
+    class Robot:
+        measured = {"motor.time_constant.a": Measured()}  # noqa: RUF012
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(ROBOT, name)
+
+    logs = [(f"{seed}.mcap", log(seed)) for seed in range(2)]
+    gap = measure(logs, ("robot.yaml", Robot()), BEFORE)  # type: ignore[arg-type]
+    assert [replay.fitted for replay in gap.replays] == [True, False]
+    assert [replay.log for replay in gap.judged] == ["1.mcap"]
+    gap = measure(logs[:1], ("robot.yaml", Robot()), BEFORE)  # type: ignore[arg-type]
+    assert len(gap.judged) == 1
+    assert "none is held out" in gap.notes[-1]
+    assert "fitted episode" in conclusion(gap)[0]
+
+
+def test_the_recordings_own_config_may_be_the_unfitted_twin() -> None:
+    gap = measure([("a", log())], ("robot.yaml", ROBOT), ("recorded", None))
+    assert gap.figures("before") == measure([("a", log())], ("r", ROBOT), BEFORE).figures("before")
+
+
+def test_logs_of_different_robots_are_refused() -> None:
+    other = replace(log(1), config=ACSAR.with_(wheelbase=0.35))
+    with pytest.raises(ConfigError, match=r"b: is of another robot: wheelbase = 0\.35 m, but 0\.2"):
+        measure([("a", log(0)), ("b", other)], ("robot.yaml", ROBOT), BEFORE)
+
+
+def test_what_is_odd_about_a_log_is_noted() -> None:
+    odd = replace(log(), cut=True, dropped=3, config=ACSAR.with_(wheel_radius=0.08))
+    assert measure([("a", odd)], ("robot.yaml", ROBOT), BEFORE).notes == (
+        "a: its end is missing; the rest was used",
+        "a: 3 ticks are missing",
+        "a: recorded with wheel_radius = 0.08 m, robot.yaml: 0.05 m",
+    )
+
+
+def test_a_short_log_is_refused() -> None:
+    with pytest.raises(ConfigError, match="a: holds no episode of 1 s or more"):
+        measure([("a", log(0, 0.5))], ("robot.yaml", ROBOT), BEFORE)
+
+
+def test_tables_and_json_hold_the_figures() -> None:
+    shown = tables.tables(fitted())
+    assert [table.row_count for table in shown] == [8, 3]
+    report.show(*shown)
+    told = tables.as_dict(fitted())
+    assert told["after"]["figures"] == fitted().figures("after")
+    assert told["held_out"]
+    assert len(told["logs"]) == 3
+    one = tables.as_dict(measure([("a", log())], ("r", ROBOT), BEFORE))
+    assert one["after"]["intervals"]["end_pose"] == (None, None) or one["after"]["intervals"][
+        "end_pose"
+    ] == [None, None]
+    assert math.isfinite(one["after"]["figures"]["end_pose"])
