@@ -28,7 +28,7 @@ CLOSE = 0.002
 out and measured."""
 PATIENCE = 5.0
 """A leg that takes this much longer than three times its nominal time has failed [s]."""
-REST = 1.0
+REST = 1.5
 """How long the robot stands at the end of a run, to be measured [s]."""
 
 
@@ -41,8 +41,8 @@ class Observer(Protocol):
     def tick(self, robot: Robot) -> None:
         """Follow the robot for one tick."""
 
-    def readings(self, robot: Robot, plan: Plan) -> list[Reading]:
-        """What was measured, with the robot at rest at the end."""
+    def readings(self, plan: Plan) -> list[Reading]:
+        """What was measured; called after the run, when the robot isn't driven."""
 
 
 def drive(robot: Robot, plan: Plan, scene: Scene, observer: Observer | None = None) -> Run:
@@ -65,9 +65,9 @@ def drive(robot: Robot, plan: Plan, scene: Scene, observer: Observer | None = No
         for leg in plan.legs:
             driver.leg(leg)
         driver.rest()
-        readings = [] if observer is None else observer.readings(robot, plan)
     finally:
         robot.deactivate()
+    readings = [] if observer is None else observer.readings(plan)
     return Run(plan.name, plan.manoeuvre, np.array(driver.wheels), tuple(readings))
 
 

@@ -15,6 +15,11 @@ ROUGHNESS = 2e-4
 """Standard deviation of odometry, as a share of the way of each side: encoders, printed digits."""
 
 
+SKID = 1e-3
+"""Standard deviation of the multiplier from run to run, as a share: it depends a little on speed
+and turn radius."""
+
+
 class Geometry(NamedTuple):
     """The three numbers that odometry needs."""
 
@@ -81,8 +86,11 @@ def sigmas(run: Run, geometry: Geometry, separation: float) -> list[float]:
     """Standard deviation of reading less odometry for each reading of a run [m, rad]."""
     rough = ROUGHNESS * way(run, geometry.radius)
     arm = separation * geometry.multiplier / 2.0
+    skid = SKID * abs(end_pose(run.wheels, geometry, separation)[2])
     return [
-        math.hypot(reading.sigma, rough / arm if reading.kind == "heading" else rough)
+        math.hypot(reading.sigma, rough / arm, skid)
+        if reading.kind == "heading"
+        else math.hypot(reading.sigma, rough)
         for reading in run.readings
     ]
 

@@ -20,22 +20,23 @@ class TruthObserver:
 
     def __init__(self) -> None:
         self._start: Pose = (0.0, 0.0, 0.0)
-        self._theta = self._turned = 0.0
+        self._pose: Pose = (0.0, 0.0, 0.0)
+        self._turned = 0.0
 
     def begin(self, robot: Robot) -> None:
         """Note where the robot stands."""
-        self._start = _truth(robot)
-        self._theta, self._turned = self._start[2], 0.0
+        self._start = self._pose = _truth(robot)
+        self._turned = 0.0
 
     def tick(self, robot: Robot) -> None:
-        """Count the turned angle. LinkError where the robot has touched an obstacle."""
-        theta = _truth(robot)[2]
-        self._turned += math.remainder(theta - self._theta, math.tau)
-        self._theta = theta
+        """Follow the robot. LinkError where it has touched an obstacle."""
+        pose = _truth(robot)
+        self._turned += math.remainder(pose[2] - self._pose[2], math.tau)
+        self._pose = pose
 
-    def readings(self, robot: Robot, plan: Plan) -> list[Reading]:
+    def readings(self, plan: Plan) -> list[Reading]:
         """The end pose in the frame of the start."""
-        x, y, _ = to_odometry(self._start, _truth(robot))
+        x, y, _ = to_odometry(self._start, self._pose)
         return [
             Reading("x", x, METRES, "truth"),
             Reading("y", y, METRES, "truth"),
