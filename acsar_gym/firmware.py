@@ -14,7 +14,7 @@ from acsar_gym.bodies import Body
 from acsar_gym.config import BITS_PER_BYTE, RobotConfig
 from acsar_gym.dynamics import Physics, physics
 from acsar_gym.dynamics.model import ramped
-from acsar_gym.protocol import ZERO, Decoder, Speeds, line_end, line_of
+from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds, line_end, line_of
 
 EPSILON = 1e-9
 """Slack for comparing times that are sums of periods [s]."""
@@ -33,6 +33,7 @@ class Firmware:
     def __init__(self, config: RobotConfig, body: Body) -> None:
         self._body = body
         self._end = line_end(trailing_comma=config.trailing_comma)
+        self._motors, self._encoders = config.wheels.motors, config.wheels.encoders
         self._dt = 1.0 / config.firmware.loop_rate
         self._ramp = config.motor.of_wheel(0).acceleration * self._dt
         self._top = config.motor.max_speed
@@ -116,6 +117,8 @@ class Firmware:
         top = self._top
         for reading in self.decoder.feed(data):
             self._last_command = now
+            if self._motors is not None:
+                reading = Reading(self._motors.to_wheels(reading.speeds))  # noqa: PLW2901
             a, b, c, d = reading.over(self._targets)
             self._targets = (
                 a if -top <= a <= top else math.copysign(top, a),
@@ -126,7 +129,10 @@ class Firmware:
 
     def _answer(self) -> None:
         """Send an encoder line."""
-        line = line_of(*self._encoder_speeds(), self._end)
+        speeds = self._encoder_speeds()
+        if self._encoders is not None:
+            speeds = self._encoders.to_wire(speeds)
+        line = line_of(*speeds, self._end)
         start = max(self._send_free, self._loops * self._dt + self._processing)
         self._send_free = start + len(line) * self._byte_time
         self._sent.append((self._send_free + self._latency, line))

@@ -7,7 +7,7 @@ import math
 from acsar_gym.config import RobotConfig
 from acsar_gym.links.base import Link
 from acsar_gym.links.handshake import silence, still_turning
-from acsar_gym.protocol import ZERO, Decoder, Speeds, line_end, line_of
+from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds, line_end, line_of
 from acsar_gym.safety import rules
 
 STANDSTILL = 0.1
@@ -36,6 +36,8 @@ class Wire:
         self._period = config.period
         self._rules = rules.of(config)
         self._end = line_end(trailing_comma=config.trailing_comma)
+        self._motors, self._encoders = config.wheels.motors, config.wheels.encoders
+        self._feed = self.decoder.feed if self._encoders is None else self._fed
         self._encoded: Speeds = ZERO
         self._command = line_of(*ZERO, self._end)
         self.speeds: Speeds = ZERO
@@ -52,7 +54,8 @@ class Wire:
     def send(self, speeds: Speeds) -> None:
         """Send a command line; it is encoded again only where `speeds` is another object."""
         if speeds is not self._encoded:
-            self._encoded, self._command = speeds, line_of(*speeds, self._end)
+            wired = speeds if self._motors is None else self._motors.to_wire(speeds)
+            self._encoded, self._command = speeds, line_of(*wired, self._end)
         self._link.write(self._command)
 
     def exchange(self, speeds: Speeds | None) -> tuple[list[Speeds], float]:
@@ -72,7 +75,7 @@ class Wire:
             self.send(speeds)
         link = self._link
         heard = []
-        for reading in self.decoder.feed(link.advance(self._period)):
+        for reading in self._feed(link.advance(self._period)):
             self.speeds = reading.over(self.speeds)
             heard.append(self.speeds)
         stamp = link.now()
@@ -82,6 +85,12 @@ class Wire:
         if rules.silent(self.age, self._rules):
             raise silence(self.age, self.decoder)
         return heard, lasted
+
+    def _fed(self, data: bytes) -> list[Reading]:
+        """Decode lines of a board whose encoders have other letters or signs."""
+        readings = self.decoder.feed(data)
+        letters = self._encoders
+        return [Reading(letters.to_wheels(each.speeds)) for each in readings] if letters else []
 
     def settle(self) -> None:
         """Command zero until the wheels stand still.

@@ -133,7 +133,7 @@ def test_a_motor_that_a_line_does_not_name_keeps_its_target() -> None:
 def test_garbage_is_no_command_and_keeps_nobody_alive() -> None:
     firmware, body = board(RobotConfig(firmware=FirmwareConfig(command_timeout=0.2)))
     drive(firmware, encode(FORWARD), 100)
-    drive(firmware, b"xp99.99,ap9.99\r\n", 300)
+    drive(firmware, b"xp99.99,ap9.9\r\n", 300)
     assert body.wheel_speeds == ZERO
     assert firmware.decoder.refused["unknown motor"] == 300
 

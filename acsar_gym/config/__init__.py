@@ -18,6 +18,7 @@ from acsar_gym.config.parts import (
 )
 from acsar_gym.config.rates import whole_ratio
 from acsar_gym.config.robot import RobotConfig, RobotSource
+from acsar_gym.config.wheels import WheelConfig, WheelsConfig
 from acsar_gym.config.wire import BAUD_RATES, BITS_PER_BYTE, LINE_BYTES
 
 __all__ = [
@@ -34,6 +35,8 @@ __all__ = [
     "RobotConfig",
     "RobotSource",
     "SpeedLimits",
+    "WheelConfig",
     "WheelMotor",
+    "WheelsConfig",
     "whole_ratio",
 ]

@@ -22,6 +22,7 @@ from acsar_gym.config.parts import BodyConfig, EncoderConfig, FirmwareConfig, Mo
 from acsar_gym.config.rates import whole_ratio
 from acsar_gym.config.section import Section
 from acsar_gym.config.units import Length, Name, Offset, Rate, Speed, Wait
+from acsar_gym.config.wheels import WheelsConfig
 from acsar_gym.config.wire import BAUD_RATES, BITS_PER_BYTE, LINE_BYTES, known_baud
 from acsar_gym.errors import ConfigError, shown
 
@@ -104,6 +105,8 @@ class RobotConfig(Section):
     """Footprint for collisions: polygon of 3 to 100 corners (x, y) in order, in the base frame [m],
     with the origin inside. A list, or a string like "[[0.2, 0.1], [-0.2, 0.1], [0.0, -0.2]]".
     None: the rectangle around body and wheels."""
+    wheels: WheelsConfig = WheelsConfig()
+    """Letters and signs of motors and encoders, where the board is wired differently."""
     motor: MotorConfig = MotorConfig()
     encoder: EncoderConfig = EncoderConfig()
     firmware: FirmwareConfig = FirmwareConfig()

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.protocol import ZERO, Decoder, Speeds
+from acsar_gym.config.wheels import Letters
+from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds
 
 Floats = NDArray[np.float64]
 
@@ -37,7 +38,7 @@ class WireLog:
             Stamps [s], (n,), and speeds [rad/s] of the logical wheels, (n, 4): one row for each
             complete line.
         """
-        return _decoded(self.sent_stamps, self.sent)
+        return _decoded(self.sent_stamps, self.sent, config.wheels.motors)
 
     def feedback(self, config: RobotConfig) -> tuple[Floats, Floats]:
         """Decode what arrived.
@@ -49,16 +50,19 @@ class WireLog:
             Stamps of each line's last byte [s], (k,), and speeds [rad/s] of the logical wheels,
             (k, 4). A wheel that a line doesn't name keeps its last speed.
         """
-        return _decoded(self.got_stamps, self.got)
+        return _decoded(self.got_stamps, self.got, config.wheels.encoders)
 
 
-def _decoded(stamps: Floats, pieces: Sequence[bytes]) -> tuple[Floats, Floats]:
+def _decoded(
+    stamps: Floats, pieces: Sequence[bytes], letters: Letters | None
+) -> tuple[Floats, Floats]:
     """Decode pieces of a byte stream; each line gets the stamp of the piece that ends it."""
     decoder, speeds = Decoder(), ZERO
     when: list[float] = []
     rows: list[Speeds] = []
     for stamp, piece in zip(stamps.tolist(), pieces, strict=True):
-        for reading in decoder.feed(piece):
+        for each in decoder.feed(piece):
+            reading = Reading(letters.to_wheels(each.speeds)) if letters else each
             speeds = reading.over(speeds)
             when.append(stamp)
             rows.append(speeds)
