@@ -10,6 +10,7 @@ import tyro
 
 from acsar_gym.cli.asking import countdown
 from acsar_gym.cli.options import (
+    BoardArgs,
     File,
     HostArgs,
     Json,
@@ -31,11 +32,11 @@ Device = Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="DEVI
 
 
 def emulate(
+    board: BoardArgs,
     robot: RobotArg = None,
     body: str = "planar",
     log: File = None,
     duration: Seconds = None,
-    silent: bool = False,
     world: Worlds = None,
     lidar: bool = False,
     name: File = None,
@@ -45,11 +46,11 @@ def emulate(
     SIGUSR1 unplugs the cable, SIGUSR2 plugs it in again as another device.
 
     Args:
+        board: how the board behaves.
         robot: preset or config file of the emulated robot.
         body: physics, planar or bullet.
         log: write commands and true poses to this file, one JSON line each.
         duration: seconds to run; default: until Ctrl-C.
-        silent: never answer, as a board without power.
         world: world with the robot at its start: a file, or a generated world like clutter:7-7.
         lidar: also emulate an RPLIDAR, on a pseudo-terminal of its own.
         name: symbolic link that always points to the current device.
@@ -62,7 +63,14 @@ def emulate(
     worlds = None if world is None else Pool.of(world, None, footprint_radius(config), 1)
     one = next(iter(worlds)) if worlds else None
     with Emulator(
-        config, body=body, log=log, silent=silent, world=one, sees=lidar, name=name
+        config,
+        body=body,
+        log=log,
+        silent=board.silent,
+        world=one,
+        sees=lidar,
+        name=name,
+        quirks=board.quirk,
     ) as emulator:
         ended = _handle_signals(emulator)
         print(f"serving a robot on {emulator.device}", flush=True)

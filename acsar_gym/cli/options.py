@@ -71,6 +71,18 @@ class WorldOptions:
 
 
 @dataclass(frozen=True)
+class BoardOptions:
+    """How an emulated board behaves."""
+
+    silent: bool = False
+    """Never answer, as a board without power."""
+    quirk: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")] = ()
+    """How it differs: at-comma, unpadded, padded-space, reversed-encoder=WHEEL,
+    reversed-motor=WHEEL, swapped-encoders, swapped-motors, dead-wheel=WHEEL, dead-encoder=WHEEL,
+    frozen, resets, command-timeout=SECONDS, no-timeout, feedback-rate=HZ."""
+
+
+@dataclass(frozen=True)
 class SpinOptions:
     """Turning of the wheels."""
 
@@ -109,6 +121,7 @@ HostArgs = Annotated[HostOptions, _flat]
 PolicyArgs = Annotated[PolicyOptions, _flat]
 RobotArgs = Annotated[RobotOptions, _flat]
 WorldArgs = Annotated[WorldOptions, _flat]
+BoardArgs = Annotated[BoardOptions, _flat]
 SpinArgs = Annotated[SpinOptions, _flat]
 TimingArgs = Annotated[TimingOptions, _flat]
 StoppingArgs = Annotated[StoppingOptions, _flat]

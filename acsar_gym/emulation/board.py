@@ -11,7 +11,7 @@ import contextlib
 import json
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Self
 
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.emulation.pty import Cable
+from acsar_gym.emulation.quirks import QuirkyLink, of_config, parsed
 from acsar_gym.emulation.rplidar import RplidarEmulator, RplidarTwin
 from acsar_gym.errors import ConfigError
 from acsar_gym.links import Link, open_link, recording
@@ -48,9 +49,10 @@ class Emulator:
         world: the world, at whose start the robot stands; None for the origin of an open floor.
         sees: also emulate an RPLIDAR, at `lidar_device`.
         name: symbolic link that always points to the current device; None for no link.
+        quirks: how the board differs, such as "at-comma"; see emulation/quirks.py.
 
     Raises:
-        ConfigError: for an unknown body, or if `log` or `name` can't be created.
+        ConfigError: for an unknown body or quirk, or if `log` or `name` can't be created.
     """
 
     def __init__(
@@ -63,9 +65,12 @@ class Emulator:
         world: World | None = None,
         sees: bool = False,
         name: Path | None = None,
+        quirks: Sequence[str] = (),
     ) -> None:
         if body not in ("planar", "bullet"):
             raise ConfigError(f"body = {body!r}: must be planar or bullet")
+        odd = parsed(quirks)
+        config = of_config(odd, config)
         self._config = config
         self._silent = silent
         self.plugged = True
@@ -73,6 +78,8 @@ class Emulator:
             self._link: Link = open_link(body, config)
             ours.callback(self._link.close)
             self._link.open()
+            if odd:
+                self._link = QuirkyLink(self._link, config, odd)
             self._link.reset(Scene() if world is None else Scene(_start(world), world=world))
             self._lidar = _lidar(self._link, world, config) if sees else None
             if self._lidar is not None:
