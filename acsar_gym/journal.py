@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from acsar_gym import kinematics
 from acsar_gym.config import RobotConfig
-from acsar_gym.lidars.base import Scan, newest_scan
+from acsar_gym.lidars.base import newest_scan
 from acsar_gym.links.base import Link
 from acsar_gym.odometry import Odometry
 from acsar_gym.recording.events import Fault, Scanned, Tick
@@ -45,11 +45,11 @@ class Journal:
         self._wire = wire
         self._safety = safety
         self._sensors = sensors
-        self._scan: Scan | None = None
+        self._stamp: float | None = None
 
     def began(self) -> None:
         """After a reset: tell the first scan."""
-        self._scan = None
+        self._stamp = None
         if self._recorder is not None:
             self._scanned(self._recorder)
 
@@ -101,6 +101,6 @@ class Journal:
     def _scanned(self, recorder: Recorder) -> None:
         """Tell a scan that is new."""
         scan = newest_scan(self._sensors)
-        if scan is not None and scan is not self._scan:
-            self._scan = scan
+        if scan is not None and scan.stamp != self._stamp:
+            self._stamp = scan.stamp
             recorder.add(Scanned(recorder.number - 1, scan.stamp, scan.ranges))

@@ -104,6 +104,19 @@ class ScannedLink(Protocol):
         """Stamp [s] and ranges [m] of the newest scan; None if there is none."""
 
 
-def has_scans(link: Link) -> bool:
-    """Return whether a link has the scans of a LiDAR."""
-    return isinstance(link, ScannedLink)
+@runtime_checkable
+class Wrapper(Protocol):
+    """A link around another one."""
+
+    @property
+    def link(self) -> Link:
+        """The inner link."""
+
+
+def tape_of(link: Link) -> ScannedLink | None:
+    """Return the link, or the one that it wraps, that has the scans of a recording; or None."""
+    while not isinstance(link, ScannedLink):
+        if not isinstance(link, Wrapper):
+            return None
+        link = link.link
+    return link

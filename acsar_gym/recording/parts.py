@@ -146,6 +146,7 @@ def made(part: Part) -> Episode:
         step_stamps=steps[:, 1],
         scans=_scans(part.scans),
         exchanges=Exchanges(
+            _whole(exchanges[:, 0]),
             exchanges[:, 1],
             _whole(exchanges[:, 2]),
             _whole(exchanges[:, 3]),

@@ -167,6 +167,10 @@ class Recorder:
             writer.finish()
             writer.check(self._name)
 
+    def __reduce__(self) -> tuple[type[Recorder], tuple[Path | None, dict[str, Any]]]:
+        """Copies haven't begun yet."""
+        return Recorder, (self.path, self.about)
+
     def __enter__(self) -> Self:
         return self
 

@@ -29,6 +29,8 @@ class Scans:
 class Exchanges:
     """The control periods of an episode's wire, those of the reset included; m of them."""
 
+    numbers: NDArray[np.int64]
+    """(m,): number of each, 0, 1, 2 and so on; what is missing was dropped."""
     stamps: Floats
     """(m,): end of each, on the link's clock [s]."""
     writes: NDArray[np.int64]
