@@ -27,7 +27,8 @@ class Firmware:
         config: of the robot.
         body: that the board drives.
 
-    Attributes: `decoder`, with counters of refused input.
+    Attributes: `decoder`, with counters of refused input; `arrived`, the lines that the newest
+    `advance` returned, with the times of their last bytes [s].
     """
 
     def __init__(self, config: RobotConfig, body: Body) -> None:
@@ -63,6 +64,7 @@ class Firmware:
         self._elapsed = 0.0
         self._received: deque[tuple[float, bytes]] = deque()
         self._sent: deque[tuple[float, bytes]] = deque()
+        self.arrived: list[tuple[float, bytes]] = []
         self._receive_free = 0.0
         self._send_free = 0.0
         self._last_command = -math.inf
@@ -90,10 +92,11 @@ class Firmware:
         now = self._elapsed + EPSILON
         while (self._loops + 1) * self._dt <= now:
             self._loop()
-        arrived = b""
+        arrived = []
         while self._sent and self._sent[0][0] <= now:
-            arrived += self._sent.popleft()[1]
-        return arrived
+            arrived.append(self._sent.popleft())
+        self.arrived = arrived
+        return b"".join([line for _, line in arrived])
 
     def _loop(self) -> None:
         """Run one firmware loop."""

@@ -14,11 +14,14 @@ from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import LinkError, SafetyWarning
+from acsar_gym.journal import Journal
 from acsar_gym.lidars.factory import factories
 from acsar_gym.links.base import Link
 from acsar_gym.links.lateness import EpisodeTiming, Stopwatch
+from acsar_gym.links.recorded import recorded
 from acsar_gym.odometry import Odometry
 from acsar_gym.protocol import ZERO, Decoder, Speeds
+from acsar_gym.recording import Recorder
 from acsar_gym.safety.estop import StopListener
 from acsar_gym.safety.layer import Safety
 from acsar_gym.safety.wheel_watch import WheelWatch
@@ -41,6 +44,7 @@ class Robot:
         config: Its parameters; None is the ACSAR robot.
         sensors: Names ("lidar", "mine.rays:ThreeRays"), factories (subclasses of Sensor) or ready
             sensors. The robot owns them: it resets, polls and closes them.
+        recorder: Records what the robot does; the robot owns it as well.
     """
 
     def __init__(
@@ -48,9 +52,10 @@ class Robot:
         link: Link,
         config: RobotConfig | None = None,
         sensors: Iterable[str | Sensor | Factory] = (),
+        recorder: Recorder | None = None,
     ) -> None:
-        self.link = link
         self.config = RobotConfig.of(config)
+        self.link = link = recorded(link, recorder, self.config)
         self.sensors = Sensors(factories(sensors), link, self.config)
         self.odometry = Odometry(
             self.config.wheel_radius,
@@ -60,6 +65,8 @@ class Robot:
         self.wire = Wire(link, self.config)
         self.active = False
         self.safety = Safety(self.config)
+        own = self.config, self.wire, self.safety, self.sensors
+        self._journal = Journal(recorder, link, *own)
         self._listener: StopListener | None = None
         self._stopwatch: Stopwatch | None = None
         self._watch: WheelWatch | None = None
@@ -102,6 +109,7 @@ class Robot:
                 self._watch = WheelWatch(self.config)
         try:
             self.sensors.reset(scene, np.random.default_rng(0) if rng is None else rng)
+            self._journal.began()
         except BaseException:
             self.deactivate()
             raise
@@ -149,6 +157,7 @@ class Robot:
             self._exchange(self.safety.bounded(speeds, pose, age))
             if self._clocked:
                 self.sensors.poll()
+            self._journal.turned(self.odometry, speeds)
         except BaseException:
             self.deactivate()
             raise
@@ -164,6 +173,7 @@ class Robot:
             self._exchange(self.safety.allowed(linear, angular, pose, age))
             if self._clocked:
                 self.sensors.poll()
+            self._journal.ticked(self.odometry, linear, angular)
         except BaseException:
             self.deactivate()
             raise
@@ -176,6 +186,7 @@ class Robot:
         try:
             self._heed()
             self._exchange(None)
+            self._journal.listened(self.odometry)
         except BaseException:
             self.deactivate()
             raise
@@ -224,16 +235,18 @@ class Robot:
             self.wire.send(ZERO)
 
     def close(self) -> None:
-        """Command zero, close the link and the sensors; idempotent."""
+        """Command zero, close the link, the sensors and the recording; idempotent."""
         try:
             self.deactivate()
         finally:
             self.sensors.close()
+            self._journal.close()
 
     def deactivate(self) -> None:
         """Command zero, then close the link; idempotent. Sensors stay open for the next reset."""
         if not self.active:
             return
+        self._journal.ended()
         try:
             with contextlib.suppress(LinkError):
                 self.stop()

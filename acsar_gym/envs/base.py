@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import copy
-import math
 import os
 from collections.abc import Iterator, Sequence
 from typing import Any, Self
@@ -17,7 +16,9 @@ from acsar_gym.bodies import display
 from acsar_gym.bodies.base import GroundTruth, Image
 from acsar_gym.config import RobotConfig, RobotSource, whole_ratio
 from acsar_gym.dynamics.randomizer import Randomizer
+from acsar_gym.envs.actions import checked
 from acsar_gym.envs.options import RENDER_MODES, EnvOptions
+from acsar_gym.envs.recording import EnvRecord
 from acsar_gym.envs.told import Info, fault_code, info_of, state_of
 from acsar_gym.errors import AcsarError, CommandError, ConfigError, LinkError, RenderError, shown
 from acsar_gym.lidars.base import newest_scan
@@ -96,7 +97,9 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         self._randomizer = Randomizer(asked.randomization, config, step, simulated=simulated)
         faults = Faults.of(asked.faults)
         self._faulty = FaultyLink(wire, faults) if faults.possible else None
-        self.robot = Robot(self._faulty or wire, config, self._factories())
+        self._record = EnvRecord(asked.record)
+        own = config, self._factories(), self._record.recorder
+        self.robot = Robot(self._faulty or wire, *own)
         self._top = (config.max_linear, config.max_angular)
         mode = None if self._bullets_window(link) else self.render_mode
         self._screen = Screen(config, mode, asked.view)
@@ -142,13 +145,16 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         self._episode = episode = Episode(self.task, assignment)
         start, physics = assignment.start, self._randomizer.draw(self.np_random)
         scene = Scene(start, point_in_world(start, assignment.goal), assignment.world, physics)
+        self._record.begin(self.spec, self.task, seed, assignment)
         self.robot.reset(scene, self.np_random)
         self._sensed = self.robot.read().astype(np.float32)
         self._screen.begin(assignment, self.task.goal_tolerance)
         with self._stopping():
             state = self._state(episode, (0.0, 0.0))
             episode.begin(state)
-            return self._told(episode, state)
+            told = self._told(episode, state)
+            self._record.first(self.robot, told[0])
+            return told
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, Info]:
         """Drive for one env step; the class of the id describes spaces, reward and end.
@@ -164,21 +170,27 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         episode = self._episode
         if episode is None:
             raise ConfigError("step() before reset(): call reset() first")
-        linear, angular = self._checked(action)
+        try:
+            linear, angular = checked(action)
+        except CommandError:
+            self._halt()
+            raise
         try:
             self._drive(linear * self._top[0], angular * self._top[1])
         except LinkError as error:
             if self._told_last is None or self._options.on_fault == "raise":
                 raise
-            return self._cut_short(error)
+            return self._cut_short(error, episode, action)
         episode.steps += 1
         with self._stopping():
             state = self._state(episode, (linear, angular))
             reward, outcome = episode.step(state)
             observation, info = self._told(episode, state)
-        if outcome is not Outcome.GOING:
+        over = outcome is not Outcome.GOING
+        if over:
             self._halt()
-        return observation, reward, outcome is not Outcome.GOING, False, info
+        self._record.stepped(self.robot, episode.steps, action, (observation, reward, over, False))
+        return observation, reward, over, False, info
 
     @contextlib.contextmanager
     def _stopping(self) -> Iterator[None]:
@@ -199,12 +211,15 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         except LinkError:
             self.robot.deactivate()
 
-    def _cut_short(self, error: LinkError) -> tuple[Observation, float, bool, bool, Info]:
+    def _cut_short(
+        self, error: LinkError, episode: Episode, action: NDArray[np.float32]
+    ) -> tuple[Observation, float, bool, bool, Info]:
         """Truncate the episode because the link failed; the observation is the last one."""
         self.robot.deactivate()
         assert self._told_last is not None  # noqa: S101 - for the type checker
         (observation, info), self._told_last = self._told_last, None
         why = {"is_success": 0.0, "fault": float(fault_code(error)), "fault_reason": str(error)}
+        self._record.stepped(self.robot, episode.steps + 1, action, (observation, 0.0, False, True))
         return observation, 0.0, False, True, info | self._randomizer.info() | why
 
     def _drive(self, linear: float, angular: float) -> None:
@@ -212,23 +227,6 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         for _ in range(self.ticks_per_step):
             self.robot.drive(linear, angular)
         self._sensed = self.robot.read().astype(np.float32)
-
-    def _checked(self, action: NDArray[np.float32]) -> tuple[float, float]:
-        """The action as two floats in [-1, 1].
-
-        CommandError, and the wheels stop, for anything else.
-        """
-        try:
-            linear, angular = np.asarray(action, np.float64).tolist()
-            sound = math.isfinite(linear + angular)
-        except (TypeError, ValueError, OverflowError):
-            sound = False
-        if not sound:
-            self._halt()
-            raise CommandError(
-                f"action = {shown(action)}: must be two finite numbers (linear, angular) in [-1, 1]"
-            )
-        return min(max(linear, -1.0), 1.0), min(max(angular, -1.0), 1.0)
 
     def _state(self, episode: Episode, action: tuple[float, float]) -> State:
         """The State that the task is given."""

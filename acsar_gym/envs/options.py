@@ -21,6 +21,7 @@ class EnvOptions(Options):
     lidar: Any = None
     view: str = "top"
     on_fault: str = "truncate"
+    record: Any = None
 
     def __post_init__(self) -> None:
         super().__post_init__()

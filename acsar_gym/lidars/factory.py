@@ -8,8 +8,9 @@ from typing import Any
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, shown, suggestion
 from acsar_gym.lidars.base import Lidar, LidarSensor
+from acsar_gym.lidars.replayed import ReplayedLidar
 from acsar_gym.lidars.simulated import SimulatedLidar
-from acsar_gym.links.base import Link
+from acsar_gym.links.base import Link, tape_of
 from acsar_gym.reading.objects import imported
 from acsar_gym.sensors import LIDAR, Factory, Sensor
 
@@ -18,7 +19,8 @@ def open_lidar(url: Any, link: Link, config: RobotConfig) -> Lidar:
     """Make the LiDAR that a user names; nothing is opened before its `reset`.
 
     Args:
-        url: None or "simulated" for rays in the world of a simulated link, or
+        url: None or "simulated" for rays in the world of a simulated link, or the scans of a
+            recording, or
             "rplidar:///dev/ttyUSB1" for an RPLIDAR on a serial device, or a Lidar.
         link: of the robot.
         config: of the robot.
@@ -30,6 +32,8 @@ def open_lidar(url: Any, link: Link, config: RobotConfig) -> Lidar:
         ready: Lidar = url
         return ready
     if url is None or (isinstance(url, str) and url == "simulated"):
+        if (tape := tape_of(link)) is not None:
+            return ReplayedLidar(tape, link, config)
         if link.truth is None:
             raise ConfigError(
                 "this env needs a LiDAR and this link simulates none: "

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import Protocol, runtime_checkable
 
+import numpy as np
+from numpy.typing import NDArray
+
 from acsar_gym.bodies.base import Camera, GroundTruth
 from acsar_gym.worlds import Scene
 
@@ -69,3 +72,51 @@ class CameraLink(Protocol):
 def camera_of(link: Link) -> Camera | None:
     """Return the camera of a link; None if it has none, as on hardware."""
     return link.camera if isinstance(link, CameraLink) else None
+
+
+Arrivals = list[tuple[float, bytes]]
+"""Pieces of bytes, and when the last byte of each arrived, on the link's clock [s]."""
+
+
+@runtime_checkable
+class StampingLink(Protocol):
+    """A link that knows when bytes arrived more precisely than to a period."""
+
+    @property
+    def arrivals(self) -> Arrivals:
+        """What arrived in the newest period. A real link notes it from the first call on."""
+
+
+def arrivals_of(link: Link) -> Arrivals:
+    """Return when the bytes of the newest period arrived.
+
+    To 1 ms or better on a serial device, where the first call begins it, and exactly in simulation;
+    nothing for links that know no more than the end of the period.
+    """
+    return link.arrivals if isinstance(link, StampingLink) else []
+
+
+@runtime_checkable
+class ScannedLink(Protocol):
+    """A link that has the scans of a LiDAR: a recording."""
+
+    def scan(self) -> tuple[float, NDArray[np.float64]] | None:
+        """Stamp [s] and ranges [m] of the newest scan; None if there is none."""
+
+
+@runtime_checkable
+class Wrapper(Protocol):
+    """A link around another one."""
+
+    @property
+    def link(self) -> Link:
+        """The inner link."""
+
+
+def tape_of(link: Link) -> ScannedLink | None:
+    """Return the link, or the one that it wraps, that has the scans of a recording; or None."""
+    while not isinstance(link, ScannedLink):
+        if not isinstance(link, Wrapper):
+            return None
+        link = link.link
+    return link

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import select
 import time
 
 from acsar_gym.links.ports import PORT_ERRORS, Port, put, translated
@@ -46,6 +47,20 @@ class OpenPort:
                 if not chunk:
                     break
         return data
+
+    def wait(self, seconds: float) -> bool:
+        """Wait for bytes for a time at most [s].
+
+        Returns whether some arrived, or the device is gone. Ports without a descriptor that can be
+        waited for, as on Windows or rfc2217, just wait.
+        """
+        try:
+            return bool(select.select([self._port], [], [], seconds)[0])
+        except ValueError:
+            time.sleep(seconds)
+        except PORT_ERRORS:
+            time.sleep(seconds)
+        return False
 
     def drop_input(self) -> None:
         """Discard what has arrived and wasn't read."""

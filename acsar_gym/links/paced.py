@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 from acsar_gym.bodies.base import Camera, GroundTruth
-from acsar_gym.links.base import Link, camera_of
+from acsar_gym.links.base import Arrivals, Link, arrivals_of, camera_of
 from acsar_gym.worlds import Scene
 
 
@@ -55,6 +55,11 @@ class PacedLink:
     def lateness(self) -> float | None:
         """Lateness of the link, which is None, as its time is simulated."""
         return self._link.lateness
+
+    @property
+    def arrivals(self) -> Arrivals:
+        """When the bytes of the newest period arrived, on the link's clock [s]."""
+        return arrivals_of(self._link)
 
     @property
     def camera(self) -> Camera | None:

@@ -1,12 +1,19 @@
-"""Replays a recording as a link: the same bytes at the same times, whatever is commanded."""
+"""Replays a recording as a link: the same bytes at the same times, if the commands are the same."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym.bodies.base import GroundTruth
 from acsar_gym.errors import LinkLostError
-from acsar_gym.links import recording
+from acsar_gym.links.base import Arrivals
+from acsar_gym.recording.reader import read
+from acsar_gym.recording.replayed import Tape
+from acsar_gym.recording.types import Recording
 from acsar_gym.worlds import Scene
 
 
@@ -23,76 +30,119 @@ class Port(Protocol):
 class ReplayLink:
     """Replays the episodes of a recording, one per reset, with the recorded times.
 
+    Commands are compared with those recorded. Where they differ, what was recorded is no answer to
+    them, so the replay ends with an error that names the tick.
+
     Args:
         path: the recording.
         port: read the feedback of each period from this port, to which another program replays
             it; the recording then only provides the number of bytes. None to use the recorded
             bytes.
+        compare: whether other commands are an error.
     """
 
-    truth = None
-    lateness = None
-
-    def __init__(self, path: Path, port: Port | None = None) -> None:
-        self._path = path
+    def __init__(
+        self, path: str | Path, port: Port | None = None, *, compare: bool = True
+    ) -> None:
+        self._path = Path(path)
         self._port = port
-        self._episodes: list[recording.Episode] = []
+        self._compare = compare
+        self._recording: Recording | None = None
         self._next_episode = 0
-        self._next_period = 0
-        self._now = 0.0
+        self._tape: Tape | None = None
+        self._sent = b""
         self._is_open = False
 
     def open(self) -> None:
         """Read the recording; ConfigError if it can't be read."""
-        if not self._episodes:
-            self._episodes = recording.read(self._path)
+        if self._recording is None:
+            self._recording = read(self._path)
+            self._tape = Tape(self._recording.episodes[0])
         self._is_open = True
 
     def reset(self, scene: Scene) -> None:
         """Start the next episode; LinkLostError after the last one."""
         self.open()
-        if self._next_episode >= len(self._episodes):
+        episodes = self._recording.episodes if self._recording else ()
+        if self._next_episode >= len(episodes):
             raise LinkLostError(
                 f"{self._path}: all {self._next_episode} episodes have been played",
                 "make a new link to play it again",
             )
-        self._now = self._episodes[self._next_episode].start
+        self._tape = Tape(episodes[self._next_episode])
         self._next_episode += 1
-        self._next_period = 0
 
     def write(self, data: bytes) -> None:
-        """Send commands to the port, if there is one; they don't affect the replay."""
-        self._check_open()
+        """Take commands, which the next `advance` compares; a port gets them as well."""
+        self._playing()
+        self._sent += data
         if self._port is not None:
             self._port.write(data)
 
     def advance(self, period: float) -> bytes:
-        """Return the bytes of the next period; LinkLostError at the end of the episode."""
-        self._check_open()
-        periods = self._episodes[self._next_episode - 1].periods
-        if self._next_period >= len(periods):
+        """Return the bytes of the next period.
+
+        Raises:
+            LinkLostError: the episode ends here, commands differ, or the recording has a gap.
+        """
+        tape, sent = self._playing(), self._sent
+        if tape.is_over:
             raise LinkLostError(
-                f"{self._path}: the recorded episode ends here",
+                f"{self._path}: the recorded episode ends here, {tape.place}",
                 "was it made with this goal and policy?",
             )
-        entry = periods[self._next_period]
-        self._next_period += 1
-        got = entry.got if self._port is None else self._port.read(len(entry.got))
-        if len(got) != len(entry.got):
+        if tape.has_gap:
             raise LinkLostError(
-                f"{self._path}: the port sent {len(got)} of {len(entry.got)} bytes",
-                "check the tape player",
+                f"{self._path}: the recording has a gap, {tape.place}",
+                "its writer couldn't keep up: it can't be replayed from here on",
             )
-        self._now = entry.stamp
+        recorded, got = tape.next()
+        self._sent = b""
+        if self._compare and sent != recorded:
+            raise LinkLostError(
+                f"{self._path}: other commands than recorded, {tape.place}: sent "
+                f"{sent[-60:].decode('latin-1')!r}, recorded {recorded[-60:].decode('latin-1')!r}",
+                "was it made with this robot, goal and policy?",
+            )
+        return got if self._port is None else self._read(self._port, len(got))
+
+    def _read(self, port: Port, size: int) -> bytes:
+        """Read the bytes of a period from the port."""
+        got = port.read(size)
+        if len(got) != size:
+            raise LinkLostError(
+                f"{self._path}: the port sent {len(got)} of {size} bytes", "check the tape player"
+            )
         return got
 
-    def _check_open(self) -> None:
-        if not self._is_open or self._next_episode == 0:
+    def _playing(self) -> Tape:
+        """The episode that plays."""
+        if not self._is_open or self._tape is None or not self._next_episode:
             raise LinkLostError(f"{self._path}: nothing plays", "call reset() first")
+        return self._tape
 
     def now(self) -> float:
         """Return the recorded time [s]."""
-        return self._now
+        return self._tape.now if self._tape else 0.0
+
+    @property
+    def truth(self) -> GroundTruth | None:
+        """Recorded ground truth; None for the recording of a real robot, and before `open`."""
+        return self._tape.truth if self._tape else None
+
+    @property
+    def lateness(self) -> float | None:
+        """Recorded lateness [s]; None where time was simulated, and before the first period."""
+        return self._tape.lateness if self._tape else None
+
+    @property
+    def arrivals(self) -> Arrivals:
+        """When the bytes of the newest period arrived, as recorded [s]."""
+        return self._tape.arrivals if self._tape else []
+
+    def scan(self) -> tuple[float, NDArray[np.float64]] | None:
+        """Stamp [s] and ranges [m] of the scan that was the newest one; None without a LiDAR."""
+        return self._tape.scan() if self._tape else None
 
     def __reduce__(self) -> tuple[type[ReplayLink], tuple[Path, Port | None]]:
         """Copy with the replay at its beginning."""

@@ -9,6 +9,8 @@ from collections.abc import Iterator
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import LinkError, LinkLostError
+from acsar_gym.links.arrivals import Ear
+from acsar_gym.links.base import Arrivals
 from acsar_gym.links.handshake import wait_for_board
 from acsar_gym.links.open_port import OpenPort
 from acsar_gym.links.ports import Location
@@ -49,6 +51,7 @@ class SerialLink:
         self._stop_line = b"\r\n" + self._zeros  # ends a truncated command
         self._watch = WatchdogHandle(config, self._location, self._stop_line)
         self._deadline = 0.0
+        self._ear = Ear()
         self.lateness = 0.0
         install()
 
@@ -73,7 +76,8 @@ class SerialLink:
             self._stop_motors()
             with self._lock:
                 self._watch.start(self._require())
-            self._flush()
+            self._require().drop_input()
+            self._require().drop_output()
             self._stop_motors()
             wait_for_board(self.read_now, self.device, self._config)
             self._watch.wait()
@@ -81,11 +85,6 @@ class SerialLink:
             self.close()
             raise
         self._deadline = self.now()
-
-    def _flush(self) -> None:
-        """Discard the buffers of the port."""
-        self._require().drop_input()
-        self._require().drop_output()
 
     @property
     def watched(self) -> bool:
@@ -149,13 +148,22 @@ class SerialLink:
         After a delay of more than a period, the deadlines restart from now.
         """
         self._deadline += period
+        self._ear.begin()
         while (remaining := self._deadline - self.now()) > 0.0:
-            time.sleep(min(remaining, self._watch.nap))
+            self._ear.wait(self._require(), min(remaining, self._watch.nap))
             self._beat()
         self.lateness = self.now() - self._deadline
         if self.lateness > period:
             self._deadline = self.now()
-        return self.read_now()
+        got = self._ear.heard(self.read_now())
+        self._heard = self.now() if got else self._heard
+        return got
+
+    @property
+    def arrivals(self) -> Arrivals:
+        """When the bytes of the newest period arrived [s], noted from the first call on."""
+        self._ear.listens = True
+        return self._ear.pieces
 
     def _beat(self) -> None:
         """Signal the watchdog that this process runs."""

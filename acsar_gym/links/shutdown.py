@@ -20,6 +20,7 @@ import signal
 import sys
 import threading
 import weakref
+from collections.abc import Callable
 from types import FrameType
 from typing import Protocol
 
@@ -41,6 +42,7 @@ ENDING = ("SIGTERM", "SIGHUP", "SIGQUIT", "SIGBREAK")
 SUSPENDING = ("SIGTSTP",)
 
 _open: weakref.WeakSet[Closable] = weakref.WeakSet()
+_last: set[Callable[[], None]] = set()
 _ending = [False]
 """A plain flag; with an Event, the handler of a second signal could deadlock."""
 
@@ -67,6 +69,11 @@ def close_at_exit(link: Closable) -> None:
     install()
 
 
+def at_end(work: Callable[[], None]) -> None:
+    """Call `work` when the process ends, after the links were closed; once for each function."""
+    _last.add(work)
+
+
 def forget(link: Closable) -> None:
     """Don't close `link` at exit, as it is closed."""
     _open.discard(link)
@@ -86,6 +93,8 @@ def close_all() -> None:
     """
     _ending[0] = True
     with contextlib.ExitStack() as stack:
+        for work in list(_last):
+            stack.callback(work)
         for link in _links():
             stack.callback(link.close)
             stack.enter_context(link.held())

@@ -9,6 +9,7 @@ from acsar_gym.bodies.base import Camera
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import LinkLostError
 from acsar_gym.firmware import Firmware
+from acsar_gym.links.base import Arrivals
 from acsar_gym.worlds import Scene
 
 
@@ -62,6 +63,11 @@ class SimulatedLink:
     def now(self) -> float:
         """Return the simulated time since the reset [s]."""
         return self._now
+
+    @property
+    def arrivals(self) -> Arrivals:
+        """When the lines of the newest period arrived [s], exactly."""
+        return self._firmware.arrived if self._firmware else []
 
     @property
     def body(self) -> Body | None:

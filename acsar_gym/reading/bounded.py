@@ -5,9 +5,12 @@ Only regular files are read, no pipes, devices or folders, and only up to a give
 
 from __future__ import annotations
 
+import contextlib
 import os
 import stat
+from collections.abc import Iterator
 from pathlib import Path
+from typing import IO
 
 from acsar_gym.errors import AcsarError, ConfigError, shortened
 
@@ -52,6 +55,31 @@ def content(path: Path, limit: int, error: type[AcsarError] = ConfigError) -> by
     if len(data) > limit:
         raise error(_too_large(limit))
     return data
+
+
+@contextlib.contextmanager
+def opened(path: Path, limit: int, error: type[AcsarError] = ConfigError) -> Iterator[IO[bytes]]:
+    """Open a regular file to read it piece by piece, as a context manager.
+
+    Args:
+        path: the file.
+        limit: largest accepted size [bytes].
+        error: class of the exception.
+
+    Raises:
+        AcsarError: as `error`, as by `read`; also for errors inside the block.
+    """
+    try:
+        _check(os.stat(path), limit, error)  # noqa: PTH116 - as in `content`
+        with os.fdopen(os.open(path, FLAGS), "rb") as file:
+            _check(os.fstat(file.fileno()), limit, error)
+            yield file
+    except error as problem:
+        raise error(f"{shortened(str(path))}: {problem}") from None
+    except FileNotFoundError:
+        raise error(f"{shortened(str(path))}: there is no such file") from None
+    except (OSError, ValueError) as problem:
+        raise error(f"{shortened(str(path))}: can't be read: {reason(problem)}") from None
 
 
 def write(path: Path, data: bytes, error: type[AcsarError] = ConfigError) -> None:

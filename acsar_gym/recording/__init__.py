@@ -1,1 +1,8 @@
-"""Recordings of episodes in MCAP files: writer, reader, exports."""
+"""Recordings of a robot's drives: MCAP files that ROS 2 and its tools read, and this package."""
+
+from acsar_gym.recording.reader import read
+from acsar_gym.recording.recorder import Recorder
+from acsar_gym.recording.types import Episode, Recording
+from acsar_gym.recording.wire_log import WireLog
+
+__all__ = ["Episode", "Recorder", "Recording", "WireLog", "read"]

@@ -26,6 +26,7 @@ from acsar_gym.recording.events import (
     Stepped,
     Tick,
 )
+from acsar_gym.recording.header import plain
 from acsar_gym.recording.layouts import NANOSECONDS, Packer, times
 from acsar_gym.recording.topics import Topic
 from acsar_gym.recording.transforms import static_transforms, time_reference
@@ -103,7 +104,7 @@ class Encoder:
         self._diagnostics.reset(event.stamp)
         time = start + self._offset
         told = {"episode": self._episode, "start": event.stamp, "offset": self._offset}
-        text = json.dumps(told | {"wall": event.wall, "info": event.info}, default=str)
+        text = json.dumps(told | {"wall": event.wall, "info": plain(dict(event.info))})
         yield Message(topics.EPISODE, time, formats.text(text))
         yield Message(topics.TF_STATIC, time, self._static(time))
         yield self._reference(Clock(event.stamp, event.wall))
@@ -140,9 +141,12 @@ class Encoder:
         yield from _messages(topics.TF, own.transform, when, stamped | pose)
         joints = stamped | {"position": rows[:, 11:15], "velocity": rows[:, 7:11]}
         yield from _messages(topics.JOINT_STATES, own.joints, when, joints)
-        asked, sent = formats.twist_fields(rows[:, 15:17]), formats.twist_fields(rows[:, 17:19])
-        yield from _messages(topics.CMD_VEL, own.twist, when, asked)
-        yield from _messages(topics.CMD_VEL_SENT, own.twist, when, sent)
+        yield from _messages(
+            topics.CMD_VEL_SENT, own.twist, when, formats.twist_fields(rows[:, 17:19])
+        )
+        is_asked = ~np.isnan(rows[:, 15])
+        asked = formats.twist_fields(rows[is_asked, 15:17])
+        yield from _messages(topics.CMD_VEL, own.twist, when[is_asked], asked)
         yield from self._table(topics.TICKS, own.ticks, stamps, rows)
         for stamp, data in self._diagnostics.ticked(events, self._time):
             yield Message(topics.DIAGNOSTICS, self._time(stamp), data)

@@ -5,10 +5,10 @@
 | `format` | number of this format |
 | `config`, `config_sha256` | the robot, and the hash of its whole config |
 | `versions` | of acsar_gym, python, numpy |
-| `created` | `wall` clock [ns since 1970] and `monotonic` clock [ns] at the same moment; /time_reference |
-| | repeats the wall clock every second |
+| `created` | `wall` clock [ns since 1970] and `monotonic` clock [ns] at the same moment; |
+| | /time_reference repeats the wall clock every second |
 | `about` | what the program says about it: `env` (id, kwargs), `task`, `policy` (file, sha256), |
-| | `link`, `command`. Seed, goal and start are told for each episode in /acsar/episode |
+| | `link`, `command`. /acsar/episode tells seed, goal and start of each episode |
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ import json
 import platform
 import time
 from collections.abc import Mapping
+from importlib import metadata
 from typing import Any
 
 import numpy as np
 
-import acsar_gym
 from acsar_gym.config import RobotConfig
 
 FORMAT = 1
@@ -30,6 +30,19 @@ NAME = "acsar_gym"
 """Name of the metadata record that holds the header."""
 END = "acsar_gym_end"
 """Name of the metadata record at the end of a complete recording."""
+
+
+def version() -> str:
+    """Return the version of this package."""
+    try:
+        return metadata.version("acsar_gym")
+    except metadata.PackageNotFoundError:  # used from its folder, not installed
+        return "unknown"
+
+
+def plain(told: Any) -> Any:
+    """Return what JSON can hold of something: NaN and infinity become null, objects their text."""
+    return json.loads(json.dumps(told, default=str), parse_constant=lambda name: None)
 
 
 def header(config: RobotConfig, about: Mapping[str, Any]) -> dict[str, Any]:
@@ -45,10 +58,10 @@ def header(config: RobotConfig, about: Mapping[str, Any]) -> dict[str, Any]:
         "config": json.loads(dumped),
         "config_sha256": hashlib.sha256(dumped.encode()).hexdigest(),
         "versions": {
-            "acsar_gym": acsar_gym.__version__,
+            "acsar_gym": version(),
             "numpy": np.__version__,
             "python": platform.python_version(),
         },
         "created": {"wall": time.time_ns(), "monotonic": time.monotonic_ns()},
-        "about": dict(about),
+        "about": plain(dict(about)),
     }

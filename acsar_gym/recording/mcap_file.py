@@ -7,14 +7,13 @@ import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
-import acsar_gym
 from acsar_gym.errors import ConfigError, MissingExtraError
 from acsar_gym.reading import bounded
 from acsar_gym.recording import typesystem
 from acsar_gym.recording.encoder import Message
-from acsar_gym.recording.header import END, NAME
+from acsar_gym.recording.header import END, NAME, version
 from acsar_gym.recording.topics import ENCODING, SCHEMA_ENCODING, TOPICS
 
 
@@ -37,10 +36,10 @@ class McapFile:
             raise MissingExtraError("recording", "record") from None
         typesystem.store()
         try:
-            self._file: IO[bytes] = open(path, "wb", opener=bounded.opener)
-            self._writer = Writer(self._file)
-            self._writer.start("ros2", f"acsar_gym {acsar_gym.__version__}")
-            self._writer.add_metadata(NAME, {"header": json.dumps(header, default=str)})
+            self._file = _Unbuffered(path)
+            self._writer: Any = Writer(self._file)  # type: ignore[arg-type]
+            self._writer.start("ros2", f"acsar_gym {version()}")
+            self._writer.add_metadata(NAME, {"header": json.dumps(header)})
             self._channels = self._registered()
             self.flush()
         except (OSError, ValueError) as error:
@@ -68,7 +67,7 @@ class McapFile:
         """Write what was added, so that it survives a crash of the program or the computer."""
         self._writer.flush()
         with contextlib.suppress(OSError):  # not a regular file
-            os.fdatasync(self._file.fileno())
+            self._file.sync()
 
     def close(self, end: Mapping[str, Any]) -> None:
         """Finish the file with its index, and what is only known at the end."""
@@ -76,7 +75,43 @@ class McapFile:
             self._writer.flush()
             self._writer.add_metadata(END, {"end": json.dumps(end)})
             self._writer.finish()
-            self._file.flush()
         finally:
-            with contextlib.suppress(OSError):
-                self._file.close()
+            self.abandon()
+
+    def abandon(self) -> None:
+        """Close the file as it is."""
+        with contextlib.suppress(OSError):
+            self._file.close()
+
+
+class _Unbuffered:
+    """A file without a buffer, which a forked process would write a second time.
+
+    Args:
+        path: of the file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._file = open(path, "wb", buffering=0, opener=bounded.opener)  # noqa: SIM115
+
+    def write(self, data: bytes) -> int:
+        """Write all of the bytes."""
+        rest = memoryview(data)
+        while rest:
+            rest = rest[self._file.write(rest) or 0 :]
+        return len(data)
+
+    def tell(self) -> int:
+        """Return the number of bytes so far."""
+        return self._file.tell()
+
+    def flush(self) -> None:
+        """Do nothing: there is no buffer."""
+
+    def sync(self) -> None:
+        """Wait until the disk has what was written."""
+        os.fdatasync(self._file.fileno())
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()

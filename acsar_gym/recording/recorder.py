@@ -6,7 +6,6 @@ import contextlib
 import os
 import threading
 import time
-import weakref
 from collections import deque
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -33,7 +32,7 @@ FLUSH = 0.5
 """How often what was written is made safe from crashes [s]."""
 WAIT = 0.001
 """How often a simulation looks whether the writer has caught up [s]."""
-CLOSE = 60.0
+CLOSE = 10.0
 """Longest wait for the writer at the end [s]."""
 
 
@@ -48,6 +47,9 @@ class Sink(Protocol):
 
     def close(self, end: Mapping[str, Any]) -> None:
         """End; `end` has the number of dropped events."""
+
+    def abandon(self) -> None:
+        """End after an error; raises nothing."""
 
 
 class Recorder:
@@ -165,6 +167,10 @@ class Recorder:
             writer.finish()
             writer.check(self._name)
 
+    def __reduce__(self) -> tuple[type[Recorder], tuple[Path | None, dict[str, Any]]]:
+        """Copies haven't begun yet."""
+        return Recorder, (self.path, self.about)
+
     def __enter__(self) -> Self:
         return self
 
@@ -208,6 +214,8 @@ class _Writer(threading.Thread):
                 due = time.monotonic() + FLUSH
         self._empty()
         self._guarded(self._close)
+        for sink in self._sinks if self._error else ():
+            sink.abandon()
 
     def finish(self) -> None:
         """Write what waits, and end."""
@@ -250,7 +258,7 @@ class _Writer(threading.Thread):
                 self._error = error
 
 
-_running: weakref.WeakSet[Recorder] = weakref.WeakSet()
+_running: set[Recorder] = set()
 
 
 def close_all() -> None:

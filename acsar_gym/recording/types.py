@@ -21,8 +21,26 @@ class Scans:
     """(k,): when each revolution ended, on the link's clock [s]."""
     ranges: Floats
     """(k, rays): ranges [m], counter-clockwise from -field_of_view / 2 of the robot's x axis."""
-    ticks: NDArray[np.int64]
-    """(k,): number of the tick at whose end each scan was the newest; -1: at the reset."""
+    exchanges: NDArray[np.int64]
+    """(k,): number of the exchange at whose end each scan became the newest one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Exchanges:
+    """The control periods of an episode's wire, those of the reset included; m of them."""
+
+    numbers: NDArray[np.int64]
+    """(m,): number of each, 0, 1, 2 and so on; what is missing was dropped."""
+    stamps: Floats
+    """(m,): end of each, on the link's clock [s]."""
+    writes: NDArray[np.int64]
+    """(m,): how many of the wire's writes belong to it."""
+    pieces: NDArray[np.int64]
+    """(m,): how many of the wire's pieces that arrived belong to it."""
+    lateness: Floats
+    """(m,): time from its deadline to its end [s]; NaN in simulation."""
+    truth: Floats
+    """(m, 6): x, y, theta, forward speed, yaw rate, contact; NaN on hardware."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +79,14 @@ class Episode:
     """(steps, 2): actions of the policy, in [-1, 1]."""
     rewards: Floats
     """(steps,)."""
+    terminated: bool
+    """Whether the episode ended by success or failure; it was cut short otherwise."""
+    step_stamps: Floats
+    """(steps + 1,): when each observation was made, on the link's clock [s]."""
     scans: Scans
     """What the LiDAR measured."""
+    exchanges: Exchanges
+    """The control periods of the wire, for replay."""
     info: Mapping[str, Any] = field(default_factory=dict)
     """Seed, goal, start and number of the episode, as far as they are known."""
 
@@ -81,4 +105,4 @@ class Recording:
     cut: bool = False
     """Whether the file's end is missing, because the program or the computer died."""
     dropped: int = 0
-    """Ticks that were dropped because the writer couldn't keep up."""
+    """Events, such as ticks, that were dropped because the writer couldn't keep up."""

@@ -10,7 +10,7 @@ from typing import Any, Self
 from acsar_gym.errors import ConfigError, shown, suggestion
 from acsar_gym.tasks.base import Goal
 
-ONE_MODE = ("autoreset_mode", "lidar", "on_fault", "threads", "view")
+ONE_MODE = ("autoreset_mode", "lidar", "on_fault", "record", "threads", "view")
 """Options that only batches or only single envs have."""
 DEFAULTS = "defaults"
 """The argument of both in which an id's registered defaults of such options are."""

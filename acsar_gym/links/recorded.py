@@ -1,0 +1,111 @@
+"""A link whose bytes are recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from acsar_gym.bodies.base import Camera, GroundTruth
+from acsar_gym.config import RobotConfig
+from acsar_gym.links import shutdown
+from acsar_gym.links.base import Arrivals, Link, arrivals_of, camera_of
+from acsar_gym.recording import recorder as recordings
+from acsar_gym.recording.events import Exchange
+from acsar_gym.recording.recorder import Recorder
+from acsar_gym.worlds import Scene
+
+
+class RecordedLink:
+    """Forwards to another link, and hands its bytes to a recorder.
+
+    Args:
+        link: the link to record.
+        recorder: records its bytes, with the times at which they were sent and arrived.
+        config: of the robot, for the header.
+
+    Attributes: `link`, the inner one.
+    """
+
+    def __init__(self, link: Link, recorder: Recorder, config: RobotConfig) -> None:
+        self.link = link
+        self._recorder = recorder
+        self._config = config
+        self._sent: Arrivals = []
+        shutdown.at_end(recordings.close_all)
+
+    def open(self) -> None:
+        """Open the recorder, then the link.
+
+        Raises:
+            ConfigError: the recording can't be written.
+            LinkError: as for the link.
+        """
+        self._recorder.open(self._config)
+        self.link.open()
+        arrivals_of(self.link)  # from now on, it notes when bytes arrive
+
+    def reset(self, scene: Scene) -> None:
+        """Begin an episode; what was written before belongs to its first period."""
+        self._recorder.open(self._config)
+        self.link.reset(scene)
+        self._recorder.begin(self.link.now(), simulated=self.link.lateness is None)
+
+    def write(self, data: bytes) -> None:
+        """Send bytes to the link."""
+        self.link.write(data)
+        self._sent.append((self.link.now(), data))
+
+    def advance(self, period: float) -> bytes:
+        """Advance the link and record the period."""
+        link, sent = self.link, tuple(self._sent)
+        got = link.advance(period)
+        self._sent = []
+        stamp = link.now()
+        pieces = tuple(arrivals_of(link))
+        if b"".join([piece for _, piece in pieces]) != got:
+            pieces = ((stamp, got),)
+        self._recorder.exchanged(
+            Exchange(self._recorder.number, stamp, sent, pieces, link.lateness, link.truth)
+        )
+        return got
+
+    @property
+    def arrivals(self) -> Arrivals:
+        """When the bytes of the newest period arrived [s]."""
+        return arrivals_of(self.link)
+
+    def now(self) -> float:
+        """Return the time on the link's clock [s]."""
+        return self.link.now()
+
+    @property
+    def truth(self) -> GroundTruth | None:
+        """Ground truth of the link."""
+        return self.link.truth
+
+    @property
+    def lateness(self) -> float | None:
+        """Lateness of the link [s]."""
+        return self.link.lateness
+
+    @property
+    def camera(self) -> Camera | None:
+        """Camera of the link."""
+        return camera_of(self.link)
+
+    def __reduce__(self) -> tuple[Callable[[Link], Link], tuple[Link]]:
+        """Copies aren't recorded: two robots can't write one file."""
+        return plain, (self.link,)
+
+    def close(self) -> None:
+        """Close the link; the recording goes on with the next reset."""
+        self.link.close()
+
+
+def plain(link: Link) -> Link:
+    """Return the link itself."""
+    return link
+
+
+def recorded(link: Link, recorder: Recorder | None, config: RobotConfig) -> Link:
+    """Return the link, recorded if there is a recorder."""
+    return link if recorder is None else RecordedLink(link, recorder, config)

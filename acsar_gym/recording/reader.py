@@ -1,0 +1,135 @@
+"""Reads recordings back."""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+from pathlib import Path
+from typing import Any
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import ConfigError
+from acsar_gym.reading import bounded
+from acsar_gym.recording import records
+from acsar_gym.recording.header import END, FORMAT, NAME
+from acsar_gym.recording.parts import (
+    TABLES,
+    TAKERS,
+    Part,
+    Take,
+    begin,
+    made,
+    mapping,
+    missing,
+    opening,
+)
+from acsar_gym.recording.records import Cut, Records
+from acsar_gym.recording.types import Recording
+
+MOST_BYTES = 1_000_000_000
+"""Largest accepted file [bytes]."""
+MOST_KEPT = 300_000_000
+"""Most bytes of a recording that are kept in memory; a message counts for 100 bytes more than its
+content."""
+COST = 100
+_MESSAGE = struct.Struct("<HIQQ")
+
+
+class _Reader:
+    """Collects the episodes of a file."""
+
+    def __init__(self) -> None:
+        self.header: dict[str, Any] | None = None
+        self.end: dict[str, Any] | None = None
+        self.parts: list[Part] = []
+        self._kept = 0
+        self._takers: dict[int, Take] = {}
+
+    def take(self, opcode: int, content: bytes) -> None:
+        """Take a record."""
+        if opcode == records.MESSAGE:
+            self._message(content)
+        elif opcode == records.CHANNEL:
+            self._channel(content)
+        elif opcode == records.METADATA:
+            name, told = records.metadata(content)
+            if name == NAME and self.header is None:
+                self.header = mapping(told.get("header", ""))
+                _check_format(self.header)
+            elif name == END:
+                self.end = mapping(told.get("end", ""))
+
+    def _channel(self, content: bytes) -> None:
+        """Take note of a channel, if its topic is one that is read back."""
+        number, name, told = records.channel(content)
+        columns = {topic.name: topic.columns for topic in TABLES}
+        if name in columns and told.get("columns", "").split(",") != list(columns[name]):
+            raise ConfigError(f"{name} has other columns: it was recorded by another version")
+        if name in TAKERS:
+            self._takers[number] = TAKERS[name]
+
+    def _message(self, content: bytes) -> None:
+        """Take a message."""
+        try:
+            number, _, time, _ = _MESSAGE.unpack_from(content)
+        except struct.error:
+            raise ConfigError("is damaged: a broken message") from None
+        taker = self._takers.get(number)
+        if taker is None:
+            return
+        self._kept += len(content) + COST
+        if self._kept > MOST_KEPT:
+            raise ConfigError("holds too much: cut out a part of it")
+        data = content[_MESSAGE.size :]
+        if taker is begin:
+            self.parts.append(Part(opening(data)))
+        elif self.parts:
+            taker(self.parts[-1], time, data)
+
+
+def read(path: str | Path) -> Recording:
+    """Read a recording.
+
+    Args:
+        path: the file, at most 1 GB.
+
+    Returns:
+        All of it. Where the end of the file is missing, what there is, and `cut` is true.
+
+    Raises:
+        ConfigError: the file can't be read, isn't a recording, or is damaged.
+    """
+    reader, digest, cut = _Reader(), hashlib.sha256(), False
+    path = Path(path)
+    with bounded.opened(path, MOST_BYTES) as file:
+        try:
+            _check_kind(file.read(1))
+            file.seek(0)
+            for opcode, content in Records(file, digest):
+                reader.take(opcode, content)
+        except Cut:
+            cut = True
+        if reader.header is None:
+            raise ConfigError("isn't a recording of acsar_gym")
+        config = RobotConfig.model_validate(reader.header["config"])
+        episodes = tuple(made(part) for part in reader.parts)
+        if not episodes:
+            raise ConfigError("holds no episode")
+    dropped = int((reader.end or {}).get("dropped", 0)) or sum(map(missing, reader.parts))
+    cut = cut or reader.end is None
+    return Recording(
+        reader.header, digest.hexdigest()[:16], config, episodes, cut=cut, dropped=dropped
+    )
+
+
+def _check_kind(first: bytes) -> None:
+    """Raise ConfigError for the recordings of older versions."""
+    if first == b"{":
+        raise ConfigError("is a recording of an older version, in JSON: record again")
+
+
+def _check_format(header: dict[str, Any]) -> None:
+    """Raise ConfigError for a header of another version."""
+    if header.get("format") != FORMAT or not isinstance(header.get("config"), dict):
+        found = str(header.get("format"))[:20]
+        raise ConfigError(f"is a recording of format {found}: this version reads format {FORMAT}")

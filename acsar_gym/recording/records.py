@@ -1,0 +1,184 @@
+"""Reads the records of an MCAP file one after the other, in bounded time and memory.
+
+The library mcap reads files as well, but trusts the sizes that they name, and refuses files whose
+end is missing.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from typing import IO, Any
+
+from acsar_gym.errors import ConfigError, MissingExtraError
+
+MAGIC = b"\x89MCAP0\r\n"
+CHANNEL, MESSAGE, CHUNK, METADATA, DATA_END = 4, 5, 6, 12, 15
+KNOWN = range(1, 16)
+MOST_RECORD = 64_000_000
+"""Longest accepted record, and chunk once it is unpacked [bytes]."""
+MOST_UNPACKED = 2_000_000_000
+"""Most bytes of all chunks once they are unpacked; two hours at 100 Hz."""
+MOST_RECORDS = 6_000_000
+"""Most records; an hour at 100 Hz has 4 million."""
+_RECORD = struct.Struct("<BQ")
+_CHUNK = struct.Struct("<QQQII")
+
+
+class Cut(Exception):  # noqa: N818 - not an error
+    """The file ends in the middle of a record, or before its last one."""
+
+
+class Records:
+    """The records of a file, chunks unpacked.
+
+    Args:
+        file: of an MCAP file.
+        digest: is fed all bytes that are read.
+    """
+
+    def __init__(self, file: IO[bytes], digest: Any) -> None:
+        self._file = file
+        self._digest = digest
+        self._unpacked = 0
+        self._count = 0
+        if self._read(len(MAGIC)) != MAGIC:
+            raise ConfigError("isn't a recording: not an MCAP file")
+
+    def __iter__(self) -> Iterator[tuple[int, bytes]]:
+        """Yield opcode and content of every record up to the end of the data.
+
+        Raises:
+            Cut: the file's end is missing.
+            ConfigError: the file is damaged or too large.
+        """
+        while True:
+            opcode, content = self._record()
+            if opcode == CHUNK:
+                yield from self._chunk(content)
+            else:
+                yield opcode, content
+            if opcode == DATA_END:
+                self._rest()
+                return
+
+    def _record(self) -> tuple[int, bytes]:
+        """Read the next record."""
+        head = self._whole(_RECORD.size)
+        opcode, length = _RECORD.unpack(head)
+        if not any(head):  # a computer that lost its power may leave zeros
+            raise Cut
+        if opcode not in KNOWN or length > MOST_RECORD:
+            raise ConfigError("is damaged: a record of unknown kind or length")
+        self._counted()
+        return opcode, self._whole(length)
+
+    def _chunk(self, content: bytes) -> Iterator[tuple[int, bytes]]:
+        """Unpack a chunk."""
+        try:
+            _, _, size, crc, length = _CHUNK.unpack_from(content)
+            kind = content[_CHUNK.size : _CHUNK.size + length].decode()
+            data = content[_CHUNK.size + length + 8 :]
+        except (struct.error, UnicodeDecodeError):
+            raise ConfigError("is damaged: a broken chunk") from None
+        self._unpacked += size
+        if size > MOST_RECORD or self._unpacked > MOST_UNPACKED:
+            raise ConfigError("holds too much: cut out a part of it")
+        unpacked = _unpacked(kind, data, size)
+        if len(unpacked) != size or (crc and zlib.crc32(unpacked) != crc):
+            raise ConfigError("is damaged: a chunk with a wrong checksum")
+        yield from self._inside(unpacked)
+
+    def _inside(self, data: bytes) -> Iterator[tuple[int, bytes]]:
+        """Yield the records of a chunk."""
+        place, end, unpack, head = 0, len(data), _RECORD.unpack_from, _RECORD.size
+        while place + head <= end:
+            opcode, length = unpack(data, place)
+            first = place + head
+            place = first + length
+            self._counted()
+            if place > end or opcode not in KNOWN:
+                raise ConfigError("is damaged: a broken record in a chunk")
+            yield opcode, data[first:place]
+
+    def _counted(self) -> None:
+        """Count a record; ConfigError for too many."""
+        self._count += 1
+        if self._count > MOST_RECORDS:
+            raise ConfigError("holds too much: cut out a part of it")
+
+    def _rest(self) -> None:
+        """Read what follows the data, an index; Cut where it isn't whole."""
+        newest = b""
+        while piece := self._read(1 << 20):
+            newest = (newest + piece)[-len(MAGIC) :]
+        if newest != MAGIC:
+            raise Cut
+
+    def _whole(self, size: int) -> bytes:
+        data = self._read(size)
+        if len(data) < size:
+            raise Cut
+        return data
+
+    def _read(self, size: int) -> bytes:
+        data = self._file.read(size)
+        self._digest.update(data)
+        return data
+
+
+def _unpacked(kind: str, data: bytes, size: int) -> bytes:
+    """Decompress a chunk, but no more than `size` bytes."""
+    if not kind:
+        return data
+    try:
+        if kind == "zstd":
+            import zstandard  # noqa: PLC0415 - optional
+
+            with zstandard.ZstdDecompressor().stream_reader(data) as stream:
+                return bytes(stream.read(size + 1))
+        if kind == "lz4":
+            from lz4 import frame  # noqa: PLC0415 - optional
+
+            return bytes(frame.LZ4FrameDecompressor().decompress(data, size + 1))
+    except ImportError:
+        raise MissingExtraError("reading a recording", "record") from None
+    except Exception as error:  # noqa: BLE001 - each library has its own
+        raise ConfigError(f"is damaged: {error}") from None
+    raise ConfigError(f"has chunks packed as {kind[:20]!r}, which isn't known")
+
+
+def metadata(content: bytes) -> tuple[str, dict[str, str]]:
+    """Parse a metadata record: its name, and its texts by key."""
+    try:
+        name, place = _text(content, 0)
+        (size,) = struct.unpack_from("<I", content, place)
+        place, end, found = place + 4, place + 4 + size, {}
+        while place < end:
+            key, place = _text(content, place)
+            found[key], place = _text(content, place)
+    except (struct.error, UnicodeDecodeError):
+        raise ConfigError("is damaged: broken metadata") from None
+    return name, found
+
+
+def channel(content: bytes) -> tuple[int, str, dict[str, str]]:
+    """Parse a channel record: its number, topic, and metadata."""
+    try:
+        (number,) = struct.unpack_from("<H", content)
+        topic, place = _text(content, 4)
+        _, place = _text(content, place)
+        _, told = metadata(b"\0\0\0\0" + content[place:])
+    except (struct.error, UnicodeDecodeError):
+        raise ConfigError("is damaged: a broken channel") from None
+    return number, topic, told
+
+
+def _text(data: bytes, place: int) -> tuple[str, int]:
+    """Read a text with its length; returns the place behind it."""
+    (size,) = struct.unpack_from("<I", data, place)
+    text = data[place + 4 : place + 4 + size]
+    if len(text) < size:
+        raise struct.error
+    return text.decode(), place + 4 + size
