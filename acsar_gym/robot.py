@@ -127,7 +127,7 @@ class Robot:
 
     def _listen(self) -> None:
         """Listen for `acsar-gym estop`; a warning where that is impossible."""
-        self._listener = StopListener()
+        self._listener = StopListener(getattr(self.link, "device", ""), self.config.name)
         if self._listener.unavailable:
             said = f"'acsar-gym estop' can't stop this robot: {self._listener.unavailable}"
             warnings.warn(said, SafetyWarning, stacklevel=4)
