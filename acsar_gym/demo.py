@@ -15,7 +15,7 @@ from acsar_gym.errors import LinkError, MissingExtraError
 from acsar_gym.evaluation import episodes as evaluation
 from acsar_gym.evaluation import report, runs
 from acsar_gym.evaluation.episodes import EpisodeResult
-from acsar_gym.evaluation.runs import Run
+from acsar_gym.evaluation.results import Run
 from acsar_gym.policies import OnnxPolicy
 from acsar_gym.resources import agent
 
@@ -60,7 +60,7 @@ def run(steps: int, episodes: int, serial_episodes: int, out: Path) -> list[tupl
     policy = OnnxPolicy(policy_file)
     gc.freeze()  # keeps garbage collection short while the robot drives
     console.rule(f"2. drive {policy_file.name} in PyBullet", align="left")
-    simulated = runs.drive(policy, "bullet", None, range(10_000, 10_000 + episodes))
+    simulated = _whole(runs.drive(policy, "bullet", None, range(10_000, 10_000 + episodes)))
     console.rule(f"3. drive {policy_file.name} over a serial device", align="left")
     serial = _over_serial(policy, serial_episodes, out / "emulator.jsonl")
     return [("PyBullet", simulated), ("serial device (emulator)", serial)]
@@ -89,8 +89,15 @@ def train(steps: int, out: Path) -> Path:
 def _over_serial(policy: OnnxPolicy, count: int, log: Path) -> Run:
     """Evaluate with an emulator in another process, whose log provides the odometry errors."""
     with emulator("--body", "bullet", "--log", str(log)) as device:
-        run = runs.drive(policy, device, None, range(20_000, 20_000 + count))
+        run = _whole(runs.drive(policy, device, None, range(20_000, 20_000 + count)))
     return replace(run, results=with_truth(run.results, log))
+
+
+def _whole(run: Run) -> Run:
+    """Return an evaluation that wasn't ended early; raises what ended it."""
+    if run.ended is not None:
+        raise run.ended
+    return run
 
 
 def with_truth(results: Sequence[EpisodeResult], log: Path) -> list[EpisodeResult]:

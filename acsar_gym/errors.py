@@ -120,9 +120,10 @@ class WheelError(LinkError):
 
 
 class EmergencyStopError(LinkError):
-    """The emergency stop of another terminal ended the program's work."""
+    """An emergency stop from another terminal ended what the program was doing."""
 
-    exit_code = 4
+    def __init__(self) -> None:
+        super().__init__("emergency stop", "look after the robot, then start again")
 
 
 class SensorError(AcsarError):

@@ -135,7 +135,7 @@ class Robot:
 
     def _listen(self) -> None:
         """Listen for `acsar-gym estop`; a warning where that is impossible."""
-        self._listener = StopListener()
+        self._listener = StopListener(getattr(self.link, "device", ""), self.config.name)
         if self._listener.unavailable:
             said = f"'acsar-gym estop' can't stop this robot: {self._listener.unavailable}"
             warnings.warn(said, SafetyWarning, stacklevel=4)
@@ -260,13 +260,13 @@ class Robot:
     def _exchange(self, speeds: Speeds | None) -> None:
         """Send wheel speeds, if any, let one control period pass, and update odometry."""
         wire = self.wire
-        if self._stopwatch is not None:
-            turns = max(map(abs, wire.speeds)) > STANDSTILL
-            self._stopwatch.asked(wire.stamp, drives=any(speeds or ZERO), turns=turns)
         heard, dt = wire.exchange(speeds)
         self._integrate(heard, dt)
         if self._stopwatch is not None:
             self._stopwatch.tick(self.link.lateness or 0.0, wire.age)
+            turns = max(map(abs, wire.speeds)) > STANDSTILL
+            if self._stopwatch.commanded(wire.written, drives=any(speeds or ZERO), turns=turns):
+                self._stopwatch.shown(wire.stamp)
         if self._watch is not None and speeds is not None:
             self._watch.tick(speeds, wire.speeds, dt, fresh=bool(heard))
         elif self._watch is not None:

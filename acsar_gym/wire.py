@@ -23,7 +23,9 @@ class Wire:
 
     Attributes: `decoder`, with the counters of refused input; `speeds`, the newest wheel speeds
     [rad/s], old ones for motors that a line doesn't name; `age`, the time since the newest valid
-    line [s]; `stamp`, the link's time at the end of the newest period [s].
+    line [s]; `stamp`, the link's time at the end of the newest period [s]; `began`, its time at
+    the beginning of the first period after `settle` [s]; `written`, its time when the last byte of
+    the newest command had been handed over [s].
 
     Args:
         link: To the board.
@@ -42,14 +44,16 @@ class Wire:
         self._command = line_of(*ZERO, self._end)
         self.speeds: Speeds = ZERO
         self.age = 0.0
-        self.stamp = 0.0
+        self.stamp = self.began = self.written = 0.0
+        self._settled = False
 
     def reset(self) -> None:
         """Forget what was received; the wheels count as standing."""
         self.decoder.reset()
         self.speeds = ZERO
         self.age = 0.0
-        self.stamp = self._link.now()
+        self.stamp = self.began = self.written = self._link.now()
+        self._settled = False
 
     def send(self, speeds: Speeds) -> None:
         """Send a command line; it is encoded again only where `speeds` is another object."""
@@ -74,6 +78,7 @@ class Wire:
         if speeds is not None:
             self.send(speeds)
         link = self._link
+        self.written = link.now()
         heard = []
         for reading in self._feed(link.advance(self._period)):
             self.speeds = reading.over(self.speeds)
@@ -81,6 +86,8 @@ class Wire:
         stamp = link.now()
         lasted = stamp - self.stamp
         self.stamp = stamp
+        if self._settled:  # pauses between the reset and the first command don't count
+            self.began, self._settled = stamp - self._period, False
         self.age = 0.0 if heard else self.age + lasted
         if rules.silent(self.age, self._rules):
             raise silence(self.age, self.decoder)
@@ -107,6 +114,7 @@ class Wire:
                 still = max(map(abs, self.speeds)) < STANDSTILL
                 standing = standing + 1 if still else 0
             if standing == STANDSTILL_TICKS:
+                self.began, self._settled = self.stamp, True
                 return
         if max(map(abs, self.speeds)) < STANDSTILL:
             raise silence(self.age, self.decoder)

@@ -118,9 +118,7 @@ class _Problem:
     def geometry(self, p: Floats) -> Geometry:
         """The geometry of parameters."""
         radius, ratio, multiplier = map(float, p)
-        return Geometry(
-            radius * self.nominal.radius, ratio, multiplier * self.nominal.multiplier
-        )
+        return Geometry(radius * self.nominal.radius, ratio, multiplier * self.nominal.multiplier)
 
     def residuals(self, p: Floats) -> Floats:
         """Readings less odometry, in standard deviations, (readings,)."""
@@ -212,8 +210,7 @@ class _Problem:
         half = quantile * np.sqrt(np.diag(covariance))
         unit = np.array([self.nominal.radius, 1.0, self.nominal.multiplier])
         return {
-            NAMES[i]: Estimate.around(float(p[i] * unit[i]), float(half[i] * unit[i]))
-            for i in told
+            NAMES[i]: Estimate.around(float(p[i] * unit[i]), float(half[i] * unit[i])) for i in told
         }
 
 

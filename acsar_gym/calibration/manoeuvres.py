@@ -102,8 +102,7 @@ def squares(size: float, linear: float, angular: float, clockwise: int, counter:
     for name, side, count in (("cw", -1.0, clockwise), ("ccw", 1.0, counter)):
         legs = (Leg(size, 0.0), Leg(0.0, side * math.pi / 2.0)) * 4
         found += [
-            Plan(f"square {name} {n}", "square", legs, linear, angular)
-            for n in range(1, count + 1)
+            Plan(f"square {name} {n}", "square", legs, linear, angular) for n in range(1, count + 1)
         ]
     return found
 

@@ -202,8 +202,17 @@ def drive(
     return 0
 
 
-def estop() -> int:
-    """Stop all real robots that programs of yours on this computer are driving."""
-    from acsar_gym.safety import estop as stops  # noqa: PLC0415
+def estop(
+    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[NAME]")] = "",
+    list: bool = False,  # noqa: A002 - the option's name
+) -> int:
+    """Stop the real robots that programs of yours on this computer are driving, or one of them.
 
-    return stops.command()
+    Args:
+        name: device (/dev/ttyUSB0 or ttyUSB0), name in the robot's file, or process id; default:
+            all robots.
+        list: only list who drives which robot, and since when.
+    """
+    from acsar_gym.safety import estop_command  # noqa: PLC0415
+
+    return estop_command.command(name, listing=list)

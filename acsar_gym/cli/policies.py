@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -20,7 +20,10 @@ from acsar_gym.cli.options import (
     RobotArgs,
     WorldArgs,
 )
-from acsar_gym.errors import printable
+from acsar_gym.errors import LinkError, printable
+
+if TYPE_CHECKING:
+    from acsar_gym.evaluation.results import Run
 
 
 def train() -> int:
@@ -62,10 +65,7 @@ def evaluate(
     how = {"in_order": worlds.in_order, "late_share": late_share}
     done = runs.drive(loaded, robot.link, robot.robot, seeds, how=how, **options)
     title = f"{policy.policy}, seeds {seed} to {seed + episodes - 1}, worlds: {done.worlds}"
-    report.show(report.summary_table(title, [(robot.link, done.summary)]))
-    report.show(report.interval_table(title, done.summary))
-    report.write_json(json, done.as_dict())
-    return 0
+    return _report(title, robot.link, done, json, intervals=True)
 
 
 def run(
@@ -98,9 +98,28 @@ def run(
         countdown(f"the robot on {robot.link} will drive", yes=yes)
     done = runs.to_goal(loaded, robot.link, robot.robot, goal, record, lidar=robot.lidar)
     title = f"{policy.policy} to ({goal[0]:g}, {goal[1]:g}), worlds: {done.worlds}"
-    report.show(report.summary_table(title, [(robot.link, done.summary)]))
+    code = _report(title, robot.link, done, json, intervals=False)
+    return code or (0 if done.results[0].success else 1)
+
+
+def _report(title: str, link: str, done: Run, json: Path | None, *, intervals: bool) -> int:
+    """Print and write what there is of an evaluation, then raise what ended it early.
+
+    Returns:
+        The exit code: 3 where a fault ended an episode.
+    """
+    from acsar_gym.evaluation import report  # noqa: PLC0415
+
+    if done.results:
+        report.show(report.summary_table(title, [(link, done.summary)], done.notes))
+    if done.results and intervals:
+        report.show(report.interval_table(title, done.summary))
     report.write_json(json, done.as_dict())
-    return 0 if done.results[0].success else 1
+    if done.ended is not None:
+        raise done.ended
+    if done.faults:
+        raise LinkError(done.faults[0])
+    return 0
 
 
 def export(

@@ -56,6 +56,8 @@ class RobotConfig(Section):
     diff_drive_controller; driver and simulation use both."""
     right_wheel_radius_multiplier: Annotated[float, Field(gt=0.0, le=100.0)] = 1.0
     """Factor from `wheel_radius` to the radius of the right wheels."""
+    name: Name = ""
+    """What `acsar-gym estop NAME` calls this robot, beside its device."""
     serial_port: Name | None = None
     """Device that `open_link("serial", config)` opens."""
     baud_rate: Annotated[int, AfterValidator(known_baud)] = 115200

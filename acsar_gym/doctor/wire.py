@@ -58,7 +58,7 @@ class _Stoppable(SerialLink):
 
     def __init__(self, device: str, config: RobotConfig) -> None:
         super().__init__(device, config)
-        self._listener = StopListener()
+        self._listener = StopListener(device, config.name)
 
     def read_now(self) -> bytes:
         """Return what has arrived; LinkError at an emergency stop."""

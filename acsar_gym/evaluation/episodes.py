@@ -14,7 +14,7 @@ import gymnasium
 import numpy as np
 
 from acsar_gym.envs.base import RobotEnv
-from acsar_gym.errors import ConfigError, LinkError
+from acsar_gym.errors import ConfigError, EmergencyStopError, LinkError
 from acsar_gym.links.lateness import EpisodeTiming
 from acsar_gym.policies import Policy
 from acsar_gym.safety.rules import Reason
@@ -36,9 +36,9 @@ class EpisodeResult:
     collision: bool
     """Whether a simulated robot touched an obstacle; always False on hardware."""
     started: float
-    """Time of the reset on the link's clock [s]."""
+    """Time at which the first tick began, on the link's clock [s]."""
     ended: float
-    """Time of the end on the link's clock [s]."""
+    """Time at which the last tick ended, on the link's clock [s]."""
     path: float
     """Length of the path driven, by odometry [m]."""
     pose: Pose
@@ -106,7 +106,8 @@ def episodes(
     Raises:
         ConfigError: there are fewer worlds than episodes with `in_order`, or `late_share` or
             `env` can't be used.
-        LinkError: the robot can't be reached, or its emergency stop was used.
+        LinkError: the robot can't be reached.
+        EmergencyStopError: its emergency stop was used.
     """
     if not 0.0 <= late_share <= 1.0:
         raise ConfigError(f"late_share = {late_share!r}: must be a share, 0 to 1")
@@ -139,17 +140,17 @@ def _episode(
     if not isinstance(unwrapped, RobotEnv):
         raise ConfigError(f"{env}: only environments of acsar_gym can be evaluated")
     observation, info = env.reset(seed=seed, options=options)
-    steps, rewards, started, done = [info], 0.0, unwrapped.robot.link.now(), False
+    steps, rewards, done = [info], 0.0, False
     while not done:
         observation, reward, terminated, truncated, info = env.step(policy(observation))
         steps.append(info)
         rewards += float(reward)
         if unwrapped.robot.safety.reason is Reason.EMERGENCY_STOP:
-            raise LinkError("emergency stop", "look after the robot, then start again")
+            raise EmergencyStopError
         done = terminated or truncated
     with contextlib.suppress(LinkError):  # the next reset reports it
         unwrapped.robot.stop()  # the TimeLimit wrapper doesn't stop the robot
-    return _result(unwrapped, seed, steps, rewards, started, late_share)
+    return _result(unwrapped, seed, steps, rewards, late_share)
 
 
 def _result(
@@ -157,7 +158,6 @@ def _result(
     seed: int,
     steps: Sequence[dict[str, Any]],
     rewards: float,
-    started: float,
     late_share: float,
 ) -> EpisodeResult:
     """Compute the result of an episode from its infos, one per step and the reset's first."""
@@ -167,8 +167,8 @@ def _result(
     return EpisodeResult(
         success=info["is_success"] == 1.0,
         collision=info["is_success"] != 1.0 and info["true_contact"] == 1.0,
-        started=started,
-        ended=env.robot.link.now(),
+        started=env.robot.wire.began,
+        ended=env.robot.wire.stamp,
         path=_length(steps, "odom"),
         pose=(info["odom_x"], info["odom_y"], info["odom_theta"]),
         odometry_error=info["odometry_error"],

@@ -32,7 +32,9 @@ class Summary:
     success_rate: float
     collision_rate: float
     timeout_rate: float
-    """Neither success nor collision: time-out or out of bounds. The three rates add up to 1."""
+    """None of the others: time-out or out of bounds. The four rates add up to 1."""
+    fault_rate: float
+    """Ended by a fault of link, board or wheels."""
     episode_return: float
     """Sum of rewards; comparable to the `reward_threshold` of a registered env."""
     length: float
@@ -98,7 +100,10 @@ def summarise(results: Sequence[EpisodeResult]) -> Summary:
     rates = {
         "success_rate": [result.success for result in results],
         "collision_rate": [result.collision for result in results],
-        "timeout_rate": [not (result.success or result.collision) for result in results],
+        "timeout_rate": [
+            not (result.success or result.collision or result.fault) for result in results
+        ],
+        "fault_rate": [bool(result.fault) for result in results],
     }
     intervals = {name: wilson(sum(hits), len(hits)) for name, hits in rates.items()}
     intervals |= {name: bootstrap(values) for name, values in samples.items()}

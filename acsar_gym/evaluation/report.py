@@ -119,12 +119,15 @@ def write_json(path: Path | None, data: Mapping[str, Any]) -> None:
     bounded.write(path, (json.dumps(data, indent=2, allow_nan=False) + "\n").encode())
 
 
-def summary_table(title: str, rows: Sequence[tuple[str, Summary]]) -> Table:
+def summary_table(
+    title: str, rows: Sequence[tuple[str, Summary]], notes: Sequence[str] = ()
+) -> Table:
     """Format summaries as a table; columns without any value are left out.
 
     Args:
         title: title of the table.
         rows: name of the link, and summary of the run on it.
+        notes: lines below the table.
     """
     table = Table(title=plain(title), title_justify="left")
     columns = {name: [cell(summary) for _, summary in rows] for name, cell in COLUMNS.items()}
@@ -137,7 +140,7 @@ def summary_table(title: str, rows: Sequence[tuple[str, Summary]]) -> Table:
     worst = max(
         (s.odometry_error for _, s in rows if not math.isnan(s.odometry_error)), default=0.0
     )
-    captions = []
+    captions = [plain(note) for note in notes]
     if worst > ALARM:
         captions.append(
             f"Odometry is off by {worst:.2f} m, so success by odometry means little: "
@@ -191,6 +194,7 @@ COLUMNS: dict[str, Callable[[Summary], str]] = {
     "success": _success,
     "collision": lambda summary: _rate(summary.collision_rate),
     "time-out": lambda summary: _rate(summary.timeout_rate),
+    "fault": lambda summary: _rate(summary.fault_rate),
     "SPL": lambda summary: _number(summary.spl),
     "BARN score": _score,
     "time to goal": lambda summary: _number(summary.time_to_goal, "s"),

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import gymnasium
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.envs.base import RobotEnv
 from acsar_gym.envs.ids import registered
-from acsar_gym.errors import ConfigError, PolicyError, shown
+from acsar_gym.errors import ConfigError, LinkError, PolicyError, shown
 from acsar_gym.evaluation import episodes as evaluation
-from acsar_gym.evaluation import metrics, provenance, report
+from acsar_gym.evaluation import provenance
 from acsar_gym.evaluation.episodes import EpisodeResult
-from acsar_gym.evaluation.metrics import Summary
+from acsar_gym.evaluation.results import Run, collect, track
 from acsar_gym.links import Link, open_link
 from acsar_gym.links.recording import RecordingLink
 from acsar_gym.policies import (
@@ -37,27 +35,6 @@ MOST_EPISODES = 10**6
 """Most episodes of one evaluation; all results are kept in memory."""
 SEEDS = 2**63
 """The first seed must be below this."""
-
-
-@dataclass(frozen=True, slots=True)
-class Run:
-    """Results of an evaluation, and what it was run with."""
-
-    header: dict[str, Any]
-    """What is needed to repeat it; see `provenance`."""
-    worlds: str
-    """Description of the worlds, such as "clutter 0 to 199 (test split)" or "none"."""
-    results: list[EpisodeResult]
-
-    @property
-    def summary(self) -> Summary:
-        """Rates and means over the episodes."""
-        return metrics.summarise(self.results)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return header, means and every episode, for JSON."""
-        episodes = metrics.per_episode(self.results)
-        return {"header": self.header, **self.summary.as_dict(), "per_episode": episodes}
 
 
 def load(policy: str, *, trust: bool, env: str = "") -> FilePolicy:
@@ -168,6 +145,9 @@ def drive(
 ) -> Run:
     """Evaluate a policy in worlds of the test split, with a progress bar; closes the link.
 
+    An emergency stop, an interrupt, and a link that can't be opened again end it after an episode;
+    the finished episodes are kept.
+
     Args:
         policy: the policy.
         link: name of the link.
@@ -180,9 +160,12 @@ def drive(
         AcsarError: see `made` and `episodes.episodes`.
     """
     env, how, count = made(policy, link, robot, options), how or {}, len(seeds)
+    results: list[EpisodeResult] = []
     try:
         running = evaluation.episodes(env, policy, count, seeds.start, **how)
-        return _run(env, policy, link, seeds, how, track(link, running, count))
+        ended = collect(track(link, running, count), results)
+        env.close()  # before the files are hashed
+        return _run(env, policy, link, seeds, how, results, ended)
     finally:
         env.close()
 
@@ -194,12 +177,13 @@ def _run(
     seeds: range,
     options: Mapping[str, Any],
     results: list[EpisodeResult],
+    ended: LinkError | KeyboardInterrupt | None = None,
 ) -> Run:
     """Combine results and header."""
     inner: Any = env.unwrapped
     worlds = provenance.worlds_of(inner)
     header = provenance.header(env, policy, link, seeds, options)
-    return Run(header, "none" if worlds is None else str(worlds), results)
+    return Run(header, "none" if worlds is None else str(worlds), results, ended)
 
 
 def to_goal(
@@ -212,16 +196,19 @@ def to_goal(
 ) -> Run:
     """Run one episode to `goal` (x, y) [m] in the odometry frame; arguments as for `drive`.
 
-    The link is recorded to the file `record`, if given. A fault raises LinkError.
+    The link is recorded to the file `record`, if given.
     """
     config = RobotConfig.of(robot)
     wire: Link = open_link(link, config)
     if record is not None:
         wire = RecordingLink(wire, record)
-    env = made(policy, wire, config, options | {"on_fault": "raise"})
+    env = made(policy, wire, config, options)
+    results: list[EpisodeResult] = []
     try:
-        results = list(evaluation.episodes(env, policy, 1, seed=0, goal=goal))
-        return _run(env, policy, link, range(1), {"goal": goal}, results)
+        running = evaluation.episodes(env, policy, 1, seed=0, goal=goal)
+        ended = collect(running, results)
+        env.close()
+        return _run(env, policy, link, range(1), {"goal": goal}, results, ended)
     finally:
         env.close()
 
@@ -274,22 +261,3 @@ def _statistics(model: Path, named: str | None) -> Path | None:
             "--vecnormalize none"
         )
     return None
-
-
-def track(name: str, running: Iterator[EpisodeResult], count: int) -> list[EpisodeResult]:
-    """Collect results with a progress bar that shows the success rate."""
-    results: list[EpisodeResult] = []
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("episodes, success {task.fields[rate]}"),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=report.SafeConsole()) as progress:
-        task = progress.add_task(report.plain(name), total=count, rate="-")
-        for result in running:
-            results.append(result)
-            rate = sum(r.success for r in results) / len(results)
-            progress.update(task, advance=1, rate=f"{rate:.0%}")
-    return results

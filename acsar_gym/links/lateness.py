@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 
@@ -60,7 +61,9 @@ class EpisodeTiming:
     feedback_age: Spread
     """Age of the newest valid line after every tick [s]; 0 if it arrived during the tick."""
     round_trip: Spread
-    """Time from a command that starts standing wheels to feedback of their motion [s]."""
+    """Time from the last byte of a command to wheels that stand, as it was handed over, to the
+    first byte of the line that shows that they turn [s]; up to a tick more where the link doesn't
+    tell when bytes arrive."""
 
 
 class Durations:
@@ -160,6 +163,7 @@ class Stopwatch:
         self._ages, self._trips = Durations(), Durations()
         self._begun = False
         self._asked: float | None = None
+        self._turned = False
 
     def tick(self, lateness: float, age: float) -> None:
         """Add a tick.
@@ -173,24 +177,56 @@ class Stopwatch:
             self._ages.add(age)
         self._begun = True
 
-    def asked(self, stamp: float, *, drives: bool, turns: bool) -> None:
-        """Add a command.
+    def commanded(self, written: float, *, drives: bool, turns: bool) -> bool:
+        """Add a command, and what the feedback of its period shows.
 
         Args:
-            stamp: time at which it is sent [s].
+            written: time at which its last byte was handed over [s].
             drives: whether the command isn't zero.
             turns: whether the wheels turn, by the newest feedback.
+
+        Returns:
+            Whether this feedback is the first that shows a command to wheels that stood: call
+            `shown` then.
         """
-        if turns or not drives:
-            if turns and self._asked is not None:
-                self._trips.add(stamp - self._asked)
+        if drives and self._asked is None and not self._turned:
+            self._asked = written
+        self._turned = turns
+        if not drives:
             self._asked = None
-        elif self._asked is None:
-            self._asked = stamp
+        return turns and self._asked is not None
+
+    def shown(self, stamp: float) -> None:
+        """End the round trip of the command.
+
+        Args:
+            stamp: time at which the first byte of the line that shows it arrived [s].
+        """
+        if self._asked is not None:
+            self._trips.add(stamp - self._asked)
+        self._asked = None
 
     def summary(self) -> EpisodeTiming:
         """Return the timing of the episode."""
         return EpisodeTiming(self._lateness.summary(), self._ages.spread(), self._trips.spread())
+
+
+def first_byte(arrivals: Sequence[tuple[float, bytes]], end: float) -> float:
+    """Return when the first byte of the newest line of a period arrived [s].
+
+    Args:
+        arrivals: pieces of what arrived in the period, with the time of each [s]; a line that began
+            earlier counts from the first piece on. Empty where the link doesn't tell.
+        end: end of the period [s], which is the answer then.
+    """
+    data = b"".join(piece for _, piece in arrivals).rstrip(b"\r\n")
+    begin = max(data.rfind(b"\n"), data.rfind(b"\r")) + 1
+    passed = 0
+    for stamp, piece in arrivals:
+        passed += len(piece)
+        if passed > begin:
+            return stamp
+    return end
 
 
 def _upper_edge(bucket: int) -> float:

@@ -13,27 +13,26 @@ import os
 import re
 import select
 import socket
-import stat
-import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from acsar_gym.errors import LinkError, printable
+from acsar_gym.errors import LinkError
+from acsar_gym.safety.estop_folders import folders
 
 ANSWER = 2.0
 """How long a stop waits for answers [s]; a control loop answers within a tick."""
 STOP = b"stop"
-SESSIONS = Path("/run/user")
-"""Has a folder for each user who is logged in, in which nobody else can create files."""
-SHARED = Path("/tmp")  # noqa: S108 - what is found there is checked
-"""A folder in which everybody can create files; it exists on every system."""
-ELSEWHERE = "ACSAR_GYM_RUNTIME_DIR"
-"""Environment variable that names a folder to use instead of these two."""
-LONGEST = 80
-"""Most bytes of a folder's path, because the address of a socket has at most 103 on every
-system."""
+"""Request to stop, or to stop the robot whose name follows; also the answer that it stopped."""
+WHO = b"who"
+"""Request to tell the names of the robot."""
+OTHER = b"other"
+"""Beginning of the answer of a robot that wasn't meant, or was asked for its names."""
+LONGEST_REQUEST = 8192
+"""Most bytes of a request or an answer."""
+MOST_REQUESTS = 8
+"""Requests that are read in one tick."""
 DRIVER = re.compile(r"[0-9]+-[0-9]+")
 """Name of a listener's socket: process id and a number."""
 
@@ -47,64 +46,17 @@ class Stopped:
     """Whether it confirmed that its wheels were commanded to stop."""
 
 
-def candidates() -> list[Path]:
-    """List the folders for sockets. Drivers listen in all of them, and a stop asks in all of them.
+@dataclass(frozen=True, slots=True)
+class Driver:
+    """A process that listens while it drives a robot."""
 
-    A process that was started before its user logged in knows only the shared folder. Where
-    another user has made a folder of that name there, only the session's folder works. Both paths
-    are the same in every environment of a user, unlike XDG_RUNTIME_DIR and TMPDIR.
-    """
-    name = f"acsar_gym-{os.getuid()}"
-    if os.environ.get(ELSEWHERE):
-        return [Path(os.environ[ELSEWHERE]) / name]
-    session = SESSIONS / str(os.getuid())
-    return [*([session / name] if _is_ours(session) else []), SHARED / name]
-
-
-def _is_ours(path: Path) -> bool:
-    """Whether this is a folder in which nobody else can create files."""
-    try:
-        found = path.lstat()
-    except OSError:
-        return False
-    return stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o22
-
-
-def made(path: Path) -> Path:
-    """Make a folder that only its owner can use, if it doesn't exist, and return its path.
-
-    Raises:
-        LinkError: it can't be made, its path is too long, or others can use it.
-    """
-    if len(os.fsencode(path)) > LONGEST:
-        raise LinkError(
-            f"{path}: too long for the address of a socket",
-            f"set {ELSEWHERE} to a folder of a shorter path",
-        )
-    try:
-        path.mkdir(mode=0o700, exist_ok=True)
-        found = path.lstat()
-    except OSError as error:
-        raise LinkError(f"{path}: can't be made a folder: {error.strerror}", "make room") from None
-    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
-        raise LinkError(
-            f"{path}: isn't a folder of yours alone",
-            f"remove it, or set {ELSEWHERE} to a folder of yours, in every terminal the same",
-        )
-    return path
-
-
-def folders() -> tuple[list[Path], list[LinkError]]:
-    """The folders that can be used, and the errors of the others."""
-    if not hasattr(socket, "AF_UNIX") or not hasattr(os, "getuid"):
-        return [], [LinkError("this operating system has no local sockets", "stop with Ctrl-C")]
-    usable, wrong = [], []
-    for path in candidates():
-        try:
-            usable.append(made(path))
-        except LinkError as error:
-            wrong.append(error)
-    return usable, wrong
+    process: int
+    since: float
+    """Since when it listens, seconds since 1970."""
+    device: str
+    """Device of the robot; empty where the process doesn't answer."""
+    name: str
+    """Name of the robot; empty where it has none, or the process doesn't answer."""
 
 
 class StopListener:
@@ -114,17 +66,25 @@ class StopListener:
     drivable on a computer without such sockets, and Ctrl-C stops it everywhere.
 
     Attributes: `paths`, the addresses; `faults`, the errors of folders that can't be used.
+
+    Args:
+        device: Of the robot that is stopped.
+        name: Of the robot.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, device: str = "", name: str = "") -> None:
+        self._told = b"\t".join((OTHER, os.fsencode(device), os.fsencode(name)))
+        real = os.path.realpath(device) if device.startswith("/") else device
+        known = {device, os.path.basename(device), real, os.path.basename(real), name}  # noqa: PTH119
+        self._names = {os.fsencode(each) for each in known if each} | {b"%d" % os.getpid()}
         self._sockets: list[socket.socket] = []
         self.paths: list[Path] = []
         self._process = os.getpid()
         self._askers: list[tuple[socket.socket, str]] = []
         usable, self.faults = folders()
-        name = _free_name(usable)
+        own = _free_name(usable)
         for folder in usable:
-            path = folder / name
+            path = folder / own
             try:
                 self._sockets.append(_bound(path))
                 self.paths.append(path)
@@ -137,14 +97,22 @@ class StopListener:
         return "" if self._sockets else "; ".join(map(str, self.faults))
 
     def is_requested(self) -> bool:
-        """Whether a stop has been requested; doesn't block."""
+        """Whether a stop of this robot has been requested; doesn't block."""
         self._askers = []
         for each in self._sockets if self._process == os.getpid() else ():
             with contextlib.suppress(OSError):  # no datagram
-                data, sender = each.recvfrom(len(STOP))
-                if data == STOP:
-                    self._askers.append((each, sender))
+                for _ in range(MOST_REQUESTS):
+                    self._hear(each, *each.recvfrom(LONGEST_REQUEST))
         return bool(self._askers)
+
+    def _hear(self, own: socket.socket, data: bytes, sender: str) -> None:
+        """Take a request, and answer it at once where it isn't a stop of this robot."""
+        request, _, names = data.partition(b" ")
+        if data == STOP or (request == STOP and self._names & set(names.split(b"\0"))):
+            self._askers.append((own, sender))
+        elif request in (STOP, WHO):
+            with contextlib.suppress(OSError, TypeError):
+                own.sendto(self._told, sender)
 
     def confirm(self) -> None:
         """Answer the requests: the wheels have been commanded to stop."""
@@ -206,15 +174,50 @@ def _bound(path: Path) -> socket.socket:
     return ours
 
 
-def stop_all() -> list[Stopped]:
-    """Ask every process of this user that drives a robot to stop, and wait for the answers.
+def stop_all(name: str = "") -> list[Stopped]:
+    """Ask processes of this user that drive a robot to stop, and wait for the answers.
+
+    Args:
+        name: Of one robot: its device, the last part of that, the name in its configuration, or
+            the id of the process. Empty for all robots.
 
     Returns:
-        One result for each process, by process id.
+        One result for each process, by process id, without those that drive another robot.
 
     Raises:
         LinkError: no folder can be used.
     """
+    real = os.path.realpath(name) if "/" in name else name
+    request = STOP + (b" " + os.fsencode(name) + b"\0" + os.fsencode(real) if name else b"")
+    found = _asked(request)
+    meant = {path: answer for path, answer in found.items() if not answer.startswith(OTHER)}
+    return [Stopped(_process(path), meant[path] == STOP) for path in sorted(meant, key=_process)]
+
+
+def drivers() -> list[Driver]:
+    """List the processes of this user that drive a robot, by process id.
+
+    Raises:
+        LinkError: no folder can be used.
+    """
+    found = []
+    for path, answer in sorted(_asked(WHO).items(), key=lambda item: _process(item[0])):
+        _, device, name = (*answer.split(b"\t"), b"", b"")[:3]
+        since = max(map(_made_at, (folder / path for folder in folders()[0])), default=0.0)
+        found.append(Driver(_process(path), since, os.fsdecode(device), os.fsdecode(name)))
+    return found
+
+
+def _made_at(path: Path) -> float:
+    """When a socket was made, seconds since 1970; 0 where there is none."""
+    try:
+        return path.stat().st_mtime
+    except OSError:
+        return 0.0
+
+
+def _asked(request: bytes) -> dict[str, bytes]:
+    """Send a request to all listeners; returns the answers by name of the socket, b"" for none."""
     usable, wrong = folders()
     if not usable:
         raise wrong[0]
@@ -222,9 +225,8 @@ def stop_all() -> list[Stopped]:
     with contextlib.ExitStack() as stack:
         askers = [stack.enter_context(_asker(folder)) for folder in usable]
         for folder, asker in zip(usable, askers, strict=True):
-            asked |= {path.name for path in _drivers(folder) if _ask(asker, path)}
-        answered = _answers(askers, asked)
-    return [Stopped(_process(name), name in answered) for name in sorted(asked, key=_process)]
+            asked |= {path.name for path in _drivers(folder) if _ask(asker, path, request)}
+        return dict.fromkeys(asked, b"") | _answers(askers, asked)
 
 
 def _process(name: str) -> int:
@@ -255,10 +257,10 @@ def _drivers(folder: Path) -> list[Path]:
         return []
 
 
-def _ask(asker: socket.socket, path: Path) -> bool:
+def _ask(asker: socket.socket, path: Path, request: bytes) -> bool:
     """Send a request; False where nobody listens. Removes the socket of a dead process."""
     try:
-        asker.sendto(STOP, str(path))
+        asker.sendto(request, str(path))
     except ConnectionRefusedError:
         with contextlib.suppress(OSError):
             if path.is_socket():
@@ -271,29 +273,14 @@ def _ask(asker: socket.socket, path: Path) -> bool:
     return True
 
 
-def _answers(askers: list[socket.socket], asked: set[str]) -> set[str]:
-    """Wait for answers; returns the names of the sockets that have answered in time."""
-    found: set[str] = set()
+def _answers(askers: list[socket.socket], asked: set[str]) -> dict[str, bytes]:
+    """Wait for answers; returns those that came in time, by name of the socket."""
+    found: dict[str, bytes] = {}
     deadline = time.monotonic() + ANSWER
-    while not asked <= found and (left := deadline - time.monotonic()) > 0.0:
+    while not asked <= found.keys() and (left := deadline - time.monotonic()) > 0.0:
         ready, _, _ = select.select(askers, [], [], left)
         for asker in ready:
             with contextlib.suppress(OSError, TypeError):
-                _, sender = asker.recvfrom(len(STOP))
-                found.add(Path(sender).name)
+                answer, sender = asker.recvfrom(LONGEST_REQUEST)
+                found[Path(sender).name] = answer
     return found
-
-
-def command() -> int:
-    """Run `acsar-gym estop`: stop all robots, print the results, and return the exit code."""
-    try:
-        found = stop_all()
-    except LinkError as error:
-        print(f"acsar-gym: {printable(str(error))}", file=sys.stderr)
-        return error.exit_code
-    for each in found:
-        said = "stopped" if each.answered else "doesn't answer: its watchdog stops it"
-        print(f"process {each.process}: {said}")
-    if not found:
-        print("no robot is being driven from this computer")
-    return 0 if found and all(each.answered for each in found) else 1

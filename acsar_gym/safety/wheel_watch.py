@@ -161,6 +161,7 @@ class _Wheel:
     def __init__(self, config: RobotConfig, number: int) -> None:
         motor = config.motor.of_wheel(number)
         self._top = config.motor.max_speed
+        self._gain = motor.gain
         self._lag = SLOWER * motor.time_constant
         self._ramp = motor.acceleration / SLOWER
         self._deadband = SLOWER * motor.deadband
@@ -179,6 +180,7 @@ class _Wheel:
             passed: Time since the last update [s].
         """
         top, deadband, change = self._top, self._deadband, self._ramp * passed
+        high, low = self._gain * high, self._gain * low
         if high > top or high < -top or low > top or low < -top:
             high, low = min(max(high, -top), top), min(max(low, -top), top)
         if -deadband <= high < 0.0:

@@ -50,12 +50,14 @@ CRASH = {"success": False, "collision": True, "left": 3.0, "driven": 1.0, "path"
 
 
 @pytest.mark.parametrize(("wins", "crashes", "losses"), [(1, 0, 0), (0, 3, 0), (2, 4, 1)])
-def test_the_three_rates_add_up_to_one(wins: int, crashes: int, losses: int) -> None:
+def test_the_four_rates_add_up_to_one(wins: int, crashes: int, losses: int) -> None:
     runs = [result()] * wins + [result(**CRASH)] * crashes + [result(**LOST)] * losses
+    summary = summarise([*runs, result(**LOST, fault="no feedback")])
+    rates = (summary.success_rate, summary.collision_rate, summary.timeout_rate, summary.fault_rate)
+    assert sum(rates) == pytest.approx(1.0)
+    assert summary.fault_rate == 1.0 / (len(runs) + 1)
+    assert summary.timeout_rate == losses / (len(runs) + 1)
     summary = summarise(runs)
-    assert (summary.success_rate + summary.collision_rate + summary.timeout_rate) == pytest.approx(
-        1.0
-    )
     assert summary.success_rate == wins / len(runs)
     assert summary.collision_rate == crashes / len(runs)
 

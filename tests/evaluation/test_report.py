@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from acsar_gym.envs import PointGoalEnv
 from acsar_gym.evaluation import episodes as evaluation
-from acsar_gym.evaluation import metrics, report, runs
+from acsar_gym.evaluation import metrics, report
+from acsar_gym.evaluation.results import track
 from acsar_gym.policies import OnnxPolicy
 
 
@@ -12,9 +13,9 @@ def caption(robot: str | None, multiplier: float) -> str:
     env = PointGoalEnv("planar", robot=robot)
     config = env.robot.config.with_(wheel_separation_multiplier=multiplier)
     env = PointGoalEnv("planar", robot=config)
-    results = runs.track("test", evaluation.episodes(env, OnnxPolicy("point_goal"), 3, 0), 3)
+    found = list(track("test", evaluation.episodes(env, OnnxPolicy("point_goal"), 3, 0), 3))
     env.close()
-    table = report.summary_table("test", [("planar", metrics.summarise(results))])
+    table = report.summary_table("test", [("planar", metrics.summarise(found))])
     return str(table.caption or "")
 
 

@@ -15,6 +15,7 @@ import pytest
 
 from acsar_gym.errors import ConfigError
 from acsar_gym.evaluation import provenance, runs
+from acsar_gym.evaluation.results import Run
 from acsar_gym.policies import FilePolicy
 from acsar_gym.resources import AGENTS
 from acsar_gym.worlds import Region, World
@@ -35,7 +36,7 @@ class Idle(FilePolicy):
         return np.zeros(2, np.float32)
 
 
-def drive(count: int, seed: int = 3, **options: Any) -> runs.Run:
+def drive(count: int, seed: int = 3, **options: Any) -> Run:
     """Episodes of a policy that stands still, in worlds that are quick to make."""
     return runs.drive(Idle(), "planar", None, range(seed, seed + count), **options)
 

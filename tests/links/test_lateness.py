@@ -19,6 +19,7 @@ from acsar_gym.links.lateness import (
     Spread,
     Stopwatch,
     Timing,
+    first_byte,
 )
 
 PERIOD = 0.01
@@ -130,11 +131,14 @@ def test_memory_is_bounded() -> None:
 # One episode
 
 
-def trips(*asked: tuple[float, bool, bool]) -> Spread:
-    """Round trips of an episode with these stamps, whether they drive, whether wheels turn."""
+def trips(*commands: tuple[float, bool, bool]) -> Spread:
+    """Round trips of an episode: when commands are written, whether they drive, and whether wheels
+    turn by the feedback that comes 8 ms later.
+    """
     watch = Stopwatch(PERIOD)
-    for stamp, drives, turns in asked:
-        watch.asked(stamp, drives=drives, turns=turns)
+    for written, drives, turns in commands:
+        if watch.commanded(written, drives=drives, turns=turns):
+            watch.shown(written + 0.008)
     return watch.summary().round_trip
 
 
@@ -164,14 +168,14 @@ def test_a_round_trip_begins_with_the_command_and_ends_with_turning_wheels() -> 
         (1.0, False, False), (1.01, True, False), (1.02, True, False), (1.05, True, True)
     )
     assert spread.count == 1
-    assert spread.worst == pytest.approx(0.04)
+    assert spread.worst == pytest.approx(0.048)
 
 
 @pytest.mark.parametrize(
     "asked",
     [
         [(1.0, True, False), (1.01, True, False)],  # they never turn
-        [(1.0, True, True), (1.01, True, True)],  # they turn already
+        [(1.0, False, True), (1.01, True, True)],  # they turn already
         [(1.0, True, False), (1.01, False, False), (1.02, False, True)],  # called off
         [(1.0, False, False), (1.01, False, True)],  # pushed by hand
     ],
@@ -186,4 +190,22 @@ def test_every_start_from_standstill_is_one() -> None:
     other = [(2.0, True, False), (2.05, True, True)]
     spread = trips(*one, *other)
     assert spread.count == 2
-    assert spread.worst == pytest.approx(0.05)
+    assert spread.worst == pytest.approx(0.058)
+
+
+@pytest.mark.parametrize(
+    ("arrivals", "stamp"),
+    [
+        ([], 9.0),
+        ([(1.0, b"ap01.00,bp01.00\r\n")], 1.0),
+        ([(1.0, b"ap01.00\r\nap0"), (2.0, b"2.00\r"), (3.0, b"\n")], 1.0),
+        ([(1.0, b"ap01.00\r\n"), (2.0, b"ap02.00\r\n")], 2.0),
+        ([(1.0, b".00\r\n"), (2.0, b"\n"), (2.5, b"ap"), (3.0, b"02.00\r\n")], 2.5),
+        ([(1.0, b"01.00"), (2.0, b"\r\n")], 1.0),
+    ],
+    ids=["untold", "one", "in pieces", "newest", "after a rest", "begun before"],
+)
+def test_a_line_arrives_with_its_first_byte(
+    arrivals: list[tuple[float, bytes]], stamp: float
+) -> None:
+    assert first_byte(arrivals, 9.0) == stamp

@@ -9,6 +9,7 @@ import stat
 import sys
 import tempfile
 import threading
+import time
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,7 +23,7 @@ from acsar_gym.doctor import checks as doctor
 from acsar_gym.errors import LinkError, SafetyWarning
 from acsar_gym.links import open_link
 from acsar_gym.protocol import ZERO
-from acsar_gym.safety import estop
+from acsar_gym.safety import estop, estop_folders
 from acsar_gym.safety.rules import Reason
 
 pytestmark = [pytest.mark.xdist_group("serial"), pytest.mark.usefixtures("deadline")]
@@ -46,16 +47,16 @@ def place(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 def folder() -> Path:
     """Where the sockets of this test are."""
-    (usable,), wrong = estop.folders()
+    (usable,), wrong = estop_folders.folders()
     assert not wrong
     return usable
 
 
 def estop_command(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, *arguments: str
 ) -> tuple[object, str, str]:
-    """`acsar-gym estop`: exit code, output, errors."""
-    monkeypatch.setattr(sys, "argv", ["acsar-gym", "estop"])
+    """`acsar-gym estop ARGUMENTS`: exit code, output, errors."""
+    monkeypatch.setattr(sys, "argv", ["acsar-gym", "estop", *arguments])
     with pytest.raises(SystemExit) as ended:
         main()
     return ended.value.code, *capsys.readouterr()
@@ -122,7 +123,7 @@ def answering(listener: estop.StopListener) -> threading.Thread:
 
     def loop() -> None:
         while not listener.is_requested():
-            pass
+            time.sleep(0.001)
         listener.confirm()
 
     thread = threading.Thread(target=loop, daemon=True)
@@ -203,6 +204,97 @@ def test_a_suspended_process_with_a_full_queue_is_listed(monkeypatch: pytest.Mon
         listener.close()
 
 
+@pytest.fixture
+def two(place: Path) -> Iterator[list[estop.StopListener]]:
+    """The listeners of two robots, with a control loop that answers for both."""
+    listeners = [estop.StopListener("/dev/ttyUSB7", "rover"), estop.StopListener("usb:A50285BI")]
+    ended = threading.Event()
+
+    def loop() -> None:
+        while not ended.is_set():
+            for listener in listeners:
+                if listener.is_requested():
+                    listener.confirm()
+            time.sleep(0.001)
+
+    thread = threading.Thread(target=loop, daemon=True)
+    thread.start()
+    yield listeners
+    ended.set()
+    thread.join()
+    for listener in listeners:
+        listener.close()
+
+
+@pytest.mark.parametrize(
+    ("name", "count"),
+    [
+        ("/dev/ttyUSB7", 1),
+        ("ttyUSB7", 1),
+        ("rover", 1),
+        ("usb:A50285BI", 1),
+        (str(os.getpid()), 2),
+        ("", 2),
+        ("/dev/ttyUSB8", 0),
+        ("stop", 0),
+    ],
+)
+def test_one_robot_can_be_named(name: str, count: int, two: list[estop.StopListener]) -> None:
+    assert estop.stop_all(name) == [estop.Stopped(os.getpid(), answered=True)] * count
+
+
+def test_a_name_that_nobody_has_lists_those_that_there_are(
+    two: list[estop.StopListener],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    code, output, error = estop_command(capsys, monkeypatch, "rob\x1b9")
+    assert (code, error) == (1, "")
+    assert "no robot rob\\x1b9 is being driven" in output
+    assert f"/dev/ttyUSB7 (rover): process {os.getpid()}, since 2" in output
+    assert f"usb:A50285BI: process {os.getpid()}, since 2" in output
+
+
+def test_listeners_are_listed_and_not_stopped(
+    two: list[estop.StopListener],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    code, output, _ = estop_command(capsys, monkeypatch, "--list")
+    assert (code, len(output.splitlines())) == (0, 2)
+    first, second = estop.drivers()
+    assert {first.device, second.device} == {"/dev/ttyUSB7", "usb:A50285BI"}
+    assert abs(first.since - time.time()) < TIMEOUT
+
+
+def test_a_link_names_the_device_it_leads_to(place: Path) -> None:
+    (place / "rob9").symlink_to("/dev/null")
+    listener = estop.StopListener(str(place / "rob9"))
+    for name in ("rob9", str(place / "rob9"), "/dev/null", "null"):
+        thread = answering(listener)
+        assert [each.answered for each in estop.stop_all(name)] == [True]
+        thread.join()
+    listener.close()
+
+
+def test_the_command_names_the_robot_of_another_process(
+    emulator: Emulated, robot_file: RobotFile
+) -> None:
+    """And leaves it alone where it names another one."""
+    options = ("--link", emulator.device, "--robot", str(robot_file(name="rover")))
+    with program(DRIVING, "drive", "--linear", "0.2", *options) as process:
+        wait_until(emulator.is_driven, "a command that turns the wheels")
+        assert estop.stop_all("/dev/another") == []
+        (driver,) = estop.drivers()
+        assert (driver.process, driver.device) == (process.pid, emulator.device)
+        assert driver.name == "rover"
+        assert emulator.is_driven()
+        assert estop.stop_all("rover") == [estop.Stopped(process.pid, answered=True)]
+        wait_until(emulator.is_stopped, "zero as the newest command")
+        process.terminate()
+        process.wait(TIMEOUT)
+
+
 BAD = {
     "too open": lambda path: path.mkdir(mode=0o755),
     "a link": lambda path: path.symlink_to("/tmp"),  # noqa: S108
@@ -220,7 +312,7 @@ def test_a_folder_that_cannot_be_trusted_is_told_of(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """By a warning at activation, by the doctor, and by the command."""
-    (path,) = estop.candidates()
+    (path,) = estop_folders.candidates()
     BAD[kind](path)
     robot = Robot(open_link(shared_device, config), config)
     with no_leak():
@@ -249,7 +341,7 @@ def test_a_folder_of_somebody_else_is_refused(monkeypatch: pytest.MonkeyPatch) -
 def test_a_warning_that_is_an_error_leaves_nothing_open(
     place: Path, config: RobotConfig, shared_device: str
 ) -> None:
-    estop.candidates()[0].write_text("")
+    estop_folders.candidates()[0].write_text("")
     robot = Robot(open_link(shared_device, config), config)
     with no_leak(), warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -261,7 +353,7 @@ def test_a_warning_that_is_an_error_leaves_nothing_open(
 def test_the_command_line_warns_in_one_line(
     place: Path, emulator: Emulated, robot_file: RobotFile
 ) -> None:
-    estop.candidates()[0].write_text("")
+    estop_folders.candidates()[0].write_text("")
     options = ("--link", emulator.device, "--linear", "0.2", "--duration", "0.05")
     with program(DRIVING, "drive", *options, "--robot", str(robot_file())) as process:
         _, error = process.communicate(timeout=TIMEOUT)
@@ -290,8 +382,8 @@ def test_a_folder_that_cannot_be_is_one_line(
 def usual(place: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Path]:
     """The folder of the user's sessions, and the one that all share."""
     monkeypatch.delenv("ACSAR_GYM_RUNTIME_DIR")
-    monkeypatch.setattr(estop, "SESSIONS", place / "user")
-    monkeypatch.setattr(estop, "SHARED", place / "tmp")
+    monkeypatch.setattr(estop_folders, "SESSIONS", place / "user")
+    monkeypatch.setattr(estop_folders, "SHARED", place / "tmp")
     session = place / "user" / str(os.getuid())
     session.mkdir(0o700, parents=True)
     (place / "tmp").mkdir()
@@ -324,7 +416,7 @@ def test_one_of_the_folders_is_enough(missing: int, usual: tuple[Path, Path]) ->
 def test_a_session_that_others_can_write_to_is_not_used(usual: tuple[Path, Path]) -> None:
     session, shared = usual
     session.chmod(0o777)
-    assert [path.parent for path in estop.candidates()] == [shared]
+    assert [path.parent for path in estop_folders.candidates()] == [shared]
 
 
 def test_other_messages_are_ignored(config: RobotConfig, shared_device: str) -> None:
@@ -342,10 +434,10 @@ def test_simulated_robots_have_no_socket(config: RobotConfig) -> None:
 
 
 def test_the_folders_are_the_same_in_every_environment(monkeypatch: pytest.MonkeyPatch) -> None:
-    places = estop.candidates()
+    places = estop_folders.candidates()
     monkeypatch.setenv("XDG_RUNTIME_DIR", "/elsewhere")
     monkeypatch.setenv("TMPDIR", "/elsewhere")
-    assert estop.candidates() == places
+    assert estop_folders.candidates() == places
 
 
 def test_the_doctor_heeds_it(emulator: Emulated, robot_file: RobotFile) -> None:

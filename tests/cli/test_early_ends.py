@@ -1,0 +1,106 @@
+"""Evaluations that end early, and episodes that a fault ends: what is kept, said and returned."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from cli_tools import Call, assert_one_line
+
+from acsar_gym.errors import BoardSilentError, EmergencyStopError, LinkError
+from acsar_gym.evaluation import episodes as evaluation
+from acsar_gym.evaluation import runs
+from acsar_gym.evaluation.episodes import EpisodeResult
+from acsar_gym.policies import OnnxPolicy
+
+EVALUATE = ("evaluate", "--link", "planar", "--episodes", "5")
+
+
+@pytest.fixture
+def ending(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """`ending(error, after=2)` lets every evaluation end so after some episodes."""
+    whole = evaluation.episodes
+
+    def install(error: BaseException, after: int = 2) -> None:
+        def episodes(env: Any, policy: Any, count: int, seed: int, **how: Any) -> Iterator[Any]:
+            yield from whole(env, policy, min(count, after), seed, **how)
+            raise error
+
+        monkeypatch.setattr(evaluation, "episodes", episodes)
+
+    return install
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "said"),
+    [
+        (EmergencyStopError(), 3, "emergency stop"),
+        (BoardSilentError("no feedback for 0.51 s", "check the cable"), 3, "no feedback for 0.51"),
+        (KeyboardInterrupt(), 130, "interrupted"),
+    ],
+    ids=["estop", "lost", "Ctrl-C"],
+)
+def test_finished_episodes_are_kept(
+    error: BaseException, code: int, said: str, ending: Any, call: Call, tmp_path: Path
+) -> None:
+    ending(error)
+    file = tmp_path / "figures.json"
+    status, output, message = call(*EVALUATE, "--json", file)
+    assert status == code
+    assert said in message
+    assert "2/2" in output
+    assert f"Ended after 2 of 5 episodes: {said}" in " ".join(output.split())
+    data = json.loads(file.read_text())
+    assert (data["episodes"], len(data["per_episode"])) == (2, 2)
+    assert said in data["ended_early"]
+
+
+def test_a_stopped_run_writes_its_json(ending: Any, call: Call, tmp_path: Path) -> None:
+    ending(EmergencyStopError(), after=0)
+    file = tmp_path / "figures.json"
+    status, output, message = call("run", "1", "0", "--link", "planar", "--json", file)
+    assert (status, output) == (3, "")
+    assert_one_line(message, "emergency stop")
+    data = json.loads(file.read_text())
+    assert (data["episodes"], data["per_episode"], data["success_rate"]) == (0, [], None)
+    assert "emergency stop" in data["ended_early"]
+
+
+def test_an_error_before_the_first_episode_is_that_error(ending: Any) -> None:
+    ending(LinkError("no such device"), after=0)
+    with pytest.raises(LinkError, match="no such device"):
+        runs.drive(OnnxPolicy("point_goal"), "planar", None, range(3))
+
+
+def test_a_fault_is_a_column_and_no_time_out(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = runs.made
+
+    def made(policy: Any, link: Any, robot: Any, options: Any) -> Any:
+        faults = {"unplug_at": 0.2, "replug_time": 0.1, "episodes": 0.5}
+        return whole(policy, link, robot, {**options, "faults": faults})
+
+    monkeypatch.setattr(runs, "made", made)
+    status, output, message = call(*EVALUATE)
+    assert status == 3
+    assert_one_line(message, "unplugged")
+    assert "fault" in output
+    assert "time-out" not in output
+    assert "Faults: " in output
+
+
+def test_a_complete_evaluation_says_so() -> None:
+    run = runs.drive(OnnxPolicy("point_goal"), "planar", None, range(2))
+    assert (run.ended, run.faults, run.notes) == (None, [], [])
+    assert run.as_dict()["ended_early"] is None
+
+
+def test_time_to_goal_is_that_of_the_ticks() -> None:
+    """However long the program took from the reset to the first command."""
+    run = runs.drive(OnnxPolicy("point_goal"), "planar", None, range(1))
+    episode: EpisodeResult = run.results[0]
+    assert episode.ended - episode.started == pytest.approx(episode.ticks * 0.01)
+    assert np.isfinite(episode.started)
