@@ -4,29 +4,32 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize, stats
+from scipy import optimize
 
 from acsar_gym.identification.problem import HIGH, LOW, Problem
 from acsar_gym.identification.response import Clock, Wheel
 
 Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 
 DELAYS = np.arange(-0.01, 0.2, 0.01)
 LAGS = (0.02, 0.05, 0.1, 0.2, 0.4)
 SLOWNESSES = (0.003, 0.02, 0.05)
 """Values of the coarse search."""
 DELAY_BOUNDS = (-0.03, 0.5)
-WINDOW_BOUNDS = (0.0, 0.4)
-"""Bounds of delay and averaging time [s]; the shortest window is a loop."""
+"""Bounds of the delay to the middle of the window [s]."""
+LONGEST_WINDOW = 0.4
+"""Longest averaging time [s]; the shortest is a loop."""
+WINDOWS = (0.005, 0.02, 0.035, 0.05, 0.075, 0.1, 0.15)
+"""Averaging times from which a fit starts [s]."""
+NEVER = 3600.0
+"""Time-out of a board that has none [s]."""
 LEAST_SCALE = 0.02
 """Least residual at which the loss becomes linear [rad/s]."""
-LEVEL = 0.95
-ROUNDS = 3
-"""How often smooth parameters and deadbands are fitted in turn, at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,14 +41,14 @@ class Solution:
         deadbands: of the wheels [rad/s].
         free: which parameters were fitted.
         scale: residual at which the loss becomes linear [rad/s].
-        half: half widths of the 95 % intervals.
+        cost: sum of the losses.
     """
 
     x: Floats
     deadbands: tuple[float, ...]
-    free: NDArray[np.bool_]
+    free: Bools
     scale: float
-    half: Floats
+    cost: float
 
 
 def coarse(problem: Problem, deadbands: Sequence[float], window: float, timeout: float) -> Floats:
@@ -80,56 +83,89 @@ def _best_wheel(problem: Problem, k: int, band: float, clock: Clock) -> tuple[fl
     return found
 
 
-def solve(problem: Problem, x: Floats, deadbands: Sequence[float], free: list[bool]) -> Solution:
-    """Fit the free parameters, beginning at `x`.
+def solve(
+    problem: Problem, x: Floats, deadbands: Sequence[float], free: Bools, evaluations: int = 40
+) -> Solution:
+    """Fit the free parameters.
 
     Args:
         problem: to solve.
         x: start.
         deadbands: of the wheels, which stay [rad/s].
         free: which parameters may move.
+        evaluations: of the residuals, at most.
     """
-    bands, mask = tuple(deadbands), np.array(free)
-    low, high = _bounds(problem)
-    x = np.clip(x, low, high)
-    for _ in range(2):
-        rest = problem.residuals(x, bands)
-        scale = max(LEAST_SCALE, 1.5 * float(np.median(np.abs(rest))))
+    low, high = bounds(problem)
+    start = np.clip(x, low, high)
+    rest = problem.residuals(start, deadbands)
+    scale = max(LEAST_SCALE, 1.5 * float(np.median(np.abs(rest))))
 
-        def full(part: Floats, whole: Floats = x) -> Floats:
-            moved = whole.copy()
-            moved[mask] = part
-            return moved
+    def full(part: Floats) -> Floats:
+        moved = start.copy()
+        moved[free] = part
+        return moved
 
-        result = optimize.least_squares(
-            lambda part: problem.residuals(full(part), bands),
-            np.clip(x[mask], low[mask] + 1e-9, high[mask] - 1e-9),
-            jac=lambda part: problem.jacobian(full(part), bands)[:, mask],
-            bounds=(low[mask], high[mask]),
-            loss="soft_l1",
-            f_scale=scale,
-            x_scale="jac",
-            max_nfev=30,
-        )
-        x = full(result.x)
-    solution = Solution(x, bands, mask, scale, np.zeros(len(x)))
-    return replace(solution, half=half_widths(problem, solution))
+    result = optimize.least_squares(
+        lambda part: problem.residuals(full(part), deadbands),
+        np.clip(start[free], low[free] + 1e-9, high[free] - 1e-9),
+        jac=lambda part: problem.jacobian(full(part), deadbands)[:, free],
+        bounds=(low[free], high[free]),
+        loss="soft_l1",
+        f_scale=scale,
+        x_scale="jac",
+        ftol=1e-5,
+        xtol=1e-6,
+        max_nfev=evaluations,
+    )
+    return Solution(full(result.x), tuple(deadbands), free, scale, float(result.cost))
 
 
-def _bounds(problem: Problem) -> tuple[Floats, Floats]:
+def bounds(problem: Problem) -> tuple[Floats, Floats]:
     """Lower and upper bounds of the parameters."""
     n = len(problem.wheels)
-    window = max(problem.dt, WINDOW_BOUNDS[0])
-    low = np.concatenate((np.tile(LOW, n), [DELAY_BOUNDS[0], window, 0.02]))
-    high = np.concatenate((np.tile(HIGH, n), [DELAY_BOUNDS[1], WINDOW_BOUNDS[1], 3600.0]))
+    low = np.concatenate((np.tile(LOW, n), [DELAY_BOUNDS[0], problem.dt, 0.02]))
+    high = np.concatenate((np.tile(HIGH, n), [DELAY_BOUNDS[1], LONGEST_WINDOW, NEVER]))
     return low, high
 
 
-def half_widths(problem: Problem, solution: Solution) -> Floats:
-    """Half widths of the 95 % intervals, with residuals that depend on each other in blocks.
+def searched(
+    problem: Problem, x: Floats, deadbands: Sequence[float], free: Bools
+) -> Solution:
+    """Fit from several averaging times: cost is flat along it, and has several minima.
 
-    Residuals of quantized, averaged speeds are correlated, so the covariance is that of blocks
-    (the "sandwich"), with Student's factor for their number.
+    Args:
+        problem: to solve.
+        x: start.
+        deadbands: of the wheels [rad/s].
+        free: which parameters may move.
+    """
+    window = problem.size - 2
+    if not free[window]:
+        return solve(problem, x, deadbands, free)
+    fixed = free.copy()
+    fixed[window] = False
+    best, nearby = None, x
+    for value in WINDOWS:
+        start = nearby.copy()
+        start[window] = value
+        found = solve(problem, start, deadbands, fixed, evaluations=8)
+        nearby = found.x
+        cost = _absolute(problem, found)
+        best = min(best or (cost, found), (cost, found), key=lambda pair: pair[0])
+    assert best is not None
+    return solve(problem, best[1].x, deadbands, free)
+
+
+def _absolute(problem: Problem, solution: Solution) -> float:
+    """Sum of the absolute residuals, which doesn't depend on a fit's scale."""
+    return float(np.abs(problem.residuals(solution.x, solution.deadbands)).sum())
+
+
+def covariance(problem: Problem, solution: Solution) -> Floats:
+    """Covariance of the parameters, with residuals that depend on each other in blocks.
+
+    Residuals of quantized, averaged speeds are correlated, so it is that of blocks (the
+    "sandwich"). Fixed parameters have zeros.
     """
     rest = problem.residuals(solution.x, solution.deadbands)
     jacobian = problem.jacobian(solution.x, solution.deadbands)[:, solution.free]
@@ -138,10 +174,9 @@ def half_widths(problem: Problem, solution: Solution) -> Floats:
     count = int(blocks.max()) + 1
     scores = np.zeros((count, jacobian.shape[1]))
     np.add.at(scores, blocks, jacobian * (weights * rest)[:, None])
-    bread = np.linalg.pinv(jacobian.T @ (jacobian * weights[:, None]))
-    spread = bread @ (scores.T @ scores) @ bread
-    freedom = max(1, count - jacobian.shape[1])
-    factor = float(stats.t.ppf(0.5 + LEVEL / 2.0, freedom)) * math.sqrt(count / freedom)
-    half = np.zeros(len(solution.x))
-    half[solution.free] = factor * np.sqrt(np.maximum(np.diag(spread), 0.0))
-    return half
+    bread = np.linalg.pinv(jacobian.T @ (jacobian * weights[:, None]), hermitian=True)
+    seen = len(np.unique(blocks))
+    small = seen / max(1.0, seen - jacobian.shape[1])
+    spread = np.zeros((len(solution.x), len(solution.x)))
+    spread[np.ix_(solution.free, solution.free)] = bread @ (scores.T @ scores) @ bread * small
+    return spread
