@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.jit import loop
+from acsar_gym.jit import jit, loop
 
 Floats = NDArray[np.float64]
 
@@ -44,30 +44,54 @@ class Clock(NamedTuple):
     """Time after the newest command at which the targets become zero [s]; inf: never."""
 
 
+@jit
+def passed(aim: float, spread: float, deadband: float) -> float:
+    """Mean of what a deadband passes, over aims from aim - spread to aim + spread [rad/s]."""
+    if abs(aim) - spread >= deadband:
+        return aim
+    if abs(aim) + spread < deadband or spread <= 0.0:
+        return 0.0
+    low, high = max(abs(aim - spread), deadband), max(abs(aim + spread), deadband)
+    return (high * high - low * low) / (4.0 * spread)
+
+
 @loop
 def speeds_of(
-    targets: Floats, step: float, blend: float, gain: float, deadband: float, top: float
+    before: Floats,
+    after: Floats,
+    share: Floats,
+    step: float,
+    blend: float,
+    gain: float,
+    deadband: float,
+    top: float,
+    spread: float,
 ) -> Floats:
     """Compute a wheel's speed after each loop of the firmware.
 
     Args:
-        targets: commanded speed in each loop [rad/s].
+        before: commanded speed one loop earlier [rad/s].
+        after: commanded speed in each loop [rad/s].
+        share: probability that a loop already has the command `after`.
         step: largest change of the set point in a loop [rad/s].
         blend: share of the difference by which the speed changes in a loop.
         gain: factor from set point to speed.
         deadband: set points below this count as zero [rad/s].
         top: largest speed [rad/s].
+        spread: 0 for the twin's own loops; 0.5 for the mean over the phases of its clock where a
+            set point crosses the deadband, which is smooth.
 
     Returns:
         Speeds [rad/s], one per loop.
     """
-    speeds = np.empty(len(targets))
+    speeds = np.empty(len(after))
     set_point = speed = 0.0
-    for k in range(len(targets)):
-        set_point = min(max(targets[k], set_point - step), set_point + step)
-        aim = set_point * gain
-        if abs(aim) < deadband:
-            aim = 0.0
+    for k in range(len(after)):
+        low, high, old = set_point - step, set_point + step, set_point
+        set_point = min(max(after[k], low), high)
+        if share[k] < 1.0:
+            set_point += (1.0 - share[k]) * (min(max(before[k], low), high) - set_point)
+        aim = passed(set_point * gain, spread * gain * abs(set_point - old), deadband)
         aim = min(max(aim, -top), top)
         speed += blend * (aim - speed)
         if aim == 0.0 and abs(speed) < CREEP:
@@ -86,20 +110,26 @@ def blend_of(lag: float, dt: float) -> float:
     return float(1.0 - np.exp(-dt / lag)) if lag > 0.0 else 1.0
 
 
-def targets_at(edges: Floats, stamps: Floats, commands: Floats) -> Floats:
-    """Average of a stepwise command over each loop's wait, (k,).
+def targets_at(
+    edges: Floats, stamps: Floats, commands: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Commands of each loop, where loops lie anywhere within half a period around the edges.
 
     Args:
-        edges: begin of each loop [s], equally spaced; a command counts from the next loop on.
+        edges: begin of each loop [s], equally spaced.
         stamps: when each command counts [s], ascending.
         commands: [rad/s]; zero before the first.
+
+    Returns:
+        `before`, `after` and `share` for `speeds_of`.
     """
     dt = edges[1] - edges[0]
-    area = np.concatenate(([0.0], np.cumsum(commands[:-1] * np.diff(stamps))))
-    late = np.concatenate(([edges[0] - dt], edges))
-    covered = np.interp(late, stamps, area)
-    covered += np.where(late > stamps[-1], (late - stamps[-1]) * commands[-1], 0.0)
-    return np.diff(covered) / dt
+    latest = edges + dt / 2.0
+    newest = np.searchsorted(stamps, latest, side="right") - 1
+    after = np.where(newest < 0, 0.0, commands[newest])
+    before = np.concatenate(([0.0], after[:-1]))
+    since = latest - stamps[np.maximum(newest, 0)]
+    return before, after, np.clip(since / dt, 0.0, 1.0)
 
 
 def windowed(edges: Floats, speeds: Floats, stamps: Floats, window: float) -> Floats:

@@ -19,6 +19,8 @@ BLOCK = 1.0
 """Length of the blocks of which some are held out [s]."""
 EVERY = 5
 """One block of so many is held out."""
+LEAD = 0.5
+"""Time at rest before the first command and reading; longer than encoders average [s]."""
 MARGIN = 0.3
 """Held-out blocks are this far from a pause [s]."""
 
@@ -54,9 +56,9 @@ class Track:
         """Indices of the last command before each pause."""
         return np.flatnonzero(np.diff(self.arrivals) > GAP)
 
-    def grid(self, dt: float, window: float) -> Floats:
+    def grid(self, dt: float) -> Floats:
         """Begin of each firmware loop [s], for loops of `dt` [s]."""
-        begin = min(self.arrivals[0], self.stamps[0]) - window
+        begin = min(self.arrivals[0], self.stamps[0]) - LEAD
         return begin + dt * np.arange(int((self.stamps[-1] - begin) / dt) + 2)
 
     def with_timeout(self, timeout: float) -> tuple[Floats, Floats]:

@@ -1,0 +1,86 @@
+"""Deadbands: the cost of each candidate, since the answer jumps where a set point crosses one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym.identification.problem import Problem
+from acsar_gym.identification.quantum import printed_mean
+from acsar_gym.identification.response import Clock, Wheel
+
+Floats = NDArray[np.float64]
+
+GRID = 0.01
+"""Distance of the candidates, and least half width of an interval [rad/s]."""
+DOUBT = 2.0
+"""A candidate whose cost is above the least one by so many standard errors is ruled out."""
+CORRELATED = 4.0
+"""Neighbouring residuals that count as one."""
+
+
+@dataclass(frozen=True)
+class Printed:
+    """How a board rounds speeds: see `quantum.printed_mean`."""
+
+    counts: float
+    step: float
+
+
+@dataclass(frozen=True)
+class Deadband:
+    """A deadband and its 95 % interval [rad/s]."""
+
+    value: float
+    low: float
+    high: float
+
+
+def found(
+    problem: Problem, index: int, motor: Wheel, clock: Clock, printed: Printed, most: float
+) -> Deadband:
+    """Find the deadband of one wheel, with its other parameters given.
+
+    Args:
+        problem: the tracks.
+        index: of the wheel in the problem.
+        motor: the wheel's parameters; its deadband isn't used.
+        clock: the board's times.
+        printed: how speeds are rounded.
+        most: largest candidate [rad/s].
+    """
+    bands = np.arange(0.0, most + GRID, GRID)
+    measured = problem.measured(index)
+    costs = np.array(
+        [_losses(problem, index, motor, clock, printed, measured, band) for band in bands]
+    )
+    blocks = problem.blocks()[: len(measured)]
+    best = int(np.argmin(costs.sum(1)))
+    excess = costs - costs[best]
+    by_block = np.zeros((len(bands), int(blocks.max()) + 1))
+    np.add.at(by_block.T, blocks, excess.T)
+    total = by_block.sum(1)
+    doubtful = total <= DOUBT * np.sqrt((by_block**2).sum(1))
+    spread = max(float(np.median(costs[best])), 1e-9)
+    weights = np.exp(-total / (CORRELATED * spread))
+    value = float((weights * bands).sum() / weights.sum())
+    low, high = float(bands[doubtful].min()), float(bands[doubtful].max())
+    return Deadband(value, max(0.0, min(low, value) - GRID), max(high, value) + GRID)
+
+
+def _losses(
+    problem: Problem,
+    index: int,
+    motor: Wheel,
+    clock: Clock,
+    printed: Printed,
+    measured: Floats,
+    band: float,
+) -> Floats:
+    """Losses of all readings for one candidate, linear for large residuals."""
+    rest = problem.residuals_of(index, motor._replace(deadband=float(band)), clock)
+    expected = printed_mean(rest + measured, printed.counts, printed.step)
+    rest = np.abs(expected - measured)
+    return np.where(rest < 0.2, rest**2, 0.4 * rest - 0.04)

@@ -1,0 +1,181 @@
+"""From tracks to estimates: wheels and clock by least squares, deadbands by their cost, in turn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.identification import deadband, pauses, quantum, solving
+from acsar_gym.identification.deadband import Deadband, Printed
+from acsar_gym.identification.knowable import Knowable
+from acsar_gym.identification.problem import PER_WHEEL, Problem
+from acsar_gym.identification.response import Clock, Wheel
+from acsar_gym.identification.solving import NEVER, Solution
+from acsar_gym.identification.tracks import Track
+from acsar_gym.protocol import MOTORS
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+SMOOTH_NAMES = ("motor.time_constant", "motor.gain", "motor.acceleration")
+"""Parameters of a wheel in the problem's order."""
+UNRAMPED = 3e-3
+"""Start of a ramp's slowness where it is searched [s^2/rad]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """What was fitted.
+
+    Attributes:
+        problem: with the tracks and the wheels that turned.
+        solution: parameters.
+        spread: their covariance.
+        deadbands: of the wheels in the problem; None where the log can't tell.
+        quantum: step of the printed numbers; None where the log can't tell.
+        printed: how speeds are rounded.
+    """
+
+    problem: Problem
+    solution: Solution
+    spread: Floats
+    deadbands: tuple[Deadband | None, ...]
+    quantum: quantum.Quantum | None
+    printed: Printed
+
+    @property
+    def motors(self) -> list[Wheel]:
+        """Parameters of the wheels."""
+        return self.problem.split(self.solution.x, self.solution.deadbands)[0]
+
+    @property
+    def clock(self) -> Clock:
+        """Times of the board."""
+        return self.problem.split(self.solution.x, self.solution.deadbands)[1]
+
+
+def motor_of(config: RobotConfig, wheel: int) -> Wheel:
+    """Make the motor of one wheel from a robot's configuration."""
+    own = config.motor.of_wheel(wheel)
+    return Wheel(own.time_constant, own.gain, 1.0 / own.acceleration, own.deadband)
+
+
+def clock_of(config: RobotConfig) -> Clock:
+    """Make the board's times from a robot's configuration."""
+    board = config.firmware
+    return Clock(board.command_delay, config.encoder.window, board.command_timeout or NEVER)
+
+
+def estimated(
+    tracks: Sequence[Track], config: RobotConfig, known: Knowable
+) -> Estimate | None:
+    """Fit what a log can tell.
+
+    Args:
+        tracks: of one robot.
+        config: of the robot; what the log can't tell stays as configured.
+        known: what it can tell.
+
+    Returns:
+        The fit; None where the log tells nothing of any wheel.
+    """
+    wheels = [k for k, w in enumerate(MOTORS) if any(known.can(n, w) for n in SMOOTH_NAMES)]
+    if not wheels:
+        return None
+    problem = Problem.of(tracks, wheels, config)
+    steps = quantum.found(np.concatenate([track.speeds for track in tracks]))
+    free = _free(problem, known)
+    x, bands = _start(problem, config, known, free)
+    solution = solving.searched(problem, x, bands, free)
+    solution, printed, found = _in_turn(problem, solution, config, known, steps)
+    spread = solving.covariance(problem, solution)
+    return Estimate(problem, solution, spread, found, steps, printed)
+
+
+def _free(problem: Problem, known: Knowable) -> Bools:
+    """Which parameters the log can tell."""
+    rows = [known.can(name, MOTORS[w]) for w in problem.wheels for name in SMOOTH_NAMES]
+    delay = known.can("firmware.command_delay")
+    timeout = known.can("firmware.command_timeout")
+    return np.array([*rows, delay, delay and known.can("encoder.window"), timeout])
+
+
+def _start(
+    problem: Problem, config: RobotConfig, known: Knowable, free: Bools
+) -> tuple[Floats, list[float]]:
+    """First parameters and deadbands; decides in `free` whether there is a time-out to fit."""
+    configured = [motor_of(config, w) for w in problem.wheels]
+    clock = clock_of(config)
+    if free[-1]:
+        guess = pauses.guess(problem.tracks)
+        free[-1] = np.isfinite(guess)
+        clock = clock._replace(timeout=min(guess, NEVER))
+    bands = [_first_band(problem, known, config, k) for k in range(len(problem.wheels))]
+    x = problem.joined(configured, clock)
+    if not free[-3]:
+        return x, bands
+    for _ in range(2):
+        rough = solving.coarse(problem, bands, clock.window, clock.timeout)
+        motors, rough_clock = problem.split(rough, bands)
+        for k, wheel in enumerate(problem.wheels):
+            if known.can("motor.deadband", MOTORS[wheel]):
+                most = known.slowest[wheel]
+                nothing = Printed(0.0, 0.0)
+                bands[k] = deadband.found(
+                    problem, k, motors[k], rough_clock, nothing, most
+                ).value
+    if free[-1]:
+        rough[-1] = pauses.refined(problem, motors, rough_clock)
+    return np.where(free, rough, x), bands
+
+
+def _first_band(problem: Problem, known: Knowable, config: RobotConfig, k: int) -> float:
+    wheel = problem.wheels[k]
+    told = known.can("motor.deadband", MOTORS[wheel])
+    return 0.0 if told else motor_of(config, wheel).deadband
+
+
+def _in_turn(
+    problem: Problem,
+    solution: Solution,
+    config: RobotConfig,
+    known: Knowable,
+    steps: quantum.Quantum | None,
+) -> tuple[Solution, Printed, tuple[Deadband | None, ...]]:
+    """Fit deadbands with the rest given, and the rest with the deadbands given, twice."""
+    found: list[Deadband | None] = [None] * len(problem.wheels)
+    printed = Printed(0.0, 0.0)
+    for _ in range(2):
+        motors, clock = problem.split(solution.x, solution.deadbands)
+        printed = printed_by(problem.tracks, config, clock.window, steps)
+        bands = list(solution.deadbands)
+        for k, wheel in enumerate(problem.wheels):
+            if known.can("motor.deadband", MOTORS[wheel]):
+                one = deadband.found(
+                    problem, k, motors[k], clock, printed, known.slowest[wheel]
+                )
+                found[k], bands[k] = one, one.value
+        solution = solving.solve(problem, solution.x, bands, solution.free)
+    return solution, printed, tuple(found)
+
+
+def printed_by(
+    tracks: Sequence[Track], config: RobotConfig, window: float, steps: quantum.Quantum | None
+) -> Printed:
+    """How a board rounds its speeds: by its encoder's counts, a step of its own, or both."""
+    step = steps.step if steps else 0.0
+    counts = quantum.of_counts(config, window)
+    if counts > 3.0 * max(step, quantum.PRINTED):  # more than the printed numbers show
+        return Printed(0.0, step)
+    speeds = np.concatenate([track.speeds for track in tracks])
+    explained = quantum.explained_by_counts(speeds, config, window)
+    return Printed(counts, 0.0 if explained else step)
+
+
+def ramp_index(k: int) -> int:
+    """Index of a wheel's ramp in the parameters."""
+    return PER_WHEEL * k + 2
