@@ -35,6 +35,11 @@ SERIAL = {"deadline", "shared_emulator", "start_emulator"}
 """A test that asks for one of these talks to another process in real time."""
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """`--board COMMAND`: tests of a board use this program instead of `acsar-gym emulate`."""
+    parser.addoption("--board", help="program with the output, log and signals of the emulator")
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """One worker runs all tests over serial devices, so that they don't disturb each other.
@@ -104,12 +109,13 @@ def robot_file(tmp_path: Path, config: RobotConfig) -> RobotFile:
 
 
 @pytest.fixture
-def start_emulator(tmp_path: Path) -> Iterator[StartEmulator]:
+def start_emulator(tmp_path: Path, pytestconfig: pytest.Config) -> Iterator[StartEmulator]:
     """`start_emulator("--silent", ...)` starts one; all of them end with the test."""
     running: list[Emulated] = []
 
     def begin(*arguments: str) -> Emulated:
-        running.append(start(tmp_path / f"emulator{len(running)}.jsonl", *arguments))
+        log = tmp_path / f"emulator{len(running)}.jsonl"
+        running.append(start(log, *arguments, board=pytestconfig.getoption("board")))
         return running[-1]
 
     yield begin
@@ -125,8 +131,11 @@ def own_emulator(start_emulator: StartEmulator) -> Emulated:
 
 
 @pytest.fixture(scope="session")
-def shared_emulator(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Emulated]:
-    emulated = start(tmp_path_factory.mktemp("shared") / "emulator.jsonl")
+def shared_emulator(
+    tmp_path_factory: pytest.TempPathFactory, pytestconfig: pytest.Config
+) -> Iterator[Emulated]:
+    log = tmp_path_factory.mktemp("shared") / "emulator.jsonl"
+    emulated = start(log, board=pytestconfig.getoption("board"))
     yield emulated
     emulated.end()
 

@@ -8,6 +8,7 @@ import gc
 import json
 import os
 import select
+import shlex
 import signal
 import subprocess
 import sys
@@ -129,6 +130,18 @@ class Forked:
         self.stderr.close()
 
 
+class Started(subprocess.Popen[str]):
+    """Any other program that serves a board: it is not forked."""
+
+    def __init__(self, *command: str) -> None:
+        super().__init__(command, stdout=subprocess.PIPE, text=True)
+
+    def close(self) -> None:
+        """Let go of the pipe."""
+        assert self.stdout is not None
+        self.stdout.close()
+
+
 def _as_text(pipe: Connection) -> IO[str]:
     with pipe:
         return os.fdopen(os.dup(pipe.fileno()), encoding="utf-8")
@@ -169,7 +182,7 @@ def _run(
 class Emulated:
     """An emulator in another process: `device` is what links open."""
 
-    process: Forked
+    process: Forked | Started
     device: str
     log: Path
     _known: list[dict[str, Any]] = field(default_factory=list)
@@ -272,9 +285,13 @@ class Emulated:
             self.process.close()
 
 
-def start(log: Path, *arguments: str) -> Emulated:
-    """An emulator that serves; its log is at `log`."""
-    process = Forked("emulate", "--log", str(log), *arguments)
+def start(log: Path, *arguments: str, board: str | None = None) -> Emulated:
+    """An emulator that serves; its log is at `log`.
+
+    `board` is the command of another program with the same output, log and signals.
+    """
+    options = ("--log", str(log), *arguments)
+    process = Started(*shlex.split(board), *options) if board else Forked("emulate", *options)
     emulated = Emulated(process, first_line(process).split(" ")[-1], log)
     if not emulated.device.startswith("/dev/"):
         emulated.end()

@@ -115,7 +115,6 @@ void stop_watchdog(void)
 
 int main(void)
 {
-    ACSR = 1 << ACD; /* the analog comparator isn't used: off */
     motors_begin();
     encoders_begin();
     uart_begin();

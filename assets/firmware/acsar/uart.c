@@ -20,8 +20,8 @@ static volatile uint8_t sent_in, sent_out;
 
 void uart_begin(void)
 {
-    UBRR0 = DIVIDER;
     UCSR0A = 1 << U2X0;
+    UBRR0 = DIVIDER;
     UCSR0C = 1 << UCSZ01 | 1 << UCSZ00;
     UCSR0B = 1 << RXEN0 | 1 << TXEN0 | 1 << RXCIE0;
 }

@@ -4,6 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include <simavr/avr_extint.h>
 #include <simavr/avr_ioport.h>
 #include <simavr/avr_uart.h>
 #include <simavr/sim_avr.h>
@@ -12,6 +13,7 @@
 #include <simavr/sim_time.h>
 
 #define QUEUE 65536 /* bytes */
+#define LONGEST_SLEEP 160 /* cycles */
 #define BYTE_CYCLES (CLOCK * 10.0 / 115200.0)
 #define BYTES_END 86.8e-6 /* time that a byte takes on the wire [s] */
 
@@ -86,9 +88,10 @@ static void on_sleep(avr_t *avr, avr_cycle_count_t cycles)
     the_chip.slept += cycles + 1;
 }
 
+/* End a sleep at least so often; a reset of the chip forgets it, so each run begins it anew. */
 static avr_cycle_count_t wake(avr_t *avr, avr_cycle_count_t when, void *param)
 {
-    return 0;
+    return when + LONGEST_SLEEP;
 }
 
 static void quiet(avr_t *avr, const int level, const char *format, va_list arguments)
@@ -128,10 +131,13 @@ static void connect_uart(struct chip *chip)
     avr_irq_register_notify(output, on_sent, chip);
 }
 
-/* Let timers 0 and 2 be plain registers: simavr has no phase-correct PWM, and takes long for what
- * it makes of it. What the pins do is computed from the registers. */
-static void quiet_timers(avr_t *avr)
+/* Switch off what takes simavr long and isn't used: polling of external interrupts by level, and
+ * timers 0 and 2, whose phase-correct PWM it doesn't know: what their pins do is computed from
+ * their registers. */
+static void be_quick(avr_t *avr)
 {
+    for (int number = 0; number < 2; number++)
+        avr_extint_set_strict_lvl_trig(avr, number, 0);
     const int registers[] = {TCCR0A, TCCR0B, OCR0A, OCR0B, TCCR2A, TCCR2B, OCR2A, OCR2B};
     for (size_t i = 0; i < sizeof registers / sizeof *registers; i++)
         avr->io[AVR_DATA_TO_IO(registers[i])].w.c = NULL;
@@ -156,7 +162,7 @@ struct chip *chip_new(const char *name, const char *elf)
         avr_register_vector(chip->avr, &port_k);
     chip->avr->sleep = on_sleep;
     chip->deepest = chip->avr->ramend;
-    quiet_timers(chip->avr);
+    be_quick(chip->avr);
     connect_uart(chip);
     for (int wheel = 0; wheel < WHEELS; wheel++)
         set_encoder(chip, wheel);
@@ -182,7 +188,7 @@ void chip_run(struct chip *chip, double time)
     feed(chip);
     if (avr->cycle >= end)
         return;
-    avr_cycle_timer_register(avr, end - avr->cycle, wake, NULL); /* no sleep beyond it */
+    avr_cycle_timer_register(avr, LONGEST_SLEEP, wake, NULL);
     while (avr->cycle < end) {
         int state = avr_run(avr);
         if (state == cpu_Done || state == cpu_Crashed)
