@@ -129,7 +129,7 @@ def _rollout(env: Any, tap: Tap, seed: int) -> Episode:
     rows: list[Any] = []
     seen, acted, rewards = [observation], [], []
     while not done:
-        distance, cosine, sine = observation[:3]
+        _, cosine, sine = observation[:3]
         acted.append(np.array([0.8 * max(cosine, 0.0), sine], np.float32))
         observation, reward, terminated, truncated, info = env.step(acted[-1])
         done = terminated or truncated

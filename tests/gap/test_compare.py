@@ -69,7 +69,7 @@ def test_a_side_doesnt_differ_from_itself() -> None:
 
 def test_observations_that_moved_have_a_distance() -> None:
     first = np.random.default_rng(0).normal(size=(500, 2))
-    assert distances(first, first + [0.0, 10.0]) == [0.0, 1.0]
+    assert distances(first, first + np.array([0.0, 10.0])) == [0.0, 1.0]
     assert distances(first, np.zeros((0, 0))) == []
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -27,6 +29,16 @@ BINS = 40
 ABREAST = 4
 """Small plots in a row."""
 Pair = tuple[Outcome, Outcome]
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """One number of the observations or actions: its distance, and its values on both sides."""
+
+    name: str
+    apart: float
+    first: Floats
+    second: Floats
 
 
 def page(sides: Sides) -> Page:
@@ -125,11 +137,12 @@ def _start(outcome: Outcome) -> float:
 def _about_delays(sides: Sides) -> str:
     """Say what the test of the delays found."""
     test, (first, second) = sides.delays(), sides.names
-    around = between(test.interval, 1000.0)
+    counts = f"{test.counts[0]} and {test.counts[1]} steps of the command"
+    if math.isnan(test.p_value):
+        return f"{counts}: too few to compare."
     return (
-        f"{second} answers {cell(test.difference, 1000.0)} ms later than {first}"
-        f"{' (95 % interval ' + around + ')' if around else ''}; Kolmogorov-Smirnov "
-        f"p = {cell(test.p_value)}, {test.counts[0]} and {test.counts[1]} steps of the command."
+        f"{second} answers {cell(test.difference, 1000.0)} ms later than {first} (95 % interval "
+        f"{between(test.interval, 1000.0)}); Kolmogorov-Smirnov p = {cell(test.p_value)}, {counts}."
     )
 
 
@@ -150,45 +163,51 @@ def _delays(sides: Sides) -> Plot:
 
 def _distributions(sides: Sides, key: tuple[tuple[str, str], ...]) -> list[Section]:
     """Make the section of what the policy saw and did; empty if it isn't recorded."""
-    parts = []
-    for what, (first, second) in (
-        ("observation", sides.observations()),
-        ("action", sides.actions()),
-    ):
-        if first.size and second.size:
-            names = ["linear", "angular"] if what == "action" else []
-            names = names or [f"observation {number}" for number in range(first.shape[1])]
-            parts.append(_histograms(what, first, second, names))
+    columns = _columns(sides)
+    if not columns:
+        return []
     text = "All steps of all episodes. D is the Kolmogorov-Smirnov distance, 0 (equal) to 1."
-    return [Section("What the policy saw and did", text, parts, key)] if parts else []
+    return [Section("What the policy saw and did", text, [_histograms(columns)], key)]
 
 
-def _histograms(what: str, first: Floats, second: Floats, names: Sequence[str]) -> Plot:
-    """Plot a small histogram of each column; of many columns those that differ most."""
-    apart = distances(first, second)
-    order = sorted(np.argsort(apart)[::-1][:MOST_COLUMNS].tolist())
+def _columns(sides: Sides) -> list[Column]:
+    """Return the numbers of observations and actions, those that differ most if there are many."""
+    columns = []
+    for first, second, names in (
+        (*sides.observations(), []),
+        (*sides.actions(), ["action: linear", "action: angular"]),
+    ):
+        for number, apart in enumerate(distances(first, second)):
+            name = names[number] if names else f"observation {number}"
+            columns.append(Column(name, apart, first[:, number], second[:, number]))
+    kept = sorted(columns, key=lambda column: -column.apart)[:MOST_COLUMNS]
+    return [column for column in columns if column in kept]
+
+
+def _histograms(columns: Sequence[Column]) -> Plot:
+    """Plot a small histogram of each column."""
     traces: list[dict[str, Any]] = []
-    shape: dict[str, Any] = {"barmode": "overlay", "annotations": []}
-    deep = -(-len(order) // ABREAST)
-    for place, column in enumerate(order):
+    shape: dict[str, Any] = {"barmode": "overlay", "annotations": [], "bargap": 0}
+    shape["margin"] = {"l": 8, "r": 8, "t": 36, "b": 4}
+    deep = -(-len(columns) // ABREAST)
+    for place, column in enumerate(columns):
         mark = "" if place == 0 else str(place + 1)
-        edges = np.histogram_bin_edges(np.r_[first[:, column], second[:, column]], BINS)
-        for values, color in ((first, SOFT[0]), (second, SOFT[1])):
-            share = np.histogram(values[:, column], edges)[0] / len(values)
-            bars = {"type": "bar", "marker": {"color": color, "line": {"width": 0}}}
-            middles, widths = (edges[1:] + edges[:-1]) / 2.0, np.diff(edges)
+        edges = np.histogram_bin_edges(np.r_[column.first, column.second], BINS)
+        middles, widths = (edges[1:] + edges[:-1]) / 2.0, np.diff(edges)
+        for values, color in ((column.first, SOFT[0]), (column.second, SOFT[1])):
+            share = np.histogram(values, edges)[0] / len(values)
             numbers = {"x": middles.tolist(), "y": share.tolist(), "width": widths.tolist()}
+            bars = {"type": "bar", "marker": {"color": color, "line": {"width": 0}}}
             traces.append(bars | numbers | {"xaxis": f"x{mark}", "yaxis": f"y{mark}"})
-        _place(shape, place, deep, f"{names[column]}, D = {apart[column]:.2f}")
-    few = "" if len(order) == len(names) else f"; the {MOST_COLUMNS} that differ most"
-    return Plot(f"Share of steps by {what}{few}", [traces], shape, 60 + 170 * deep)
+        _place(shape, place, deep, f"{column.name}, D = {column.apart:.2f}")
+    return Plot("Share of steps by value", [traces], shape, 40 + 180 * deep)
 
 
 def _place(shape: dict[str, Any], place: int, deep: int, title: str) -> None:
     """Add the axes and the title of a small plot."""
     mark, (row, column) = "" if place == 0 else str(place + 1), divmod(place, ABREAST)
     left, top = column / ABREAST + 0.012, 1.0 - row / deep
-    right, bottom = (column + 1) / ABREAST - 0.012, 1.0 - (row + 1) / deep + 0.3 / deep
+    right, bottom = (column + 1) / ABREAST - 0.012, 1.0 - (row + 1) / deep + 0.36 / deep
     small = {"automargin": False, "tickfont": {"size": 11}}
     shape[f"xaxis{mark}"] = axis("", domain=[left, right], anchor=f"y{mark}", nticks=5, **small)
     y = axis("", domain=[bottom, top], anchor=f"x{mark}", showticklabels=False, **small)
