@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+import gymnasium
 import numpy as np
 
 from acsar_gym import Robot, RobotConfig
@@ -110,6 +111,35 @@ def driven(
     episode = of_rows(tap.log, rows, dict(info or {}))
     robot.close()
     return episode
+
+
+def rollouts(config: RobotConfig, seeds: Iterable[int], **header: Any) -> Recording:
+    """Let a simple controller drive PointGoal with these seeds, and record it."""
+    tap = Tap(open_link("planar", config))
+    env: Any = gymnasium.make("acsar_gym/PointGoal-v0", link=tap, robot=config)
+    episodes = [_rollout(env, tap, seed) for seed in seeds]
+    env.close()
+    about = {"env": {"id": "acsar_gym/PointGoal-v0"}}
+    return recording(config, *episodes, **({"about": about} | header))
+
+
+def _rollout(env: Any, tap: Tap, seed: int) -> Episode:
+    observation, info = env.reset(seed=seed)
+    robot, done = env.unwrapped.robot, False
+    rows: list[Any] = []
+    seen, acted, rewards = [observation], [], []
+    while not done:
+        _, cosine, sine = observation[:3]
+        acted.append(np.array([0.8 * max(cosine, 0.0), sine], np.float32))
+        observation, reward, terminated, truncated, info = env.step(acted[-1])
+        done = terminated or truncated
+        seen.append(observation)
+        rewards.append(reward)
+        pose = robot.odometry.pose
+        rows.append((tap.now(), pose, robot.odometry.twist, robot.speeds, tap.truth.pose))
+    told = {"seed": seed, "success": info["is_success"] == 1.0}
+    arrays = {"observations": np.array(seen), "actions": np.array(acted)}
+    return of_rows(tap.log, rows, told, rewards=np.array(rewards), **arrays)
 
 
 def of_rows(log: WireLog, rows: list[Any], info: Mapping[str, Any], **arrays: Any) -> Episode:

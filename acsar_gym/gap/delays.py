@@ -15,7 +15,7 @@ HELD = 0.15
 CHANGE = 0.05
 """Smaller changes of a commanded wheel speed count as held [rad/s]."""
 SHOWN = 0.4
-"""A line shows the step once a wheel's speed has changed by this much towards it [rad/s]."""
+"""Change of a wheel's speed whose time is taken, in the commands and in the lines [rad/s]."""
 SETTLED = 0.3
 """Steps are left out if the measured speeds varied by more than this before them [rad/s]."""
 LONGEST = 1.0
@@ -30,9 +30,9 @@ def delays(
 ) -> Floats:
     """Measure how long after a step of the command the feedback shows it.
 
-    A step is a change after wheel speeds that were held for `HELD`. Its delay ends with the first
-    line in which any wheel has moved by `SHOWN` towards its new command, so it includes the wire,
-    the board, the motors' start and the wait for the next line.
+    A step begins after wheel speeds that were held for `HELD`, and may be a ramp. Its delay is the
+    time from the command in which the first wheel has changed by `SHOWN` to the line in which it
+    has, so it includes the wire, the board, the motor's start and the wait for the next line.
 
     Args:
         command_stamps: (n,) times at which command lines were written [s].
@@ -42,35 +42,54 @@ def delays(
 
     Returns:
         (m,) delays [s], one for each step of `steps`; NaN where the wheels weren't steady before
-        the step, or never show it.
+        the step, the command changes by less, or no line shows it.
     """
+    begins = steps(command_stamps, commands)
+    ends = [*begins, len(command_stamps)][1:]
     found = []
-    for number in steps(command_stamps, commands):
-        start = command_stamps[number]
-        change = commands[number] - commands[number - 1]
-        found.append(_delay(start, change, feedback_stamps, feedback))
+    for begin, end in zip(begins, ends, strict=True):
+        asked = commands[begin:end] - commands[begin - 1]
+        passed = np.flatnonzero(np.abs(asked).max(axis=1) >= SHOWN)
+        if not len(passed):
+            found.append(math.nan)
+            continue
+        first = int(passed[0])
+        times = command_stamps[begin], command_stamps[begin + first]
+        found.append(_delay(times, asked[first], feedback_stamps, feedback))
     return np.array(found, np.float64)
 
 
 def steps(stamps: Floats, commands: Floats) -> list[int]:
-    """Return the numbers of the commands that differ from one held for `HELD` before."""
+    """Return the numbers of the commands that differ from one held for `HELD` before.
+
+    A log that begins with zeros begins at rest, so these count as held.
+    """
     if len(stamps) < 2:
         return []
     changes = np.flatnonzero(np.abs(np.diff(commands, axis=0)).max(axis=1) > CHANGE) + 1
-    held = np.diff(stamps[changes], prepend=stamps[0])
+    begin = stamps[0] if np.any(commands[0]) else -math.inf
+    held = np.diff(stamps[changes], prepend=begin)
     return [int(number) for number in changes[held >= HELD - 1e-9]]
 
 
-def _delay(start: float, change: Floats, stamps: Floats, speeds: Floats) -> float:
-    """Return the delay of one step [s]; NaN if the wheels weren't steady, or never show it."""
-    first = int(np.searchsorted(stamps, start, side="right"))
-    before = speeds[int(np.searchsorted(stamps, start - HELD)) : first]
+def _delay(times: tuple[float, float], asked: Floats, stamps: Floats, speeds: Floats) -> float:
+    """Return the delay of one step [s]; NaN if the wheels weren't steady, or never show it.
+
+    Args:
+        times: when the command began to change, and when it had changed by `SHOWN` [s].
+        asked: (4,) its change at the second time [rad/s].
+        stamps: times of the lines [s].
+        speeds: of the lines [rad/s].
+    """
+    first = int(np.searchsorted(stamps, times[0], side="right"))
+    before = speeds[int(np.searchsorted(stamps, times[0] - HELD)) : first]
     if not len(before) or np.ptp(before, axis=0).max() > SETTLED:
         return math.nan
-    last = int(np.searchsorted(stamps, start + LONGEST, side="right"))
-    moved = (speeds[first:last] - before[-1]) * np.sign(change) * (np.abs(change) > CHANGE)
+    last = int(np.searchsorted(stamps, times[1] + LONGEST, side="right"))
+    wheels = np.abs(asked) >= SHOWN
+    moved = ((speeds[first:last] - before[-1]) * np.sign(asked))[:, wheels]
     shown = np.flatnonzero(moved.max(axis=1, initial=0.0) >= SHOWN)
-    return float(stamps[first + shown[0]] - start) if len(shown) else math.nan
+    return float(stamps[first + shown[0]] - times[1]) if len(shown) else math.nan
 
 
 @dataclass(frozen=True, slots=True)

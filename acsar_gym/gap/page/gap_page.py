@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -11,7 +10,8 @@ import acsar_gym
 from acsar_gym.gap.figures import METRICS
 from acsar_gym.gap.measure import Gap, Replay, conclusion
 from acsar_gym.gap.page.html import Grid, Page, Plot, Section, Tile
-from acsar_gym.gap.page.traces import axis, layout, line, shares, stairs
+from acsar_gym.gap.page.traces import MAP, dotted, layout, line, shares
+from acsar_gym.gap.page.wheels import Wheels, wheel_layout, wheel_traces
 from acsar_gym.gap.tables import between, cell, rows
 from acsar_gym.gap.tracks import Track
 
@@ -21,8 +21,6 @@ KEY = (
     ("--second", "twin after fitting"),
 )
 COLORS = {"before": "--first", "after": "--second"}
-CORNERS = ((1, "front left (b)"), (0, "front right (a)"), (2, "rear left (c)"), (3, "rear right (d)"))
-"""Wheels in the order of the four plots, as seen from above."""
 MOST_EPISODES = 12
 """Most episodes whose curves are in the report; the file would become too large."""
 
@@ -41,13 +39,17 @@ def page(gap: Gap) -> Page:
         sections=[
             Section("Figures", _scope(gap), [_figures(gap)]),
             Section("Delays", _about_delays(gap), [_delays(gap)], KEY),
-            Section("Episodes", "", [_speeds(drawn), _ways(drawn), _errors(drawn)], KEY, picks=True),
+            Section("Episodes", "", _curves(drawn), KEY, picks=True),
             Section("All episodes", "", [_logs(gap)]),
         ],
         choices=[replay.name for replay in drawn],
         notes=[*gap.notes, *_left_out(gap, drawn)],
         footer=f"acsar_gym {acsar_gym.__version__}",
     )
+
+
+def _curves(drawn: Sequence[Replay]) -> list[Plot]:
+    return [_speeds(drawn), _ways(drawn), _errors(drawn)]
 
 
 def _scope(gap: Gap) -> str:
@@ -120,11 +122,10 @@ def _delays(gap: Gap) -> Plot:
     """Plot the distribution of delays of the robot and of both twins."""
     pairs = {side: [replay.delays(side) for replay in gap.judged] for side in COLORS}
     robot = np.concatenate([pair[1] for pair in pairs["after"]])
-    traces = [shares("robot", robot, "--robot", 1000.0)]
-    traces += [
-        shares(f"twin {side} fitting", np.concatenate([twin for twin, _ in pairs[side]]), color, 1e3)
-        for side, color in COLORS.items()
-    ]
+    traces = [shares("robot", robot, "--robot", 1000.0, width=3.2)]
+    for side, color in COLORS.items():
+        own = np.concatenate([twin for twin, _ in pairs[side]])
+        traces.append(shares(f"twin {side} fitting", own, color, 1000.0))
     return Plot(
         "Time from a step of the command to the first line that shows it: share of steps that were "
         "answered within it",
@@ -134,55 +135,25 @@ def _delays(gap: Gap) -> Plot:
     )
 
 
-def _tracks(replay: Replay) -> list[tuple[str, str, Track]]:
-    """Return name, colour and track of the robot and both twins; the robot is drawn last."""
-    twins = [(f"twin {side}", color, replay.twins[side]) for side, color in COLORS.items()]
-    return [*twins, ("robot", "--robot", replay.recorded)]
+def _tracks(replay: Replay) -> list[tuple[str, str, float, Track]]:
+    """Return name, colour, line width and track of the robot, below, and of both twins."""
+    twins = [(f"twin {side}", color, 1.6, replay.twins[side]) for side, color in COLORS.items()]
+    return [("robot", "--robot", 3.2, replay.recorded), *twins]
 
 
 def _speeds(replays: Sequence[Replay]) -> Plot:
-    """Plot the speeds of the four wheels, in the places where the wheels are."""
-    layout: dict[str, Any] = {"hovermode": "x unified", "grid": {"rows": 2, "columns": 2}}
-    layout["annotations"] = []
-    for number, (_, name) in enumerate(CORNERS):
-        mark = "" if number == 0 else str(number + 1)
-        column, low = number % 2, number < 2
-        shown = {} if number == 0 else {"matches": "x"}
-        x = axis("" if low else "time [s]", anchor=f"y{mark}", **shown)
-        domain = [0.0, 0.485] if column == 0 else [0.515, 1.0]
-        layout[f"xaxis{mark}"] = x | {"domain": domain, "showticklabels": not low}
-        y = axis("" if column else "speed [rad/s]", anchor=f"x{mark}")
-        y |= {"domain": [0.55, 1.0] if low else [0.0, 0.45]} | ({"matches": "y"} if number else {})
-        layout[f"yaxis{mark}"] = y | {"showticklabels": not column}
-        place = {"x": domain[0], "y": 1.0 if low else 0.45, "xref": "paper", "yref": "paper"}
-        layout["annotations"].append(
-            {"text": name, "showarrow": False, "xanchor": "left", "yanchor": "bottom", **place}
-        )
-    layout.pop("grid")
-    return Plot(
-        "Wheel speeds as the feedback lines say; thin: what was commanded",
-        [_wheels(replay) for replay in replays],
-        layout,
-        560,
-    )
-
-
-def _wheels(replay: Replay) -> list[dict[str, Any]]:
-    """Make the traces of four wheels."""
-    traces = []
-    start = float(replay.recorded.stamps[0])
-    for number, (wheel, _) in enumerate(CORNERS):
-        mark = "" if number == 0 else str(number + 1)
-        axes = {"xaxis": f"x{mark}", "yaxis": f"y{mark}"}
-        sent = replay.recorded
-        commands = sent.commands[:, wheel]
-        traces.append(
-            stairs("command", sent.command_stamps - start, commands, "--command", **axes)
-        )
-        for name, color, track in _tracks(replay):
-            stamps, values = track.feedback_stamps - start, track.feedback[:, wheel]
-            traces.append(line(name, stamps, values, color, **axes))
-    return traces
+    """Plot the speeds of the four wheels."""
+    choices = []
+    for replay in replays:
+        start = float(replay.recorded.stamps[0])
+        sent = replay.recorded.command_stamps - start, replay.recorded.commands
+        tracks = [
+            Wheels(name, track.feedback_stamps - start, track.feedback, color, width)
+            for name, color, width, track in _tracks(replay)
+        ]
+        choices.append(wheel_traces(sent, tracks))
+    caption = "Wheel speeds as the feedback lines say; thin: what was commanded"
+    return Plot(caption, choices, wheel_layout(), 560)
 
 
 def _ways(replays: Sequence[Replay]) -> Plot:
@@ -190,18 +161,17 @@ def _ways(replays: Sequence[Replay]) -> Plot:
     choices = []
     for replay in replays:
         traces = [
-            line(name, track.poses[:, 0], track.poses[:, 1], color)
-            for name, color, track in _tracks(replay)
+            line(name, track.poses[:, 0], track.poses[:, 1], color, width=width)
+            for name, color, width, track in _tracks(replay)
         ]
         if replay.recorded.known:
             way = replay.recorded.odometry
-            traces.append(line("robot's odometry", way[:, 0], way[:, 1], "--robot", dash="dot"))
+            traces.append(dotted("robot's odometry", way[:, 0], way[:, 1], "--robot"))
         choices.append(traces)
-    equal = axis("y [m]", scaleanchor="x", scaleratio=1)
     return Plot(
         "The way driven, from above; dotted: the robot's odometry where the true way is known",
         choices,
-        {"xaxis": axis("x [m]"), "yaxis": equal},
+        MAP,
         480,
     )
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from html import escape
 from importlib import resources
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any
 
 from acsar_gym.errors import MissingExtraError
 from acsar_gym.evaluation.metrics import finite
@@ -92,7 +92,8 @@ class Page:
 
     def html(self) -> str:
         """Return the whole file as text; MissingExtraError without plotly."""
-        plots = [part for section in self.sections for part in section.parts if _is_plot(part)]
+        parts = [part for section in self.sections for part in section.parts]
+        plots = [part for part in parts if isinstance(part, Plot)]
         body = "".join(
             [
                 _header(self.title, self.subtitle),
@@ -114,15 +115,10 @@ class Page:
         )
 
 
-def _is_plot(part: Grid | Plot) -> TypeGuard[Plot]:
-    return isinstance(part, Plot)
-
-
 def _data(plots: Sequence[Plot]) -> str:
     """Return the plots as JSON that can stand in a script element."""
     data = [
-        {"id": _name(plot, plots), "choices": plot.choices, "layout": plot.layout}
-        for plot in plots
+        {"id": _name(plot, plots), "choices": plot.choices, "layout": plot.layout} for plot in plots
     ]
     return json.dumps(finite(data), separators=(",", ":")).replace("<", "\\u003c")
 
@@ -171,7 +167,7 @@ def _list(lines: Sequence[str]) -> str:
 def _section(section: Section, choices: Sequence[str], plots: Sequence[Plot]) -> str:
     """Return a section with its tables and plots."""
     parts = "".join(
-        _plot(part, _name(part, plots)) if _is_plot(part) else _grid(part)
+        _plot(part, _name(part, plots)) if isinstance(part, Plot) else _grid(part)
         for part in section.parts
     )
     text = f'<p class="muted">{escape(section.text)}</p>' if section.text else ""
@@ -210,7 +206,7 @@ def _key(entries: Sequence[tuple[str, str]]) -> str:
 def _grid(grid: Grid) -> str:
     def row(cells: Sequence[str], tag: str) -> str:
         return "".join(
-            f'<{tag}{"" if number < grid.words else " class=number"}>{escape(cell)}</{tag}>'
+            f"<{tag}{'' if number < grid.words else ' class=number'}>{escape(cell)}</{tag}>"
             for number, cell in enumerate(cells)
         )
 

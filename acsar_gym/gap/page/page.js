@@ -2,6 +2,7 @@
 const plots = JSON.parse(document.getElementById("plots").textContent);
 const root = document.documentElement;
 const picker = document.getElementById("picker");
+const BUTTONS = [["toImage", "zoom2d", "pan2d", "resetScale2d"]];
 const dark = window.matchMedia("(prefers-color-scheme: dark)");
 
 function color(name) {
@@ -28,6 +29,7 @@ function layout(plot) {
     paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", showlegend: false,
     font: { color: color("--ink"), family: getComputedStyle(document.body).fontFamily, size: 13 },
     margin: { l: 56, r: 16, t: 28, b: 48 }, hovermode: "closest",
+    modebar: { bgcolor: "rgba(0,0,0,0)", color: color("--muted"), activecolor: color("--ink") },
     hoverlabel: { bgcolor: color("--card"), bordercolor: color("--rule"),
                   font: { color: color("--ink") } },
     ...own,
@@ -38,7 +40,7 @@ async function draw() {
   const chosen = picker ? Number(picker.value) : 0;
   for (const plot of plots) {
     const traces = plot.choices[plot.choices.length > 1 ? chosen : 0];
-    const config = { responsive: true, displaylogo: false, displayModeBar: "hover" };
+    const config = { responsive: true, displaylogo: false, modeBarButtons: BUTTONS };
     await Plotly.react(plot.id, themed(traces), layout(plot), config);
   }
   root.dataset.drawn = String(plots.length);

@@ -1,0 +1,107 @@
+"""Comparisons of two sides whose difference is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from rollout_tools import HIDDEN, rollouts
+
+from acsar_gym import RobotConfig
+from acsar_gym.errors import ConfigError
+from acsar_gym.evaluation import report
+from acsar_gym.gap import compare_tables
+from acsar_gym.gap.compare import VALUES, Sides, compare, conclusion, distances
+from acsar_gym.recording.types import Recording
+
+ACSAR = RobotConfig.preset("acsar")
+
+
+@cache
+def sim(first: int = 0, last: int = 6) -> Recording:
+    return rollouts(ACSAR, range(first, last))
+
+
+@cache
+def real() -> Recording:
+    """A slower robot; one seed isn't among those of the simulation."""
+    return rollouts(ACSAR.with_(**HIDDEN, max_linear=0.4), range(1, 7))
+
+
+def sides() -> Sides:
+    return compare([("sim.mcap", sim())], [("real.mcap", real())])
+
+
+def test_episodes_are_paired_by_seed() -> None:
+    assert [(a.key[0], b.key[0]) for a, b in sides().pairs] == [(n, n) for n in range(1, 6)]
+    assert sides().notes == (
+        "sim: 1 of 6 episodes have no partner",
+        "real: 1 of 6 episodes have no partner",
+    )
+
+
+def test_repeated_seeds_are_paired_in_their_order() -> None:
+    twice = [("a", sim()), ("b", sim())]
+    found = compare(twice, [("real.mcap", real())])
+    assert len(found.pairs) == 5
+    assert len(compare(twice, twice).pairs) == 12
+    assert compare(twice, twice).pairs[6][0].name == "seed 0 (2)"
+
+
+def test_the_slower_robot_is_found() -> None:
+    found = sides().comparisons()
+    assert found["success_rate"].values == (1.0, 1.0)
+    slower = found["time_to_goal"]
+    assert slower.differs
+    assert slower.difference > 0.3
+    assert slower.pairs == 5
+    assert any(line.startswith("time to the goal: real has") for line in conclusion(sides()))
+
+
+def test_a_side_doesnt_differ_from_itself() -> None:
+    same = compare([("a", sim())], [("b", sim())])
+    assert not any(one.differs for one in same.comparisons().values())
+    assert "no metric differs measurably" in conclusion(same)[1]
+    assert distances(*same.observations()) == [0.0] * 7
+
+
+def test_observations_that_moved_have_a_distance() -> None:
+    first = np.random.default_rng(0).normal(size=(500, 2))
+    assert distances(first, first + np.array([0.0, 10.0])) == [0.0, 1.0]
+    assert distances(first, np.zeros((0, 0))) == []
+
+
+def test_lengths_and_turns_by_closed_form() -> None:
+    outcome = sides().outcomes[0][0]
+    straight = np.column_stack([np.linspace(0.0, 2.0, 9), np.zeros(9), np.linspace(0.0, 1.0, 9)])
+    outcome = replace(outcome, episode=replace(outcome.episode, poses=straight))
+    assert VALUES["path"].of(outcome) == pytest.approx(2.0)
+    assert VALUES["smoothness"].of(outcome) == pytest.approx(0.5)
+
+
+def test_sides_without_a_seed_in_common_are_refused() -> None:
+    with pytest.raises(ConfigError, match="sim has seeds 0 to 5, real seeds 7 to 8; record both"):
+        compare([("a", sim())], [("b", sim(7, 9))])
+
+
+def test_another_task_robot_and_an_empty_recording_are_refused() -> None:
+    barn = replace(real(), header={"about": {"env": {"id": "acsar_gym/Barn-v0"}}})
+    with pytest.raises(ConfigError, match=r"b: is of acsar_gym/Barn-v0, but a of acsar_gym/Point"):
+        compare([("a", sim())], [("b", barn)])
+    large = replace(real(), config=ACSAR.with_(wheel_radius=0.1))
+    with pytest.raises(ConfigError, match=r"b: is of another robot: wheel_radius = 0\.1 m"):
+        compare([("a", sim())], [("b", large)])
+    with pytest.raises(ConfigError, match="b: holds no episode that was driven"):
+        compare([("a", sim())], [("b", replace(real(), episodes=()))])
+
+
+def test_table_and_json_hold_the_metrics() -> None:
+    table = compare_tables.table(sides())
+    assert table.row_count == len(sides().comparisons()) >= 6
+    report.show(table)
+    told = compare_tables.as_dict(sides())
+    assert told["metrics"]["time_to_goal"]["difference"] > 0.3
+    assert len(told["pairs"]) == 5
+    assert compare_tables.sizes(sides())["time_to_goal"] > 0.3
