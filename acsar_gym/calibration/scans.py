@@ -78,12 +78,15 @@ class Reference:
                 break
         return self._judged(points, pose, gate)
 
-    def _step(self, points: Floats, pose: Floats, gate: float) -> tuple[Floats | None, Floats, Floats]:
+    def _step(
+        self, points: Floats, pose: Floats, gate: float
+    ) -> tuple[Floats | None, Floats, Floats]:
         """One Gauss-Newton step (None where too few points match), Jacobian and residuals."""
         cos, sin = math.cos(pose[2]), math.sin(pose[2])
         turned = points @ np.array([[cos, sin], [-sin, cos]])
         placed = turned + pose[:2]
-        distance, near = self._tree.query(placed)
+        distance, found = self._tree.query(placed)
+        near = np.asarray(found)
         kept = (distance < gate) & self._lines[near]
         normals = self._normals[near[kept]]
         off = ((placed[kept] - self._points[near[kept]]) * normals).sum(axis=1)
@@ -123,4 +126,6 @@ def points(ranges: Floats, config: RobotConfig) -> Floats:
     bearings = -lidar.field_of_view / 2.0 + step * np.arange(lidar.rays)
     met = (ranges > lidar.min_range) & (ranges < lidar.max_range)
     rays = np.column_stack([np.cos(bearings), np.sin(bearings)]) * ranges[:, None]
-    return (rays + (config.lidar_x_offset, config.lidar_y_offset))[met]
+    mount = np.array([config.lidar_x_offset, config.lidar_y_offset])
+    found: Floats = (rays + mount)[met]
+    return found
