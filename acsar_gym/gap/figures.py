@@ -99,7 +99,9 @@ def _apart(one: Floats, other: Floats) -> float:
     return float(np.hypot(*(one[-1, :2] - other[-1, :2])))
 
 
-def time_shift(stamps: Floats, speeds: Floats, twin_stamps: Floats, twin_speeds: Floats) -> float:
+def time_shift(
+    stamps: Floats, speeds: Floats, twin_stamps: Floats, twin_speeds: Floats
+) -> float:
     """Return by how much the twin's wheel speeds must be delayed to fit the recorded ones best [s].
 
     NaN if the wheels hardly move, or nothing within +-0.1 s fits best.

@@ -116,7 +116,9 @@ def _pieces(firmware: Firmware, start: float, end: float) -> Iterator[tuple[floa
             yield now, data
 
 
-def _run(firmware: Firmware, robot: Body, log: WireLog, stamps: Floats, begin: float) -> Replayed:
+def _run(
+    firmware: Firmware, robot: Body, log: WireLog, stamps: Floats, begin: float
+) -> Replayed:
     """Replay the log on a twin whose clock is zero at `begin`."""
     now, last = begin, float(log.got_stamps[-1]) if len(log.got_stamps) else -math.inf
     pieces: list[tuple[float, bytes]] = []
@@ -135,7 +137,9 @@ def _run(firmware: Firmware, robot: Body, log: WireLog, stamps: Floats, begin: f
     return Replayed(WireLog(log.sent_stamps, log.sent, *answered), track)
 
 
-def _events(log: WireLog, stamps: Floats, last: float) -> Iterator[tuple[float, int, bytes | None]]:
+def _events(
+    log: WireLog, stamps: Floats, last: float
+) -> Iterator[tuple[float, int, bytes | None]]:
     """Yield (time, order, bytes to send or None for a pose) in the order of time.
 
     At equal times the pose comes first: it ends a tick, and the command begins the next one.

@@ -21,12 +21,7 @@ KEY = (
     ("--second", "twin after fitting"),
 )
 COLORS = {"before": "--first", "after": "--second"}
-CORNERS = (
-    (1, "front left (b)"),
-    (0, "front right (a)"),
-    (2, "rear left (c)"),
-    (3, "rear right (d)"),
-)
+CORNERS = ((1, "front left (b)"), (0, "front right (a)"), (2, "rear left (c)"), (3, "rear right (d)"))
 """Wheels in the order of the four plots, as seen from above."""
 MOST_EPISODES = 12
 """Most episodes whose curves are in the report; the file would become too large."""
@@ -46,9 +41,7 @@ def page(gap: Gap) -> Page:
         sections=[
             Section("Figures", _scope(gap), [_figures(gap)]),
             Section("Delays", _about_delays(gap), [_delays(gap)], KEY),
-            Section(
-                "Episodes", "", [_speeds(drawn), _ways(drawn), _errors(drawn)], KEY, picks=True
-            ),
+            Section("Episodes", "", [_speeds(drawn), _ways(drawn), _errors(drawn)], KEY, picks=True),
             Section("All episodes", "", [_logs(gap)]),
         ],
         choices=[replay.name for replay in drawn],
@@ -129,9 +122,7 @@ def _delays(gap: Gap) -> Plot:
     robot = np.concatenate([pair[1] for pair in pairs["after"]])
     traces = [shares("robot", robot, "--robot", 1000.0)]
     traces += [
-        shares(
-            f"twin {side} fitting", np.concatenate([twin for twin, _ in pairs[side]]), color, 1e3
-        )
+        shares(f"twin {side} fitting", np.concatenate([twin for twin, _ in pairs[side]]), color, 1e3)
         for side, color in COLORS.items()
     ]
     return Plot(
@@ -185,7 +176,9 @@ def _wheels(replay: Replay) -> list[dict[str, Any]]:
         axes = {"xaxis": f"x{mark}", "yaxis": f"y{mark}"}
         sent = replay.recorded
         commands = sent.commands[:, wheel]
-        traces.append(stairs("command", sent.command_stamps - start, commands, "--command", **axes))
+        traces.append(
+            stairs("command", sent.command_stamps - start, commands, "--command", **axes)
+        )
         for name, color, track in _tracks(replay):
             stamps, values = track.feedback_stamps - start, track.feedback[:, wheel]
             traces.append(line(name, stamps, values, color, **axes))

@@ -121,7 +121,8 @@ def _is_plot(part: Grid | Plot) -> TypeGuard[Plot]:
 def _data(plots: Sequence[Plot]) -> str:
     """Return the plots as JSON that can stand in a script element."""
     data = [
-        {"id": _name(plot, plots), "choices": plot.choices, "layout": plot.layout} for plot in plots
+        {"id": _name(plot, plots), "choices": plot.choices, "layout": plot.layout}
+        for plot in plots
     ]
     return json.dumps(finite(data), separators=(",", ":")).replace("<", "\\u003c")
 
@@ -170,7 +171,8 @@ def _list(lines: Sequence[str]) -> str:
 def _section(section: Section, choices: Sequence[str], plots: Sequence[Plot]) -> str:
     """Return a section with its tables and plots."""
     parts = "".join(
-        _plot(part, _name(part, plots)) if _is_plot(part) else _grid(part) for part in section.parts
+        _plot(part, _name(part, plots)) if _is_plot(part) else _grid(part)
+        for part in section.parts
     )
     text = f'<p class="muted">{escape(section.text)}</p>' if section.text else ""
     picker = _picker(choices) if section.picks and len(choices) > 1 else ""
@@ -208,7 +210,7 @@ def _key(entries: Sequence[tuple[str, str]]) -> str:
 def _grid(grid: Grid) -> str:
     def row(cells: Sequence[str], tag: str) -> str:
         return "".join(
-            f"<{tag}{'' if number < grid.words else ' class=number'}>{escape(cell)}</{tag}>"
+            f'<{tag}{"" if number < grid.words else " class=number"}>{escape(cell)}</{tag}>'
             for number, cell in enumerate(cells)
         )
 
