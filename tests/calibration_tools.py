@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -71,10 +72,7 @@ def of_sides(left: Sequence[float], right: Sequence[float], parts: int = 100) ->
     """Wheel angles of legs, each with these angles of the left and the right wheels [rad]."""
     ends = np.cumsum([(0.0, 0.0), *zip(left, right, strict=True)], axis=0)
     return np.concatenate(
-        [
-            np.linspace(begin, end, parts, endpoint=False)
-            for begin, end in zip(ends, ends[1:], strict=False)
-        ]
+        [np.linspace(begin, end, parts, endpoint=False) for begin, end in pairwise(ends)]
         + [ends[-1:]]
     )
 

@@ -148,7 +148,7 @@ class _Driver:
 
 def _stopped(plan: Plan, robot: Robot) -> LinkError:
     """The error for a robot that the safety layer holds."""
-    if robot.safety.reason == Reason.EMERGENCY_STOP:
+    if robot.safety.reason != Reason.GEOFENCE:
         return LinkError(f"{plan.name}: ended by an emergency stop", "start again when it is safe")
     x, y, _ = robot.odometry.pose
     return LinkError(

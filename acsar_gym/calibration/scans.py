@@ -28,6 +28,8 @@ NEIGHBOURS = 6
 """Points that a line is fitted to."""
 STRAIGHT = 0.15
 """Largest share of the neighbours' spread across their line; corners have more."""
+ONE_WAY = 0.02
+"""Where a smaller share of the lines' normals points across the others, all walls are parallel."""
 FEWEST = 20
 """Fewest pairs of points for a match."""
 
@@ -102,12 +104,12 @@ class Reference:
         found = (float(pose[0]), float(pose[1]), float(pose[2]))
         if step is None:
             return Match(found, (math.inf,) * 3, 0.0)
-        try:
-            covariance = np.linalg.inv(jacobian.T @ jacobian) * float(off @ off) / len(off)
-        except np.linalg.LinAlgError:
-            return Match(found, (math.inf,) * 3, 0.0)
+        share, normals = len(off) / len(points), jacobian[:, :2]
+        if np.linalg.eigvalsh(normals.T @ normals)[0] < ONE_WAY * len(off):
+            return Match(found, (math.inf,) * 3, share)
+        covariance = np.linalg.pinv(jacobian.T @ jacobian) * float(off @ off) / len(off)
         x, y, theta = np.sqrt(np.diag(covariance))
-        return Match(found, (float(x), float(y), float(theta)), len(off) / len(points))
+        return Match(found, (float(x), float(y), float(theta)), share)
 
 
 def points(ranges: Floats, config: RobotConfig) -> Floats:

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from calibration_tools import ACSAR, line, of_sides, spin, square
 
-
 from acsar_gym.calibration.model import Geometry, configured, end_pose
 from acsar_gym.odometry import Odometry
 
