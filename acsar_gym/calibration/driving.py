@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
 
 from acsar_gym.calibration.manoeuvres import Leg, Plan
 from acsar_gym.calibration.runs import Reading, Run
-from acsar_gym.errors import CommandError, LinkError
+from acsar_gym.errors import LinkError
 from acsar_gym.robot import Robot
 from acsar_gym.safety.rules import Reason
 from acsar_gym.worlds import Scene
@@ -90,11 +89,7 @@ class _Driver:
         self.aim += leg.angle
         time = max(leg.distance / self.plan.linear if leg.distance else 0.0, self._turning(leg))
         for _ in range(math.ceil((3.0 * time + PATIENCE) / self.robot.config.period)):
-            if leg.distance:
-                ends = self._ahead(leg, begin)
-            else:
-                ends = self._on_the_spot()
-            if ends:
+            if self._ahead(leg, begin) if leg.distance else self._on_the_spot():
                 return
         done = f"{self.way:.2f} of {leg.distance:.2f} m"
         if not leg.distance:
@@ -117,7 +112,9 @@ class _Driver:
         linear = self.plan.linear * min(1.0, max(SLOWEST, DISTANCE_GAIN * left / self.plan.linear))
         wanted = begin + leg.angle * min(1.0, self.way / leg.distance)
         rate = linear * leg.angle / leg.distance
-        self._tick(linear, rate + HEADING_GAIN * (wanted - self.heading))
+        self._tick(
+            -linear if self.plan.back else linear, rate + HEADING_GAIN * (wanted - self.heading)
+        )
         return False
 
     def _on_the_spot(self) -> bool:
@@ -151,7 +148,7 @@ class _Driver:
 
 def _stopped(plan: Plan, robot: Robot) -> LinkError:
     """The error for a robot that the safety layer holds."""
-    if robot.safety.reason == Reason.EMERGENCY_STOP:
+    if robot.safety.reason != Reason.GEOFENCE:
         return LinkError(f"{plan.name}: ended by an emergency stop", "start again when it is safe")
     x, y, _ = robot.odometry.pose
     return LinkError(

@@ -30,6 +30,8 @@ TOLD = 0.2
 """A parameter counts as told where the readings narrow its prior to less than this share."""
 OUTLIER = 5.0
 """A run with a residual of more than this many robust standard deviations is left out."""
+SYSTEMATIC = np.array([5e-4, 3e-4, 1e-3])
+"""Standard deviations that more runs don't narrow: digits that the board prints, and skidding."""
 KNOWN = 8.0
 """How many readings the stated precision of the readings is worth, beside the residuals."""
 LOW = np.array([0.5, -0.3, 0.2])
@@ -104,8 +106,10 @@ def fit(runs: Sequence[Run], config: RobotConfig) -> Fit:
 
 
 class _Problem:
-    """Residuals of runs as a function of the parameters p: radius and multiplier as shares of the
-    config's, ratio as it is."""
+    """Residuals of runs as a function of parameters p.
+
+    Radius and multiplier are shares of the config's, the ratio is as it is.
+    """
 
     def __init__(self, runs: Sequence[Run], config: RobotConfig) -> None:
         self.runs, self.separation = runs, config.wheel_separation
@@ -122,7 +126,8 @@ class _Problem:
 
     def residuals(self, p: Floats) -> Floats:
         """Readings less odometry, in standard deviations, (readings,)."""
-        return differences(self.runs, self.geometry(p), self.separation) / self.sigma
+        off: Floats = differences(self.runs, self.geometry(p), self.separation) / self.sigma
+        return off
 
     def with_prior(self, p: Floats) -> Floats:
         """The residuals, then the parameters' distances from the prior."""
@@ -207,7 +212,7 @@ class _Problem:
         freedom = KNOWN + len(residuals) - len(told)
         spread = math.sqrt((KNOWN + float(residuals @ residuals)) / freedom)
         quantile = float(stats.t.ppf(0.975, freedom)) * spread
-        half = quantile * np.sqrt(np.diag(covariance))
+        half = np.hypot(quantile * np.sqrt(np.diag(covariance)), 1.96 * SYSTEMATIC)
         unit = np.array([self.nominal.radius, 1.0, self.nominal.multiplier])
         return {
             NAMES[i]: Estimate.around(float(p[i] * unit[i]), float(half[i] * unit[i])) for i in told

@@ -106,7 +106,7 @@ class LidarObserver:
         found = points(np.median([ranges for ranges, _ in scans], axis=0), self._config)
         if len(found) < FEWEST:
             raise LidarError(
-                f"the LiDAR sees only {len(found)} points within {self._config.lidar.max_range:g} m",
+                f"the LiDAR sees {len(found)} points within {self._config.lidar.max_range:g} m",
                 "calibrate in a room with walls in range, or raise lidar.max_range",
             )
         return found

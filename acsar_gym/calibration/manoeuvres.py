@@ -16,6 +16,8 @@ SLACK = 0.25
 calibrated."""
 MARGIN = 0.1
 """Distance to be kept from the edge of the space [m]."""
+SLOWER = 0.07
+"""How much slower the second and third of three runs are, as a share of the speed."""
 MOST_RUNS = 200
 """Most runs of one call."""
 
@@ -42,21 +44,28 @@ class Plan:
     """Speed on the legs that go ahead [m/s]."""
     angular: float
     """Speed of turns in place [rad/s]."""
+    back: bool = False
+    """Whether it goes backwards, so that the robot returns to where the run before began."""
 
 
-def straights(distance: float, speed: float, repeats: int) -> list[Plan]:
-    """Runs straight ahead.
+def straights(distance: float, speed: float, repeats: int, *, returns: bool) -> list[Plan]:
+    """Straight runs.
 
     Args:
         distance: [m].
-        speed: [m/s].
+        speed: of the first run [m/s]; the next ones are slower, so that roundings differ.
         repeats: how many runs.
+        returns: whether every second run goes backwards, to the start of the one before; a
+            simulated robot begins each run at its start anyway.
     """
     _positive("--distance", distance, 100.0)
-    return [
-        Plan(f"straight {n}", "straight", (Leg(distance, 0.0),), speed, 0.0)
-        for n in range(1, _count(repeats) + 1)
-    ]
+    found = []
+    for number in range(1, _count(repeats) + 1):
+        back = returns and number % 2 == 0
+        name = f"straight {number}" + (", backwards" if back else "")
+        own = speed * (1.0 - SLOWER * ((number - 1) % 3))
+        found.append(Plan(name, "straight", (Leg(distance, 0.0),), own, 0.0, back))
+    return found
 
 
 def turns(
@@ -119,31 +128,40 @@ def needed(plans: Sequence[Plan], config: RobotConfig) -> tuple[float, float]:
     return ahead + slack + reach, aside + slack + reach
 
 
-def fenced(
+def check_space(
     config: RobotConfig, plans: Sequence[Plan], space: tuple[float, float] | None
-) -> RobotConfig:
-    """Return the config with a geofence around the stated space.
-
-    Args:
-        config: of the robot.
-        plans: what is to be driven.
-        space: free floor ahead of the robot's centre, and to each of its sides [m]; behind it,
-            the shorter of the two is taken. None: what the runs need.
+) -> tuple[float, float]:
+    """Return the space that the runs may use: the stated one, or what they need if it is None.
 
     Raises:
-        ConfigError: the space is too small; it says how much is needed.
+        ConfigError: the stated space is too small; it says how much is needed.
     """
     ahead, aside = needed(plans, config)
-    given = (ahead, aside) if space is None else space
-    if not (given[0] >= ahead - 1e-9 and given[1] >= aside - 1e-9):
+    if space is None:
+        return ahead, aside
+    if not (space[0] >= ahead - 1e-9 and space[1] >= aside - 1e-9):
         raise ConfigError(
-            f"--space {given[0]:g} {given[1]:g}: too small: this needs {_up(ahead)} m ahead of the "
+            f"--space {space[0]:g} {space[1]:g}: too small: this needs {_up(ahead)} m ahead of the "
             f"robot's centre and {_up(aside)} m to each side, itself included: clear more floor, "
             "or drive less (--distance, --radii, --size)"
         )
+    return space
+
+
+def fenced(config: RobotConfig, plan: Plan, space: tuple[float, float]) -> RobotConfig:
+    """Return the config with a geofence around the space, for one run.
+
+    Args:
+        config: of the robot.
+        plan: what is to be driven.
+        space: free floor ahead of the robot's centre, and to each of its sides [m]; behind it,
+            the shorter of the two is taken. A run that goes backwards begins at its far end.
+    """
     reach = footprint_radius(config)
-    x, y = given[0] - reach, given[1] - reach
-    return config.with_(geofence=Geofence(min_x=-min(x, y), max_x=x, min_y=-y, max_y=y))
+    x, y = space[0] - reach, space[1] - reach
+    behind = min(x, y)
+    ends = (-x, behind) if plan.back else (-behind, x)
+    return config.with_(geofence=Geofence(min_x=ends[0], max_x=ends[1], min_y=-y, max_y=y))
 
 
 def _outline(plan: Plan) -> list[tuple[float, float]]:

@@ -1,4 +1,4 @@
-"""Readings of tape measure and protractor, from options, CSV files and prompts, and their checks."""
+"""Readings of tape measure and protractor, from options, files and prompts, and their checks."""
 
 from __future__ import annotations
 

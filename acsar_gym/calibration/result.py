@@ -45,8 +45,11 @@ def estimates(fit: Fit, config: RobotConfig) -> dict[str, Estimate]:
         if told[MULTIPLIER].value > 1.0:
             one = told[MULTIPLIER]
             found[TURN_FACTOR] = Estimate(one.value, max(one.low, 1.0), one.high)
-    return {name: found[name] for name in ("wheel_radius", *RADII, MULTIPLIER, TURN_FACTOR)
-            if name in found}
+    return {
+        name: found[name]
+        for name in ("wheel_radius", *RADII, MULTIPLIER, TURN_FACTOR)
+        if name in found
+    }
 
 
 def calibrated(fit: Fit, config: RobotConfig) -> RobotConfig:
@@ -113,7 +116,9 @@ def runs_table(runs: Sequence[Run], fit: Fit, config: RobotConfig) -> Table:
             cells = [_shown(reading.kind, number) for number in numbers]
             wide = abs(reading.value - after[i]) > 4.0 * sigma[i]
             found.add_row(
-                plain(name) if i == 0 else "", f"{reading.kind} {cells[0]}", *cells[1:3],
+                plain(name) if i == 0 else "",
+                f"{reading.kind} {cells[0]}",
+                *cells[1:3],
                 cells[3] + (" !" if wide else ""),
             )
     return found

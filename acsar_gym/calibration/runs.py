@@ -100,16 +100,20 @@ def load(path: Path, config: RobotConfig) -> list[Run]:
     """
     data = bounded.read(path, MOST_BYTES)
     try:
-        found = structured.from_json(structured.decoded(data))
-        if not isinstance(found, dict) or found.get("format") != FORMAT:
-            raise ConfigError("isn't a file of calibration runs: make one with --runs")
-        _check_robot(found.get("robot"), config)
-        return [_run(entry) for entry in found["runs"]]
+        return _parsed(structured.from_json(structured.decoded(data)), config)
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         what = " ".join(str(error).split())[:100]
         raise ConfigError(f"{path}: broken calibration runs ({what})") from None
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
+
+
+def _parsed(found: Any, config: RobotConfig) -> list[Run]:
+    """Check and convert a file's content; ConfigError, KeyError, TypeError, ValueError."""
+    if not isinstance(found, dict) or found.get("format") != FORMAT:
+        raise ConfigError("isn't a file of calibration runs: make one with --runs")
+    _check_robot(found.get("robot"), config)
+    return [_run(entry) for entry in found["runs"]]
 
 
 def _check_robot(robot: Any, config: RobotConfig) -> None:

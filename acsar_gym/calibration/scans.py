@@ -28,6 +28,8 @@ NEIGHBOURS = 6
 """Points that a line is fitted to."""
 STRAIGHT = 0.15
 """Largest share of the neighbours' spread across their line; corners have more."""
+ONE_WAY = 0.02
+"""Where a smaller share of the lines' normals points across the others, all walls are parallel."""
 FEWEST = 20
 """Fewest pairs of points for a match."""
 
@@ -78,12 +80,15 @@ class Reference:
                 break
         return self._judged(points, pose, gate)
 
-    def _step(self, points: Floats, pose: Floats, gate: float) -> tuple[Floats | None, Floats, Floats]:
+    def _step(
+        self, points: Floats, pose: Floats, gate: float
+    ) -> tuple[Floats | None, Floats, Floats]:
         """One Gauss-Newton step (None where too few points match), Jacobian and residuals."""
         cos, sin = math.cos(pose[2]), math.sin(pose[2])
         turned = points @ np.array([[cos, sin], [-sin, cos]])
         placed = turned + pose[:2]
-        distance, near = self._tree.query(placed)
+        distance, found = self._tree.query(placed)
+        near = np.asarray(found)
         kept = (distance < gate) & self._lines[near]
         normals = self._normals[near[kept]]
         off = ((placed[kept] - self._points[near[kept]]) * normals).sum(axis=1)
@@ -99,12 +104,12 @@ class Reference:
         found = (float(pose[0]), float(pose[1]), float(pose[2]))
         if step is None:
             return Match(found, (math.inf,) * 3, 0.0)
-        try:
-            covariance = np.linalg.inv(jacobian.T @ jacobian) * float(off @ off) / len(off)
-        except np.linalg.LinAlgError:
-            return Match(found, (math.inf,) * 3, 0.0)
+        share, normals = len(off) / len(points), jacobian[:, :2]
+        if np.linalg.eigvalsh(normals.T @ normals)[0] < ONE_WAY * len(off):
+            return Match(found, (math.inf,) * 3, share)
+        covariance = np.linalg.pinv(jacobian.T @ jacobian) * float(off @ off) / len(off)
         x, y, theta = np.sqrt(np.diag(covariance))
-        return Match(found, (float(x), float(y), float(theta)), len(off) / len(points))
+        return Match(found, (float(x), float(y), float(theta)), share)
 
 
 def points(ranges: Floats, config: RobotConfig) -> Floats:
@@ -123,4 +128,6 @@ def points(ranges: Floats, config: RobotConfig) -> Floats:
     bearings = -lidar.field_of_view / 2.0 + step * np.arange(lidar.rays)
     met = (ranges > lidar.min_range) & (ranges < lidar.max_range)
     rays = np.column_stack([np.cos(bearings), np.sin(bearings)]) * ranges[:, None]
-    return (rays + (config.lidar_x_offset, config.lidar_y_offset))[met]
+    mount = np.array([config.lidar_x_offset, config.lidar_y_offset])
+    found: Floats = (rays + mount)[met]
+    return found

@@ -11,6 +11,7 @@ from typing import Any
 import tyro
 
 import acsar_gym
+from acsar_gym.cli.calibrate import calibrate
 from acsar_gym.cli.devices import doctor, drive, emulate, estop
 from acsar_gym.cli.policies import evaluate, export, run, train
 from acsar_gym.cli.tools import bench, demo, warm_up
@@ -24,6 +25,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "bench": bench,
     "emulate": emulate,
     "doctor": doctor,
+    "calibrate": calibrate,
     "drive": drive,
     "estop": estop,
     "train": train,
@@ -68,7 +70,7 @@ def main() -> None:
         print(f"acsar-gym: {printable(str(error))}", file=sys.stderr)
         code = error.exit_code
     except KeyboardInterrupt:
-        driving = sys.argv[1:2] in (["drive"], ["run"], ["evaluate"], ["doctor"])
+        driving = sys.argv[1:2] in (["drive"], ["run"], ["evaluate"], ["doctor"], ["calibrate"])
         stopped = ", the wheels were commanded to stop" if driving else ""
         print(f"\nacsar-gym: interrupted{stopped}", file=sys.stderr)
         code = 130

@@ -1,0 +1,121 @@
+"""Options of `acsar-gym calibrate`, and the runs that they ask for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import ConfigError
+
+if TYPE_CHECKING:
+    from acsar_gym.calibration.manoeuvres import Plan
+
+Numbers = Annotated[tuple[float, ...], tyro.conf.arg(metavar="N [N ...]")]
+USUAL = 0.6
+"""Speed where none is given, as a share of the robot's largest."""
+TRIED = (0.4, 0.8)
+"""Turn rates where neither rates nor readings are given, as shares of the robot's largest."""
+
+
+@dataclass(frozen=True)
+class StraightOptions:
+    """Straight lines: tell the wheels' mean radius."""
+
+    distance: float = 2.0
+    """Length of each run, by odometry [m]."""
+    measured: Numbers = ()
+    """Measured straight distances from start to end, one for each run [m]."""
+    aside: Numbers = ()
+    """How far to the left of the line ahead each run ended [m], negative to the right; tells left
+    against right radius."""
+
+    def plans(self, config: RobotConfig, run: RunOptions, *, returns: bool) -> list[Plan]:
+        """The straight runs; `returns` as for `manoeuvres.straights`."""
+        from acsar_gym.calibration import manoeuvres  # noqa: PLC0415
+
+        repeats = run.repeats or len(self.measured) or 3
+        return manoeuvres.straights(self.distance, run.linear(config), repeats, returns=returns)
+
+
+@dataclass(frozen=True)
+class TurnOptions:
+    """Turns: tell wheel_separation_multiplier and body.turn_factor."""
+
+    turns: float = 5.0
+    """Full turns of each run, by odometry; left and right alternate."""
+    measured_deg: Numbers = ()
+    """Measured angles, one for each run [degrees], full turns counted."""
+    speeds: Numbers = ()
+    """Turn rates [rad/s]; default: 40 % and 80 % of max_angular, or 60 % where readings are
+    given."""
+    radii: Numbers = (0.0,)
+    """Radii of the circles that the robot's centre drives [m]; 0 turns in place. Circles to both
+    sides also tell left against right radius."""
+
+    def plans(self, config: RobotConfig, run: RunOptions) -> list[Plan]:
+        """The turns: every speed with every radius."""
+        from acsar_gym.calibration import manoeuvres  # noqa: PLC0415
+
+        shares = (USUAL,) if self.measured_deg else TRIED
+        speeds = self.speeds or tuple(share * config.max_angular for share in shares)
+        for speed in speeds:
+            _within("--speeds", speed, config.max_angular, "max_angular")
+            fastest = speed * max(self.radii, default=0.0)
+            _within("--speeds times --radii", max(fastest, 1e-9), config.max_linear, "max_linear")
+        kinds = len(speeds) * len(self.radii)
+        repeats = run.repeats or max(1, len(self.measured_deg) // max(1, kinds))
+        return manoeuvres.turns(self.turns, speeds, self.radii, repeats)
+
+
+@dataclass(frozen=True)
+class SquareOptions:
+    """Squares (UMBmark, Borenstein and Feng 1996): tell both sides' radii, and the multiplier."""
+
+    size: float = 1.0
+    """Length of a side [m]; larger is finer."""
+    corners: Annotated[tuple[Path, Path] | None, tyro.conf.arg(metavar="CW.CSV CCW.CSV")] = None
+    """Where clockwise and counter-clockwise runs ended: a row for each run, x,y[,degrees], in m in
+    the frame of its start: x ahead, y to the left."""
+
+    def plans(
+        self, config: RobotConfig, run: RunOptions, ends: tuple[Sequence[object], Sequence[object]]
+    ) -> list[Plan]:
+        """The squares: as many of each direction as `ends` were read, or as asked for."""
+        from acsar_gym.calibration import manoeuvres  # noqa: PLC0415
+
+        counts = [run.repeats or 2] * 2 if self.corners is None else [len(one) for one in ends]
+        rate = USUAL * config.max_angular
+        return manoeuvres.squares(self.size, run.linear(config), rate, counts[0], counts[1])
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """How runs are driven, and on which floor."""
+
+    space: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="X Y")] = None
+    """Free floor ahead of the robot's centre, and to each of its sides [m]. Needed for a real
+    robot, which is stopped at its edge."""
+    speed: float | None = None
+    """Linear speed [m/s]; default: 60 % of max_linear."""
+    repeats: int | None = None
+    """Runs of each kind; default: as many as readings, else 3 straight lines, 1 turn of each speed
+    and radius, 2 squares each way."""
+    yes: bool = False
+    """Don't ask before driving, for scripts."""
+
+    def linear(self, config: RobotConfig) -> float:
+        """Linear speed [m/s]."""
+        speed = USUAL * config.max_linear if self.speed is None else self.speed
+        return _within("--speed", speed, config.max_linear, "max_linear")
+
+
+def _within(option: str, value: float, most: float, field: str) -> float:
+    """Return the value; ConfigError unless 0 < value <= most."""
+    if not 0.0 < value <= most:
+        raise ConfigError(f"{option} {value:g}: must be more than 0, at most {field} = {most:g}")
+    return value

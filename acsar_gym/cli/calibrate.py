@@ -1,0 +1,210 @@
+"""Command calibrate: wheel radii and multiplier, measured on the floor."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from acsar_gym.calibration.options import (
+    RunOptions,
+    SquareOptions,
+    StraightOptions,
+    TurnOptions,
+)
+from acsar_gym.cli import asking
+from acsar_gym.cli.options import File, Json, LidarArg, RobotArg, Worlds
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import ConfigError, printable
+
+if TYPE_CHECKING:
+    from acsar_gym.calibration.manoeuvres import Plan
+    from acsar_gym.calibration.readings import Scales
+    from acsar_gym.calibration.session import Given, Wire
+    from acsar_gym.calibration.sitting import Sitting
+
+Device = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DEVICE|RUNS")]
+Manoeuvre = Annotated[
+    Literal["straight", "turn", "square", "all"],
+    tyro.conf.Positional,
+    tyro.conf.arg(metavar="straight|turn|square|all"),
+]
+_flat = tyro.conf.arg(name="")
+
+
+@dataclass(frozen=True)
+class DeviceOptions:
+    """The robot, and who measures."""
+
+    robot: RobotArg = None
+    """Preset or config file: what is known so far."""
+    twin: RobotArg = None
+    """Simulation: the robot that is driven, where it isn't --robot: a hidden one to be found."""
+    world: Worlds = None
+    """Simulation: world around the robot, for --lidar."""
+    lidar: LidarArg = None
+    """Measure by scan matching instead of a tape: rplidar:///dev/ttyUSB1, or simulated."""
+    tape: float = 0.005
+    """Divisions of the tape [m]."""
+    protractor: float = 1.0
+    """Divisions of the protractor [degrees]."""
+
+
+@dataclass(frozen=True)
+class OutputOptions:
+    """Results."""
+
+    runs: File = None
+    """Keep the runs in this file, and fit all runs in it together; readings may be given later
+    with this file as DEVICE."""
+    out: File = None
+    """Write the robot's file with what was found, to be used as --robot."""
+    json: Json = None
+    """Also write the result and all runs to this file."""
+
+
+def calibrate(
+    device: Device,
+    manoeuvre: Manoeuvre,
+    straight: Annotated[StraightOptions, _flat],
+    turn: Annotated[TurnOptions, _flat],
+    square: Annotated[SquareOptions, _flat],
+    run: Annotated[RunOptions, _flat],
+    wire: Annotated[DeviceOptions, _flat],
+    output: Annotated[OutputOptions, _flat],
+) -> int:
+    """Measure wheel radii and turning on the floor, and write them into the robot's file.
+
+    The robot drives within --space, closed-loop on its odometry, and somebody measures where it
+    ended: you with a tape (it asks after each run; in scripts --measured, --measured-deg and
+    --corners), a LiDAR, or in simulation the ground truth. Always measure the point below the
+    robot's centre.
+
+    A manoeuvre alone tells what it can and takes the rest from --robot. With --runs FILE, all
+    runs in the file are fitted together, which robots with unequal wheels need:
+
+    acsar-gym calibrate /dev/ttyUSB0 straight --space 3.5 1.5 --runs cal.json,
+    then turn --space 1 1 --runs cal.json,
+    then square --space 2 2 --runs cal.json --out my_robot.yaml.
+
+    Args:
+        device: serial device, planar, bullet, or a .json file of runs to give readings to.
+        manoeuvre: what to drive.
+        straight: straight lines.
+        turn: turns.
+        square: squares.
+        run: driving.
+        wire: robot and measuring.
+        output: results.
+    """
+    from acsar_gym.calibration.sitting import Sitting  # noqa: PLC0415
+    from acsar_gym.evaluation import report  # noqa: PLC0415
+
+    for path in (output.out, output.json, output.runs):
+        report.check_writable(path)
+    config, later = RobotConfig.of(wire.robot), device.endswith(".json")
+    given, kept_in = _given(straight, turn, square), Path(device) if later else output.runs
+    sitting = Sitting(config, given, _scales(wire), kept_in, _ask if sys.stdin.isatty() else None)
+    if not later:
+        simulated = device in ("planar", "bullet")
+        plans: list[Plan] = []
+        if manoeuvre in ("straight", "all"):
+            plans += straight.plans(config, run, returns=not simulated)
+        if manoeuvre in ("turn", "all"):
+            plans += turn.plans(config, run)
+        if manoeuvre in ("square", "all"):
+            plans += square.plans(config, run, (given.clockwise, given.counter))
+        robot = _wire(device, config, wire)
+        sitting.drive(robot, plans, run.space, partial(_before, robot, run))
+    sitting.read(manoeuvre)
+    return _finish(sitting, config, kept_in, output)
+
+
+def _given(straight: StraightOptions, turn: TurnOptions, square: SquareOptions) -> Given:
+    """The readings among the options."""
+    from acsar_gym.calibration.readings import corners  # noqa: PLC0415
+    from acsar_gym.calibration.session import Given  # noqa: PLC0415
+
+    files = square.corners
+    clockwise, counter = map(corners, files) if files else ([], [])
+    return Given(
+        straight.measured, straight.aside, turn.measured_deg, tuple(clockwise), tuple(counter)
+    )
+
+
+def _scales(wire: DeviceOptions) -> Scales:
+    """The divisions of tape and protractor. ConfigError unless they are positive."""
+    from acsar_gym.calibration.readings import Scales  # noqa: PLC0415
+
+    if not (0.0 < wire.tape <= 1.0 and 0.0 < wire.protractor <= 90.0):
+        raise ConfigError("--tape must be 0 to 1 m, --protractor 0 to 90 degrees, both above 0")
+    return Scales(wire.tape, wire.protractor)
+
+
+def _wire(device: str, config: RobotConfig, options: DeviceOptions) -> Wire:
+    """The robot that is driven. ConfigError for options of a simulation on a real one."""
+    from acsar_gym.calibration.session import Wire  # noqa: PLC0415
+
+    twin = config if options.twin is None else RobotConfig.of(options.twin)
+    wire = Wire(device, config, twin, options.lidar, options.world)
+    for option, value in (("--twin", options.twin), ("--world", options.world)):
+        if value is not None and not wire.simulated:
+            raise ConfigError(f"{option} is for simulated robots: planar or bullet")
+    return wire
+
+
+def _before(wire: Wire, run: RunOptions, plan: Plan) -> None:
+    """Ask before a real robot drives; say what is driven."""
+    print(printable(f"{plan.name} ..."), flush=True)
+    if not wire.simulated:
+        x, y = run.space or (0.0, 0.0)
+        start = "stays where it is" if plan.back else "stands on its mark"
+        asking.countdown(
+            f"{wire.url}: the robot will drive {plan.name} within {x:g} m ahead and {y:g} m to "
+            f"each side; make sure that the floor is free and the robot {start}",
+            yes=run.yes,
+        )
+
+
+def _ask(question: str) -> str:
+    """Ask on the terminal; an end of the input is an empty answer."""
+    try:
+        return input(f"{printable(question)}: ")
+    except EOFError:
+        return ""
+
+
+def _finish(
+    sitting: Sitting, config: RobotConfig, kept_in: Path | None, output: OutputOptions
+) -> int:
+    """Fit, print and write; returns the exit code."""
+    from acsar_gym.calibration import result  # noqa: PLC0415
+    from acsar_gym.evaluation import report  # noqa: PLC0415
+
+    for line in sitting.notes:
+        print(printable(line))
+    fit = sitting.fit()
+    if fit is None:
+        print(printable(_waiting(sitting, kept_in)))
+        return 0
+    report.show(result.runs_table(sitting.found, fit, config), result.table(fit, config))
+    report.write_json(output.json, result.as_dict(fit, sitting.found, config))
+    if output.out is not None:
+        result.calibrated(fit, config).save(output.out)
+        print(printable(f"written: {output.out}; use it with --robot {output.out}"))
+    return 0
+
+
+def _waiting(sitting: Sitting, kept_in: Path | None) -> str:
+    """What to do where no run has a reading yet."""
+    if kept_in is None:
+        return "no run has a reading: nothing was found"
+    counts: Sequence[str] = sorted({run.manoeuvre for run in sitting.found})
+    option = {"straight": "--measured", "turn": "--measured-deg", "square": "--corners"}
+    hints = " or ".join(f"acsar-gym calibrate {kept_in} {m} {option[m]} ..." for m in counts)
+    return f"{len(sitting.found)} runs kept in {kept_in}; give their readings with {hints}"

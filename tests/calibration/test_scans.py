@@ -1,0 +1,127 @@
+"""Scan matching, and runs that a LiDAR measures."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from calibration_tools import ACSAR
+
+from acsar_gym import RobotConfig
+from acsar_gym.calibration import manoeuvres
+from acsar_gym.calibration.driving import drive
+from acsar_gym.calibration.lidar import LidarObserver, fine
+from acsar_gym.calibration.runs import Floats, Reading
+from acsar_gym.calibration.scans import Reference, points
+from acsar_gym.calibration.truth import TruthObserver
+from acsar_gym.errors import LidarError
+from acsar_gym.lidars.simulated import SimulatedLidar
+from acsar_gym.links import open_link
+from acsar_gym.robot import Robot
+from acsar_gym.worlds import Pose, Scene, World
+from acsar_gym.worlds.scene import to_world
+
+ROOM = [(-2, -2, 4, -2), (4, -2, 4, 2), (4, 2, -2, 2), (-2, 2, -2, -2), (3, 1, 3.5, 1)]
+CORRIDOR = [(-20, -1, 20, -1), (-20, 1, 20, 1)]
+FINE = fine(ACSAR)
+
+
+def scan(pose: Pose, segments: list[tuple[float, ...]], config: RobotConfig = FINE) -> Floats:
+    """Points that the robot's LiDAR sees, in the base frame, without noise."""
+    exact = config.with_(lidar={"noise": 0.0})
+    link = open_link("planar", exact)
+    scene = Scene(pose, world=World(segments=segments))
+    link.reset(scene)
+    lidar = SimulatedLidar(link, exact)
+    lidar.reset(scene, np.random.default_rng(0))
+    return points(lidar.scan().ranges, exact)
+
+
+@pytest.mark.parametrize("pose", [(0.0, 0.0, 0.0), (0.2, -0.1, 0.1), (-0.1, 0.2, -0.25)])
+def test_a_scan_tells_where_it_was_taken(pose: Pose) -> None:
+    found = Reference(scan((0.0, 0.0, 0.0), ROOM)).match(scan(pose, ROOM), (0.0, 0.0, 0.0))
+    assert found.pose == pytest.approx(pose, abs=2e-3)
+    assert found.share > 0.8
+    assert max(found.sigma) < 0.01
+
+
+def test_the_frame_is_the_robot_s_and_not_the_lidar_s() -> None:
+    """Turning in place doesn't move the robot, though its LiDAR is 15 cm behind."""
+    found = Reference(scan((0.0, 0.0, 0.0), ROOM)).match(scan((0.0, 0.0, 0.3), ROOM), (0, 0, 0.2))
+    assert found.pose == pytest.approx((0.0, 0.0, 0.3), abs=2e-3)
+
+
+def test_rays_that_meet_nothing_are_left_out() -> None:
+    ranges = np.full(FINE.lidar.rays, FINE.lidar.max_range)
+    assert len(points(ranges, FINE)) == 0
+    ranges[FINE.lidar.rays // 2] = 1.0
+    assert points(ranges, FINE) == pytest.approx(np.array([[1.0 + FINE.lidar_x_offset, 0.0]]))
+
+
+def test_nothing_in_common_is_no_match() -> None:
+    here = Reference(scan((0.0, 0.0, 0.0), ROOM))
+    assert not math.isfinite(here.match(np.full((50, 2), 100.0), (0.0, 0.0, 0.0)).sigma[0])
+
+
+class Both(LidarObserver):
+    """A LiDAR, beside the truth."""
+
+    def __init__(self, config: RobotConfig) -> None:
+        super().__init__(config)
+        self.truth = TruthObserver()
+        self.told: list[Reading] = []
+
+    def begin(self, robot: Robot) -> None:
+        super().begin(robot)
+        self.truth.begin(robot)
+
+    def tick(self, robot: Robot) -> None:
+        super().tick(robot)
+        self.truth.tick(robot)
+
+    def readings(self, plan: manoeuvres.Plan) -> list[Reading]:
+        self.told = self.truth.readings(plan)
+        return super().readings(plan)
+
+
+@pytest.mark.parametrize(
+    "plan",
+    [
+        manoeuvres.straights(0.8, 0.4, 1, returns=False)[0],
+        manoeuvres.turns(1.5, (1.2,), (0.0,), 1)[0],
+        manoeuvres.squares(0.4, 0.4, 1.0, 0, 1)[0],
+    ],
+    ids=lambda plan: plan.manoeuvre,
+)
+def test_a_lidar_measures_runs_of_a_robot_that_odometry_is_wrong_about(
+    plan: manoeuvres.Plan,
+) -> None:
+    twin = FINE.with_(wheelbase=0.28, wheel_radius=0.051)
+    observer = Both(FINE)
+    scene = Scene((0.5, -0.5, 0.4), world=World(segments=ROOM))
+    robot = Robot(open_link("planar", twin), FINE, ["lidar"])
+    with robot:
+        run = drive(robot, plan, scene, observer)
+    found = {reading.kind: reading.value for reading in run.readings}
+    true = {reading.kind: reading.value for reading in observer.told}
+    assert found == pytest.approx(true, abs=5e-3)
+
+
+def measured(segments: list[tuple[float, ...]], distance: float) -> None:
+    plan = manoeuvres.straights(distance, 0.5, 1, returns=False)[0]
+    with Robot(open_link("planar", FINE), FINE, ["lidar"]) as robot:
+        drive(robot, plan, Scene(world=World(segments=segments)), LidarObserver(FINE))
+
+
+def test_scans_that_tell_too_little_are_errors() -> None:
+    with pytest.raises(LidarError, match="sees 0 points within 5 m: calibrate in a room"):
+        measured([], 0.3)
+    with pytest.raises(LidarError, match="don't tell where the robot is, as in a long corridor"):
+        measured(CORRIDOR, 0.3)
+
+
+def test_poses_are_composed() -> None:
+    assert to_world((1.0, 0.0, math.pi / 2), (1.0, 0.0, 0.0)) == pytest.approx(
+        (1.0, 1.0, math.pi / 2)
+    )
