@@ -246,7 +246,6 @@ class Robot:
         """Command zero, then close the link; idempotent. Sensors stay open for the next reset."""
         if not self.active:
             return
-        self._journal.ended()
         try:
             with contextlib.suppress(LinkError):
                 self.stop()
@@ -256,6 +255,7 @@ class Robot:
                 self._listener.close()
                 self._listener = None
             self.link.close()
+        self._journal.ended()
 
     def _exchange(self, speeds: Speeds | None) -> None:
         """Send wheel speeds, if any, let one control period pass, and update odometry."""
