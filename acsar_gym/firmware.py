@@ -13,7 +13,8 @@ from collections import deque
 from acsar_gym.bodies import Body
 from acsar_gym.config import BITS_PER_BYTE, RobotConfig
 from acsar_gym.dynamics import Physics, physics
-from acsar_gym.dynamics.model import ramped
+from acsar_gym.dynamics.board import printed, ramped
+from acsar_gym.dynamics.timing import substep
 from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds, line_end, line_of
 
 EPSILON = 1e-9
@@ -35,8 +36,9 @@ class Firmware:
         self._body = body
         self._end = line_end(trailing_comma=config.trailing_comma)
         self._motors, self._encoders = config.wheels.motors, config.wheels.encoders
-        self._dt = 1.0 / config.firmware.loop_rate
-        self._ramp = config.motor.of_wheel(0).acceleration * self._dt
+        self._dt = substep(config)
+        a, b, c, d = (config.motor.of_wheel(wheel).acceleration * self._dt for wheel in range(4))
+        self._ramps: Speeds = (a, b, c, d)
         self._top = config.motor.max_speed
         self._byte_time = BITS_PER_BYTE / config.baud_rate
         self._processing = config.firmware.processing_time
@@ -46,6 +48,7 @@ class Firmware:
         self._angles: deque[Speeds] = deque(maxlen=window + 1)
         self._per_radian = config.encoder.counts_per_revolution / (2.0 * math.pi)
         self._per_count = 1.0 / (self._per_radian * window * self._dt)
+        self._quantum = config.encoder.quantum
         self.decoder = Decoder()
         self.reset()
 
@@ -53,10 +56,11 @@ class Firmware:
         """Reset to the state after power-up: nothing on the wire, set points and encoders zero.
 
         Args:
-            own: physics with the latency and the feedback rate of this robot; None: as configured.
+            own: physics with the delays and the feedback rate of this robot; None: as configured.
         """
         own = own or self._configured
         self._latency = own.latency_loops * self._dt
+        self._reaction = self._processing + own.command_delay + self._latency
         self._feedback_every = own.feedback_loops
         self._loops = 0
         self._lines = 0
@@ -78,7 +82,7 @@ class Firmware:
         """Take bytes that the host sends now; they arrive one after the other."""
         start = max(self._receive_free, self._elapsed)
         self._receive_free = start + len(data) * self._byte_time
-        self._received.append((self._receive_free + self._processing + self._latency, data))
+        self._received.append((self._receive_free + self._reaction, data))
 
     def advance(self, period: float) -> bytes:
         """Let time pass, and return the feedback bytes that reach the host meanwhile.
@@ -106,7 +110,7 @@ class Firmware:
         if now - self._last_command > self._timeout + EPSILON:
             self._targets = ZERO
         if self._set_points != self._targets:
-            self._set_points = ramped(self._set_points, self._targets, self._ramp)
+            self._set_points = ramped(self._set_points, self._targets, self._ramps)
         body.step(self._set_points)
         self._angles.append(body.wheel_angles)
         self._loops += 1
@@ -132,10 +136,12 @@ class Firmware:
 
     def _answer(self) -> None:
         """Send an encoder line."""
-        speeds = self._encoder_speeds()
+        a, b, c, d = self._encoder_speeds()
+        if self._quantum is not None:
+            a, b, c, d = (printed(speed, self._quantum) for speed in (a, b, c, d))
         if self._encoders is not None:
-            speeds = self._encoders.to_wire(speeds)
-        line = line_of(*speeds, self._end)
+            a, b, c, d = self._encoders.to_wire((a, b, c, d))
+        line = line_of(a, b, c, d, self._end)
         start = max(self._send_free, self._loops * self._dt + self._processing)
         self._send_free = start + len(line) * self._byte_time
         self._sent.append((self._send_free + self._latency, line))

@@ -64,6 +64,8 @@ class Odometry:
         wheel_separation: [m].
         wheel_separation_multiplier: factor for the skidding of the wheels, as in ROS
             diff_drive_controller; with 1.0 the equations are those of the document.
+        left_wheel_radius_multiplier: factor from wheel_radius to the radius of the left wheels.
+        right_wheel_radius_multiplier: factor from wheel_radius to the radius of the right wheels.
 
     Attributes:
         pose: x [m], y [m], theta [rad] within [-pi, pi].
@@ -87,16 +89,22 @@ class Odometry:
         wheel_radius: float,
         wheel_separation: float,
         wheel_separation_multiplier: float = 1.0,
+        *,
+        left_wheel_radius_multiplier: float = 1.0,
+        right_wheel_radius_multiplier: float = 1.0,
     ) -> None:
         given = {
             "wheel_radius": wheel_radius,
             "wheel_separation": wheel_separation,
             "wheel_separation_multiplier": wheel_separation_multiplier,
+            "left_wheel_radius_multiplier": left_wheel_radius_multiplier,
+            "right_wheel_radius_multiplier": right_wheel_radius_multiplier,
         }
         for name, value in given.items():
             if not 0.0 < value < math.inf:
                 raise ConfigError(f"{name} = {value}: must be positive and finite")
-        self._radius = wheel_radius
+        self._left_radius = wheel_radius * left_wheel_radius_multiplier
+        self._right_radius = wheel_radius * right_wheel_radius_multiplier
         self._separation = wheel_separation * wheel_separation_multiplier
         self.reset()
 
@@ -119,7 +127,9 @@ class Odometry:
         if len(speeds) != 4:
             raise CommandError(f"odometry needs 4 wheel speeds (a, b, c, d), got {len(speeds)}")
         a, b, c, d = speeds
-        linear, angular = kinematics.twist(a, b, c, d, self._radius, self._separation)
+        linear, angular = kinematics.twist(
+            a, b, c, d, self._left_radius, self._right_radius, self._separation
+        )
         x, y, theta = self.pose
         cos, sin = math.cos(theta), math.sin(theta)
         x, y, theta = integrate(x, y, theta, cos, sin, linear, angular, dt)

@@ -61,6 +61,8 @@ class Robot:
             self.config.wheel_radius,
             self.config.wheel_separation,
             self.config.wheel_separation_multiplier,
+            left_wheel_radius_multiplier=self.config.left_wheel_radius_multiplier,
+            right_wheel_radius_multiplier=self.config.right_wheel_radius_multiplier,
         )
         self.wire = Wire(link, self.config)
         self.active = False

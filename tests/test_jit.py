@@ -78,7 +78,7 @@ import numpy as np
 from acsar_gym import kinematics
 from acsar_gym import jit as compiled
 from acsar_gym.vector.kernel import layout
-compiled.jit(kinematics.twist)(*range(1, 7))
+compiled.jit(kinematics.twist)(*range(1, 8))
 print("small", file=sys.stderr)
 state = np.zeros((layout.ROWS, 1))
 layout.to_world(state, 0, 1.0, 2.0)

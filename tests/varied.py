@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-RANGES: dict[str, tuple[float, float]] = {
+RANGES: dict[str, tuple[float, ...]] = {
     "mass": (0.5, 2.0),
     "friction": (0.4, 1.2),
     "motor_gain": (0.9, 1.1),
@@ -12,4 +12,10 @@ RANGES: dict[str, tuple[float, float]] = {
     "latency": (0.01, 0.04),
     "feedback_rate": (15.0, 60.0),
     "track_width": (0.9, 1.1),
+    "left_wheel_radius": (0.97, 1.03),
+    "right_wheel_radius": (0.97, 1.03),
+    "turn_factor": (0.8, 1.3),
+    "command_delay": (0.001, 0.012),
+    "delay_samples": (0.001, 0.002, 0.007, 0.012),
+    "deadband_offset": (0.01, 0.2),
 }

@@ -7,6 +7,8 @@ import math
 from acsar_gym.bodies.base import GroundTruth, wrapped
 from acsar_gym.config import RobotConfig
 from acsar_gym.dynamics import model
+from acsar_gym.dynamics.numbers import numbers_of
+from acsar_gym.dynamics.timing import substep
 from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.worlds import Scene
 from acsar_gym.worlds.collisions import collides
@@ -18,13 +20,13 @@ class PlanarBody:
 
     def __init__(self, config: RobotConfig) -> None:
         self._config = config
-        self._dt = model.substep(config)
+        self._dt = substep(config)
         self._configured = model.physics(config)
         self.reset(Scene())
 
     def reset(self, scene: Scene) -> None:
         """Put the robot at rest at the scene's start, with the scene's obstacles and physics."""
-        self._physics = model.numbers_of(scene.physics or self._configured)
+        self._physics = numbers_of(scene.physics or self._configured)
         self.wheel_angles: Speeds = ZERO
         self.wheel_speeds: Speeds = ZERO
         self._velocity = (0.0, 0.0, 0.0)  # vx, vy in the world frame, yaw rate

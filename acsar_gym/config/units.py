@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import Field, PlainValidator, TypeAdapter
+from pydantic import Field, TypeAdapter, WrapValidator
 from pydantic_core import PydanticCustomError
 
 Length = Annotated[float, Field(gt=0.0, le=100.0)]
@@ -29,11 +29,11 @@ def of_wheel(value: PerWheel, wheel: int) -> float:
     return value[wheel] if isinstance(value, tuple) else value
 
 
-def per_wheel(bounds: Any) -> PlainValidator:
+def per_wheel(bounds: Any) -> WrapValidator:
     """Return a validator of `PerWheel` fields, whose numbers have bounds: a pydantic `Field`."""
     one: TypeAdapter[float] = TypeAdapter(Annotated[float, bounds], config={"allow_inf_nan": False})
 
-    def checked(value: Any) -> PerWheel:
+    def checked(value: Any, _: Any) -> PerWheel:
         if not isinstance(value, list | tuple):
             return one.validate_python(value)
         if len(value) != 4:
@@ -43,4 +43,4 @@ def per_wheel(bounds: Any) -> PlainValidator:
         a, b, c, d = map(one.validate_python, value)
         return a, b, c, d
 
-    return PlainValidator(checked)
+    return WrapValidator(checked)

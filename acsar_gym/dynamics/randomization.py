@@ -1,8 +1,7 @@
 """Domain randomization: which parameters of a robot are drawn anew for every episode, and how.
 
-This file defines everything that can vary: the ranges (`Randomization`), the numbers that an
-episode draws (`Drawn`), and their effect on a robot's physics (`varied`). The single env and the
-batch both draw with `draw`, so that the same seed gives the same robot.
+This file has the ranges; the numbers that an episode draws from them (`Drawn`), and their effect on
+a robot's physics (`varied`), are in `drawing`.
 
 To add a parameter: add a field to `Randomization`, one to the end of `Drawn` (so that existing
 seeds still draw the same numbers), and its effect to `varied`. If the physics has no such number,
@@ -14,18 +13,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import NamedTuple, Self
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any, Self
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.dynamics.model import Physics, physics_of, substep, wire_loops
+from acsar_gym.config.units import of_wheel
+from acsar_gym.dynamics.drawing import Drawn, Ranges, loops_between, numbers_of
+from acsar_gym.dynamics.model import turn_factor
+from acsar_gym.dynamics.timing import substep, wire_loops
 from acsar_gym.errors import ConfigError, shown, suggestion
-from acsar_gym.jit import jit, leading, loop
 
 Range = tuple[float, float]
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,10 +54,23 @@ class Randomization:
     track_width: Range | None = None
     """Factor on the real distance between left and right wheels; odometry still assumes the
     configured one. Tyres that wear or bulge change where they touch the ground."""
+    left_wheel_radius: Range | None = None
+    """Factor on the real radius of the left wheels; odometry still assumes the configured one."""
+    right_wheel_radius: Range | None = None
+    """Factor on the real radius of the right wheels."""
+    turn_factor: Range | None = None
+    """Factor on the robot's turn factor (see `body.turn_factor`), which depends on the ground."""
+    command_delay: Range | None = None
+    """Time from the last byte of a command to its effect, after the processing time [s]."""
+    delay_samples: tuple[float, ...] | None = None
+    """Delays of commands on top of `command_delay` [s]; each episode draws one of them."""
+    deadband_offset: Range | None = None
+    """Added to each wheel's deadband, which stays at least 0 [rad/s]; four numbers."""
 
     def __post_init__(self) -> None:
         for name in self.names:
-            object.__setattr__(self, name, _checked(name, getattr(self, name)))
+            check = _delays if name == "delay_samples" else _checked
+            object.__setattr__(self, name, check(name, getattr(self, name)))
 
     @classmethod
     def of(cls, ranges: Mapping[str, Range] | Self | None) -> Randomization:
@@ -104,144 +114,31 @@ class Randomization:
         """
         if self.feedback_rate is not None:
             _check_feedback(self.feedback_rate, config)
-        if self.latency is not None:
-            _check_latency(self.latency, config, step)
-        instant = () if config.motor.of_wheel(0).time_constant > 0.0 else ("motor_lag",)
+        if self.turn_factor is not None:
+            _check_turning(self.turn_factor, config)
+        lags = config.motor.time_constant
+        instant = [f"motor_lag_{w}" for i, w in enumerate("abcd") if of_wheel(lags, i) == 0.0]
         pairs = {
-            number: getattr(self, name)
+            number: (0.0, 1.0) if name == "delay_samples" else getattr(self, name)
             for name in self.names
-            if name not in instant
-            for number in _numbers(name)
+            for number in numbers_of(name)
+            if number not in instant
         }
         low = {number: pair[0] for number, pair in pairs.items()}
         high = {number: pair[1] for number, pair in pairs.items()}
-        return Ranges(Drawn(**low), Drawn(**high))
+        ranges = Ranges(Drawn(**low), Drawn(**high), self.delay_samples or (0.0,))
+        _check_delays(self, ranges, config, step)
+        return ranges
 
 
-class Drawn(NamedTuple):
-    """The numbers that an episode draws, in the order of drawing; defaults change nothing.
-
-    Names that end in _a to _d are for one wheel each.
-    """
-
-    mass: float = 1.0
-    friction: float = 1.0
-    motor_gain_a: float = 1.0
-    motor_lag_a: float = 1.0
-    motor_gain_b: float = 1.0
-    motor_lag_b: float = 1.0
-    motor_gain_c: float = 1.0
-    motor_lag_c: float = 1.0
-    motor_gain_d: float = 1.0
-    motor_lag_d: float = 1.0
-    deadband: float = math.nan
-    wheel_radius: float = 1.0
-    latency: float = 0.0
-    feedback_rate: float = math.nan
-    track_width: float = 1.0
-
-
-class Ranges(NamedTuple):
-    """Least and largest value of each number; both are the default where it doesn't vary."""
-
-    low: Drawn
-    high: Drawn
-
-
-SIZE = len(Drawn._fields)
-LATENCY, FEEDBACK_RATE = Drawn._fields.index("latency"), Drawn._fields.index("feedback_rate")
-
-
-@jit
-def loops_between(rate: float, dt: float) -> float:
-    """Whole firmware loops between lines at this rate [Hz], at least one; NaN for NaN."""
-    loops: float = np.rint(1.0 / (rate * dt))
-    return 1.0 if loops < 1.0 else loops
-
-
-@jit
-def replaced(configured: float, value: float) -> float:
-    """The value, or the configured one where the value is NaN."""
-    return configured if np.isnan(value) else value
-
-
-@jit
-def lagging(blend: float, factor: float, dt: float) -> float:
-    """A wheel's `blend` after its time constant is multiplied by a factor."""
-    if factor == 1.0 or blend >= 1.0:
-        return blend
-    return 1.0 - math.exp(math.log(1.0 - blend) / factor)
-
-
-@jit
-def varied(nominal: Physics, drawn: Drawn, dt: float) -> Physics:
-    """Apply what was drawn to a robot's physics.
-
-    Args:
-        nominal: physics of the configured robot.
-        drawn: numbers of the episode.
-        dt: firmware loop period [s].
-    """
-    return Physics(
-        radius=nominal.radius * drawn.wheel_radius,
-        half_wheelbase=nominal.half_wheelbase,
-        half_track=nominal.half_track * drawn.track_width,
-        mass=nominal.mass * drawn.mass,
-        yaw_inertia=nominal.yaw_inertia * drawn.mass,
-        grip=nominal.grip * drawn.mass * drawn.friction,
-        slip_speed=nominal.slip_speed,
-        max_speed=nominal.max_speed,
-        deadband=replaced(nominal.deadband, drawn.deadband),
-        blend_a=lagging(nominal.blend_a, drawn.motor_lag_a, dt),
-        blend_b=lagging(nominal.blend_b, drawn.motor_lag_b, dt),
-        blend_c=lagging(nominal.blend_c, drawn.motor_lag_c, dt),
-        blend_d=lagging(nominal.blend_d, drawn.motor_lag_d, dt),
-        gain_a=nominal.gain_a * drawn.motor_gain_a,
-        gain_b=nominal.gain_b * drawn.motor_gain_b,
-        gain_c=nominal.gain_c * drawn.motor_gain_c,
-        gain_d=nominal.gain_d * drawn.motor_gain_d,
-        latency_loops=nominal.latency_loops + np.rint(drawn.latency / dt),
-        feedback_loops=replaced(nominal.feedback_loops, loops_between(drawn.feedback_rate, dt)),
-    )
-
-
-@loop
-def draw(
-    nominal: Floats, low: Floats, high: Floats, samples: Floats, dt: float
-) -> tuple[Physics, Drawn]:
-    """Draw a robot's physics for one episode.
-
-    Args:
-        nominal: Numbers of the configured `Physics`.
-        low: Least value of each number of `Drawn`.
-        high: Largest value of each.
-        samples: A uniform sample of [0, 1) for each; ignored where low == high.
-        dt: The firmware's loop period [s].
-
-    Returns:
-        The physics, and the numbers that were drawn, as applied.
-    """
-    numbers = np.empty(SIZE)
-    for k in range(SIZE):
-        numbers[k] = low[k] + (high[k] - low[k]) * samples[k] if high[k] > low[k] else low[k]
-    numbers[LATENCY] = np.rint(numbers[LATENCY] / dt) * dt
-    numbers[FEEDBACK_RATE] = 1.0 / (loops_between(numbers[FEEDBACK_RATE], dt) * dt)
-    drawn = Drawn(*leading(numbers, SIZE))
-    return varied(physics_of(nominal), drawn, dt), drawn
-
-
-def places(name: str) -> tuple[int, ...]:
-    """Indices of a parameter's numbers in `Drawn`: one, or four in the order of the wheels."""
-    return tuple(Drawn._fields.index(number) for number in _numbers(name))
-
-
-def _numbers(name: str) -> tuple[str, ...]:
-    """Names of a parameter's numbers in `Drawn`."""
-    return (name,) if name in Drawn._fields else tuple(f"{name}_{wheel}" for wheel in "abcd")
-
-
-LEAST = {"deadband": 0.0, "latency": 0.0, "feedback_rate": 0.1}
-MOST = {"latency": 10.0, "feedback_rate": 1e4}
+LEAST = {
+    "deadband": 0.0,
+    "latency": 0.0,
+    "feedback_rate": 0.1,
+    "command_delay": 0.0,
+    "deadband_offset": -1e3,
+}
+MOST = {"latency": 10.0, "feedback_rate": 1e4, "command_delay": 1.0}
 """Limits of parameters that aren't factors from 1e-6 to 1,000. The rate and the latency are
 limited because lines on their way are held in memory."""
 
@@ -259,14 +156,44 @@ def _checked(name: str, value: Range) -> Range:
     return low, high
 
 
-def _check_latency(latency: Range, config: RobotConfig, step: float) -> None:
+def _delays(name: str, value: Any) -> tuple[float, ...]:
+    """Check delays [s]; ConfigError where they are malformed or out of bounds."""
+    try:
+        delays = tuple(float(delay) for delay in value)
+    except (TypeError, ValueError, OverflowError):
+        delays = ()
+    if not delays or not all(0.0 <= delay <= 1.0 for delay in delays):
+        raise ConfigError(f"randomization {name} = {shown(value)}: must be delays from 0 to 1 s")
+    return delays
+
+
+def _check_delays(given: Randomization, ranges: Ranges, config: RobotConfig, step: float) -> None:
     """ConfigError where a command can take longer than an env step to reach the board."""
     dt = substep(config)
-    slowest = wire_loops(config) * dt + latency[1]
-    if slowest > step - dt / 2.0:
+    names = [name for name in ("latency", "command_delay", "delay_samples") if getattr(given, name)]
+    slowest = wire_loops(config, longest_delay(ranges, config)) * dt + ranges.high.latency
+    if names and slowest > step - dt / 2.0:
+        told = f"{names[0]} = {shown(getattr(given, names[0]))}"
         raise ConfigError(
-            f"randomization latency = {latency}: on this wire a line takes up to {slowest:g} s; "
-            f"must be shorter than a step of the policy ({step:g} s)"
+            f"randomization {told}: on this wire a line takes up to {slowest:g} s; must be shorter "
+            f"than a step of the policy ({step:g} s)"
+        )
+
+
+def longest_delay(ranges: Ranges, config: RobotConfig) -> float:
+    """Longest `command_delay` that an episode can have [s]."""
+    drawn = ranges.high.command_delay
+    longest = config.firmware.command_delay if math.isnan(drawn) else drawn
+    return longest + max(ranges.delays)
+
+
+def _check_turning(factors: Range, config: RobotConfig) -> None:
+    """ConfigError where a robot would turn as fast as the formula says, or faster."""
+    least = factors[0] * turn_factor(config)
+    if least <= 1.0:
+        raise ConfigError(
+            f"randomization turn_factor = {factors}: makes this robot's turn factor {least:g}: "
+            "must stay above 1"
         )
 
 

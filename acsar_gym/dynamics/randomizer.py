@@ -8,8 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.dynamics.model import Physics, physics, substep
-from acsar_gym.dynamics.randomization import SIZE, Drawn, Randomization, draw, places
+from acsar_gym.dynamics.drawing import SIZE, Drawn, draw, places
+from acsar_gym.dynamics.model import physics
+from acsar_gym.dynamics.numbers import Physics
+from acsar_gym.dynamics.randomization import Randomization
+from acsar_gym.dynamics.timing import substep
 from acsar_gym.errors import ConfigError
 
 Floats = NDArray[np.float64]
@@ -40,6 +43,7 @@ class Randomizer:
             )
         ranges = randomization.ranges(config, step)
         self._low, self._high = np.array(ranges.low), np.array(ranges.high)
+        self._delays = np.array(ranges.delays)
         self._nominal, self._dt = np.array(physics(config)), substep(config)
         self._drawn = Drawn()
 
@@ -56,7 +60,7 @@ class Randomizer:
             return None
         samples, varies = np.zeros(SIZE), self._high > self._low
         samples[varies] = rng.random(int(varies.sum()))
-        own, drawn = draw(self._nominal, self._low, self._high, samples, self._dt)
+        own, drawn = draw(self._nominal, self._low, self._high, self._delays, samples, self._dt)
         self._drawn = Drawn(*map(float, drawn))
         return Physics(*map(float, own))
 

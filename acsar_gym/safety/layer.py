@@ -118,7 +118,8 @@ class Safety:
         own = self._rules
         top = _share(max(map(abs, (a, b, c, d))), -own.top, own.top)
         a, b, c, d = top * a, top * b, top * c, top * d
-        linear, angular = kinematics.twist(a, b, c, d, own.radius, own.separation)
+        radii = own.left_radius, own.right_radius
+        linear, angular = kinematics.twist(a, b, c, d, *radii, own.separation)
         share = min(
             _share(linear, own.linear.min_velocity, own.linear.max_velocity),
             _share(angular, own.angular.min_velocity, own.angular.max_velocity),
@@ -126,7 +127,7 @@ class Safety:
         a, b, c, d = share * a, share * b, share * c, share * d
         limited = 0.0 if share * top == 1.0 else float(Reason.LIMITS)
         twist = [share * linear, share * angular]
-        sent = kinematics.twist(a, b, c, d, own.radius, own.separation)
+        sent = kinematics.twist(a, b, c, d, *radii, own.separation)
         self._memory[1:] = [limited, *twist, *twist, *sent]
         self._speeds = ZERO
         return a, b, c, d
@@ -134,7 +135,15 @@ class Safety:
     def wheels(self, linear: float, angular: float) -> Speeds:
         """Wheel speeds [rad/s] for a twist, at most the top speed, at the same turn radius."""
         own = self._rules
-        return kinematics.inverse(linear, angular, own.radius, own.separation, own.top)
+        return kinematics.inverse(
+            linear,
+            angular,
+            1.0,
+            own.separation,
+            own.top,
+            left_wheel_radius_multiplier=own.left_radius,
+            right_wheel_radius_multiplier=own.right_radius,
+        )
 
 
 def block(numbers: list[float]) -> list[float]:

@@ -60,8 +60,10 @@ class Rules(NamedTuple):
     """Feedback older than this stops the wheels [s]."""
     timeout: float
     """Feedback older than this ends the episode [s]."""
-    radius: float
-    """Wheel radius [m]."""
+    left_radius: float
+    """Radius of the left wheels [m]."""
+    right_radius: float
+    """Radius of the right wheels [m]."""
     separation: float
     """Effective wheel separation, which includes the factor for skidding [m]."""
     top: float
@@ -71,6 +73,7 @@ class Rules(NamedTuple):
 def of(config: RobotConfig) -> Rules:
     """Take the rules' numbers from a robot's configuration."""
     linear, angular = limiter.both(config)
+    left_radius, right_radius = config.wheel_radii
     fence = config.geofence or Geofence()
     return Rules(
         period=config.period,
@@ -80,7 +83,8 @@ def of(config: RobotConfig) -> Rules:
         fence=(fence.min_x, fence.max_x, fence.min_y, fence.max_y),
         stale=STALE_SHARE * config.feedback_timeout,
         timeout=config.feedback_timeout,
-        radius=config.wheel_radius,
+        left_radius=left_radius,
+        right_radius=right_radius,
         separation=config.effective_separation,
         top=config.max_wheel_speed,
     )
@@ -167,7 +171,8 @@ def _within(wanted: float, last: float, before: float, axis: Limits, rules: Rule
 @jit
 def wheels(memory: Memory, rules: Rules) -> tuple[float, float]:
     """Speeds of the right and the left wheels for the newest twist [rad/s]."""
-    return _sides(memory.linear, memory.angular, rules.radius, rules.separation, rules.top)
+    left, right = rules.left_radius, rules.right_radius
+    return _sides(memory.linear, memory.angular, left, right, rules.separation, rules.top)
 
 
 @jit
@@ -187,7 +192,8 @@ def told(
     Returns:
         Velocity [m/s], turn rate [rad/s] and the `Reason`.
     """
-    ahead, turn = _twist(right, left, left, right, rules.radius, rules.separation)
+    radii = rules.left_radius, rules.right_radius
+    ahead, turn = _twist(right, left, left, right, radii[0], radii[1], rules.separation)
     same = (abs(ahead - linear) < TELLABLE) & (abs(turn - angular) < TELLABLE)
     return ahead, turn, (reason if reason > 0.0 else (0.0 if same else _LIMITS))
 
@@ -225,6 +231,7 @@ def _rules(n: Sequence[float]) -> Rules:
         n[20],
         n[21],
         n[22],
+        n[23],
     )
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.dynamics import Randomization, physics
-from acsar_gym.dynamics.randomization import places
+from acsar_gym.dynamics.drawing import places
 from acsar_gym.lidars.base import LidarSensor
 from acsar_gym.lidars.simulated import SimulatedLidar
 from acsar_gym.sensors import Factory, Sensor
@@ -98,7 +98,7 @@ class Batch:
         robots, setup = self.robots, self._setup
         columns, rays = _columns(robots), len(self._around.directions)
         ranges = randomization.ranges(self._config, setup.ticks * setup.period)
-        lines = lines_kept(setup, ranges)
+        lines = lines_kept(setup, ranges, self._config)
         return layout.Tables(
             state=np.zeros((layout.ROWS, columns)),
             counts=np.zeros((counts_kept(setup, ranges, self._config), 4, columns)),
@@ -108,6 +108,7 @@ class Batch:
             nominal=np.array(physics(self._config)),
             low=np.array(ranges.low),
             high=np.array(ranges.high),
+            delays=np.array(ranges.delays),
             drawn=np.zeros((len(ranges.low) if self._drawn else 0, columns)),
             actions=np.zeros((robots, 2)),
             over=np.zeros(robots, np.bool_),

@@ -130,8 +130,16 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         task, config, steps = self.task, self.config, asked.max_episode_steps
         sensors = (*task.sensors, *asked.sensors)
         faults, numbers = checked(asked.faults, config), len(task.observation)
-        setup = setup_of(config, ticks, steps, numbers, faults, sees=LIDAR in sensors)
         varied = Randomization.of(asked.randomization)
+        setup = setup_of(
+            config,
+            ticks,
+            steps,
+            numbers,
+            faults,
+            sees=LIDAR in sensors,
+            isotropic=config.body.turn_factor is None and varied.turn_factor is None,
+        )
         batch = Batch(self.num_envs, config, task, self._spawn, sensors, setup, varied)
         self.sensors = batch.sensors
         tried(task, config, self.sensors)

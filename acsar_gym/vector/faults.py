@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
-from acsar_gym.config import BITS_PER_BYTE, LINE_BYTES, RobotConfig
+from acsar_gym.config import LINE_BYTES, RobotConfig
+from acsar_gym.dynamics.timing import line_time
 from acsar_gym.errors import ConfigError
 from acsar_gym.links.faults import Faults
 from acsar_gym.links.faulty_wire import BUFFER
@@ -46,7 +47,6 @@ def checked(faults: Mapping[str, Any] | Faults | None, config: RobotConfig) -> F
 def line_faults(faults: Faults, config: RobotConfig) -> LineFaults:
     """Convert faults to the numbers that compiled loops need."""
     firmware = config.firmware
-    line = (LINE_BYTES + config.trailing_comma) * BITS_PER_BYTE / config.baud_rate
     return LineFaults(
         possible=faults.possible,
         episodes=float(faults.episodes),
@@ -56,7 +56,7 @@ def line_faults(faults: Faults, config: RobotConfig) -> LineFaults:
         late=float(faults.late_lines),
         lateness=float(faults.lateness),
         patience=math.ceil(STANDSTILL_TIMEOUT / config.period),
-        line_time=line,
+        line_time=line_time(config),
         processing_time=firmware.processing_time,
         command_timeout=firmware.command_timeout or math.inf,
     )

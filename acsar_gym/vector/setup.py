@@ -1,8 +1,9 @@
 """Compute the numbers that all robots of a batch share, and the sizes of its ring buffers.
 
 `setup_of` takes `ticks`, the control periods in an env step; `max_steps`, the time limit of an
-episode in env steps; `numbers`, how many numbers of the observation are the task's own; and
-`sees`, whether the robots have a LiDAR.
+episode in env steps; `numbers`, how many numbers of the observation are the task's own;
+`sees`, whether the robots have a LiDAR; and `isotropic`, whether all robots' tyres have equal
+friction in all directions.
 """
 
 from __future__ import annotations
@@ -11,8 +12,9 @@ import math
 from typing import Any
 
 from acsar_gym.config import RobotConfig, whole_ratio
-from acsar_gym.dynamics.model import substep, wire_loops
-from acsar_gym.dynamics.randomization import Ranges
+from acsar_gym.dynamics.drawing import Ranges
+from acsar_gym.dynamics.randomization import longest_delay
+from acsar_gym.dynamics.timing import substep, wire_loops, wire_time
 from acsar_gym.errors import ConfigError
 from acsar_gym.lidars.base import stale_after
 from acsar_gym.lidars.simulated import draws
@@ -30,25 +32,31 @@ def setup_of(
     faults: Faults,
     *,
     sees: bool,
+    isotropic: bool,
 ) -> layout.Setup:
     """Compute the numbers that all robots of a batch share; see the module for the arguments."""
     dt = substep(config)
     firmware, encoder = config.firmware, config.encoder
     window = round(encoder.window * firmware.loop_rate)
     limited = config.geofence is not None or not limiter.free(config)
+    left_radius, right_radius = config.wheel_radii
+    ramps = [config.motor.of_wheel(wheel).acceleration * dt for wheel in range(4)]
     per_radian = encoder.counts_per_revolution / (2.0 * math.pi)
     return layout.Setup(
         dt=dt,
         period=config.period,
-        wire_loops=wire_loops(config),
-        ramp=config.motor.of_wheel(0).acceleration * dt,
+        wire_time=wire_time(config),
+        ramps=(ramps[0], ramps[1], ramps[2], ramps[3]),
+        isotropic=isotropic,
         top=config.motor.max_speed,
         counts_per_radian=per_radian,
         speed_per_count=1.0 / (per_radian * window * dt),
+        quantum=encoder.quantum or 0.0,
         window=window,
         ticks=ticks,
         loops=whole_ratio("firmware.loop_rate", firmware.loop_rate, "", config.control_rate),
-        radius=config.wheel_radius,
+        left_radius=left_radius,
+        right_radius=right_radius,
         separation=config.effective_separation,
         max_wheel_speed=config.max_wheel_speed,
         max_linear=config.max_linear,
@@ -76,10 +84,10 @@ def _lidar(config: RobotConfig, *, sees: bool) -> dict[str, Any]:
     }
 
 
-def lines_kept(setup: layout.Setup, ranges: Ranges) -> int:
+def lines_kept(setup: layout.Setup, ranges: Ranges, config: RobotConfig) -> int:
     """Size of the ring of command lines [ticks]: the longest time that one can be on its way."""
     late = 2 * math.ceil(setup.faults.lateness / setup.period) if setup.faults.possible else 0
-    return 2 + late + math.ceil(_delay(setup, ranges) / setup.loops)
+    return 2 + late + math.ceil(_delay(setup, ranges, config) / setup.loops)
 
 
 def counts_kept(setup: layout.Setup, ranges: Ranges, config: RobotConfig) -> int:
@@ -95,10 +103,11 @@ def counts_kept(setup: layout.Setup, ranges: Ranges, config: RobotConfig) -> int
     Raises:
         ConfigError: where a line can be on its way for longer than an env step.
     """
-    delay = _delay(setup, ranges)
+    delay = _delay(setup, ranges, config)
     if delay >= setup.ticks * setup.loops:
         raise ConfigError(
-            f"latency of {delay * setup.dt:g} s: must be shorter than a step of the policy"
+            f"latency of {delay * setup.dt:g} s (of wire, board and randomization): must be "
+            "shorter than a step of the policy"
         )
     rare = ranges.low.feedback_rate
     rate = config.feedback_rate if math.isnan(rare) else rare
@@ -107,6 +116,6 @@ def counts_kept(setup: layout.Setup, ranges: Ranges, config: RobotConfig) -> int
     return int(setup.window + delay + late + slowest + setup.loops + 1)
 
 
-def _delay(setup: layout.Setup, ranges: Ranges) -> int:
+def _delay(setup: layout.Setup, ranges: Ranges, config: RobotConfig) -> int:
     """The longest time that a line can be on its way, without faults [firmware loops]."""
-    return round(setup.wire_loops + ranges.high.latency / setup.dt)
+    return round(wire_loops(config, longest_delay(ranges, config)) + ranges.high.latency / setup.dt)

@@ -137,6 +137,7 @@ def test_motor_values_are_one_number_or_four(field: str) -> None:
     assert [getattr(one.motor.of_wheel(wheel), field) for wheel in range(4)] == [2.0] * 4
     assert [getattr(four.motor.of_wheel(wheel), field) for wheel in range(4)] == [1, 2, 3, 4]
     assert getattr(four.motor, field) == (1.0, 2.0, 3.0, 4.0)
+    assert RobotConfig(**four.model_dump(mode="json")) == four
     message = refusal(RobotConfig, {"motor": {field: [1.0, 2.0, -3.0, 4.0]}})
     assert message.startswith(f"motor.{field} = -3.0: must be greater than")
 

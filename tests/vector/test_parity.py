@@ -41,6 +41,22 @@ FORK = ACSAR.with_(
     lidar={"noise": 0.0},
 )
 FENCED = ACSAR.with_(geofence={"max_x": 0.6, "min_y": -0.3, "max_y": 0.3})
+FREE = {"max_acceleration": None}
+WORN = ACSAR.with_(left_wheel_radius_multiplier=0.97, right_wheel_radius_multiplier=1.01)
+UNEVEN = ACSAR.with_(
+    motor={
+        "gain": [1.0, 0.97, 1.02, 0.95],
+        "time_constant": [0.08, 0.12, 0.0, 0.1],
+        "deadband": [0.0, 0.3, 0.5, 0.1],
+        "acceleration": [60.0, 20.0, 33.0, 1000.0],
+    }
+)
+FITTED = UNEVEN.with_(
+    left_wheel_radius_multiplier=1.02,
+    encoder={"quantum": 0.095},
+    firmware={"command_delay": 0.0082, "feedback_rate": 50.0, "loop_rate": 400.0},
+    body={"turn_factor": 1.71},
+)
 LATE = ACSAR.with_(
     baud_rate=38400, firmware={"processing_time": 0.02}, linear_limits={"max_jerk": 20.0}
 )
@@ -88,6 +104,23 @@ ROBOTS: dict[str, tuple[str, RobotConfig]] = {
     "limits on a slow wire": ("PathFollow", LATE),
     "no noise": ("ObstacleGoal", ACSAR.with_(lidar={"noise": 0.0})),
     "dropouts": ("ObstacleGoal", ACSAR.with_(lidar={"dropouts": 0.1, "rays": 33})),
+    "quantum": ("PointGoal", ACSAR.with_(encoder={"quantum": 0.25})),
+    "quantum of half a hundredth": ("PointGoal", ACSAR.with_(encoder={"quantum": 0.025})),
+    "command delay": ("PointGoal", ACSAR.with_(firmware={"command_delay": 0.0123})),
+    "command delay without limits": (
+        "PointGoal",
+        UNLIMITED.with_(firmware={"command_delay": 0.0371}),
+    ),
+    "radii": ("PathFollow", WORN),
+    "radii without limits": ("PathFollow", WORN.with_(linear_limits=FREE, angular_limits=FREE)),
+    "single motors": ("PointGoal", UNEVEN),
+    "single motors without limits": (
+        "PointGoal",
+        UNEVEN.with_(linear_limits=FREE, angular_limits=FREE),
+    ),
+    "slippery sideways": ("PointGoal", ACSAR.with_(body={"turn_factor": 1.2})),
+    "grippy sideways": ("ObstacleGoal", ACSAR.with_(body={"turn_factor": 2.0})),
+    "everything new": ("PathFollow", FITTED),
     "slow LiDAR": ("ObstacleGoal", ACSAR.with_(lidar={"rate": 7.0, "field_of_view": 4.7})),
     "near LiDAR": ("ObstacleGoal", ACSAR.with_(lidar={"noise": 0.02, "min_range": 0.3})),
 }
@@ -165,9 +198,11 @@ def test_everything_randomized_at_once_is_the_single_envs(seed: int) -> None:
     assert assert_robot_1_is_the_single_env("ObstacleGoal", arguments, {}, 100, seed) >= 3
 
 
-@pytest.mark.parametrize("robot", [UNLIMITED, LATE, ACSAR.with_(firmware={"loop_rate": 500.0})])
+@pytest.mark.parametrize(
+    "robot", [UNLIMITED, LATE, FITTED, ACSAR.with_(firmware={"loop_rate": 500.0})]
+)
 def test_everything_is_randomized_alike_on_any_robot(robot: RobotConfig) -> None:
-    ranges = RANGES | {"latency": (0.0, 0.05), "feedback_rate": (5.0, 90.0)}
+    ranges = RANGES | {"latency": (0.0, 0.03), "feedback_rate": (5.0, 90.0)}
     arguments = {"randomization": ranges, "robot": robot, "max_episode_steps": 20}
     assert assert_robot_1_is_the_single_env("PointGoal", arguments, {}, 80, 12) >= 3
 

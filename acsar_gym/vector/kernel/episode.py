@@ -7,7 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.dynamics.randomization import draw
+from acsar_gym.dynamics.drawing import draw
+from acsar_gym.dynamics.timing import whole_loops
 from acsar_gym.jit import jit, loop
 from acsar_gym.tasks.base import relative, within
 from acsar_gym.tasks.spawn import goal_at
@@ -87,12 +88,14 @@ def equip(tables: Tables, i: int, setup: Setup) -> None:
     for k in range(len(low)):
         if high[k] > low[k]:
             samples[k] = uniform(tables.random, i)
-    own, drawn = draw(tables.nominal, low, high, samples, setup.dt)
+    own, drawn = draw(tables.nominal, low, high, tables.delays, samples, setup.dt)
     for k in range(len(own)):
         state[PHYSICS + k, i] = own[k]
     for k in range(len(tables.drawn)):
         tables.drawn[k, i] = drawn[k]
-    state[COMMAND_LOOPS, i] = state[DELAY_LOOPS, i] = setup.wire_loops + own.latency_loops
+    late, wire = own.latency_loops, setup.wire_time
+    state[COMMAND_LOOPS, i] = late + whole_loops(wire + own.command_delay, setup.dt)
+    state[DELAY_LOOPS, i] = late + whole_loops(wire, setup.dt)
 
 
 @jit

@@ -12,6 +12,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from acsar_gym.dynamics.timing import whole_loops
 from acsar_gym.jit import jit
 from acsar_gym.links.faults import DROPPED, EPSILON, LATE
 from acsar_gym.links.lots import COMMANDS, EPISODE, FEEDBACK, lot
@@ -19,6 +20,7 @@ from acsar_gym.safety import rules
 from acsar_gym.vector.kernel.layout import (
     AGE,
     BOARD_FREE,
+    COMMAND_DELAY,
     COMMAND_LOOPS,
     COMMAND_RELEASE,
     DELAY_LOOPS,
@@ -30,6 +32,7 @@ from acsar_gym.vector.kernel.layout import (
     KEY,
     LAST_COMMAND,
     LAST_LINE,
+    LATENCY_LOOPS,
     LOOPS,
     NEW_LEFT,
     NEW_RIGHT,
@@ -119,8 +122,8 @@ def send(state: Floats, i: int, tick: float, setup: Setup) -> tuple[float, float
         return newest, np.inf
     faults = setup.faults
     state[BOARD_FREE, i] = max(state[BOARD_FREE, i], now) + count * faults.line_time
-    read = (state[BOARD_FREE, i] + faults.processing_time) / setup.dt
-    return newest, math.ceil(read - 1e-6) + state[COMMAND_LOOPS, i] - setup.wire_loops
+    read = state[BOARD_FREE, i] + faults.processing_time + state[COMMAND_DELAY, i]
+    return newest, whole_loops(read, setup.dt) + state[LATENCY_LOOPS, i]
 
 
 @jit
@@ -159,7 +162,7 @@ def obey(tables: Tables, first: int, last: int, slot: int, turn: int, setup: Set
         if (now - state[HEARD_LOOP, i]) * setup.dt > setup.faults.command_timeout + EPSILON:
             state[NEW_RIGHT, i] = state[NEW_LEFT, i] = 0.0
     rights, lefts = row(state, NEW_RIGHT, first, last), row(state, NEW_LEFT, first, last)
-    approach(state, rights, lefts, first, last, setup.ramp)
+    approach(state, rights, lefts, first, last, setup.ramps)
 
 
 @jit

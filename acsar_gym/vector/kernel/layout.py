@@ -53,6 +53,9 @@ PHYSICS = 83
 """The first of the rows with the numbers of the robot's `Physics`, drawn for the episode."""
 BLEND = PHYSICS + Physics._fields.index("blend_a")  # four each
 GAIN = PHYSICS + Physics._fields.index("gain_a")
+DEADBAND = PHYSICS + Physics._fields.index("deadband_a")
+LATENCY_LOOPS = PHYSICS + Physics._fields.index("latency_loops")
+COMMAND_DELAY = PHYSICS + Physics._fields.index("command_delay")
 FEEDBACK_LOOPS = PHYSICS + Physics._fields.index("feedback_loops")
 ROWS = PHYSICS + len(Physics._fields)
 INFO = {
@@ -116,24 +119,30 @@ class Setup(NamedTuple):
     """Duration of a firmware loop, which is also the physics' step [s]."""
     period: float
     """Duration of a tick, the control period [s]."""
-    wire_loops: float
-    """Firmware loops from writing a line to its use."""
-    ramp: float
-    """Most that a set point changes in a firmware loop [rad/s]."""
+    wire_time: float
+    """Time from writing a line to its use, without further delays [s]."""
+    ramps: tuple[float, float, float, float]
+    """Most that the set points of the four wheels change in a firmware loop [rad/s]."""
+    isotropic: bool
+    """Whether the tyres of all robots have equal friction in all directions."""
     top: float
     """Top speed of a motor [rad/s]."""
     counts_per_radian: float
     """Encoder counts per angle of a wheel [1/rad]."""
     speed_per_count: float
     """Wheel speed for one count within the encoders' window [rad/s]."""
+    quantum: float
+    """Printed speeds are rounded to multiples of this [rad/s]; 0 where they aren't."""
     window: int
     """Firmware loops over which the encoders average."""
     ticks: int
     """Control periods in an env step."""
     loops: int
     """Firmware loops in a control period."""
-    radius: float
-    """The wheel radius that the odometry assumes [m]."""
+    left_radius: float
+    """The radius of the left wheels that the odometry assumes [m]."""
+    right_radius: float
+    """The radius of the right wheels that the odometry assumes [m]."""
     separation: float
     """The effective wheel separation that the odometry assumes [m]."""
     max_wheel_speed: float
@@ -212,6 +221,8 @@ class Tables(NamedTuple):
     """Least value of each randomized number: `randomization.Drawn`."""
     high: Floats
     """Largest value of each randomized number."""
+    delays: Floats
+    """What randomized delays of commands are drawn from [s]."""
     drawn: Floats
     """(numbers, columns): what the episodes have drawn; no rows where nothing varies."""
     actions: Floats

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from acsar_gym import kinematics, odometry
+from acsar_gym.dynamics.board import printed
 from acsar_gym.dynamics.trigonometry import sincos
 from acsar_gym.jit import jit, loop
 from acsar_gym.vector.kernel.dynamics import motors, on_the_wire, ramp, tyres
@@ -57,8 +58,10 @@ def read(state: Floats, counts: Floats, i: int, slot: int, ago: int, setup: Setu
     old = new - setup.window
     old += slots if old < 0 else 0
     for k in range(4):
-        turned = counts[new, k, i] - counts[old, k, i]
-        state[READ + k, i] = on_the_wire(turned * setup.speed_per_count)
+        speed = (counts[new, k, i] - counts[old, k, i]) * setup.speed_per_count
+        if setup.quantum > 0.0:
+            speed = printed(speed, setup.quantum)
+        state[READ + k, i] = on_the_wire(speed)
 
 
 @jit
@@ -88,9 +91,9 @@ def dead_reckoning(state: Floats, first: int, last: int, setup: Setup) -> None:
     xs, ys = row(state, ODOM_X, first, last), row(state, ODOM_Y, first, last)
     thetas = row(state, ODOM_THETA, first, last)
     linears, angulars = row(state, LINEAR, first, last), row(state, ANGULAR, first, last)
-    radius, separation, dt = setup.radius, setup.separation, setup.period
+    left, right, dt = setup.left_radius, setup.right_radius, setup.period
     for i in range(last - first):
-        linear, angular = forward(a[i], b[i], c[i], d[i], radius, separation)
+        linear, angular = forward(a[i], b[i], c[i], d[i], left, right, setup.separation)
         sin, cos = sincos(thetas[i])
         x, y, theta = integrate(xs[i], ys[i], thetas[i], cos, sin, linear, angular, dt)
         xs[i] = x

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from acsar_gym.dynamics.model import towards
+from acsar_gym.dynamics.board import towards
 from acsar_gym.jit import jit
+from acsar_gym.protocol import Speeds
 from acsar_gym.safety.rules import Memory, allowed, told, wheels
 from acsar_gym.vector.kernel.dynamics import on_the_wire
 from acsar_gym.vector.kernel.layout import (
@@ -114,19 +115,19 @@ def follow(
         for i in range(last - first):
             place = heard(delays[i], slot, slots, turn, setup.loops)
             rights[i], lefts[i] = commands[place, 0, first + i], commands[place, 1, first + i]
-    approach(state, rights, lefts, first, last, setup.ramp)
+    approach(state, rights, lefts, first, last, setup.ramps)
 
 
 @jit
 def approach(
-    state: Floats, rights: Floats, lefts: Floats, first: int, last: int, step: float
+    state: Floats, rights: Floats, lefts: Floats, first: int, last: int, steps: Speeds
 ) -> None:
     """Move set points towards these targets of the right and the left wheels [rad/s]."""
     a, b = row(state, POINT, first, last), row(state, POINT + 1, first, last)
     c, d = row(state, POINT + 2, first, last), row(state, POINT + 3, first, last)
     for i in range(last - first):
         right, left = rights[i], lefts[i]
-        a[i] = towards(a[i], right, step)
-        b[i] = towards(b[i], left, step)
-        c[i] = towards(c[i], left, step)
-        d[i] = towards(d[i], right, step)
+        a[i] = towards(a[i], right, steps[0])
+        b[i] = towards(b[i], left, steps[1])
+        c[i] = towards(c[i], left, steps[2])
+        d[i] = towards(d[i], right, steps[3])
