@@ -19,7 +19,6 @@ from acsar_gym.evaluation import metrics, provenance, report
 from acsar_gym.evaluation.episodes import EpisodeResult
 from acsar_gym.evaluation.metrics import Summary
 from acsar_gym.links import Link, open_link
-from acsar_gym.links.recording import RecordingLink
 from acsar_gym.policies import (
     CallablePolicy,
     FilePolicy,
@@ -207,18 +206,14 @@ def to_goal(
     link: str,
     robot: str | None,
     goal: tuple[float, float],
-    record: Path | None,
     **options: Any,
 ) -> Run:
     """Run one episode to `goal` (x, y) [m] in the odometry frame; arguments as for `drive`.
 
-    The link is recorded to the file `record`, if given. A fault raises LinkError.
+    A fault raises LinkError.
     """
     config = RobotConfig.of(robot)
-    wire: Link = open_link(link, config)
-    if record is not None:
-        wire = RecordingLink(wire, record)
-    env = made(policy, wire, config, options | {"on_fault": "raise"})
+    env = made(policy, open_link(link, config), config, options | {"on_fault": "raise"})
     try:
         results = list(evaluation.episodes(env, policy, 1, seed=0, goal=goal))
         return _run(env, policy, link, range(1), {"goal": goal}, results)
