@@ -76,6 +76,9 @@ def run(
     record: File = None,
     json: Json = None,
     yes: bool = False,
+    goal_distance: Annotated[
+        tuple[float, float] | None, tyro.conf.arg(metavar="NEAREST FARTHEST")
+    ] = None,
 ) -> int:
     """Drive to one goal with a policy (x y, in m, relative to the robot's start).
 
@@ -87,6 +90,7 @@ def run(
         record: record the serial traffic to this file; replay it with --link replay:FILE.
         json: also write the metrics to this file.
         yes: drive a real robot without a countdown.
+        goal_distance: how near and how far goals may be [m]; default: as in training.
     """
     from acsar_gym.evaluation import report, runs  # noqa: PLC0415
     from acsar_gym.links.factory import is_device  # noqa: PLC0415
@@ -96,7 +100,8 @@ def run(
     loaded = runs.load(policy.policy, trust=policy.trust, env=policy.env)
     if is_device(robot.link):
         countdown(f"the robot on {robot.link} will drive", yes=yes)
-    done = runs.to_goal(loaded, robot.link, robot.robot, goal, record, lidar=robot.lidar)
+    options = {"lidar": robot.lidar, "goal_distance": goal_distance}
+    done = runs.to_goal(loaded, robot.link, robot.robot, goal, record, **options)
     title = f"{policy.policy} to ({goal[0]:g}, {goal[1]:g}), worlds: {done.worlds}"
     code = _report(title, robot.link, done, json, intervals=False)
     return code or (0 if done.results[0].success else 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -196,8 +197,11 @@ def to_goal(
 ) -> Run:
     """Run one episode to `goal` (x, y) [m] in the odometry frame; arguments as for `drive`.
 
-    The link is recorded to the file `record`, if given.
+    The link is recorded to the file `record`, if given. With `goal_distance`, goals may be nearer
+    or farther than those that the policy was trained for; the time limit grows with the distance.
     """
+    if options.get("goal_distance") is not None:
+        options |= _farther(policy, goal)
     config = RobotConfig.of(robot)
     wire: Link = open_link(link, config)
     if record is not None:
@@ -211,6 +215,16 @@ def to_goal(
         return _run(env, policy, link, range(1), {"goal": goal}, results, ended)
     finally:
         env.close()
+
+
+def _farther(policy: FilePolicy, goal: tuple[float, float]) -> dict[str, Any]:
+    """Return the env's options for a goal at any distance: the policy's scale, and enough steps."""
+    if not policy.scale:
+        return {}
+    steps = gymnasium.spec(_allowed(policy)).max_episode_steps
+    longer = max(1.0, math.hypot(*goal) / policy.scale)
+    more = {} if steps is None else {"max_episode_steps": math.ceil(steps * longer)}
+    return {"distance_scale": policy.scale, **more}
 
 
 def export(
