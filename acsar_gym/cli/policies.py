@@ -79,6 +79,9 @@ def run(
     host: HostArgs,
     json: Json = None,
     yes: bool = False,
+    goal_distance: Annotated[
+        tuple[float, float] | None, tyro.conf.arg(metavar="NEAREST FARTHEST")
+    ] = None,
 ) -> int:
     """Drive to one goal with a policy (x y, in m, relative to the robot's start).
 
@@ -89,6 +92,7 @@ def run(
         host: process priority and cores.
         json: also write the metrics to this file.
         yes: drive a real robot without a countdown.
+        goal_distance: how near and how far goals may be [m]; default: as in training.
     """
     from acsar_gym.evaluation import report, runs  # noqa: PLC0415
     from acsar_gym.links.factory import is_device  # noqa: PLC0415
@@ -99,7 +103,7 @@ def run(
     if is_device(robot.link):
         countdown(f"the robot on {robot.link} will drive", yes=yes)
     recorder = robot.recorder("run", link=robot.link, policy=loaded.about)
-    options = {"lidar": robot.lidar, "record": recorder}
+    options = {"lidar": robot.lidar, "record": recorder, "goal_distance": goal_distance}
     done = runs.to_goal(loaded, robot.link, robot.robot, goal, **options)
     title = f"{policy.policy} to ({goal[0]:g}, {goal[1]:g}), worlds: {done.worlds}"
     code = _report(title, robot.link, done, json, intervals=False)

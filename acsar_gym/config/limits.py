@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
-from pydantic import BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_validator
 
 from acsar_gym.config.section import Section
 from acsar_gym.errors import ConfigError
@@ -16,11 +16,25 @@ ANGULAR_ACCELERATION = 8.0
 """Default limit [rad/s^2]."""
 
 
+def _not_zero(value: float) -> float:
+    """Return an acceleration; ValueError for zero, which would never let the robot go."""
+    if value == 0.0:
+        raise ValueError("must not be 0")
+    return value
+
+
+Change = Annotated[float, Field(ge=-1e6, le=1e6), AfterValidator(_not_zero)]
+"""An acceleration whose sign follows from its name, so that it doesn't matter."""
+
+
 class SpeedLimits(Section):
     """Limits of one axis, with names and meaning of ROS diff_drive_controller; None is no limit.
 
     Units are m/s or rad/s and their derivatives, at most 1e6. If a minimum is None, it is the
     negative maximum. A twist of zero isn't limited, but sent at once.
+
+    Accelerations have the names of Humble (`min_acceleration` limits braking, and speeding up
+    backward) or of Jazzy, which tells these two apart.
     """
 
     section = "limits"
@@ -28,15 +42,48 @@ class SpeedLimits(Section):
     min_velocity: Annotated[float, Field(ge=-1e6, le=0.0)] | None = None
     max_acceleration: Annotated[float, Field(gt=0.0, le=1e6)] | None = None
     min_acceleration: Annotated[float, Field(ge=-1e6, lt=0.0)] | None = None
+    max_deceleration: Change | None = None
+    """Of a robot that goes forward; None: as `max_acceleration`."""
+    max_acceleration_reverse: Change | None = None
+    """Of a robot that goes backward; None: as `max_acceleration`."""
+    max_deceleration_reverse: Change | None = None
+    """Of a robot that goes backward; None: as `max_deceleration`."""
     max_jerk: Annotated[float, Field(gt=0.0, le=1e6)] | None = None
     min_jerk: Annotated[float, Field(ge=-1e6, lt=0.0)] | None = None
+
+    @model_validator(mode="after")
+    def _names_of_one_release(self) -> Self:
+        """Check that accelerations don't have names of both Humble and Jazzy."""
+        for name in ("max_deceleration", "max_acceleration_reverse", "max_deceleration_reverse"):
+            if self.min_acceleration is not None and getattr(self, name) is not None:
+                raise ConfigError(
+                    f"{self.section}.min_acceleration (of ROS 2 Humble) and {self.section}.{name} "
+                    "(of Jazzy) limit the same: use the names of one of them"
+                )
+        return self
+
+
+class LinearLimits(SpeedLimits):
+    """Limits of the linear velocity."""
+
+    section = "linear_limits"
+
+
+class AngularLimits(SpeedLimits):
+    """Limits of the angular velocity."""
+
+    section = "angular_limits"
 
 
 def accelerating(limit: float) -> BeforeValidator:
     """Return a validator that sets a missing `max_acceleration` to this limit; null stays null."""
-    return BeforeValidator(
-        lambda given: {"max_acceleration": limit, **given} if isinstance(given, dict) else given
-    )
+
+    def complete(given: Any) -> Any:
+        if isinstance(given, SpeedLimits):
+            return given.model_dump()
+        return {"max_acceleration": limit, **given} if isinstance(given, dict) else given
+
+    return BeforeValidator(complete)
 
 
 class Geofence(Section):

@@ -13,8 +13,9 @@ from acsar_gym.config.lidar import LidarConfig
 from acsar_gym.config.limits import (
     ANGULAR_ACCELERATION,
     LINEAR_ACCELERATION,
+    AngularLimits,
     Geofence,
-    SpeedLimits,
+    LinearLimits,
     accelerating,
 )
 from acsar_gym.config.measured import Measured, check_names
@@ -85,12 +86,12 @@ class RobotConfig(Section):
     """Angular speed of a full action, and limit of all commands [rad/s]."""
     max_wheel_speed: Speed = 30.0
     """Limit of wheel speeds [rad/s]; all four are scaled, which keeps the turning radius."""
-    linear_limits: Annotated[SpeedLimits, accelerating(LINEAR_ACCELERATION)] = SpeedLimits(
+    linear_limits: Annotated[LinearLimits, accelerating(LINEAR_ACCELERATION)] = LinearLimits(
         max_acceleration=LINEAR_ACCELERATION
     )
     """Limits of the commanded linear velocity, in simulation and on hardware; `max_acceleration` is
     2 m/s^2 by default, and null means none."""
-    angular_limits: Annotated[SpeedLimits, accelerating(ANGULAR_ACCELERATION)] = SpeedLimits(
+    angular_limits: Annotated[AngularLimits, accelerating(ANGULAR_ACCELERATION)] = AngularLimits(
         max_acceleration=ANGULAR_ACCELERATION
     )
     """Limits of the commanded angular velocity; `max_acceleration` is 8 rad/s^2 by default."""

@@ -59,7 +59,8 @@ class PointGoalEnv(RobotEnv):
       "replay:FILE", or a Link.
     - `robot`: a RobotConfig, its fields in a mapping (as in the env's spec), a preset's name, or a
       .yaml or .urdf file; None is the ACSAR robot.
-    - `goal_distance`: nearest and farthest goal [m]. `goal_tolerance` [m].
+    - `goal_distance`: nearest and farthest goal [m]. `goal_tolerance` [m]. `distance_scale`: what
+      observed distances are divided by [m]; None: the farthest goal's distance.
     - `policy_rate`: steps per second [Hz]; the robot's control rate must be a whole multiple.
     - `render_mode`: "rgb_array", or "human" for a live window, in real time; without a display it
       draws off-screen, with a warning.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -192,7 +193,13 @@ def to_goal(
     goal: tuple[float, float],
     **options: Any,
 ) -> Run:
-    """Run one episode to `goal` (x, y) [m] in the odometry frame; arguments as for `drive`."""
+    """Run one episode to `goal` (x, y) [m] in the odometry frame; arguments as for `drive`.
+
+    With `goal_distance`, goals may be nearer or farther than those that the policy was trained for;
+    the time limit grows with the distance.
+    """
+    if options.get("goal_distance") is not None:
+        options |= _farther(policy, goal)
     config = RobotConfig.of(robot)
     env = made(policy, open_link(link, config), config, options)
     results: list[EpisodeResult] = []
@@ -203,6 +210,16 @@ def to_goal(
         return _run(env, policy, link, range(1), {"goal": goal}, results, ended)
     finally:
         env.close()
+
+
+def _farther(policy: FilePolicy, goal: tuple[float, float]) -> dict[str, Any]:
+    """Return the env's options for a goal at any distance: the policy's scale, and enough steps."""
+    if not policy.scale:
+        return {}
+    steps = gymnasium.spec(_allowed(policy)).max_episode_steps
+    longer = max(1.0, math.hypot(*goal) / policy.scale)
+    more = {} if steps is None else {"max_episode_steps": math.ceil(steps * longer)}
+    return {"distance_scale": policy.scale, **more}
 
 
 def export(

@@ -1,8 +1,9 @@
 """Limits on speed, acceleration and jerk, with the names and rules of ROS diff_drive_controller.
 
-The controller's SpeedLimiter (ROS 1, and ROS 2 up to Humble) limits a velocity by the two
-velocities before it: first jerk, then acceleration, then velocity. These are pure functions, so
-that numba can compile them for batches.
+The controller's SpeedLimiter limits a velocity by the two velocities before it: first jerk, then
+acceleration, then velocity. In ROS 2 from Jazzy on, accelerations may differ between a robot that
+goes forward and one that goes backward. These are pure functions, so that numba can compile them
+for batches.
 """
 
 from __future__ import annotations
@@ -22,9 +23,13 @@ class Limits(NamedTuple):
     min_velocity: float = -FREE
     max_velocity: float = FREE
     min_acceleration: float = -FREE
+    """Of a robot that goes forward, with the next one."""
     max_acceleration: float = FREE
     min_jerk: float = -FREE
     max_jerk: float = FREE
+    min_reverse: float = -FREE
+    """Acceleration of a robot that goes backward, with the next one."""
+    max_reverse: float = FREE
 
     @property
     def free(self) -> bool:
@@ -39,13 +44,23 @@ def limits(config: SpeedLimits, top: float = FREE) -> Limits:
         config: of the axis; a missing minimum is minus the maximum.
         top: bounds the velocity in both directions [m/s or rad/s].
     """
-    numbers = []
-    for name in ("velocity", "acceleration", "jerk"):
-        low, high = getattr(config, f"min_{name}"), getattr(config, f"max_{name}")
-        high = FREE if high is None else high
-        numbers += [-high if low is None else low, high]
-    low, high, *others = numbers
-    return Limits(max(low, -top), min(high, top), *others)
+    low, high = _range(config.min_velocity, config.max_velocity)
+    slower, faster = _range(config.min_acceleration, config.max_acceleration)
+    brakes = slower if config.max_deceleration is None else -abs(config.max_deceleration)
+    back, forth = config.max_acceleration_reverse, config.max_deceleration_reverse
+    if forth is None:
+        forth = faster if config.max_deceleration is None else config.max_deceleration
+    jerks = _range(config.min_jerk, config.max_jerk)
+    low, high = max(low, -top), min(high, top)
+    return Limits(
+        low, high, brakes, faster, *jerks, slower if back is None else -abs(back), abs(forth)
+    )
+
+
+def _range(low: float | None, high: float | None) -> tuple[float, float]:
+    """Lower and upper limit; a missing lower one is minus the upper one."""
+    high = FREE if high is None else high
+    return (-high if low is None else low), high
 
 
 def both(config: RobotConfig) -> tuple[Limits, Limits]:
@@ -77,5 +92,7 @@ def limited(wanted: float, last: float, before: float, dt: float, axis: Limits) 
     step, scale = last - before, 2.0 * dt * dt
     change = min(max(wanted - last - step, axis.min_jerk * scale), axis.max_jerk * scale)
     velocity = last + step + change
-    rise = min(max(velocity - last, axis.min_acceleration * dt), axis.max_acceleration * dt)
+    least = axis.min_acceleration if last > 0.0 else axis.min_reverse
+    most = axis.max_acceleration if last >= 0.0 else axis.max_reverse
+    rise = min(max(velocity - last, least * dt), most * dt)
     return min(max(last + rise, axis.min_velocity), axis.max_velocity)

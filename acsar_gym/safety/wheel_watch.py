@@ -123,20 +123,27 @@ class WheelWatch:
     def _error(self, measured: Speeds) -> WheelError:
         """Describe the wheel that has contradicted its commands for the longest time."""
         number = max(range(len(WHEELS)), key=lambda n: self._wheels[n].wrong)
-        wheel, speed, asked = self._wheels[number], measured[number], self._last[number]
-        what = "turns too fast" if abs(speed) > abs(asked) else "turns too slowly"
-        if abs(speed) < STILL:
-            what = "stands still"
-        elif (other := self._swapped(number, measured)) is not None:
-            what = f"answers {WHEELS[other]}'s command"
-        elif speed * (wheel.high + wheel.low) < 0.0:
-            what = "turns backward"
-        found = f"{WHEELS[number]} {what} ({asked:.2f} rad/s commanded, {speed:.2f} measured"
+        speed, asked = measured[number], self._last[number]
+        which = f"{WHEELS[number]} {self._kind(number, measured)}"
+        if max(map(abs, measured)) < STILL:
+            which = "all wheels stand still"
+        lasted = self._wheels[number].wrong
         return WheelError(
-            f"{found} for {wheel.wrong:.2f} s)",
-            "lift the robot and run 'acsar-gym doctor DEVICE --spin'; check motor and encoder",
+            f"{which} ({asked:.2f} rad/s commanded, {speed:.2f} measured for {lasted:.2f} s)",
+            "lift the robot and run 'acsar-gym doctor DEVICE --spin'; check motors and encoders",
             WHEELS[number],
         )
+
+    def _kind(self, number: int, measured: Speeds) -> str:
+        """Say what is wrong with a wheel."""
+        wheel, speed = self._wheels[number], measured[number]
+        if abs(speed) < STILL:
+            return "stands still"
+        if (other := self._swapped(number, measured)) is not None:
+            return f"answers {WHEELS[other]}'s command"
+        if speed * (wheel.high + wheel.low) < 0.0:
+            return "turns backward"
+        return "turns too fast" if abs(speed) > wheel.fastest else "turns too slowly"
 
     def _swapped(self, number: int, measured: Speeds) -> int | None:
         """Return the wheel whose command this one answers while it answers this one's."""

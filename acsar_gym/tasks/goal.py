@@ -82,6 +82,8 @@ class PointGoal(GoalTask):
     id = "acsar_gym/PointGoal-v0"
     goal_distance: tuple[float, float] = (0.5, 3.0)
     goal_tolerance: float = 0.15
+    distance_scale: float | None = None
+    """Observed distances are divided by this [m]; None: by the distance of the farthest goal."""
     end = 2.0
 
     def __post_init__(self) -> None:
@@ -100,11 +102,14 @@ class PointGoal(GoalTask):
             )
         object.__setattr__(self, "goal_distance", (nearest, farthest))
         object.__setattr__(self, "goal_tolerance", tolerance)
+        if self.distance_scale is not None:
+            scale = positive("distance_scale", self.distance_scale)
+            object.__setattr__(self, "distance_scale", scale)
 
     @property
     def scale(self) -> float:  # type: ignore[override]
-        """The largest goal distance [m]."""
-        return self.goal_distance[1]
+        """What observed distances are divided by [m]."""
+        return self.goal_distance[1] if self.distance_scale is None else self.distance_scale
 
     @property
     def boundary(self) -> float:  # type: ignore[override]

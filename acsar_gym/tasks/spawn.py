@@ -120,7 +120,7 @@ class Spawn:
         if not nearest <= math.hypot(*goal) <= farthest:
             raise ConfigError(
                 f"goal = ({goal[0]:g}, {goal[1]:g}): must lie {nearest:g} to {farthest:g} m from "
-                "the start (goal_distance of the env)"
+                "the start: give the env another goal_distance, run --goal-distance"
             )
         return goal
 

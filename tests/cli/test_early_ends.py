@@ -92,6 +92,21 @@ def test_a_fault_is_a_column_and_no_time_out(call: Call, monkeypatch: pytest.Mon
     assert "Faults: " in output
 
 
+@pytest.mark.parametrize("goal", [("6.5", "-1"), ("0.3", "0")], ids=["far", "near"])
+def test_a_run_takes_goals_beyond_those_of_the_training(
+    goal: tuple[str, str], call: Call, tmp_path: Path
+) -> None:
+    file = tmp_path / "figures.json"
+    bounds = ("--goal-distance", "0.2", "8")
+    drive = ("run", *goal, "--link", "planar")
+    assert call(*drive, *bounds, "--json", file)[::2] == (0, "")
+    assert json.loads(file.read_text())["success_rate"] == 1.0
+    code, _, error = call(*drive)
+    assert code == 2
+    assert_one_line(error, "must lie 0.5 to 3 m from the start")
+    assert "--goal-distance" in error
+
+
 def test_a_complete_evaluation_says_so() -> None:
     run = runs.drive(OnnxPolicy("point_goal"), "planar", None, range(2))
     assert (run.ended, run.faults, run.notes) == (None, [], [])

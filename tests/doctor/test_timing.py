@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rich.console import Console
-from serial_tools import Emulated, no_leak, wait_until
+from serial_tools import Emulated, no_leak, program, wait_until
 
 from acsar_gym import RobotConfig
 from acsar_gym.doctor import timing as doctor_timing
@@ -33,6 +33,22 @@ Action = NDArray[np.float32]
 def hurry(monkeypatch: pytest.MonkeyPatch) -> None:
     """Shorter turns than at the command line: ten ticks."""
     monkeypatch.setattr(doctor_timing, "BLOCK", 0.1)
+
+
+BYTE_BY_BYTE = """
+import os, pty, select, time, tty
+
+board, device = pty.openpty()
+tty.setraw(device)
+print(os.ttyname(device), flush=True)
+while True:
+    for byte in b"ap00.00,bp00.00,cp00.00,dp00.00\\r\\n":
+        os.write(board, bytes([byte]))
+        time.sleep(0.0003)
+    if select.select([board], [], [], 0.0)[0]:
+        os.read(board, 65536)
+"""
+"""A board that stands and sends byte by byte, as over a real wire."""
 
 
 def forwards(observation: Action) -> Action:
@@ -72,6 +88,15 @@ def drawn(report: Report) -> str:
 
 def judged(report: Report) -> dict[str, Check]:
     return {check.name: check for check in report.figures}
+
+
+def test_a_line_that_the_reset_cuts_is_no_bad_part(config: RobotConfig) -> None:
+    """Opening and resetting discard what has arrived, most often in the middle of a line."""
+    with program(BYTE_BY_BYTE) as board:
+        assert board.stdout is not None
+        device = board.stdout.readline().strip()
+        for _ in range(2):
+            assert measure(device, config, 0.1, forwards).refused == 0
 
 
 def test_a_run_over_the_emulator(config: RobotConfig, shared_device: str) -> None:

@@ -41,6 +41,35 @@ def test_braking_has_a_limit_of_its_own() -> None:
     assert sent[60:63] == pytest.approx([0.95, 0.9, 0.85])
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_jazzys_names_tell_speeding_up_and_braking_apart(sign: float) -> None:
+    """Forward at 2, braking at 5; backward at 1, braking at 4, as the signs in ROS are or not."""
+    there, back = [1.0] * 60 + [0.0] * 30, [-1.0] * 120 + [0.0] * 40
+    sent = driven(
+        there + back,
+        max_acceleration=2.0,
+        max_deceleration=-5.0 * sign,
+        max_acceleration_reverse=-1.0 * sign,
+        max_deceleration_reverse=4.0 * sign,
+    )
+    assert sent[:2] == pytest.approx([0.02, 0.04])
+    assert sent[60:62] == pytest.approx([0.95, 0.9])
+    assert sent[90:92] == pytest.approx([-0.01, -0.02])
+    assert sent[210:212] == pytest.approx([-0.96, -0.92])
+
+
+def test_what_jazzy_leaves_out_follows_from_the_rest() -> None:
+    sent = driven([-1.0] * 60 + [0.0] * 30, max_acceleration=2.0, max_deceleration=-5.0)
+    assert sent[:2] == pytest.approx([-0.02, -0.04])
+    assert sent[60:62] == pytest.approx([-0.95, -0.9])
+
+
+def test_an_axis_takes_ready_limits_without_a_default() -> None:
+    config = RobotConfig(linear_limits=SpeedLimits(max_velocity=0.3))
+    assert config.linear_limits.max_acceleration is None
+    assert RobotConfig(**config.model_dump()) == config
+
+
 def test_velocity_limits_may_differ_by_direction() -> None:
     assert driven([2.0, -2.0], max_velocity=0.5, min_velocity=-0.1) == pytest.approx([0.5, -0.1])
     assert driven([2.0, -2.0], max_velocity=0.5) == pytest.approx([0.5, -0.5])
@@ -69,9 +98,15 @@ def test_without_reaching_other_limits_jerk_is_bounded(wanted: list[float]) -> N
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"linear_limits": {"max_velocity": -1.0}}, "limits.max_velocity"),
+        ({"linear_limits": {"max_velocity": -1.0}}, "^linear_limits.max_velocity"),
+        ({"linear_limits": {"max_decelaration": 1.0}}, "'linear_limits.max_decelaration'; did you"),
+        ({"angular_limits": {"max_deceleration": 0.0}}, "^angular_limits.max_deceleration"),
+        (
+            {"linear_limits": {"max_deceleration": -2.0, "min_acceleration": -2.0}},
+            "linear_limits.min_acceleration .of ROS 2 Humble. and linear_limits.max_deceleration",
+        ),
         ({"linear_limits": {"max_accel": 1.0}}, "did you mean 'max_acceleration'"),
-        ({"angular_limits": {"min_jerk": 3.0}}, "limits.min_jerk"),
+        ({"angular_limits": {"min_jerk": 3.0}}, "^angular_limits.min_jerk"),
         ({"geofence": {"min_x": 1.0}}, "start"),
         ({"geofence": {"max_x": "far"}}, "geofence.max_x"),
     ],

@@ -94,6 +94,14 @@ def test_limits_that_make_no_sense_are_refused(limits: tuple[float, float]) -> N
         PointGoal(goal_distance=limits)
 
 
+def test_goals_may_be_farther_than_what_distances_are_divided_by() -> None:
+    assert PointGoal(goal_distance=(0.5, 8.0)).scale == 8.0
+    far = PointGoal(goal_distance=(0.5, 8.0), distance_scale=3.0)
+    assert (far.scale, far.boundary) == (3.0, 16.0)
+    with pytest.raises(ConfigError, match="distance_scale = 0"):
+        PointGoal(distance_scale=0.0)
+
+
 @pytest.mark.parametrize(
     ("x", "outcome"),
     [(0.86, Outcome.SUCCESS), (0.84, Outcome.GOING), (-6.1, Outcome.OUT_OF_BOUNDS)],
