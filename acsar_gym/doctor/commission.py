@@ -45,19 +45,17 @@ class Commission:
     changes: dict[str, Any] = field(default_factory=dict)
     finished: bool = False
 
-    def run(self, ear: Ear, config: RobotConfig, rate: float) -> Iterator[Check]:
+    def run(self, ear: Ear, config: RobotConfig) -> Iterator[Check]:
         """Turn the wheels; yield what was found.
 
         Args:
             ear: hears the board.
             config: of the robot.
-            rate: lines that the board sends per second [Hz].
 
         Raises:
             LinkError: the board is lost, or wheels keep turning.
             ConfigError: what was seen can't be.
         """
-        self._note_rate(config, rate)
         speed = min(Safety(config).bounded((SPIN, SPIN, SPIN, SPIN), (0.0, 0.0, 0.0), 0.0))
         stand(ear, speed)
         answers = self._answers(ear, speed)
@@ -76,8 +74,9 @@ class Commission:
         letters = [answer.letter for answer in heard]
         encoders = {answer.encoder for answer in heard if answer.encoder is not None}
         together = Together(ear, letters, encoders, speed)
-        yield _delay(together.delays(rate), rate)
+        yield _delay(together.delays(ear.rate), ear.rate)
         yield self._time_out(together.time_out(), config)
+        self._note_rate(config, ear.rate)
         if ear.gaps:
             yield resets(ear.gaps)
         self.finished = not ear.gaps

@@ -14,29 +14,23 @@ from acsar_gym.protocol import ZERO
 
 LISTEN = 2.0
 """Time during which feedback is counted [s]."""
-WHOLE = 0.025
-"""A rate that is so close to a whole number is that number."""
+USUAL = (5, 10, 20, 25, 30, 40, 50, 60, 80, 100, 125, 150, 200)
+"""Rates that boards are set to [Hz]."""
+NEAR = 0.02
+"""A rate that is so close to one of these, or to a whole number, is that one."""
 PADDED = re.compile(rb"(?:[abcd][pn][0-9]{2}\.[0-9]{2},?){1,4}\r?")
 
 
 def listen(ear: Ear, config: RobotConfig) -> list[Line]:
     """Command zero at the control rate for a while, and return what the board says meanwhile."""
+    ear.clear()
     return ear.hear(ZERO, lambda _: False, LISTEN, repeat=config.period)
-
-
-def rate(lines: Sequence[Line], gaps: Sequence[float]) -> float:
-    """Return how many lines the board sends in a second, pauses for resets aside [Hz]."""
-    if len(lines) < 2:
-        return 0.0
-    lasted = lines[-1].stamp - lines[0].stamp - sum(gaps)
-    between = len(lines) - 1 - len(gaps)
-    return between / lasted if lasted > 0.0 and between > 0 else 0.0
 
 
 def rounded(measured: float) -> float:
     """Return the rate that a board was probably set to [Hz]."""
-    whole = round(measured)
-    return float(whole) if abs(measured - whole) < WHOLE * measured else round(measured, 1)
+    near = min((*USUAL, round(measured)), key=lambda usual: abs(measured - usual))
+    return float(near) if abs(measured - near) < NEAR * measured else round(measured, 1)
 
 
 def checks(ear: Ear, lines: Sequence[Line], config: RobotConfig) -> Iterator[Check]:
@@ -47,7 +41,7 @@ def checks(ear: Ear, lines: Sequence[Line], config: RobotConfig) -> Iterator[Che
         lines: of `listen`.
         config: of the robot.
     """
-    found, expected = rate(lines, ear.gaps), config.feedback_rate
+    found, expected = ear.rate, config.feedback_rate
     slow = found < 0.9 * expected
     yield Check(
         "feedback rate",

@@ -19,6 +19,10 @@ GAP = 0.5
 """A board that was silent so long in between was reset [s]."""
 SILENT = 3.0
 """A board that is silent so long doesn't come back [s]; one that was reset takes 1 to 2 s."""
+STALL = 0.05
+"""Time that this program was held up counts as silence of the board only up to this [s]."""
+CLEAR = 0.1
+"""How long old lines may come [s]."""
 KEPT = 400
 """Newest raw lines that are kept."""
 
@@ -37,7 +41,7 @@ class Line(NamedTuple):
 class Ear:
     """Sends commands to the letters of a board, and hears its lines.
 
-    Attributes: `decoder`; `gaps`, how long the board was silent each time that it was reset [s];
+    Attributes: `decoder`; `rate`; `gaps`, how long the board was silent each time that it was reset [s];
     `raw`, the newest lines as they came; `sent`, when the last byte of the newest command had left
     [s]; `trailing_comma`, of the commands.
 
@@ -57,7 +61,10 @@ class Ear:
         self._speeds: Speeds = ZERO
         self._partial = b""
         self._begin: float | None = None
-        self._heard = link.now()
+        self._polled = link.now()
+        self._quiet = 0.0
+        self._counted = 0
+        self._since = self._until = self._polled
 
     def now(self) -> float:
         """Return the link's time [s]."""
@@ -86,17 +93,33 @@ class Ear:
         """
         data = self._link.advance(POLL)
         now = self.now()
+        self._quiet += min(now - self._polled, STALL)
+        self._polled = now
         if data and self._begin is None:
             self._begin = now
         lines = [self._line(reading.over(self._speeds), now) for reading in self.decoder.feed(data)]
         self._keep(data)
         if lines:
-            if now - self._heard > GAP:
-                self.gaps.append(now - self._heard)
-            self._heard = now
-        elif now - self._heard > SILENT:
-            raise silence(now - self._heard, self.decoder)
+            self._count(len(lines), now)
+        elif self._quiet > SILENT:
+            raise silence(self._quiet, self.decoder)
         return lines
+
+    def _count(self, lines: int, now: float) -> None:
+        """Count lines; after a reset of the board anew."""
+        if self._quiet > GAP:
+            self.gaps.append(self._quiet)
+            self._counted = 0
+        if not self._counted:
+            self._since, lines = now, 1
+        self._quiet, self._until = 0.0, now
+        self._counted += lines
+
+    @property
+    def rate(self) -> float:
+        """Lines that the board sends per second [Hz]; 0 where too few have come."""
+        lasted = self._until - self._since
+        return (self._counted - 1) / lasted if self._counted > 1 and lasted > 0.0 else 0.0
 
     def _line(self, speeds: Speeds, now: float) -> Line:
         """Return a line that ends now."""
@@ -147,6 +170,11 @@ class Ear:
                 if enough(line):
                     return lines
         return lines
+
+    def clear(self) -> None:
+        """Take what has arrived before; nothing of it counts."""
+        self.pause(CLEAR)
+        self._counted = 0
 
     def pause(self, lasting: float) -> None:
         """Listen to nothing in particular for a while [s]."""

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from statistics import fmean
+from statistics import fmean, median
 
 from acsar_gym.doctor.listening import Ear, Line
 from acsar_gym.doctor.spinning import STANDS, stand
@@ -16,12 +15,14 @@ TRIALS = 5
 """Commands whose first effect is timed, at different phases of the board's clock."""
 NOISE = 0.05
 """Smallest speed that shows an effect, as a share of the commanded one."""
-QUIET = 5
-"""Lines in a row of wheels that stand still."""
+QUIET = 0.3
+"""How long encoders must report zero before a command is timed [s]."""
 EPSILON = 0.005
 """Mean speeds below this are zero [rad/s]; lines have two decimals."""
-CALM = 0.7
-"""Longest wait for encoders to report zero [s]; some never do."""
+CALM = 1.2
+"""Longest wait for that [s]; some encoders never do."""
+JITTER = 0.005
+"""How much delays differ apart from the phase of the feedback [s]."""
 EFFECT = 1.0
 """Longest wait for an effect [s]."""
 LEVEL = 0.75
@@ -101,19 +102,20 @@ class Together:
                 return None
             found.append(delay)
         stand(ear, self._speed)
-        return Delays(min(found[1:]), max(found[1:]))
+        return _delays(found[1:], 1.0 / rate)
 
     def _quiet(self) -> float:
         """Wait until the encoders report nothing; returns the mean speed that remains [rad/s]."""
         stand(self._ear, self._speed)
-        newest = deque([self._speed] * QUIET, maxlen=QUIET)
+        lines: list[Line] = []
 
         def quiet(line: Line) -> bool:
-            newest.append(self._mean(line))
-            return max(newest) < EPSILON
+            lines.append(line)
+            newest = self._since(lines, line.stamp - QUIET)
+            return lines[0].stamp < line.stamp - QUIET and max(newest) < EPSILON
 
         self._ear.hear(ZERO, quiet, CALM)
-        return max(newest)
+        return max(self._since(lines, lines[-1].stamp - QUIET)) if lines else 0.0
 
     def _effect(self, level: float) -> float | None:
         """Send one command; return the time until the mean speed exceeds a level [s]."""
@@ -170,6 +172,10 @@ class Together:
         self._ear.hear(self._command, steady, PATIENCE)
         return fmean(self._window(lines, lines[-1].stamp)) if lines else 0.0
 
+    def _since(self, lines: Sequence[Line], begin: float) -> list[float]:
+        """Return the mean speeds of the lines since then [rad/s]."""
+        return [self._mean(line) for line in lines if line.stamp > begin]
+
     def _window(self, lines: Sequence[Line], end: float) -> list[float]:
         """Return the mean speeds of the lines in a window that ends then [rad/s]."""
         return [self._mean(one) for one in lines if end - WINDOW < one.stamp <= end]
@@ -182,3 +188,10 @@ class Together:
                 share = (high - level) / (high - low)
                 return before.stamp + share * (after.stamp - before.stamp)
         return None
+
+
+def _delays(found: Sequence[float], period: float) -> Delays:
+    """Leave out wheels that still crept from an earlier command: all others lie in one period."""
+    usual = median(found)
+    near = [delay for delay in found if abs(delay - usual) <= period + JITTER]
+    return Delays(min(near), max(near))

@@ -66,7 +66,7 @@ def examined(link: Link, config: RobotConfig, commission: Commission | None) -> 
     if commission is None:
         yield from _standing()
     elif not ear.gaps:
-        yield from commission.run(ear, config, feedback.rate(lines, ear.gaps))
+        yield from commission.run(ear, config)
 
 
 class _Stoppable(SerialLink):
