@@ -35,6 +35,14 @@ def countdown(what: str, seconds: float = SECONDS, *, yes: bool = False) -> None
     _count(seconds)
 
 
+def ask(question: str) -> str:
+    """Ask on the terminal; CancelledError where it ends."""
+    try:
+        return input(printable(question))
+    except EOFError:
+        raise CancelledError("cancelled: no answer") from None
+
+
 def _count(seconds: float) -> None:
     """Count down once a second; CancelledError at any key."""
     left = seconds

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from acsar_gym.cli.asking import countdown
+from acsar_gym.cli.asking import ask, countdown
 from acsar_gym.cli.options import (
     BoardArgs,
     File,
@@ -17,6 +17,7 @@ from acsar_gym.cli.options import (
     RobotArg,
     Seconds,
     SpinArgs,
+    SpinOptions,
     StoppingArgs,
     StoppingOptions,
     TimingArgs,
@@ -25,8 +26,10 @@ from acsar_gym.cli.options import (
 )
 from acsar_gym.cli.recording import RecordArgs
 from acsar_gym.config import RobotConfig
+from acsar_gym.errors import ConfigError
 
 if TYPE_CHECKING:
+    from acsar_gym.doctor.commission import Commission
     from acsar_gym.emulation.board import Emulator
 
 Device = Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="DEVICE")]
@@ -127,22 +130,44 @@ def doctor(
         return _stopping(config, stopping, json)
     if timing.timing:
         return _timing(device, config, timing, json)
-    if spinning.spin and device is not None:
-        countdown(f"the wheels of the robot on {device} will turn: lift it", yes=spinning.yes)
-    return _checks(device, config, json, spin=spinning.spin)
+    return _checks(device, config, json, spinning)
 
 
-def _checks(device: str | None, config: RobotConfig, json: Path | None, *, spin: bool) -> int:
+def _checks(
+    device: str | None, config: RobotConfig, json: Path | None, spinning: SpinOptions
+) -> int:
     """Run the checks of the serial port; returns the exit code."""
     from acsar_gym.doctor import checks, wire  # noqa: PLC0415
     from acsar_gym.evaluation import report  # noqa: PLC0415
 
+    commission = _commission(device, spinning)
     found = [checks.port_list(), checks.emergency_stop()]
     if device is not None:
-        found += wire.examine(device, config, spin=spin)
+        found += wire.examine(device, config, commission)
+    if commission is not None and commission.finished and spinning.out is not None:
+        found.append(commission.save(config, spinning.out))
     report.show(checks.table(found))
     report.write_json(json, checks.as_json(found))
     return 1 if any(check.status == "fail" for check in found) else 0
+
+
+def _commission(device: str | None, options: SpinOptions) -> Commission | None:
+    """Count down, and return what is to be found by turning wheels; None without --spin."""
+    from acsar_gym.doctor.commission import Commission  # noqa: PLC0415
+    from acsar_gym.doctor.wiring import seen  # noqa: PLC0415
+    from acsar_gym.evaluation import report  # noqa: PLC0415
+
+    if not options.spin:
+        if options.out is not None or options.saw is not None:
+            raise ConfigError("--out and --saw need --spin, which turns the wheels")
+        return None
+    if device is None:
+        raise ConfigError("--spin needs a device, such as /dev/ttyUSB0")
+    report.check_writable(options.out)
+    eyes = options.saw and [seen(said, letter) for letter, said in enumerate(options.saw)]
+    asks = not (options.yes or eyes)
+    countdown(f"the wheels of the robot on {device} will turn: lift it", yes=options.yes)
+    return Commission(eyes=eyes, ask=ask if asks else None)
 
 
 def _stopping(config: RobotConfig, options: StoppingOptions, json: Path | None) -> int:

@@ -92,7 +92,12 @@ class SpinOptions:
     """Turn the wheels, one after the other and together, to find how they are wired: lift the
     robot!"""
     yes: bool = False
-    """Turn them without a countdown."""
+    """Turn them without a countdown, and don't ask which one turned."""
+    saw: Annotated[tuple[str, str, str, str] | None, tyro.conf.arg(metavar="A B C D")] = None
+    """Wheels that were seen to turn when a, b, c, d were commanded forward, such as b a d c; with
+    an n behind one that turned backward, none if none did."""
+    out: File = None
+    """Write a robot file with what was found to differ."""
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ from acsar_gym.emulation.quirks import QuirkyLink, of_config, parsed
 from acsar_gym.emulation.rplidar import RplidarEmulator, RplidarTwin
 from acsar_gym.errors import ConfigError
 from acsar_gym.links import Link, open_link
+from acsar_gym.protocol import encode
 from acsar_gym.reading import lines
 from acsar_gym.worlds import Pose, Scene, World
 from acsar_gym.worlds.geometry import look
@@ -31,6 +32,8 @@ from acsar_gym.worlds.geometry import look
 Floats = NDArray[np.float64]
 STALL = 0.1
 """A delay by the operating system is caught up with, unless it is longer than this [s]."""
+WARM_UP = 0.05
+"""Simulated time before a client can connect [s]."""
 SAMPLES = 200
 """Measurements of the LiDAR per turn: 2000/s at 10 Hz, as an RPLIDAR A1 has."""
 
@@ -79,6 +82,7 @@ class Emulator:
             self._link: Link = open_link(body, config)
             ours.callback(self._link.close)
             self._link.open()
+            _warm_up(self._link)
             if odd:
                 self._link = QuirkyLink(self._link, config, odd)
             self._link.reset(Scene() if world is None else Scene(_start(world), world=world))
@@ -164,6 +168,13 @@ class Emulator:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def _warm_up(link: Link) -> None:
+    """Compile what moves a robot, which would silence the board for a second at first."""
+    link.reset(Scene())
+    link.write(encode((1.0, 1.0, 1.0, 1.0)))
+    link.advance(WARM_UP)
 
 
 def _start(world: World) -> Pose:

@@ -1,0 +1,202 @@
+"""Finds how a board is wired and programmed, by turning its wheels: one by one, then together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.doctor import wiring
+from acsar_gym.doctor.checks import Check
+from acsar_gym.doctor.feedback import resets, rounded
+from acsar_gym.doctor.listening import Ear
+from acsar_gym.doctor.response import Delays, TimeOut, Together
+from acsar_gym.doctor.spinning import Answer, spun, stand, takes_last_value
+from acsar_gym.errors import ConfigError
+from acsar_gym.protocol import MOTORS, WHEELS
+from acsar_gym.safety.layer import Safety
+
+SPIN = 3.0
+"""Wheel speed of the checks [rad/s]; 0.15 m/s at the rim of the usual wheel."""
+SLOW = 0.1
+"""A command that takes longer to show is worth a warning [s]."""
+RATE_WITHIN = 0.05
+"""A feedback rate is as configured within this share."""
+NAMES = ", ".join(f"{letter} {name}" for letter, name in zip(MOTORS, WHEELS, strict=True))
+
+Ask = Callable[[str], str]
+"""Asks whoever watches the robot."""
+
+
+@dataclass
+class Commission:
+    """What is asked of a commissioning, and what it found.
+
+    Attributes:
+        eyes: which wheel was seen to turn for each letter; None: nobody looked, unless `ask`.
+        ask: asks for that after each letter; None: don't ask.
+        changes: fields of the config that differ from it, as found.
+    """
+
+    eyes: Sequence[wiring.Seen] | None = None
+    ask: Ask | None = None
+    changes: dict[str, Any] = field(default_factory=dict)
+    finished: bool = False
+
+    def run(self, ear: Ear, config: RobotConfig) -> Iterator[Check]:
+        """Turn the wheels; yield what was found.
+
+        Args:
+            ear: hears the board.
+            config: of the robot.
+
+        Raises:
+            LinkError: the board is lost, or wheels keep turning.
+            ConfigError: what was seen can't be.
+        """
+        speed = min(Safety(config).bounded((SPIN, SPIN, SPIN, SPIN), (0.0, 0.0, 0.0), 0.0))
+        stand(ear, speed)
+        answers = self._answers(ear, speed)
+        if ear.gaps:
+            yield resets(ear.gaps)
+            return
+        found = wiring.wiring(answers, self.eyes)
+        yield from wiring.checks(answers, self.eyes, config, found)
+        heard = [answer for answer in answers if answer.encoder is not None]
+        if not heard:
+            yield _nothing_turns()
+            return
+        yield self._line_end(ear, config, heard, speed)
+        if found != config.wheels:
+            self._note(config, wheels=found.model_dump())
+        letters = [answer.letter for answer in heard]
+        encoders = {answer.encoder for answer in heard if answer.encoder is not None}
+        together = Together(ear, letters, encoders, speed)
+        yield _delay(together.delays(ear.rate), ear.rate)
+        yield self._time_out(together.time_out(), config)
+        self._note_rate(config, ear.rate)
+        if ear.gaps:
+            yield resets(ear.gaps)
+        self.finished = not ear.gaps
+
+    def save(self, config: RobotConfig, path: Path) -> Check:
+        """Write a robot with what was found; ConfigError if the file can't be written."""
+        try:
+            config.with_(**self.changes).save(path)
+        except ConfigError as error:
+            return Check("robot file", "fail", f"not written: {error}", "change that field first")
+        differing = ", ".join(_names(self.changes)) or "nothing differs"
+        return Check("robot file", "ok", f"{path}: {differing}", f"use --robot {path}")
+
+    def _answers(self, ear: Ear, speed: float) -> list[Answer]:
+        """Turn one wheel after the other, and ask what was seen.
+
+        Lines have a trailing comma, unless no wheel at all turns with it.
+        """
+        for comma in (True, False):
+            ear.trailing_comma = comma
+            answers, eyes = [], []
+            for letter in range(4):
+                answers.append(spun(ear, letter, speed))
+                if self.ask is not None:
+                    eyes.append(_asked(self.ask, letter))
+                if ear.gaps:
+                    break
+            if ear.gaps or any(answer.moving for answer in answers):
+                break
+        if self.ask is not None:
+            self.eyes = eyes
+        return answers
+
+    def _line_end(
+        self, ear: Ear, config: RobotConfig, heard: Sequence[Answer], speed: float
+    ) -> Check:
+        """Find whether the board takes a value at its comma or at the line's end."""
+        letter = heard[-1].letter
+        needs = {c: takes_last_value(ear, letter, speed, comma=c) for c in (True, False)}
+        if all(needs.values()):
+            return Check("line end", "ok", "a value is taken at the line's end, and at its comma")
+        wanted = needs[True]
+        self._note(config, trailing_comma=wanted)
+        text = (
+            "a value is taken at its comma: the last one needs a trailing comma"
+            if wanted
+            else "a line with a trailing comma isn't taken"
+        )
+        if wanted == config.trailing_comma:
+            return Check("line end", "ok", text)
+        return Check("line end", "warn", text, f"use trailing_comma: {str(wanted).lower()}")
+
+    def _time_out(self, found: TimeOut | None, config: RobotConfig) -> Check:
+        """Say how soon the board stops by itself."""
+        name = "stops when commands stop"
+        configured = config.firmware.command_timeout
+        after = None if found is None else round(found.after, 2)
+        if after is None or configured is None or abs(after - configured) > 0.02:
+            self._note(config, firmware={"command_timeout": after})
+        if found is None:
+            return Check(
+                name, "fail", "the wheels keep turning", "add a command time-out to the firmware"
+            )
+        stands = (
+            "" if found.standing is None else f"; the wheels stand after {found.standing:.2f} s"
+        )
+        return Check(name, "ok", f"{found.after:.2f} s after the last command{stands}")
+
+    def _note_rate(self, config: RobotConfig, rate: float) -> None:
+        """Note the feedback rate, if it isn't the configured one."""
+        if abs(rate / config.feedback_rate - 1.0) > RATE_WITHIN:
+            self._note(config, firmware={"feedback_rate": rounded(rate)})
+
+    def _note(self, config: RobotConfig, **changes: Any) -> None:
+        """Note fields that differ from the config's."""
+        for name, value in changes.items():
+            if isinstance(value, dict):
+                self.changes[name] = {**self.changes.get(name, {}), **value}
+            elif getattr(config, name) != value:
+                self.changes[name] = value
+
+
+def _names(changes: dict[str, Any]) -> list[str]:
+    """Return the names of changed fields, those of sections with a dot."""
+    names = []
+    for name, value in changes.items():
+        inner = value if isinstance(value, dict) and name != "wheels" else None
+        names += [f"{name}.{field}" for field in inner] if inner else [name]
+    return names
+
+
+def _asked(ask: Ask, letter: int) -> wiring.Seen:
+    """Ask which wheel turned while a letter was commanded forward."""
+    own = MOTORS[letter]
+    question = f"{own} was commanded forward: which wheel turned ({NAMES}; n behind it: backward; "
+    return wiring.seen(ask(f"{question}none; Enter: {own})? "), letter)
+
+
+def _delay(found: Delays | None, rate: float) -> Check:
+    """Say how soon a command shows."""
+    name = "command to feedback"
+    if found is None:
+        return Check(
+            name, "fail", "not all wheels turn", "check the motors' power and every encoder"
+        )
+    slow = found.shortest > SLOW
+    return Check(
+        name,
+        "warn" if slow else "ok",
+        f"{found.shortest * 1000.0:.1f} ms from a command's last byte to the first byte that shows "
+        f"it; up to {found.longest * 1000.0:.1f} ms with the wait for the next line, every "
+        f"{1000.0 / rate:.0f} ms",
+        "raise the baud rate; set the USB adapter's latency timer to 1 ms" if slow else "",
+    )
+
+
+def _nothing_turns() -> Check:
+    return Check(
+        "command to feedback",
+        "fail",
+        "no wheel turns",
+        "check the motors' power and every encoder",
+    )

@@ -1,0 +1,207 @@
+"""Infers the wiring of the wheels from what each letter turned."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from acsar_gym.config import RobotConfig, WheelConfig, WheelsConfig
+from acsar_gym.doctor.checks import Check
+from acsar_gym.doctor.spinning import Answer
+from acsar_gym.errors import ConfigError, shown
+from acsar_gym.protocol import MOTORS, WHEELS
+
+Seen = tuple[int, int] | None
+"""Which wheel was seen to turn, and 1 for forward, -1 for backward; None if none turned."""
+MIRRORED = (1, 0, 3, 2)
+"""Indices of the wheels on the other side."""
+WAYS = {1: "forward", -1: "backward"}
+
+
+def seen(answer: str, letter: int) -> Seen:
+    """Read what somebody saw while one letter was commanded forward.
+
+    Args:
+        answer: letter of the wheel that turned, with n for backward (or p for forward) behind it;
+            "none" if none turned; empty for the letter's own wheel.
+        letter: index of the commanded letter.
+
+    Raises:
+        ConfigError: it says none of these.
+    """
+    said = answer.strip().lower()
+    if said in ("none", "0"):
+        return None
+    said = said or MOTORS[letter]
+    if said[0] in MOTORS and said[1:] in ("", "p", "n"):
+        return MOTORS.index(said[0]), -1 if said[1:] == "n" else 1
+    raise ConfigError(
+        f"{shown(answer)}: write the wheel that turned (a front right, b front left, c rear left, "
+        "d rear right), an n behind it if it turned backward, or none"
+    )
+
+
+def wiring(answers: Sequence[Answer], eyes: Sequence[Seen] | None) -> WheelsConfig:
+    """Infer the wiring; wheels of which nothing is known keep the letters that are left.
+
+    Args:
+        answers: of the encoders, for the letters a, b, c, d.
+        eyes: what was seen to turn, for each; None if nobody looked: motors are then taken to be
+            where their letters say.
+
+    Raises:
+        ConfigError: one wheel was seen twice.
+    """
+    motors: dict[int, tuple[int, int]] = {}
+    encoders: dict[int, tuple[int, int]] = {}
+    for answer in answers:
+        saw = (answer.letter, 1) if eyes is None else eyes[answer.letter]
+        if saw is None:
+            continue
+        wheel, way = saw
+        if wheel in motors:
+            raise ConfigError(f"{WHEELS[wheel]} was seen to turn for two letters: look again")
+        motors[wheel] = answer.letter, way
+        if answer.encoder is not None and answer.encoder not in {e for e, _ in encoders.values()}:
+            encoders[wheel] = answer.encoder, answer.sign * way
+    return _config(_filled(motors), _filled(encoders))
+
+
+def _filled(known: dict[int, tuple[int, int]]) -> dict[int, tuple[int, int]]:
+    """Give the other wheels their own letters, or those that are left."""
+    left = set(range(4)) - {letter for letter, _ in known.values()}
+    filled = dict(known)
+    others = [wheel for wheel in range(4) if wheel not in known]
+    for wheel in sorted(others, key=lambda wheel: wheel not in left):
+        letter = wheel if wheel in left else min(left)
+        left.discard(letter)
+        filled[wheel] = letter, 1
+    return filled
+
+
+def _config(
+    motors: dict[int, tuple[int, int]], encoders: dict[int, tuple[int, int]]
+) -> WheelsConfig:
+    fields: dict[str, Any] = {
+        letter: {
+            "motor": MOTORS[motors[wheel][0]],
+            "motor_sign": motors[wheel][1],
+            "encoder": MOTORS[encoders[wheel][0]],
+            "sign": encoders[wheel][1],
+        }
+        for wheel, letter in enumerate(MOTORS)
+    }
+    return WheelsConfig(**fields)
+
+
+def checks(
+    answers: Sequence[Answer], eyes: Sequence[Seen] | None, config: RobotConfig, found: WheelsConfig
+) -> Iterator[Check]:
+    """Say what was found about each wheel, and about all of them.
+
+    Args:
+        answers: of the encoders, for the letters a, b, c, d.
+        eyes: what was seen to turn; None if nobody looked.
+        config: as it was configured.
+        found: the wiring that was inferred.
+    """
+    for wheel, name in enumerate(WHEELS):
+        yield _wheel(wheel, name, answers, eyes, config, found.each[wheel])
+    yield _sides(answers, eyes, found == config.wheels)
+
+
+def _wheel(
+    wheel: int,
+    name: str,
+    answers: Sequence[Answer],
+    eyes: Sequence[Seen] | None,
+    config: RobotConfig,
+    found: WheelConfig,
+) -> Check:
+    """Say what was found about one wheel."""
+    answer = answers[MOTORS.index(found.motor)]
+    heard = MOTORS[answer.encoder] if answer.encoder is not None else None
+    if heard is None or heard != found.encoder:
+        return _dead(wheel, name, answer, eyes)
+    way = "forward" if found.sign == 1 else "backward"
+    turns = f"motor {found.motor}" + (" reversed" if found.motor_sign == -1 else "")
+    speed = abs(answer.speeds[MOTORS.index(heard)])
+    text = f"{turns}, encoder {heard} counts {way}, {speed:.2f} rad/s"
+    if len(answer.moving) > 1:
+        others = ", ".join(MOTORS[k] for k in answer.moving[1:])
+        return Check(name, "fail", f"{text}; encoder {others} turns with it", "check its wires")
+    if found == config.wheels.each[wheel]:
+        return Check(name, "ok", text)
+    return Check(name, "warn", f"{text}: {_different(found, wheel)}", _mapping(wheel, found))
+
+
+def _different(found: WheelConfig, wheel: int) -> str:
+    """Say how a wheel's wiring differs from its letter's."""
+    parts = []
+    if found.motor != MOTORS[wheel]:
+        parts.append("its motor has another letter")
+    if found.motor_sign == -1:
+        parts.append("its motor is reversed")
+    if found.encoder != MOTORS[wheel]:
+        parts.append(f"its encoder is swapped with that of {WHEELS[MOTORS.index(found.encoder)]}")
+    if found.sign == -1:
+        parts.append("its encoder is reversed")
+    return " and ".join(parts) or "unlike in the robot's file"
+
+
+def _mapping(wheel: int, found: WheelConfig) -> str:
+    """Return the YAML that maps a wheel."""
+    usual = WheelConfig(motor=MOTORS[wheel], encoder=MOTORS[wheel])
+    fields = {
+        name: getattr(found, name)
+        for name in WheelConfig.model_fields
+        if getattr(found, name) != getattr(usual, name)
+    }
+    inner = ", ".join(f"{name}: {value}" for name, value in fields.items())
+    return f"swap the wires, or use wheels: {{{MOTORS[wheel]}: {{{inner}}}}}"
+
+
+def _dead(wheel: int, name: str, answer: Answer, eyes: Sequence[Seen] | None) -> Check:
+    """Say that a wheel or its encoder is dead."""
+    letter = MOTORS[answer.letter]
+    if answer.encoder is not None:
+        other = MOTORS[answer.encoder]
+        return Check(
+            name, "fail", f"encoder {other} answers to motor {letter}, too", "check its wires"
+        )
+    found = f"dead: no encoder answers to motor {letter}"
+    if eyes is None:
+        return Check(
+            name,
+            "fail",
+            f"{found}; the wire can't tell whether the motor or the encoder is dead",
+            f"look whether {name} turns: if it does, check its encoder, otherwise its motor",
+        )
+    if any(saw is not None and saw[0] == wheel for saw in eyes):
+        return Check(name, "fail", f"{found}: its encoder is dead", "check the encoder's plug")
+    return Check(name, "fail", f"{found}: its motor is dead", "check the motor's plug and driver")
+
+
+def _sides(answers: Sequence[Answer], eyes: Sequence[Seen] | None, usual: bool) -> Check:
+    """Say whether the sides are swapped, and what only eyes can tell."""
+    heard = [answer for answer in answers if answer.encoder is not None]
+    crossed = bool(heard) and all(each.encoder == MIRRORED[each.letter] for each in heard)
+    if eyes is not None:
+        mirrored = all(s is None or s[0] == MIRRORED[n] for n, s in enumerate(eyes))
+        swapped = [w for w, so in (("motors", mirrored), ("encoders", crossed != mirrored)) if so]
+        what = f"left and right {' and '.join(swapped)} are swapped" if swapped else "as seen"
+        return Check("wiring", "ok" if usual else "warn", what)
+    fix = "watch a, b, c, d turn: front right, front left, rear left, rear right, each forward? "
+    if crossed:
+        return Check(
+            "wiring",
+            "warn",
+            "left and right are swapped, of the encoders or of the motors: taken to be encoders",
+            f"{fix}If not, say what turned, such as --saw b a d c",
+        )
+    return Check(
+        "wiring",
+        "skip",
+        "nobody looked: a motor and an encoder that are both swapped or reversed don't show",
+        f"{fix}If not, say what turned, such as --saw b a d c, or an for a backward",
+    )
