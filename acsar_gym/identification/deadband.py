@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,10 +16,10 @@ Floats = NDArray[np.float64]
 
 GRID = 0.01
 """Distance of the candidates, and least half width of an interval [rad/s]."""
-DOUBT = 2.0
-"""A candidate whose cost is above the least one by so many standard errors is ruled out."""
-CORRELATED = 4.0
+CORRELATED = 2.0
 """Neighbouring residuals that count as one."""
+SPREAD = 2.5
+"""Standard deviations in half an interval."""
 
 
 @dataclass(frozen=True)
@@ -56,18 +57,14 @@ def found(
     costs = np.array(
         [_losses(problem, index, motor, clock, printed, measured, band) for band in bands]
     )
-    blocks = problem.blocks()[: len(measured)]
-    best = int(np.argmin(costs.sum(1)))
-    excess = costs - costs[best]
-    by_block = np.zeros((len(bands), int(blocks.max()) + 1))
-    np.add.at(by_block.T, blocks, excess.T)
-    total = by_block.sum(1)
-    doubtful = total <= DOUBT * np.sqrt((by_block**2).sum(1))
-    spread = max(float(np.median(costs[best])), 1e-9)
-    weights = np.exp(-total / (CORRELATED * spread))
-    value = float((weights * bands).sum() / weights.sum())
-    low, high = float(bands[doubtful].min()), float(bands[doubtful].max())
-    return Deadband(value, max(0.0, min(low, value) - GRID), max(high, value) + GRID)
+    total = costs.sum(1)
+    excess = total - total.min()
+    typical = max(float(total.min()) / len(measured), 1e-6)
+    weights = np.exp(-excess / (2.0 * CORRELATED * typical))
+    weights /= weights.sum()
+    value = float(weights @ bands)
+    half = SPREAD * math.sqrt(float(weights @ (bands - value) ** 2)) + GRID
+    return Deadband(value, max(0.0, value - half), value + half)
 
 
 def _losses(

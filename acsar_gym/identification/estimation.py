@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -12,7 +13,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.identification import deadband, pauses, quantum, solving
 from acsar_gym.identification.deadband import Deadband, Printed
 from acsar_gym.identification.knowable import Knowable
-from acsar_gym.identification.problem import PER_WHEEL, Problem
+from acsar_gym.identification.problem import Problem
 from acsar_gym.identification.response import Clock, Wheel
 from acsar_gym.identification.solving import NEVER, Solution
 from acsar_gym.identification.tracks import Track
@@ -23,8 +24,10 @@ Bools = NDArray[np.bool_]
 
 SMOOTH_NAMES = ("motor.time_constant", "motor.gain", "motor.acceleration")
 """Parameters of a wheel in the problem's order."""
-UNRAMPED = 3e-3
-"""Start of a ramp's slowness where it is searched [s^2/rad]."""
+SURE = 4.0
+"""A window as configured is given up for one that differs by so many standard errors."""
+NEAR = 4
+"""Windows so many loops from the fitted one are compared with the counts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +41,7 @@ class Estimate:
         deadbands: of the wheels in the problem; None where the log can't tell.
         quantum: step of the printed numbers; None where the log can't tell.
         printed: how speeds are rounded.
+        counted: whether they are whole encoder counts, which tell the window exactly.
     """
 
     problem: Problem
@@ -46,6 +50,7 @@ class Estimate:
     deadbands: tuple[Deadband | None, ...]
     quantum: quantum.Quantum | None
     printed: Printed
+    counted: bool
 
     @property
     def motors(self) -> list[Wheel]:
@@ -93,7 +98,7 @@ def estimated(
     solution = solving.searched(problem, x, bands, free)
     solution, printed, found = _in_turn(problem, solution, config, known, steps)
     spread = solving.covariance(problem, solution)
-    return Estimate(problem, solution, spread, found, steps, printed)
+    return Estimate(problem, solution, spread, found, steps, printed, bool(free[-2] != solution.free[-2]))
 
 
 def _free(problem: Problem, known: Knowable) -> Bools:
@@ -148,34 +153,53 @@ def _in_turn(
 ) -> tuple[Solution, Printed, tuple[Deadband | None, ...]]:
     """Fit deadbands with the rest given, and the rest with the deadbands given, twice."""
     found: list[Deadband | None] = [None] * len(problem.wheels)
-    printed = Printed(0.0, 0.0)
+    solution, printed = _rounded(problem, solution, config, steps)
     for _ in range(2):
         motors, clock = problem.split(solution.x, solution.deadbands)
-        printed = printed_by(problem.tracks, config, clock.window, steps)
         bands = list(solution.deadbands)
         for k, wheel in enumerate(problem.wheels):
             if known.can("motor.deadband", MOTORS[wheel]):
-                one = deadband.found(
-                    problem, k, motors[k], clock, printed, known.slowest[wheel]
-                )
+                most = known.slowest[wheel]
+                one = deadband.found(problem, k, motors[k], clock, printed, most)
                 found[k], bands[k] = one, one.value
         solution = solving.solve(problem, solution.x, bands, solution.free)
     return solution, printed, tuple(found)
 
 
+def _rounded(
+    problem: Problem, solution: Solution, config: RobotConfig, steps: quantum.Quantum | None
+) -> tuple[Solution, Printed]:
+    """Find how the board rounds, and hold the window where something better than the fit tells it.
+
+    That are whole encoder counts, which tell it exactly, or else the config, unless the fit is
+    sure of another one.
+    """
+    printed, window = printed_by(problem, config, solution.x[-2], steps)
+    free, x = solution.free.copy(), solution.x.copy()
+    if window is None and free[-2]:
+        sigma = math.sqrt(solving.covariance(problem, solution)[-2, -2])
+        if abs(x[-2] - config.encoder.window) < max(SURE * sigma, problem.dt):
+            window = config.encoder.window
+    if window is not None and free[-2]:
+        x[-2], free[-2] = window, False
+    return solving.solve(problem, x, solution.deadbands, free), printed
+
+
 def printed_by(
-    tracks: Sequence[Track], config: RobotConfig, window: float, steps: quantum.Quantum | None
-) -> Printed:
-    """How a board rounds its speeds: by its encoder's counts, a step of its own, or both."""
+    problem: Problem, config: RobotConfig, window: float, steps: quantum.Quantum | None
+) -> tuple[Printed, float | None]:
+    """How a board rounds its speeds: by its encoder's counts, a step of its own, or both.
+
+    Returns:
+        The rounding; and the window, if whole counts tell it exactly [s].
+    """
     step = steps.step if steps else 0.0
+    speeds = np.concatenate([track.speeds for track in problem.tracks])
+    loops = round(window / problem.dt)
+    for n in sorted(range(max(1, loops - NEAR), loops + NEAR + 1), key=lambda n: abs(n - loops)):
+        counts = quantum.of_counts(config, n * problem.dt)
+        own = 0.0 if abs(counts - step) < quantum.ALIKE * step else step
+        if quantum.explained_by_counts(speeds, config, n * problem.dt, own):
+            return Printed(counts, own), n * problem.dt
     counts = quantum.of_counts(config, window)
-    if counts > 3.0 * max(step, quantum.PRINTED):  # more than the printed numbers show
-        return Printed(0.0, step)
-    speeds = np.concatenate([track.speeds for track in tracks])
-    explained = quantum.explained_by_counts(speeds, config, window)
-    return Printed(counts, 0.0 if explained else step)
-
-
-def ramp_index(k: int) -> int:
-    """Index of a wheel's ramp in the parameters."""
-    return PER_WHEEL * k + 2
+    return Printed(counts if counts < step else 0.0, step), None

@@ -129,8 +129,13 @@ class Problem:
         """Residuals of one wheel."""
         return sum(int(self.chosen(track).sum()) for track in self.tracks)
 
+    @property
+    def blocks_of_wheel(self) -> int:
+        """Number of blocks of one wheel."""
+        return sum(1 + int((t.stamps[-1] - t.stamps[0]) / BLOCK) for t in self.tracks)
+
     def blocks(self) -> Ints:
-        """Number of the block that each residual belongs to."""
+        """Number of the block that each residual belongs to, wheel by wheel."""
         begin, numbers = 0, []
         for _ in self.wheels:
             for track in self.tracks:

@@ -20,6 +20,10 @@ FEWEST = 20
 """Different speeds that are needed."""
 SLACK = 0.001
 """Tolerance on top of the rounding to two decimals [rad/s]."""
+ALIKE = 0.01
+"""Steps that differ by less than this share are one."""
+BY_CHANCE = 1e-6
+"""Probability below which an explanation isn't luck."""
 OUTLIERS = 0.01
 """Share of numbers that may be off the steps: damaged lines."""
 
@@ -91,12 +95,25 @@ def of_counts(config: RobotConfig, window: float) -> float:
     return 2.0 * math.pi / (config.encoder.counts_per_revolution * window)
 
 
-def explained_by_counts(speeds: Floats, config: RobotConfig, window: float) -> bool:
-    """Whether the printed speeds are those of whole encoder counts, as configured."""
+def explained_by_counts(speeds: Floats, config: RobotConfig, window: float, step: float) -> bool:
+    """Whether only whole encoder counts, as configured, explain which numbers were printed.
+
+    Args:
+        speeds: printed [rad/s], any shape.
+        config: of the robot; tells counts_per_revolution.
+        window: averaging time of the encoders [s].
+        step: to which the board rounds [rad/s].
+
+    Returns:
+        False also where any numbers would be explained, as where counts are finer than the step.
+    """
     values = np.unique(np.round(np.abs(speeds[np.isfinite(speeds)]), 2))
-    step = of_counts(config, window)
-    off = np.abs(values - step * np.round(values / step))
-    return bool(np.mean(off > PRINTED / 2.0 + SLACK) <= OUTLIERS)
+    counts = of_counts(config, window)
+    near = np.round(values / counts) + np.array([[-1.0], [0.0], [1.0]])
+    possible = _rounded(near * counts, step)
+    hit = np.abs(possible - values).min(0) <= PRINTED / 2.0 + SLACK
+    chance = min(1.0, max(step, PRINTED) / counts)
+    return bool(hit.mean() >= 1.0 - OUTLIERS and chance ** len(values) < BY_CHANCE)
 
 
 def printed_mean(speeds: Floats, counts: float, step: float) -> Floats:

@@ -169,12 +169,13 @@ def covariance(problem: Problem, solution: Solution) -> Floats:
     """
     rest = problem.residuals(solution.x, solution.deadbands)
     jacobian = problem.jacobian(solution.x, solution.deadbands)[:, solution.free]
-    weights = 1.0 / np.sqrt(1.0 + (rest / solution.scale) ** 2)
+    weights = 1.0 / np.sqrt(1.0 + (rest / solution.scale) ** 2)  # of soft_l1
     blocks = problem.blocks()
     count = int(blocks.max()) + 1
     scores = np.zeros((count, jacobian.shape[1]))
     np.add.at(scores, blocks, jacobian * (weights * rest)[:, None])
-    bread = np.linalg.pinv(jacobian.T @ (jacobian * weights[:, None]), hermitian=True)
+    curvature = jacobian.T @ (jacobian * weights[:, None] ** 3)
+    bread = np.linalg.pinv(curvature, hermitian=True)
     seen = len(np.unique(blocks))
     small = seen / max(1.0, seen - jacobian.shape[1])
     spread = np.zeros((len(solution.x), len(solution.x)))
