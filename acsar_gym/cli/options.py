@@ -101,6 +101,8 @@ class StoppingOptions:
     """Trials of each kind of fault, for --stopping."""
     kinds: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="KIND [KIND ...]")] = None
     """Kinds of faults for --stopping, such as kill, stop, watchdog; default: all."""
+    board: str | None = None
+    """Command for --stopping that emulates the board, with the options of `emulate`; default: it."""
 
 
 _flat = tyro.conf.arg(name="")
