@@ -102,7 +102,7 @@ class StoppingOptions:
     kinds: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="KIND [KIND ...]")] = None
     """Kinds of faults for --stopping, such as kill, stop, watchdog; default: all."""
     board: str | None = None
-    """Command for --stopping that emulates the board, with the options of `emulate`; default: it."""
+    """Command that --stopping emulates the board with; default: acsar-gym emulate."""
 
 
 _flat = tyro.conf.arg(name="")

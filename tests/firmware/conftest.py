@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import firmware_tools
 import pytest
 from firmware_tools import CHIPS, Script
