@@ -46,11 +46,17 @@ def test_doctor_finds_nothing_to_warn_of(board: Emulated, tmp_path: Path) -> Non
     assert [one for one in checks if one["status"] != "ok" and one["name"] not in here] == []
 
 
-def off_after(board: Emulated, fault: float) -> float | None:
-    """Seconds from the fault until the motors had no current; None if they still have."""
-    events = (e for e in board.events() if e["t"] > fault and "duty" in e)
-    duties = ((event["t"], any(event["duty"])) for event in events)
-    return next((time - fault for time, on in duties if not on), None)
+def off_after(board: Emulated, fault: float) -> float:
+    """Wait until the motors have no current; returns the seconds from the fault to then."""
+    found: list[float] = []
+
+    def is_off() -> bool:
+        events = (e for e in board.events() if e["t"] > fault and "duty" in e)
+        found[:] = [event["t"] - fault for event in events if not any(event["duty"])]
+        return bool(found)
+
+    wait_until(is_off, "motors without current")
+    return found[0]
 
 
 def test_motors_have_no_current_soon_after_kill_9(board: Emulated) -> None:
@@ -59,8 +65,7 @@ def test_motors_have_no_current_soon_after_kill_9(board: Emulated) -> None:
     with programs(board.device, config) as program:
         for _ in range(TRIALS):
             fault = program.fault("kill")
-            wait_until(lambda since=fault: off_after(board, since) is not None, "motors off")
-            took.append(off_after(board, fault) or 0.0)
+            took.append(off_after(board, fault))
             program.bury()
             board.forget()
     assert max(took) < LIMIT, took

@@ -105,7 +105,7 @@ def test_memory_is_enough_with_a_deep_margin(chip: str, memory: int, tmp_path: P
     for tick in range(100):
         script.say(0.1 + tick / 100, encode((20.0, -20.0, 20.0, 20.0)) + b"ap\xff\r")
     stack = script.run(1.2, tmp_path).figures["stack"]
-    size = ["avr-size", BUILD / f"{chip}.elf"]
+    size = ["avr-size", str(BUILD / f"{chip}.elf")]
     said = subprocess.run(size, capture_output=True, text=True, check=True)
     _, data, bss, *_ = said.stdout.splitlines()[1].split()
     assert 0 < stack < 256
