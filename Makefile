@@ -6,9 +6,12 @@ BIN := $(VENV)/bin
 READY := $(VENV)/ready
 FUZZ_SECONDS ?= 300
 SOAK_MINUTES ?= 30
+FIRMWARE := $(CURDIR)/build/firmware
+BOARD_SUITES := tests/links/test_contract.py tests/links/test_serial.py tests/links/test_watchdog.py \
+  tests/safety/test_estop.py
 REPLUG_CYCLES ?= 1000
 
-.PHONY: demo test test-slow test-ecosystem lint fuzz soak replug clean
+.PHONY: demo test test-slow test-ecosystem lint firmware firmware-tested fuzz soak replug clean
 
 demo: $(READY)  ## train a policy, drive it in PyBullet, then over a serial device
 	$(BIN)/acsar-gym demo
@@ -29,6 +32,20 @@ lint: $(READY)
 
 test-ecosystem: $(ECOSYSTEM)/ready  ## README's snippets for RL Zoo, CleanRL, RLlib, TorchRL, skrl
 	$(ECOSYSTEM)/bin/pytest --noconftest -o addopts= tests/ecosystem
+
+firmware: $(READY)  ## build the board's program with avr-gcc, and test it on a simulated chip
+	@if command -v avr-gcc cc >/dev/null && test -f /usr/include/simavr/sim_avr.h; then \
+	  $(MAKE) --no-print-directory firmware-tested; \
+	else \
+	  echo "make firmware: skipped, it needs Debian's gcc, gcc-avr, avr-libc and libsimavr-dev"; fi
+
+firmware-tested: $(READY)
+	$(MAKE) -C assets/firmware BUILD=$(FIRMWARE)
+	$(MAKE) -C tests/firmware/board BUILD=$(FIRMWARE)
+	$(BIN)/pytest tests/firmware
+	for chip in atmega328p atmega2560; do \
+	  $(BIN)/pytest -k 'not (planar or bullet or replay)' $(BOARD_SUITES) \
+	    --board "$(FIRMWARE)/avr_board $$chip $(FIRMWARE)/$$chip.elf" || exit 1; done
 
 fuzz: $(READY)  ## coverage-guided fuzzing of what reads bytes and files, FUZZ_SECONDS each
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[fuzz]'

@@ -295,7 +295,7 @@ def start(log: Path, *arguments: str, board: str | None = None) -> Emulated:
     emulated = Emulated(process, first_line(process).split(" ")[-1], log)
     if not emulated.device.startswith("/dev/"):
         emulated.end()
-        raise AssertionError(f"no device from {process.args}")
+        raise AssertionError(f"no device from {board or options}")
     return emulated
 
 

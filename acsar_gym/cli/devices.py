@@ -175,7 +175,7 @@ def _stopping(config: RobotConfig, options: StoppingOptions, json: Path | None) 
     from acsar_gym.doctor import stopping  # noqa: PLC0415
     from acsar_gym.evaluation import report  # noqa: PLC0415
 
-    stops = stopping.measure_visibly(options.trials, options.kinds, config)
+    stops = stopping.measure_visibly(options.trials, options.kinds, config, options.board)
     report.show(stopping.table(stops))
     report.write_json(json, stopping.as_json(stops))
     return 0 if all(one.sound for one in stops) else 1

@@ -120,6 +120,8 @@ class StoppingOptions:
     """Trials of each kind of fault, for --stopping."""
     kinds: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="KIND [KIND ...]")] = None
     """Kinds of faults for --stopping, such as kill, stop, watchdog; default: all."""
+    board: str | None = None
+    """Command that --stopping emulates the board with; default: acsar-gym emulate."""
 
 
 _flat = tyro.conf.arg(name="")

@@ -60,6 +60,7 @@ def measure(
     kinds: Sequence[str] = tuple(KINDS),
     config: RobotConfig | None = None,
     progress: OnTrial | None = None,
+    board: str | None = None,
 ) -> list[Stops]:
     """Run trials of each kind of fault on an emulated robot, each with a new program.
 
@@ -68,6 +69,7 @@ def measure(
         kinds: keys of KINDS.
         config: configuration of the robot; None for the default.
         progress: called after each trial.
+        board: command of another program that emulates a board; see `stopping_processes.emulator`.
 
     Returns:
         One result per kind.
@@ -80,23 +82,26 @@ def measure(
     config = config or RobotConfig.of(None)
     skipped = no_namespace() if set(kinds) & set(CONTAINED) else ""
     stops = []
-    with emulator(config) as board, programs(board.device, config) as started:
+    with emulator(config, board) as emulated, programs(emulated.device, config) as started:
         for kind in kinds:
             if skipped and kind in CONTAINED:
                 stops.append(Stops(kind, (), skipped))
             else:
-                times = tuple(_trial(kind, started, board, progress) for _ in range(trials))
+                times = tuple(_trial(kind, started, emulated, progress) for _ in range(trials))
                 stops.append(Stops(kind, times))
     return stops
 
 
-def measure_visibly(trials: int, kinds: Sequence[str] | None, config: RobotConfig) -> list[Stops]:
+def measure_visibly(
+    trials: int, kinds: Sequence[str] | None, config: RobotConfig, board: str | None = None
+) -> list[Stops]:
     """Run `measure` with a progress bar.
 
     Args:
         trials: number of trials of each kind.
         kinds: keys of KINDS; None for all.
         config: configuration of the robot.
+        board: as for `measure`.
     """
     kinds = kinds or tuple(KINDS)
     _check(trials, kinds)
@@ -113,6 +118,7 @@ def measure_visibly(trials: int, kinds: Sequence[str] | None, config: RobotConfi
             kinds,
             config,
             lambda kind, _: bar.update(task, advance=1, description=escape(KINDS[kind])),
+            board,
         )
 
 

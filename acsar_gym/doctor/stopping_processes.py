@@ -7,6 +7,7 @@ import json
 import math
 import os
 import random
+import shlex
 import signal
 import subprocess
 import sys
@@ -99,24 +100,30 @@ class Board:
 
 
 @contextlib.contextmanager
-def emulator(config: RobotConfig) -> Iterator[Board]:
-    """Run `acsar-gym emulate` with a device name that stays the same."""
+def emulator(config: RobotConfig, board: str | None = None) -> Iterator[Board]:
+    """Run `acsar-gym emulate` with a device name that stays the same.
+
+    Args:
+        config: configuration of the robot.
+        board: command of another program with the emulator's --log, --name, output and signals.
+    """
     with tempfile.TemporaryDirectory(prefix="acsar-stopping-") as folder:
         log, robot = Path(folder, "log.jsonl"), Path(folder, "robot.yaml")
         robot.write_text(config.model_dump_json(), encoding="utf-8")  # YAML contains JSON
         name = Path(folder, "robot")
-        options = ["--log", str(log), "--robot", str(robot), "--name", str(name)]
-        with _process(["-m", "acsar_gym", "emulate", *options]) as process:
+        options = ["--log", str(log), "--name", str(name)]
+        emulate = [sys.executable, "-m", "acsar_gym", "emulate", "--robot", str(robot)]
+        with _process([*(shlex.split(board) if board else emulate), *options]) as process:
             _line(process)
             with log.open(encoding="ascii") as file:
                 yield Board(process, str(name), Log(file))
 
 
 @contextlib.contextmanager
-def _process(options: list[str]) -> Iterator[subprocess.Popen[str]]:
-    """Run this Python in another process, which ignores Ctrl-C and ends with the context."""
+def _process(command: list[str]) -> Iterator[subprocess.Popen[str]]:
+    """Run a command in another process, which ignores Ctrl-C and ends with the context."""
     with subprocess.Popen(
-        [sys.executable, *options],
+        command,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
@@ -178,7 +185,8 @@ class Programs:
 def programs(device: str, config: RobotConfig) -> Iterator[Programs]:
     """Run a process that starts programs and causes faults."""
     code = "import sys; from acsar_gym.doctor import stopping_programs as s; s.serve(*sys.argv[1:])"
-    with _process(["-c", code, device, config.model_dump_json()]) as process:
+    command = [sys.executable, "-c", code, device, config.model_dump_json()]
+    with _process(command) as process:
         try:
             yield Programs(process)
         finally:  # it ends its program before itself

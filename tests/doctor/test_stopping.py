@@ -58,7 +58,7 @@ def test_bad_questions_to_the_measurement_are_errors() -> None:
 
 def test_the_table_says_what_could_not_be_measured_here(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stopping, "no_namespace", lambda: "no PID namespace here (not permitted)")
-    monkeypatch.setattr(stopping, "emulator", lambda config: contextlib.nullcontext(Unused()))
+    monkeypatch.setattr(stopping, "emulator", lambda *_: contextlib.nullcontext(Unused()))
     monkeypatch.setattr(stopping, "programs", lambda *_: contextlib.nullcontext())
     stops = stopping.measure(1, ["pid1-term", "pid1-hup"])
     stops.append(stopping.Stops("fork", (0.01, math.inf)))

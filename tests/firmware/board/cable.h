@@ -14,7 +14,7 @@ const char *cable_plug(int plugged);
 /* Read what a client has sent; 0 if nothing. */
 size_t cable_read(uint8_t *bytes, size_t room);
 
-/* Send to the client; bytes that nobody reads are lost. */
-void cable_write(const uint8_t *bytes, size_t length);
+/* Send to the client; bytes that nobody reads are lost, and those for another baud rate garbled. */
+void cable_write(uint8_t *bytes, size_t length);
 
 #endif

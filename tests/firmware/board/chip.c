@@ -52,6 +52,7 @@ struct chip {
     uint8_t received[QUEUE], sent[QUEUE];
     size_t received_in, received_out, sent_in, sent_out;
     double next_byte; /* cycle at which the next received byte may start */
+    int full;         /* simavr's own queue of received bytes is */
     double ended[QUEUE];
     avr_ioport_external_t driven['L' - 'A' + 1];
     int64_t count[WHEELS];
@@ -81,6 +82,16 @@ static void on_sent(avr_irq_t *irq, uint32_t value, void *param)
     chip->ended[chip->sent_in] = (double)chip->avr->cycle / CLOCK + BYTES_END;
     chip->sent[chip->sent_in] = value;
     chip->sent_in = (chip->sent_in + 1) % QUEUE;
+}
+
+static void on_full(avr_irq_t *irq, uint32_t value, void *param)
+{
+    ((struct chip *)param)->full = 1;
+}
+
+static void on_room(avr_irq_t *irq, uint32_t value, void *param)
+{
+    ((struct chip *)param)->full = 0;
 }
 
 static void on_sleep(avr_t *avr, avr_cycle_count_t cycles)
@@ -126,9 +137,11 @@ static void connect_uart(struct chip *chip)
 {
     uint32_t flags = 0;
     avr_ioctl(chip->avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags);
-    chip->input = avr_io_getirq(chip->avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_INPUT);
-    avr_irq_t *output = avr_io_getirq(chip->avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT);
-    avr_irq_register_notify(output, on_sent, chip);
+    avr_irq_t *uart = avr_io_getirq(chip->avr, AVR_IOCTL_UART_GETIRQ('0'), 0);
+    chip->input = uart + UART_IRQ_INPUT;
+    avr_irq_register_notify(uart + UART_IRQ_OUTPUT, on_sent, chip);
+    avr_irq_register_notify(uart + UART_IRQ_OUT_XON, on_room, chip);
+    avr_irq_register_notify(uart + UART_IRQ_OUT_XOFF, on_full, chip);
 }
 
 /* Switch off what takes simavr long and isn't used: polling of external interrupts by level, and
@@ -174,7 +187,7 @@ static void feed(struct chip *chip)
     double now = chip->avr->cycle;
     if (chip->next_byte < now - BYTE_CYCLES)
         chip->next_byte = now - BYTE_CYCLES;
-    while (chip->received_out != chip->received_in && chip->next_byte <= now) {
+    while (!chip->full && chip->received_out != chip->received_in && chip->next_byte <= now) {
         avr_raise_irq(chip->input, chip->received[chip->received_out]);
         chip->received_out = (chip->received_out + 1) % QUEUE;
         chip->next_byte += BYTE_CYCLES;

@@ -1,6 +1,6 @@
 /* avr_board: the board's real program on a simulated chip, with motors and encoders.
  *
- *     avr_board CHIP ELF [--log FILE] [--name LINK] [--gain A,B,C,D] [--lag A,B,C,D]
+ *     avr_board CHIP ELF [--log FILE] [--name LINK] [--silent] [--gain A,B,C,D] [--lag A,B,C,D]
  *     avr_board CHIP ELF --script [--log FILE] ... < SCRIPT
  *
  * The first form serves a pseudo-terminal in real time, as `acsar-gym emulate` does: it prints the
@@ -27,7 +27,7 @@
 
 static volatile sig_atomic_t plugged = 1, ended;
 static FILE *notes;
-static int scripted;
+static int scripted, silent;
 static struct chip *chip;
 static struct wheels wheels = {.gain = {1, 1, 1, 1}, .time_constant = {.08, .08, .08, .08}};
 static double now, duty[WHEELS];
@@ -159,7 +159,7 @@ static void exchange(void)
     chip_receive(chip, bytes, length);
     note(clock_time(), "rx", bytes, length);
     length = chip_sent(chip, bytes, sizeof bytes, &at);
-    if (length)
+    if (length && !silent)
         cable_write(bytes, length);
 }
 
@@ -192,13 +192,15 @@ static void four(const char *text, double numbers[WHEELS])
 int main(int argc, char **argv)
 {
     if (argc < 3) {
-        fputs("usage: avr_board CHIP ELF [--script] [--log FILE] [--name LINK] ...\n", stderr);
+        fputs("usage: avr_board CHIP ELF [--script | --silent] [--log FILE] [--name LINK] ...\n", stderr);
         return 2;
     }
     for (int i = 3; i < argc; i++) {
         const char *value = i + 1 < argc ? argv[i + 1] : "";
         if (!strcmp(argv[i], "--script"))
             scripted = 1;
+        else if (!strcmp(argv[i], "--silent"))
+            silent = 1;
         else if (!strcmp(argv[i], "--log") && !(notes = fopen(value, "w")))
             return perror(value), 2;
         else if (!strcmp(argv[i], "--name"))

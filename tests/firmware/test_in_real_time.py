@@ -1,0 +1,80 @@
+"""The board's program behind a pseudo-terminal: doctor, and how soon its motors have no current.
+
+`make firmware` also runs the suites of links, watchdog and emergency stop over it.
+"""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+
+import firmware_tools
+import pytest
+from serial_tools import Emulated, cli, start, wait_until
+
+from acsar_gym import RobotConfig
+from acsar_gym.doctor import stopping
+from acsar_gym.doctor.stopping_processes import programs
+from acsar_gym.doctor.stopping_programs import KINDS
+
+pytestmark = [
+    pytest.mark.usefixtures("deadline", "nursery"),
+    pytest.mark.xdist_group("serial"),
+]
+
+TRIALS = 20
+LIMIT = 0.25
+"""From the fault to motors without current [s]."""
+
+
+@pytest.fixture
+def board(chip: str, tmp_path: Path) -> Iterator[Emulated]:
+    command = shlex.join(firmware_tools.command(chip))
+    emulated = start(tmp_path / "board.jsonl", board=command)
+    yield emulated
+    emulated.end()
+
+
+def test_doctor_finds_nothing_to_warn_of(board: Emulated, tmp_path: Path) -> None:
+    found = tmp_path / "doctor.json"
+    done = cli("doctor", board.device, "--robot", "acsar_avr", "--spin", "--yes", "--json", found)
+    assert done.returncode == 0, done.stderr
+    checks = json.loads(found.read_text())["checks"]
+    here = {"serial ports", "emergency stop"}  # of this computer
+    assert [one for one in checks if one["status"] != "ok" and one["name"] not in here] == []
+
+
+def off_after(board: Emulated, fault: float) -> float:
+    """Wait until the motors have no current; returns the seconds from the fault to then."""
+    found: list[float] = []
+
+    def is_off() -> bool:
+        events = (e for e in board.events() if e["t"] > fault and "duty" in e)
+        found[:] = [event["t"] - fault for event in events if not any(event["duty"])]
+        return bool(found)
+
+    wait_until(is_off, "motors without current")
+    return found[0]
+
+
+def test_motors_have_no_current_soon_after_kill_9(board: Emulated) -> None:
+    config = RobotConfig.preset("acsar_avr")
+    took = []
+    with programs(board.device, config) as program:
+        for _ in range(TRIALS):
+            fault = program.fault("kill")
+            took.append(off_after(board, fault))
+            program.bury()
+            board.forget()
+    assert max(took) < LIMIT, took
+    print(f"\nfrom kill -9 to motors without current: {min(took):.3f} to {max(took):.3f} s")
+
+
+@pytest.mark.parametrize("chip", firmware_tools.CHIPS[:1])
+def test_every_kind_of_fault_ends_in_a_zero_command_in_time(chip: str) -> None:
+    config = RobotConfig.preset("acsar_avr")
+    command = shlex.join(firmware_tools.command(chip))
+    stops = stopping.measure(1, tuple(KINDS), config, board=command)
+    assert all(one.sound for one in stops), stops

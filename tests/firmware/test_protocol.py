@@ -1,0 +1,107 @@
+"""The program's parser and printer, compiled for this computer, against the host's codec."""
+
+from __future__ import annotations
+
+import ctypes
+import re
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from acsar_gym.protocol import MAX_LINE, Decoder, encode
+from acsar_gym.resources import ASSETS
+
+PART = re.compile(rb"([abcd])([pn])([0-9]{2})\.([0-9]{2})")
+Four = ctypes.c_int16 * 4
+UNTOLD = -32768
+
+
+class State(ctypes.Structure):
+    """struct parser."""
+
+    _fields_ = (
+        ("speeds", Four),
+        ("named", ctypes.c_uint8),
+        ("place", ctypes.c_uint8),
+        ("motor", ctypes.c_uint8),
+        ("backward", ctypes.c_uint8),
+        ("value", ctypes.c_int16),
+        ("length", ctypes.c_uint16),
+    )
+
+
+class Program:
+    """protocol.c."""
+
+    def __init__(self, library: Path) -> None:
+        self._code = ctypes.CDLL(str(library))
+        self._state = State()
+
+    def take(self, data: bytes) -> list[dict[int, int]]:
+        """The motors that each line names, with their speeds [0.01 rad/s]."""
+        lines = []
+        for byte in data:
+            speeds = Four(*[UNTOLD] * 4)
+            named = self._code.protocol_take(ctypes.byref(self._state), byte, speeds)
+            told = {motor: speeds[motor] for motor in range(4) if speeds[motor] != UNTOLD}
+            assert named == sum(1 << motor for motor in told)
+            lines += [told] if told else []
+        return lines
+
+    def line(self, speeds: Sequence[int], *, comma: bool) -> bytes:
+        """What it prints."""
+        text = ctypes.create_string_buffer(34)
+        length = self._code.protocol_line(Four(*speeds), comma, text)
+        return text.raw[:length]
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    source = ASSETS / "firmware" / "acsar" / "protocol.c"
+    path = tmp_path_factory.mktemp("protocol") / "protocol.so"
+    strict = ("-Wall", "-Wextra", "-Werror", "-fsanitize=undefined", "-fno-sanitize-recover=all")
+    subprocess.run(["cc", "-shared", "-fPIC", "-O1", *strict, source, "-o", path], check=True)
+    return path
+
+
+def expected(data: bytes) -> list[dict[int, int]]:
+    """The document's rules, in other words."""
+    lines = []
+    for line in re.split(rb"[\r\n]", data)[:-1]:
+        told = {}
+        for part in line.split(b",") if len(line) <= MAX_LINE else []:
+            if match := PART.fullmatch(part):
+                motor, direction, whole, cents = match.groups()
+                value = int(whole) * 100 + int(cents)
+                told[b"abcd".index(motor)] = value if direction == b"p" else -value
+        lines += [told] if told else []
+    return lines
+
+
+PIECES = st.sampled_from(
+    [b"ap12.50", b"bn08.75", b"cp00.00", b"dn99.99", b",", b"\r", b"\n", b"\r\n", b"a", b"p", b"5",
+     b".", b"ap5.23", b"en01.00", b"\x00", b"\xff", b" ", b"ap12.5", b"x" * 250]
+)  # fmt: skip
+STREAMS = st.lists(st.one_of(PIECES, st.binary(max_size=6)), max_size=60).map(b"".join)
+
+
+@given(STREAMS)
+def test_every_stream_is_read_by_the_rules(library: Path, stream: bytes) -> None:
+    assert Program(library).take(stream) == expected(stream)
+
+
+@given(st.lists(st.integers(-9999, 9999), min_size=4, max_size=4), st.booleans())
+def test_it_reads_what_the_host_says(library: Path, cents: list[int], comma: bool) -> None:
+    said = encode([value / 100 for value in cents], trailing_comma=comma)
+    assert Program(library).take(said) == [dict(enumerate(cents))]
+
+
+@given(st.lists(st.integers(-32768, 32767), min_size=4, max_size=4), st.booleans())
+def test_it_prints_what_the_host_reads(library: Path, cents: list[int], comma: bool) -> None:
+    line = Program(library).line(cents, comma=comma)
+    assert line == encode([value / 100 for value in cents], trailing_comma=comma)
+    assert len(Decoder().feed(line)) == 1
