@@ -8,7 +8,7 @@ FUZZ_SECONDS ?= 300
 SOAK_MINUTES ?= 30
 REPLUG_CYCLES ?= 1000
 
-.PHONY: demo test test-slow test-ecosystem lint fuzz soak replug clean
+.PHONY: demo test test-slow test-browser test-ecosystem lint fuzz soak replug clean
 
 demo: $(READY)  ## train a policy, drive it in PyBullet, then over a serial device
 	$(BIN)/acsar-gym demo
@@ -29,6 +29,9 @@ lint: $(READY)
 
 test-ecosystem: $(ECOSYSTEM)/ready  ## README's snippets for RL Zoo, CleanRL, RLlib, TorchRL, skrl
 	$(ECOSYSTEM)/bin/pytest --noconftest -o addopts= tests/ecosystem
+
+test-browser: $(READY)  ## the HTML reports in headless Chromium, which apt installs
+	$(BIN)/pytest tests/browser
 
 fuzz: $(READY)  ## coverage-guided fuzzing of what reads bytes and files, FUZZ_SECONDS each
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[fuzz]'
