@@ -51,14 +51,14 @@ def gap(
         html: also write a report with plots to this file.
     """
     from acsar_gym.gap import limits, measure, tables  # noqa: PLC0415
-    from acsar_gym.gap.page import gap_page, html as pages  # noqa: PLC0415
+    from acsar_gym.gap.page import document, gap_page  # noqa: PLC0415
 
     known = limits.parsed(fail_over, tables.LIMITS)
     _check_writable(json, html)
     after = RobotConfig.of(robot)
     unfitted = None if before == RECORDED else RobotConfig.of(before)
     if html is not None:
-        pages.library()
+        document.library()
     names = Path(robot).name, Path(before).name
     found = measure.measure(_read(logs), (names[0], after), (names[1], unfitted), body)
     _show([*tables.tables(found)], [*measure.conclusion(found), *found.notes])
@@ -90,15 +90,15 @@ def compare(
         json: also write the metrics to this file.
         html: also write a report with plots to this file.
     """
-    from acsar_gym.gap import compare as comparing, compare_tables, limits  # noqa: PLC0415
-    from acsar_gym.gap.page import compare_page, html as pages  # noqa: PLC0415
+    from acsar_gym.gap import compare_tables, limits, sides  # noqa: PLC0415
+    from acsar_gym.gap.page import compare_page, document  # noqa: PLC0415
 
-    known = limits.parsed(fail_over, (*comparing.VALUES, "delay"))
+    known = limits.parsed(fail_over, (*sides.VALUES, "delay"))
     _check_writable(json, html)
     if html is not None:
-        pages.library()
-    found = comparing.compare(_read((first, *sim)), _read((second, *real)))
-    _show([compare_tables.table(found)], [*comparing.conclusion(found), *found.notes])
+        document.library()
+    found = sides.compare(_read((first, *sim)), _read((second, *real)))
+    _show([compare_tables.table(found)], [*sides.conclusion(found), *found.notes])
     _write(json, compare_tables.as_dict(found))
     if html is not None:
         compare_page.page(found).write(html)

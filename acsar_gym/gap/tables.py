@@ -13,7 +13,6 @@ from acsar_gym.evaluation.report import plain
 from acsar_gym.gap.figures import METRICS
 from acsar_gym.gap.measure import SIDES, Gap, conclusion
 
-
 LIMITS = (*METRICS, "delay")
 """What `--fail-over` takes; the delay is the difference of the means [s]."""
 

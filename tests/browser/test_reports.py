@@ -17,10 +17,10 @@ import pytest
 from rollout_tools import HIDDEN, driven, random_steps, recording, rollouts
 
 from acsar_gym import RobotConfig
-from acsar_gym.gap.compare import compare
 from acsar_gym.gap.measure import measure
 from acsar_gym.gap.page import compare_page, gap_page
-from acsar_gym.gap.page.html import Page
+from acsar_gym.gap.page.document import Page
+from acsar_gym.gap.sides import compare
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 pytestmark = pytest.mark.skipif(
@@ -85,8 +85,7 @@ def opened(page: Path, scheme: str, folder: Path, height: int = 3000) -> Seen:
 
 
 def ran(command: list[str]) -> subprocess.CompletedProcess[str]:
-    done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=TIMEOUT)
-    return done
+    return subprocess.run(command, check=True, capture_output=True, text=True, timeout=TIMEOUT)
 
 
 def requests(log: Path) -> list[str]:
