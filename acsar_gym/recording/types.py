@@ -89,6 +89,8 @@ class Episode:
     """The control periods of the wire, for replay."""
     info: Mapping[str, Any] = field(default_factory=dict)
     """Seed, goal, start and number of the episode, as far as they are known."""
+    success: bool | None = None
+    """Whether the task was solved; None where no env was recorded."""
 
 
 @dataclass(frozen=True, eq=False)
