@@ -11,7 +11,8 @@ BOARD_SUITES := tests/links/test_contract.py tests/links/test_serial.py tests/li
   tests/safety/test_estop.py
 REPLUG_CYCLES ?= 1000
 
-.PHONY: demo test test-slow test-ecosystem lint firmware firmware-tested fuzz soak replug clean
+.PHONY: demo test test-slow test-browser test-ecosystem lint firmware firmware-tested fuzz soak \
+  replug clean
 
 demo: $(READY)  ## train a policy, drive it in PyBullet, then over a serial device
 	$(BIN)/acsar-gym demo
@@ -46,6 +47,9 @@ firmware-tested: $(READY)
 	for chip in atmega328p atmega2560; do \
 	  $(BIN)/pytest -k 'not (planar or bullet or replay)' $(BOARD_SUITES) \
 	    --board "$(FIRMWARE)/avr_board $$chip $(FIRMWARE)/$$chip.elf" || exit 1; done
+
+test-browser: $(READY)  ## the HTML reports in headless Chromium, which apt installs
+	$(BIN)/pytest tests/browser
 
 fuzz: $(READY)  ## coverage-guided fuzzing of what reads bytes and files, FUZZ_SECONDS each
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[fuzz]'

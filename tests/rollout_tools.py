@@ -13,7 +13,7 @@ from acsar_gym import Robot, RobotConfig
 from acsar_gym.links import open_link
 from acsar_gym.links.base import Link
 from acsar_gym.protocol import Speeds
-from acsar_gym.recording.types import Episode, Recording, Scans
+from acsar_gym.recording.types import Episode, Exchanges, Recording, Scans
 from acsar_gym.recording.wire_log import WireLog
 from acsar_gym.worlds import Scene
 
@@ -21,6 +21,10 @@ SLICES = 20
 """Parts of a tick whose bytes have stamps of their own."""
 HIDDEN: dict[str, Any] = {"motor": {"time_constant": 0.14}, "body": {"friction": 0.7}}
 """Changes that make a robot whose default twin is wrong."""
+
+
+NOTHING = np.zeros(0, np.int64)
+NO_EXCHANGES = Exchanges(NOTHING, np.zeros(0), NOTHING, NOTHING, np.zeros(0), np.zeros((0, 6)))
 
 
 class Tap:
@@ -137,9 +141,9 @@ def _rollout(env: Any, tap: Tap, seed: int) -> Episode:
         rewards.append(reward)
         pose = robot.odometry.pose
         rows.append((tap.now(), pose, robot.odometry.twist, robot.speeds, tap.truth.pose))
-    told = {"seed": seed, "success": info["is_success"] == 1.0}
     arrays = {"observations": np.array(seen), "actions": np.array(acted)}
-    return of_rows(tap.log, rows, told, rewards=np.array(rewards), **arrays)
+    arrays |= {"rewards": np.array(rewards), "success": info["is_success"] == 1.0}
+    return of_rows(tap.log, rows, {"seed": seed}, **arrays)
 
 
 def of_rows(log: WireLog, rows: list[Any], info: Mapping[str, Any], **arrays: Any) -> Episode:
@@ -147,6 +151,9 @@ def of_rows(log: WireLog, rows: list[Any], info: Mapping[str, Any], **arrays: An
     stamps, poses, twists, speeds, truth = (np.array(column) for column in zip(*rows, strict=True))
     n = len(stamps)
     nothing: dict[str, Any] = {
+        "terminated": False,
+        "step_stamps": np.zeros(0),
+        "exchanges": NO_EXCHANGES,
         "asked": twists,
         "sent": twists,
         "reasons": np.zeros(n, np.int64),

@@ -13,6 +13,7 @@ import tyro
 import acsar_gym
 from acsar_gym.cli.calibrate import calibrate
 from acsar_gym.cli.devices import doctor, drive, emulate, estop
+from acsar_gym.cli.gap import compare, gap
 from acsar_gym.cli.policies import evaluate, export, run, train
 from acsar_gym.cli.recording import record
 from acsar_gym.cli.tools import bench, demo, warm_up
@@ -34,6 +35,8 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "run": run,
     "export": export,
     "record": record,
+    "gap": gap,
+    "compare": compare,
     "worlds": worlds,
     "warm-up": warm_up,
 }

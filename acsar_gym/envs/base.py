@@ -189,7 +189,8 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         over = outcome is not Outcome.GOING
         if over:
             self._halt()
-        self._record.stepped(self.robot, episode.steps, action, (observation, reward, over, False))
+        told = observation, reward, over, False
+        self._record.stepped(self.robot, episode.steps, action, told, info["is_success"])
         return observation, reward, over, False, info
 
     @contextlib.contextmanager

@@ -65,6 +65,7 @@ class EnvRecord:
         step: int,
         action: NDArray[np.float32],
         told: tuple[Observation, float, bool, bool],
+        success: float = 0.0,
     ) -> None:
         """After a step.
 
@@ -73,12 +74,14 @@ class EnvRecord:
             step: its number in the episode, from 1.
             action: as it was given.
             told: observation, reward, terminated, truncated.
+            success: 1.0 where the task is solved.
         """
         if self.recorder is not None:
             observation, reward, terminated, truncated = told
-            taken = np.array(action, np.float32)
             now, seen = robot.link.now(), observation.copy()
-            self.recorder.add(Stepped(step, now, seen, taken, reward, terminated, truncated))
+            ends = terminated, truncated, success == 1.0
+            taken = np.array(action, np.float32)
+            self.recorder.add(Stepped(step, now, seen, taken, reward, *ends))
 
 
 def _own(spec: EnvSpec) -> dict[str, Any]:

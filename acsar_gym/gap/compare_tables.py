@@ -9,8 +9,8 @@ from rich.table import Table
 
 from acsar_gym.evaluation.metrics import finite
 from acsar_gym.evaluation.report import plain
-from acsar_gym.gap.compare import VALUES, Sides, conclusion, distances
 from acsar_gym.gap.paired import Comparison
+from acsar_gym.gap.sides import VALUES, Sides, conclusion, distances
 from acsar_gym.gap.tables import between, cell
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -207,8 +206,3 @@ def _about_delays(test: TwoSample) -> str:
     if test.differs:
         return f"delays differ: the robot answers {by} than its twin (p = {test.p_value:.2g})"
     return f"delays don't differ measurably: {by} than the twin on average (p = {test.p_value:.2g})"
-
-
-def source(path: str | Path | None) -> str:
-    """Name the source of a config."""
-    return "acsar" if path is None else Path(path).name

@@ -13,6 +13,9 @@ from acsar_gym.evaluation.report import plain
 from acsar_gym.gap.figures import METRICS
 from acsar_gym.gap.measure import SIDES, Gap, conclusion
 
+LIMITS = (*METRICS, "delay")
+"""What `--fail-over` takes; the delay is the difference of the means [s]."""
+
 
 def cell(value: float, scale: float = 1.0) -> str:
     """Format a number with three digits; "-" for NaN."""
@@ -73,6 +76,11 @@ def _logs(gap: Gap) -> Table:
         cells = (f"{replay.seconds:.1f} s", f"{ends[0]} rad/s", f"{ends[1]} cm", against)
         table.add_row(plain(replay.name), use, *cells)
     return table
+
+
+def sizes(gap: Gap) -> dict[str, float]:
+    """Return the figures of the fitted twin by the names of LIMITS, in SI units."""
+    return gap.figures("after") | {"delay": gap.delays("after").difference}
 
 
 def as_dict(gap: Gap) -> dict[str, Any]:

@@ -70,6 +70,7 @@ class Stepped(NamedTuple):
     reward: float
     terminated: bool
     truncated: bool
+    success: bool = False
 
 
 class Fault(NamedTuple):

@@ -16,8 +16,8 @@ from acsar_gym.firmware import Firmware
 from acsar_gym.recording.wire_log import Floats, WireLog
 
 BODIES = ("planar", "bullet")
-SLICE = 0.0005
-"""Arrival of the twin's bytes is known to this [s]."""
+NEAR = 0.0005
+"""Phases that differ by less are the same [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,37 +83,21 @@ def _beginning(config: RobotConfig, firmware: Firmware, log: WireLog) -> float:
     recorded = log.feedback(config)[0]
     if len(recorded) < 2:
         return first
-    own = WireLog(np.empty(0), (), *_listened(firmware, 0.0, 4.0 * period)).feedback(config)[0]
+    firmware.advance(4.0 * period)
+    own = np.array([stamp for stamp, _ in firmware.arrived])
     firmware.reset()
     if not len(own):
         return first
     phase = _phase(recorded, period) - _phase(own, period)
     ahead = math.fmod(first - phase, period)
     ahead += period if ahead < 0.0 else 0.0
-    return first if min(ahead, period - ahead) < SLICE else first - ahead
+    return first if min(ahead, period - ahead) < NEAR else first - ahead
 
 
 def _phase(stamps: Floats, period: float) -> float:
     """Return the mean phase of nearly periodic times [s]."""
     turns = np.exp(2j * math.pi * stamps / period)
     return float(np.angle(turns.mean())) / (2.0 * math.pi) * period
-
-
-def _listened(
-    firmware: Firmware, start: float, duration: float
-) -> tuple[Floats, tuple[bytes, ...]]:
-    """Let time pass on the twin; returns times [s] and bytes of what it sends meanwhile."""
-    pieces = list(_pieces(firmware, start, start + duration))
-    return np.array([stamp for stamp, _ in pieces]), tuple(data for _, data in pieces)
-
-
-def _pieces(firmware: Firmware, start: float, end: float) -> Iterator[tuple[float, bytes]]:
-    """Let time pass from `start` to `end` [s], and yield what arrives with its times."""
-    count = max(1, math.ceil((end - start) / SLICE - 1e-6))
-    for before, now in itertools.pairwise(np.linspace(start, end, count + 1).tolist()):
-        data = firmware.advance(now - before)
-        if data:
-            yield now, data
 
 
 def _run(firmware: Firmware, robot: Body, log: WireLog, stamps: Floats, begin: float) -> Replayed:
@@ -123,7 +107,8 @@ def _run(firmware: Firmware, robot: Body, log: WireLog, stamps: Floats, begin: f
     poses: list[tuple[float, float, float]] = []
     for when, _, data in _events(log, stamps, last):
         if when > now:
-            pieces.extend(_pieces(firmware, now, when))
+            firmware.advance(when - now)
+            pieces += [(begin + stamp, line) for stamp, line in firmware.arrived]
             now = when
         if data is None:
             poses.append(robot.truth.pose)

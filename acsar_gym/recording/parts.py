@@ -144,6 +144,7 @@ def made(part: Part) -> Episode:
         actions=actions if len(actions) else np.zeros((0, 2), np.float32),
         rewards=steps[1:, 2],
         terminated=bool(number and steps[-1, 3] == 1.0),
+        success=bool(steps[-1, 5] == 1.0) if number > 1 else None,
         step_stamps=steps[:, 1],
         scans=_scans(part.scans),
         exchanges=Exchanges(

@@ -34,7 +34,7 @@ TICK_COLUMNS = (
     *("lateness", "feedback_age", "refused"),
 )
 """One row for each tick of the robot: odometry, wheels, commands, and the safety layer's reason."""
-STEP_COLUMNS = ("step", "stamp", "reward", "terminated", "truncated")
+STEP_COLUMNS = ("step", "stamp", "reward", "terminated", "truncated", "success")
 """One row for each step of the env; step 0 is the reset, without action and reward."""
 SCAN_COLUMNS = ("exchange", "stamp", "ranges")
 """One row for each scan: the exchange at whose end it was the newest, the end of its revolution

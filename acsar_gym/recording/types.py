@@ -98,6 +98,8 @@ class Episode:
     """(steps + 1,): when each observation was made, on the link's clock [s]."""
     exchanges: Exchanges = field(default_factory=Exchanges.none)
     """The control periods of the wire, for replay."""
+    success: bool | None = None
+    """Whether the task was solved; None where no env was recorded."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -101,6 +101,14 @@ def test_equal_distributions_are_rarely_told_apart() -> None:
     assert sum(test.interval[0] < 0.0 < test.interval[1] for test in tests) >= 34
 
 
+def test_jitter_of_the_stamps_is_no_difference() -> None:
+    exact = np.repeat([0.082, 0.092], 20)
+    stamped = exact + np.random.default_rng(0).uniform(0.0, 0.0008, 40)
+    assert two_sample(exact, stamped).p_value == 1.0
+    assert two_sample(exact, stamped + 0.002).differs
+    assert two_sample(exact + 0.002, stamped).differs
+
+
 def test_too_few_delays_give_no_test() -> None:
     test = two_sample(sample(FEWEST - 1, 0.03, 0), sample(50, 0.06, 1))
     assert math.isnan(test.p_value)

@@ -6,7 +6,6 @@ import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -198,19 +197,13 @@ def _outcomes(logs: Named) -> list[Outcome]:
                 Outcome(
                     name,
                     key,
-                    _success(episode.info),
+                    math.nan if episode.success is None else float(episode.success),
                     float(episode.stamps[-1] - episode.stamps[0]) + recording.config.period,
                     tracks.recorded(episode, recording.config),
                     episode,
                 )
             )
     return outcomes
-
-
-def _success(info: Mapping[str, Any]) -> float:
-    """Return 1 or 0; NaN if the recording doesn't say."""
-    success = info.get("success", info.get("is_success"))
-    return math.nan if success is None else float(success)
 
 
 def task_of(recording: Recording) -> str:

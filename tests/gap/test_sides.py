@@ -13,7 +13,7 @@ from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.evaluation import report
 from acsar_gym.gap import compare_tables
-from acsar_gym.gap.compare import VALUES, Sides, compare, conclusion, distances
+from acsar_gym.gap.sides import VALUES, Sides, compare, conclusion, distances
 from acsar_gym.recording.types import Recording
 
 ACSAR = RobotConfig.preset("acsar")

@@ -1,0 +1,151 @@
+"""Commands that compare recordings with twins, and with each other: gap, compare."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from acsar_gym.cli.options import File, Json
+from acsar_gym.config import RobotConfig
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from acsar_gym.recording.types import Recording
+
+Logs = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
+Files = Annotated[tuple[Path, ...], tyro.conf.arg(metavar="FILE [FILE ...]")]
+Limits = Annotated[tuple[str, ...], tyro.conf.arg(metavar="METRIC=VALUE [...]")]
+First = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SIM")]
+Second = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="REAL")]
+Source = Annotated[str, tyro.conf.arg(metavar="PRESET|FILE|recorded")]
+RobotFile = Annotated[str, tyro.conf.arg(metavar="PRESET|FILE")]
+RECORDED = "recorded"
+
+
+def gap(
+    logs: Logs,
+    robot: RobotFile,
+    before: Source = "acsar",
+    body: str = "planar",
+    fail_over: Limits = (),
+    json: Json = None,
+    html: File = None,
+) -> int:
+    """Replay recorded commands through the twin, before and after fitting, and measure its gap.
+
+    Figures are over the logs that the robot wasn't fitted to, if there are any. Exit code 1 where
+    a limit of --fail-over isn't kept.
+
+    Args:
+        logs: recordings of one robot, made with --record.
+        robot: the fitted robot, such as the file that identify wrote.
+        before: the unfitted robot; "recorded" is the one in each recording.
+        body: physics of the twins, planar or bullet.
+        fail_over: limits in SI units, such as wheel_speed_rms=0.5 end_pose=0.05.
+        json: also write the figures to this file.
+        html: also write a report with plots to this file.
+    """
+    from acsar_gym.gap import limits, measure, tables  # noqa: PLC0415
+    from acsar_gym.gap.page import document, gap_page  # noqa: PLC0415
+
+    known = limits.parsed(fail_over, tables.LIMITS)
+    _check_writable(json, html)
+    after = RobotConfig.of(robot)
+    unfitted = None if before == RECORDED else RobotConfig.of(before)
+    if html is not None:
+        document.library()
+    names = Path(robot).name, Path(before).name
+    found = measure.measure(_read(logs), (names[0], after), (names[1], unfitted), body)
+    _show([*tables.tables(found)], [*measure.conclusion(found), *found.notes])
+    _write(json, tables.as_dict(found))
+    if html is not None:
+        gap_page.page(found).write(html)
+    return _judged(limits.exceeded(known, tables.sizes(found)))
+
+
+def compare(
+    first: First,
+    second: Second,
+    sim: Files = (),
+    real: Files = (),
+    fail_over: Limits = (),
+    json: Json = None,
+    html: File = None,
+) -> int:
+    """Compare recordings of a task in simulation and on hardware, episodes paired by seed.
+
+    Exit code 1 where a limit of --fail-over isn't kept.
+
+    Args:
+        first: recording of the simulation.
+        second: recording of the robot.
+        sim: more recordings of the simulation.
+        real: more recordings of the robot.
+        fail_over: limits of paired differences in SI units, such as success_rate=0.05.
+        json: also write the metrics to this file.
+        html: also write a report with plots to this file.
+    """
+    from acsar_gym.gap import compare_tables, limits, sides  # noqa: PLC0415
+    from acsar_gym.gap.page import compare_page, document  # noqa: PLC0415
+
+    known = limits.parsed(fail_over, (*sides.VALUES, "delay"))
+    _check_writable(json, html)
+    if html is not None:
+        document.library()
+    found = sides.compare(_read((first, *sim)), _read((second, *real)))
+    _show([compare_tables.table(found)], [*sides.conclusion(found), *found.notes])
+    _write(json, compare_tables.as_dict(found))
+    if html is not None:
+        compare_page.page(found).write(html)
+    return _judged(limits.exceeded(known, compare_tables.sizes(found)))
+
+
+def _check_writable(*paths: Path | None) -> None:
+    from acsar_gym.evaluation import report  # noqa: PLC0415
+
+    for path in paths:
+        report.check_writable(path)
+
+
+def _read(paths: Sequence[Path]) -> list[tuple[str, Recording]]:
+    """Read recordings; ConfigError if one can't be read, or is named twice."""
+    from acsar_gym.errors import ConfigError  # noqa: PLC0415
+    from acsar_gym.recording import read  # noqa: PLC0415
+
+    if not paths:
+        raise ConfigError("no recording is named: make one with --record FILE")
+    logs = [(path.name, read(path)) for path in paths]
+    seen: dict[str, str] = {}
+    for name, log in logs:
+        if log.sha256 in seen:
+            raise ConfigError(f"{name}: is the same recording as {seen[log.sha256]}")
+        seen[log.sha256] = name
+    return logs
+
+
+def _show(tables: Sequence[Table], lines: Sequence[str]) -> None:
+    """Print tables, then lines."""
+    from acsar_gym.errors import printable  # noqa: PLC0415
+    from acsar_gym.evaluation import report  # noqa: PLC0415
+
+    report.show(*tables)
+    for line in lines:
+        print(printable(line))
+
+
+def _write(path: Path | None, data: Mapping[str, Any]) -> None:
+    from acsar_gym.evaluation import report  # noqa: PLC0415
+
+    report.write_json(path, data)
+
+
+def _judged(failures: Sequence[str]) -> int:
+    """Print limits that aren't kept; returns the exit code."""
+    for line in failures:
+        print(f"acsar-gym: {line}", file=sys.stderr)
+    return 1 if failures else 0

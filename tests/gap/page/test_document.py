@@ -1,0 +1,118 @@
+"""The HTML file: self-contained, escaped, and with what it should show."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rollout_tools import HIDDEN, driven, random_steps, recording, rollouts
+
+from acsar_gym import RobotConfig
+from acsar_gym.errors import ConfigError, MissingExtraError
+from acsar_gym.gap.measure import measure
+from acsar_gym.gap.page import compare_page, gap_page
+from acsar_gym.gap.page.document import Grid, Page, Plot, Section
+from acsar_gym.gap.page.traces import MOST_POINTS, line, shares, stairs
+from acsar_gym.gap.sides import compare
+
+pytest.importorskip("plotly")
+ACSAR = RobotConfig.preset("acsar")
+EVIL = '</script><script src="https://example.com/x.js"></script><img src=x onerror=alert(1)>'
+LOADING = {"src", "href", "data", "action", "poster", "srcset", "formaction", "background"}
+
+
+class Reader(HTMLParser):
+    """Collects elements, what they would load, and the text of scripts."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.loads: list[str] = []
+        self.scripts: list[str] = []
+        self.said = ""
+        self._inside = ""
+        self.feed(html)
+
+    def handle_starttag(self, tag: str, attrs: Any) -> None:
+        self.tags.append(tag)
+        self._inside = tag
+        self.loads += [value for name, value in attrs if name in LOADING]
+        self.loads += [v for n, v in attrs if n == "style" and "url(" in v]
+
+    def handle_endtag(self, tag: str) -> None:
+        self._inside = ""
+
+    def handle_data(self, data: str) -> None:
+        if self._inside == "script":
+            self.scripts.append(data)
+        elif self._inside == "style":
+            assert "url(" not in data
+            assert "@import" not in data
+        else:
+            self.said += data
+
+
+def evil_page() -> Page:
+    plot = Plot(EVIL, [[line(EVIL, [0.0, 1.0], [1.0, np.nan], "--robot")]], {"title": EVIL})
+    section = Section(EVIL, EVIL, [Grid([EVIL], [[EVIL]]), plot], [("--robot", EVIL)], picks=True)
+    return Page(EVIL, EVIL, [EVIL], [], [section], [EVIL, EVIL], [EVIL], EVIL)
+
+
+def test_text_from_files_is_only_text() -> None:
+    page = Reader(evil_page().html())
+    assert page.loads == []
+    assert page.tags.count("script") == 3
+    assert "img" not in page.tags
+    data = json.loads(page.scripts[0])
+    assert data[0]["choices"][0][0]["name"] == EVIL
+    assert data[0]["choices"][0][0]["y"] == [1.0, None]
+    assert page.said.count(EVIL) >= 8
+
+
+def test_a_report_loads_nothing(tmp_path: Path) -> None:
+    robot = ACSAR.with_(**HIDDEN)
+    log = recording(ACSAR, driven(robot, random_steps(0, 3.0, robot)))
+    gap = measure([("log.mcap", log)], ("robot.yaml", robot), ("acsar", ACSAR))
+    gap_page.page(gap).write(tmp_path / "gap.html")
+    task = [("sim.mcap", rollouts(ACSAR, range(2)))]
+    compare_page.page(compare(task, task)).write(tmp_path / "compare.html")
+    for name, plots in (("gap.html", 4), ("compare.html", 5)):
+        html = (tmp_path / name).read_text(encoding="utf-8")
+        page = Reader(html)
+        assert page.loads == []
+        assert "default-src 'none'" in html
+        assert page.tags.count("figure") == plots
+        assert len(json.loads(page.scripts[0])) == plots
+        assert "NaN" not in page.scripts[0]
+        titles = re.findall(r'"title":\{"text":"([^"]+)"', page.scripts[0])
+        assert {t for t in titles if "[" not in t} <= {"share of steps"}
+
+
+def test_it_is_written_or_an_error(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="can't be written"):
+        evil_page().write(tmp_path / "missing" / "x.html")
+
+
+def test_plotly_is_an_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "plotly.offline", None)
+    with pytest.raises(MissingExtraError, match=r"an HTML report needs an extra.*\[report\]"):
+        evil_page().html()
+
+
+def test_long_lines_are_thinned_and_stairs_keep_their_corners() -> None:
+    assert len(line("x", range(99_999), range(99_999), "--robot")["x"]) <= MOST_POINTS
+    steps = stairs("x", range(6), [0, 0, 0, 1, 1, 2], "--robot")
+    assert (steps["x"], steps["y"]) == ([0.0, 3.0, 5.0], [0.0, 1.0, 2.0])
+
+
+def test_the_distribution_function_ends_at_one() -> None:
+    drawn = shares("x", [0.3, 0.1, np.nan, 0.2], "--robot", 10.0)
+    assert drawn["x"] == [1.0, 1.0, 2.0, 3.0]
+    assert drawn["y"] == pytest.approx([0.0, 1 / 3, 2 / 3, 1.0], abs=1e-4)
+    assert shares("x", [], "--robot")["x"] == []
