@@ -119,12 +119,12 @@ def test_over_a_serial_device(
     start_emulator: StartEmulator, robot_file: RobotFile, tmp_path: Path
 ) -> None:
     emulated, out = start_emulator(), tmp_path / "my.yaml"
-    asked = ("--distance", "0.3", "--space", "2", "1", "--measured", "0.31")
-    asked = (*asked, "--robot", str(robot_file()))
+    floor = ("--distance", "0.4", "--space", "2", "1", "--measured", "0.41")
+    asked = (*floor, "--robot", robot_file())
     refused = cli("calibrate", emulated.device, "straight", *asked)
     assert refused.returncode == 2
     assert "--yes" in refused.stderr
     done = cli("calibrate", emulated.device, "straight", *asked, "--yes", "--out", out)
     assert done.returncode == 0, done.stderr
     assert emulated.is_stopped()
-    assert RobotConfig.load(out).wheel_radius == pytest.approx(0.0505, rel=0.04)
+    assert RobotConfig.load(out).wheel_radius == pytest.approx(0.051, rel=0.04)
