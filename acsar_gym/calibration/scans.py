@@ -65,9 +65,9 @@ class Reference:
 
     def _scatter(self, point: Floats) -> Floats:
         """Scatter matrix of the points around one, (2, 2)."""
-        near = self._tree.query_ball_point(point, AROUND)
+        near = np.asarray(self._tree.query_ball_point(point, AROUND))
         if len(near) < NEIGHBOURS:
-            near = self._tree.query(point, k=min(NEIGHBOURS, len(self._points)))[1]
+            near = np.asarray(self._tree.query(point, k=min(NEIGHBOURS, len(self._points)))[1])
         around = self._points[near] - self._points[near].mean(axis=0)
         found: Floats = around.T @ around
         return found
