@@ -42,7 +42,8 @@ class Safety:
 
     def fence(self, area: Geofence | None) -> None:
         """Replace the geofence, before an episode; None for no limit."""
-        self._rules = self._rules._replace(fence=rules.edges(area))
+        at = area or Geofence()
+        self._rules = self._rules._replace(fence=(at.min_x, at.max_x, at.min_y, at.max_y))
         self._numbers = block(rules.flat(self._rules))
 
     def estop(self) -> None:

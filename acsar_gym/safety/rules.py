@@ -71,24 +71,19 @@ class Rules(NamedTuple):
 def of(config: RobotConfig) -> Rules:
     """Take the rules' numbers from a robot's configuration."""
     linear, angular = limiter.both(config)
+    fence = config.geofence or Geofence()
     return Rules(
         period=config.period,
         free=limiter.free(config),
         linear=linear,
         angular=angular,
-        fence=edges(config.geofence),
+        fence=(fence.min_x, fence.max_x, fence.min_y, fence.max_y),
         stale=STALE_SHARE * config.feedback_timeout,
         timeout=config.feedback_timeout,
         radius=config.wheel_radius,
         separation=config.effective_separation,
         top=config.max_wheel_speed,
     )
-
-
-def edges(area: Geofence | None) -> tuple[float, float, float, float]:
-    """Least and largest x, least and largest y of a geofence [m]; infinite without one."""
-    fence = area or Geofence()
-    return fence.min_x, fence.max_x, fence.min_y, fence.max_y
 
 
 class Memory(NamedTuple):
