@@ -144,6 +144,11 @@ class _Driver:
             self.observer.tick(robot)
         if robot.safety.stopped:
             raise _stopped(self.plan, robot)
+        if robot.link.truth is not None and robot.link.truth.contact:
+            raise LinkError(
+                f"{self.plan.name}: the robot touched an obstacle of its world",
+                "take a wider --world, or drive less",
+            )
 
 
 def _stopped(plan: Plan, robot: Robot) -> LinkError:

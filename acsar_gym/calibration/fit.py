@@ -26,7 +26,7 @@ NAMES = ("wheel_radius", "radius_ratio", "wheel_separation_multiplier")
 PRIOR = np.array([0.025, 0.03, 0.5])
 """Standard deviations before anything is measured: radius and multiplier as shares of the config's,
 ratio as it is."""
-TOLD = 0.2
+TOLD = 0.4
 """A parameter counts as told where the readings narrow its prior to less than this share."""
 OUTLIER = 5.0
 """A run with a residual of more than this many robust standard deviations is left out."""

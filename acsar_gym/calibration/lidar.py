@@ -22,6 +22,8 @@ METRES, RADIANS = 0.002, math.radians(0.1)
 """Standard deviation of a match that scans don't show: the LiDAR's mount, warped ranges."""
 WORST = 0.02
 """A match with a larger standard deviation is refused [m, rad]."""
+NEAR = 0.15
+"""How far the match of a scan may be from odometry since the scan before [m, rad]."""
 FEWEST_SHARE = 0.4
 """Least share of points that must match."""
 FINE = 360
@@ -95,8 +97,7 @@ class LidarObserver:
             guess = to_world(pose, to_odometry(odometry, now))
             seen = points(ranges, self._config)
             found = reference.match(seen, guess) if len(seen) >= FEWEST else None
-            good = found is not None and found.share > FEWEST_SHARE and max(found.sigma) < WORST
-            after = found.pose if found is not None and good else guess
+            after = found.pose if found is not None and _follows(found, guess) else guess
             turned += math.remainder(after[2] - pose[2], math.tau)
             pose, odometry = after, now
         return pose, turned
@@ -110,6 +111,13 @@ class LidarObserver:
                 "calibrate in a room with walls in range, or raise lidar.max_range",
             )
         return found
+
+
+def _follows(found: Match, guess: Pose) -> bool:
+    """Whether a match is good, and near where the robot can be."""
+    x, y, theta = to_odometry(guess, found.pose)
+    near = math.hypot(x, y) < NEAR and abs(theta) < NEAR
+    return near and found.share > FEWEST_SHARE and max(found.sigma) < WORST
 
 
 def _check(found: Match, plan: Plan) -> None:

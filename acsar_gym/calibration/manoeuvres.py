@@ -148,8 +148,8 @@ def check_space(
     return space
 
 
-def fenced(config: RobotConfig, plan: Plan, space: tuple[float, float]) -> RobotConfig:
-    """Return the config with a geofence around the space, for one run.
+def fence(config: RobotConfig, plan: Plan, space: tuple[float, float]) -> Geofence:
+    """Return a geofence around the space, in the frame of one run's start.
 
     Args:
         config: of the robot.
@@ -161,7 +161,7 @@ def fenced(config: RobotConfig, plan: Plan, space: tuple[float, float]) -> Robot
     x, y = space[0] - reach, space[1] - reach
     behind = min(x, y)
     ends = (-x, behind) if plan.back else (-behind, x)
-    return config.with_(geofence=Geofence(min_x=ends[0], max_x=ends[1], min_y=-y, max_y=y))
+    return Geofence(min_x=ends[0], max_x=ends[1], min_y=-y, max_y=y)
 
 
 def _outline(plan: Plan) -> list[tuple[float, float]]:

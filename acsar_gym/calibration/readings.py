@@ -101,8 +101,8 @@ def check(run: Run, config: RobotConfig) -> str:
     """
     told = ""
     for reading in run.readings:
-        if reading.kind == "heading" and run.manoeuvre == "turn":
-            told = _check_turn(run, reading.value, config)
+        if reading.kind == "heading":
+            told = _check_turn(run, reading.value, config) if run.manoeuvre == "turn" else ""
         elif reading.kind == "distance":
             _check_distance(run, reading.value, config)
         elif abs(reading.value) > (1.0 + CONTRADICTION) * max(way(run, _radius(config)), 0.1):

@@ -24,9 +24,11 @@ GATE = 0.5
 """Farthest pair of points at the first iteration [m]."""
 NARROWEST = 0.05
 """Farthest pair of points that is kept at the end, at least [m]."""
+AROUND = 0.15
+"""Points within this distance make a line [m]..."""
 NEIGHBOURS = 6
-"""Points that a line is fitted to."""
-STRAIGHT = 0.15
+"""...or so many, where fewer are as close."""
+STRAIGHT = 0.25
 """Largest share of the neighbours' spread across their line; corners have more."""
 ONE_WAY = 0.02
 """Where a smaller share of the lines' normals points across the others, all walls are parallel."""
@@ -56,11 +58,19 @@ class Reference:
     def __init__(self, points: Floats) -> None:
         self._tree = KDTree(points)
         self._points = points
-        _, near = self._tree.query(points, k=min(NEIGHBOURS, len(points)))
-        around = points[near] - points[near].mean(axis=1, keepdims=True)
-        spread, axes = np.linalg.eigh(np.swapaxes(around, 1, 2) @ around)
+        scatter = np.array([self._scatter(point) for point in points])
+        spread, axes = np.linalg.eigh(scatter)
         self._normals = axes[:, :, 0]
         self._lines = spread[:, 0] < STRAIGHT**2 * np.maximum(spread[:, 1], 1e-12)
+
+    def _scatter(self, point: Floats) -> Floats:
+        """Scatter matrix of the points around one, (2, 2)."""
+        near = np.asarray(self._tree.query_ball_point(point, AROUND))
+        if len(near) < NEIGHBOURS:
+            near = np.asarray(self._tree.query(point, k=min(NEIGHBOURS, len(self._points)))[1])
+        around = self._points[near] - self._points[near].mean(axis=0)
+        found: Floats = around.T @ around
+        return found
 
     def match(self, points: Floats, guess: Pose) -> Match:
         """Match a scan.

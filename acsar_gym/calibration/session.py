@@ -15,6 +15,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.lidars.factory import factories
 from acsar_gym.links import open_link
+from acsar_gym.recording import Recorder
 from acsar_gym.robot import Robot
 from acsar_gym.worlds import Pose, Scene
 from acsar_gym.worlds.pool import Pool
@@ -44,6 +45,8 @@ class Wire:
     """URL of a LiDAR; "simulated" in simulation; None for a tape or truth."""
     world: str | None = None
     """World of a simulation."""
+    recorder: Recorder | None = None
+    """Records all runs; None: nothing is recorded."""
 
     @property
     def simulated(self) -> bool:
@@ -60,7 +63,7 @@ def drive_all(
     *,
     truth: bool,
 ) -> list[Run]:
-    """Drive runs within the stated space; the link is closed after each, while people measure.
+    """Drive runs within the stated space; the link is closed after each run, while people measure.
 
     Args:
         wire: the robot.
@@ -76,24 +79,27 @@ def drive_all(
     """
     space = manoeuvres.check_space(wire.config, plans, space)
     scene = _scene(wire)
+    observer = _observer(wire, truth=truth)
     found = []
-    for plan in plans:
-        before(plan)
-        robot = _robot(wire, manoeuvres.fenced(wire.config, plan, space))
-        try:
-            found.append(after(drive(robot, plan, scene, _observer(wire, truth=truth))))
-        finally:
-            robot.close()
+    robot = _robot(wire)
+    try:
+        for plan in plans:
+            before(plan)
+            robot.safety.fence(manoeuvres.fence(wire.config, plan, space))
+            found.append(after(drive(robot, plan, scene, observer)))
+    finally:
+        robot.close()
     return found
 
 
-def _robot(wire: Wire, config: RobotConfig) -> Robot:
-    """A robot for one run."""
-    if wire.lidar is None:
-        return Robot(open_link(wire.url, wire.twin if wire.simulated else config), config)
-    config, twin = lidar.fine(config), lidar.fine(wire.twin)
-    sensors = factories(["lidar"], wire.lidar)
-    return Robot(open_link(wire.url, twin if wire.simulated else config), config, sensors)
+def _robot(wire: Wire) -> Robot:
+    """The robot, not active."""
+    config, twin = wire.config, wire.twin
+    if wire.lidar is not None:
+        config, twin = lidar.fine(config), lidar.fine(twin)
+    sensors = factories(["lidar"], wire.lidar) if wire.lidar is not None else ()
+    link = open_link(wire.url, twin if wire.simulated else config)
+    return Robot(link, config, sensors, recorder=wire.recorder)
 
 
 def _observer(wire: Wire, *, truth: bool) -> Observer | None:

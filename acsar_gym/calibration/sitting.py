@@ -29,6 +29,7 @@ class Sitting:
         scales: of the readings that a person takes.
         kept_in: file that keeps the runs; existing ones are fitted, too. None: not kept.
         ask: asks a person, who can answer; None where nobody is there.
+        known: whether the file must be there already; ConfigError if it isn't.
     """
 
     def __init__(
@@ -38,12 +39,14 @@ class Sitting:
         scales: Scales,
         kept_in: Path | None = None,
         ask: Ask | None = None,
+        *,
+        known: bool = False,
     ) -> None:
         self.found: list[Run] = []
         self.notes: list[str] = []
         self._config, self._given, self._scales = config, given, scales
         self._kept_in, self._ask = kept_in, ask
-        if kept_in is not None and kept_in.exists():
+        if kept_in is not None and (known or kept_in.exists()):
             self.found = runs.load(kept_in, config)
 
     def drive(

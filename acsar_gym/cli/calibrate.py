@@ -109,7 +109,8 @@ def calibrate(
         report.check_writable(path)
     config, later = RobotConfig.of(wire.robot), device.endswith(".json")
     given, kept_in = _given(straight, turn, square), Path(device) if later else output.runs
-    sitting = Sitting(config, given, _scales(wire), kept_in, _ask if sys.stdin.isatty() else None)
+    ask = _ask if sys.stdin.isatty() else None
+    sitting = Sitting(config, given, _scales(wire), kept_in, ask, known=later)
     if not later:
         simulated = device in ("planar", "bullet")
         plans: list[Plan] = []

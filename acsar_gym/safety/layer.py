@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from acsar_gym import kinematics
-from acsar_gym.config import RobotConfig
+from acsar_gym.config import Geofence, RobotConfig
 from acsar_gym.errors import CommandError
 from acsar_gym.jit import COMPILED
 from acsar_gym.protocol import ZERO, Speeds, finite
@@ -39,6 +39,12 @@ class Safety:
         self.halt(Reason.NONE)
         self.allowed(0.0, 0.0, (0.0, 0.0, 0.0), 0.0)  # loads compiled code before driving
         rules.hold(0.0, 0.0, 0.0, self._memory, self._numbers)  # and that of `bounded`
+
+    def fence(self, area: Geofence | None) -> None:
+        """Replace the geofence, before an episode; None for no limit."""
+        at = area or Geofence()
+        self._rules = self._rules._replace(fence=(at.min_x, at.max_x, at.min_y, at.max_y))
+        self._numbers = block(rules.flat(self._rules))
 
     def estop(self) -> None:
         """Hold the wheels at zero from now until the reset."""

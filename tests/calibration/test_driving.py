@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 from calibration_tools import ACSAR
 
@@ -96,6 +97,6 @@ def test_a_robot_that_does_not_get_on_is_told(name: str, done: str) -> None:
 
 
 def test_a_collision_is_told() -> None:
-    world = World(segments=[(0.4, -1.0, 0.4, 1.0)])
+    world = World(segments=np.array([(0.4, -1.0, 0.4, 1.0)]))
     with pytest.raises(LinkError, match="touched an obstacle"):
         drive(robot(), PLANS["line"], Scene(world=world), TruthObserver())

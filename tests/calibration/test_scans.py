@@ -22,12 +22,14 @@ from acsar_gym.robot import Robot
 from acsar_gym.worlds import Pose, Scene, World
 from acsar_gym.worlds.scene import to_world
 
-ROOM = [(-2, -2, 4, -2), (4, -2, 4, 2), (4, 2, -2, 2), (-2, 2, -2, -2), (3, 1, 3.5, 1)]
-CORRIDOR = [(-20, -1, 20, -1), (-20, 1, 20, 1)]
+ROOM = np.array(
+    [(-2, -2, 4, -2), (4, -2, 4, 2), (4, 2, -2, 2), (-2, 2, -2, -2), (3, 1, 3.5, 1)], np.float64
+)
+CORRIDOR = np.array([(-20, -1, 20, -1), (-20, 1, 20, 1)], np.float64)
 FINE = fine(ACSAR)
 
 
-def scan(pose: Pose, segments: list[tuple[float, ...]], config: RobotConfig = FINE) -> Floats:
+def scan(pose: Pose, segments: Floats, config: RobotConfig = FINE) -> Floats:
     """Points that the robot's LiDAR sees, in the base frame, without noise."""
     exact = config.with_(lidar={"noise": 0.0})
     link = open_link("planar", exact)
@@ -108,7 +110,7 @@ def test_a_lidar_measures_runs_of_a_robot_that_odometry_is_wrong_about(
     assert found == pytest.approx(true, abs=5e-3)
 
 
-def measured(segments: list[tuple[float, ...]], distance: float) -> None:
+def measured(segments: Floats, distance: float) -> None:
     plan = manoeuvres.straights(distance, 0.5, 1, returns=False)[0]
     with Robot(open_link("planar", FINE), FINE, ["lidar"]) as robot:
         drive(robot, plan, Scene(world=World(segments=segments)), LidarObserver(FINE))
@@ -116,7 +118,7 @@ def measured(segments: list[tuple[float, ...]], distance: float) -> None:
 
 def test_scans_that_tell_too_little_are_errors() -> None:
     with pytest.raises(LidarError, match="sees 0 points within 5 m: calibrate in a room"):
-        measured([], 0.3)
+        measured(np.zeros((0, 4)), 0.3)
     with pytest.raises(LidarError, match="don't tell where the robot is, as in a long corridor"):
         measured(CORRIDOR, 0.3)
 

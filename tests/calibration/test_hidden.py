@@ -1,0 +1,60 @@
+"""Hidden robots, measured with a tape: marks every 5 mm, and a protractor's every degree."""
+
+from __future__ import annotations
+
+import pytest
+from calibration_tools import ACSAR, driven, hidden, usual_plans
+
+from acsar_gym.calibration.fit import Fit, fit
+from acsar_gym.calibration.model import configured
+from acsar_gym.calibration.result import calibrated
+
+RADIUS, MULTIPLIER = 0.003, 0.01
+"""Largest errors, as shares of the truth."""
+
+
+def check(seed: int, link: str = "planar") -> Fit:
+    """Calibrate one hidden robot; its errors must be within the bounds."""
+    twin = hidden(seed)
+    found = fit(driven(usual_plans(), twin, link), ACSAR)
+    true, factor = configured(twin), twin.body.turn_factor
+    assert found.geometry.left == pytest.approx(true.left, rel=RADIUS)
+    assert found.geometry.right == pytest.approx(true.right, rel=RADIUS)
+    assert found.geometry.multiplier == pytest.approx(factor, rel=MULTIPLIER)
+    assert found.outliers == ()
+    intervals = found.told["wheel_separation_multiplier"]
+    assert factor is not None
+    assert intervals.low <= factor <= intervals.high
+    return found
+
+
+@pytest.mark.parametrize("seed", [0, 4])
+def test_a_hidden_robot_is_found(seed: int) -> None:
+    check(seed)
+
+
+def test_a_hidden_robot_in_bullet_is_found() -> None:
+    pytest.importorskip("pybullet")
+    check(1, "bullet")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(20))
+def test_twenty_hidden_robots_are_found(seed: int) -> None:
+    check(seed)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(5))
+def test_hidden_robots_in_bullet_are_found(seed: int) -> None:
+    check(seed, "bullet")
+
+
+def test_the_calibrated_twin_turns_as_the_robot() -> None:
+    """Without turn_factor it was 37 cm off in its own twin."""
+    twin = hidden(2)
+    found = calibrated(fit(driven(usual_plans(), twin), ACSAR), ACSAR)
+    assert found.body.turn_factor == pytest.approx(twin.body.turn_factor, rel=MULTIPLIER)
+    assert found.wheel_separation_multiplier == found.body.turn_factor
+    again = fit(driven(usual_plans()[:4], found), found)
+    assert again.geometry == pytest.approx(configured(found), rel=0.003, abs=0.003)
