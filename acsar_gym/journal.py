@@ -41,7 +41,7 @@ class Journal:
     ) -> None:
         self._recorder = recorder
         self._link = link
-        self._radius, self._separation = config.wheel_radius, config.effective_separation
+        self._radii, self._separation = config.wheel_radii, config.effective_separation
         self._wire = wire
         self._safety = safety
         self._sensors = sensors
@@ -80,7 +80,7 @@ class Journal:
         """After a tick in which wheel speeds were asked for [rad/s]."""
         if self._recorder is not None:
             a, b, c, d = map(float, speeds)
-            twist = kinematics.twist(a, b, c, d, self._radius, self._separation)
+            twist = kinematics.twist(a, b, c, d, *self._radii, self._separation)
             self.ticked(odometry, *twist)
 
     def listened(self, odometry: Odometry) -> None:
