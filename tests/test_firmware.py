@@ -73,6 +73,48 @@ def test_slow_wires_delay_commands() -> None:
     assert first_motion(RobotConfig(baud_rate=38400)) == pytest.approx(0.020)
 
 
+@pytest.mark.parametrize(("delay", "motion"), [(0.0, 0.006), (0.0012, 0.007), (0.0373, 0.043)])
+def test_a_command_delay_is_told_to_the_loop(delay: float, motion: float) -> None:
+    """The line takes 2.95 ms and its processing 1.25 ms; a loop period is 1 ms."""
+    config = RobotConfig(firmware=FirmwareConfig(loop_rate=1000.0, command_delay=delay))
+    firmware, body = board(config)
+    firmware.receive(encode(FORWARD))
+    while body.wheel_speeds == ZERO:
+        firmware.advance(0.001)
+    assert firmware._elapsed == pytest.approx(motion)
+
+
+def test_every_wheel_has_its_own_motor() -> None:
+    motor = MotorConfig(
+        gain=(1.0, 0.9, 1.1, 1.0),
+        time_constant=(0.0, 0.0, 0.0, 0.2),
+        deadband=(0.0, 0.0, 0.0, 0.0),
+        acceleration=(10.0, 20.0, 1e6, 1e6),
+    )
+    firmware, body = board(RobotConfig(motor=motor))
+    drive(firmware, encode(FORWARD), 41)  # acts for 0.4 s, in 80 loops
+    a, b, c, d = body.wheel_speeds
+    assert (a, b, c) == pytest.approx((4.0, 7.2, 8.8), abs=0.06)
+    assert d == pytest.approx(8.0 * (1.0 - math.exp(-2.0)), abs=0.05)
+
+
+def test_a_deadband_holds_its_own_wheel() -> None:
+    firmware, body = board(RobotConfig(motor=MotorConfig(deadband=(0.0, 1.0, 0.0, 3.0))))
+    drive(firmware, encode((2.0, 2.0, 2.0, 2.0)), 50)
+    assert [speed > 0.0 for speed in body.wheel_speeds] == [True, True, True, False]
+
+
+@pytest.mark.parametrize("quantum", [0.025, 0.1, 0.25, 1.0])
+def test_printed_speeds_are_multiples_of_the_quantum(quantum: float) -> None:
+    firmware, body = board(RobotConfig(encoder=EncoderConfig(quantum=quantum, window=0.2)))
+    answer = speeds_of(drive(firmware, encode((5.03, -4.77, 0.4, 0.0)), 100))
+    for speed in (speed for speeds in answer for speed in speeds):
+        assert speed is not None
+        assert abs(speed / quantum - round(speed / quantum)) <= 0.0051 / quantum
+    last = answer[-1]
+    assert last == pytest.approx(body.wheel_speeds, abs=quantum / 2 + 0.03)
+
+
 def test_a_line_reaches_the_host_after_processing_and_its_own_length() -> None:
     """A feedback line made at 10 ms is complete at 10 + 1.25 + 2.95 ms."""
     firmware, _ = board(RobotConfig(firmware=FirmwareConfig(loop_rate=1000.0)))

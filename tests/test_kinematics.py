@@ -7,7 +7,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from acsar_gym import kinematics
-from acsar_gym.errors import CommandError
+from acsar_gym.errors import CommandError, ConfigError
 
 RADIUS, SEPARATION = 0.05, 0.3
 
@@ -130,6 +130,24 @@ def test_wheels_within_the_limit_are_left_alone(linear: float, angular: float) -
 
 def test_a_limit_of_zero_stops_all_wheels() -> None:
     assert kinematics.inverse(1.0, -2.0, RADIUS, SEPARATION, 0.0) == (0.0, 0.0, 0.0, 0.0)
+
+
+@given(linear=linear_speed, angular=angular_speed, left=length, right=length)
+def test_wheels_of_each_side_have_their_own_radius(
+    linear: float, angular: float, left: float, right: float
+) -> None:
+    sizes = {"left_wheel_radius_multiplier": left, "right_wheel_radius_multiplier": right}
+    speeds = kinematics.inverse(linear, angular, RADIUS, SEPARATION, **sizes)
+    a, b, c, d = kinematics.inverse(linear, angular, RADIUS, SEPARATION)
+    assert speeds == pytest.approx((a / right, b / left, c / left, d / right))
+    back = kinematics.forward(speeds, RADIUS, SEPARATION, **sizes)
+    assert close(back[0], linear)
+    assert close(back[1], angular)
+
+
+def test_a_multiplier_of_zero_is_refused() -> None:
+    with pytest.raises(ConfigError, match="must be positive, and so must the multipliers"):
+        kinematics.inverse(0.1, 0.0, RADIUS, SEPARATION, left_wheel_radius_multiplier=0.0)
 
 
 def test_a_twist_beyond_all_numbers_is_refused() -> None:

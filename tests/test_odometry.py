@@ -281,3 +281,20 @@ def test_odd_half_turns_end_where_the_documents_loop_ends(turns: int) -> None:
     while theta < -math.pi:
         theta += 2 * math.pi
     assert odometry.pose[2] == theta
+
+
+def test_wheels_of_each_side_have_their_own_radius() -> None:
+    odometry = Odometry(
+        0.05,
+        0.3,
+        1.5,
+        left_wheel_radius_multiplier=0.98,
+        right_wheel_radius_multiplier=1.01,
+    )
+    odometry.update((10.0, 10.0, 10.0, 10.0), 0.1)
+    left, right = 10.0 * 0.05 * 0.98, 10.0 * 0.05 * 1.01
+    assert odometry.twist == pytest.approx(((left + right) / 2.0, (right - left) / (0.3 * 1.5)))
+    with pytest.raises(
+        ConfigError, match=r"right_wheel_radius_multiplier = 0\.0: must be positive"
+    ):
+        Odometry(0.05, 0.3, right_wheel_radius_multiplier=0.0)

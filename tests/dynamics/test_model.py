@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from acsar_gym.config import BodyConfig, MotorConfig, RobotConfig
 from acsar_gym.dynamics import GRAVITY, Physics, model, physics
-from acsar_gym.dynamics.model import robot_step, tyre_step, wheel_speed
+from acsar_gym.dynamics.model import Velocity, robot_step, tyre_step, wheel_speed
 from acsar_gym.dynamics.numbers import numbers_of
 from acsar_gym.dynamics.timing import substep
 from acsar_gym.protocol import ZERO, Speeds
@@ -76,6 +76,49 @@ def test_compiled_and_plain_python_agree(
     assert tyre_step(vx, vy, rate, wheels, p, p.kappa, DT) == pytest.approx(
         plain(tyre_step)(vx, vy, rate, wheels, p, p.kappa, DT), abs=1e-9
     )
+
+
+def isotropic(vx: float, vy: float, rate: float, wheels: Speeds, p: Physics) -> Velocity:
+    """One substep with equal friction in all directions, as it was before there was `kappa`."""
+    a, b, m, j = p.half_wheelbase, p.half_track, p.mass / DT, p.yaw_inertia / DT
+    rims = [wheel * p.left_radius for wheel in wheels]
+    nx, ny, nw, floor = vx, vy, rate, p.slip_speed * p.slip_speed
+    for _ in range(3):
+        right, left, front, rear = nx + nw * b, nx - nw * b, ny + nw * a, ny - nw * a
+        ends = (front, front, rear, rear)
+        slips = zip((right, left, left, right), rims, ends, strict=True)
+        da, db, dc, dd = (
+            p.grip / math.sqrt(max((side - rim) ** 2 + end**2, floor)) for side, rim, end in slips
+        )
+        total = da + db + dc + dd
+        k, s = m + total, j + (a * a + b * b) * total
+        x, y = b * (da + dd - db - dc), a * (da + db - dc - dd)
+        fx = m * vx + da * rims[0] + db * rims[1] + dc * rims[2] + dd * rims[3]
+        fw = j * rate + b * (da * rims[0] + dd * rims[3] - db * rims[1] - dc * rims[2])
+        free = 1.0 / k
+        nw = (fw - (x * fx + y * (m * vy)) * free) / (s - (x * x + y * y) * free)
+        nx, ny = (fx - x * nw) * free, (m * vy - y * nw) * free
+    return nx, ny, nw
+
+
+@given(speed, speed, speed, speed, slow, slow, slow)
+def test_tyres_without_a_turn_factor_are_isotropic_to_the_last_bit(
+    a: float, b: float, c: float, d: float, vx: float, vy: float, rate: float
+) -> None:
+    p, wheels = physics(RobotConfig()), (a, b, c, d)
+    assert p.kappa == 1.0
+    expected = isotropic(vx, vy, rate, wheels, p)
+    assert tyre_step(vx, vy, rate, wheels, p, p.kappa, DT) == expected
+
+
+@given(st.floats(0.05, 9.0), speed, speed, slow, slow, slow)
+def test_the_friction_ellipse_bounds_the_force(
+    kappa: float, right: float, left: float, vx: float, vy: float, rate: float
+) -> None:
+    p, wheels = physics(RobotConfig()), (right, left, left, right)
+    nx, ny, _ = tyre_step(vx, vy, rate, wheels, p, kappa, DT)
+    along, across = p.mass * (nx - vx) / DT, p.mass * (ny - vy) / DT
+    assert math.hypot(along, across / math.sqrt(kappa)) <= 4.0 * p.grip * (1.0 + 1e-9)
 
 
 def test_full_braking_obeys_the_friction_law() -> None:

@@ -101,6 +101,22 @@ def test_no_twist_exceeds_the_full_speeds(linear: float, angular: float) -> None
     assert twist(link.last()) == pytest.approx(driver.safety.sent, abs=WIRE)
 
 
+def test_wheels_of_each_side_have_their_own_radius() -> None:
+    """Straight ahead, the smaller wheels turn faster; odometry and the robot agree with it."""
+    driver, link = robot(left_wheel_radius_multiplier=0.96, right_wheel_radius_multiplier=1.02)
+    for _ in range(200):
+        driver.drive(0.3, 0.0)
+    a, b, c, d = (speed or 0.0 for speed in link.last())
+    assert (a, d) == pytest.approx((6.0 / 1.02,) * 2, abs=0.006)
+    assert (b, c) == pytest.approx((6.0 / 0.96,) * 2, abs=0.006)
+    assert driver.safety.sent == pytest.approx((0.3, 0.0))
+    assert driver.safety.wheels(0.3, 0.0) == pytest.approx((a, b, c, d), abs=0.006)
+    assert driver.safety.bounded((a, b, c, d), ORIGIN, 0.0) == (a, b, c, d)
+    assert driver.safety.sent == pytest.approx((0.3, 0.0), abs=WIRE)
+    assert link.truth.pose[1:] == pytest.approx((0.0, 0.0), abs=5e-3)
+    assert driver.odometry.pose[1:] == pytest.approx((0.0, 0.0), abs=5e-3)
+
+
 @given(st.lists(st.floats(-1e307, 1e307), min_size=4, max_size=4))
 def test_raw_wheel_speeds_shrink_alike(speeds: list[float]) -> None:
     safety = Safety(ACSAR)
