@@ -22,6 +22,8 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 import tyro
 
+from acsar_gym.config import RobotConfig
+from acsar_gym.dynamics import Randomization, measured
 from acsar_gym.envs import ids
 from acsar_gym.errors import (
     AcsarError,
@@ -44,14 +46,6 @@ if TYPE_CHECKING:  # torch takes seconds to import, and isn't needed for --help
 
 MOST_TORCH_THREADS = 2
 """Default limit of torch's threads; more don't help with networks this small."""
-RANDOMIZATION = {
-    "friction": (0.7, 1.2),
-    "motor_gain": (0.95, 1.05),
-    "motor_lag": (0.6, 1.5),
-    "wheel_radius": (0.98, 1.02),
-    "latency": (0.0, 0.02),
-}
-"""Domain randomization of the training: factors, and latency [s]."""
 
 
 @dataclass(frozen=True)
@@ -103,6 +97,7 @@ class Plan:
     """Time limit of an episode [steps]."""
     threads: int
     out: Path
+    robot: RobotConfig
 
     @classmethod
     def of(cls, options: Options) -> Plan:
@@ -128,7 +123,8 @@ class Plan:
         chosen = {name: value for name, value in named.items() if value is not None}
         recipe = replace(RECIPES.get(own, Recipe()), **chosen)
         count = threads.chosen(options.threads)
-        return cls(options, env_id, recipe, limit, count, _folder(options, own))
+        robot = RobotConfig.of(options.robot)
+        return cls(options, env_id, recipe, limit, count, _folder(options, own), robot)
 
     @property
     def worlds(self) -> dict[str, Any]:
@@ -137,7 +133,8 @@ class Plan:
 
     def __str__(self) -> str:
         cores = "1 thread" if self.threads == 1 else f"{self.threads} threads"
-        return f"{cores}, seed {self.options.seed}"
+        found = self.options.randomize and measured.told(self.robot)
+        return f"{cores}, seed {self.options.seed}" + (f"; {found}" if found else "")
 
 
 def _folder(options: Options, env_id: str) -> Path:
@@ -181,7 +178,7 @@ def _learning(plan: Plan) -> RobotVectorEnv:
         robot=options.robot,
         autoreset_mode="SameStep",
         threads=max(1, min(plan.threads, options.robots // FAIR_SHARE)),
-        randomization=RANDOMIZATION if options.randomize else None,
+        randomization=Randomization.measured(plan.robot) if options.randomize else None,
         **plan.worlds,
     )
 

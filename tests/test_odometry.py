@@ -294,7 +294,5 @@ def test_wheels_of_each_side_have_their_own_radius() -> None:
     odometry.update((10.0, 10.0, 10.0, 10.0), 0.1)
     left, right = 10.0 * 0.05 * 0.98, 10.0 * 0.05 * 1.01
     assert odometry.twist == pytest.approx(((left + right) / 2.0, (right - left) / (0.3 * 1.5)))
-    with pytest.raises(
-        ConfigError, match=r"right_wheel_radius_multiplier = 0\.0: must be positive"
-    ):
+    with pytest.raises(ConfigError, match="right_wheel_radius_multiplier"):
         Odometry(0.05, 0.3, right_wheel_radius_multiplier=0.0)

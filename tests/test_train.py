@@ -12,6 +12,7 @@ import pytest
 from serial_tools import CLI, TIMEOUT
 
 import acsar_gym
+from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.resources import AGENTS, agent
 from acsar_gym.training import saving
@@ -114,6 +115,31 @@ def test_a_training_says_how_good_it_is_and_what_comes_next(
     for name in ("policy.onnx", "model.zip", "tensorboard"):
         assert (tmp_path / name).exists()
     assert not list(tmp_path.glob(".*"))
+
+
+def test_a_training_says_which_ranges_were_measured(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lag = {"low": 0.1, "high": 0.12, "method": "identify"}
+    robot = RobotConfig.preset("acsar").with_(
+        motor={"time_constant": 0.11},
+        firmware={"delay_samples": [0.001, 0.004]},
+        measured={"motor.time_constant": lag},
+    )
+    robot.save(tmp_path / "robot.yaml")
+    options = ["--steps", "1", "--robots", "4", "--no-progress", "--out", str(tmp_path)]
+    options += ["--threads", "1", "--robot", str(tmp_path / "robot.yaml")]
+    assert agent("train").main(options) == 0
+    assert (
+        capsys.readouterr()
+        .out.splitlines()[0]
+        .endswith(
+            "seed 0; randomized as measured: motor_lag 0.909 to 1.09, delay_samples (2 delays up to "
+            "0.004 s); by default widths: friction, motor_gain, wheel_radius, turn_factor"
+        )
+    )
+    assert agent("train").main([*options, "--no-randomize"]) == 0
+    assert "randomized" not in capsys.readouterr().out
 
 
 def test_a_file_is_written_whole_or_stays_as_it_was(tmp_path: Path) -> None:

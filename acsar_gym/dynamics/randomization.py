@@ -18,6 +18,7 @@ from typing import Any, Self
 from acsar_gym.config import RobotConfig
 from acsar_gym.config.units import of_wheel
 from acsar_gym.dynamics.drawing import Drawn, Ranges, loops_between, numbers_of
+from acsar_gym.dynamics.measured import ranges as measured_or_usual
 from acsar_gym.dynamics.model import turn_factor
 from acsar_gym.dynamics.timing import substep, wire_loops
 from acsar_gym.errors import ConfigError, shown, suggestion
@@ -95,6 +96,18 @@ class Randomization:
                     f"unknown randomization {shown(name)}{suggestion(str(name)[:40], known)}"
                 )
         return cls(**(ranges or {}))
+
+    @classmethod
+    def measured(cls, config: RobotConfig) -> Randomization:
+        """Take the ranges from a robot's measurements; see `acsar_gym.dynamics.measured`.
+
+        What wasn't measured has a default width. Measured delays (`firmware.delay_samples`, or the
+        interval of `firmware.command_delay`) replace the default latency.
+
+        Args:
+            config: the robot, with the intervals in its field `measured`.
+        """
+        return cls.of(measured_or_usual(config))  # type: ignore[arg-type]
 
     @property
     def names(self) -> tuple[str, ...]:

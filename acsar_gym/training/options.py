@@ -40,7 +40,8 @@ class Options:
     robot: str | None = None
     """Preset or config file."""
     randomize: bool = True
-    """Randomize the robots' physics (see RANDOMIZATION)."""
+    """Randomize the robots' physics, within what was measured (`measured` in the robot's file) and
+    default widths for the rest."""
     gamma: float | None = None
     """Discount factor, 0 to 1; default: the recipe's."""
     learning_rate: float | None = None
