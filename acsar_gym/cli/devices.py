@@ -154,7 +154,7 @@ def _checks(
 def _commission(device: str | None, options: SpinOptions) -> Commission | None:
     """Count down, and return what is to be found by turning wheels; None without --spin."""
     from acsar_gym.doctor.commission import Commission  # noqa: PLC0415
-    from acsar_gym.doctor.wiring import seen  # noqa: PLC0415
+    from acsar_gym.doctor.wiring import eyes_of  # noqa: PLC0415
     from acsar_gym.evaluation import report  # noqa: PLC0415
 
     if not options.spin:
@@ -164,8 +164,8 @@ def _commission(device: str | None, options: SpinOptions) -> Commission | None:
     if device is None:
         raise ConfigError("--spin needs a device, such as /dev/ttyUSB0")
     report.check_writable(options.out)
-    eyes = options.saw and [seen(said, letter) for letter, said in enumerate(options.saw)]
-    asks = not (options.yes or eyes)
+    eyes = None if options.saw is None else eyes_of(options.saw)
+    asks = eyes is None and not options.yes
     countdown(f"the wheels of the robot on {device} will turn: lift it", yes=options.yes)
     return Commission(eyes=eyes, ask=ask if asks else None)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,6 +26,10 @@ SLOW = 0.1
 """A command that takes longer to show is worth a warning [s]."""
 RATE_WITHIN = 0.05
 """A feedback rate is as configured within this share."""
+TIMEOUT_WITHIN = 0.03
+"""A time-out is as configured within this [s]."""
+ATTEMPTS = 5
+"""How often a question is asked again."""
 NAMES = ", ".join(f"{letter} {name}" for letter, name in zip(MOTORS, WHEELS, strict=True))
 
 Ask = Callable[[str], str]
@@ -97,17 +103,17 @@ class Commission:
         """
         for comma in (True, False):
             ear.trailing_comma = comma
-            answers, eyes = [], []
+            answers, said = [], []
             for letter in range(4):
                 answers.append(spun(ear, letter, speed))
                 if self.ask is not None:
-                    eyes.append(_asked(self.ask, letter))
+                    said.append(_asked(self.ask, letter))
                 if ear.gaps:
                     break
             if ear.gaps or any(answer.moving for answer in answers):
                 break
         if self.ask is not None:
-            self.eyes = eyes
+            self.eyes = wiring.eyes_of(said)
         return answers
 
     def _line_end(
@@ -132,10 +138,10 @@ class Commission:
     def _time_out(self, found: TimeOut | None, config: RobotConfig) -> Check:
         """Say how soon the board stops by itself."""
         name = "stops when commands stop"
-        configured = config.firmware.command_timeout
-        after = None if found is None else round(found.after, 2)
-        if after is None or configured is None or abs(after - configured) > 0.02:
-            self._note(config, firmware={"command_timeout": after})
+        configured = config.firmware.command_timeout or math.inf
+        after = math.inf if found is None else round(found.after, 2)
+        if after != configured and not abs(after - configured) <= TIMEOUT_WITHIN:
+            self._note(config, firmware={"command_timeout": None if found is None else after})
         if found is None:
             return Check(
                 name, "fail", "the wheels keep turning", "add a command time-out to the firmware"
@@ -168,11 +174,16 @@ def _names(changes: dict[str, Any]) -> list[str]:
     return names
 
 
-def _asked(ask: Ask, letter: int) -> wiring.Seen:
-    """Ask which wheel turned while a letter was commanded forward."""
+def _asked(ask: Ask, letter: int) -> str:
+    """Ask which wheel turned while a letter was commanded forward, until the answer makes sense."""
     own = MOTORS[letter]
     question = f"{own} was commanded forward: which wheel turned ({NAMES}; n behind it: backward; "
-    return wiring.seen(ask(f"{question}none; Enter: {own})? "), letter)
+    for _ in range(ATTEMPTS):
+        said = ask(f"{question}none; Enter: {own})? ")
+        with contextlib.suppress(ConfigError):
+            wiring.seen(said, letter)
+            return said
+    raise ConfigError("no answer makes sense: start again, or add --yes")
 
 
 def _delay(found: Delays | None, rate: float) -> Check:

@@ -41,7 +41,7 @@ class Line(NamedTuple):
 class Ear:
     """Sends commands to the letters of a board, and hears its lines.
 
-    Attributes: `decoder`; `rate`; `gaps`, how long the board was silent each time that it was reset [s];
+    Attributes: `decoder`; `gaps`, how long the board was silent each time that it was reset [s];
     `raw`, the newest lines as they came; `sent`, when the last byte of the newest command had left
     [s]; `trailing_comma`, of the commands.
 

@@ -135,16 +135,17 @@ class Together:
         Returns:
             The time-out; None where the wheels keep turning.
         """
-        ear, steady = self._ear, self._steady()
+        ear = self._ear
+        steady, newest = self._steady()
         ear.command(ZERO)
         stop = ear.sent
         lines = ear.hear(ZERO, self._below(0.5 * steady), PATIENCE)
-        commanded = self._crossing(lines, LEVEL * steady)
+        commanded = self._crossing([*newest, *lines], LEVEL * steady)
         stand(ear, self._speed)
-        steady = self._steady()
+        steady, newest = self._steady()
         last = ear.sent
         lines = ear.hear(None, self._below(STANDS * self._speed), PATIENCE)
-        by_itself = self._crossing(lines, LEVEL * steady)
+        by_itself = self._crossing([*newest, *lines], LEVEL * steady)
         stand(ear, self._speed)
         if commanded is None or by_itself is None:
             return None
@@ -156,8 +157,8 @@ class Together:
         """Return a condition on lines [rad/s]."""
         return lambda line: self._mean(line) < level
 
-    def _steady(self) -> float:
-        """Turn the wheels until their speed is steady; returns it [rad/s]."""
+    def _steady(self) -> tuple[float, list[Line]]:
+        """Turn the wheels until their speed is steady; returns it [rad/s], and the newest line."""
         lines: list[Line] = []
 
         def steady(line: Line) -> bool:
@@ -170,7 +171,8 @@ class Together:
             return fmean(newest) > NOISE * self._speed and abs(change) < STEADY * self._speed
 
         self._ear.hear(self._command, steady, PATIENCE)
-        return fmean(self._window(lines, lines[-1].stamp)) if lines else 0.0
+        speed = fmean(self._window(lines, lines[-1].stamp)) if lines else 0.0
+        return speed, lines[-1:]
 
     def _since(self, lines: Sequence[Line], begin: float) -> list[float]:
         """Return the mean speeds of the lines since then [rad/s]."""

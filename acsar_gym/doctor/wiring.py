@@ -15,7 +15,7 @@ Seen = tuple[int, int] | None
 """Which wheel was seen to turn, and 1 for forward, -1 for backward; None if none turned."""
 MIRRORED = (1, 0, 3, 2)
 """Indices of the wheels on the other side."""
-WAYS = {1: "forward", -1: "backward"}
+UNLESS = " (or its motor, if the wheel turned backward)"
 
 
 def seen(answer: str, letter: int) -> Seen:
@@ -41,6 +41,15 @@ def seen(answer: str, letter: int) -> Seen:
     )
 
 
+def eyes_of(said: Sequence[str]) -> list[Seen]:
+    """Read what was seen for a, b, c, d; ConfigError where it can't be. See `seen`."""
+    eyes = [seen(answer, letter) for letter, answer in enumerate(said)]
+    wheels = [saw[0] for saw in eyes if saw is not None]
+    if len(set(wheels)) < len(wheels):
+        raise ConfigError(f"{' '.join(said)}: one wheel turned for two letters: look again")
+    return eyes
+
+
 def wiring(answers: Sequence[Answer], eyes: Sequence[Seen] | None) -> WheelsConfig:
     """Infer the wiring; wheels of which nothing is known keep the letters that are left.
 
@@ -48,9 +57,6 @@ def wiring(answers: Sequence[Answer], eyes: Sequence[Seen] | None) -> WheelsConf
         answers: of the encoders, for the letters a, b, c, d.
         eyes: what was seen to turn, for each; None if nobody looked: motors are then taken to be
             where their letters say.
-
-    Raises:
-        ConfigError: one wheel was seen twice.
     """
     motors: dict[int, tuple[int, int]] = {}
     encoders: dict[int, tuple[int, int]] = {}
@@ -59,8 +65,6 @@ def wiring(answers: Sequence[Answer], eyes: Sequence[Seen] | None) -> WheelsConf
         if saw is None:
             continue
         wheel, way = saw
-        if wheel in motors:
-            raise ConfigError(f"{WHEELS[wheel]} was seen to turn for two letters: look again")
         motors[wheel] = answer.letter, way
         if answer.encoder is not None and answer.encoder not in {e for e, _ in encoders.values()}:
             encoders[wheel] = answer.encoder, answer.sign * way
@@ -132,10 +136,15 @@ def _wheel(
         return Check(name, "fail", f"{text}; encoder {others} turns with it", "check its wires")
     if found == config.wheels.each[wheel]:
         return Check(name, "ok", text)
-    return Check(name, "warn", f"{text}: {_different(found, wheel)}", _mapping(wheel, found))
+    return Check(
+        name,
+        "warn",
+        f"{text}: {_different(found, wheel, looked=eyes is not None)}",
+        _mapping(wheel, found),
+    )
 
 
-def _different(found: WheelConfig, wheel: int) -> str:
+def _different(found: WheelConfig, wheel: int, *, looked: bool) -> str:
     """Say how a wheel's wiring differs from its letter's."""
     parts = []
     if found.motor != MOTORS[wheel]:
@@ -145,7 +154,7 @@ def _different(found: WheelConfig, wheel: int) -> str:
     if found.encoder != MOTORS[wheel]:
         parts.append(f"its encoder is swapped with that of {WHEELS[MOTORS.index(found.encoder)]}")
     if found.sign == -1:
-        parts.append("its encoder is reversed")
+        parts.append("its encoder is reversed" + ("" if looked else UNLESS))
     return " and ".join(parts) or "unlike in the robot's file"
 
 
@@ -187,7 +196,8 @@ def _sides(answers: Sequence[Answer], eyes: Sequence[Seen] | None, usual: bool) 
     heard = [answer for answer in answers if answer.encoder is not None]
     crossed = bool(heard) and all(each.encoder == MIRRORED[each.letter] for each in heard)
     if eyes is not None:
-        mirrored = all(s is None or s[0] == MIRRORED[n] for n, s in enumerate(eyes))
+        saw = [(letter, each[0]) for letter, each in enumerate(eyes) if each is not None]
+        mirrored = bool(saw) and all(wheel == MIRRORED[letter] for letter, wheel in saw)
         swapped = [w for w, so in (("motors", mirrored), ("encoders", crossed != mirrored)) if so]
         what = f"left and right {' and '.join(swapped)} are swapped" if swapped else "as seen"
         return Check("wiring", "ok" if usual else "warn", what)

@@ -20,8 +20,9 @@ from serial_tools import (
 
 from acsar_gym import RobotConfig
 from acsar_gym.cli import main
-from acsar_gym.doctor import wire
+from acsar_gym.doctor import feedback, response, spinning, wire
 from acsar_gym.doctor.checks import Check
+from acsar_gym.doctor.commission import Commission
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
@@ -60,19 +61,23 @@ while True:
 @pytest.fixture(autouse=True)
 def hurry(monkeypatch: pytest.MonkeyPatch) -> None:
     """Listen shorter than at the command line, and wait for what comes on a busy machine, too."""
-    monkeypatch.setattr(wire, "LISTEN", 0.2)
-    monkeypatch.setattr(wire, "PATIENCE", TIMEOUT)
+    monkeypatch.setattr(feedback, "LISTEN", 0.2)
+    monkeypatch.setattr(response, "TRIALS", 2)
+    for module in (spinning, response):
+        monkeypatch.setattr(module, "PATIENCE", TIMEOUT)
 
 
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is waited for never comes."""
-    monkeypatch.setattr(wire, "PATIENCE", 1.0)
+    for module in (spinning, response):
+        monkeypatch.setattr(module, "PATIENCE", 1.0)
 
 
 def examined(device: str, config: RobotConfig, *, spin: bool = False) -> dict[str, Check]:
     with no_leak():
-        return {check.name: check for check in wire.examine(device, config, spin=spin)}
+        commission = Commission() if spin else None
+        return {check.name: check for check in wire.examine(device, config, commission)}
 
 
 def only(checks: dict[str, Check]) -> Check:
@@ -113,8 +118,12 @@ def test_spin_measures_round_trip_and_stop(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     report = tmp_path / "doctor.json"
-    options = ("--spin", "--yes", "--robot", str(robot_file()), "--json", str(report))
-    monkeypatch.setattr(sys, "argv", ["acsar-gym", "doctor", shared_device, *options])
+    given, out_file = robot_file(), tmp_path / "found.yaml"
+    robot = RobotConfig.load(given)
+    files = ("--robot", str(given), "--json", str(report), "--out", str(out_file))
+    monkeypatch.setattr(
+        sys, "argv", ["acsar-gym", "doctor", shared_device, "--spin", "--yes", *files]
+    )
     with pytest.raises(SystemExit, match="0"):
         main()
     out, error = capsys.readouterr()
@@ -123,8 +132,10 @@ def test_spin_measures_round_trip_and_stop(
     assert {name for name, c in checks.items() if c["status"] == "warn"} <= TIMED | {"serial ports"}
     assert checks["stops when commands stop"]["status"] == "ok"
     assert number(checks["command to feedback"]["found"]) > 0.0
-    assert number(checks["stops when commands stop"]["found"]) > 0.1
+    assert number(checks["stops when commands stop"]["found"]) == pytest.approx(0.5, abs=0.06)
     assert "stops when commands stop" in out
+    written = RobotConfig.load(out_file)
+    assert written.with_(firmware=robot.firmware.model_dump()) == robot
 
 
 def test_spin_finds_a_board_that_never_stops(
@@ -188,7 +199,7 @@ def test_a_device_lost_during_the_examination(
     emulator = start_emulator()
     checks = []
     with no_leak():
-        for check in wire.examine(emulator.device, config, spin=False):
+        for check in wire.examine(emulator.device, config):
             checks.append(check)
             if check.name == "first valid line":
                 emulator.kill()
@@ -209,6 +220,11 @@ def test_without_a_device_only_the_computer_is_examined(tmp_path: Path) -> None:
         (("--baud-rate", "12345"), "must be one of 9600"),
         (("--robot", "acsr"), "did you mean 'acsar'"),
         (("--json", "/missing/doctor.json"), "can't be written"),
+        (("--out", "robot.yaml"), "--out and --saw need --spin"),
+        (("--saw", "a", "b", "c", "d"), "--out and --saw need --spin"),
+        (("--spin", "--yes"), "--spin needs a device"),
+        ((MISSING, "--spin", "--yes", "--saw", "a", "b", "c", "x"), "'x': write the wheel"),
+        ((MISSING, "--spin", "--yes", "--out", "/missing/robot.yaml"), "can't be written"),
     ],
 )
 def test_bad_options(arguments: tuple[str, ...], said: str) -> None:
@@ -223,8 +239,9 @@ def test_one_dead_wheel_is_found(
     config: RobotConfig, wheel: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if wheel == "dead":
-        monkeypatch.setattr(wire, "PATIENCE", 1.0)
+        monkeypatch.setattr(spinning, "PATIENCE", 1.0)
     with program(BOARD, wheel) as board:
         checks = examined(first_line(board), config, spin=True)
-    assert (checks["command to feedback"].status == "fail") == (wheel == "dead")
+    assert (checks["rear_right"].status == "fail") == (wheel == "dead")
+    assert checks["rear_left"].status == "ok"
     assert checks["line quality"].status == "ok"

@@ -1,0 +1,280 @@
+"""Commissioning: each quirk of a board is found and named, and its robot file drives right."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+from board_tools import board, commissioned
+
+from acsar_gym import Robot, RobotConfig
+from acsar_gym.doctor.commission import Commission
+from acsar_gym.doctor.wiring import eyes_of
+from acsar_gym.errors import BoardSilentError, ConfigError, LinkError
+from acsar_gym.protocol import WHEELS
+from acsar_gym.worlds import Pose
+
+SLOW_BOARD = {
+    "motor": {"time_constant": 0.3, "deadband": 0.9, "acceleration": 10.0},
+    "encoder": {"counts_per_revolution": 360, "window": 0.1},
+}
+"""As slow and as coarse as boards get."""
+SWAPPED = ["b", "a", "d", "c"]
+MIRRORED = ("swapped-motors", "swapped-encoders")
+
+
+def findings(*names: str, saw: Sequence[str] | None = None, **robot: Any) -> dict[str, str]:
+    """What the doctor finds that isn't ok."""
+    commission = Commission(eyes=None if saw is None else eyes_of(saw))
+    checks = commissioned(board(*names, robot=RobotConfig(**robot)), commission)
+    return {name: check.found for name, check in checks.items() if check.status != "ok"}
+
+
+def test_a_board_as_documented_has_nothing_to_mend() -> None:
+    commission = Commission()
+    checks = commissioned(board(), commission)
+    assert {check.name for check in checks.values() if check.status != "ok"} == {"wiring"}
+    assert checks["wiring"].status == "skip"
+    assert "--saw" in checks["wiring"].fix
+    assert (commission.changes, commission.finished) == ({}, True)
+
+
+def test_with_eyes_on_the_wheels_nothing_is_open() -> None:
+    assert findings(saw="abcd") == {}
+
+
+def test_a_board_that_takes_values_at_their_commas() -> None:
+    for comma, status in ((True, "ok"), (False, "warn")):
+        commission = Commission()
+        config = RobotConfig(trailing_comma=comma)
+        check = commissioned(board("at-comma"), commission, config)["line end"]
+        assert check.status == status
+        assert "trailing comma" in check.found
+        assert commission.changes.get("trailing_comma", True)
+        assert ("trailing_comma" in commission.changes) == (not comma)
+
+
+@pytest.mark.parametrize(
+    ("quirk", "shown"), [("unpadded", "'ap0.00,bp0.00"), ("padded-space", "'ap 0.00,bp 0.00")]
+)
+def test_numbers_of_its_own_are_shown_and_nothing_to_mend(quirk: str, shown: str) -> None:
+    checks = commissioned(board(quirk), Commission())
+    assert shown in checks["line format"].found
+    assert checks["line quality"].status == checks["line format"].status == "ok"
+    assert checks["line quality"].found.startswith("0 bad parts")
+
+
+def test_a_reversed_encoder() -> None:
+    found = findings("reversed-encoder=b")
+    assert set(found) == {"front_left", "wiring"}
+    assert "encoder b counts backward" in found["front_left"]
+    assert "its encoder is reversed (or its motor" in found["front_left"]
+
+
+def test_a_reversed_motor_that_was_seen() -> None:
+    found = findings("reversed-motor=b", saw=("a", "bn", "c", "d"))
+    assert "its motor is reversed" in found["front_left"]
+    assert "its encoder" not in found["front_left"]
+
+
+def test_swapped_sides() -> None:
+    found = findings("swapped-encoders")
+    assert set(found) == {*WHEELS, "wiring"}
+    assert "left and right are swapped" in found["wiring"]
+    assert "swapped with that of front_left" in found["front_right"]
+
+
+@pytest.mark.parametrize(
+    ("quirks", "swapped"),
+    [
+        (("swapped-motors",), "motors are"),
+        (MIRRORED, "motors and encoders are"),
+    ],
+)
+def test_swapped_sides_that_were_seen(quirks: tuple[str, ...], swapped: str) -> None:
+    found = findings(*quirks, saw=SWAPPED)
+    assert f"left and right {swapped} swapped" in found["wiring"]
+
+
+def test_a_robot_that_is_swapped_twice_needs_eyes() -> None:
+    assert set(findings(*MIRRORED)) == {"wiring"}
+
+
+@pytest.mark.parametrize("quirk", ["dead-wheel=c", "dead-encoder=c"])
+def test_a_dead_wheel_or_encoder_is_named(quirk: str) -> None:
+    found = findings(quirk)
+    assert set(found) == {"rear_left", "wiring"}
+    assert "no encoder answers to motor c" in found["rear_left"]
+    assert "can't tell" in found["rear_left"]
+
+
+def test_with_eyes_a_dead_wheel_is_none_of_its_encoder() -> None:
+    wheel = findings("dead-wheel=c", saw=("a", "b", "none", "d"))
+    encoder = findings("dead-encoder=c", saw="abcd")
+    assert wheel["rear_left"].endswith("its motor is dead")
+    assert encoder["rear_left"].endswith("its encoder is dead")
+
+
+def test_nothing_turns() -> None:
+    found = findings(motor={"deadband": 20.0})
+    assert found["command to feedback"] == "no wheel turns"
+    assert set(WHEELS) < set(found)
+
+
+def test_a_board_that_is_reset_is_not_measured() -> None:
+    for pause in ("1", "4"):
+        commission = Commission()
+        checks = commissioned(board(f"resets={pause}"), commission)
+        assert "silent for 1.5 s" in checks["resets"].found
+        assert checks["line quality"].status == "ok"
+        assert checks["resets"].status == "fail"
+        assert not commission.finished
+
+
+def test_a_frozen_board_is_silent() -> None:
+    with pytest.raises(BoardSilentError, match=r"in mid-line after 'ap00\.00,bp00\.00,c") as caught:
+        commissioned(board("frozen=1"), Commission())
+    assert type(caught.value) is BoardSilentError
+
+
+def test_wheels_that_never_stop_are_an_error() -> None:
+    quick = board("no-timeout", robot=RobotConfig(motor={"time_constant": 50.0}))
+    quick.write(b"ap09.00,bp09.00,cp09.00,dp09.00,\r\n")
+    for _ in range(2000):
+        quick.advance(0.005)
+    with pytest.raises(LinkError, match="still turn"):
+        commissioned(quick, Commission())
+
+
+@pytest.mark.parametrize("time_out", [0.2, 0.5, 1.3])
+@pytest.mark.parametrize(
+    ("quirk", "robot"),
+    [((), {}), (("feedback-rate=50",), SLOW_BOARD), (("feedback-rate=20",), SLOW_BOARD)],
+    ids=["usual", "slow", "slowest"],
+)
+def test_the_time_out_itself(time_out: float, quirk: tuple[str], robot: dict[str, Any]) -> None:
+    commission = Commission()
+    unlike = RobotConfig(firmware={"command_timeout": 0.9})
+    link = board(*quirk, f"command-timeout={time_out}", robot=RobotConfig(**robot))
+    checks = commissioned(link, commission, unlike)
+    assert commission.changes["firmware"]["command_timeout"] == pytest.approx(time_out, abs=0.03)
+    assert checks["stops when commands stop"].status == "ok"
+    assert "the wheels stand after" in checks["stops when commands stop"].found
+
+
+def test_no_time_out() -> None:
+    commission = Commission()
+    check = commissioned(board("no-timeout"), commission)["stops when commands stop"]
+    assert (check.status, check.found) == ("fail", "the wheels keep turning")
+    assert commission.changes == {"firmware": {"command_timeout": None}}
+
+
+@pytest.mark.parametrize("rate", [10, 20, 50, 200])
+def test_the_feedback_rate(rate: int) -> None:
+    commission = Commission()
+    commissioned(board(f"feedback-rate={rate}"), commission)
+    assert commission.changes["firmware"] == {"feedback_rate": rate}
+
+
+def test_the_delay_leaves_out_the_wait_for_the_next_line() -> None:
+    """Its length hardly depends on how often lines come."""
+    shortest = []
+    for rate in (200, 50):
+        found = commissioned(board(f"feedback-rate={rate}"), Commission())["command to feedback"]
+        shortest.append(float(found.found.split(" ")[0]))
+    assert 5.0 < shortest[0] < 40.0
+    assert abs(shortest[1] - shortest[0]) < 15.0
+
+
+def driven(config: RobotConfig, *names: str) -> tuple[Pose, Pose]:
+    """True poses of a robot behind a quirky board: after driving straight, and after a turn."""
+    with Robot(board(*names), config) as robot:
+        poses = []
+        for angular in (0.0, 1.0):
+            for _ in range(200):
+                robot.drive(0.3, angular)
+            assert robot.link.truth is not None
+            poses.append(robot.link.truth.pose)
+        return poses[0], poses[1]
+
+
+@pytest.mark.parametrize(
+    ("quirks", "saw"),
+    [
+        (("at-comma",), None),
+        (("unpadded", "feedback-rate=50"), None),
+        (("reversed-encoder=b",), None),
+        (("reversed-motor=c",), ("a", "b", "cn", "d")),
+        (("swapped-encoders",), None),
+        (("swapped-motors",), SWAPPED),
+        (MIRRORED, SWAPPED),
+        (("swapped-motors", "reversed-encoder=a", "at-comma", "padded-space"), SWAPPED),
+        (("command-timeout=0.5",), None),
+    ],
+    ids=lambda value: " ".join(value) if value else "",
+)
+def test_the_robot_file_drives_right(
+    quirks: tuple[str, ...], saw: Sequence[str] | None, tmp_path: Path
+) -> None:
+    commission = Commission(eyes=None if saw is None else eyes_of(saw))
+    guess = RobotConfig(trailing_comma="at-comma" not in quirks)
+    commissioned(board(*quirks), commission, guess)
+    assert commission.finished
+    file = tmp_path / "robot.yaml"
+    assert commission.save(guess, file).status == "ok"
+    for right, pose in zip(
+        driven(RobotConfig()), driven(RobotConfig.load(file), *quirks), strict=True
+    ):
+        assert math.dist(right[:2], pose[:2]) < 0.02
+        assert abs(right[2] - pose[2]) < 0.03
+
+
+def test_a_robot_file_of_an_odd_board_is_right_already(tmp_path: Path) -> None:
+    quirks = ("swapped-encoders", "reversed-encoder=c", "feedback-rate=50", "command-timeout=0.7")
+    first, file = Commission(), tmp_path / "robot.yaml"
+    commissioned(board(*quirks), first)
+    first.save(RobotConfig(), file)
+    again = Commission()
+    checks = commissioned(board(*quirks), again, RobotConfig.load(file))
+    assert again.changes == {}
+    assert [checks[name].status for name in WHEELS] == ["ok"] * 4
+
+
+def test_asking_takes_answers_until_they_make_sense() -> None:
+    answers = iter(["what?", "b", "a", "", "c"])
+    asked: list[str] = []
+
+    def ask(question: str) -> str:
+        asked.append(question)
+        return next(answers)
+
+    with pytest.raises(ConfigError, match="one wheel turned for two letters"):
+        commissioned(board(), Commission(ask=ask))
+    assert len(asked) == 5
+    assert "a was commanded forward" in asked[0] == asked[1]
+
+
+def test_what_was_asked_is_mapped() -> None:
+    answers = iter(SWAPPED)
+    commission = Commission(ask=lambda _: next(answers))
+    commissioned(board("swapped-motors"), commission)
+    assert commission.changes["wheels"]["a"]["motor"] == "b"
+    assert commission.changes["wheels"]["a"]["encoder"] == "a"
+
+
+@pytest.mark.parametrize(
+    "said", [("e", "a", "b", "c"), ("a", "a", "c", "d"), ("ax", "b", "c", "d")]
+)
+def test_what_cannot_have_been_seen(said: tuple[str, ...]) -> None:
+    with pytest.raises(ConfigError):
+        eyes_of(said)
+
+
+def test_a_file_that_would_not_be_valid_is_not_written(tmp_path: Path) -> None:
+    commission = Commission(changes={"firmware": {"feedback_rate": 1000.0}})
+    check = commission.save(RobotConfig(), tmp_path / "robot.yaml")
+    assert check.status == "fail"
+    assert not (tmp_path / "robot.yaml").exists()

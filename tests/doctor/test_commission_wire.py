@@ -1,0 +1,75 @@
+"""Commissioning over a pseudo-terminal: the doctor's robot file drives an odd board right."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+from serial_tools import Emulated, StartEmulator, cli, wait_until
+
+from acsar_gym import Robot, RobotConfig, open_link
+from acsar_gym.worlds import Pose
+
+pytestmark = [pytest.mark.xdist_group("serial"), pytest.mark.usefixtures("deadline")]
+
+ODD = (
+    "at-comma",
+    "unpadded",
+    "swapped-motors",
+    "reversed-encoder=b",
+    "feedback-rate=50",
+    "command-timeout=0.3",
+)
+"""A board that differs in everything."""
+
+
+def curved(robot: Robot) -> None:
+    """Drive a curve to the left, and stop."""
+    for ticks, linear, angular in ((200, 0.3, 0.8), (60, 0.0, 0.0)):
+        for _ in range(ticks):
+            robot.drive(linear, angular)
+
+
+def driven(emulated: Emulated, config: RobotConfig) -> Pose:
+    """Where the robot really is after a curve, seen from where it began."""
+    x, y, theta = emulated.poses()[-1]
+    with Robot(open_link(emulated.device, config), config) as robot:
+        curved(robot)
+    wait_until(emulated.stands, "a robot that stands")
+    ex, ey, end = emulated.poses()[-1]
+    cos, sin = math.cos(theta), math.sin(theta)
+    dx, dy = ex - x, ey - y
+    return cos * dx + sin * dy, cos * dy - sin * dx, end - theta
+
+
+def simulated(config: RobotConfig) -> Pose:
+    """Where a robot as documented is after that curve."""
+    with Robot(open_link("planar", config), config) as robot:
+        curved(robot)
+        assert robot.link.truth is not None
+        return robot.link.truth.pose
+
+
+def test_an_odd_board_is_commissioned_and_driven(
+    config: RobotConfig, start_emulator: StartEmulator, tmp_path: Path
+) -> None:
+    """The last of its answers only eyes can give: the sides are swapped at the motors."""
+    odd = start_emulator("--quirk", *ODD)
+    guess, found, report = (tmp_path / name for name in ("guess.yaml", "found.yaml", "out.json"))
+    config.save(guess)
+    options = ("--robot", guess, "--out", found, "--json", report, "--saw", "b", "a", "d", "c")
+    done = cli("doctor", odd.device, "--spin", "--yes", *options)
+    assert done.returncode == 0, done.stdout
+    assert "left and right motors are swapped" in " ".join(report.read_text().split())
+    known = RobotConfig.load(found)
+    assert known.firmware.feedback_rate == 50.0
+    assert known.firmware.command_timeout == pytest.approx(0.3, abs=0.06)
+    assert [(wheel.motor, wheel.encoder) for wheel in known.wheels.each] == [
+        ("b", "a"),
+        ("a", "b"),
+        ("d", "c"),
+        ("c", "d"),
+    ]
+    assert [wheel.sign for wheel in known.wheels.each] == [1, -1, 1, 1]
+    assert driven(odd, known) == pytest.approx(simulated(config), abs=0.1)
