@@ -16,7 +16,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import LinkError, SafetyWarning
 from acsar_gym.journal import Journal
 from acsar_gym.lidars.factory import factories
-from acsar_gym.links.base import Link
+from acsar_gym.links.base import Link, arrivals_of
 from acsar_gym.links.lateness import EpisodeTiming, Stopwatch
 from acsar_gym.links.recorded import recorded
 from acsar_gym.odometry import Odometry
@@ -268,7 +268,7 @@ class Robot:
             self._stopwatch.tick(self.link.lateness or 0.0, wire.age)
             turns = max(map(abs, wire.speeds)) > STANDSTILL
             if self._stopwatch.commanded(wire.written, drives=any(speeds or ZERO), turns=turns):
-                self._stopwatch.shown(wire.stamp)
+                self._stopwatch.heard(arrivals_of(self.link), wire.stamp)
         if self._watch is not None and speeds is not None:
             self._watch.tick(speeds, wire.speeds, dt, fresh=bool(heard))
         elif self._watch is not None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
+from board_like import LikeABoard
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.bodies.base import GroundTruth
@@ -12,6 +14,8 @@ from acsar_gym.config import FirmwareConfig
 from acsar_gym.errors import BoardGarbledError, BoardSilentError, CommandError, LinkError
 from acsar_gym.protocol import ZERO, Decoder
 from acsar_gym.worlds import Scene
+
+ACSAR = RobotConfig.preset("acsar")
 
 LINE = b"ap01.00,bp02.00,cp03.00,dp04.00\r\n"
 
@@ -237,3 +241,23 @@ def test_after_a_pause_every_line_has_its_share_of_the_time() -> None:
     robot.tick(ZERO)
     assert robot.odometry.wheel_positions == pytest.approx((2.0, 3.0, 4.0, 5.0))
     assert robot.speeds == (1.0, 2.0, 3.0, 4.0)
+
+
+def test_a_round_trip_begins_with_the_command_and_no_sooner() -> None:
+    """Whatever the program does between the reset and the first command doesn't count."""
+    trips = []
+    for pause in (0.0, 0.3):
+        link: Any = LikeABoard(open_link("planar", ACSAR))
+        with Robot(link, ACSAR) as robot:
+            if pause:
+                link.advance(pause)
+            begin = link.now()
+            for _ in range(30):
+                robot.drive(0.3, 0.0)
+            assert robot.wire.began == pytest.approx(begin)
+            assert robot.wire.stamp == pytest.approx(begin + 0.3)
+            assert robot.timing is not None
+            trips.append(robot.timing.round_trip)
+    assert [trip.count for trip in trips] == [1, 1]
+    assert trips[0].worst == pytest.approx(trips[1].worst, abs=1e-9)
+    assert 0.02 < trips[0].worst < 0.08

@@ -14,21 +14,23 @@ IDLE = 0.001
 class Ear:
     """Waits for the end of a control period, and notes what arrives meanwhile.
 
-    Attributes: `listens`, whether bytes are read as they arrive, or only at the end of the period,
-    which costs less; `pieces`, what arrived in the newest period.
+    Attributes: `wanted`, whether the next period's bytes are to be read as they arrive, and not
+    only at its end, which costs less; `pieces`, what arrived in the newest period.
     """
 
     def __init__(self) -> None:
-        self.listens = False
+        self.wanted = False
+        self._listens = False
         self.pieces: Arrivals = []
 
     def begin(self) -> None:
         """Begin a period."""
         self.pieces = []
+        self._listens, self.wanted = self.wanted, False
 
     def wait(self, port: OpenPort, seconds: float) -> None:
         """Wait for bytes, or for a time [s]; LinkLostError if the device is gone."""
-        if not self.listens:
+        if not self._listens:
             time.sleep(seconds)
         elif port.wait(seconds):
             data = port.read()
@@ -39,6 +41,6 @@ class Ear:
 
     def heard(self, rest: bytes) -> bytes:
         """End a period; returns all that arrived in it, `rest` being what is read just now."""
-        if rest and self.listens:
+        if rest and self._listens:
             self.pieces.append((time.monotonic(), rest))
         return b"".join([piece for _, piece in self.pieces]) if self.pieces else rest

@@ -84,13 +84,13 @@ class StampingLink(Protocol):
 
     @property
     def arrivals(self) -> Arrivals:
-        """What arrived in the newest period. A real link notes it from the first call on."""
+        """What arrived in the newest period. A real link notes it in the period after a call."""
 
 
 def arrivals_of(link: Link) -> Arrivals:
     """Return when the bytes of the newest period arrived.
 
-    To 1 ms or better on a serial device, where the first call begins it, and exactly in simulation;
+    To 1 ms or better on a serial device, in the period after each call, and exactly in simulation;
     nothing for links that know no more than the end of the period.
     """
     return link.arrivals if isinstance(link, StampingLink) else []

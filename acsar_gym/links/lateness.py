@@ -186,25 +186,26 @@ class Stopwatch:
             turns: whether the wheels turn, by the newest feedback.
 
         Returns:
-            Whether this feedback is the first that shows a command to wheels that stood: call
-            `shown` then.
+            Whether a command to wheels that stood waits for a line that shows it, or this period
+            brought it: call `heard` then.
         """
         if drives and self._asked is None and not self._turned:
             self._asked = written
         self._turned = turns
         if not drives:
             self._asked = None
-        return turns and self._asked is not None
+        return self._asked is not None
 
-    def shown(self, stamp: float) -> None:
-        """End the round trip of the command.
+    def heard(self, arrivals: Sequence[tuple[float, bytes]], end: float) -> None:
+        """End the round trip if the wheels turn now.
 
         Args:
-            stamp: time at which the first byte of the line that shows it arrived [s].
+            arrivals: what arrived in the period, as for `first_byte`.
+            end: end of the period [s].
         """
-        if self._asked is not None:
-            self._trips.add(stamp - self._asked)
-        self._asked = None
+        if self._turned and self._asked is not None:
+            self._trips.add(first_byte(arrivals, end) - self._asked)
+            self._asked = None
 
     def summary(self) -> EpisodeTiming:
         """Return the timing of the episode."""

@@ -161,8 +161,8 @@ class SerialLink:
 
     @property
     def arrivals(self) -> Arrivals:
-        """When the bytes of the newest period arrived [s], noted from the first call on."""
-        self._ear.listens = True
+        """When the bytes of the newest period arrived [s], noted in the period after each call."""
+        self._ear.wanted = True
         return self._ear.pieces
 
     def _beat(self) -> None:

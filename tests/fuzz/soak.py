@@ -2,8 +2,8 @@
 
     python tests/fuzz/soak.py --minutes 30
 
-drives a robot in circles behind `acsar-gym emulate` in another process, resets every minute, and
-fails where memory or descriptors grow or a line is lost.
+drives a robot behind `acsar-gym emulate` in another process with random actions, resets every
+minute, and fails where memory or descriptors grow, a line is lost, or the wheel check stops it.
 """
 
 from __future__ import annotations
@@ -24,6 +24,9 @@ from acsar_gym.envs.base import RobotEnv
 MOST_GROWTH = 4_000_000
 """Of memory after the first minute [bytes]."""
 STEPS_A_MINUTE = 600
+STEPS_AN_ACTION = 5
+WHEEL = 6.0
+"""Info's `fault` of a wheel that contradicts its commands."""
 
 
 def main() -> int:
@@ -31,7 +34,8 @@ def main() -> int:
     parser = argparse.ArgumentParser()
     parser.add_argument("--minutes", type=int, default=30)
     minutes = parser.parse_args().minutes
-    process, faults = psutil.Process(), 0
+    process, faults, stops = psutil.Process(), 0, 0
+    rng = np.random.default_rng(0)
     with emulator() as device:
         env = gymnasium.make("acsar_gym/PointGoal-v0", link=device, max_episode_steps=10**9)
         inner = env.unwrapped
@@ -42,10 +46,13 @@ def main() -> int:
             env.reset(seed=minute)
             lines = inner.robot.decoder.lines
             begin = time.monotonic()
-            for _ in range(STEPS_A_MINUTE):
-                *_, done, failed, info = env.step(np.array([0.2, 1.0], np.float32))
+            for step in range(STEPS_A_MINUTE):
+                if step % STEPS_AN_ACTION == 0:
+                    action = rng.uniform(-1.0, 1.0, 2).astype(np.float32)
+                *_, done, failed, info = env.step(action)
                 if failed:
                     faults += 1
+                    stops += info["fault"] == WHEEL
                     print(f"minute {minute + 1}: {info['fault_reason']}", flush=True)
                 if done or failed:
                     env.reset()
@@ -62,6 +69,7 @@ def main() -> int:
             )
             faults += refused > 0 or now[0] - first[0] > MOST_GROWTH or now[1] != first[1]
         env.close()
+    print(f"false stops of the wheel check: {stops}")
     print("flat" if faults == 0 else f"{faults} faults, or minutes that weren't flat")
     return int(faults > 0)
 

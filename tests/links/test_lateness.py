@@ -138,7 +138,7 @@ def trips(*commands: tuple[float, bool, bool]) -> Spread:
     watch = Stopwatch(PERIOD)
     for written, drives, turns in commands:
         if watch.commanded(written, drives=drives, turns=turns):
-            watch.shown(written + 0.008)
+            watch.heard([(written + 0.008, b"ap03.00,\r\n")], written + 0.01)
     return watch.summary().round_trip
 
 

@@ -11,12 +11,13 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from board_like import LikeABoard
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.dynamics.randomizer import Randomizer
 from acsar_gym.errors import WheelError
 from acsar_gym.links.fault_injection import FaultyLink
-from acsar_gym.protocol import MOTORS, WHEELS, Decoder, encode
+from acsar_gym.protocol import MOTORS, WHEELS
 from acsar_gym.safety.wheel_watch import WheelWatch
 from acsar_gym.worlds import Scene
 
@@ -25,36 +26,6 @@ AHEAD, LEFT, ARC = (0.3, 0.0), (0.0, 1.0), (0.3, 0.6)
 SOON = 0.5
 """Time within which a wheel must be found [s]."""
 VARIED = {"motor_gain": (0.9, 1.1), "motor_lag": (0.5, 2.0)}
-
-
-class LikeABoard:
-    """A simulated robot without truth, which is what a board is for the driver.
-
-    `crossed` are two motors whose encoders are swapped, as letters.
-    """
-
-    truth = None
-    lateness = 0.0
-
-    def __init__(self, link: Any, crossed: str = "") -> None:
-        self.link = link
-        self._crossed = [MOTORS.index(motor) for motor in crossed]
-        self._decoder = Decoder()
-
-    def advance(self, period: float) -> bytes:
-        got: bytes = self.link.advance(period)
-        if not self._crossed:
-            return got
-        one, two = self._crossed
-        lines = b""
-        for reading in self._decoder.feed(got):
-            speeds = [speed or 0.0 for speed in reading.speeds]
-            speeds[one], speeds[two] = speeds[two], speeds[one]
-            lines += encode(speeds)
-        return lines
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.link, name)
 
 
 def board(config: RobotConfig = ACSAR, crossed: str = "", seed: int = 0, **faults: Any) -> Any:
