@@ -14,6 +14,7 @@ import acsar_gym
 from acsar_gym.cli.calibrate import calibrate
 from acsar_gym.cli.devices import doctor, drive, emulate, estop
 from acsar_gym.cli.policies import evaluate, export, run, train
+from acsar_gym.cli.recording import record
 from acsar_gym.cli.tools import bench, demo, warm_up
 from acsar_gym.cli.worlds import worlds
 from acsar_gym.errors import AcsarError, SafetyWarning, printable
@@ -32,6 +33,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "evaluate": evaluate,
     "run": run,
     "export": export,
+    "record": record,
     "worlds": worlds,
     "warm-up": warm_up,
 }
@@ -64,6 +66,8 @@ def main() -> None:
             code = train()
         elif sys.argv[1:2] == ["worlds"]:
             code = worlds()
+        elif sys.argv[1:2] == ["record"]:
+            code = record()
         else:
             code = tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="acsar-gym")
     except AcsarError as error:

@@ -23,6 +23,7 @@ from acsar_gym.cli.options import (
     TimingOptions,
     Worlds,
 )
+from acsar_gym.cli.recording import RecordArgs
 from acsar_gym.config import RobotConfig
 
 if TYPE_CHECKING:
@@ -170,6 +171,7 @@ def _timing(
 
 def drive(
     host: HostArgs,
+    recording: RecordArgs,
     link: str = "bullet",
     robot: RobotArg = None,
     linear: float | None = None,
@@ -181,6 +183,7 @@ def drive(
 
     Args:
         host: process priority and cores.
+        recording: recording of what the robot does.
         link: bullet, planar, or a serial device.
         robot: preset or config file.
         linear: fixed linear speed, at most the robot's max_linear [m/s].
@@ -193,7 +196,8 @@ def drive(
     from acsar_gym.robot import Robot  # noqa: PLC0415
 
     config = RobotConfig.of(robot)
-    driver = Robot(open_link(link, config, window=window, realtime=True), config)
+    opened = open_link(link, config, window=window, realtime=True)
+    driver = Robot(opened, config, recorder=recording.recorder("drive", link=link))
     host.prepare()
     if linear is None and angular is None:
         teleop.keyboard(driver)

@@ -8,6 +8,8 @@ from typing import Annotated
 
 import tyro
 
+from acsar_gym.cli.recording import RecordOptions
+
 Json = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
 File = Json
 Seconds = Annotated[float | None, tyro.conf.arg(metavar="SECONDS")]
@@ -47,8 +49,8 @@ class PolicyOptions:
 
 
 @dataclass(frozen=True)
-class RobotOptions:
-    """The robot and its devices."""
+class RobotOptions(RecordOptions):
+    """The robot and its devices, and recording."""
 
     link: str = "bullet"
     """bullet, planar, or a serial device."""

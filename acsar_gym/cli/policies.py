@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from acsar_gym.cli.asking import countdown
 from acsar_gym.cli.options import (
     EnvArg,
-    File,
     HostArgs,
     Json,
     OutFile,
@@ -47,7 +46,7 @@ def evaluate(
 
     Args:
         policy: the policy.
-        robot: link, robot and LiDAR.
+        robot: link, robot, LiDAR, and recording.
         worlds: worlds of the evaluation.
         host: process priority and cores.
         episodes: number of episodes.
@@ -61,7 +60,12 @@ def evaluate(
     host.prepare()
     seeds = runs.seeds(seed, episodes)
     loaded = runs.load(policy.policy, trust=policy.trust, env=policy.env)
-    options = {"worlds": worlds.worlds, "difficulty": worlds.difficulty, "lidar": robot.lidar}
+    options: dict[str, Any] = {
+        "worlds": worlds.worlds,
+        "difficulty": worlds.difficulty,
+        "lidar": robot.lidar,
+    }
+    options["record"] = robot.recorder("evaluate", link=robot.link, policy=loaded.about)
     how = {"in_order": worlds.in_order, "late_share": late_share}
     done = runs.drive(loaded, robot.link, robot.robot, seeds, how=how, **options)
     title = f"{policy.policy}, seeds {seed} to {seed + episodes - 1}, worlds: {done.worlds}"
@@ -73,7 +77,6 @@ def run(
     policy: PolicyArgs,
     robot: RobotArgs,
     host: HostArgs,
-    record: File = None,
     json: Json = None,
     yes: bool = False,
 ) -> int:
@@ -82,9 +85,8 @@ def run(
     Args:
         goal: x and y in the odometry frame [m]: x forward, y to the left.
         policy: the policy.
-        robot: link, robot and LiDAR.
+        robot: link, robot, LiDAR, and recording.
         host: process priority and cores.
-        record: record the serial traffic to this file; replay it with --link replay:FILE.
         json: also write the metrics to this file.
         yes: drive a real robot without a countdown.
     """
@@ -96,7 +98,9 @@ def run(
     loaded = runs.load(policy.policy, trust=policy.trust, env=policy.env)
     if is_device(robot.link):
         countdown(f"the robot on {robot.link} will drive", yes=yes)
-    done = runs.to_goal(loaded, robot.link, robot.robot, goal, record, lidar=robot.lidar)
+    recorder = robot.recorder("run", link=robot.link, policy=loaded.about)
+    options = {"lidar": robot.lidar, "record": recorder}
+    done = runs.to_goal(loaded, robot.link, robot.robot, goal, **options)
     title = f"{policy.policy} to ({goal[0]:g}, {goal[1]:g}), worlds: {done.worlds}"
     code = _report(title, robot.link, done, json, intervals=False)
     return code or (0 if done.results[0].success else 1)

@@ -23,7 +23,8 @@ from acsar_gym.emulation.pty import Cable
 from acsar_gym.emulation.quirks import QuirkyLink, of_config, parsed
 from acsar_gym.emulation.rplidar import RplidarEmulator, RplidarTwin
 from acsar_gym.errors import ConfigError
-from acsar_gym.links import Link, open_link, recording
+from acsar_gym.links import Link, open_link
+from acsar_gym.reading import lines
 from acsar_gym.worlds import Pose, Scene, World
 from acsar_gym.worlds.geometry import look
 
@@ -85,7 +86,7 @@ class Emulator:
             if self._lidar is not None:
                 ours.callback(self._lidar.close)
             self.lidar_device = self._lidar.device if self._lidar else None
-            self._log = recording.opened(log) if log else None
+            self._log = lines.opened(log) if log else None
             if self._log is not None:
                 ours.callback(self._log.close)
             self._cable = Cable(config.baud_rate, name)
@@ -152,7 +153,7 @@ class Emulator:
     def _note(self, event: dict[str, object]) -> None:
         """Write an event to the log, if there is one."""
         if self._log is not None:
-            recording.written(self._log, json.dumps({"t": time.monotonic(), **event}) + "\n")
+            lines.written(self._log, json.dumps({"t": time.monotonic(), **event}) + "\n")
 
     def close(self) -> None:
         """Unplug the cable and close terminals and log. Idempotent."""

@@ -46,7 +46,7 @@ class EnvRecord:
         """Before the robot's reset: describe the env, and the episode that begins."""
         if self.recorder is None:
             return
-        told = {"id": None, "kwargs": {}} if spec is None else {"id": spec.id, "kwargs": _own(spec)}
+        told: dict[str, Any] = {} if spec is None else {"id": spec.id, "kwargs": _own(spec)}
         self.recorder.about.setdefault("env", told)
         self.recorder.about.setdefault("task", named(task))
         info = {"seed": seed, "goal": list(assignment.goal), "start": list(assignment.start)}

@@ -43,6 +43,9 @@ from acsar_gym.worlds import World
 from acsar_gym.worlds.cache import source_hash
 from acsar_gym.worlds.pool import Pool
 
+UNTOLD = ("link", "record")
+"""Arguments of an env that say nothing about its episodes."""
+
 
 def header(
     env: gymnasium.Env[Any, Any],
@@ -66,12 +69,7 @@ def header(
     inner: Any = env.unwrapped
     return {
         "versions": _versions(),
-        "policy": {
-            "file": str(policy.path),
-            "sha256": policy.sha256,
-            "function": policy.function,
-            "env": policy.env_id,
-        },
+        "policy": policy.about,
         "env": _env(env),
         "robot": {"sha256": _sha256(inner.robot.config.model_dump_json())},
         "link": link,
@@ -105,7 +103,7 @@ def _env(env: gymnasium.Env[Any, Any]) -> dict[str, Any]:
     spec = env.spec
     if spec is None:
         return {"id": None, "kwargs": {}, "max_episode_steps": None}
-    kwargs = {name: _shown(value) for name, value in spec.kwargs.items() if name != "link"}
+    kwargs = {name: _shown(value) for name, value in spec.kwargs.items() if name not in UNTOLD}
     return {"id": spec.id, "kwargs": kwargs, "max_episode_steps": spec.max_episode_steps}
 
 

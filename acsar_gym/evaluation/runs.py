@@ -17,7 +17,6 @@ from acsar_gym.evaluation import provenance
 from acsar_gym.evaluation.episodes import EpisodeResult
 from acsar_gym.evaluation.results import Run, collect, track
 from acsar_gym.links import Link, open_link
-from acsar_gym.links.recording import RecordingLink
 from acsar_gym.policies import (
     CallablePolicy,
     FilePolicy,
@@ -191,18 +190,11 @@ def to_goal(
     link: str,
     robot: str | None,
     goal: tuple[float, float],
-    record: Path | None,
     **options: Any,
 ) -> Run:
-    """Run one episode to `goal` (x, y) [m] in the odometry frame; arguments as for `drive`.
-
-    The link is recorded to the file `record`, if given.
-    """
+    """Run one episode to `goal` (x, y) [m] in the odometry frame; arguments as for `drive`."""
     config = RobotConfig.of(robot)
-    wire: Link = open_link(link, config)
-    if record is not None:
-        wire = RecordingLink(wire, record)
-    env = made(policy, wire, config, options)
+    env = made(policy, open_link(link, config), config, options)
     results: list[EpisodeResult] = []
     try:
         running = evaluation.episodes(env, policy, 1, seed=0, goal=goal)

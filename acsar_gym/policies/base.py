@@ -60,6 +60,16 @@ class FilePolicy(ABC):
     function: str | None = None
     """Name of the function, if the file is a Python file."""
 
+    @property
+    def about(self) -> dict[str, str | None]:
+        """What headers of results and recordings say about it."""
+        return {
+            "file": str(self.path),
+            "sha256": self.sha256,
+            "function": self.function,
+            "env": self.env_id,
+        }
+
     def check(
         self, task: Task, sensors: Sequence[Sensor], policy_rate: float | None = None
     ) -> None:

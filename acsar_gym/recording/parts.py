@@ -124,6 +124,7 @@ def made(part: Part) -> Episode:
     number, actions = len(steps), _stacked(part.actions, np.float32)
     return Episode(
         start=part.start,
+        offset=part.offset,
         wire=WireLog(
             _stamps(part.sent_times, part.offset),
             tuple(part.sent),

@@ -42,6 +42,12 @@ class Exchanges:
     truth: Floats
     """(m, 6): x, y, theta, forward speed, yaw rate, contact; NaN on hardware."""
 
+    @classmethod
+    def none(cls) -> Exchanges:
+        """Return no exchanges."""
+        whole, real = np.zeros(0, np.int64), np.zeros(0)
+        return cls(whole, real, whole, whole, real, np.zeros((0, 6)))
+
 
 @dataclass(frozen=True, eq=False)
 class Episode:
@@ -79,16 +85,19 @@ class Episode:
     """(steps, 2): actions of the policy, in [-1, 1]."""
     rewards: Floats
     """(steps,)."""
-    terminated: bool
-    """Whether the episode ended by success or failure; it was cut short otherwise."""
-    step_stamps: Floats
-    """(steps + 1,): when each observation was made, on the link's clock [s]."""
     scans: Scans
     """What the LiDAR measured."""
-    exchanges: Exchanges
-    """The control periods of the wire, for replay."""
     info: Mapping[str, Any] = field(default_factory=dict)
     """Seed, goal, start and number of the episode, as far as they are known."""
+    offset: int = 0
+    """What to add to times of the link's clock for those of the file [ns]; those begin with the
+    wall clock at the first reset."""
+    terminated: bool = False
+    """Whether the episode ended by success or failure; it was cut short otherwise."""
+    step_stamps: Floats = field(default_factory=lambda: np.zeros(0))
+    """(steps + 1,): when each observation was made, on the link's clock [s]."""
+    exchanges: Exchanges = field(default_factory=Exchanges.none)
+    """The control periods of the wire, for replay."""
 
 
 @dataclass(frozen=True, eq=False)
