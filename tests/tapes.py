@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import multiprocessing
 import os
 import tty
@@ -13,9 +12,11 @@ from typing import Any
 
 import serial
 
-from acsar_gym import RobotConfig, open_link
-from acsar_gym.links import recording
+from acsar_gym import Link, RobotConfig, open_link
+from acsar_gym.links.recorded import RecordedLink
 from acsar_gym.protocol import ZERO, encode
+from acsar_gym.recording import Recorder, read
+from acsar_gym.recording.replayed import Tape
 from acsar_gym.worlds import Scene
 
 PERIOD = 0.01
@@ -26,30 +27,35 @@ TURNING = encode((3.0, 3.0, 3.0, 3.0))
 
 def taped(path: Path, config: RobotConfig) -> Path:
     """The planar robot, recorded: it stands, then its wheels turn."""
-    link = open_link("planar", config)
-    link.open()
-    link.reset(Scene())
-    events: list[dict[str, object]] = [{"reset": link.now()}]
-    for tick in range(TICKS):
-        command = encode(ZERO) if tick < 10 else TURNING
-        link.write(command)
-        got = link.advance(PERIOD)
-        events.append({"sent": command.decode(), "got": got.decode(), "t": link.now()})
-    link.close()
-    path.write_text("".join(json.dumps(event) + "\n" for event in events), encoding="ascii")
+    with recorded(open_link("planar", config), path, config) as link:
+        link.open()
+        link.reset(Scene())
+        for tick in range(TICKS):
+            link.write(encode(ZERO) if tick < 10 else TURNING)
+            link.advance(PERIOD)
+        link.close()
     return path
+
+
+@contextlib.contextmanager
+def recorded(link: Link, path: Path, config: RobotConfig | None = None) -> Iterator[RecordedLink]:
+    """A link that is recorded inside the block."""
+    with Recorder(path) as recorder:
+        yield RecordedLink(link, recorder, RobotConfig.of(config))
 
 
 def play(tape: Path, master: int, heard: Any) -> None:
     """A tape player at the far end of the tty: one period's feedback for each command heard."""
     wrong = 0
-    for episode in recording.read(tape):
-        for period in episode.periods:
+    for episode in read(tape).episodes:
+        player = Tape(episode)
+        while not player.is_over:
+            sent, got = player.next()
             command = b""
-            while len(command) < len(period.sent):
-                command += os.read(master, len(period.sent) - len(command))
-            wrong += command != period.sent
-            os.write(master, period.got)
+            while len(command) < len(sent):
+                command += os.read(master, len(sent) - len(command))
+            wrong += command != sent
+            os.write(master, got)
     heard.put(wrong)
 
 

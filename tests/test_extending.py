@@ -12,11 +12,10 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from tapes import playing
+from tapes import playing, recorded
 
 from acsar_gym import RobotConfig, open_link
 from acsar_gym.lidars.base import Scan
-from acsar_gym.links.recording import RecordingLink
 from acsar_gym.links.replay import ReplayLink
 from acsar_gym.worlds import registry
 
@@ -134,8 +133,9 @@ def rollout(link: Any, steps: int) -> list[bytes]:
 
 @pytest.mark.xdist_group("serial")
 def test_over_a_serial_port_it_is_the_same_to_the_bit(mine: Path, tmp_path: Path) -> None:
-    tape = tmp_path / "tape.jsonl"
-    told = rollout(RecordingLink(open_link("planar", RobotConfig.of(ROBOT)), tape), STEPS)
+    tape, config = tmp_path / "tape.mcap", RobotConfig.of(ROBOT)
+    with recorded(open_link("planar", config), tape, config) as link:
+        told = rollout(link, STEPS)
     with playing(tape) as (port, heard):
         assert rollout(ReplayLink(tape, port), STEPS) == told
         assert heard.get(timeout=5.0) == 0

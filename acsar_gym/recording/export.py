@@ -196,7 +196,7 @@ def _minari(recording: Recording, path: Path, folder: Path) -> Path:
 
 @contextlib.contextmanager
 def _stored_in(folder: Path) -> Iterator[None]:
-    """Let Minari write to a folder, and keep quiet about authors and links, as a context manager."""
+    """Let Minari write to a folder, without its warnings about authors, as a context manager."""
     before = os.environ.get(STORE)
     os.environ[STORE] = str(folder.absolute())
     try:

@@ -30,13 +30,13 @@ SOCKET = ("run", "1", "0", "--link", "socket://127.0.0.1:1")
         ((*SOCKET, "--yes"), 3, "socket://127.0.0.1:1"),
         (SOCKET, 2, "no terminal to ask on; add --yes"),
         (("doctor", MISSING, "--spin"), 2, "no terminal to ask on; add --yes"),
-        (("run", "1", "0", "--link", "replay:missing.jsonl"), 2, "missing.jsonl"),
+        (("run", "1", "0", "--link", "replay:missing.mcap"), 2, "missing.mcap"),
         (("run", "50", "0", "--link", "planar"), 2, "0.5 to 3 m"),
         (("run", "nan", "0", "--link", "planar"), 2, "goal"),
         ((*RUN, "--robot", "acsr"), 2, "did you mean 'acsar'?"),
         ((*RUN, "--robot", "missing.yaml"), 2, "missing.yaml"),
         ((*RUN, "--policy", "missing.onnx"), 2, "missing.onnx: no such policy file"),
-        ((*RUN, "--record", "/missing/tape.jsonl"), 2, "can't be written"),
+        ((*RUN, "--record", "/missing/tape.mcap"), 2, "can't be written"),
         ((*RUN, "--json", "/missing/figures.json"), 2, "can't be written"),
         (("evaluate", "--link", "planar", "--episodes", "0"), 2, "--episodes"),
         (("evaluate", "--link", "planar", "--episodes", HUGE), 2, "must be 1 to 1,000,000"),
@@ -181,7 +181,7 @@ def test_a_command_line_that_cannot_be_read(arguments: tuple[str, ...], call: Ca
 
 
 def figures(path: Path) -> dict[str, Any]:
-    """The figures of a run that odometry and the clock know: a recording has no truth."""
+    """The figures of a run that odometry and the clock know."""
     data: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     assert data["ticks"] > 20
     known = ("success_rate", "time_to_goal", "path", "smoothness", "ticks")
@@ -193,7 +193,7 @@ def test_a_recorded_run_replays_with_the_same_figures(
     kind: str, call: Call, request: pytest.FixtureRequest, robot_file: RobotFile, tmp_path: Path
 ) -> None:
     link = request.getfixturevalue("shared_device") if kind == "serial" else kind
-    tape, live, replayed = (tmp_path / name for name in ("tape.jsonl", "live.json", "replay.json"))
+    tape, live, replayed = (tmp_path / name for name in ("tape.mcap", "live.json", "replay.json"))
     to_goal = ("run", "0.6", "0.2", "--yes", "--robot", robot_file())
     code, out, error = call(*to_goal, "--link", link, "--record", tape, "--json", live)
     assert not error
@@ -204,11 +204,11 @@ def test_a_recorded_run_replays_with_the_same_figures(
 
 
 def test_a_recording_of_another_run_ends_early(call: Call, tmp_path: Path) -> None:
-    tape = tmp_path / "tape.jsonl"
+    tape = tmp_path / "tape.mcap"
     call("run", "0.6", "0.2", "--link", "planar", "--record", tape)
     code, _, error = call("run", "-1.5", "2.0", "--link", f"replay:{tape}")
     assert code == 3
-    assert_one_line(error, "the recorded episode ends here")
+    assert_one_line(error, f"{tape}: other commands than recorded, tick 1: sent 'ap")
 
 
 def test_a_disk_that_is_full_is_one_line(call: Call) -> None:

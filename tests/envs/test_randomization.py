@@ -13,7 +13,6 @@ from varied import RANGES
 from acsar_gym import RobotConfig, open_link
 from acsar_gym.dynamics import Randomization
 from acsar_gym.errors import ConfigError
-from acsar_gym.links.recording import RecordingLink
 
 ACTION = np.array([0.7, 0.3], np.float32)
 
@@ -39,10 +38,9 @@ def test_the_draws_are_the_same_on_every_simulated_link(tmp_path: Path) -> None:
     planar = episodes("planar")
     assert list(planar[0]) == [f"drawn_{name}" for name in RANGES]
     assert planar[0] != planar[1] != planar[2]
-    recorded = RecordingLink(open_link("planar"), tmp_path / "tape.jsonl")
     assert episodes("bullet") == planar
     assert episodes(open_link("bullet")) == planar
-    assert episodes(recorded) == planar
+    assert episodes("planar", record=tmp_path / "tape.mcap") == planar
     assert episodes("planar", faults={"dropped_lines": 0.1})[0].keys() == planar[0].keys()
 
 
@@ -94,7 +92,7 @@ def test_what_does_not_vary_takes_nothing_from_the_generator() -> None:
     assert goals[0] == goals[1] == goals[2]
 
 
-@pytest.mark.parametrize("link", ["/dev/ttyUSB0", "replay:tape.jsonl"])
+@pytest.mark.parametrize("link", ["/dev/ttyUSB0", "replay:tape.mcap"])
 def test_a_real_robot_cannot_be_randomized(link: str) -> None:
     with pytest.raises(ConfigError, match="only a simulated robot's physics can vary") as raised:
         make(link)

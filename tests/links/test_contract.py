@@ -14,6 +14,7 @@ from acsar_gym import Link, Robot, RobotConfig, open_link
 from acsar_gym.errors import LinkError
 from acsar_gym.links.base import camera_of
 from acsar_gym.links.fault_injection import FaultyLink
+from acsar_gym.links.replay import ReplayLink
 from acsar_gym.protocol import ZERO, Decoder, Reading, encode
 from acsar_gym.worlds import Scene
 
@@ -47,8 +48,10 @@ def exchange(link: Link, command: bytes, periods: int) -> list[tuple[bytes, floa
 def make_link(request: pytest.FixtureRequest, config: RobotConfig, tmp_path: Path) -> MakeLink:
     faulty, _, name = request.param.rpartition(" ")
     if name == "replay":
-        url = f"replay:{taped(tmp_path / 'tape.jsonl', config)}"
-    elif name == "serial":
+        tape = taped(tmp_path / "tape.mcap", config)
+        replay = lambda: ReplayLink(tape, compare=False)  # noqa: E731
+        return (lambda: FaultyLink(replay(), DORMANT, 0)) if faulty else replay
+    if name == "serial":
         url = request.getfixturevalue("shared_device")
     else:
         url = name

@@ -23,12 +23,12 @@ from fault_tools import (
     sent,
 )
 from serial_tools import Emulated, StartEmulator, no_leak, wait_until
-from tapes import TICKS, taped
+from tapes import TICKS, recorded, taped
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import BoardSilentError, ConfigError, LinkLostError
 from acsar_gym.links.fault_injection import FaultyLink, Seed
-from acsar_gym.links.recording import RecordingLink
+from acsar_gym.links.replay import ReplayLink
 from acsar_gym.worlds import Scene
 
 pytestmark = pytest.mark.usefixtures("deadline")
@@ -158,20 +158,20 @@ def test_faults_add_up_link_on_link() -> None:
 
 
 def test_a_recording_keeps_what_the_driver_heard(config: RobotConfig, tmp_path: Path) -> None:
-    tape = tmp_path / "tape.jsonl"
-    link = RecordingLink(planar(config, 3, **EVERYTHING), tape)
-    link.open()
-    link.reset(Scene())
-    heard = [link.advance(PERIOD) for _ in range(300)]
-    link.close()
+    tape = tmp_path / "tape.mcap"
+    with recorded(planar(config, 3, **EVERYTHING), tape, config) as link:
+        link.open()
+        link.reset(Scene())
+        heard = [link.advance(PERIOD) for _ in range(300)]
+        link.close()
     replayed = open_link(f"replay:{tape}", config)
     replayed.reset(Scene())
     assert [replayed.advance(PERIOD) for _ in range(300)] == heard
 
 
 def test_faults_over_a_recording(config: RobotConfig, tmp_path: Path) -> None:
-    tape = taped(tmp_path / "tape.jsonl", config)
-    link = FaultyLink(open_link(f"replay:{tape}", config), {"reversed_encoders": "abcd"}, 0)
+    tape = taped(tmp_path / "tape.mcap", config)
+    link = FaultyLink(ReplayLink(tape, compare=False), {"reversed_encoders": "abcd"}, 0)
     link.reset(Scene())
     heard = [link.advance(PERIOD) for _ in range(TICKS)]
     assert readings(heard)[-1] == pytest.approx((-3.0, -3.0, -3.0, -3.0), abs=0.2)

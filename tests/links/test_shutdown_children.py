@@ -10,8 +10,8 @@ from nursery import ended, first_line, program
 from serial_tools import BRIDGE, DRIVER, Emulated, wait_until
 from shutdown_tools import FOREVER, IN_BLOCK, assert_stopped, drives
 
-from acsar_gym.links import recording
-from acsar_gym.protocol import ZERO, encode
+from acsar_gym.protocol import ZERO
+from acsar_gym.recording import read
 
 pytestmark = [
     pytest.mark.usefixtures("deadline", "nursery"),
@@ -62,11 +62,10 @@ def test_a_forked_child_leaves_the_socket_of_its_parent_alone(end: str, shared_d
 def test_a_recording_is_complete_when_a_signal_ends_the_program(
     emulator: Emulated, tmp_path: Path
 ) -> None:
-    tape = tmp_path / "tape.jsonl"
+    tape = tmp_path / "tape.mcap"
     recorder = """
-from pathlib import Path
-from acsar_gym.links.recording import RecordingLink
-robot = Robot(RecordingLink(robot.link, Path(sys.argv[2])), config)
+from acsar_gym.recording import Recorder
+robot = Robot(robot.link, config, recorder=Recorder(sys.argv[2]))
 """
     code = DRIVER + recorder + IN_BLOCK.format(ticks=FOREVER, end="pass")
     with program(code, emulator.device, str(tape)) as process:
@@ -74,10 +73,11 @@ robot = Robot(RecordingLink(robot.link, Path(sys.argv[2])), config)
         process.terminate()
         assert ended(process) == (-signal.SIGTERM, "")
     assert_stopped(emulator)
-    (episode,) = recording.read(tape)
+    recording = read(tape)
+    assert not recording.cut
     driven = sum(command != ZERO for command in emulator.commands())
-    taped = sum(period.sent != encode(ZERO) for period in episode.periods)
-    assert driven - 1 <= taped <= driven
+    _, sent = recording.episodes[0].wire.commands(recording.config)
+    assert driven - 1 <= sum(sent.any(axis=1)) <= driven
 
 
 def test_without_a_watchdog_the_boards_own_timeout_is_left(emulator: Emulated) -> None:
