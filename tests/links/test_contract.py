@@ -51,10 +51,7 @@ def make_link(request: pytest.FixtureRequest, config: RobotConfig, tmp_path: Pat
         tape = taped(tmp_path / "tape.mcap", config)
         replay = lambda: ReplayLink(tape, compare=False)  # noqa: E731
         return (lambda: FaultyLink(replay(), DORMANT, 0)) if faulty else replay
-    if name == "serial":
-        url = request.getfixturevalue("shared_device")
-    else:
-        url = name
+    url = request.getfixturevalue("shared_device") if name == "serial" else name
     if faulty:
         return lambda: FaultyLink(open_link(url, config), DORMANT, 0)
     return lambda: open_link(url, config)
