@@ -78,22 +78,14 @@ Arrivals = list[tuple[float, bytes]]
 """Pieces of bytes, and when the last byte of each arrived, on the link's clock [s]."""
 
 
-@runtime_checkable
-class StampingLink(Protocol):
-    """A link that knows when bytes arrived more precisely than to a period."""
-
-    @property
-    def arrivals(self) -> Arrivals:
-        """What arrived in the newest period. A real link notes it in the period after a call."""
-
-
 def arrivals_of(link: Link) -> Arrivals:
     """Return when the bytes of the newest period arrived.
 
     To 1 ms or better on a serial device, in the period after each call, and exactly in simulation;
     nothing for links that know no more than the end of the period.
     """
-    return link.arrivals if isinstance(link, StampingLink) else []
+    pieces: Arrivals = getattr(link, "arrivals", [])  # isinstance of a Protocol takes 15 us
+    return pieces
 
 
 @runtime_checkable

@@ -9,7 +9,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.links import shutdown
 from acsar_gym.links.base import Arrivals, Link, arrivals_of, camera_of
 from acsar_gym.recording import recorder as recordings
-from acsar_gym.recording.events import Exchange
+from acsar_gym.recording.events import Exchange, Written
 from acsar_gym.recording.recorder import Recorder
 from acsar_gym.worlds import Scene
 
@@ -98,6 +98,9 @@ class RecordedLink:
 
     def close(self) -> None:
         """Close the link; the recording goes on with the next reset."""
+        sent, self._sent = tuple(self._sent), []
+        if sent:
+            self._recorder.add(Written(sent))
         self.link.close()
 
 

@@ -151,3 +151,4 @@ class ReplayLink:
     def close(self) -> None:
         """Close the link, but not the port, which its owner closes. A reset opens it again."""
         self._is_open = False
+        self._sent = b""

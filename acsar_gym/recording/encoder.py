@@ -25,6 +25,7 @@ from acsar_gym.recording.events import (
     Scanned,
     Stepped,
     Tick,
+    Written,
 )
 from acsar_gym.recording.header import plain
 from acsar_gym.recording.layouts import NANOSECONDS, Packer, times
@@ -66,6 +67,7 @@ class Encoder:
         self._makers: dict[Any, Callable[[Any], Iterator[Message]]] = {
             Began: self._began,
             Exchange: self._exchanges,
+            Written: self._written,
             Tick: self._ticks,
             Scanned: self._scans,
             Stepped: self._steps,
@@ -122,6 +124,11 @@ class Encoder:
             fields = times(when) | formats.pose_fields(known[:, 5:8])
             fields |= formats.twist_fields(known[:, 8:10])
             yield from _messages(topics.TRUTH, self._formats.truth, when, fields)
+
+    def _written(self, events: Sequence[Written]) -> Iterator[Message]:
+        """Bytes that were sent at the end."""
+        for event in events:
+            yield from self._pieces(topics.WIRE_SENT, event.sent)
 
     def _pieces(self, topic: Topic, pieces: Pieces) -> Iterator[Message]:
         """Bytes of the wire."""

@@ -33,6 +33,12 @@ class Exchange(NamedTuple):
     truth: GroundTruth | None
 
 
+class Written(NamedTuple):
+    """Bytes that were sent after the last control period of a link, such as the stop at its end."""
+
+    sent: Pieces
+
+
 class Tick(NamedTuple):
     """One tick of the robot, after the exchange of the same number."""
 
@@ -87,4 +93,4 @@ class Clock(NamedTuple):
     wall: int
 
 
-Event = Began | Exchange | Tick | Scanned | Stepped | Fault | Clock
+Event = Began | Exchange | Written | Tick | Scanned | Stepped | Fault | Clock

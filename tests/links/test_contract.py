@@ -49,12 +49,10 @@ def make_link(request: pytest.FixtureRequest, config: RobotConfig, tmp_path: Pat
     faulty, _, name = request.param.rpartition(" ")
     if name == "replay":
         tape = taped(tmp_path / "tape.mcap", config)
-        replay = lambda: ReplayLink(tape, compare=False)  # noqa: E731
-        return (lambda: FaultyLink(replay(), DORMANT, 0)) if faulty else replay
-    if name == "serial":
-        url = request.getfixturevalue("shared_device")
-    else:
-        url = name
+        if faulty:
+            return lambda: FaultyLink(ReplayLink(tape, compare=False), DORMANT, 0)
+        return lambda: ReplayLink(tape, compare=False)
+    url = request.getfixturevalue("shared_device") if name == "serial" else name
     if faulty:
         return lambda: FaultyLink(open_link(url, config), DORMANT, 0)
     return lambda: open_link(url, config)

@@ -1,0 +1,165 @@
+"""The messages of a recording, as other people's libraries read them."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from recording_tools import drive
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+from acsar_gym import RobotConfig
+from acsar_gym.config.measured import Measured
+from acsar_gym.recording import read
+from acsar_gym.recording.topics import TICK_COLUMNS, TOPICS
+
+TICKS = 120
+UNUSED = {"/observation", "/action", "/acsar/steps"}
+"""Topics of environments, which a Robot alone doesn't have."""
+
+
+@pytest.fixture(scope="module")
+def tape(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return drive(tmp_path_factory.mktemp("tape") / "tape.mcap", RobotConfig.of(None), TICKS)
+
+
+@pytest.fixture(scope="module")
+def messages(tape: Path) -> dict[str, list[Any]]:
+    """All messages by topic, as rosbags reads them."""
+    return by_rosbags(tape)
+
+
+def by_rosbags(path: Path) -> dict[str, list[Any]]:
+    found: dict[str, list[Any]] = {}
+    with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        for connection, _, data in reader.messages():
+            message = reader.deserialize(data, connection.msgtype)
+            found.setdefault(connection.topic, []).append(message)
+    return found
+
+
+def by_mcap(path: Path) -> Iterator[tuple[str, int, Any]]:
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        for _, channel, record, message in reader.iter_decoded_messages():
+            yield channel.topic, record.log_time, message
+
+
+def test_rosbags_reads_all_of_it(messages: dict[str, list[Any]]) -> None:
+    assert set(messages) == {topic.name for topic in TOPICS} - UNUSED
+    for name in ("/odom", "/tf", "/joint_states", "/cmd_vel", "/cmd_vel_sent", "/acsar/ticks"):
+        assert len(messages[name]) == TICKS
+    assert len(messages["/scan"]) == 13
+    assert len(messages["/diagnostics"]) == 1
+
+
+def test_mcap_reads_the_same(tape: Path, messages: dict[str, list[Any]]) -> None:
+    counts: Counter[str] = Counter()
+    last = 0
+    for topic, time, message in by_mcap(tape):
+        if topic == "/odom":
+            same = messages["/odom"][counts[topic]]
+            assert message.pose.pose.position.x == same.pose.pose.position.x
+            assert list(message.pose.covariance) == same.pose.covariance.tolist()
+            stamp = message.header.stamp
+            assert stamp.sec * 10**9 + stamp.nanosec == time
+        counts[topic] += 1
+        assert time >= last
+        last = time
+    assert counts == {name: len(found) for name, found in messages.items()}
+
+
+def test_frames_form_the_tree_of_a_base_with_a_lidar(messages: dict[str, list[Any]]) -> None:
+    fixed = {t.child_frame_id: t for t in messages["/tf_static"][0].transforms}
+    moving = messages["/tf"][-1].transforms[0]
+    edges = {(t.header.frame_id, child) for child, t in fixed.items()}
+    assert edges == {("base_footprint", "base_link"), ("base_link", "lidar_link")}
+    assert (moving.header.frame_id, moving.child_frame_id) == ("odom", "base_footprint")
+    assert fixed["base_link"].transform.translation.z == 0.05
+    at = fixed["lidar_link"].transform.translation
+    assert (at.x, at.y, at.z) == (-0.15, 0.0, 0.37)
+    odom = messages["/odom"][-1]
+    assert (odom.header.frame_id, odom.child_frame_id) == ("odom", "base_footprint")
+    assert odom.pose.pose.position.x == moving.transform.translation.x
+
+
+def test_messages_tell_what_the_robot_did(tape: Path, messages: dict[str, list[Any]]) -> None:
+    (episode,) = read(tape).episodes
+    for tick in (0, 60, TICKS - 1):
+        odom, joints = messages["/odom"][tick], messages["/joint_states"][tick]
+        pose, turned = odom.pose.pose, odom.pose.pose.orientation
+        theta = 2.0 * math.atan2(turned.z, turned.w)
+        assert [pose.position.x, pose.position.y, theta] == pytest.approx(episode.poses[tick])
+        assert odom.twist.twist.angular.z == episode.twists[tick, 1]
+        assert joints.name[0] == "front_right_wheel_joint"
+        assert joints.velocity.tolist() == episode.speeds[tick].tolist()
+        asked, sent = messages["/cmd_vel"][tick], messages["/cmd_vel_sent"][tick]
+        assert [asked.linear.x, asked.angular.z] == episode.asked[tick].tolist()
+        assert [sent.linear.x, sent.angular.z] == episode.sent[tick].tolist()
+    assert episode.asked[0].tolist() == [0.3, 0.0]
+    assert episode.sent[0].tolist() == [0.02, 0.0]
+    truth = messages["/truth"][-1].pose.pose.position
+    assert [truth.x, truth.y] == episode.truth[-1, :2].tolist()
+    row = dict(zip(TICK_COLUMNS, messages["/acsar/ticks"][-1].data.tolist(), strict=True))
+    assert (row["x"], row["asked_linear"]) == (episode.poses[-1, 0], 0.3)
+    assert bytes(messages["/wire/sent"][-1].data).startswith(b"ap00.00,bp00.00")
+
+
+def test_a_scan_has_the_rays_of_the_config(messages: dict[str, list[Any]]) -> None:
+    scan, lidar = messages["/scan"][0], RobotConfig.of(None).lidar
+    assert len(scan.ranges) == lidar.rays
+    assert scan.angle_min == pytest.approx(-math.pi)
+    assert scan.angle_increment == pytest.approx(2.0 * math.pi / lidar.rays)
+    assert np.isinf(scan.ranges).all()  # an open floor
+    assert scan.header.frame_id == "lidar_link"
+
+
+def test_diagnostics_tell_of_loop_safety_wire_and_recorder(messages: dict[str, list[Any]]) -> None:
+    (told,) = messages["/diagnostics"]
+    states = {state.name: state for state in told.status}
+    assert list(states) == ["acsar: control loop", "acsar: safety", "acsar: wire", "acsar: recorder"]
+    values = {pair.key: pair.value for pair in states["acsar: control loop"].values}
+    assert values["ticks"] == "97"  # the first second, less the reset's three periods
+    assert states["acsar: recorder"].message == "0 dropped"
+
+
+def test_the_wall_clock_is_told_beside_the_file_s_time(messages: dict[str, list[Any]]) -> None:
+    pairs = messages["/time_reference"]
+    assert len(pairs) == 2
+    first = pairs[0]
+    assert first.time_ref == first.header.stamp
+    assert first.source == "wall clock"
+
+
+def covariances(config: RobotConfig, path: Path) -> tuple[list[Any], list[Any]]:
+    """Covariances of the first and the last pose."""
+    found = by_rosbags(drive(path, config))["/odom"]
+    return found[0].pose.covariance.tolist(), found[-1].pose.covariance.tolist()
+
+
+def test_an_unknown_robot_has_the_driver_s_constant_covariance(
+    messages: dict[str, list[Any]],
+) -> None:
+    expected = [0.01 if place in (0, 7, 35) else 0.0 for place in range(36)]
+    assert messages["/odom"][-1].pose.covariance.tolist() == expected
+
+
+def test_the_covariance_grows_with_what_was_measured(tmp_path: Path) -> None:
+    value = RobotConfig.of(None).wheel_separation_multiplier
+    known = Measured(low=value * 0.98, high=value * 1.02, method="calibrate turn")
+    config = RobotConfig.of(None).with_(measured={"wheel_separation_multiplier": known})
+    first, last = covariances(config, tmp_path / "tape.mcap")
+    assert first[35] < 1e-8
+    (episode,) = read(tmp_path / "tape.mcap").episodes
+    dt = np.diff(episode.stamps, prepend=episode.stamps[0])
+    turned = float(np.sum(np.abs(episode.twists[:, 1]) * dt))
+    assert math.sqrt(last[35]) == pytest.approx(0.02 / 1.96 * turned, rel=1e-3)
+    assert last[0] == last[7] > first[0] >= 0.01  # the radius is unknown
