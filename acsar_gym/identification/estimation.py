@@ -24,7 +24,7 @@ Bools = NDArray[np.bool_]
 
 SMOOTH_NAMES = ("motor.time_constant", "motor.gain", "motor.acceleration")
 """Parameters of a wheel in the problem's order."""
-SURE = 4.0
+SURE = 2.5
 """A window as configured is given up for one that differs by so many standard errors."""
 NEAR = 4
 """Windows so many loops from the fitted one are compared with the counts."""
