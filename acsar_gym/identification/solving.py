@@ -128,9 +128,7 @@ def bounds(problem: Problem) -> tuple[Floats, Floats]:
     return low, high
 
 
-def searched(
-    problem: Problem, x: Floats, deadbands: Sequence[float], free: Bools
-) -> Solution:
+def searched(problem: Problem, x: Floats, deadbands: Sequence[float], free: Bools) -> Solution:
     """Fit from several averaging times: cost is flat along it, and has several minima.
 
     Args:
