@@ -14,6 +14,7 @@ import acsar_gym
 from acsar_gym.cli.calibrate import calibrate
 from acsar_gym.cli.devices import doctor, drive, emulate, estop
 from acsar_gym.cli.gap import compare, gap
+from acsar_gym.cli.identify import identify
 from acsar_gym.cli.policies import evaluate, export, run, train
 from acsar_gym.cli.recording import record
 from acsar_gym.cli.tools import bench, demo, warm_up
@@ -27,6 +28,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "bench": bench,
     "emulate": emulate,
     "doctor": doctor,
+    "identify": identify,
     "calibrate": calibrate,
     "drive": drive,
     "estop": estop,
@@ -77,7 +79,14 @@ def main() -> None:
         print(f"acsar-gym: {printable(str(error))}", file=sys.stderr)
         code = error.exit_code
     except KeyboardInterrupt:
-        driving = sys.argv[1:2] in (["drive"], ["run"], ["evaluate"], ["doctor"], ["calibrate"])
+        driving = sys.argv[1:2] in (
+            ["drive"],
+            ["run"],
+            ["evaluate"],
+            ["doctor"],
+            ["identify"],
+            ["calibrate"],
+        )
         stopped = ", the wheels were commanded to stop" if driving else ""
         print(f"\nacsar-gym: interrupted{stopped}", file=sys.stderr)
         code = 130

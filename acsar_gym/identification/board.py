@@ -120,9 +120,7 @@ def _rate(config: RobotConfig, known: Knowable, tracks: Sequence[Track]) -> Find
     return Finding(RATE, "", found.rate, low, high, config.feedback_rate, note, told=True)
 
 
-def _quantum(
-    estimate: Estimate | None, config: RobotConfig, tracks: Sequence[Track]
-) -> Finding:
+def _quantum(estimate: Estimate | None, config: RobotConfig, tracks: Sequence[Track]) -> Finding:
     """The step of the printed speeds."""
     before = config.encoder.quantum
     speeds = np.concatenate([track.speeds for track in tracks]) if tracks else np.empty(0)

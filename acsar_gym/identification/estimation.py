@@ -24,7 +24,7 @@ Bools = NDArray[np.bool_]
 
 SMOOTH_NAMES = ("motor.time_constant", "motor.gain", "motor.acceleration")
 """Parameters of a wheel in the problem's order."""
-SURE = 4.0
+SURE = 2.5
 """A window as configured is given up for one that differs by so many standard errors."""
 NEAR = 4
 """Windows so many loops from the fitted one are compared with the counts."""
@@ -75,9 +75,7 @@ def clock_of(config: RobotConfig) -> Clock:
     return Clock(board.command_delay, config.encoder.window, board.command_timeout or NEVER)
 
 
-def estimated(
-    tracks: Sequence[Track], config: RobotConfig, known: Knowable
-) -> Estimate | None:
+def estimated(tracks: Sequence[Track], config: RobotConfig, known: Knowable) -> Estimate | None:
     """Fit what a log can tell.
 
     Args:
@@ -98,7 +96,9 @@ def estimated(
     solution = solving.searched(problem, x, bands, free)
     solution, printed, found = _in_turn(problem, solution, config, known, steps)
     spread = solving.covariance(problem, solution)
-    return Estimate(problem, solution, spread, found, steps, printed, bool(free[-2] != solution.free[-2]))
+    return Estimate(
+        problem, solution, spread, found, steps, printed, bool(free[-2] != solution.free[-2])
+    )
 
 
 def _free(problem: Problem, known: Knowable) -> Bools:
@@ -130,9 +130,7 @@ def _start(
             if known.can("motor.deadband", MOTORS[wheel]):
                 most = known.slowest[wheel]
                 nothing = Printed(0.0, 0.0)
-                bands[k] = deadband.found(
-                    problem, k, motors[k], rough_clock, nothing, most
-                ).value
+                bands[k] = deadband.found(problem, k, motors[k], rough_clock, nothing, most).value
     if free[-1]:
         rough[-1] = pauses.refined(problem, motors, rough_clock)
     return np.where(free, rough, x), bands

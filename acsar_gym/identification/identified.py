@@ -172,4 +172,3 @@ def _held_out(fit: Estimate | None, config: RobotConfig) -> HeldOut | None:
     return HeldOut(
         error(configured, clock_of(config)), error(fit.motors, fit.clock), problem.count / lines
     )
-

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
+from numpy.typing import NDArray
 
 from acsar_gym.bodies.base import GroundTruth
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.identification.excitation import Plan, plan
 from acsar_gym.links import Link
+from acsar_gym.links.base import Arrivals, arrivals_of
+from acsar_gym.recording import Recorder
 from acsar_gym.recording.wire_log import WireLog
 from acsar_gym.robot import Robot
 from acsar_gym.worlds import Scene
 
-RESOLUTION = 0.001
-"""Interval at which the link is read [s]."""
 STRETCH = 1.013
 """Factor on a tick: its phase to the board's loops and lines then takes every value."""
 STANDS = 0.1
@@ -29,75 +28,80 @@ LONGEST = 600.0
 
 
 class TappedLink:
-    """Passes a link's bytes on, and keeps a log of them with stamps of 1 ms.
+    """Passes a link's bytes on, and keeps a log of them.
 
     Args:
         link: to the robot.
+
+    Attributes: `link`, the inner one; `device`, its name if it has one.
     """
 
     def __init__(self, link: Link) -> None:
-        self._link = link
-        self._sent: list[tuple[float, bytes]] = []
-        self._got: list[tuple[float, bytes]] = []
+        self.link = link
+        self.device = getattr(link, "device", "")
+        self._sent: Arrivals = []
+        self._got: Arrivals = []
+        self.arrivals: Arrivals = []
 
     def open(self) -> None:
         """Open the link."""
-        self._link.open()
+        self.link.open()
 
     def reset(self, scene: Scene) -> None:
         """Reset the link, and begin a new log."""
-        self._link.reset(scene)
+        self.link.reset(scene)
         self._sent.clear()
         self._got.clear()
+        arrivals_of(self.link)  # from now on, it notes when bytes arrive
 
     def write(self, data: bytes) -> None:
         """Send bytes to the robot."""
-        stamp = self._link.now()
-        self._link.write(data)
-        self._sent.append((stamp, data))
+        self.link.write(data)
+        self._sent.append((self.link.now(), data))
 
     def advance(self, period: float) -> bytes:
         """Let a stretched period pass; returns what arrived."""
-        arrived = b""
-        slices = max(1, round(period / RESOLUTION))
-        for _ in range(slices):
-            data = self._link.advance(period * STRETCH / slices)
-            if data:
-                self._got.append((self._link.now(), data))
-                arrived += data
-        return arrived
+        data = self.link.advance(period * STRETCH)
+        self.arrivals = list(arrivals_of(self.link))
+        if data and not self.arrivals:
+            self.arrivals = [(self.link.now(), data)]
+        self._got += self.arrivals
+        return data
 
     def now(self) -> float:
         """Return the link's time [s]."""
-        return self._link.now()
+        return self.link.now()
 
     @property
     def lateness(self) -> float | None:
         """Lateness of the link [s]."""
-        return self._link.lateness
+        return self.link.lateness
 
     @property
     def truth(self) -> GroundTruth | None:
         """Ground truth of the link."""
-        return self._link.truth
+        return self.link.truth
 
     def close(self) -> None:
         """Close the link."""
-        self._link.close()
+        self.link.close()
 
     @property
     def log(self) -> WireLog:
         """What passed since the reset."""
-        sent, got = zip(*self._sent, strict=True), zip(*self._got, strict=True)
-        (sent_stamps, sent_bytes), (got_stamps, got_bytes) = sent, got
-        return WireLog(np.array(sent_stamps), sent_bytes, np.array(got_stamps), got_bytes)
+        return WireLog(*_columns(self._sent), *_columns(self._got))
+
+
+def _columns(pieces: Arrivals) -> tuple[NDArray[np.float64], tuple[bytes, ...]]:
+    """Split times and bytes."""
+    return np.array([stamp for stamp, _ in pieces]), tuple(data for _, data in pieces)
 
 
 def drive(
     link: Link,
     config: RobotConfig,
     duration: float,
-    begun: Callable[[], None] = lambda: None,
+    recorder: Recorder | None = None,
 ) -> WireLog:
     """Drive the manoeuvre; the robot is stopped on any way out.
 
@@ -105,7 +109,7 @@ def drive(
         link: to the robot, whose wheels are lifted.
         config: of the robot.
         duration: [s].
-        begun: called once the robot is active, before the wheels turn.
+        recorder: records it as well.
 
     Returns:
         The log of the wire.
@@ -118,8 +122,8 @@ def drive(
         raise ConfigError(f"duration = {duration}: must be {SHORTEST:g} to {LONGEST:g} s")
     tapped = TappedLink(link)
     whole = plan(config, duration, config.period * STRETCH)
-    with Robot(tapped, config) as robot:
-        begun()
+    # The wheels don't answer as configured: that is what is to be found.
+    with Robot(tapped, config.with_(wheel_check=False), recorder=recorder) as robot:
         _drive(robot, whole)
     return tapped.log
 

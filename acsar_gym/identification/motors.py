@@ -40,8 +40,10 @@ def of_wheels(estimate: Estimate | None, config: RobotConfig, known: Knowable) -
     """Findings of the four motors; one for all wheels where they don't differ."""
     found = []
     for p, name in enumerate(SMOOTH_NAMES):
-        found += _merged([_smooth(estimate, config, known, name, p, k) for k in range(4)],
-                         _share_spread(estimate, p))
+        found += _merged(
+            [_smooth(estimate, config, known, name, p, k) for k in range(4)],
+            _share_spread(estimate, p),
+        )
     bands = [_deadband(estimate, config, known, k) for k in range(4)]
     return found + _merged(bands, None)
 

@@ -110,9 +110,7 @@ def blend_of(lag: float, dt: float) -> float:
     return float(1.0 - np.exp(-dt / lag)) if lag > 0.0 else 1.0
 
 
-def targets_at(
-    edges: Floats, stamps: Floats, commands: Floats
-) -> tuple[Floats, Floats, Floats]:
+def targets_at(edges: Floats, stamps: Floats, commands: Floats) -> tuple[Floats, Floats, Floats]:
     """Commands of each loop, where loops lie anywhere within half a period around the edges.
 
     Args:

@@ -24,7 +24,7 @@ DELAY_BOUNDS = (-0.03, 0.5)
 """Bounds of the delay to the middle of the window [s]."""
 LONGEST_WINDOW = 0.4
 """Longest averaging time [s]; the shortest is a loop."""
-WINDOWS = (0.005, 0.02, 0.035, 0.05, 0.075, 0.1, 0.15)
+WINDOWS = (0.005, 0.015, 0.025, 0.0375, 0.05, 0.0625, 0.075, 0.1, 0.14)
 """Averaging times from which a fit starts [s]."""
 NEVER = 3600.0
 """Time-out of a board that has none [s]."""
@@ -113,7 +113,7 @@ def solve(
         loss="soft_l1",
         f_scale=scale,
         x_scale="jac",
-        ftol=1e-5,
+        ftol=1e-6,
         xtol=1e-6,
         max_nfev=evaluations,
     )
@@ -128,9 +128,7 @@ def bounds(problem: Problem) -> tuple[Floats, Floats]:
     return low, high
 
 
-def searched(
-    problem: Problem, x: Floats, deadbands: Sequence[float], free: Bools
-) -> Solution:
+def searched(problem: Problem, x: Floats, deadbands: Sequence[float], free: Bools) -> Solution:
     """Fit from several averaging times: cost is flat along it, and has several minima.
 
     Args:

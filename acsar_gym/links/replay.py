@@ -41,9 +41,7 @@ class ReplayLink:
         compare: whether other commands are an error.
     """
 
-    def __init__(
-        self, path: str | Path, port: Port | None = None, *, compare: bool = True
-    ) -> None:
+    def __init__(self, path: str | Path, port: Port | None = None, *, compare: bool = True) -> None:
         self._path = Path(path)
         self._port = port
         self._compare = compare

@@ -1,0 +1,66 @@
+"""Where the logs of an identification come from: recordings, or a manoeuvre driven now."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from pathlib import Path
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import ConfigError
+from acsar_gym.identification.identified import Identified, identified
+from acsar_gym.identification.manoeuvre import drive
+from acsar_gym.links import Link
+from acsar_gym.recording import Recorder
+from acsar_gym.recording.reader import read
+from acsar_gym.recording.types import Recording
+from acsar_gym.recording.wire_log import WireLog
+
+GEOMETRY = ("wheel_radius", "wheel_separation", "wheelbase")
+WIRE = ("baud_rate", "trailing_comma", "wheels", "name")
+"""Fields that are the same in all recordings of one robot."""
+
+
+def from_files(paths: Sequence[Path], config: RobotConfig | None) -> Identified:
+    """Identify a robot from recordings.
+
+    Args:
+        paths: of recordings of one robot.
+        config: of the robot; None for the one that was recorded.
+
+    Raises:
+        ConfigError: a file can't be read, or they are of different robots.
+    """
+    recordings = [(path, read(path)) for path in paths]
+    check_same(recordings)
+    logs = [episode.wire for _, recording in recordings for episode in recording.episodes]
+    hashes = [recording.sha256 for _, recording in recordings]
+    return identified(logs, config or recordings[0][1].config, hashes)
+
+
+def check_same(recordings: Sequence[tuple[Path, Recording]]) -> None:
+    """Check that recordings are of one robot; ConfigError names the first other one."""
+    first_path, first = recordings[0]
+    for path, recording in recordings[1:]:
+        for field in GEOMETRY + WIRE:
+            one, other = getattr(first.config, field), getattr(recording.config, field)
+            if one != other:
+                raise ConfigError(
+                    f"{path}: is of another robot: {field} is {other!r}, but {one!r} in "
+                    f"{first_path}; identify one robot at a time"
+                )
+
+
+def from_device(
+    link: Link, config: RobotConfig, duration: float, recorder: Recorder | None = None
+) -> Identified:
+    """Drive the manoeuvre, and identify the robot from it. Errors as for `manoeuvre.drive`."""
+    log = drive(link, config, duration, recorder)
+    return identified([log], config, [digest(log)])
+
+
+def digest(log: WireLog) -> str:
+    """First 16 hex digits of the SHA-256 of what a wire carried."""
+    whole = hashlib.sha256(log.sent_stamps.tobytes() + log.got_stamps.tobytes())
+    whole.update(b"".join(log.sent + log.got))
+    return whole.hexdigest()[:16]
