@@ -53,7 +53,7 @@ def test_its_limits_are_the_presets(axis: str, most: float, limits: SpeedLimits)
     ours = parameters("controllers.yaml", "diff_drive_controller")
     acceleration = limits.max_acceleration
     assert acceleration is not None
-    assert limits == SpeedLimits(max_acceleration=acceleration)
+    assert limits.model_dump(exclude_none=True) == {"max_acceleration": acceleration}
     assert {name: value for name, value in ours.items() if name.startswith(axis)} == {
         f"{axis}.max_velocity": most,
         f"{axis}.min_velocity": -most,
