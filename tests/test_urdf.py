@@ -1,0 +1,85 @@
+"""The robot's URDF stands on its wheels and rolls, in PyBullet and in MuJoCo."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import mujoco
+import pytest
+
+from acsar_gym import RobotConfig
+from acsar_gym.bodies.bullet.engine import pybullet
+from acsar_gym.resources import ASSETS
+
+URDF = ASSETS / "robots" / "acsar.urdf"
+WHEELS = ("front_right_wheel", "front_left_wheel", "rear_left_wheel", "rear_right_wheel")
+SPEED = 6.0
+"""Of the wheels [rad/s]."""
+SECONDS = 1.5
+
+
+@pytest.fixture
+def client() -> Iterator[int]:
+    """A PyBullet with gravity and a floor."""
+    number = pybullet.connect(pybullet.DIRECT)
+    pybullet.setGravity(0.0, 0.0, -9.81, physicsClientId=number)
+    plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=number)
+    pybullet.createMultiBody(0.0, plane, physicsClientId=number)
+    yield number
+    pybullet.disconnect(number)
+
+
+def rolled(config: RobotConfig) -> float:
+    """How far wheels that turn from rest roll without slipping [m]."""
+    return config.wheel_radius * SPEED * SECONDS
+
+
+def run(client: int, seconds: float) -> None:
+    for _ in range(round(seconds * 240)):
+        pybullet.stepSimulation(physicsClientId=client)
+
+
+def test_in_pybullet_it_weighs_what_it_should_and_rolls_on_its_wheels(client: int) -> None:
+    config = RobotConfig.preset("acsar")
+    robot = pybullet.loadURDF(str(URDF), [0.0, 0.0, 0.005], physicsClientId=client)
+    links = {"base_footprint": -1}
+    for joint in range(pybullet.getNumJoints(robot, physicsClientId=client)):
+        info = pybullet.getJointInfo(robot, joint, physicsClientId=client)
+        links[info[12].decode()] = joint
+    masses = (pybullet.getDynamicsInfo(robot, n, physicsClientId=client)[0] for n in links.values())
+    assert sum(masses) == pytest.approx(config.body.mass)
+    run(client, 0.5)
+    contacts = pybullet.getContactPoints(robot, physicsClientId=client)
+    assert {contact[3] for contact in contacts} == {links[wheel] for wheel in WHEELS}
+    for wheel in WHEELS:
+        mode, joint = pybullet.VELOCITY_CONTROL, links[wheel]
+        pybullet.setJointMotorControl2(
+            robot, joint, mode, targetVelocity=SPEED, force=1.5, physicsClientId=client
+        )
+    run(client, SECONDS)
+    (x, y, z), _ = pybullet.getBasePositionAndOrientation(robot, physicsClientId=client)
+    assert x == pytest.approx(rolled(config), rel=0.05)
+    assert (y, z) == pytest.approx((0.0, 0.0), abs=0.005)
+
+
+def test_in_mujoco_it_is_free_and_rolls_on_its_wheels() -> None:
+    config = RobotConfig.preset("acsar")
+    spec = mujoco.MjSpec.from_file(str(URDF))
+    spec.body("base_footprint").add_freejoint()
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[5.0, 5.0, 0.1])
+    model = spec.compile()
+    assert model.body_mass.sum() == pytest.approx(config.body.mass)
+    data = mujoco.MjData(model)
+    data.qpos[2] = 0.002
+    for _ in range(round(0.3 / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+    touching = {model.body(model.geom_bodyid[contact.geom2]).name for contact in data.contact}
+    assert touching == set(WHEELS)
+    wheels = [model.joint(f"{wheel}_joint").dofadr[0] for wheel in WHEELS]
+    start = data.qpos[0]
+    for _ in range(round(SECONDS / model.opt.timestep)):
+        data.qfrc_applied[wheels] = 0.2 * (SPEED - data.qvel[wheels])  # a speed controller
+        mujoco.mj_step(model, data)
+    assert data.qpos[0] - start == pytest.approx(rolled(config), rel=0.1)
+    assert data.qpos[1:3] == pytest.approx((0.0, 0.0), abs=0.005)
+    assert data.qvel[wheels] == pytest.approx([SPEED] * 4, rel=0.05)
