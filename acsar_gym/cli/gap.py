@@ -32,6 +32,7 @@ def gap(
     robot: RobotFile,
     before: Source = "acsar",
     body: str = "planar",
+    truth: File = None,
     fail_over: Limits = (),
     json: Json = None,
     html: File = None,
@@ -46,11 +47,13 @@ def gap(
         robot: the fitted robot, such as the file that identify wrote.
         before: the unfitted robot; "recorded" is the one in each recording.
         body: physics of the twins, planar or bullet.
+        truth: log of the emulator that was recorded (emulate --log), with its true poses.
         fail_over: limits in SI units, such as wheel_speed_rms=0.5 end_pose=0.05.
         json: also write the figures to this file.
         html: also write a report with plots to this file.
     """
     from acsar_gym.gap import limits, measure, tables  # noqa: PLC0415
+    from acsar_gym.gap import truth as truths  # noqa: PLC0415
     from acsar_gym.gap.page import document, gap_page  # noqa: PLC0415
 
     known = limits.parsed(fail_over, tables.LIMITS)
@@ -60,7 +63,10 @@ def gap(
     if html is not None:
         document.library()
     names = Path(robot).name, Path(before).name
-    found = measure.measure(_read(logs), (names[0], after), (names[1], unfitted), body)
+    recordings = _read(logs)
+    if truth is not None:
+        recordings = [(name, truths.with_truth(log, truth)) for name, log in recordings]
+    found = measure.measure(recordings, (names[0], after), (names[1], unfitted), body)
     _show([*tables.tables(found)], [*measure.conclusion(found), *found.notes])
     _write(json, tables.as_dict(found))
     if html is not None:

@@ -17,6 +17,7 @@ from acsar_gym.envs.base import RobotEnv
 from acsar_gym.errors import ConfigError, EmergencyStopError, LinkError
 from acsar_gym.links.lateness import EpisodeTiming
 from acsar_gym.policies import Policy
+from acsar_gym.reading import bounded
 from acsar_gym.safety.rules import Reason
 from acsar_gym.tasks.barn import SCORES
 from acsar_gym.worlds import Pose, Region, World
@@ -24,6 +25,8 @@ from acsar_gym.worlds.scene import point_in_world
 from acsar_gym.worlds.search import footprint_radius, path_length, way_left
 
 Way = list[tuple[float, float]]
+MOST_BYTES = 1_000_000_000
+"""Largest accepted log of an emulator [bytes]; it grows by 1 MB a minute."""
 LATE_SHARE = 0.01
 """Largest share of late ticks in a valid episode."""
 
@@ -232,7 +235,7 @@ def odometry_errors(results: Sequence[EpisodeResult], log: Path) -> list[float]:
     Raises:
         ConfigError: the log holds no true poses.
     """
-    stamps, poses = _true_poses(log)
+    stamps, poses = true_poses(log)
     errors = []
     for result in results:
         start = poses[_latest(stamps, result.started)]
@@ -242,13 +245,22 @@ def odometry_errors(results: Sequence[EpisodeResult], log: Path) -> list[float]:
     return errors
 
 
-def _true_poses(log: Path) -> tuple[list[float], list[Pose]]:
-    """Read the times [s] and true poses from an emulator's log."""
-    events = [json.loads(line) for line in log.read_text(encoding="ascii").splitlines()]
-    truths = [event for event in events if "pose" in event]
-    if not truths:
+def true_poses(log: Path) -> tuple[list[float], list[Pose]]:
+    """Read the times [s] and true poses from an emulator's log, whose last line may be cut.
+
+    Raises:
+        ConfigError: it can't be read, or holds no true poses.
+    """
+    lines = bounded.read(log, MOST_BYTES).splitlines(keepends=True)
+    try:
+        events = [json.loads(line) for line in lines if line.endswith(b"\n")]
+        truths = [(float(event["t"]), event["pose"]) for event in events if "pose" in event]
+        poses: list[Pose] = [(float(x), float(y), float(theta)) for _, (x, y, theta) in truths]
+    except (ValueError, TypeError, LookupError):
+        raise ConfigError(f"{log}: isn't a log of 'acsar-gym emulate --log FILE'") from None
+    if not poses:
         raise ConfigError(f"{log}: holds no true poses; run 'acsar-gym emulate --log FILE'")
-    return [event["t"] for event in truths], [tuple(event["pose"]) for event in truths]
+    return [stamp for stamp, _ in truths], poses
 
 
 def _latest(stamps: list[float], time: float) -> int:

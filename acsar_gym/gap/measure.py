@@ -106,8 +106,7 @@ def measure(
         ConfigError: the logs are of different robots, or hold nothing that can be compared.
     """
     same_robot(logs)
-    measured = getattr(robot[1], "measured", {})
-    fitted_on = {sha256 for one in measured.values() for sha256 in one.logs}
+    fitted_on = {sha256 for one in robot[1].measured.values() for sha256 in one.logs}
     replays, notes = [], _notes(logs, robot)
     for name, recording in logs:
         twins = {"before": before[1] or recording.config, "after": robot[1]}

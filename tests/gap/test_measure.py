@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import cache
-from typing import Any
 
 import numpy as np
 import pytest
 from rollout_tools import HIDDEN, driven, random_steps, recording
 
 from acsar_gym import RobotConfig
+from acsar_gym.config import Measured
 from acsar_gym.errors import ConfigError
 from acsar_gym.evaluation import report
 from acsar_gym.gap import tables
@@ -75,20 +75,13 @@ def test_equal_delays_are_said_to_be_equal() -> None:
 
 
 def test_fitted_logs_dont_count() -> None:
-    class Measured:
-        logs = (log(0).sha256,)
-
-    class Robot:
-        measured = {"motor.time_constant.a": Measured()}  # noqa: RUF012
-
-        def __getattr__(self, name: str) -> Any:
-            return getattr(ROBOT, name)
-
+    interval = Measured(low=0.13, high=0.15, method="identify", logs=(log(0).sha256,))
+    robot = ("robot.yaml", ROBOT.with_(measured={"motor.time_constant.a": interval}))
     logs = [(f"{seed}.mcap", log(seed)) for seed in range(2)]
-    gap = measure(logs, ("robot.yaml", Robot()), BEFORE)  # type: ignore[arg-type]
+    gap = measure(logs, robot, BEFORE)
     assert [replay.fitted for replay in gap.replays] == [True, False]
     assert [replay.log for replay in gap.judged] == ["1.mcap"]
-    gap = measure(logs[:1], ("robot.yaml", Robot()), BEFORE)  # type: ignore[arg-type]
+    gap = measure(logs[:1], robot, BEFORE)
     assert len(gap.judged) == 1
     assert "none is held out" in gap.notes[-1]
     assert "fitted episode" in conclusion(gap)[0]
