@@ -164,12 +164,10 @@ def _before(wire: Wire, run: RunOptions, plan: Plan) -> None:
     print(printable(f"{plan.name} ..."), flush=True)
     if not wire.simulated:
         x, y = run.space or (0.0, 0.0)
-        start = "stays where it is" if plan.back else "stands on its mark"
-        asking.countdown(
-            f"{wire.url}: the robot will drive {plan.name} within {x:g} m ahead and {y:g} m to "
-            f"each side; make sure that the floor is free and the robot {start}",
-            yes=run.yes,
-        )
+        start = "leave the robot where it is" if plan.back else "put the robot on its start mark"
+        if sys.stdin.isatty() and not run.yes:
+            _ask(f"{start}, with {x:g} m free ahead and {y:g} m to each side, then press Enter")
+        asking.countdown(f"{wire.url}: the robot will drive: {plan.name}", yes=run.yes)
 
 
 def _ask(question: str) -> str:
