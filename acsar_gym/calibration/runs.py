@@ -112,17 +112,23 @@ def _parsed(found: Any, config: RobotConfig) -> list[Run]:
     """Check and convert a file's content; ConfigError, KeyError, TypeError, ValueError."""
     if not isinstance(found, dict) or found.get("format") != FORMAT:
         raise ConfigError("isn't a file of calibration runs: make one with --runs")
-    _check_robot(found.get("robot"), config)
+    check_robot("it", found.get("robot"), config)
     return [_run(entry) for entry in found["runs"]]
 
 
-def _check_robot(robot: Any, config: RobotConfig) -> None:
-    """Raise ConfigError where the runs are of a robot with another geometry."""
+def check_robot(where: str, robot: Any, config: RobotConfig) -> None:
+    """Raise ConfigError where the runs are of a robot with another geometry.
+
+    Args:
+        where: what holds the runs, for the message.
+        robot: fields of that robot.
+        config: of the robot that is calibrated.
+    """
     told = robot if isinstance(robot, Mapping) else {}
     for name in SAME_ROBOT:
         if told.get(name) != getattr(config, name):
             raise ConfigError(
-                f"runs of another robot: {name} is {shown(told.get(name))} there and "
+                f"{where} holds runs of another robot: {name} is {shown(told.get(name))} there and "
                 f"{getattr(config, name):g} here; use --robot with that robot's file, or another "
                 "file of runs"
             )

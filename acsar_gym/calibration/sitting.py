@@ -81,6 +81,11 @@ class Sitting:
             wire, plans, space, before, lambda run: self._ended(run, asks=asks), truth=truth
         )
 
+    def add(self, new: Sequence[Run]) -> None:
+        """Add runs of a recording."""
+        self.found += new
+        self._keep()
+
     def _ended(self, run: Run, *, asks: bool) -> Run:
         """Keep a run that has ended; ask for its readings if `asks`."""
         if self.found:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from acsar_gym.calibration.session import Given, Wire
     from acsar_gym.calibration.sitting import Sitting
 
-Device = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DEVICE|RUNS")]
+Device = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DEVICE|FILE")]
 Manoeuvre = Annotated[
     Literal["straight", "turn", "square", "all"],
     tyro.conf.Positional,
@@ -93,7 +93,8 @@ def calibrate(
     then square --space 2 2 --runs cal.json --out my_robot.yaml.
 
     Args:
-        device: serial device, planar, bullet, or a .json file of runs to give readings to.
+        device: serial device, planar, bullet; or runs that were driven before, to give readings
+            to: a .json file of --runs, or an .mcap file of --record.
         manoeuvre: what to drive.
         straight: straight lines.
         turn: turns.
@@ -102,6 +103,7 @@ def calibrate(
         wire: robot and measuring.
         output: results.
     """
+    from acsar_gym.calibration.recorded import runs_of  # noqa: PLC0415
     from acsar_gym.calibration.sitting import Sitting  # noqa: PLC0415
     from acsar_gym.evaluation import report  # noqa: PLC0415
 
@@ -111,7 +113,9 @@ def calibrate(
     given, kept_in = _given(straight, turn, square), Path(device) if later else output.runs
     ask = _ask if sys.stdin.isatty() else None
     sitting = Sitting(config, given, _scales(wire), kept_in, ask, known=later)
-    if not later:
+    if device.endswith(".mcap"):
+        sitting.add(runs_of(Path(device), manoeuvre, config))
+    elif not later:
         simulated = device in ("planar", "bullet")
         plans: list[Plan] = []
         if manoeuvre in ("straight", "all"):
@@ -164,12 +168,10 @@ def _before(wire: Wire, run: RunOptions, plan: Plan) -> None:
     print(printable(f"{plan.name} ..."), flush=True)
     if not wire.simulated:
         x, y = run.space or (0.0, 0.0)
-        start = "stays where it is" if plan.back else "stands on its mark"
-        asking.countdown(
-            f"{wire.url}: the robot will drive {plan.name} within {x:g} m ahead and {y:g} m to "
-            f"each side; make sure that the floor is free and the robot {start}",
-            yes=run.yes,
-        )
+        start = "leave the robot where it is" if plan.back else "put the robot on its start mark"
+        if sys.stdin.isatty() and not run.yes:
+            _ask(f"{start}, with {x:g} m free ahead and {y:g} m to each side, then press Enter")
+        asking.countdown(f"{wire.url}: the robot will drive: {plan.name}", yes=run.yes)
 
 
 def _ask(question: str) -> str:
