@@ -233,7 +233,7 @@ def two(place: Path) -> Iterator[list[estop.StopListener]]:
         ("ttyUSB7", 1),
         ("rover", 1),
         ("usb:A50285BI", 1),
-        (str(os.getpid()), 2),
+        pytest.param(str(os.getpid()), 2, id="pid"),
         ("", 2),
         ("/dev/ttyUSB8", 0),
         ("stop", 0),
