@@ -14,6 +14,12 @@ from acsar_gym.links.faults import Faults
 from acsar_gym.sensors import Sensor
 
 ACSAR = RobotConfig.preset("acsar")
+MEASURED: dict[str, Any] = {
+    "left_wheel_radius_multiplier": 0.98,
+    "encoder": {"quantum": 0.1},
+    "motor": {"acceleration": [60.0, 20.0, 33.0, 50.0]},
+    "body": {"turn_factor": 1.8},
+}
 AT_ONCE: dict[str, Any] = {
     "linear_limits": {"max_acceleration": None},
     "angular_limits": {"max_acceleration": None},
@@ -36,6 +42,8 @@ CASES: dict[str, tuple[dict[str, Any], RobotConfig]] = {
     ),
     "feedback": ({"dropped_lines": 0.7, "direction": "feedback"}, ACSAR),
     "some episodes": ({"dropped_lines": 0.7, "episodes": 0.5}, ACSAR),
+    "a command delay": (DROPPED, ACSAR.with_(firmware={"command_delay": 0.0137}, **MEASURED)),
+    "late with a command delay": (LATE, ACSAR.with_(firmware={"command_delay": 0.0371})),
     "late on a slow wire": (LONG | {"direction": "commands"}, ACSAR.with_(baud_rate=38400)),
     "late and stale": (LONG | {"direction": "feedback"}, ACSAR.with_(feedback_timeout=0.15)),
     "half of 25 Hz": (
