@@ -5,7 +5,7 @@ a robot's physics (`varied`), are in `drawing`.
 
 To add a parameter: add a field to `Randomization`, one to the end of `Drawn` (so that existing
 seeds still draw the same numbers), and its effect to `varied`. If the physics has no such number,
-add a field to `model.Physics` and use it there; batches and both bodies need no change.
+add a field to `numbers.Physics` and use it in `model`; batches and both bodies need no change.
 """
 
 from __future__ import annotations
