@@ -211,7 +211,7 @@ def _sides(answers: Sequence[Answer], eyes: Sequence[Seen] | None, usual: bool) 
         )
     return Check(
         "wiring",
-        "skip",
-        "nobody looked: a motor and an encoder that are both swapped or reversed don't show",
+        "ok" if usual else "warn",
+        "the wire doesn't show a motor and an encoder that are swapped or reversed together",
         f"{fix}If not, say what turned, such as --saw b a d c, or an for a backward",
     )
