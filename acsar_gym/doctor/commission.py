@@ -80,7 +80,7 @@ class Commission:
         letters = [answer.letter for answer in heard]
         encoders = {answer.encoder for answer in heard if answer.encoder is not None}
         together = Together(ear, letters, encoders, speed)
-        yield _delay(together.delays(ear.rate), ear.rate)
+        yield _delay(together.delays(ear.rate))
         yield self._time_out(together.time_out(), config)
         self._note_rate(config, ear.rate)
         if ear.gaps:
@@ -193,7 +193,7 @@ def _asked(ask: Ask, letter: int) -> str:
     raise ConfigError("no answer makes sense: start again, or add --yes")
 
 
-def _delay(found: Delays | None, rate: float) -> Check:
+def _delay(found: Delays | None) -> Check:
     """Say how soon a command shows."""
     name = "command to feedback"
     if found is None:
@@ -204,9 +204,8 @@ def _delay(found: Delays | None, rate: float) -> Check:
     return Check(
         name,
         "warn" if slow else "ok",
-        f"{found.shortest * 1000.0:.1f} ms from a command's last byte to the first byte that shows "
-        f"it; up to {found.longest * 1000.0:.1f} ms with the wait for the next line, every "
-        f"{1000.0 / rate:.0f} ms",
+        f"{found.shortest * 1000.0:.1f} ms from a command's last byte to the first that shows it; "
+        f"{found.longest * 1000.0:.1f} ms with the wait for a line",
         "raise the baud rate; set the USB adapter's latency timer to 1 ms" if slow else "",
     )
 

@@ -15,6 +15,7 @@ Seen = tuple[int, int] | None
 """Which wheel was seen to turn, and 1 for forward, -1 for backward; None if none turned."""
 MIRRORED = (1, 0, 3, 2)
 """Indices of the wheels on the other side."""
+WATCH = "watch: a turns front right, b front left, c rear left, d rear right, forward"
 UNLESS = " (or its motor, if the wheel turned backward)"
 
 
@@ -201,17 +202,16 @@ def _sides(answers: Sequence[Answer], eyes: Sequence[Seen] | None, usual: bool) 
         swapped = [w for w, so in (("motors", mirrored), ("encoders", crossed != mirrored)) if so]
         what = f"left and right {' and '.join(swapped)} are swapped" if swapped else "as seen"
         return Check("wiring", "ok" if usual else "warn", what)
-    fix = "watch a, b, c, d turn: front right, front left, rear left, rear right, each forward? "
     if crossed:
         return Check(
             "wiring",
             "warn",
             "left and right are swapped, of the encoders or of the motors: taken to be encoders",
-            f"{fix}If not, say what turned, such as --saw b a d c",
+            f"{WATCH}; where a turned front left, say --saw b a d c",
         )
     return Check(
         "wiring",
         "ok" if usual else "warn",
-        "the wire doesn't show a motor and an encoder that are swapped or reversed together",
-        f"{fix}If not, say what turned, such as --saw b a d c, or an for a backward",
+        "only eyes see a motor and an encoder that are swapped or reversed together",
+        f"{WATCH}; otherwise say what turned, such as --saw b a d c",
     )
