@@ -130,8 +130,7 @@ def _wheel(
         return _dead(wheel, name, answer, eyes)
     way = "forward" if found.sign == 1 else "backward"
     turns = f"motor {found.motor}" + (" reversed" if found.motor_sign == -1 else "")
-    speed = abs(answer.speeds[MOTORS.index(heard)])
-    text = f"{turns}, encoder {heard} counts {way}, {speed:.2f} rad/s"
+    text = f"{turns}, encoder {heard} counts {way}"
     if len(answer.moving) > 1:
         others = ", ".join(MOTORS[k] for k in answer.moving[1:])
         return Check(name, "fail", f"{text}; encoder {others} turns with it", "check its wires")
