@@ -80,7 +80,7 @@ class Commission:
         letters = [answer.letter for answer in heard]
         encoders = {answer.encoder for answer in heard if answer.encoder is not None}
         together = Together(ear, letters, encoders, speed)
-        yield _delay(together.delays(ear.rate), ear.rate)
+        yield _delay(together.delays(ear.rate))
         yield self._time_out(together.time_out(), config)
         self._note_rate(config, ear.rate)
         if ear.gaps:
@@ -99,7 +99,7 @@ class Commission:
     def _answers(self, ear: Ear, speed: float) -> list[Answer]:
         """Turn one wheel after the other, and ask what was seen.
 
-        Lines have a trailing comma, unless no wheel at all turns with it.
+        Lines have a trailing comma, unless no wheel at all turns with it, or not the last one.
         """
         for comma in (True, False):
             ear.trailing_comma = comma
@@ -112,24 +112,31 @@ class Commission:
                     break
             if ear.gaps or any(answer.moving for answer in answers):
                 break
+        if ear.trailing_comma and not answers[-1].moving and len(answers) == len(MOTORS):
+            answers[-1] = self._without_comma(ear, answers[-1], speed)
         if self.ask is not None:
             self.eyes = wiring.eyes_of(said)
         return answers
+
+    def _without_comma(self, ear: Ear, answer: Answer, speed: float) -> Answer:
+        """Turn the last wheel once more, by lines without a trailing comma."""
+        ear.trailing_comma = False
+        again = spun(ear, answer.letter, speed)
+        ear.trailing_comma = not again.moving
+        return again if again.moving else answer
 
     def _line_end(
         self, ear: Ear, config: RobotConfig, heard: Sequence[Answer], speed: float
     ) -> Check:
         """Find whether the board takes a value at its comma or at the line's end."""
-        letter = heard[-1].letter
-        needs = {c: takes_last_value(ear, letter, speed, comma=c) for c in (True, False)}
-        if all(needs.values()):
+        wanted = ear.trailing_comma
+        if takes_last_value(ear, heard[-1].letter, speed, comma=not wanted):
             return Check("line end", "ok", "a value is taken at the line's end, and at its comma")
-        wanted = needs[True]
         self._note(config, trailing_comma=wanted)
         text = (
             "a value is taken at its comma: the last one needs a trailing comma"
             if wanted
-            else "a line with a trailing comma isn't taken"
+            else "the last value is taken without a trailing comma only"
         )
         if wanted == config.trailing_comma:
             return Check("line end", "ok", text)
@@ -186,7 +193,7 @@ def _asked(ask: Ask, letter: int) -> str:
     raise ConfigError("no answer makes sense: start again, or add --yes")
 
 
-def _delay(found: Delays | None, rate: float) -> Check:
+def _delay(found: Delays | None) -> Check:
     """Say how soon a command shows."""
     name = "command to feedback"
     if found is None:
@@ -197,9 +204,8 @@ def _delay(found: Delays | None, rate: float) -> Check:
     return Check(
         name,
         "warn" if slow else "ok",
-        f"{found.shortest * 1000.0:.1f} ms from a command's last byte to the first byte that shows "
-        f"it; up to {found.longest * 1000.0:.1f} ms with the wait for the next line, every "
-        f"{1000.0 / rate:.0f} ms",
+        f"{found.shortest * 1000.0:.1f} ms from a command's last byte to the first that shows it; "
+        f"{found.longest * 1000.0:.1f} ms with the wait for a line",
         "raise the baud rate; set the USB adapter's latency timer to 1 ms" if slow else "",
     )
 

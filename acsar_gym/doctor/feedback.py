@@ -76,7 +76,7 @@ def _format(ear: Ear) -> Check:
     newest = ear.raw[-1] if ear.raw else b""
     padded = PADDED.fullmatch(newest) is not None
     comma = "with" if newest.rstrip().endswith(b",") else "without"
-    numbers = "two digits and two decimals" if padded else "numbers of its own, which are read"
+    numbers = "two digits and two decimals" if padded else "unpadded numbers, which are read"
     return Check(
         "line format", "ok", f"{numbers}, {comma} a trailing comma: {shown_bytes(newest.rstrip())}"
     )

@@ -18,6 +18,8 @@ IN_A_ROW = 3
 """Lines that must agree."""
 PATIENCE = 1.5
 """Longest wait for a wheel to start [s]; motors, speed loops and delays take up to 0.5 s."""
+PATIENCE_FOR_ONE = 0.7
+"""Longest wait for the effect of a single command [s]; many boards stop by themselves soon."""
 STOPPING = 3.0
 """Longest wait for wheels to stop [s]."""
 LISTEN = 0.3
@@ -115,6 +117,8 @@ def _answer(letter: int, lines: Sequence[Line], speed: float) -> Answer:
 def takes_last_value(ear: Ear, letter: int, speed: float, *, comma: bool) -> bool:
     """Return whether the board takes the last value of a line with, or without, a trailing comma.
 
+    It gets one such line only: some boards take a value at the first comma of the next line.
+
     Args:
         ear: hears the board; its `trailing_comma` is the same afterwards.
         letter: index of a letter whose wheel turns.
@@ -123,14 +127,12 @@ def takes_last_value(ear: Ear, letter: int, speed: float, *, comma: bool) -> boo
     """
     order = MOTORS.replace(MOTORS[letter], "") + MOTORS[letter]
     usual, ear.trailing_comma = ear.trailing_comma, comma
-    try:
-        lines = ear.hear(
-            alone(letter, speed),
-            lambda line: max(map(abs, line.speeds)) > MOVES * speed,
-            PATIENCE,
-            order=order,
-        )
-    finally:
-        ear.trailing_comma = usual
+    ear.command(alone(letter, speed), order)
+    ear.trailing_comma = usual
+    lines = ear.hear(None, lambda line: _turns(line, speed), PATIENCE_FOR_ONE)
     stand(ear, speed)
-    return bool(lines) and max(map(abs, lines[-1].speeds)) > MOVES * speed
+    return bool(lines) and _turns(lines[-1], speed)
+
+
+def _turns(line: Line, speed: float) -> bool:
+    return max(map(abs, line.speeds)) > STANDS * speed

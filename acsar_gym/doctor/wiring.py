@@ -15,6 +15,7 @@ Seen = tuple[int, int] | None
 """Which wheel was seen to turn, and 1 for forward, -1 for backward; None if none turned."""
 MIRRORED = (1, 0, 3, 2)
 """Indices of the wheels on the other side."""
+WATCH = "watch: a turns front right, b front left, c rear left, d rear right, forward"
 UNLESS = " (or its motor, if the wheel turned backward)"
 
 
@@ -129,8 +130,7 @@ def _wheel(
         return _dead(wheel, name, answer, eyes)
     way = "forward" if found.sign == 1 else "backward"
     turns = f"motor {found.motor}" + (" reversed" if found.motor_sign == -1 else "")
-    speed = abs(answer.speeds[MOTORS.index(heard)])
-    text = f"{turns}, encoder {heard} counts {way}, {speed:.2f} rad/s"
+    text = f"{turns}, encoder {heard} counts {way}"
     if len(answer.moving) > 1:
         others = ", ".join(MOTORS[k] for k in answer.moving[1:])
         return Check(name, "fail", f"{text}; encoder {others} turns with it", "check its wires")
@@ -201,17 +201,16 @@ def _sides(answers: Sequence[Answer], eyes: Sequence[Seen] | None, usual: bool) 
         swapped = [w for w, so in (("motors", mirrored), ("encoders", crossed != mirrored)) if so]
         what = f"left and right {' and '.join(swapped)} are swapped" if swapped else "as seen"
         return Check("wiring", "ok" if usual else "warn", what)
-    fix = "watch a, b, c, d turn: front right, front left, rear left, rear right, each forward? "
     if crossed:
         return Check(
             "wiring",
             "warn",
             "left and right are swapped, of the encoders or of the motors: taken to be encoders",
-            f"{fix}If not, say what turned, such as --saw b a d c",
+            f"{WATCH}; where a turned front left, say --saw b a d c",
         )
     return Check(
         "wiring",
-        "skip",
-        "nobody looked: a motor and an encoder that are both swapped or reversed don't show",
-        f"{fix}If not, say what turned, such as --saw b a d c, or an for a backward",
+        "ok" if usual else "warn",
+        "only eyes see a motor and an encoder that are swapped or reversed together",
+        f"{WATCH}; otherwise say what turned, such as --saw b a d c",
     )

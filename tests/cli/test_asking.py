@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import pty
 import subprocess
@@ -10,7 +11,7 @@ import sys
 import pytest
 from serial_tools import TIMEOUT
 
-from acsar_gym.cli.asking import countdown
+from acsar_gym.cli.asking import ask, countdown
 from acsar_gym.errors import CancelledError, ConfigError
 
 pytestmark = [pytest.mark.xdist_group("serial"), pytest.mark.usefixtures("deadline")]
@@ -63,6 +64,13 @@ def test_yes_neither_waits_nor_asks(capsys: pytest.CaptureFixture[str]) -> None:
 def test_without_a_terminal_it_names_the_option() -> None:
     with pytest.raises(ConfigError, match="add --yes"):
         countdown("the wheels turn", 0.0)
+
+
+def test_a_question_takes_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO("bn\n"))
+    assert ask("which wheel? ") == "bn"
+    with pytest.raises(CancelledError):
+        ask("and now? ")
 
 
 def test_a_cancelled_command_ends_like_an_interrupted_one() -> None:
