@@ -108,7 +108,7 @@ class Robot:
             gc.collect()  # takes 60 ms, so it is done before the wheels turn
             self._stopwatch = Stopwatch(self._period)
             if self.link.truth is None and self.config.wheel_check:
-                self._watch = WheelWatch(self.config)
+                self._watch = WheelWatch(self.config, getattr(self.link, "device", "DEVICE"))
         try:
             self.sensors.reset(scene, np.random.default_rng(0) if rng is None else rng)
             self._journal.began()
