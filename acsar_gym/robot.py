@@ -26,7 +26,7 @@ from acsar_gym.safety.estop import StopListener
 from acsar_gym.safety.layer import Safety
 from acsar_gym.safety.wheel_watch import WheelWatch
 from acsar_gym.sensors import Factory, Sensor, Sensors
-from acsar_gym.wire import STANDSTILL, Wire
+from acsar_gym.wire import Wire
 from acsar_gym.worlds import Scene
 
 
@@ -108,7 +108,7 @@ class Robot:
             gc.collect()  # takes 60 ms, so it is done before the wheels turn
             self._stopwatch = Stopwatch(self._period)
             if self.link.truth is None and self.config.wheel_check:
-                self._watch = WheelWatch(self.config)
+                self._watch = WheelWatch(self.config, getattr(self.link, "device", "DEVICE"))
         try:
             self.sensors.reset(scene, np.random.default_rng(0) if rng is None else rng)
             self._journal.began()
@@ -266,8 +266,8 @@ class Robot:
         self._integrate(heard, dt)
         if self._stopwatch is not None:
             self._stopwatch.tick(self.link.lateness or 0.0, wire.age)
-            turns = max(map(abs, wire.speeds)) > STANDSTILL
-            if self._stopwatch.commanded(wire.written, drives=any(speeds or ZERO), turns=turns):
+            fastest = max(map(abs, wire.speeds))
+            if self._stopwatch.commanded(wire.written, fastest, drives=any(speeds or ZERO)):
                 self._stopwatch.heard(arrivals_of(self.link), wire.stamp)
         if self._watch is not None and speeds is not None:
             self._watch.tick(speeds, wire.speeds, dt, fresh=bool(heard))

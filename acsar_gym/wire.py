@@ -7,11 +7,10 @@ import math
 from acsar_gym.config import RobotConfig
 from acsar_gym.links.base import Link
 from acsar_gym.links.handshake import silence, still_turning
+from acsar_gym.links.lateness import STANDSTILL
 from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds, line_end, line_of
 from acsar_gym.safety import rules
 
-STANDSTILL = 0.1
-"""Wheels slower than this count as standing still [rad/s]."""
 STANDSTILL_TIMEOUT = 5.0
 """How long a reset waits for the wheels to stand still [s]."""
 STANDSTILL_TICKS = 2

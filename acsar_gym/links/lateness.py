@@ -15,6 +15,11 @@ from itertools import accumulate
 LATE = 0.001
 """A tick is late if it ends more than this after its deadline [s]."""
 
+STANDSTILL = 0.1
+"""Wheels slower than this count as standing still [rad/s]."""
+EFFECT = 0.005
+"""Wheels faster than this, and than twice what they showed before, show a command [rad/s]."""
+
 PER_OCTAVE = 32
 SHORTEST = 2.0**-20
 """Shorter durations count as zero [s]."""
@@ -62,7 +67,7 @@ class EpisodeTiming:
     """Age of the newest valid line after every tick [s]; 0 if it arrived during the tick."""
     round_trip: Spread
     """Time from the last byte of a command to wheels that stand, as it was handed over, to the
-    first byte of the line that shows that they turn [s]; up to a tick more where the link doesn't
+    first byte of the first line that shows an effect [s]; up to a tick more where the link doesn't
     tell when bytes arrive."""
 
 
@@ -163,7 +168,7 @@ class Stopwatch:
         self._ages, self._trips = Durations(), Durations()
         self._begun = False
         self._asked: float | None = None
-        self._turned = False
+        self._fastest = self._shows = 0.0
 
     def tick(self, lateness: float, age: float) -> None:
         """Add a tick.
@@ -177,33 +182,33 @@ class Stopwatch:
             self._ages.add(age)
         self._begun = True
 
-    def commanded(self, written: float, *, drives: bool, turns: bool) -> bool:
+    def commanded(self, written: float, fastest: float, *, drives: bool) -> bool:
         """Add a command, and what the feedback of its period shows.
 
         Args:
             written: time at which its last byte was handed over [s].
+            fastest: highest absolute wheel speed of the newest feedback [rad/s].
             drives: whether the command isn't zero.
-            turns: whether the wheels turn, by the newest feedback.
 
         Returns:
             Whether a command to wheels that stood waits for a line that shows it, or this period
             brought it: call `heard` then.
         """
-        if drives and self._asked is None and not self._turned:
-            self._asked = written
-        self._turned = turns
         if not drives:
             self._asked = None
+        elif self._asked is None and self._fastest < STANDSTILL:
+            self._asked, self._shows = written, max(EFFECT, 2.0 * self._fastest)
+        self._fastest = fastest
         return self._asked is not None
 
     def heard(self, arrivals: Sequence[tuple[float, bytes]], end: float) -> None:
-        """End the round trip if the wheels turn now.
+        """End the round trip if the wheels turn by now.
 
         Args:
             arrivals: what arrived in the period, as for `first_byte`.
             end: end of the period [s].
         """
-        if self._turned and self._asked is not None:
+        if self._asked is not None and self._fastest > self._shows:
             self._trips.add(first_byte(arrivals, end) - self._asked)
             self._asked = None
 
@@ -220,14 +225,19 @@ def first_byte(arrivals: Sequence[tuple[float, bytes]], end: float) -> float:
             earlier counts from the first piece on. Empty where the link doesn't tell.
         end: end of the period [s], which is the answer then.
     """
-    data = b"".join(piece for _, piece in arrivals).rstrip(b"\r\n")
-    begin = max(data.rfind(b"\n"), data.rfind(b"\r")) + 1
-    passed = 0
+    data = b"".join(piece for _, piece in arrivals)
+    lines = data[: _after_line(data)].rstrip(b"\r\n")
+    begin, passed = _after_line(lines), 0
     for stamp, piece in arrivals:
         passed += len(piece)
         if passed > begin:
             return stamp
     return end
+
+
+def _after_line(data: bytes) -> int:
+    """Return the place after the last line end; 0 where there is none."""
+    return max(data.rfind(b"\n"), data.rfind(b"\r")) + 1
 
 
 def _upper_edge(bucket: int) -> float:

@@ -78,6 +78,11 @@ class RecordedLink:
         return self.link.now()
 
     @property
+    def device(self) -> str:
+        """Device of the link; empty if it has none."""
+        return str(getattr(self.link, "device", ""))
+
+    @property
     def truth(self) -> GroundTruth | None:
         """Ground truth of the link."""
         return self.link.truth

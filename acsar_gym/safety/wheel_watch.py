@@ -46,9 +46,11 @@ class WheelWatch:
 
     Args:
         config: Of the robot; `motor`, `firmware` and `encoder` say how wheels and board answer.
+        device: Of the robot, for messages.
     """
 
-    def __init__(self, config: RobotConfig) -> None:
+    def __init__(self, config: RobotConfig, device: str = "DEVICE") -> None:
+        self._device = device
         board, feedback = config.firmware, 1.0 / config.feedback_rate
         line = (LINE_BYTES + config.trailing_comma) * BITS_PER_BYTE / config.baud_rate
         delay = 2.0 * (line + board.processing_time) + config.encoder.window + ADAPTER + feedback
@@ -130,7 +132,8 @@ class WheelWatch:
         lasted = self._wheels[number].wrong
         return WheelError(
             f"{which} ({asked:.2f} rad/s commanded, {speed:.2f} measured for {lasted:.2f} s)",
-            "lift the robot and run 'acsar-gym doctor DEVICE --spin'; check motors and encoders",
+            f"lift the robot and run 'acsar-gym doctor {self._device} --spin'; check motors and "
+            "encoders",
             WHEELS[number],
         )
 

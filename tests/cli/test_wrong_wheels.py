@@ -12,15 +12,14 @@ from serial_tools import Emulated, RobotFile, start, wait_until
 
 pytestmark = [pytest.mark.xdist_group("serial"), pytest.mark.usefixtures("deadline")]
 
-SAID = "all wheels stand still"
+SAID = "rear_left stands still"
 
 
 @pytest.fixture(scope="module")
 def lame(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Emulated]:
-    """A robot whose motors have no power."""
+    """A robot with a dead wheel."""
     folder = tmp_path_factory.mktemp("lame")
-    (folder / "lame.yaml").write_text("motor: {deadband: 29.0}\n")
-    emulated = start(folder / "emulator.jsonl", "--robot", str(folder / "lame.yaml"))
+    emulated = start(folder / "emulator.jsonl", "--quirk", "dead-wheel=c")
     yield emulated
     emulated.end()
 

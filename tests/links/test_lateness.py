@@ -137,7 +137,7 @@ def trips(*commands: tuple[float, bool, bool]) -> Spread:
     """
     watch = Stopwatch(PERIOD)
     for written, drives, turns in commands:
-        if watch.commanded(written, drives=drives, turns=turns):
+        if watch.commanded(written, 3.0 if turns else 0.0, drives=drives):
             watch.heard([(written + 0.008, b"ap03.00,\r\n")], written + 0.01)
     return watch.summary().round_trip
 
@@ -185,6 +185,14 @@ def test_nothing_else_is_a_round_trip(asked: list[tuple[float, bool, bool]]) -> 
     assert trips(*asked).count == 0
 
 
+def test_noise_of_standing_encoders_shows_no_command() -> None:
+    watch = Stopwatch(PERIOD)
+    for tick, speed in enumerate((0.03, 0.03, 0.05, 0.07)):
+        if watch.commanded(float(tick), speed, drives=tick > 0):
+            watch.heard([], tick + 0.5)
+    assert watch.summary().round_trip.worst == 2.5
+
+
 def test_every_start_from_standstill_is_one() -> None:
     one = [(1.0, True, False), (1.03, True, True), (1.04, False, True), (1.2, False, False)]
     other = [(2.0, True, False), (2.05, True, True)]
@@ -202,8 +210,10 @@ def test_every_start_from_standstill_is_one() -> None:
         ([(1.0, b"ap01.00\r\n"), (2.0, b"ap02.00\r\n")], 2.0),
         ([(1.0, b".00\r\n"), (2.0, b"\n"), (2.5, b"ap"), (3.0, b"02.00\r\n")], 2.5),
         ([(1.0, b"01.00"), (2.0, b"\r\n")], 1.0),
+        ([(1.0, b"ap01.00\r\n"), (2.0, b"ap02")], 1.0),
+        ([(1.0, b"ap01.00\r\n"), (2.0, b"ap02.00\r\nap"), (3.0, b"03")], 2.0),
     ],
-    ids=["untold", "one", "in pieces", "newest", "after a rest", "begun before"],
+    ids=["untold", "one", "pieces", "newest", "after a rest", "begun before", "next", "nexts"],
 )
 def test_a_line_arrives_with_its_first_byte(
     arrivals: list[tuple[float, bytes]], stamp: float

@@ -12,6 +12,7 @@ import threading
 import time
 import warnings
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -23,6 +24,7 @@ from acsar_gym.doctor import checks as doctor
 from acsar_gym.errors import LinkError, SafetyWarning
 from acsar_gym.links import open_link
 from acsar_gym.protocol import ZERO
+from acsar_gym.recording import Recorder
 from acsar_gym.safety import estop, estop_folders
 from acsar_gym.safety.rules import Reason
 
@@ -275,6 +277,19 @@ def test_a_link_names_the_device_it_leads_to(place: Path) -> None:
         assert [each.answered for each in estop.stop_all(name)] == [True]
         thread.join()
     listener.close()
+
+
+def test_a_recorded_robot_has_its_name(
+    place: Path, config: RobotConfig, shared_device: str
+) -> None:
+    recorder = Recorder(place / "drive.mcap")
+    robot = Robot(open_link(shared_device, config), config, recorder=recorder)
+    with robot, ThreadPoolExecutor(1) as other:
+        found = other.submit(estop.drivers)
+        while not found.done():
+            robot.drive(0.0, 0.0)
+        (driver,) = found.result()
+        assert driver.device == shared_device
 
 
 def test_the_command_names_the_robot_of_another_process(

@@ -52,7 +52,7 @@ def test_a_dead_wheel_is_named(wheel: int, twist: tuple[float, float]) -> None:
     assert took < SOON
     assert error.wheel == WHEELS[wheel]
     assert f"{WHEELS[wheel]} stands still" in str(error)
-    assert "doctor DEVICE --spin" in str(error)
+    assert "'acsar-gym doctor robot0 --spin'" in str(error)
 
 
 @pytest.mark.parametrize("twist", [AHEAD, LEFT], ids=["ahead", "left"])
@@ -148,6 +148,11 @@ def test_a_robot_that_stands_may_be_pushed() -> None:
     watch = WheelWatch(ACSAR)
     for _ in range(500):
         watch.tick((0.0, 0.0, 0.0, 0.0), (4.0, 4.0, 4.0, 4.0), 0.01, fresh=True)
+
+
+def test_motors_without_power_are_told_as_such() -> None:
+    error = stopped(board(dead_wheels="abcd"), AHEAD)[1]
+    assert str(error).startswith("all wheels stand still (6.00 rad/s commanded")
 
 
 def test_a_wheel_that_races_is_named() -> None:
