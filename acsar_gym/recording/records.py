@@ -96,7 +96,7 @@ class Records:
     def _inside(self, data: bytes) -> Iterator[tuple[int, bytes]]:
         """Yield the records of a chunk."""
         place, end, unpack, head = 0, len(data) - _RECORD.size, _RECORD.unpack_from, _RECORD.size
-        wanted = self.wanted or ()
+        wanted = () if self.wanted is None else self.wanted
         most, before = MOST_RECORDS - self._count, 0
         while place <= end and before < most:
             opcode, length = unpack(data, place)
