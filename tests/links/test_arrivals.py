@@ -70,7 +70,7 @@ def wire() -> Iterator[tuple[OpenPort, int]]:
 def test_bytes_are_stamped_when_they_come(wire: tuple[OpenPort, int]) -> None:
     port, master = wire
     ear, written = Ear(), []
-    ear.listens = True
+    ear.wanted = True
 
     def board() -> None:
         for number in range(5):

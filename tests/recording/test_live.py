@@ -36,7 +36,7 @@ def test_a_viewer_gets_topics_and_messages(tmp_path: Path) -> None:
             for number, topic in enumerate(("/odom", "/tf_static"))
         ]
         viewer.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
-        heard = set()
+        heard: set[int] = set()
         with Robot(open_link("planar", CONFIG, realtime=True), CONFIG, recorder=recorder) as robot:
             for _ in range(100):
                 robot.drive(0.1, 0.0)
