@@ -51,12 +51,18 @@ def play(tape: Path, master: int, heard: Any) -> None:
         player = Tape(episode)
         while not player.is_over:
             sent, got = player.next()
-            command = b""
-            while len(command) < len(sent):
-                command += os.read(master, len(sent) - len(command))
-            wrong += command != sent
+            wrong += _heard(master, len(sent)) != sent
             os.write(master, got)
+        wrong += _heard(master, len(player.rest)) != player.rest
     heard.put(wrong)
+
+
+def _heard(master: int, size: int) -> bytes:
+    """So many bytes from the other end of the tty."""
+    heard = b""
+    while len(heard) < size:
+        heard += os.read(master, size - len(heard))
+    return heard
 
 
 @contextlib.contextmanager

@@ -44,8 +44,9 @@ class RecordedLink:
         arrivals_of(self.link)  # from now on, it notes when bytes arrive
 
     def reset(self, scene: Scene) -> None:
-        """Begin an episode; what was written before belongs to its first period."""
+        """Begin an episode."""
         self._recorder.open(self._config)
+        self._finish()
         self.link.reset(scene)
         self._recorder.begin(self.link.now(), simulated=self.link.lateness is None)
 
@@ -103,10 +104,14 @@ class RecordedLink:
 
     def close(self) -> None:
         """Close the link; the recording goes on with the next reset."""
-        sent, self._sent = tuple(self._sent), []
-        if sent:
-            self._recorder.add(Written(sent))
+        self._finish()
         self.link.close()
+
+    def _finish(self) -> None:
+        """Record what was sent since the last period of the episode."""
+        sent, self._sent = tuple(self._sent), []
+        if sent and self._recorder.has_begun:
+            self._recorder.add(Written(sent))
 
 
 def plain(link: Link) -> Link:

@@ -69,6 +69,7 @@ class ReplayLink:
             )
         self._tape = Tape(episodes[self._next_episode])
         self._next_episode += 1
+        self._sent = b""
 
     def write(self, data: bytes) -> None:
         """Take commands, which the next `advance` compares; a port gets them as well."""

@@ -35,7 +35,7 @@ class LiveView:
             import foxglove  # noqa: PLC0415 - optional
         except ImportError:
             raise MissingExtraError("a live view", "view") from None
-        context = foxglove.Context()
+        self._context = context = foxglove.Context()  # nothing else keeps it
         self._channels = {
             topic.name: foxglove.Channel(
                 topic.name,

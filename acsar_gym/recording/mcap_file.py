@@ -16,6 +16,9 @@ from acsar_gym.recording.encoder import Message
 from acsar_gym.recording.header import END, NAME, version
 from acsar_gym.recording.topics import ENCODING, SCHEMA_ENCODING, TOPICS
 
+CHUNK = 100_000
+"""Size of a chunk before it is packed [bytes]; a cut file loses its last one."""
+
 
 class McapFile:
     """A file that is being written. Errors are OSError, except in the constructor.
@@ -37,7 +40,7 @@ class McapFile:
         typesystem.store()
         try:
             self._file = _Unbuffered(path)
-            self._writer: Any = Writer(self._file)  # type: ignore[arg-type]
+            self._writer: Any = Writer(self._file, chunk_size=CHUNK)  # type: ignore[arg-type]
             self._writer.start("ros2", f"acsar_gym {version()}")
             self._writer.add_metadata(NAME, {"header": json.dumps(header)})
             self._channels = self._registered()

@@ -121,6 +121,8 @@ TAKERS: dict[str, Take] = {
 def made(part: Part) -> Episode:
     """Make an episode of what was read."""
     exchanges, ticks, steps = (_table(part, topic) for topic in TABLES)
+    for table in (exchanges, ticks, steps):
+        _check_times(table[:, 1], part.start)
     number, actions = len(steps), _stacked(part.actions, np.float32)
     return Episode(
         start=part.start,
@@ -159,9 +161,16 @@ def made(part: Part) -> Episode:
     )
 
 
+def _check_times(stamps: Floats, start: float) -> None:
+    """Raise ConfigError for times that aren't finite, or go backwards."""
+    times = np.concatenate([[start], stamps])
+    if not np.isfinite(times).all() or (np.diff(times) < 0.0).any():
+        raise ConfigError("is damaged: its times go backwards")
+
+
 def _table(part: Part, topic: topics.Topic) -> Floats:
     """The rows of a table."""
-    rows = np.frombuffer(bytes(part.tables[topic.name]), "<f8")
+    rows = np.frombuffer(part.tables[topic.name], "<f8")
     return rows.reshape(-1, len(topic.columns)).astype(np.float64, copy=False)
 
 
@@ -207,4 +216,6 @@ def _scans(rows: list[bytes]) -> Scans:
     if len(rows[0]) < 16 or any(len(row) != len(rows[0]) for row in rows):
         raise ConfigError("is damaged: scans of several lengths")
     table = np.frombuffer(b"".join(rows), "<f8").reshape(len(rows), -1)
+    if not np.isfinite(table).all():
+        raise ConfigError("is damaged: a scan that isn't finite")
     return Scans(table[:, 1].copy(), table[:, 2:].copy(), _whole(table[:, 0]))

@@ -29,9 +29,9 @@ from acsar_gym.recording.types import Recording
 MOST_BYTES = 1_000_000_000
 """Largest accepted file [bytes]."""
 MOST_KEPT = 300_000_000
-"""Most bytes of a recording that are kept in memory; a message counts for 100 bytes more than its
-content."""
+"""Most bytes of a recording that are kept in memory."""
 COST = 100
+"""What each message costs beside its content [bytes]; rows of tables cost nothing."""
 _MESSAGE = struct.Struct("<HIQQ")
 
 
@@ -43,7 +43,8 @@ class _Reader:
         self.end: dict[str, Any] | None = None
         self.parts: list[Part] = []
         self._kept = 0
-        self._takers: dict[int, Take] = {}
+        self._tables: set[int] = set()
+        self.takers: dict[int, Take] = {}
 
     def take(self, opcode: int, content: bytes) -> None:
         """Take a record."""
@@ -65,8 +66,10 @@ class _Reader:
         columns = {topic.name: topic.columns for topic in TABLES}
         if name in columns and told.get("columns", "").split(",") != list(columns[name]):
             raise ConfigError(f"{name} has other columns: it was recorded by another version")
+        if name in columns:
+            self._tables.add(number)
         if name in TAKERS:
-            self._takers[number] = TAKERS[name]
+            self.takers[number] = TAKERS[name]
 
     def _message(self, content: bytes) -> None:
         """Take a message."""
@@ -74,10 +77,10 @@ class _Reader:
             number, _, time, _ = _MESSAGE.unpack_from(content)
         except struct.error:
             raise ConfigError("is damaged: a broken message") from None
-        taker = self._takers.get(number)
+        taker = self.takers.get(number)
         if taker is None:
             return
-        self._kept += len(content) + COST
+        self._kept += len(content) + (0 if number in self._tables else COST)
         if self._kept > MOST_KEPT:
             raise ConfigError("holds too much: cut out a part of it")
         data = content[_MESSAGE.size :]
@@ -105,7 +108,9 @@ def read(path: str | Path) -> Recording:
         try:
             _check_kind(file.read(1))
             file.seek(0)
-            for opcode, content in Records(file, digest):
+            found = Records(file, digest)
+            found.wanted = reader.takers
+            for opcode, content in found:
                 reader.take(opcode, content)
         except Cut:
             cut = True

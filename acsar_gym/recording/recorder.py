@@ -60,7 +60,7 @@ class Recorder:
     any more, as on a full disk, doesn't stop the robot: `close` and the next reset tell.
 
     Attributes: `dropped`, events that were dropped; `number`, that of the next exchange of the
-    episode.
+    episode; `has_begun`, whether there has been an episode.
 
     Args:
         path: the file; None for a live view only. One that is there is replaced.
@@ -80,6 +80,7 @@ class Recorder:
         self.about = dict(about or {})
         self.dropped = 0
         self.number = 0
+        self.has_begun = False
         self._sinks = list(sinks)
         self._capacity = capacity
         self._queue: deque[Event] = deque()
@@ -118,7 +119,7 @@ class Recorder:
             stamp: time of the reset on the link's clock [s].
             simulated: whether the link can wait for the writer.
         """
-        self.number, self._waits = 0, simulated
+        self.number, self._waits, self.has_begun = 0, simulated, True
         self._clock_due = stamp + 1.0
         self._queue.append(Began(stamp, time.time_ns(), self._info))
         self._info = {}

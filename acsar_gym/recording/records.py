@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from typing import IO, Any
 
 from acsar_gym.errors import ConfigError, MissingExtraError
@@ -20,7 +20,7 @@ MOST_RECORD = 64_000_000
 """Longest accepted record, and chunk once it is unpacked [bytes]."""
 MOST_UNPACKED = 2_000_000_000
 """Most bytes of all chunks once they are unpacked; two hours at 100 Hz."""
-MOST_RECORDS = 6_000_000
+MOST_RECORDS = 4_500_000
 """Most records; an hour at 100 Hz has 4 million."""
 _RECORD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQII")
@@ -36,11 +36,14 @@ class Records:
     Args:
         file: of an MCAP file.
         digest: is fed all bytes that are read.
+
+    Attributes: `wanted`, the channels whose messages are of interest; None for all.
     """
 
     def __init__(self, file: IO[bytes], digest: Any) -> None:
         self._file = file
         self._digest = digest
+        self.wanted: Container[int] | None = None
         self._unpacked = 0
         self._count = 0
         if self._read(len(MAGIC)) != MAGIC:
@@ -92,20 +95,26 @@ class Records:
 
     def _inside(self, data: bytes) -> Iterator[tuple[int, bytes]]:
         """Yield the records of a chunk."""
-        place, end, unpack, head = 0, len(data), _RECORD.unpack_from, _RECORD.size
-        while place + head <= end:
+        place, end, unpack, head = 0, len(data) - _RECORD.size, _RECORD.unpack_from, _RECORD.size
+        wanted = () if self.wanted is None else self.wanted
+        most, before = MOST_RECORDS - self._count, 0
+        while place <= end and before < most:
             opcode, length = unpack(data, place)
             first = place + head
             place = first + length
-            self._counted()
-            if place > end or opcode not in KNOWN:
+            before += 1
+            is_one = opcode == MESSAGE and length > 1 and self.wanted is not None
+            if is_one and data[first] | data[first + 1] << 8 not in wanted:
+                continue
+            if place > len(data) or opcode not in KNOWN:
                 raise ConfigError("is damaged: a broken record in a chunk")
             yield opcode, data[first:place]
+        self._counted(before)
 
-    def _counted(self) -> None:
-        """Count a record; ConfigError for too many."""
-        self._count += 1
-        if self._count > MOST_RECORDS:
+    def _counted(self, records: int = 1) -> None:
+        """Count records; ConfigError for too many."""
+        self._count += records
+        if self._count >= MOST_RECORDS:
             raise ConfigError("holds too much: cut out a part of it")
 
     def _rest(self) -> None:

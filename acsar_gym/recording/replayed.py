@@ -62,6 +62,11 @@ class Tape:
         return b"".join(sent), b"".join(got)
 
     @property
+    def rest(self) -> bytes:
+        """What was sent after the last period, such as the stop at the end."""
+        return b"".join(self._episode.wire.sent[self._writes[-1] :])
+
+    @property
     def truth(self) -> GroundTruth | None:
         """Ground truth at the end of the newest period; None where it wasn't recorded."""
         if not len(self._periods.truth):

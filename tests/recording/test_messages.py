@@ -125,7 +125,12 @@ def test_a_scan_has_the_rays_of_the_config(messages: dict[str, list[Any]]) -> No
 def test_diagnostics_tell_of_loop_safety_wire_and_recorder(messages: dict[str, list[Any]]) -> None:
     (told,) = messages["/diagnostics"]
     states = {state.name: state for state in told.status}
-    assert list(states) == ["acsar: control loop", "acsar: safety", "acsar: wire", "acsar: recorder"]
+    assert list(states) == [
+        "acsar: control loop",
+        "acsar: safety",
+        "acsar: wire",
+        "acsar: recorder",
+    ]
     values = {pair.key: pair.value for pair in states["acsar: control loop"].values}
     assert values["ticks"] == "97"  # the first second, less the reset's three periods
     assert states["acsar: recorder"].message == "0 dropped"

@@ -1,0 +1,130 @@
+"""When bytes arrive: to a millisecond on a serial device, exactly in simulation."""
+
+from __future__ import annotations
+
+import math
+import os
+import threading
+import time
+import tty
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from acsar_gym import Robot, RobotConfig, open_link
+from acsar_gym.links.arrivals import Ear
+from acsar_gym.links.base import arrivals_of
+from acsar_gym.links.open_port import OpenPort
+from acsar_gym.links.ports import opened
+from acsar_gym.protocol import ZERO, encode
+from acsar_gym.recording import Recorder, read
+from acsar_gym.worlds import Scene
+
+CONFIG = RobotConfig.of(None)
+
+
+def test_the_twin_tells_when_its_lines_end() -> None:
+    """A line takes 37 bytes of ten bits, after the firmware's own time."""
+    link = open_link("planar", CONFIG)
+    link.open()
+    link.reset(Scene())
+    got = [link.advance(0.01) for _ in range(20)]
+    ((stamp, line),) = arrivals_of(link)
+    assert line == got[-1]
+    sends = CONFIG.firmware.processing_time + len(line) * 10.0 / CONFIG.baud_rate
+    assert math.isclose(math.fmod(stamp - sends + 1e-6, 0.01), 1e-6, abs_tol=1e-5)
+    assert 0.0 < link.now() - stamp < 0.01
+    link.close()
+
+
+def test_a_recording_has_the_stamps_of_arrival(tmp_path: Path) -> None:
+    path = tmp_path / "tape.mcap"
+    with Robot(open_link("planar", CONFIG), CONFIG, recorder=Recorder(path)) as robot:
+        for _ in range(50):
+            robot.drive(0.2, 0.0)
+    (episode,) = read(path).episodes
+    stamps, speeds = episode.wire.feedback(CONFIG)
+    assert len(stamps) >= 50
+    phase = {round(math.fmod(stamp, 0.01), 6) for stamp in stamps.tolist()}
+    assert len(phase) == 1
+    assert 0.001 < phase.pop() < 0.009
+    assert speeds[-1].tolist() == episode.speeds[-1].tolist()
+    sent, _ = episode.wire.commands(CONFIG)
+    assert sent[:3].tolist() == [0.0, 0.01, 0.02]
+
+
+@pytest.fixture
+def wire() -> Iterator[tuple[OpenPort, int]]:
+    """An open port, and the other end of its pseudo-terminal."""
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    port = OpenPort(opened(os.ttyname(slave), CONFIG), "pty")
+    yield port, master
+    port.close()
+    os.close(master)
+    os.close(slave)
+
+
+@pytest.mark.xdist_group("serial")
+def test_bytes_are_stamped_when_they_come(wire: tuple[OpenPort, int]) -> None:
+    port, master = wire
+    ear, written = Ear(), []
+    ear.wanted = True
+
+    def board() -> None:
+        for number in range(5):
+            time.sleep(0.02)
+            os.write(master, b"%d" % number)
+            written.append(time.monotonic())
+
+    writer = threading.Thread(target=board)
+    writer.start()
+    ear.begin()
+    while len(ear.pieces) < 5:
+        ear.wait(port, 1.0)
+    writer.join()
+    assert ear.heard(b"") == b"01234"
+    lags = sorted(stamp - when for (stamp, _), when in zip(ear.pieces, written, strict=True))
+    assert lags[2] < 0.01  # half of them, on a busy computer; none waits for the deadline of 1 s
+
+
+@pytest.mark.xdist_group("serial")
+def test_without_anybody_who_asks_bytes_wait_for_the_deadline(wire: tuple[OpenPort, int]) -> None:
+    port, master = wire
+    ear = Ear()
+    ear.begin()
+    os.write(master, b"late")
+    ear.wait(port, 0.01)
+    assert ear.pieces == []
+    assert ear.heard(port.read()) == b"late"
+
+
+@pytest.mark.xdist_group("serial")
+def test_a_port_that_cannot_be_waited_for_sleeps(wire: tuple[OpenPort, int]) -> None:
+    port, _ = wire
+    inner, port._port = port._port, object()  # as rfc2217 or Windows
+    assert port.wait(0.001) is False
+    port._port = inner
+
+
+@pytest.mark.xdist_group("serial")
+def test_a_real_wire_is_recorded_with_its_stamps(shared_device: str, tmp_path: Path) -> None:
+    path = tmp_path / "tape.mcap"
+    with Robot(open_link(shared_device, CONFIG), CONFIG, recorder=Recorder(path)) as robot:
+        for _ in range(60):
+            robot.drive(0.1, 0.0)
+        end = robot.wire.stamp
+    recording = read(path)
+    (episode,) = recording.episodes
+    wire, ticks = episode.wire, episode.exchanges
+    assert not recording.dropped
+    ends = {round(stamp, 9) for stamp in ticks.stamps.tolist()}
+    between = [stamp for stamp in wire.got_stamps.tolist() if round(stamp, 9) not in ends]
+    assert len(between) > 30  # they came during the periods, not at their ends
+    assert episode.stamps[-1] == end
+    assert math.isnan(episode.truth[-1, 0])
+    assert (episode.lateness >= 0.0).all()
+    assert wire.sent[-1].endswith(encode(ZERO, trailing_comma=CONFIG.trailing_comma))
+    wall = episode.offset + round(episode.start * 1e9) - time.time_ns()
+    assert abs(wall) < 60e9

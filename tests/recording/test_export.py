@@ -1,0 +1,116 @@
+"""Recordings as tables and as data sets."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import minari
+import numpy as np
+import pytest
+from pyarrow import parquet
+from recording_tools import drive
+
+from acsar_gym import RobotConfig
+from acsar_gym.errors import ConfigError
+from acsar_gym.recording import read, summary
+from acsar_gym.recording.export import export, tables
+
+
+@pytest.fixture(scope="module")
+def tape(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two episodes of an env with a LiDAR."""
+    path = tmp_path_factory.mktemp("tape") / "my tape.mcap"
+    env = gymnasium.make("acsar_gym/ObstacleGoal-v0", link="planar", record=path)
+    for seed in range(2):
+        env.reset(seed=seed)
+        for _ in range(4):
+            env.step(np.array([0.5, 0.1], np.float32))
+    env.close()
+    return path
+
+
+def test_parquet_has_every_number(tape: Path, tmp_path: Path) -> None:
+    written = export(tape, "parquet", tmp_path / "out")
+    assert [path.name for path in written] == [
+        f"{name}.parquet" for name in ("ticks", "wire", "steps", "scans")
+    ]
+    recording = read(tape)
+    found = {path.stem: parquet.read_table(path) for path in written}
+    poses = np.concatenate([one.poses for one in recording.episodes])
+    np.testing.assert_array_equal(found["ticks"]["x"].to_numpy(), poses[:, 0])
+    assert found["ticks"]["episode"].to_pylist() == [0] * 40 + [1] * 40
+    times = found["ticks"]["time"].to_numpy()
+    assert (np.diff(times) > 0).all()
+    assert found["wire"]["direction"].to_pylist()[0] == "sent"
+    assert found["steps"]["action_0"].to_pylist()[1] == 0.5
+    assert "observation_70" in found["steps"].column_names
+    assert "range_63" in found["scans"].column_names
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_csv_has_the_same(tape: Path, tmp_path: Path) -> None:
+    paths = export(tape, "csv", tmp_path)
+    rows = rows_of(paths[0])
+    recording = read(tape)
+    assert len(rows) == 80
+    assert float(rows[39]["theta"]) == recording.episodes[0].poses[-1, 2]
+    wire = rows_of(paths[1])
+    text = "".join(row["bytes"] for row in wire if row["direction"] == "sent")
+    sent = b"".join(piece for one in recording.episodes for piece in one.wire.sent)
+    assert text.encode("latin-1") == sent
+
+
+def test_minari_reads_the_episodes_back(tape: Path, tmp_path: Path) -> None:
+    (folder,) = export(tape, "minari", tmp_path)
+    data: Any = minari.MinariDataset(folder / "data")
+    episodes = list(data.iterate_episodes())
+    recorded = read(tape).episodes
+    assert len(episodes) == 2
+    for found, one in zip(episodes, recorded, strict=True):
+        np.testing.assert_array_equal(found.observations, one.observations)
+        np.testing.assert_array_equal(found.actions, one.actions)
+        np.testing.assert_array_equal(found.rewards, one.rewards)
+        assert found.truncations.tolist() == [False, False, False, True]
+    with pytest.raises(ConfigError, match="can't be written"):
+        export(tape, "minari", tmp_path)
+
+
+def test_what_cannot_be_exported_says_so(tape: Path, tmp_path: Path) -> None:
+    drove = drive(tmp_path / "drove.mcap", RobotConfig.of(None), 5)
+    assert list(tables(read(drove))["steps"]) == [
+        "episode",
+        "time",
+        "stamp",
+        "step",
+        "reward",
+        "action_0",
+        "action_1",
+    ]
+    with pytest.raises(ConfigError, match="holds no steps of an env"):
+        export(drove, "minari", tmp_path)
+    with pytest.raises(ConfigError, match="--to 'xls': must be one of parquet, csv, minari"):
+        export(tape, "xls", tmp_path)
+    (tmp_path / "file").touch()
+    with pytest.raises(ConfigError, match="can't be written"):
+        export(tape, "csv", tmp_path / "file" / "folder")
+
+
+def test_a_summary_tells_what_a_recording_holds(tape: Path, tmp_path: Path) -> None:
+    found = summary.of(tape)
+    assert found["whole"]
+    assert found["topics"]["/odom"] == 80
+    assert found["episodes"][1]["info"]["seed"] == 1
+    assert found["robot"]["simulated"]
+    lines = summary.lines(found)
+    assert "whole; 2 episodes, 0.9 s, nothing dropped" in lines[0]
+    assert any(line.split() == ["/scan", "10"] for line in lines)
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(tape.read_bytes()[:-200])
+    assert "cut: its end is missing" in summary.lines(summary.of(cut))[0]

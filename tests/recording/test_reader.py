@@ -1,0 +1,219 @@
+"""Reading recordings that are cut, damaged, foreign, old, or made to do harm."""
+
+from __future__ import annotations
+
+import json
+import struct
+import subprocess
+import sys
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zstandard
+from mcap.writer import CompressionType, Writer
+from recording_tools import drive
+
+from acsar_gym import RobotConfig
+from acsar_gym.errors import ConfigError
+from acsar_gym.recording import read
+from acsar_gym.recording.formats import octets, table, text
+from acsar_gym.recording.header import FORMAT, NAME, header
+from acsar_gym.recording.records import CHUNK, DATA_END, MAGIC, MESSAGE
+from acsar_gym.recording.topics import EPISODE, EXCHANGES, WIRE_SENT, Topic
+
+BEGIN = json.dumps({"episode": 0, "start": 0.0, "offset": 0, "wall": 0, "info": {}})
+Add = Callable[[Topic, bytes], None]
+
+
+@pytest.fixture(scope="module")
+def tape(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return drive(tmp_path_factory.mktemp("tape") / "tape.mcap", RobotConfig.of(None), 300)
+
+
+def written(path: Path, add: Callable[[Add], None], told: object = None, name: str = NAME) -> Path:
+    """A file with a header and the messages that `add` adds."""
+    with path.open("wb") as file:
+        writer = Writer(file, compression=CompressionType.LZ4)
+        writer.start()
+        told = header(RobotConfig(), {}) if told is None else told
+        writer.add_metadata(name, {"header": json.dumps(told)})
+        channels: dict[str, int] = {}
+
+        def one(topic: Topic, data: bytes) -> None:
+            if topic.name not in channels:
+                schema = writer.register_schema(topic.kind, "ros2msg", b"")
+                channels[topic.name] = writer.register_channel(
+                    topic.name, "cdr", schema, topic.metadata
+                )
+            writer.add_message(channels[topic.name], 0, data, 0)
+
+        add(one)
+        writer.finish()  # type: ignore[no-untyped-call]
+    return path
+
+
+def rows(*values: list[float]) -> Callable[[Add], None]:
+    """An episode with these exchanges."""
+
+    def add(one: Add) -> None:
+        one(EPISODE, text(BEGIN))
+        for packed in table(11).packed(len(values), {"data": np.array(values).reshape(-1, 11)}):
+            one(EXCHANGES, packed)
+
+    return add
+
+
+def refused(path: Path) -> str:
+    with pytest.raises(ConfigError) as caught:
+        read(path)
+    said = str(caught.value)
+    assert said.startswith(f"{path}: ")
+    assert "\n" not in said
+    assert len(said) < len(str(path)) + 150
+    return said
+
+
+@pytest.mark.parametrize("share", [0.5, 0.75, 0.99])
+def test_a_cut_file_is_read_up_to_its_cut(share: float, tape: Path, tmp_path: Path) -> None:
+    whole, cut = read(tape), tmp_path / "cut.mcap"
+    data = tape.read_bytes()
+    cut.write_bytes(data[: int(share * len(data))])
+    found = read(cut)
+    assert found.cut
+    assert not whole.cut
+    (some,), (every,) = found.episodes, whole.episodes
+    assert 0 < len(some.stamps) <= len(every.stamps)
+    np.testing.assert_array_equal(some.poses, every.poses[: len(some.poses)])
+    assert found.config == whole.config == RobotConfig.of(None)
+
+
+def test_zeros_at_the_end_count_as_cut(tape: Path, tmp_path: Path) -> None:
+    """A computer that lost its power may leave them."""
+    lost = tmp_path / "lost.mcap"
+    data = tape.read_bytes()
+    end = data.rindex(b"acsar_gym_end") - 13
+    lost.write_bytes(data[:end] + bytes(4096))
+    assert read(lost).cut
+
+
+def test_a_file_that_was_cut_before_its_first_episode_says_so(tape: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.mcap"
+    for size in (20, 3000):
+        cut.write_bytes(tape.read_bytes()[:size])
+        assert "isn't a recording of acsar_gym" in refused(cut) or "no episode" in refused(cut)
+
+
+def test_a_flipped_bit_is_told(tape: Path, tmp_path: Path) -> None:
+    data = bytearray(tape.read_bytes())
+    data[len(data) // 2] ^= 4
+    (tmp_path / "bad.mcap").write_bytes(data)
+    assert "is damaged: " in refused(tmp_path / "bad.mcap")
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"", "not an MCAP file"),
+        (b"\x89PNG\r\n", "not an MCAP file"),
+        (b'{"reset": 0}\n', "of an older version, in JSON: record again"),
+        (MAGIC, "isn't a recording of acsar_gym"),
+        (MAGIC + b"\x77" * 100, "is damaged"),
+        (MAGIC + struct.pack("<BQ", MESSAGE, 2**63), "is damaged"),
+    ],
+    ids=["empty", "picture", "old", "magic", "noise", "long"],
+)
+def test_foreign_files_are_told(content: bytes, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "file.mcap"
+    path.write_bytes(content)
+    assert said in refused(path)
+
+
+def test_the_recordings_of_others_and_other_formats_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "file.mcap"
+    no_episode = lambda one: None  # noqa: E731
+    assert "isn't a recording of acsar_gym" in refused(written(path, no_episode, name="rosbag2"))
+    newer = header(RobotConfig(), {}) | {"format": FORMAT + 1}
+    assert f"format {FORMAT + 1}: this version reads" in refused(written(path, no_episode, newer))
+    assert "is no mapping" in refused(written(path, no_episode, [1]))
+    assert "holds no episode" in refused(written(path, no_episode))
+    unknown = header(RobotConfig(), {}) | {"config": {"sheels": 3}}
+    assert "unknown field" in refused(written(path, rows([0.0] * 11), unknown))
+
+
+@pytest.mark.parametrize(
+    ("add", "said"),
+    [
+        (lambda one: one(EPISODE, text("{}")), "a broken episode"),
+        (lambda one: one(EPISODE, b""), "not valid JSON"),
+        (rows([0.0, 5.0, *[0.0] * 9], [1.0, 4.0, *[0.0] * 9]), "times go backwards"),
+        (rows([0.0, np.nan, *[0.0] * 9]), "times go backwards"),
+        (lambda one: (rows()(one), one(EXCHANGES, b"\0" * 16)), "a broken row"),
+        (lambda one: (rows()(one), one(WIRE_SENT, b"\0" * 4)), "a broken message"),
+        (lambda one: (rows()(one), one(WIRE_SENT, b"\xff" * 40)), "a broken array"),
+    ],
+    ids=["episode", "no json", "backwards", "nan", "row", "short", "long"],
+)
+def test_broken_messages_are_told(add: Callable[[Add], None], said: str, tmp_path: Path) -> None:
+    assert said in refused(written(tmp_path / "file.mcap", add))
+
+
+def record(opcode: int, content: bytes) -> bytes:
+    return struct.pack("<BQ", opcode, len(content)) + content
+
+
+def chunk(data: bytes, size: int | None = None) -> bytes:
+    """A chunk of zstd, which says that it unpacks to `size` bytes."""
+    packed = zstandard.compress(data)
+    head = struct.pack("<QQQI", 0, 0, len(data) if size is None else size, zlib.crc32(data))
+    kind = struct.pack("<I", 4) + b"zstd" + struct.pack("<Q", len(packed))
+    return record(CHUNK, head + kind + packed)
+
+
+HUNGRY = """
+import json, re, sys, time
+from pathlib import Path
+from acsar_gym.errors import AcsarError
+from acsar_gym.recording import read
+for path in sorted(Path(sys.argv[1]).iterdir()):
+    begin = time.process_time()
+    try:
+        found = f"{len(read(path).episodes)} episodes"
+    except AcsarError as error:
+        found = str(error)
+    peak = int(re.search(r"VmHWM:\\s+(\\d+) kB", Path("/proc/self/status").read_text())[1]) / 1024.0
+    print(json.dumps([path.name, found, time.process_time() - begin, peak]))
+"""
+
+
+@pytest.mark.xdist_group("serial")
+def test_hostile_files_are_bounded_in_time_and_memory(tmp_path: Path) -> None:
+    whole = header(RobotConfig(), {})
+
+    def begin(one: Add) -> None:
+        rows([0.0] * 11)(one)
+        one(WIRE_SENT, octets(b""))
+
+    start = written(tmp_path / "start", begin, whole).read_bytes()
+    start = start[: start.rindex(record(DATA_END, bytes(4))[:9])]
+    (tmp_path / "start").unlink()
+    (tmp_path / "endless").symlink_to("/dev/zero")
+    with (tmp_path / "sparse").open("wb") as file:
+        file.truncate(10**11)
+    (tmp_path / "bomb").write_bytes(start + 400 * chunk(bytes(60_000_000)))
+    (tmp_path / "liar").write_bytes(start + chunk(bytes(60_000_000), 10))
+    (tmp_path / "crumbs").write_bytes(start + 400 * chunk(500_000 * record(7, b"")))
+    small = record(MESSAGE, struct.pack("<HIQQ", 99, 0, 0, 0))
+    (tmp_path / "unread").write_bytes(start + 400 * chunk(200_000 * small))
+    wire = record(MESSAGE, struct.pack("<HIQQ", 3, 0, 0, 0) + octets(b""))
+    (tmp_path / "kept").write_bytes(start + 400 * chunk(200_000 * wire))
+    command = [sys.executable, "-c", HUNGRY, str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    told = [json.loads(line) for line in done.stdout.splitlines()]
+    assert len(told) == 7, done.stdout
+    for name, said, seconds, peak in told:
+        assert said.startswith(f"{tmp_path / name}: "), told
+        assert peak < 500.0, (name, peak)
+        assert seconds < 8.0, (name, seconds)  # of the processor; 2 s where it isn't shared

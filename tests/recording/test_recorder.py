@@ -1,0 +1,223 @@
+"""The recorder: what it drops, what survives a crash, and how it ends."""
+
+from __future__ import annotations
+
+import copy
+import os
+import pickle
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from recording_tools import drive
+
+from acsar_gym import Robot, RobotConfig, open_link
+from acsar_gym.errors import ConfigError, LinkLostError
+from acsar_gym.recording import Recorder, read, summary
+from acsar_gym.recording.events import Clock, Exchange
+from acsar_gym.recording.recorder import close_all
+
+CONFIG = RobotConfig.of(None)
+
+
+class Slow:
+    """A sink that holds the writer up, until it may go on."""
+
+    def __init__(self) -> None:
+        self.topics: list[str] = []
+        self.goes = False
+
+    def add(self, message: Any) -> None:
+        while not self.goes:
+            time.sleep(0.001)
+        self.topics.append(message.topic.name)
+
+    def flush(self) -> None:
+        """Nothing to pass on."""
+
+    def close(self, end: Any) -> None:
+        """Nothing to close."""
+
+    def abandon(self) -> None:
+        """Nothing to close."""
+
+
+def test_a_full_queue_drops_and_counts_and_never_waits(tmp_path: Path) -> None:
+    slow, path = Slow(), tmp_path / "tape.mcap"
+    recorder = Recorder(path, sinks=[slow], capacity=100)
+    recorder.open(CONFIG)
+    recorder.begin(0.0, simulated=False)
+    for stamp in range(1000):
+        recorder.add(Clock(float(stamp), 0))
+    assert recorder.dropped >= 1000 - 2 * 100
+    slow.goes = True
+    recorder.close()
+    found = read(path)
+    assert found.dropped == recorder.dropped
+    assert slow.topics.count("/time_reference") == 1001 - recorder.dropped
+
+
+def test_a_simulation_waits_and_drops_nothing(tmp_path: Path) -> None:
+    found = read(drive(tmp_path / "tape.mcap", CONFIG, 500, capacity=20))
+    assert found.dropped == 0
+    assert len(found.episodes[0].stamps) == 500
+
+
+def test_a_recording_with_a_gap_ends_its_replay_there(tmp_path: Path) -> None:
+    path = tmp_path / "tape.mcap"
+    recorder = Recorder(path)
+    add = recorder.add
+
+    def forgetful(event: Any) -> None:
+        if not isinstance(event, Exchange) or event.number != 33:
+            add(event)
+
+    recorder.add = forgetful  # type: ignore[method-assign]
+    with Robot(open_link("planar", CONFIG), CONFIG, recorder=recorder) as robot:
+        for _ in range(100):
+            robot.drive(0.1, 0.0)
+    assert read(path).dropped == 1
+    replay = Robot(open_link(f"replay:{path}"), CONFIG)
+    with pytest.raises(LinkLostError, match="the recording has a gap, tick 30"), replay:
+        for _ in range(100):
+            replay.drive(0.1, 0.0)
+
+
+CRASH = """
+import os, sys, time
+from acsar_gym import Robot, RobotConfig, open_link
+from acsar_gym.recording import Recorder
+config = RobotConfig.of(None)
+robot = Robot(open_link("planar", config, realtime=True), config, recorder=Recorder(sys.argv[1]))
+with robot:
+    while True:
+        robot.drive(0.1, 0.0)
+        print(robot.link.now(), flush=True)
+"""
+
+
+@pytest.mark.xdist_group("serial")
+def test_a_killed_program_loses_at_most_its_last_second(tmp_path: Path) -> None:
+    path, newest = tmp_path / "tape.mcap", 0.0
+    command = [sys.executable, "-c", CRASH, str(path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        while newest < 2.5:
+            newest = float(process.stdout.readline())
+        process.kill()
+        newest = max([newest, *map(float, process.stdout.read().split("\n")[:-1])])
+    found = read(path)
+    assert found.cut
+    (episode,) = found.episodes
+    assert newest - 1.0 <= episode.stamps[-1] <= newest + 0.1
+    assert len(episode.wire.sent) >= len(episode.stamps)
+
+
+def test_the_end_of_a_program_finishes_the_recording(tmp_path: Path) -> None:
+    code = CRASH.replace("while True:", "for _ in range(20):")
+    code = code.replace("with robot:", "robot.activate()\nif True:")
+    path = tmp_path / "tape.mcap"
+    command = [sys.executable, "-c", code, str(path)]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    assert not read(path).cut
+
+
+def test_a_forked_child_leaves_the_recording_alone(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "tape.mcap")
+    robot = Robot(open_link("planar", CONFIG), CONFIG, recorder=recorder)
+    robot.activate()
+    child = os.fork()
+    if child == 0:
+        close_all()
+        os._exit(0)
+    os.waitpid(child, 0)
+    robot.drive(0.1, 0.0)
+    robot.close()
+    assert not read(tmp_path / "tape.mcap").cut
+
+
+def test_a_disk_that_is_full_doesnt_stop_the_robot(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    recorder = Recorder(tmp_path / "tape.mcap")
+    robot = Robot(open_link("planar", CONFIG), CONFIG, recorder=recorder)
+    robot.activate()
+    full = OSError(28, "No space left on device")
+
+    def fail(*arguments: object) -> None:
+        raise full
+
+    monkeypatch.setattr("acsar_gym.recording.mcap_file._Unbuffered.write", fail)
+    for _ in range(50):
+        robot.drive(0.1, 0.0)
+    with pytest.raises(ConfigError, match=r"tape.mcap: can't be written: No space left on device"):
+        robot.close()
+    robot.close()
+
+
+def test_a_recording_that_has_ended_cannot_go_on(tmp_path: Path) -> None:
+    env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar", record=tmp_path / "tape.mcap")
+    env.reset(seed=0)
+    env.close()
+    with pytest.raises(ConfigError, match="this recording has ended: make another one"):
+        env.reset()
+    env.close()
+
+
+def test_copies_of_a_recorded_robot_are_not_recorded(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "tape.mcap")
+    robot = Robot(open_link("planar", CONFIG), CONFIG, recorder=recorder)
+    with copy.deepcopy(robot) as other, pickle.loads(pickle.dumps(robot)):  # noqa: S301
+        other.drive(0.1, 0.0)
+    assert not recorder.path or not recorder.path.exists()
+
+
+def test_an_env_records_what_the_policy_saw_and_did(tmp_path: Path) -> None:
+    path = tmp_path / "tape.mcap"
+    env = gymnasium.make(
+        "acsar_gym/ObstacleGoal-v0", link="planar", record=str(path), worlds="clutter:5"
+    )
+    seen, done = [env.reset(seed=7)[0]], []
+    goal = env.unwrapped.episode.assignment.goal  # type: ignore[attr-defined]
+    for _ in range(5):
+        done.append(env.action_space.sample())
+        seen.append(env.step(done[-1])[0])
+    assert env.spec is not None
+    assert env.spec.to_json()
+    env.close()
+    recording = read(path)
+    (episode,) = recording.episodes
+    np.testing.assert_array_equal(episode.observations, seen)
+    np.testing.assert_array_equal(episode.actions, done)
+    assert len(episode.rewards) == 5
+    assert episode.scans.ranges.shape == (6, 64)
+    assert episode.info["seed"] == 7
+    assert episode.info["goal"] == list(goal)
+    assert recording.header["about"]["env"]["id"] == "acsar_gym/ObstacleGoal-v0"
+    assert recording.header["about"]["env"]["kwargs"]["worlds"] == "clutter:5"
+    assert len(recording.sha256) == 16
+
+
+@pytest.mark.parametrize("record", [3, ["a"], b"x"])
+def test_record_must_be_a_file_s_name(record: Any) -> None:
+    with pytest.raises(ConfigError, match="record = "):
+        gymnasium.make("acsar_gym/PointGoal-v0", link="planar", record=record)
+
+
+def test_a_fault_is_told_in_diagnostics(tmp_path: Path) -> None:
+    path = tmp_path / "tape.mcap"
+    faults = {"unplug_at": 0.3}
+    env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar", record=path, faults=faults)
+    env.reset(seed=0)
+    for _ in range(10):
+        *_, truncated, _ = env.step(np.ones(2, np.float32))
+        if truncated:
+            break
+    env.close()
+    assert summary.of(path)["topics"]["/diagnostics"] == 1
+    assert not read(path).episodes[0].terminated
