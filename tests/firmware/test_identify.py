@@ -1,4 +1,4 @@
-"""`identify` finds in the board's answers what its config.h says: nobody fitted one to the other."""
+"""`identify` finds in the board's answers what its config.h says."""
 
 from __future__ import annotations
 
