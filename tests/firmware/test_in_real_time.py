@@ -39,7 +39,8 @@ def board(chip: str, tmp_path: Path) -> Iterator[Emulated]:
 
 def test_doctor_finds_nothing_to_warn_of(board: Emulated, tmp_path: Path) -> None:
     found = tmp_path / "doctor.json"
-    done = cli("doctor", board.device, "--robot", "acsar_avr", "--spin", "--yes", "--json", found)
+    options = ("--robot", "acsar_avr", "--spin", "--yes", "--saw", *"abcd", "--json")
+    done = cli("doctor", board.device, *options, found)
     assert done.returncode == 0, done.stderr
     checks = json.loads(found.read_text())["checks"]
     here = {"serial ports", "emergency stop"}  # of this computer

@@ -23,6 +23,8 @@ _Static_assert(TIMER_STEPS * LOOP_RATE * 8 == F_CPU && TIMER_STEPS <= 65536,
                "LOOP_RATE: must divide the clock by a multiple of 8, up to 524,288");
 _Static_assert(BAUD_RATE / 10 / LINE_BYTES >= FEEDBACK_RATE,
                "FEEDBACK_RATE: more lines than BAUD_RATE can carry");
+_Static_assert((uint32_t)COMMAND_TIMEOUT_MS * LOOP_RATE / 1000 < 65536,
+               "COMMAND_TIMEOUT_MS: must be less than 65536 loops");
 
 static volatile uint8_t loops_due;
 static struct wheel wheels[WHEELS];

@@ -29,6 +29,8 @@
 
 _Static_assert(LOOP_RATE % FEEDBACK_RATE == 0, "LOOP_RATE: must be a multiple of FEEDBACK_RATE");
 _Static_assert((int32_t)COUNTS_PER_LOOP(100) < 127, "LOOP_RATE: too low for these encoders");
+_Static_assert((int32_t)(COUNTS_PER_LOOP(2 * MAX_SPEED) * BLEND) < 65536 /* 2^31 less 15 bits */,
+               "LOOP_RATE: too low for these encoders and this TIME_CONSTANT");
 _Static_assert((int32_t)(MAX_SPEED * 100) < 10000, "MAX_SPEED: the wire carries 99.99 rad/s");
 
 static int32_t limited(int32_t value, int32_t most)

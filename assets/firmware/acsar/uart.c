@@ -10,7 +10,7 @@
 #define REAL_RATE (F_CPU / (8 * (DIVIDER + 1)))
 
 _Static_assert(REAL_RATE * 40 > BAUD_RATE * 39 && REAL_RATE * 40 < BAUD_RATE * 41,
-               "BAUD_RATE: this clock can't make it within 2.5 %");
+               "BAUD_RATE: this clock makes none within 2.5 % of it");
 
 static volatile uint8_t received[RECEIVED];
 static volatile uint8_t received_in, received_out;

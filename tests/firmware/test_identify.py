@@ -1,0 +1,50 @@
+"""`identify` finds in the board's answers what its config.h says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from firmware_tools import CHIPS, QUANTUM, Script
+
+from acsar_gym import RobotConfig
+from acsar_gym.identification.excitation import plan
+from acsar_gym.identification.identified import identified
+from acsar_gym.protocol import encode
+from acsar_gym.recording.wire_log import WireLog
+
+SECONDS = 20.0
+TICK = 0.01013
+"""As the manoeuvre's own, so that commands come at every phase of the board's loops [s]."""
+
+
+def test_identify_finds_what_config_h_says(tmp_path: Path) -> None:
+    script = Script(CHIPS[0])
+    config = RobotConfig.preset("acsar_avr").with_(motor={"time_constant": 0.05})
+    whole = plan(config, SECONDS, TICK)
+    ticks = [*whole.before.tolist(), *[None] * whole.pause, *whole.after.tolist()]
+    for number, speeds in enumerate(ticks):
+        if speeds is not None:
+            script.say(0.5 + number * TICK, encode(speeds))
+    ran = script.run(0.5 + len(ticks) * TICK, tmp_path)
+    got = [(event["t"], event["tx"].encode("latin-1")) for event in ran.events if "tx" in event]
+    log = WireLog(
+        np.array([time for time, _ in script.sent]),
+        tuple(data for _, data in script.sent),
+        np.array([time for time, _ in got]),
+        tuple(data for _, data in got),
+    )
+    found = identified([log], config)
+    values = {(one.name, one.wheel): one.value for one in found.findings}
+    for wheel in "abcd":
+        name = "motor.time_constant"  # one value for all wheels where they agree
+        lag = values.get((name, wheel), values.get((name, "")))
+        assert lag == pytest.approx(0.08, rel=0.05)
+    told = {name: value for (name, wheel), value in values.items() if not wheel}
+    assert told["motor.gain"] == pytest.approx(1.0, abs=0.01)
+    assert told["motor.acceleration"] == pytest.approx(60.0, rel=0.1)
+    assert told["firmware.command_delay"] == pytest.approx(0.0, abs=0.005)
+    assert told["firmware.command_timeout"] == pytest.approx(0.5, abs=0.06)
+    assert told["firmware.feedback_rate"] == pytest.approx(100.0, rel=0.01)
+    assert told["encoder.quantum"] == pytest.approx(QUANTUM, abs=0.005)
