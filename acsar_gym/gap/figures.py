@@ -10,7 +10,8 @@ import numpy as np
 
 from acsar_gym.evaluation.metrics import Interval, bootstrap
 from acsar_gym.gap.delays import Floats
-from acsar_gym.gap.tracks import Track, steady
+from acsar_gym.gap.tracks import Track
+from acsar_gym.recording.jitter import steady
 
 SHIFTS = np.arange(-0.1, 0.1001, 0.001)
 """Time shifts that are tried [s]."""
