@@ -10,9 +10,10 @@ import numpy as np
 
 from acsar_gym.evaluation.metrics import Interval, bootstrap
 from acsar_gym.gap.delays import Floats
-from acsar_gym.gap.tracks import Track, steady
+from acsar_gym.gap.tracks import Track
+from acsar_gym.recording.jitter import steady
 
-SHIFTS = np.arange(-0.1, 0.1001, 0.001)
+SHIFTS = np.arange(-0.2, 0.2001, 0.001)
 """Time shifts that are tried [s]."""
 MOVING = 0.2
 """Wheels that never differ by more than this from their mean don't tell a time shift [rad/s]."""
@@ -102,7 +103,7 @@ def _apart(one: Floats, other: Floats) -> float:
 def time_shift(stamps: Floats, speeds: Floats, twin_stamps: Floats, twin_speeds: Floats) -> float:
     """Return by how much the twin's wheel speeds must be delayed to fit the recorded ones best [s].
 
-    NaN if the wheels hardly move, or nothing within +-0.1 s fits best.
+    NaN if the wheels hardly move, or nothing within +-0.2 s fits best.
     """
     if len(stamps) < 3 or len(twin_stamps) < 3 or np.ptp(speeds, axis=0).max() < MOVING:
         return math.nan

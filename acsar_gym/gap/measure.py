@@ -21,6 +21,8 @@ SIDES = ("before", "after")
 GEOMETRY = ("wheel_radius", "wheel_separation", "wheelbase")
 ALIKE = 0.1
 """Logs are of one robot if its lengths differ by less than this share."""
+PAUSE = 0.1
+"""Longer pauses between commands are noted [s]."""
 SHORTEST = 1.0
 """Shorter episodes are left out [s]."""
 
@@ -114,6 +116,7 @@ def measure(
             if not usable(episode, robot[1]):
                 notes.append(f"{name} #{number}: left out, holds less than {SHORTEST:g} s")
                 continue
+            notes += _paused(f"{name} #{number}", episode)
             fitted = recording.sha256 in fitted_on
             replays.append(_replay(name, number, fitted, episode, twins, body))
     if not replays:
@@ -149,6 +152,12 @@ def _notes(logs: Sequence[tuple[str, Recording]], robot: tuple[str, RobotConfig]
             if abs(one - other) > ALIKE * max(one, other):
                 notes.append(f"{name}: recorded with {field} = {one:g} m, {robot[0]}: {other:g} m")
     return notes
+
+
+def _paused(name: str, episode: Episode) -> list[str]:
+    """Say where commands stopped for long, as on a computer that was busy."""
+    longest = float(np.diff(episode.wire.sent_stamps).max(initial=0.0))
+    return [f"{name}: no command was sent for {longest:.2f} s"] if longest > PAUSE else []
 
 
 def usable(episode: Episode, config: RobotConfig) -> bool:

@@ -54,7 +54,7 @@ def tables(gap: Gap) -> list[Table]:
     kind = "held-out logs" if gap.held_out else "logs that the robot was fitted to"
     title = f"Gap of {gap.robot} (before: {gap.before}) on {kind}, twin: {gap.body}"
     figures = Table(title=plain(title), title_justify="left")
-    for name in ("figure", "unit", "before", "after", "95 % interval", "left"):
+    for name in ("figure", "unit", "before", "after", "95 % interval", "after / before"):
         figures.add_column(name, justify="left" if name in ("figure", "unit") else "right")
     for row in rows(gap):
         figures.add_row(*row)

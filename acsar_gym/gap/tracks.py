@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,9 +13,6 @@ from acsar_gym.recording.open_loop import Replayed, replayed
 from acsar_gym.recording.types import Episode
 from acsar_gym.recording.wire_log import WireLog
 from acsar_gym.worlds.scene import Pose, to_odometry
-
-REGULAR = 0.25
-"""Lines count as periodic if their times stray by less than this share of the period."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,32 +132,3 @@ def _from(start: Pose, poses: Floats) -> Floats:
     moved = np.array([to_odometry(start, (x, y, theta)) for x, y, theta in poses.tolist()])
     moved[:, 2] = np.unwrap(moved[:, 2])
     return moved
-
-
-def steady(stamps: Floats, period: float) -> Floats:
-    """Take the jitter of the host out of the times of nearly periodic lines.
-
-    A line is sent when the board's clock says so; when the host sees it depends on its scheduler
-    and adapter. The times are replaced by a straight line over the lines' numbers, if they stray
-    from it by less than `REGULAR` of the period; otherwise they stay as they are.
-
-    Args:
-        stamps: (k,) times of arrival [s].
-        period: nominal period [s]; the true one may differ by 2 %.
-
-    Returns:
-        (k,) times [s].
-    """
-    if len(stamps) < 3:
-        return stamps
-    step = float(np.median(np.diff(stamps)))
-    if abs(step - period) > 0.1 * period:
-        step = period
-    numbers = np.cumsum(np.r_[0.0, np.maximum(np.rint(np.diff(stamps) / step), 0.0)])
-    fitted = np.polynomial.Polynomial.fit(numbers, stamps, 1)(numbers)
-    strays = np.abs(stamps - fitted)
-    near = strays <= 3.0 * np.median(strays) + 1e-9
-    if near.sum() >= 3 and math.isfinite(float(fitted.sum())):
-        fitted = np.polynomial.Polynomial.fit(numbers[near], stamps[near], 1)(numbers)
-        strays = np.abs(stamps - fitted)
-    return fitted if float(np.median(strays)) < REGULAR * step else stamps

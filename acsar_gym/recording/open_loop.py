@@ -13,6 +13,7 @@ from acsar_gym.bodies import Body
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, suggestion
 from acsar_gym.firmware import Firmware
+from acsar_gym.recording.jitter import steady
 from acsar_gym.recording.wire_log import Floats, WireLog
 
 BODIES = ("planar", "bullet")
@@ -88,7 +89,7 @@ def _beginning(config: RobotConfig, firmware: Firmware, log: WireLog) -> float:
     firmware.reset()
     if not len(own):
         return first
-    phase = _phase(recorded, period) - _phase(own, period)
+    phase = _phase(steady(recorded, period), period) - _phase(own, period)
     ahead = math.fmod(first - phase, period)
     ahead += period if ahead < 0.0 else 0.0
     return first if min(ahead, period - ahead) < NEAR else first - ahead

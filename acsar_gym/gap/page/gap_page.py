@@ -75,7 +75,7 @@ def _tiles(gap: Gap) -> list[Tile]:
 
 
 def _figures(gap: Gap) -> Grid:
-    columns = ("figure", "unit", "before", "after", "95 % interval", "left")
+    columns = ("figure", "unit", "before", "after", "95 % interval", "after / before")
     return Grid(columns, rows(gap), words=2)
 
 
