@@ -19,6 +19,7 @@ from acsar_gym.calibration.options import (
 )
 from acsar_gym.cli import asking
 from acsar_gym.cli.options import File, Json, LidarArg, RobotArg, Worlds
+from acsar_gym.cli.recording import RecordOptions
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, printable
 
@@ -38,8 +39,8 @@ _flat = tyro.conf.arg(name="")
 
 
 @dataclass(frozen=True)
-class DeviceOptions:
-    """The robot, and who measures."""
+class DeviceOptions(RecordOptions):
+    """The robot, who measures, and recording."""
 
     robot: RobotArg = None
     """Preset or config file: what is known so far."""
@@ -156,7 +157,8 @@ def _wire(device: str, config: RobotConfig, options: DeviceOptions) -> Wire:
     from acsar_gym.calibration.session import Wire  # noqa: PLC0415
 
     twin = config if options.twin is None else RobotConfig.of(options.twin)
-    wire = Wire(device, config, twin, options.lidar, options.world)
+    recorder = options.recorder("calibrate", link=device)
+    wire = Wire(device, config, twin, options.lidar, options.world, recorder)
     for option, value in (("--twin", options.twin), ("--world", options.world)):
         if value is not None and not wire.simulated:
             raise ConfigError(f"{option} is for simulated robots: planar or bullet")
