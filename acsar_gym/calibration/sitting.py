@@ -126,7 +126,7 @@ class Sitting:
                 read = session.parsed(run, self._ask(question), self._scales)
                 self.notes += [line for line in [check(read, self._config)] if line]
             except ConfigError as error:
-                question = f"{error}. Again"
+                question = f"{error}; again"
             else:
                 return read
         return run
