@@ -56,7 +56,7 @@ def to_mark(length: float) -> float:
 def usual_plans() -> list[Plan]:
     """What `straight`, `turn` and `square` drive by default."""
     return [
-        *manoeuvres.straights(2.0, 0.3, 3, returns=False),
+        *manoeuvres.straights(2.0, 0.3, 3),
         *manoeuvres.turns(5.0, (0.6, 1.2), (0.0,), 1),
         *manoeuvres.squares(1.0, 0.3, 0.9, 2, 2),
     ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from acsar_gym.config import Geofence, RobotConfig
 from acsar_gym.errors import ConfigError
@@ -16,6 +16,7 @@ SLACK = 0.25
 calibrated."""
 MARGIN = 0.1
 """Distance to be kept from the edge of the space [m]."""
+BACKWARDS = ", backwards"
 SLOWER = 0.07
 """How much slower the second and third of three runs are, as a share of the speed."""
 MOST_RUNS = 200
@@ -47,22 +48,24 @@ class Plan:
     back: bool = False
     """Whether it goes backwards, so that the robot returns to where the run before began."""
 
+    def ahead(self) -> Plan:
+        """The same, not backwards."""
+        return replace(self, name=self.name.removesuffix(BACKWARDS), back=False)
 
-def straights(distance: float, speed: float, repeats: int, *, returns: bool) -> list[Plan]:
+
+def straights(distance: float, speed: float, repeats: int) -> list[Plan]:
     """Straight runs.
 
     Args:
         distance: [m].
         speed: of the first run [m/s]; the next ones are slower, so that roundings differ.
-        repeats: how many runs.
-        returns: whether every second run goes backwards, to the start of the one before; a
-            simulated robot begins each run at its start anyway.
+        repeats: how many runs; every second one goes backwards, to the start of the one before.
     """
     _positive("--distance", distance, 100.0)
     found = []
     for number in range(1, _count(repeats) + 1):
-        back = returns and number % 2 == 0
-        name = f"straight {number}" + (", backwards" if back else "")
+        back = number % 2 == 0
+        name = f"straight {number}" + (BACKWARDS if back else "")
         own = speed * (1.0 - SLOWER * ((number - 1) % 3))
         found.append(Plan(name, "straight", (Leg(distance, 0.0),), own, 0.0, back))
     return found

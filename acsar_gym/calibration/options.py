@@ -14,6 +14,7 @@ from acsar_gym.errors import ConfigError
 
 if TYPE_CHECKING:
     from acsar_gym.calibration.manoeuvres import Plan
+    from acsar_gym.calibration.session import Given
 
 Numbers = Annotated[tuple[float, ...], tyro.conf.arg(metavar="N [N ...]")]
 USUAL = 0.6
@@ -34,12 +35,12 @@ class StraightOptions:
     """How far to the left of the line ahead each run ended [m], negative to the right; tells left
     against right radius."""
 
-    def plans(self, config: RobotConfig, run: RunOptions, *, returns: bool) -> list[Plan]:
-        """The straight runs; `returns` as for `manoeuvres.straights`."""
+    def plans(self, config: RobotConfig, run: RunOptions) -> list[Plan]:
+        """The straight runs."""
         from acsar_gym.calibration import manoeuvres  # noqa: PLC0415
 
         repeats = run.repeats or len(self.measured) or 3
-        return manoeuvres.straights(self.distance, run.linear(config), repeats, returns=returns)
+        return manoeuvres.straights(self.distance, run.linear(config), repeats)
 
 
 @dataclass(frozen=True)
@@ -112,6 +113,40 @@ class RunOptions:
         """Linear speed [m/s]."""
         speed = USUAL * config.max_linear if self.speed is None else self.speed
         return _within("--speed", speed, config.max_linear, "max_linear")
+
+
+_flat = tyro.conf.arg(name="")
+
+
+@dataclass(frozen=True)
+class Manoeuvres:
+    """What is driven."""
+
+    straight: Annotated[StraightOptions, _flat] = StraightOptions()
+    turn: Annotated[TurnOptions, _flat] = TurnOptions()
+    square: Annotated[SquareOptions, _flat] = SquareOptions()
+
+    def given(self) -> Given:
+        """The readings among the options. ConfigError for files that can't be read."""
+        from acsar_gym.calibration.readings import corners  # noqa: PLC0415
+        from acsar_gym.calibration.session import Given  # noqa: PLC0415
+
+        files = self.square.corners
+        clockwise, counter = map(corners, files) if files else ([], [])
+        straight, degrees = self.straight, self.turn.measured_deg
+        ends = tuple(clockwise), tuple(counter)
+        return Given(straight.measured, straight.aside, degrees, *ends)
+
+    def plans(self, name: str, config: RobotConfig, run: RunOptions, given: Given) -> list[Plan]:
+        """The runs of a manoeuvre, or of all three."""
+        found = []
+        if name in ("straight", "all"):
+            found += self.straight.plans(config, run)
+        if name in ("turn", "all"):
+            found += self.turn.plans(config, run)
+        if name in ("square", "all"):
+            found += self.square.plans(config, run, (given.clockwise, given.counter))
+        return found
 
 
 def _within(option: str, value: float, most: float, field: str) -> float:

@@ -88,7 +88,7 @@ class Sitting:
 
     def _ended(self, run: Run, *, asks: bool) -> Run:
         """Keep a run that has ended; ask for its readings if `asks`."""
-        if self.found:
+        if any(run.name == one.name for one in self.found):
             run = replace(run, name=f"{run.name} ({len(self.found) + 1})")
         self.found.append(run)
         self._keep()
@@ -126,7 +126,7 @@ class Sitting:
                 read = session.parsed(run, self._ask(question), self._scales)
                 self.notes += [line for line in [check(read, self._config)] if line]
             except ConfigError as error:
-                question = f"{error}. Again"
+                question = f"{error}; again"
             else:
                 return read
         return run

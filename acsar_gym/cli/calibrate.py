@@ -11,14 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from acsar_gym.calibration.options import (
-    RunOptions,
-    SquareOptions,
-    StraightOptions,
-    TurnOptions,
-)
+from acsar_gym.calibration.options import Manoeuvres, RunOptions
 from acsar_gym.cli import asking
 from acsar_gym.cli.options import File, Json, LidarArg, RobotArg, Worlds
+from acsar_gym.cli.recording import RecordOptions
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, printable
 
@@ -38,8 +34,8 @@ _flat = tyro.conf.arg(name="")
 
 
 @dataclass(frozen=True)
-class DeviceOptions:
-    """The robot, and who measures."""
+class DeviceOptions(RecordOptions):
+    """The robot, who measures, and recording."""
 
     robot: RobotArg = None
     """Preset or config file: what is known so far."""
@@ -71,75 +67,59 @@ class OutputOptions:
 def calibrate(
     device: Device,
     manoeuvre: Manoeuvre,
-    straight: Annotated[StraightOptions, _flat],
-    turn: Annotated[TurnOptions, _flat],
-    square: Annotated[SquareOptions, _flat],
+    what: Annotated[Manoeuvres, _flat],
     run: Annotated[RunOptions, _flat],
     wire: Annotated[DeviceOptions, _flat],
     output: Annotated[OutputOptions, _flat],
 ) -> int:
     """Measure wheel radii and turning on the floor, and write them into the robot's file.
 
-    The robot drives within --space, closed-loop on its odometry, and somebody measures where it
-    ended: you with a tape (it asks after each run; in scripts --measured, --measured-deg and
-    --corners), a LiDAR, or in simulation the ground truth. Always measure the point below the
-    robot's centre.
-
-    A manoeuvre alone tells what it can and takes the rest from --robot. With --runs FILE, all
-    runs in the file are fitted together, which robots with unequal wheels need:
-
-    acsar-gym calibrate /dev/ttyUSB0 straight --space 3.5 1.5 --runs cal.json,
-    then turn --space 1 1 --runs cal.json,
-    then square --space 2 2 --runs cal.json --out my_robot.yaml.
+    The robot drives within --space, and you measure with a tape where the point below its centre
+    ended: it asks after each run (in scripts: --measured, --measured-deg, --corners). A LiDAR, or
+    in simulation the truth, can measure instead. With --runs FILE, straight lines, turns and
+    squares are fitted together, as robots with unequal wheels need.
 
     Args:
         device: serial device, planar, bullet; or runs that were driven before, to give readings
             to: a .json file of --runs, or an .mcap file of --record.
         manoeuvre: what to drive.
-        straight: straight lines.
-        turn: turns.
-        square: squares.
+        what: manoeuvres.
         run: driving.
         wire: robot and measuring.
         output: results.
     """
-    from acsar_gym.calibration.recorded import runs_of  # noqa: PLC0415
-    from acsar_gym.calibration.sitting import Sitting  # noqa: PLC0415
     from acsar_gym.evaluation import report  # noqa: PLC0415
 
     for path in (output.out, output.json, output.runs):
         report.check_writable(path)
-    config, later = RobotConfig.of(wire.robot), device.endswith(".json")
-    given, kept_in = _given(straight, turn, square), Path(device) if later else output.runs
-    ask = _ask if sys.stdin.isatty() else None
-    sitting = Sitting(config, given, _scales(wire), kept_in, ask, known=later)
-    if device.endswith(".mcap"):
-        sitting.add(runs_of(Path(device), manoeuvre, config))
-    elif not later:
-        simulated = device in ("planar", "bullet")
-        plans: list[Plan] = []
-        if manoeuvre in ("straight", "all"):
-            plans += straight.plans(config, run, returns=not simulated)
-        if manoeuvre in ("turn", "all"):
-            plans += turn.plans(config, run)
-        if manoeuvre in ("square", "all"):
-            plans += square.plans(config, run, (given.clockwise, given.counter))
+    config, given = RobotConfig.of(wire.robot), what.given()
+    kept_in = Path(device) if device.endswith(".json") else output.runs
+    sitting = _sitting(device, manoeuvre, config, given, _scales(wire), kept_in)
+    if not device.endswith((".json", ".mcap")):
         robot = _wire(device, config, wire)
+        plans = what.plans(manoeuvre, config, run, given)
         sitting.drive(robot, plans, run.space, partial(_before, robot, run))
     sitting.read(manoeuvre)
     return _finish(sitting, config, kept_in, output)
 
 
-def _given(straight: StraightOptions, turn: TurnOptions, square: SquareOptions) -> Given:
-    """The readings among the options."""
-    from acsar_gym.calibration.readings import corners  # noqa: PLC0415
-    from acsar_gym.calibration.session import Given  # noqa: PLC0415
+def _sitting(
+    device: str,
+    manoeuvre: str,
+    config: RobotConfig,
+    given: Given,
+    scales: Scales,
+    kept_in: Path | None,
+) -> Sitting:
+    """Begin, with the runs of files."""
+    from acsar_gym.calibration.recorded import runs_of  # noqa: PLC0415
+    from acsar_gym.calibration.sitting import Sitting  # noqa: PLC0415
 
-    files = square.corners
-    clockwise, counter = map(corners, files) if files else ([], [])
-    return Given(
-        straight.measured, straight.aside, turn.measured_deg, tuple(clockwise), tuple(counter)
-    )
+    ask = _ask if sys.stdin.isatty() else None
+    sitting = Sitting(config, given, scales, kept_in, ask, known=device.endswith(".json"))
+    if device.endswith(".mcap"):
+        sitting.add(runs_of(Path(device), manoeuvre, config))
+    return sitting
 
 
 def _scales(wire: DeviceOptions) -> Scales:
@@ -156,7 +136,8 @@ def _wire(device: str, config: RobotConfig, options: DeviceOptions) -> Wire:
     from acsar_gym.calibration.session import Wire  # noqa: PLC0415
 
     twin = config if options.twin is None else RobotConfig.of(options.twin)
-    wire = Wire(device, config, twin, options.lidar, options.world)
+    recorder = options.recorder("calibrate", link=device)
+    wire = Wire(device, config, twin, options.lidar, options.world, recorder)
     for option, value in (("--twin", options.twin), ("--world", options.world)):
         if value is not None and not wire.simulated:
             raise ConfigError(f"{option} is for simulated robots: planar or bullet")

@@ -20,8 +20,8 @@ from acsar_gym.robot import Robot
 from acsar_gym.worlds import Scene, World
 
 PLANS = {
-    "line": manoeuvres.straights(0.5, 0.4, 1, returns=False)[0],
-    "back": manoeuvres.straights(0.5, 0.4, 2, returns=True)[1],
+    "line": manoeuvres.straights(0.5, 0.4, 1)[0],
+    "back": manoeuvres.straights(0.5, 0.4, 2)[1],
     "turn": manoeuvres.turns(1.5, (1.2,), (0.0,), 1)[0],
     "circle": manoeuvres.turns(1.0, (1.0,), (0.3,), 1)[0],
     "square": manoeuvres.squares(0.4, 0.4, 1.2, 1, 0)[0],

@@ -11,13 +11,14 @@ from acsar_gym.calibration import manoeuvres
 from acsar_gym.calibration.manoeuvres import Plan, check_space, fence, needed
 from acsar_gym.errors import ConfigError
 
-LINES = manoeuvres.straights(2.0, 0.3, 3, returns=True)
+LINES = manoeuvres.straights(2.0, 0.3, 3)
 
 
 def test_every_second_line_goes_back_and_speeds_differ() -> None:
     assert [plan.back for plan in LINES] == [False, True, False]
     assert len({plan.linear for plan in LINES}) == 3
-    assert not any(plan.back for plan in manoeuvres.straights(2.0, 0.3, 3, returns=False))
+    assert [plan.ahead().name for plan in LINES] == ["straight 1", "straight 2", "straight 3"]
+    assert not any(plan.ahead().back for plan in LINES)
 
 
 def test_turns_alternate_over_speeds_and_radii() -> None:
@@ -71,9 +72,9 @@ def test_the_fence_is_around_the_space_also_on_the_way_back() -> None:
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda: manoeuvres.straights(0.0, 0.3, 1, returns=False), "--distance 0: must be"),
-        (lambda: manoeuvres.straights(math.nan, 0.3, 1, returns=False), "--distance nan"),
-        (lambda: manoeuvres.straights(2.0, 0.3, 0, returns=False), "0 runs: must be 1 to"),
+        (lambda: manoeuvres.straights(0.0, 0.3, 1), "--distance 0: must be"),
+        (lambda: manoeuvres.straights(math.nan, 0.3, 1), "--distance nan"),
+        (lambda: manoeuvres.straights(2.0, 0.3, 0), "0 runs: must be 1 to"),
         (lambda: manoeuvres.turns(-1.0, (1.0,), (0.0,), 1), "--turns -1"),
         (lambda: manoeuvres.turns(1.0, (1.0,), (-0.3,), 1), "--radii -0.3"),
         (lambda: manoeuvres.squares(1.0, 0.3, 1.0, 500, 0), "500 runs"),

@@ -90,7 +90,7 @@ class Both(LidarObserver):
 @pytest.mark.parametrize(
     "plan",
     [
-        manoeuvres.straights(0.8, 0.4, 1, returns=False)[0],
+        manoeuvres.straights(0.8, 0.4, 1)[0],
         manoeuvres.turns(1.5, (1.2,), (0.0,), 1)[0],
         manoeuvres.squares(0.4, 0.4, 1.0, 0, 1)[0],
     ],
@@ -111,7 +111,7 @@ def test_a_lidar_measures_runs_of_a_robot_that_odometry_is_wrong_about(
 
 
 def measured(segments: Floats, distance: float) -> None:
-    plan = manoeuvres.straights(distance, 0.5, 1, returns=False)[0]
+    plan = manoeuvres.straights(distance, 0.5, 1)[0]
     with Robot(open_link("planar", FINE), FINE, ["lidar"]) as robot:
         drive(robot, plan, Scene(world=World(segments=segments)), LidarObserver(FINE))
 

@@ -58,6 +58,16 @@ def test_runs_are_kept_and_readings_given_later(call: Call, twin: Path, tmp_path
     assert RobotConfig.load(out).wheel_radius == pytest.approx(0.0511, rel=0.02)
 
 
+def test_a_recording_holds_runs_that_readings_can_be_given_to(call: Call, tmp_path: Path) -> None:
+    path = tmp_path / "turns.mcap"
+    drive = ("--turns", "0.5", "--speeds", "1.2", "--record", path)
+    assert call("calibrate", "planar", "turn", *drive, "--measured-deg", "181")[0] == 0
+    code, said, _ = call("calibrate", path, "turn", "--measured-deg", "175")
+    assert code == 0
+    assert "turn 1 of turns.mcap" in said
+    assert "heading 175.0 deg" in said
+
+
 def test_squares_take_their_corners_from_files(call: Call, twin: Path, tmp_path: Path) -> None:
     files = [tmp_path / name for name in ("cw.csv", "ccw.csv")]
     for path, side in zip(files, (-1.0, 1.0), strict=True):
