@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,9 +58,8 @@ def _smooth(
 ) -> Finding:
     """Lag, gain or ramp of one wheel."""
     letter, before = MOTORS[wheel], _before(config, wheel, name)
-    if not known.can(name, letter):
+    if estimate is None or not known.can(name, letter):
         return unknown(name, letter, before, known.missing[name, letter])
-    assert estimate is not None
     index = PER_WHEEL * estimate.problem.wheels.index(wheel) + p
     value = float(estimate.solution.x[index])
     half = Z95 * INFLATED * math.sqrt(estimate.spread[index, index])
@@ -95,11 +94,11 @@ def _deadband(
     """The deadband of one wheel."""
     name, letter = "motor.deadband", MOTORS[wheel]
     before = _before(config, wheel, name)
-    if not known.can(name, letter):
+    if estimate is None or not known.can(name, letter):
         return unknown(name, letter, before, known.missing[name, letter])
-    assert estimate is not None
     one = estimate.deadbands[estimate.problem.wheels.index(wheel)]
-    assert one is not None
+    if one is None:
+        return unknown(name, letter, before, "the wheel never turned")
     if one.high > known.slowest[wheel]:
         most = known.slowest[wheel]
         why = f"ended at its bound: slow commands up to {most:.1f} rad/s don't show it"
