@@ -19,7 +19,7 @@ from acsar_gym.protocol import MOTORS
 Floats = NDArray[np.float64]
 
 Z95 = 1.96
-INFLATED = 1.4
+INFLATED = 2.0
 """Factor on intervals, from simulated robots: the twin's answer is a mean over phases."""
 UNLIKE = 0.01
 """Wheels differ if the probability that they don't is below this."""
@@ -132,9 +132,9 @@ def _merged(four: list[Finding], spread: Floats | None) -> list[Finding]:
     away = float((((values - mean) / sigmas) ** 2).sum())
     if away > stats.chi2.ppf(1.0 - UNLIKE, len(four) - 1):
         return four
-    half = Z95 * math.sqrt(float((weights**2) @ sigmas**2))
-    if spread is not None and len(spread) == len(four):  # errors that wheels have in common
-        shares = np.sqrt(np.diag(spread))
+    half = Z95 * float(weights @ sigmas)  # of errors that wheels have in common
+    if spread is not None and len(spread) == len(four):
+        shares = np.sqrt(np.maximum(np.diag(spread), 1e-18))
         common = spread / np.outer(shares, shares)
         half = Z95 * math.sqrt(float((weights * sigmas) @ common @ (weights * sigmas)))
     half *= max(1.0, math.sqrt(away / (len(four) - 1)))

@@ -30,7 +30,7 @@ FINE = BASE.with_(
 def test_speeds_are_those_of_the_twin() -> None:
     """Loop for loop, where commands come at its loops: only the encoder's floor differs."""
     from acsar_gym.bodies.planar import PlanarBody
-    from acsar_gym.dynamics.model import ramped
+    from acsar_gym.dynamics.board import ramped
 
     body, dt = PlanarBody(FINE), 0.005
     rng = np.random.default_rng(1)
