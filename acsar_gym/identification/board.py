@@ -66,7 +66,7 @@ def _delay(estimate: Estimate | None, config: RobotConfig, known: Knowable) -> F
     if half > VAGUE:
         return unknown(DELAY, "", before, "too vague: record more steps")
     low, high = max(0.0, value - half), max(half, value + half)
-    note = f"lines and loops of the board add up to {1e3 / config.feedback_rate:.0f} ms"
+    note = "on top of wire and processing_time; the board's loops blur it"
     return Finding(DELAY, "", max(0.0, value), low, high, before, note, told=True)
 
 

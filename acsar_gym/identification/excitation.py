@@ -46,7 +46,7 @@ def plan(config: RobotConfig, duration: float, period: float, seed: int = 0) -> 
 
     Args:
         config: of the robot; its top speeds limit the commands.
-        duration: of the whole manoeuvre [s], at least 8.
+        duration: of the whole manoeuvre [s], at least 12.
         period: of a tick [s].
         seed: of the random steps.
     """
@@ -82,4 +82,4 @@ def _staircase(ticks: int, top: float) -> Floats:
     """Slow rise and fall through zero in both directions, each wheel at another place of it."""
     turn = (np.arange(ticks)[:, None] / ticks + STAGGER) % 1.0
     triangle = 1.0 - np.abs((4.0 * turn + 1.0) % 4.0 - 2.0)
-    return -top * triangle
+    return np.asarray(-top * triangle)

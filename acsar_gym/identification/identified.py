@@ -24,7 +24,7 @@ METHOD = "identify"
 DIGITS = 4
 """Significant digits of written numbers."""
 MARGIN = 0.1
-"""A board's own resolution is finer than what it prints by this factor, where counts are made up."""
+"""Where counts must be made up, one count is this share of the printed step."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Identified:
             ConfigError: what was found contradicts another field, and the message says which.
         """
         changes: dict[str, dict[str, Any]] = {"motor": {}, "firmware": {}, "encoder": {}}
-        measured: dict[str, Any] = {name: one for name, one in self.config.measured.items()}
+        measured: dict[str, Any] = dict(self.config.measured)
         for one in self.findings:
             if one.told:
                 self._add(one, changes)
@@ -92,7 +92,7 @@ class Identified:
         if one.low is None or one.high is None:
             return {}
         name = f"{one.name}.{one.wheel}" if one.wheel else one.name
-        ends = {"low": one.low, "high": one.high}
+        ends = {"low": rounded(one.low), "high": rounded(one.high)}
         return {name: {**ends, "method": METHOD, "logs": self.logs}}
 
     def _counts(self, encoder: dict[str, Any]) -> dict[str, Any]:

@@ -22,7 +22,7 @@ STANDS = 0.1
 """A wheel below this stands [rad/s]."""
 STOOD = 0.2
 """The pause ends when all wheels have stood this long [s]."""
-SHORTEST = 8.0
+SHORTEST = 12.0
 LONGEST = 600.0
 """Limits of the manoeuvre's duration [s]."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from acsar_gym.protocol import MOTORS
 Floats = NDArray[np.float64]
 
 Z95 = 1.96
-INFLATED = 1.4
+INFLATED = 2.0
 """Factor on intervals, from simulated robots: the twin's answer is a mean over phases."""
 UNLIKE = 0.01
 """Wheels differ if the probability that they don't is below this."""
@@ -58,9 +58,8 @@ def _smooth(
 ) -> Finding:
     """Lag, gain or ramp of one wheel."""
     letter, before = MOTORS[wheel], _before(config, wheel, name)
-    if not known.can(name, letter):
+    if estimate is None or not known.can(name, letter):
         return unknown(name, letter, before, known.missing[name, letter])
-    assert estimate is not None
     index = PER_WHEEL * estimate.problem.wheels.index(wheel) + p
     value = float(estimate.solution.x[index])
     half = Z95 * INFLATED * math.sqrt(estimate.spread[index, index])
@@ -95,11 +94,11 @@ def _deadband(
     """The deadband of one wheel."""
     name, letter = "motor.deadband", MOTORS[wheel]
     before = _before(config, wheel, name)
-    if not known.can(name, letter):
+    if estimate is None or not known.can(name, letter):
         return unknown(name, letter, before, known.missing[name, letter])
-    assert estimate is not None
     one = estimate.deadbands[estimate.problem.wheels.index(wheel)]
-    assert one is not None
+    if one is None:
+        return unknown(name, letter, before, "the wheel never turned")
     if one.high > known.slowest[wheel]:
         most = known.slowest[wheel]
         why = f"ended at its bound: slow commands up to {most:.1f} rad/s don't show it"
@@ -133,9 +132,9 @@ def _merged(four: list[Finding], spread: Floats | None) -> list[Finding]:
     away = float((((values - mean) / sigmas) ** 2).sum())
     if away > stats.chi2.ppf(1.0 - UNLIKE, len(four) - 1):
         return four
-    half = Z95 * math.sqrt(float((weights**2) @ sigmas**2))
-    if spread is not None and len(spread) == len(four):  # errors that wheels have in common
-        shares = np.sqrt(np.diag(spread))
+    half = Z95 * float(weights @ sigmas)  # of errors that wheels have in common
+    if spread is not None and len(spread) == len(four):
+        shares = np.sqrt(np.maximum(np.diag(spread), 1e-18))
         common = spread / np.outer(shares, shares)
         half = Z95 * math.sqrt(float((weights * sigmas) @ common @ (weights * sigmas)))
     half *= max(1.0, math.sqrt(away / (len(four) - 1)))

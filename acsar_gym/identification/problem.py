@@ -67,7 +67,10 @@ class Problem:
         """Name the numbers of a parameter vector."""
         n = PER_WHEEL * len(self.wheels)
         rows = x[:n].reshape(-1, PER_WHEEL).tolist()
-        motors = [Wheel(*row, band) for row, band in zip(rows, deadbands, strict=True)]
+        motors = [
+            Wheel(lag, gain, slowness, band)
+            for (lag, gain, slowness), band in zip(rows, deadbands, strict=True)
+        ]
         middle, window, timeout = x[n:].tolist()
         return motors, Clock(middle - window / 2.0, window, timeout)
 
@@ -86,7 +89,7 @@ class Problem:
         stamps, commands = track.with_timeout(clock.timeout)
         heard = targets_at(edges, stamps + clock.delay, commands[:, wheel])
         step, blend = step_of(motor.slowness, self.dt), blend_of(motor.lag, self.dt)
-        speeds = speeds_of(*heard, step, blend, motor.gain, motor.deadband, self.top, SMOOTH)
+        speeds = speeds_of(heard, step, blend, motor.gain, motor.deadband, self.top, SMOOTH)
         return windowed(edges, speeds, track.stamps, clock.window)
 
     def residuals_of(self, index: int, motor: Wheel, clock: Clock) -> Floats:

@@ -53,7 +53,8 @@ def found(speeds: Floats) -> Quantum | None:
         The step; None where too few different speeds were seen.
     """
     values, counts = np.unique(np.round(np.abs(speeds[np.isfinite(speeds)]), 2), return_counts=True)
-    values, shares = values[values > 0.0], counts[values > 0.0] / counts[values > 0.0].sum()
+    values, shares = np.asarray(values[values > 0.0], np.float64), counts[values > 0.0]
+    shares = shares / shares.sum()
     if len(values) < FEWEST:
         return None
     steps = _candidates(values)

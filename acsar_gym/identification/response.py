@@ -16,6 +16,9 @@ from acsar_gym.jit import jit, loop
 
 Floats = NDArray[np.float64]
 
+Heard = tuple[Floats, Floats, Floats]
+"""For each loop: the command one loop earlier and that of the loop [rad/s], and the probability
+that the loop already has the latter."""
 CREEP = 1e-3
 """A wheel slower than this stands, once its set point is zero [rad/s]; as in `dynamics.model`."""
 
@@ -57,9 +60,7 @@ def passed(aim: float, spread: float, deadband: float) -> float:
 
 @loop
 def speeds_of(
-    before: Floats,
-    after: Floats,
-    share: Floats,
+    heard: Heard,
     step: float,
     blend: float,
     gain: float,
@@ -70,9 +71,7 @@ def speeds_of(
     """Compute a wheel's speed after each loop of the firmware.
 
     Args:
-        before: commanded speed one loop earlier [rad/s].
-        after: commanded speed in each loop [rad/s].
-        share: probability that a loop already has the command `after`.
+        heard: the commands of each loop.
         step: largest change of the set point in a loop [rad/s].
         blend: share of the difference by which the speed changes in a loop.
         gain: factor from set point to speed.
@@ -84,6 +83,7 @@ def speeds_of(
     Returns:
         Speeds [rad/s], one per loop.
     """
+    before, after, share = heard
     speeds = np.empty(len(after))
     set_point = speed = 0.0
     for k in range(len(after)):
@@ -110,7 +110,7 @@ def blend_of(lag: float, dt: float) -> float:
     return float(1.0 - np.exp(-dt / lag)) if lag > 0.0 else 1.0
 
 
-def targets_at(edges: Floats, stamps: Floats, commands: Floats) -> tuple[Floats, Floats, Floats]:
+def targets_at(edges: Floats, stamps: Floats, commands: Floats) -> Heard:
     """Commands of each loop, where loops lie anywhere within half a period around the edges.
 
     Args:
@@ -119,7 +119,7 @@ def targets_at(edges: Floats, stamps: Floats, commands: Floats) -> tuple[Floats,
         commands: [rad/s]; zero before the first.
 
     Returns:
-        `before`, `after` and `share` for `speeds_of`.
+        What `speeds_of` takes.
     """
     dt = edges[1] - edges[0]
     latest = edges + dt / 2.0

@@ -77,7 +77,7 @@ def _best_wheel(problem: Problem, k: int, band: float, clock: Clock) -> tuple[fl
             motor = Wheel(lag, 1.0, slowness, band)
             measured = problem.measured(k)
             answer = problem.residuals_of(k, motor, clock) + measured
-            gain = float(answer @ measured / max(answer @ answer, 1e-9))
+            gain = float(answer @ measured) / max(float(answer @ answer), 1e-9)
             cost = float(np.abs(gain * answer - measured).sum())
             found = min(found, (cost, motor._replace(gain=gain)))
     return found
@@ -105,10 +105,16 @@ def solve(
         moved[free] = part
         return moved
 
+    def rest_of(part: Floats) -> Floats:
+        return problem.residuals(full(part), deadbands)
+
+    def slopes_of(part: Floats) -> Floats:
+        return np.asarray(problem.jacobian(full(part), deadbands)[:, free])
+
     result = optimize.least_squares(
-        lambda part: problem.residuals(full(part), deadbands),
+        rest_of,
         np.clip(start[free], low[free] + 1e-9, high[free] - 1e-9),
-        jac=lambda part: problem.jacobian(full(part), deadbands)[:, free],
+        jac=slopes_of,
         bounds=(low[free], high[free]),
         loss="soft_l1",
         f_scale=scale,
@@ -142,16 +148,14 @@ def searched(problem: Problem, x: Floats, deadbands: Sequence[float], free: Bool
         return solve(problem, x, deadbands, free)
     fixed = free.copy()
     fixed[window] = False
-    best, nearby = None, x
+    nearby, tried = x, []
     for value in WINDOWS:
         start = nearby.copy()
         start[window] = value
-        found = solve(problem, start, deadbands, fixed, evaluations=8)
-        nearby = found.x
-        cost = _absolute(problem, found)
-        best = min(best or (cost, found), (cost, found), key=lambda pair: pair[0])
-    assert best is not None
-    return solve(problem, best[1].x, deadbands, free)
+        tried.append(solve(problem, start, deadbands, fixed, evaluations=8))
+        nearby = tried[-1].x
+    best = min(tried, key=lambda one: _absolute(problem, one))
+    return solve(problem, best.x, deadbands, free)
 
 
 def _absolute(problem: Problem, solution: Solution) -> float:

@@ -56,7 +56,8 @@ def from_device(
 ) -> Identified:
     """Drive the manoeuvre, and identify the robot from it. Errors as for `manoeuvre.drive`."""
     log = drive(link, config, duration, recorder)
-    return identified([log], config, [digest(log)])
+    path = recorder.path if recorder else None
+    return identified([log], config, [digest(log) if path is None else read(path).sha256])
 
 
 def digest(log: WireLog) -> str:

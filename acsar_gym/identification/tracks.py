@@ -59,7 +59,7 @@ class Track:
     def grid(self, dt: float) -> Floats:
         """Begin of each firmware loop [s], for loops of `dt` [s]."""
         begin = min(self.arrivals[0], self.stamps[0]) - LEAD
-        return begin + dt * np.arange(int((self.stamps[-1] - begin) / dt) + 2)
+        return np.asarray(begin + dt * np.arange(int((self.stamps[-1] - begin) / dt) + 2))
 
     def with_timeout(self, timeout: float) -> tuple[Floats, Floats]:
         """Commands and their times, with zeros where the board's time-out [s] acts."""
@@ -95,4 +95,4 @@ def _held_out(stamps: Floats, arrivals: Floats) -> Bools:
     chosen = block % EVERY == EVERY - 1
     for k in np.flatnonzero(np.diff(arrivals) > GAP):
         chosen &= (stamps < arrivals[k] - MARGIN) | (stamps > arrivals[k + 1] + MARGIN)
-    return chosen
+    return np.asarray(chosen)

@@ -1,0 +1,76 @@
+"""The answer that is fitted is that of the twin."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from acsar_gym import RobotConfig, open_link
+from acsar_gym.identification.manoeuvre import drive
+from acsar_gym.identification.problem import Problem
+from acsar_gym.identification.response import (
+    Clock,
+    Wheel,
+    blend_of,
+    passed,
+    speeds_of,
+    step_of,
+    targets_at,
+)
+from acsar_gym.identification.tracks import track
+
+BASE = RobotConfig.preset("acsar")
+FINE = BASE.with_(
+    motor={"time_constant": 0.1, "gain": 0.95, "deadband": 0.5, "acceleration": 40.0},
+    encoder={"counts_per_revolution": 10_000_000},
+    firmware={"feedback_rate": 50.0, "command_delay": 0.01},
+)
+
+
+def test_speeds_are_those_of_the_twin() -> None:
+    """Loop for loop, where commands come at its loops: only the encoder's floor differs."""
+    from acsar_gym.bodies.planar import PlanarBody
+    from acsar_gym.dynamics.board import ramped
+
+    body, dt = PlanarBody(FINE), 0.005
+    rng = np.random.default_rng(1)
+    commands = np.repeat(rng.uniform(-12.0, 12.0, 20), 30)
+    share = np.ones(len(commands))
+    heard = (np.concatenate(([0.0], commands[:-1])), commands, share)
+    ours = speeds_of(heard, step_of(1.0 / 40.0, dt), blend_of(0.1, dt), 0.95, 0.5, 30.0, 0.0)
+    theirs, points = [], (0.0, 0.0, 0.0, 0.0)
+    for command in commands:
+        points = ramped(points, (command,) * 4, (40.0 * dt,) * 4)
+        body.step(points)
+        theirs.append(body.wheel_speeds[0])
+    assert ours == pytest.approx(np.array(theirs), abs=1e-9)
+
+
+def test_the_answer_predicts_what_the_twin_prints() -> None:
+    """Over the wire, at any phase: within the twin's loops, which the answer averages over."""
+    log = drive(open_link("planar", FINE), BASE, 12.0)
+    one = track(log, BASE)
+    assert one is not None
+    problem = Problem.of([one], range(4), BASE)
+    motor = Wheel(0.1, 0.95, 1.0 / 40.0, 0.5)
+    for wheel in range(4):
+        answer = problem.answer(one, wheel, motor, Clock(0.01, 0.05, 0.5))
+        rest = answer - one.speeds[:, wheel]
+        assert np.sqrt(np.mean(rest**2)) < 0.06
+        late = problem.answer(one, wheel, motor, Clock(0.02, 0.05, 0.5)) - one.speeds[:, wheel]
+        assert np.mean(late**2) > 4.0 * np.mean(rest**2)
+
+
+def test_commands_count_from_the_loop_after_they_arrive() -> None:
+    edges = np.arange(5) * 0.01
+    before, after, share = targets_at(edges, np.array([0.0, 0.02]), np.array([1.0, 3.0]))
+    assert after.tolist() == [1.0, 1.0, 3.0, 3.0, 3.0]
+    assert before.tolist() == [0.0, 1.0, 1.0, 3.0, 3.0]
+    assert share == pytest.approx([0.5, 1.0, 0.5, 1.0, 1.0])
+
+
+def test_a_deadband_passes_the_mean_of_what_crosses_it() -> None:
+    assert passed(2.0, 0.5, 1.0) == 2.0
+    assert passed(0.3, 0.5, 1.0) == 0.0
+    assert passed(1.0, 0.5, 1.0) == pytest.approx(0.625)  # half of the time 1.25
+    assert passed(-1.0, 0.5, 1.0) == pytest.approx(-0.625)
