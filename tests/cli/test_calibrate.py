@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from cli_tools import Call, assert_one_line
 from serial_tools import RobotFile, StartEmulator, cli
 
 from acsar_gym import RobotConfig
+from acsar_gym.worlds import World
+from acsar_gym.worlds.files import save
 
 QUICK = ("--distance", "0.6", "--turns", "1", "--size", "0.4", "--repeats", "1")
 
@@ -138,3 +141,14 @@ def test_over_a_serial_device(
     assert done.returncode == 0, done.stderr
     assert emulated.is_stopped()
     assert RobotConfig.load(out).wheel_radius == pytest.approx(0.051, rel=0.04)
+
+
+def test_a_lidar_measures_in_a_world(call: Call, twin: Path, tmp_path: Path) -> None:
+    room, out = tmp_path / "room.yaml", tmp_path / "my.yaml"
+    walls = np.array([(-2, -2, 4, -2), (4, -2, 4, 2), (4, 2, -2, 2), (-2, 2, -2, -2)], np.float64)
+    save(World(segments=walls), room)
+    asked = ("--twin", twin, "--lidar", "simulated", "--world", room, "--out", out)
+    assert call("calibrate", "planar", "all", *QUICK, "--speeds", "1.2", *asked)[0] == 0
+    found = RobotConfig.load(out)
+    assert found.wheel_radius == pytest.approx(0.051, rel=0.01)
+    assert found.wheel_separation_multiplier == pytest.approx(1.81, rel=0.01)
