@@ -12,7 +12,7 @@ BOARD_SUITES := tests/links/test_contract.py tests/links/test_serial.py tests/li
 REPLUG_CYCLES ?= 1000
 
 .PHONY: demo test test-slow test-browser test-ecosystem lint firmware firmware-tested fuzz soak \
-  replug clean
+  replug identify-check clean
 
 demo: $(READY)  ## train a policy, drive it in PyBullet, then over a serial device
 	$(BIN)/acsar-gym demo
@@ -58,6 +58,9 @@ fuzz: $(READY)  ## coverage-guided fuzzing of what reads bytes and files, FUZZ_S
 
 soak: $(READY)  ## half an hour of driving over a pseudo-terminal
 	$(BIN)/python tests/fuzz/soak.py --minutes $(SOAK_MINUTES)
+
+identify-check: $(READY)  ## find the parameters of 20 hidden robots over pseudo-terminals
+	$(BIN)/python tests/identification/check_hidden.py
 
 replug: $(READY)  ## pull the cable of a driving robot a thousand times, in twenty minutes
 	$(BIN)/python tests/fuzz/replug.py --cycles $(REPLUG_CYCLES)

@@ -141,7 +141,7 @@ def _checks(
     from acsar_gym.evaluation import report  # noqa: PLC0415
 
     commission = _commission(device, spinning)
-    found = [checks.port_list(), checks.emergency_stop()]
+    found = [checks.port_list(device), checks.emergency_stop()]
     if device is not None:
         found += wire.examine(device, config, commission)
     if commission is not None and commission.finished and spinning.out is not None:

@@ -35,9 +35,11 @@ class Check:
     fix: str = ""
 
 
-def port_list() -> Check:
-    """List the serial ports of this computer."""
+def port_list(device: str | None = None) -> Check:
+    """List the serial ports of this computer; a warning if there is neither one nor a device."""
     found = [f"{port.device} ({port.description})" for port in ports()]
+    if not found and device is not None:
+        return Check("serial ports", "ok", f"none but {device}")
     if not found:
         return Check(
             "serial ports", "warn", "none found", "plug the board in; is its driver loaded?"

@@ -108,6 +108,7 @@ class Commission:
                 answers.append(spun(ear, letter, speed))
                 if self.ask is not None:
                     said.append(_asked(self.ask, letter))
+                    ear.clear()
                 if ear.gaps:
                     break
             if ear.gaps or any(answer.moving for answer in answers):

@@ -113,14 +113,14 @@ def measure(
     for name, recording in logs:
         twins = {"before": before[1] or recording.config, "after": robot[1]}
         for number, episode in enumerate(recording.episodes):
-            if not usable(episode, robot[1]):
-                notes.append(f"{name} #{number}: left out, holds less than {SHORTEST:g} s")
+            if why := _unusable(episode, robot[1]):
+                notes.append(f"{name} #{number}: left out, {why}")
                 continue
             notes += _paused(f"{name} #{number}", episode)
             fitted = recording.sha256 in fitted_on
             replays.append(_replay(name, number, fitted, episode, twins, body))
     if not replays:
-        raise ConfigError(f"{logs[0][0]}: holds no episode of {SHORTEST:g} s or more")
+        raise ConfigError(notes[-1] if notes else f"{logs[0][0]}: holds no episode")
     if all(replay.fitted for replay in replays):
         notes.append("the robot was fitted to all of these logs: none is held out")
     return Gap(robot[0], before[0], body, tuple(replays), tuple(notes))
@@ -160,12 +160,16 @@ def _paused(name: str, episode: Episode) -> list[str]:
     return [f"{name}: no command was sent for {longest:.2f} s"] if longest > PAUSE else []
 
 
-def usable(episode: Episode, config: RobotConfig) -> bool:
-    """Whether an episode is long enough, with commands and feedback."""
-    if len(episode.stamps) < 2 or not len(episode.wire.sent_stamps):
-        return False
+def _unusable(episode: Episode, config: RobotConfig) -> str:
+    """Say why an episode can't be replayed; empty if it can."""
+    if why := tracks.damage(episode):
+        return why
     lasts = float(episode.stamps[-1] - episode.stamps[0])
-    return lasts >= SHORTEST - 2.0 * config.period and len(episode.wire.feedback(config)[0]) > 2
+    if lasts < SHORTEST - 2.0 * config.period:
+        return f"holds less than {SHORTEST:g} s"
+    if not len(episode.wire.sent_stamps) or len(episode.wire.feedback(config)[0]) < 3:
+        return "holds no commands, or no feedback"
+    return ""
 
 
 def _replay(

@@ -188,7 +188,7 @@ def _outcomes(logs: Named) -> list[Outcome]:
     outcomes = []
     for name, recording in logs:
         for episode in recording.episodes:
-            if len(episode.stamps) < 2:
+            if tracks.damage(episode):
                 continue
             seed = episode.info.get("seed")
             key = (None if seed is None else int(seed), seen[seed])

@@ -14,6 +14,9 @@ from acsar_gym.recording.types import Episode
 from acsar_gym.recording.wire_log import WireLog
 from acsar_gym.worlds.scene import Pose, to_odometry
 
+LONGEST = 4.0 * 3600.0
+"""Longest episode that is replayed [s]."""
+
 
 @dataclass(frozen=True, eq=False)
 class Track:
@@ -50,6 +53,22 @@ class Track:
     def delays(self) -> Floats:
         """Delays from steps of the command to the feedback [s]."""
         return delays(self.command_stamps, self.commands, self.feedback_stamps, self.feedback)
+
+
+def damage(episode: Episode) -> str:
+    """Say what is wrong with the times of an episode; empty if nothing is."""
+    wire = episode.wire
+    times = (episode.stamps, wire.sent_stamps, wire.got_stamps)
+    if len(episode.stamps) < 2:
+        return "holds no ticks"
+    if not all(np.isfinite(stamps).all() and (np.diff(stamps) >= 0.0).all() for stamps in times):
+        return "its times go backwards: the file is damaged"
+    ends = [end for stamps in times if len(stamps) for end in (stamps[0], stamps[-1])]
+    if max(ends) - min(ends) > LONGEST:
+        return f"is longer than {LONGEST / 3600.0:g} h"
+    if not np.isfinite(episode.poses).all():
+        return "its odometry isn't finite: the file is damaged"
+    return ""
 
 
 def recorded(episode: Episode, config: RobotConfig) -> Track:

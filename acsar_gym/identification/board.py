@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.identification import lines, pauses, quantum
@@ -15,6 +16,8 @@ from acsar_gym.identification.knowable import LONG_PAUSE, Knowable
 from acsar_gym.identification.motors import INFLATED, Z95
 from acsar_gym.identification.solving import DELAY_BOUNDS, LONGEST_WINDOW
 from acsar_gym.identification.tracks import Track
+
+Floats = NDArray[np.float64]
 
 VAGUE = 0.03
 """Half width above which a time isn't told [s]."""
@@ -128,13 +131,20 @@ def _quantum(estimate: Estimate | None, config: RobotConfig, tracks: Sequence[Tr
     if found is None:
         why = "too few different speeds: record slow and fast driving"
         return unknown(QUANTUM, "", before, why)
-    if estimate is not None and estimate.counted and not estimate.printed.step:
+    if _counted(estimate, config, speeds):
         note = COUNTED
     elif found.step <= quantum.PRINTED:
         note = "finer than the two decimals of a line show"
     else:
         note = ""
     return Finding(QUANTUM, "", found.step, found.low, found.high, before, note, told=not note)
+
+
+def _counted(estimate: Estimate | None, config: RobotConfig, speeds: Floats) -> bool:
+    """Whether the printed steps are no more than whole encoder counts."""
+    if estimate is not None:
+        return estimate.counted and not estimate.printed.step
+    return quantum.explained_by_counts(speeds, config, config.encoder.window, 0.0)
 
 
 def delay_samples(estimate: Estimate) -> tuple[float, ...]:

@@ -25,6 +25,8 @@ BEFORE_PAUSE = 1.2
 """How long that speed is held [s]."""
 LONGEST_PAUSE = 2.3
 """How long commands stop at most [s]."""
+SLOWER_AT_ZERO = 1.5
+"""Exponent of the staircase, which lingers where small deadbands are."""
 SHARES = (0.35, 0.40)
 """Parts of the manoeuvre, less pause, that the first steps and the staircase take."""
 STAGGER = np.array([0.0, 0.5, 0.25, 0.75])
@@ -82,4 +84,4 @@ def _staircase(ticks: int, top: float) -> Floats:
     """Slow rise and fall through zero in both directions, each wheel at another place of it."""
     turn = (np.arange(ticks)[:, None] / ticks + STAGGER) % 1.0
     triangle = 1.0 - np.abs((4.0 * turn + 1.0) % 4.0 - 2.0)
-    return np.asarray(-top * triangle)
+    return np.asarray(-top * np.sign(triangle) * np.abs(triangle) ** SLOWER_AT_ZERO)

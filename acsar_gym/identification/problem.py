@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from acsar_gym.config import RobotConfig
 from acsar_gym.identification.response import (
     Clock,
+    Heard,
     Wheel,
     blend_of,
     speeds_of,
@@ -34,6 +35,8 @@ HIGH = np.array([3.0, 5.0, 1.0])
 """Bounds of lag [s], gain and slowness [s^2/rad]."""
 SMOOTH = 0.5
 """Spread of set points in a loop, for `speeds_of`."""
+KEPT = 32
+"""Delays and time-outs for which each track's commands are kept."""
 BLOCK = 0.5
 """Residuals within such a time and of one wheel may depend on each other [s]."""
 
@@ -52,6 +55,8 @@ class Problem:
     top: float
     held_out: bool = False
     """Whether residuals are those of the held-out lines, instead of the others."""
+    kept: dict[tuple[int, float, float], tuple[Floats, Heard]] = field(default_factory=dict)
+    """Commands in the loops, for the newest delays and time-outs."""
 
     @classmethod
     def of(cls, tracks: Sequence[Track], wheels: Sequence[int], config: RobotConfig) -> Problem:
@@ -85,12 +90,22 @@ class Problem:
 
     def answer(self, track: Track, wheel: int, motor: Wheel, clock: Clock) -> Floats:
         """Speeds of one wheel at a track's stamps, as encoders without counts report them."""
-        edges = track.grid(self.dt)
-        stamps, commands = track.with_timeout(clock.timeout)
-        heard = targets_at(edges, stamps + clock.delay, commands[:, wheel])
+        edges, (before, after, share) = self._heard(track, clock)
+        heard = before[wheel], after[wheel], share
         step, blend = step_of(motor.slowness, self.dt), blend_of(motor.lag, self.dt)
         speeds = speeds_of(heard, step, blend, motor.gain, motor.deadband, self.top, SMOOTH)
         return windowed(edges, speeds, track.stamps, clock.window)
+
+    def _heard(self, track: Track, clock: Clock) -> tuple[Floats, Heard]:
+        """Loops of a track, and the commands of all wheels in them; the newest ones are kept."""
+        key = (id(track), clock.delay, clock.timeout)
+        if key not in self.kept:
+            while len(self.kept) >= KEPT * len(self.tracks):
+                del self.kept[next(iter(self.kept))]
+            edges = track.grid(self.dt)
+            stamps, commands = track.with_timeout(clock.timeout)
+            self.kept[key] = edges, targets_at(edges, stamps + clock.delay, commands)
+        return self.kept[key]
 
     def residuals_of(self, index: int, motor: Wheel, clock: Clock) -> Floats:
         """Residuals of one wheel over all tracks [rad/s]."""

@@ -116,16 +116,18 @@ def targets_at(edges: Floats, stamps: Floats, commands: Floats) -> Heard:
     Args:
         edges: begin of each loop [s], equally spaced.
         stamps: when each command counts [s], ascending.
-        commands: [rad/s]; zero before the first.
+        commands: (n,) or (n, wheels) [rad/s]; zero before the first.
 
     Returns:
-        What `speeds_of` takes.
+        What `speeds_of` takes, with the wheels' columns as rows.
     """
     dt = edges[1] - edges[0]
     latest = edges + dt / 2.0
     newest = np.searchsorted(stamps, latest, side="right") - 1
-    after = np.where(newest < 0, 0.0, commands[newest])
-    before = np.concatenate(([0.0], after[:-1]))
+    after = np.ascontiguousarray(commands[newest].T)
+    after[..., newest < 0] = 0.0
+    before = np.zeros_like(after)
+    before[..., 1:] = after[..., :-1]
     since = latest - stamps[np.maximum(newest, 0)]
     return before, after, np.clip(since / dt, 0.0, 1.0)
 

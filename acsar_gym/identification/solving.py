@@ -119,6 +119,7 @@ def solve(
         loss="soft_l1",
         f_scale=scale,
         x_scale="jac",
+        tr_solver="lsmr",  # the exact one decomposes the whole matrix, which takes ten times as long
         ftol=1e-6,
         xtol=1e-6,
         max_nfev=evaluations,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
@@ -15,6 +16,7 @@ from acsar_gym.config import Measured
 from acsar_gym.errors import ConfigError
 from acsar_gym.evaluation import report
 from acsar_gym.gap import tables
+from acsar_gym.gap.delays import Floats
 from acsar_gym.gap.measure import Gap, conclusion, measure
 from acsar_gym.recording.types import Recording
 
@@ -107,9 +109,37 @@ def test_what_is_odd_about_a_log_is_noted() -> None:
     )
 
 
+def test_a_pause_of_the_commands_is_noted() -> None:
+    whole = log(0).episodes[0]
+    sent = np.where(whole.wire.sent_stamps > 3.0, whole.wire.sent_stamps + 0.25, 0.0)
+    sent = np.maximum(sent, whole.wire.sent_stamps)
+    late = replace(whole, wire=replace(whole.wire, sent_stamps=sent))
+    gap = measure([("a", recording(ACSAR, late))], ("robot.yaml", ROBOT), BEFORE)
+    assert gap.notes == ("a #0: no command was sent for 0.26 s",)
+
+
 def test_a_short_log_is_refused() -> None:
-    with pytest.raises(ConfigError, match="a: holds no episode of 1 s or more"):
+    with pytest.raises(ConfigError, match="a #0: left out, holds less than 1 s"):
         measure([("a", log(0, 0.5))], ("robot.yaml", ROBOT), BEFORE)
+    with pytest.raises(ConfigError, match="a: holds no episode"):
+        measure([("a", recording(ACSAR))], ("robot.yaml", ROBOT), BEFORE)
+
+
+@pytest.mark.parametrize(
+    ("moved", "said"),
+    [
+        (lambda stamps: stamps * 1e6, "is longer than 4 h"),
+        (lambda stamps: stamps[::-1], "its times go backwards"),
+        (lambda stamps: stamps * np.nan, "its times go backwards"),
+        (lambda stamps: stamps[:1], "holds no ticks"),
+    ],
+)
+def test_a_damaged_episode_is_left_out(moved: Callable[[Floats], Floats], said: str) -> None:
+    whole = log(0).episodes[0]
+    odd = replace(log(0), episodes=(replace(whole, stamps=moved(whole.stamps)), whole))
+    gap = measure([("a", odd)], ("robot.yaml", ROBOT), BEFORE)
+    assert gap.notes[0].startswith(f"a #0: left out, {said}")
+    assert [replay.episode for replay in gap.replays] == [1]
 
 
 def test_tables_and_json_hold_the_figures() -> None:

@@ -1,7 +1,7 @@
 """Identify robots with hidden parameters, and print how many were found: `make identify-check`.
 
-    python tests/identification/check_hidden.py --robots 20              # over pseudo-terminals
-    python tests/identification/check_hidden.py --robots 20 --simulated  # in simulated time
+python tests/identification/check_hidden.py --robots 20              # over pseudo-terminals
+python tests/identification/check_hidden.py --robots 20 --simulated  # in simulated time
 """
 
 from __future__ import annotations
@@ -77,7 +77,9 @@ def main() -> int:
     enough = True
     for name, tolerance in TOLERANCES.items():
         n = arguments.robots
-        print(f"{name:27} within {tolerance:g}: {found[name]:3} of {n}, held: {held[name]:3} of {n}")
+        print(
+            f"{name:27} within {tolerance:g}: {found[name]:3} of {n}, held: {held[name]:3} of {n}"
+        )
         enough &= found[name] >= ENOUGH * n and held[name] >= HELD * n
     return 0 if enough else 1
 

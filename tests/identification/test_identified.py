@@ -1,0 +1,130 @@
+"""A hidden robot, found in simulated time; and what an identification does with bad logs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from acsar_gym import RobotConfig, open_link
+from acsar_gym.errors import ConfigError, LinkError
+from acsar_gym.identification.identified import Identified, identified
+from acsar_gym.identification.manoeuvre import TappedLink, drive
+from acsar_gym.identification.report import table
+from acsar_gym.identification.sources import from_device, from_files
+from acsar_gym.links import Link
+from acsar_gym.recording import Recorder
+from acsar_gym.recording.wire_log import WireLog
+from acsar_gym.robot import Robot
+from identification.hidden_robots import scores
+
+ACSAR = RobotConfig.preset("acsar")
+HIDDEN = ACSAR.with_(
+    motor={
+        "time_constant": 0.15,
+        "gain": (0.95, 1.0, 1.05, 0.98),
+        "deadband": 0.4,
+        "acceleration": 40.0,
+    },
+    firmware={"command_delay": 0.02, "feedback_rate": 50.0, "command_timeout": 0.6},
+    encoder={"quantum": 0.07},
+)
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The manoeuvre, recorded."""
+    path = tmp_path_factory.mktemp("identified") / "manoeuvre.mcap"
+    drive(open_link("planar", HIDDEN), ACSAR, 12.0, Recorder(path))
+    return path
+
+
+@pytest.fixture(scope="module")
+def found(recording: Path) -> Identified:
+    return from_files([recording], ACSAR)
+
+
+def test_a_hidden_robot_is_found_from_its_recording(found: Identified) -> None:
+    for one in scores(found, HIDDEN):
+        assert one.error <= 1.0, one
+        assert one.holds, one
+
+
+def test_the_fit_predicts_what_it_did_not_see(found: Identified) -> None:
+    assert found.held_out is not None
+    assert found.held_out.after < found.held_out.before / 10.0
+
+
+def test_the_robots_file_has_values_intervals_and_logs(found: Identified, tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    found.robot().save(path)
+    robot = RobotConfig.load(path)
+    assert robot.motor.time_constant == pytest.approx(0.15, rel=0.05)
+    assert robot.motor.gain == pytest.approx((0.95, 1.0, 1.05, 0.98), rel=0.01)
+    assert robot.firmware.command_timeout == pytest.approx(0.6, abs=0.06)
+    assert robot.encoder.quantum == pytest.approx(0.07, abs=1e-3)
+    assert robot.wheel_radius == ACSAR.wheel_radius
+    gain = robot.measured["motor.gain.b"]
+    assert gain.low <= 1.0 <= gain.high
+    assert gain.logs == found.logs
+    assert len(robot.firmware.delay_samples) == 10
+
+
+def test_wheels_that_do_not_differ_share_one_number(found: Identified) -> None:
+    wheels = {name: [] for name in ("motor.time_constant", "motor.gain")}
+    for one in found.findings:
+        if one.name in wheels:
+            wheels[one.name].append(one.wheel)
+    assert wheels == {"motor.time_constant": [""], "motor.gain": ["a", "b", "c", "d"]}
+
+
+def test_the_table_has_a_row_for_each_finding(found: Identified) -> None:
+    assert table(found).row_count == len(found.findings)
+
+
+def test_recordings_of_different_robots_are_one_error(recording: Path, tmp_path: Path) -> None:
+    other, path = ACSAR.with_(wheel_radius=0.06), tmp_path / "other.mcap"
+    with Robot(open_link("planar", other), other, recorder=Recorder(path)) as robot:
+        robot.tick((1.0, 1.0, 1.0, 1.0))
+    with pytest.raises(ConfigError, match=r"other\.mcap: is of another robot: wheel_radius"):
+        from_files([recording, path], None)
+
+
+def test_a_log_without_commands_is_an_error() -> None:
+    nothing = WireLog(np.empty(0), (), np.empty(0), ())
+    with pytest.raises(ConfigError, match="holds no commands"):
+        identified([nothing], ACSAR)
+
+
+@pytest.mark.parametrize("duration", [1.0, 1e9, float("nan")])
+def test_the_duration_of_a_manoeuvre_is_checked(duration: float) -> None:
+    with pytest.raises(ConfigError, match="must be 12 to 600 s"):
+        from_device(open_link("planar", ACSAR), ACSAR, duration)
+
+
+class FailingLink(TappedLink):
+    """A link that is lost after a while, and remembers what was sent."""
+
+    def __init__(self, link: Link) -> None:
+        super().__init__(link)
+        self.left = 300
+        self.closed = False
+
+    def advance(self, period: float) -> bytes:
+        self.left -= 1
+        if not self.left:
+            raise LinkError("lost", "plug it in")
+        return super().advance(period)
+
+    def close(self) -> None:
+        self.closed = True
+        super().close()
+
+
+def test_a_link_that_is_lost_ends_the_manoeuvre_with_zeros() -> None:
+    link = FailingLink(open_link("planar", ACSAR))
+    with pytest.raises(LinkError, match="lost"):
+        drive(link, ACSAR, 12.0)
+    assert link.closed
+    assert link.log.sent[-1].startswith(b"ap00.00,bp00.00,cp00.00,dp00.00")

@@ -1,0 +1,49 @@
+"""The manoeuvre over a serial device, and its limits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from acsar_gym import RobotConfig, open_link
+from acsar_gym.identification import excitation
+from acsar_gym.identification.manoeuvre import STRETCH, TappedLink
+from acsar_gym.identification.tracks import track
+from acsar_gym.robot import Robot
+
+
+@pytest.mark.parametrize("limits", [{}, {"max_wheel_speed": 3.0}, {"max_linear": 0.1}])
+def test_commands_keep_the_limits_of_the_robot(limits: dict[str, float]) -> None:
+    config = RobotConfig.preset("acsar").with_(**limits)
+    plan = excitation.plan(config, 20.0, 0.01)
+    top = min(config.max_wheel_speed, config.max_linear / config.wheel_radius)
+    speeds = np.concatenate((plan.before, plan.after))
+    assert np.abs(speeds).max() <= top + 1e-9
+    assert len(speeds) + plan.pause == pytest.approx(2000, abs=2)
+    assert (speeds.min(0) < -0.5 * top).all()
+    assert (speeds.max(0) > 0.5 * top).all()
+
+
+def test_wheels_get_different_commands() -> None:
+    plan = excitation.plan(RobotConfig.preset("acsar"), 20.0, 0.01)
+    correlated = np.corrcoef(plan.before[:600].T) - np.eye(4)
+    assert np.abs(correlated).max() < 0.6
+
+
+@pytest.mark.usefixtures("deadline")
+def test_a_serial_wire_is_logged_finer_than_ticks(shared_device: str, config: RobotConfig) -> None:
+    tapped = TappedLink(open_link(shared_device, config))
+    with Robot(tapped, config) as robot:
+        for _ in range(60):
+            robot.tick((3.0, -3.0, 3.0, -3.0))
+        for _ in range(30):
+            robot.listen()
+    found = track(tapped.log, config)
+    assert found is not None
+    assert len(found.pauses) == 1
+    assert found.commands[found.pauses[0]].tolist() == [3.0, -3.0, 3.0, -3.0]
+    assert np.median(np.diff(found.arrivals)) == pytest.approx(0.01 * STRETCH, rel=0.2)
+    assert len(found.stamps) > 30
+    phases = np.mod(tapped.log.got_stamps[:, None] - tapped.log.sent_stamps, 0.01)
+    assert phases.std() > 1e-3
+    assert tapped.log.sent[-1].startswith(b"ap00.00,bp00.00,cp00.00,dp00.00")
