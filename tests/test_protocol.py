@@ -271,7 +271,7 @@ def test_unpadded_numbers_are_read_and_counted(hundredths: Speeds, spaces: int) 
     decoder = Decoder()
     read = decoder.feed(f"{','.join(parts)},\r\n".encode())
     assert read[0].speeds == tuple(speeds)
-    assert b"-0.0" not in repr(read[0].speeds).encode()
+    assert "-0.0" not in map(str, read[0].speeds)
     assert not decoder.refused
     assert decoder.tolerated == sum(len(part) != 7 or " " in part for part in parts)
 
