@@ -67,6 +67,7 @@ def test_what_was_drawn_is_told_at_every_step_in_arrays_of_ones_own() -> None:
     assert [name for name in RANGES if np.shape(first[f"drawn_{name}"]) == (4,)] == [
         "motor_gain",
         "motor_lag",
+        "deadband_offset",
     ]
     env.close()
 

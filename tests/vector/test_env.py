@@ -236,8 +236,10 @@ def test_what_is_drawn_is_told_at_every_step(mode: AutoresetMode) -> None:
     env = batch(30, randomization=RANGES, max_episode_steps=4, autoreset_mode=mode)
     _, first = env.reset(seed=1)
     drawn = {key: first[f"drawn_{key}"] for key in RANGES}
-    for key, (low, high) in RANGES.items():
-        assert drawn[key].shape == ((30, 4) if key in ("motor_gain", "motor_lag") else (30,))
+    of_wheels = ("motor_gain", "motor_lag", "deadband_offset")
+    for key, width in RANGES.items():
+        low, high = min(width), max(width)
+        assert drawn[key].shape == ((30, 4) if key in of_wheels else (30,))
         assert (drawn[key] >= low - 0.005).all()  # delays are whole loops of the firmware
         assert (drawn[key] <= high * 1.2 + 0.005).all()  # and so are the lines' intervals
         assert np.ptp(drawn[key]) > 0.3 * (high - low)
