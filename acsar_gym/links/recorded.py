@@ -85,7 +85,7 @@ class RecordedLink:
         return self._now
 
     def clock(self) -> float:
-        """Return the time on the link's clock as it goes on, for what has a thread of its own [s]."""
+        """Return the link's time as it goes on, for what has a thread of its own [s]."""
         return self.link.now()
 
     @property
