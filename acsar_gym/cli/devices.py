@@ -111,7 +111,7 @@ def doctor(
     Args:
         timing: timing of the control loop.
         stopping: stopping of an emulated robot.
-        spinning: turning of the wheels.
+        spinning: turning of the wheels, and recording.
         host: process priority and cores.
         device: serial device to examine; without it, ports are only listed.
         robot: preset or config file.
@@ -143,7 +143,8 @@ def _checks(
     commission = _commission(device, spinning)
     found = [checks.port_list(device), checks.emergency_stop()]
     if device is not None:
-        found += wire.examine(device, config, commission)
+        recorder = spinning.recorder("doctor", link=device)
+        found += wire.examine(device, config, commission, recorder)
     if commission is not None and commission.finished and spinning.out is not None:
         found.append(commission.save(config, spinning.out))
     report.show(checks.table(found))

@@ -85,8 +85,8 @@ class BoardOptions:
 
 
 @dataclass(frozen=True)
-class SpinOptions:
-    """Turning of the wheels."""
+class SpinOptions(RecordOptions):
+    """Turning of the wheels, and recording."""
 
     spin: bool = False
     """Turn the wheels, one after the other and together, to find how they are wired: lift the

@@ -77,8 +77,7 @@ def info(file: Recorded, json: Annotated[Path | None, tyro.conf.arg(metavar="FIL
 
     report.check_writable(json)
     found = summary.of(file)
-    for line in summary.lines(found):
-        print(printable(line))
+    print("\n".join(map(printable, summary.lines(found))))
     report.write_json(json, found)
     return 0
 

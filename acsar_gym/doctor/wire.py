@@ -13,13 +13,19 @@ from acsar_gym.doctor.commission import Commission
 from acsar_gym.doctor.listening import Ear
 from acsar_gym.errors import BoardSilentError, ConfigError, LinkError
 from acsar_gym.links.base import Link
+from acsar_gym.links.recorded import recorded
 from acsar_gym.links.serial import SerialLink
 from acsar_gym.protocol import ZERO, encode
+from acsar_gym.recording import Recorder
 from acsar_gym.safety.estop import StopListener
+from acsar_gym.worlds import Scene
 
 
 def examine(
-    device: str, config: RobotConfig, commission: Commission | None = None
+    device: str,
+    config: RobotConfig,
+    commission: Commission | None = None,
+    recorder: Recorder | None = None,
 ) -> Iterator[Check]:
     """Check one device; the first failure of the connection ends the checks.
 
@@ -27,14 +33,17 @@ def examine(
         device: the serial device.
         config: configuration of the robot.
         commission: turns the wheels, too, and takes what was found; None: the robot stands.
+        recorder: records the wire; closed at the end.
 
     Yields:
         The results in order.
     """
-    link = _Stoppable(device, _with_comma(config))
+    link = recorded(_Stoppable(device, _with_comma(config)), recorder, config)
     begin = time.monotonic()
     try:
         link.open()
+        if recorder is not None:
+            link.reset(Scene())
     except LinkError as error:
         yield _failed_to_open(error)
         return
@@ -47,6 +56,8 @@ def examine(
         yield Check("connection", "fail", error.found, error.fix)
     finally:
         link.close()
+        if recorder is not None:
+            recorder.close()
 
 
 def examined(link: Link, config: RobotConfig, commission: Commission | None) -> Iterator[Check]:

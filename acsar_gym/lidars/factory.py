@@ -43,7 +43,8 @@ def open_lidar(url: Any, link: Link, config: RobotConfig) -> Lidar:
     if isinstance(url, str) and url.startswith("rplidar://") and len(url) > len("rplidar://"):
         from acsar_gym.lidars.rplidar import RplidarLidar  # noqa: PLC0415 - optional
 
-        return RplidarLidar(url.removeprefix("rplidar://"), config, link.now)
+        clock = getattr(link, "clock", link.now)
+        return RplidarLidar(url.removeprefix("rplidar://"), config, clock)
     raise ConfigError(
         f"lidar = {shown(url)}: must be like 'rplidar:///dev/ttyUSB1', or 'simulated'"
     )

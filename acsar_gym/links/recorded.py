@@ -17,6 +17,8 @@ from acsar_gym.worlds import Scene
 class RecordedLink:
     """Forwards to another link, and hands its bytes to a recorder.
 
+    Its clock stands still between resets, writes and periods, so that a replay shows the same.
+
     Args:
         link: the link to record.
         recorder: records its bytes, with the times at which they were sent and arrived.
@@ -30,6 +32,7 @@ class RecordedLink:
         self._recorder = recorder
         self._config = config
         self._sent: Arrivals = []
+        self._now = 0.0
         shutdown.at_end(recordings.close_all)
 
     def open(self) -> None:
@@ -48,19 +51,22 @@ class RecordedLink:
         self._recorder.open(self._config)
         self._finish()
         self.link.reset(scene)
-        self._recorder.begin(self.link.now(), simulated=self.link.lateness is None)
+        self._now = self.link.now()
+        self._recorder.begin(self._now, simulated=self.link.lateness is None)
 
     def write(self, data: bytes) -> None:
         """Send bytes to the link."""
         self.link.write(data)
-        self._sent.append((self.link.now(), data))
+        if self.link.lateness is not None:
+            self._now = round(self.link.now() * 1e9) / 1e9  # as it is recorded
+        self._sent.append((self._now, data))
 
     def advance(self, period: float) -> bytes:
         """Advance the link and record the period."""
         link, sent = self.link, tuple(self._sent)
         got = link.advance(period)
         self._sent = []
-        stamp = link.now()
+        self._now = stamp = link.now()
         pieces = tuple(arrivals_of(link))
         if b"".join([piece for _, piece in pieces]) != got:
             pieces = ((stamp, got),)
@@ -75,7 +81,11 @@ class RecordedLink:
         return arrivals_of(self.link)
 
     def now(self) -> float:
-        """Return the time on the link's clock [s]."""
+        """Return the time of the newest reset, write or period, on the link's clock [s]."""
+        return self._now
+
+    def clock(self) -> float:
+        """Return the link's time as it goes on, for what has a thread of its own [s]."""
         return self.link.now()
 
     @property

@@ -73,7 +73,7 @@ class ReplayLink:
 
     def write(self, data: bytes) -> None:
         """Take commands, which the next `advance` compares; a port gets them as well."""
-        self._playing()
+        self._playing().wrote()
         self._sent += data
         if self._port is not None:
             self._port.write(data)
@@ -98,9 +98,9 @@ class ReplayLink:
         recorded, got = tape.next()
         self._sent = b""
         if self._compare and sent != recorded:
+            one, other = (data[-40:].strip().decode("latin-1") for data in (sent, recorded))
             raise LinkLostError(
-                f"{self._path}: other commands than recorded, {tape.place}: sent "
-                f"{sent[-60:].decode('latin-1')!r}, recorded {recorded[-60:].decode('latin-1')!r}",
+                f"{self._path}: other commands than recorded, {tape.place}: {one!r}, not {other!r}",
                 "was it made with this robot, goal and policy?",
             )
         return got if self._port is None else self._read(self._port, len(got))

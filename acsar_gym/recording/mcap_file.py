@@ -38,6 +38,7 @@ class McapFile:
         except ImportError:
             raise MissingExtraError("recording", "record") from None
         typesystem.store()
+        self._file: _Unbuffered | None = None
         try:
             self._file = _Unbuffered(path)
             self._writer: Any = Writer(self._file, chunk_size=CHUNK)  # type: ignore[arg-type]
@@ -46,6 +47,7 @@ class McapFile:
             self._channels = self._registered()
             self.flush()
         except (OSError, ValueError) as error:
+            self.abandon()
             raise ConfigError(f"{path}: can't be written: {bounded.reason(error)}") from None
 
     def _registered(self) -> dict[str, int]:
@@ -70,7 +72,8 @@ class McapFile:
         """Write what was added, so that it survives a crash of the program or the computer."""
         self._writer.flush()
         with contextlib.suppress(OSError):  # not a regular file
-            self._file.sync()
+            if self._file is not None:
+                self._file.sync()
 
     def close(self, end: Mapping[str, Any]) -> None:
         """Finish the file with its index, and what is only known at the end."""
@@ -84,7 +87,8 @@ class McapFile:
     def abandon(self) -> None:
         """Close the file as it is."""
         with contextlib.suppress(OSError):
-            self._file.close()
+            if self._file is not None:
+                self._file.close()
 
 
 class _Unbuffered:

@@ -127,12 +127,7 @@ def made(part: Part) -> Episode:
     return Episode(
         start=part.start,
         offset=part.offset,
-        wire=WireLog(
-            _stamps(part.sent_times, part.offset),
-            tuple(part.sent),
-            _stamps(part.got_times, part.offset),
-            tuple(part.got),
-        ),
+        wire=_wire(part),
         stamps=ticks[:, 1],
         poses=ticks[:, 2:5],
         twists=ticks[:, 5:7],
@@ -149,16 +144,26 @@ def made(part: Part) -> Episode:
         success=bool(steps[-1, 5] == 1.0) if number > 1 else None,
         step_stamps=steps[:, 1],
         scans=_scans(part.scans),
-        exchanges=Exchanges(
-            _whole(exchanges[:, 0]),
-            exchanges[:, 1],
-            _whole(exchanges[:, 2]),
-            _whole(exchanges[:, 3]),
-            exchanges[:, 4],
-            exchanges[:, 5:],
-        ),
+        exchanges=_exchanges(exchanges),
         info=part.told["info"],
     )
+
+
+def _wire(part: Part) -> WireLog:
+    """The bytes of an episode."""
+    return WireLog(
+        _stamps(part.sent_times, part.offset),
+        tuple(part.sent),
+        _stamps(part.got_times, part.offset),
+        tuple(part.got),
+    )
+
+
+def _exchanges(rows: Floats) -> Exchanges:
+    """The control periods of an episode."""
+    whole = (_whole(rows[:, column]) for column in (0, 2, 3))
+    number, writes, pieces = whole
+    return Exchanges(number, rows[:, 1], writes, pieces, rows[:, 4], rows[:, 5:])
 
 
 def _check_times(stamps: Floats, start: float) -> None:

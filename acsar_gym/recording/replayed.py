@@ -27,6 +27,7 @@ class Tape:
         self._writes = _edges(self._periods.writes)
         self._pieces = _edges(self._periods.pieces)
         self._next = 0
+        self._written = 0
         self._scan = -1
         self.now = episode.start
 
@@ -52,10 +53,19 @@ class Tape:
         )
         return short or self._periods.numbers[number] != number
 
+    def wrote(self) -> None:
+        """Move on to the time at which the next write was done, where time was real."""
+        number = self._writes[self._next] + self._written
+        self._written += 1
+        stamps = self._episode.wire.sent_stamps
+        if self.lateness is not None and number < len(stamps):
+            self.now = max(self.now, float(stamps[number]))
+
     def next(self) -> tuple[bytes, bytes]:
         """Play a period; returns what was sent and what arrived in it."""
         number, wire = self._next, self._episode.wire
         self._next += 1
+        self._written = 0
         self.now = float(self._periods.stamps[number])
         sent = wire.sent[self._writes[number] : self._writes[number + 1]]
         got = wire.got[self._pieces[number] : self._pieces[number + 1]]

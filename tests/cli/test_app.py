@@ -208,7 +208,7 @@ def test_a_recording_of_another_run_ends_early(call: Call, tmp_path: Path) -> No
     call("run", "0.6", "0.2", "--link", "planar", "--record", tape)
     code, _, error = call("run", "-1.5", "2.0", "--link", f"replay:{tape}")
     assert code == 3
-    assert_one_line(error, f"{tape}: other commands than recorded, tick 1: sent 'ap")
+    assert_one_line(error, f"{tape}: other commands than recorded, tick ")
 
 
 def test_a_disk_that_is_full_is_one_line(call: Call) -> None:
