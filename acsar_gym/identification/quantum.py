@@ -52,9 +52,10 @@ def found(speeds: Floats) -> Quantum | None:
     Returns:
         The step; None where too few different speeds were seen.
     """
-    values, counts = np.unique(np.round(np.abs(speeds[np.isfinite(speeds)]), 2), return_counts=True)
-    values, shares = np.asarray(values[values > 0.0], np.float64), counts[values > 0.0]
-    shares = shares / shares.sum()
+    printed: Floats = np.round(np.abs(speeds[np.isfinite(speeds)]), 2).astype(np.float64)
+    values, counts = np.unique(printed, return_counts=True)
+    shares = np.asarray(counts[values > 0.0] / counts[values > 0.0].sum(), np.float64)
+    values = np.asarray(values[values > 0.0], np.float64)
     if len(values) < FEWEST:
         return None
     steps = _candidates(values)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +28,14 @@ LONGEST_WINDOW = 0.4
 """Longest averaging time [s]; the shortest is a loop."""
 WINDOWS = (0.005, 0.015, 0.025, 0.0375, 0.05, 0.0625, 0.075, 0.1, 0.14)
 """Averaging times from which a fit starts [s]."""
+METHOD: dict[str, Any] = {
+    "loss": "soft_l1",
+    "x_scale": "jac",
+    "ftol": 1e-6,
+    "xtol": 1e-6,
+    "tr_solver": "lsmr",  # the exact one decomposes the whole matrix, ten times as slowly
+}
+"""How `scipy.optimize.least_squares` solves."""
 NEVER = 3600.0
 """Time-out of a board that has none [s]."""
 LEAST_SCALE = 0.02
@@ -105,26 +115,34 @@ def solve(
         moved[free] = part
         return moved
 
-    def rest_of(part: Floats) -> Floats:
-        return problem.residuals(full(part), deadbands)
-
-    def slopes_of(part: Floats) -> Floats:
-        return np.asarray(problem.jacobian(full(part), deadbands)[:, free])
-
     result = optimize.least_squares(
-        rest_of,
+        partial(_rest, problem, full, deadbands),
         np.clip(start[free], low[free] + 1e-9, high[free] - 1e-9),
-        jac=slopes_of,
+        jac=partial(_slopes, problem, full, deadbands, free),
         bounds=(low[free], high[free]),
-        loss="soft_l1",
         f_scale=scale,
-        x_scale="jac",
-        tr_solver="lsmr",  # the exact one decomposes the whole matrix, which takes ten times as long
-        ftol=1e-6,
-        xtol=1e-6,
         max_nfev=evaluations,
+        **METHOD,
     )
     return Solution(full(result.x), tuple(deadbands), free, scale, float(result.cost))
+
+
+def _rest(
+    problem: Problem, full: Callable[[Floats], Floats], deadbands: Sequence[float], part: Floats
+) -> Floats:
+    """Residuals for the free parameters."""
+    return problem.residuals(full(part), deadbands)
+
+
+def _slopes(
+    problem: Problem,
+    full: Callable[[Floats], Floats],
+    deadbands: Sequence[float],
+    free: Bools,
+    part: Floats,
+) -> Floats:
+    """Derivatives by the free parameters."""
+    return np.asarray(problem.jacobian(full(part), deadbands)[:, free])
 
 
 def bounds(problem: Problem) -> tuple[Floats, Floats]:

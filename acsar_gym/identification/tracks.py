@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import BITS_PER_BYTE, LINE_BYTES, RobotConfig
+from acsar_gym.recording.jitter import steady
 from acsar_gym.recording.wire_log import WireLog
 
 Floats = NDArray[np.float64]
@@ -19,6 +20,8 @@ BLOCK = 1.0
 """Length of the blocks of which some are held out [s]."""
 EVERY = 5
 """One block of so many is held out."""
+LATE = 0.006
+"""Lines that this computer saw later than this after their time don't count [s]."""
 LEAD = 0.5
 """Time at rest before the first command and reading; longer than encoders average [s]."""
 MARGIN = 0.3
@@ -80,6 +83,7 @@ def track(log: WireLog, config: RobotConfig) -> Track | None:
     if len(sent) < 2 or len(got) < 2:
         return None
     last = np.append(np.diff(got) > 0.0, True)  # of lines that came at once, the newest
+    last &= got - steady(got, float(np.median(np.diff(got)))) < LATE
     stamps, speeds = got[last] - took, speeds[last]
     arrivals = np.maximum.accumulate(sent) + took
     seen = (stamps >= arrivals[0]) & (stamps <= arrivals[-1] + GAP)

@@ -69,7 +69,8 @@ def main() -> int:
     parser.add_argument("--duration", type=float, default=20.0)
     parser.add_argument("--simulated", action="store_true")
     arguments = parser.parse_args()
-    found, held = defaultdict(int), defaultdict(int)
+    found: dict[str, int] = defaultdict(int)
+    held: dict[str, int] = defaultdict(int)
     for robot in rounds(arguments):
         for one in robot:
             found[one.name] += one.error <= 1.0

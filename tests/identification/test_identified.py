@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from identification.hidden_robots import scores
 
 from acsar_gym import RobotConfig, open_link
 from acsar_gym.errors import ConfigError, LinkError
@@ -17,7 +18,6 @@ from acsar_gym.links import Link
 from acsar_gym.recording import Recorder
 from acsar_gym.recording.wire_log import WireLog
 from acsar_gym.robot import Robot
-from identification.hidden_robots import scores
 
 ACSAR = RobotConfig.preset("acsar")
 HIDDEN = ACSAR.with_(
@@ -72,7 +72,7 @@ def test_the_robots_file_has_values_intervals_and_logs(found: Identified, tmp_pa
 
 
 def test_wheels_that_do_not_differ_share_one_number(found: Identified) -> None:
-    wheels = {name: [] for name in ("motor.time_constant", "motor.gain")}
+    wheels: dict[str, list[str]] = {name: [] for name in ("motor.time_constant", "motor.gain")}
     for one in found.findings:
         if one.name in wheels:
             wheels[one.name].append(one.wheel)

@@ -18,9 +18,14 @@ Floats = NDArray[np.float64]
 DELAY, TIMEOUT = ("firmware.command_delay", ""), ("firmware.command_timeout", "")
 
 
+def ticks(count: int) -> Floats:
+    """100 a second [s]."""
+    return np.asarray(np.arange(count) * 0.01, np.float64)
+
+
 def known(commands: Floats, pause: float = 0.0) -> Knowable:
     """Judge a log of perfect wheels, 100 commands a second, with a pause in the middle."""
-    stamps = np.arange(len(commands)) * 0.01
+    stamps = ticks(len(commands))
     stamps[len(stamps) // 2 :] += pause
     held_out = np.zeros(len(stamps), bool)
     return judged([Track(stamps, commands, stamps, commands, held_out)])
@@ -70,7 +75,7 @@ def test_a_short_log_tells_nothing_of_wheels() -> None:
 
 def test_a_wheel_that_never_turned_is_named() -> None:
     commands = manoeuvre()
-    stamps = np.arange(len(commands)) * 0.01
+    stamps = ticks(len(commands))
     speeds = commands * [1.0, 1.0, 0.0, 1.0]
     found = judged([Track(stamps, commands, stamps, speeds, np.zeros(len(stamps), bool))])
     assert found.missing["motor.gain", "c"] == "this wheel never turned"
@@ -80,7 +85,7 @@ def test_a_wheel_that_never_turned_is_named() -> None:
 @pytest.mark.parametrize("duration", [0.3, 2.0])
 def test_what_cannot_be_told_has_no_number(duration: float) -> None:
     commands = manoeuvre()[: round(100 * duration)]
-    stamps = np.arange(len(commands)) * 0.01
+    stamps = ticks(len(commands))
     lines = tuple(encode(row) for row in commands.tolist())
     found = identified([WireLog(stamps, lines, stamps + 0.005, lines)], RobotConfig.preset("acsar"))
     for one in found.findings:

@@ -62,7 +62,7 @@ def test_the_answer_predicts_what_the_twin_prints() -> None:
 
 
 def test_commands_count_from_the_loop_after_they_arrive() -> None:
-    edges = np.arange(5) * 0.01
+    edges = np.asarray(np.arange(5) * 0.01, np.float64)
     before, after, share = targets_at(edges, np.array([0.0, 0.02]), np.array([1.0, 3.0]))
     assert after.tolist() == [1.0, 1.0, 3.0, 3.0, 3.0]
     assert before.tolist() == [0.0, 1.0, 1.0, 3.0, 3.0]
