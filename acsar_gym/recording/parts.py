@@ -149,16 +149,16 @@ def made(part: Part) -> Episode:
         success=bool(steps[-1, 5] == 1.0) if number > 1 else None,
         step_stamps=steps[:, 1],
         scans=_scans(part.scans),
-        exchanges=Exchanges(
-            _whole(exchanges[:, 0]),
-            exchanges[:, 1],
-            _whole(exchanges[:, 2]),
-            _whole(exchanges[:, 3]),
-            exchanges[:, 4],
-            exchanges[:, 5:],
-        ),
+        exchanges=_exchanges(exchanges),
         info=part.told["info"],
     )
+
+
+def _exchanges(table: Floats) -> Exchanges:
+    """The control periods of the wire, of the rows of their table."""
+    number, stamps, writes, pieces, lateness = table[:, :5].T
+    counts = _whole(writes), _whole(pieces)
+    return Exchanges(_whole(number), stamps, *counts, lateness, table[:, 5:])
 
 
 def _check_times(stamps: Floats, start: float) -> None:
