@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -27,95 +28,103 @@ RobotFile = Annotated[str, tyro.conf.arg(metavar="PRESET|FILE")]
 RECORDED = "recorded"
 
 
+@dataclass(frozen=True)
+class Outputs:
+    """What is written, and the limits that must be kept."""
+
+    fail_over: Limits = ()
+    """Limits in SI units; exit code 1 where one isn't kept. For gap such as wheel_speed_rms=0.5
+    end_pose=0.05, for compare of the paired differences, such as success_rate=0.05."""
+    json: Json = None
+    """Also write the figures to this file."""
+    html: File = None
+    """Also write a report with plots to this file."""
+
+    def check(self) -> None:
+        """Check that everything can be written, before the work begins."""
+        from acsar_gym.evaluation import report  # noqa: PLC0415
+        from acsar_gym.gap.page import document  # noqa: PLC0415
+
+        report.check_writable(self.json)
+        report.check_writable(self.html)
+        if self.html is not None:
+            document.library()
+
+
+OutputArgs = Annotated[Outputs, tyro.conf.arg(name="")]
+
+
 def gap(
     logs: Logs,
     robot: RobotFile,
+    outputs: OutputArgs,
     before: Source = "acsar",
     body: str = "planar",
     truth: File = None,
-    fail_over: Limits = (),
-    json: Json = None,
-    html: File = None,
 ) -> int:
     """Replay recorded commands through the twin, before and after fitting, and measure its gap.
 
-    Figures are over the logs that the robot wasn't fitted to, if there are any. Exit code 1 where
-    a limit of --fail-over isn't kept.
+    Figures are over the logs that the robot wasn't fitted to, if there are any.
 
     Args:
         logs: recordings of one robot, made with --record.
         robot: the fitted robot, such as the file that identify wrote.
+        outputs: files and limits.
         before: the unfitted robot; "recorded" is the one in each recording.
         body: physics of the twins, planar or bullet.
         truth: log of the emulator that was recorded (emulate --log), with its true poses.
-        fail_over: limits in SI units, such as wheel_speed_rms=0.5 end_pose=0.05.
-        json: also write the figures to this file.
-        html: also write a report with plots to this file.
     """
     from acsar_gym.gap import limits, measure, tables  # noqa: PLC0415
-    from acsar_gym.gap import truth as truths  # noqa: PLC0415
-    from acsar_gym.gap.page import document, gap_page  # noqa: PLC0415
+    from acsar_gym.gap.page import gap_page  # noqa: PLC0415
 
-    known = limits.parsed(fail_over, tables.LIMITS)
-    _check_writable(json, html)
-    after = RobotConfig.of(robot)
-    unfitted = None if before == RECORDED else RobotConfig.of(before)
-    if html is not None:
-        document.library()
-    names = Path(robot).name, Path(before).name
-    recordings = _read(logs)
-    if truth is not None:
-        recordings = [(name, truths.with_truth(log, truth)) for name, log in recordings]
-    found = measure.measure(recordings, (names[0], after), (names[1], unfitted), body)
-    _show([*tables.tables(found)], [*measure.conclusion(found), *found.notes])
-    _write(json, tables.as_dict(found))
-    if html is not None:
-        gap_page.page(found).write(html)
+    known = limits.parsed(outputs.fail_over, tables.LIMITS)
+    outputs.check()
+    after = Path(robot).name, RobotConfig.of(robot)
+    unfitted = Path(before).name, None if before == RECORDED else RobotConfig.of(before)
+    found = measure.measure(_with_truth(_read(logs), truth), after, unfitted, body)
+    _show(tables.tables(found), [*measure.conclusion(found), *found.notes])
+    _write(outputs.json, tables.as_dict(found))
+    if outputs.html is not None:
+        gap_page.page(found).write(outputs.html)
     return _judged(limits.exceeded(known, tables.sizes(found)))
 
 
 def compare(
     first: First,
     second: Second,
+    outputs: OutputArgs,
     sim: Files = (),
     real: Files = (),
-    fail_over: Limits = (),
-    json: Json = None,
-    html: File = None,
 ) -> int:
     """Compare recordings of a task in simulation and on hardware, episodes paired by seed.
-
-    Exit code 1 where a limit of --fail-over isn't kept.
 
     Args:
         first: recording of the simulation.
         second: recording of the robot.
+        outputs: files and limits.
         sim: more recordings of the simulation.
         real: more recordings of the robot.
-        fail_over: limits of paired differences in SI units, such as success_rate=0.05.
-        json: also write the metrics to this file.
-        html: also write a report with plots to this file.
     """
     from acsar_gym.gap import compare_tables, limits, sides  # noqa: PLC0415
-    from acsar_gym.gap.page import compare_page, document  # noqa: PLC0415
+    from acsar_gym.gap.page import compare_page  # noqa: PLC0415
 
-    known = limits.parsed(fail_over, (*sides.VALUES, "delay"))
-    _check_writable(json, html)
-    if html is not None:
-        document.library()
+    known = limits.parsed(outputs.fail_over, (*sides.VALUES, "delay"))
+    outputs.check()
     found = sides.compare(_read((first, *sim)), _read((second, *real)))
     _show([compare_tables.table(found)], [*sides.conclusion(found), *found.notes])
-    _write(json, compare_tables.as_dict(found))
-    if html is not None:
-        compare_page.page(found).write(html)
+    _write(outputs.json, compare_tables.as_dict(found))
+    if outputs.html is not None:
+        compare_page.page(found).write(outputs.html)
     return _judged(limits.exceeded(known, compare_tables.sizes(found)))
 
 
-def _check_writable(*paths: Path | None) -> None:
-    from acsar_gym.evaluation import report  # noqa: PLC0415
+def _with_truth(
+    logs: list[tuple[str, Recording]], truth: Path | None
+) -> list[tuple[str, Recording]]:
+    """Add the true poses of an emulator's log."""
+    from acsar_gym.gap.truth import with_truth  # noqa: PLC0415
 
-    for path in paths:
-        report.check_writable(path)
+    return logs if truth is None else [(name, with_truth(log, truth)) for name, log in logs]
 
 
 def _read(paths: Sequence[Path]) -> list[tuple[str, Recording]]:

@@ -19,7 +19,9 @@ LIMITS = (*METRICS, "delay")
 
 def cell(value: float, scale: float = 1.0) -> str:
     """Format a number with three digits; "-" for NaN."""
-    return "-" if math.isnan(value) else f"{value * scale:.3g}"
+    if math.isnan(value):
+        return "-"
+    return "0" if abs(value * scale) < 1e-9 else f"{value * scale:.3g}"
 
 
 def between(interval: Interval, scale: float = 1.0) -> str:

@@ -11,7 +11,7 @@ PERIOD = 0.02
 
 
 def test_exact_times_stay() -> None:
-    stamps = 3.0 + PERIOD * np.arange(500)
+    stamps = np.linspace(3.0, 3.0 + 499 * PERIOD, 500)
     assert steady(stamps, PERIOD) == pytest.approx(stamps, abs=1e-9)
 
 
