@@ -31,6 +31,7 @@ from acsar_gym.errors import ConfigError
 if TYPE_CHECKING:
     from acsar_gym.doctor.commission import Commission
     from acsar_gym.emulation.board import Emulator
+    from acsar_gym.worlds import World
 
 Device = Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="DEVICE")]
 
@@ -60,18 +61,14 @@ def emulate(
         name: symbolic link that always points to the current device.
     """
     from acsar_gym.emulation.board import Emulator  # noqa: PLC0415
-    from acsar_gym.worlds.pool import Pool  # noqa: PLC0415
-    from acsar_gym.worlds.search import footprint_radius  # noqa: PLC0415
 
     config = RobotConfig.of(robot)
-    worlds = None if world is None else Pool.of(world, None, footprint_radius(config), 1)
-    one = next(iter(worlds)) if worlds else None
     with Emulator(
         config,
         body=body,
         log=log,
         silent=board.silent,
-        world=one,
+        world=_first(world, config),
         sees=lidar,
         name=name,
         quirks=board.quirk,
@@ -82,6 +79,17 @@ def emulate(
             print(f"serving a LiDAR on {emulator.lidar_device}", flush=True)
         emulator.run(duration, until=lambda: bool(ended))
     return 0
+
+
+def _first(worlds: str | None, config: RobotConfig) -> World | None:
+    """Return the first of some worlds, None for none."""
+    from acsar_gym.worlds.pool import Pool  # noqa: PLC0415
+    from acsar_gym.worlds.search import footprint_radius  # noqa: PLC0415
+
+    if worlds is None:
+        return None
+    pool = Pool.of(worlds, None, footprint_radius(config), 1)
+    return next(iter(pool)) if pool else None
 
 
 def _handle_signals(emulator: Emulator) -> list[int]:
