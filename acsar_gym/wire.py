@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from acsar_gym.config import RobotConfig
+from acsar_gym.config import BITS_PER_BYTE, RobotConfig
 from acsar_gym.links.base import Link
 from acsar_gym.links.handshake import silence, still_turning
 from acsar_gym.links.lateness import STANDSTILL
@@ -24,7 +24,7 @@ class Wire:
     [rad/s], old ones for motors that a line doesn't name; `age`, the time since the newest valid
     line [s]; `stamp`, the link's time at the end of the newest period [s]; `began`, its time at
     the beginning of the first period after `settle` [s]; `written`, its time when the last byte of
-    the newest command had been handed over [s].
+    the newest command has left the port, at the baud rate [s]; 0 in simulation.
 
     Args:
         link: To the board.
@@ -45,13 +45,15 @@ class Wire:
         self.age = 0.0
         self.stamp = self.began = self.written = 0.0
         self._settled = False
+        self._timed = link.lateness is not None
+        self._line_time = len(self._command) * BITS_PER_BYTE / config.baud_rate
 
     def reset(self) -> None:
         """Forget what was received; the wheels count as standing."""
         self.decoder.reset()
         self.speeds = ZERO
         self.age = 0.0
-        self.stamp = self.began = self.written = self._link.now()
+        self.stamp = self.began = self._link.now()
         self._settled = False
 
     def send(self, speeds: Speeds) -> None:
@@ -77,7 +79,8 @@ class Wire:
         if speeds is not None:
             self.send(speeds)
         link = self._link
-        self.written = link.now()
+        if self._timed:
+            self.written = link.now() + self._line_time
         heard = []
         for reading in self._feed(link.advance(self._period)):
             self.speeds = reading.over(self.speeds)

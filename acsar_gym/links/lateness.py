@@ -66,7 +66,7 @@ class EpisodeTiming:
     feedback_age: Spread
     """Age of the newest valid line after every tick [s]; 0 if it arrived during the tick."""
     round_trip: Spread
-    """Time from the last byte of a command to wheels that stand, as it was handed over, to the
+    """Time from the last byte of a command to wheels that stand, as it leaves the port, to the
     first byte of the first line that shows an effect [s]; up to a tick more where the link doesn't
     tell when bytes arrive."""
 
@@ -186,7 +186,7 @@ class Stopwatch:
         """Add a command, and what the feedback of its period shows.
 
         Args:
-            written: time at which its last byte was handed over [s].
+            written: time at which its last byte has left the port [s].
             fastest: highest absolute wheel speed of the newest feedback [rad/s].
             drives: whether the command isn't zero.
 
