@@ -14,6 +14,7 @@ import numpy as np
 from rich.table import Table
 
 from acsar_gym import jit as compiled
+from acsar_gym.bench import recording
 from acsar_gym.bench import worlds as bench_worlds
 from acsar_gym.bench.measure import Figure, each
 from acsar_gym.bench.own_task import PlainSmoothGoal, SmoothGoal
@@ -56,6 +57,7 @@ def measure(policy: str | None = None) -> list[Figure]:
         *bench_worlds.measure(),
         *_batch(single),
         *_wire(),
+        *recording.measure(),
         *_policy(policy),
     ]
 

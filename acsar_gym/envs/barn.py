@@ -36,7 +36,7 @@ class BarnEnv(RobotEnv):
     ## Arguments
 
     - `link`, `robot`, `policy_rate`, `render_mode`, `view`, `faults`, `sensors`, `randomization`,
-      `on_fault` as in `acsar_gym/PointGoal-v0`, `difficulty` and `lidar` as in
+      `on_fault`, `record` as in `acsar_gym/PointGoal-v0`, `difficulty` and `lidar` as in
       `acsar_gym/ObstacleGoal-v0`.
     - `worlds`: "barn:train", 400 worlds generated like the published ones, or "barn:test", the 300
       that `acsar-gym evaluate` tests in; or a folder of published worlds, `world_N.world` with

@@ -76,6 +76,8 @@ class PointGoalEnv(RobotEnv):
       contradicts its commands; told at every step on hardware and where there are `faults`) and
       the whole message in `fault_reason`. The next reset opens the link again. "raise" raises the
       LinkError.
+    - `record`: file to which the whole drive is recorded (MCAP: topics of ROS 2, the raw wire, and
+      what the policy saw and did); `link="replay:FILE"` plays it back. `close()` ends the file.
 
     ## Info
 
