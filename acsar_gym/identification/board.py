@@ -84,6 +84,8 @@ def _window(estimate: Estimate | None, config: RobotConfig, known: Knowable) -> 
         return unknown(WINDOW, "", before, "the fit ended at its bound")
     if not estimate.solution.free[-2] and not estimate.counted:
         return unknown(WINDOW, "", before, "too vague: record more steps at a higher line rate")
+    if half > VAGUE:
+        return unknown(WINDOW, "", before, "too vague: record more steps")
     whole = max(1, round(value / dt)) * dt
     low, high = max(0.0, value - half - dt), value + half + dt
     note = "by encoder counts" if estimate.counted else ""
