@@ -103,12 +103,11 @@ def estimated(tracks: Sequence[Track], config: RobotConfig, known: Knowable) -> 
 
 def _free(problem: Problem, known: Knowable) -> Bools:
     """Which parameters the log can tell."""
-    # A ramp is fitted with every lag, even where the log can't tell it well enough to be written.
+    # Ramp and delay are fitted with every lag, even where the log can't tell them apart.
     names = ("motor.time_constant", "motor.gain", "motor.time_constant")
     rows = [known.can(name, MOTORS[w]) for w in problem.wheels for name in names]
-    delay = known.can("firmware.command_delay")
-    timeout = known.can("firmware.command_timeout")
-    return np.array([*rows, delay, delay and known.can("encoder.window"), timeout])
+    delay = any(known.can("motor.time_constant", MOTORS[w]) for w in problem.wheels)
+    return np.array([*rows, delay, delay, known.can("firmware.command_timeout")])
 
 
 def _start(
