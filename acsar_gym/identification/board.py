@@ -84,6 +84,8 @@ def _window(estimate: Estimate | None, config: RobotConfig, known: Knowable) -> 
         return unknown(WINDOW, "", before, "the fit ended at its bound")
     if not estimate.solution.free[-2] and not estimate.counted:
         return unknown(WINDOW, "", before, "too vague: record more steps at a higher line rate")
+    if half > VAGUE:
+        return unknown(WINDOW, "", before, "too vague: record more steps")
     whole = max(1, round(value / dt)) * dt
     low, high = max(0.0, value - half - dt), value + half + dt
     note = "by encoder counts" if estimate.counted else ""
@@ -105,7 +107,7 @@ def _timeout(
         why = f"above {longest:.2f} s, the longest pause: stop sending commands for 2 s"
         return unknown(TIMEOUT, "", before, why)
     value = estimate.clock.timeout - estimate.problem.dt / 2.0  # a board looks once a loop
-    half = _half(estimate, (-1, 1.0)) + 2.0 * estimate.problem.dt
+    half = _half(estimate, (-1, 1.0)) + 3.0 * estimate.problem.dt
     if half > 2.0 * VAGUE or value >= longest:
         return unknown(TIMEOUT, "", before, "too vague: stop sending commands for 2 s")
     return Finding(TIMEOUT, "", value, value - half, value + half, before, told=True)

@@ -18,6 +18,10 @@ GRID = 0.01
 """Distance of the candidates, and least half width of an interval [rad/s]."""
 CORRELATED = 2.0
 """Neighbouring residuals that count as one."""
+MOST = 2.0
+"""Largest candidate [rad/s]."""
+EVIDENCE = 60.0
+"""Excess cost, in typical losses of a reading, from which a value clearly fits worse."""
 SPREAD = 2.5
 """Standard deviations in half an interval."""
 
@@ -40,7 +44,12 @@ class Deadband:
 
 
 def found(
-    problem: Problem, index: int, motor: Wheel, clock: Clock, printed: Printed, most: float
+    problem: Problem,
+    index: int,
+    motor: Wheel,
+    clock: Clock,
+    printed: Printed,
+    usual: float | None = None,
 ) -> Deadband:
     """Find the deadband of one wheel, with its other parameters given.
 
@@ -50,9 +59,9 @@ def found(
         motor: the wheel's parameters; its deadband isn't used.
         clock: the board's times.
         printed: how speeds are rounded.
-        most: largest candidate [rad/s].
+        usual: for a log that can't tell: the value to stay at, unless it clearly fits worse.
     """
-    bands = np.arange(0.0, most + GRID, GRID)
+    bands = np.append(np.arange(0.0, MOST + GRID, GRID), usual or 0.0)
     measured = problem.measured(index)
     costs = np.array(
         [_losses(problem, index, motor, clock, printed, measured, band) for band in bands]
@@ -60,6 +69,8 @@ def found(
     total = costs.sum(1)
     excess = total - total.min()
     typical = max(float(total.min()) / len(measured), 1e-6)
+    if usual is not None and excess[-1] < EVIDENCE * typical:
+        return Deadband(usual, 0.0, math.inf)
     weights = np.exp(-excess / (2.0 * CORRELATED * typical))
     weights /= weights.sum()
     value = float(weights @ bands)

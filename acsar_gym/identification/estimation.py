@@ -103,10 +103,11 @@ def estimated(tracks: Sequence[Track], config: RobotConfig, known: Knowable) -> 
 
 def _free(problem: Problem, known: Knowable) -> Bools:
     """Which parameters the log can tell."""
-    rows = [known.can(name, MOTORS[w]) for w in problem.wheels for name in SMOOTH_NAMES]
-    delay = known.can("firmware.command_delay")
-    timeout = known.can("firmware.command_timeout")
-    return np.array([*rows, delay, delay and known.can("encoder.window"), timeout])
+    # Ramp and delay are fitted with every lag, even where the log can't tell them apart.
+    names = ("motor.time_constant", "motor.gain", "motor.time_constant")
+    rows = [known.can(name, MOTORS[w]) for w in problem.wheels for name in names]
+    delay = any(known.can("motor.time_constant", MOTORS[w]) for w in problem.wheels)
+    return np.array([*rows, delay, delay, known.can("firmware.command_timeout")])
 
 
 def _start(
@@ -119,27 +120,27 @@ def _start(
         guess = pauses.guess(problem.tracks)
         free[-1] = np.isfinite(guess)
         clock = clock._replace(timeout=min(guess, NEVER))
-    bands = [_first_band(problem, known, config, k) for k in range(len(problem.wheels))]
+    bands = [_usual_band(problem, known, config, k) or 0.0 for k in range(len(configured))]
     x = problem.joined(configured, clock)
     if not free[-3]:
         return x, bands
     for _ in range(2):
         rough = solving.coarse(problem, bands, clock.window, clock.timeout)
         motors, rough_clock = problem.split(rough, bands)
-        for k, wheel in enumerate(problem.wheels):
-            if known.can("motor.deadband", MOTORS[wheel]):
-                most = known.slowest[wheel]
-                nothing = Printed(0.0, 0.0)
-                bands[k] = deadband.found(problem, k, motors[k], rough_clock, nothing, most).value
+        for k in range(len(bands)):
+            usual = _usual_band(problem, known, config, k)
+            one = deadband.found(problem, k, motors[k], rough_clock, Printed(0.0, 0.0), usual)
+            bands[k] = one.value
     if free[-1]:
         rough[-1] = pauses.refined(problem, motors, rough_clock)
     return np.where(free, rough, x), bands
 
 
-def _first_band(problem: Problem, known: Knowable, config: RobotConfig, k: int) -> float:
+def _usual_band(problem: Problem, known: Knowable, config: RobotConfig, k: int) -> float | None:
+    """The configured deadband of a wheel of which the log can't tell one; otherwise None."""
     wheel = problem.wheels[k]
     told = known.can("motor.deadband", MOTORS[wheel])
-    return 0.0 if told else motor_of(config, wheel).deadband
+    return None if told else motor_of(config, wheel).deadband
 
 
 def _in_turn(
@@ -155,11 +156,10 @@ def _in_turn(
     for _ in range(2):
         motors, clock = problem.split(solution.x, solution.deadbands)
         bands = list(solution.deadbands)
-        for k, wheel in enumerate(problem.wheels):
-            if known.can("motor.deadband", MOTORS[wheel]):
-                most = known.slowest[wheel]
-                one = deadband.found(problem, k, motors[k], clock, printed, most)
-                found[k], bands[k] = one, one.value
+        for k in range(len(bands)):
+            usual = _usual_band(problem, known, config, k)
+            one = deadband.found(problem, k, motors[k], clock, printed, usual)
+            found[k], bands[k] = one if usual is None else None, one.value
         solution = solving.solve(problem, solution.x, bands, solution.free)
     return solution, printed, tuple(found)
 
