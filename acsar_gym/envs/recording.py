@@ -49,6 +49,7 @@ class EnvRecord:
         told: dict[str, Any] = {} if spec is None else {"id": spec.id, "kwargs": _own(spec)}
         self.recorder.about.setdefault("env", told)
         self.recorder.about.setdefault("task", named(task))
+        self.recorder.about.setdefault("observation", list(task.observation))
         info = {"seed": seed, "goal": list(assignment.goal), "start": list(assignment.start)}
         world = None if assignment.world is None else assignment.number
         self.recorder.describe(info | {"world": world})

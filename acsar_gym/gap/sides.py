@@ -102,6 +102,8 @@ class Sides:
     outcomes: tuple[tuple[Outcome, ...], tuple[Outcome, ...]]
     pairs: tuple[tuple[Outcome, Outcome], ...]
     notes: tuple[str, ...]
+    labels: tuple[str, ...] = ()
+    """Names of the task's numbers in an observation, as far as the recordings tell them."""
 
     def comparisons(self) -> dict[str, Comparison]:
         """Compare every metric that both sides have."""
@@ -179,7 +181,8 @@ def compare(first: Named, second: Named, names: tuple[str, str] = ("sim", "real"
     if len(widths) > 1:
         sizes = " and ".join(map(str, sorted(widths)))
         raise ConfigError(f"{second[0][0]}: another task: observations of {sizes} numbers")
-    return Sides(task, names, sides, pairs, tuple(_notes(logs, sides, pairs, names)))
+    notes = _notes(logs, sides, pairs, names)
+    return Sides(task, names, sides, pairs, tuple(notes), _labels(first[0][1]))
 
 
 def _outcomes(logs: Named) -> list[Outcome]:
@@ -206,17 +209,29 @@ def _outcomes(logs: Named) -> list[Outcome]:
     return outcomes
 
 
-def task_of(recording: Recording) -> str:
+def _about(recording: Recording) -> Mapping[str, object]:
+    """Return what the program said about a recording."""
+    about = recording.header.get("about")
+    return about if isinstance(about, Mapping) else {}
+
+
+def _task_of(recording: Recording) -> str:
     """Return the id of the env that was recorded; empty if there was none."""
-    env = recording.header.get("about", {}).get("env") or {}
-    return str(env.get("id") or "") if isinstance(env, Mapping) else str(env)
+    env = _about(recording).get("env")
+    return str(env.get("id") or "") if isinstance(env, Mapping) else ""
+
+
+def _labels(recording: Recording) -> tuple[str, ...]:
+    """Return the names of the task's numbers in an observation; empty if they aren't known."""
+    names = _about(recording).get("observation")
+    return tuple(str(name)[:40] for name in names) if isinstance(names, list) else ()
 
 
 def _task(logs: Named) -> str:
     """Return the task of all recordings; ConfigError if they have different ones."""
-    task = task_of(logs[0][1])
+    task = _task_of(logs[0][1])
     for name, recording in logs[1:]:
-        other = task_of(recording)
+        other = _task_of(recording)
         if other != task:
             raise ConfigError(
                 f"{name}: is of {other or 'no task'}, but {logs[0][0]} of {task or 'no task'}"

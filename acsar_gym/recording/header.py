@@ -7,7 +7,8 @@
 | `versions` | of acsar_gym, python, numpy |
 | `created` | `wall` clock [ns since 1970] and `monotonic` clock [ns] at the same moment; |
 | | /time_reference repeats the wall clock every second |
-| `about` | what the program says about it: `env` (id, kwargs), `task`, `policy` (file, sha256), |
+| `about` | what the program says about it: `env` (id, kwargs), `task`, `observation` (names of |
+| | its numbers), `policy` (file, sha256), |
 | | `link`, `command`. /acsar/episode tells seed, goal and start of each episode |
 """
 

@@ -96,6 +96,8 @@ def test_two_sides_of_a_task(inside: Path, call: Call) -> None:
     assert [pair["seed"] for pair in told["pairs"]] == [1, 2]
     assert told["metrics"]["success_rate"]["values"] == [1.0, 1.0]
     assert told["metrics"]["odometry_error"]["pairs"] == 2
+    html = (inside / "compare.html").read_text(encoding="utf-8")
+    assert '"text":"goal_distance, D = ' in html
     limit = ("--fail-over", "success_rate=0.0", "time_to_goal=0.0")
     code, _, error = call("compare", "sim.mcap", "real.mcap", *limit)
     assert code == 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -95,6 +96,13 @@ def test_another_task_robot_and_an_empty_recording_are_refused() -> None:
         compare([("a", sim())], [("b", large)])
     with pytest.raises(ConfigError, match="b: holds no episode that was driven"):
         compare([("a", sim())], [("b", replace(real(), episodes=()))])
+
+
+@pytest.mark.parametrize("header", [{}, {"about": 3}, {"about": {"env": 3, "observation": 3}}])
+def test_headers_that_say_nothing_are_no_task(header: dict[str, Any]) -> None:
+    odd = [("a", replace(sim(), header=header))]
+    assert compare(odd, odd).task == ""
+    assert compare(odd, odd).labels == ()
 
 
 def test_table_and_json_hold_the_metrics() -> None:

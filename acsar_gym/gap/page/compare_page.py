@@ -174,11 +174,11 @@ def _columns(sides: Sides) -> list[Column]:
     """Return the numbers of observations and actions, those that differ most if there are many."""
     columns = []
     for first, second, names in (
-        (*sides.observations(), []),
-        (*sides.actions(), ["action: linear", "action: angular"]),
+        (*sides.observations(), sides.labels),
+        (*sides.actions(), ("action: linear", "action: angular")),
     ):
         for number, apart in enumerate(distances(first, second)):
-            name = names[number] if names else f"observation {number}"
+            name = names[number] if number < len(names) else f"number {number + 1}"
             columns.append(Column(name, apart, first[:, number], second[:, number]))
     kept = sorted(columns, key=lambda column: -column.apart)[:MOST_COLUMNS]
     return [column for column in columns if column in kept]
