@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from acsar_gym.bench import env as bench
+from acsar_gym.bench import recording as bench_recording
 from acsar_gym.bench import worlds as bench_worlds
 
 SMALL = {"BLOCKS": 2, "STEPS": 3, "ROBOTS": 8, "CROWDS": 2, "POINTS": 20}
@@ -14,13 +15,13 @@ SMALL = {"BLOCKS": 2, "STEPS": 3, "ROBOTS": 8, "CROWDS": 2, "POINTS": 20}
 def test_every_figure_is_a_positive_number(
     sizes: dict[str, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in (bench, bench_worlds):
+    for module in (bench, bench_worlds, bench_recording):
         for name in sizes.keys() & vars(module).keys():
             monkeypatch.setattr(module, name, sizes[name])
     figures = bench.measure()
     assert all(figure.value > 0.0 for figure in figures)
-    assert len({figure.name for figure in figures}) == len(figures) == 28
-    assert bench.table(figures).row_count == 28
+    assert len({figure.name for figure in figures}) == len(figures) == 29
+    assert bench.table(figures).row_count == 29
 
 
 def test_the_bare_engine_makes_as_many_calls_as_the_env() -> None:
