@@ -26,8 +26,10 @@ SMOOTH_NAMES = ("motor.time_constant", "motor.gain", "motor.acceleration")
 """Parameters of a wheel in the problem's order."""
 SURE = 2.5
 """A window as configured is given up for one that differs by so many standard errors."""
-NEAR = 4
-"""Windows so many loops from the fitted one are compared with the counts."""
+VAGUE = 0.006
+"""A window with a larger standard error stays as configured [s]."""
+MOST_LOOPS = 60
+"""Longest window that is compared with the printed counts [loops]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +178,8 @@ def _rounded(
     free, x = solution.free.copy(), solution.x.copy()
     if window is None and free[-2]:
         sigma = math.sqrt(solving.covariance(problem, solution)[-2, -2])
-        if abs(x[-2] - config.encoder.window) < max(SURE * sigma, problem.dt):
+        away = abs(x[-2] - config.encoder.window)
+        if sigma > VAGUE or away < max(SURE * sigma, problem.dt):
             window = config.encoder.window
     if window is not None and free[-2]:
         x[-2], free[-2] = window, False
@@ -193,8 +196,7 @@ def printed_by(
     """
     step = steps.step if steps else 0.0
     speeds = np.concatenate([track.speeds for track in problem.tracks])
-    loops = round(window / problem.dt)
-    for n in sorted(range(max(1, loops - NEAR), loops + NEAR + 1), key=lambda n: abs(n - loops)):
+    for n in range(1, MOST_LOOPS + 1):  # the coarsest counts: finer ones explain multiples, too
         counts = quantum.of_counts(config, n * problem.dt)
         own = 0.0 if abs(counts - step) < quantum.ALIKE * step else step
         if quantum.explained_by_counts(speeds, config, n * problem.dt, own):

@@ -22,6 +22,8 @@ from acsar_gym import RobotConfig, open_link
 from acsar_gym.identification.identified import Identified
 from acsar_gym.identification.sources import from_device
 
+PATIENT = RobotConfig.preset("acsar").with_(watchdog_timeout=2.0, feedback_timeout=5.0)
+"""What is known of the robots, with the patience that a busy machine needs."""
 ENOUGH, HELD = 0.95, 0.90
 """Shares of the robots that must be found, and held by their intervals."""
 
@@ -41,8 +43,7 @@ def emulated(hidden: RobotConfig, duration: float) -> Identified:
             try:
                 assert emulator.stdout is not None
                 device = emulator.stdout.readline().split()[-1]
-                known = RobotConfig.preset("acsar")
-                return from_device(open_link(device, known), known, duration)
+                return from_device(open_link(device, PATIENT), PATIENT, duration)
             finally:
                 emulator.terminate()
 
