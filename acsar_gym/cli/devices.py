@@ -73,12 +73,17 @@ def emulate(
         name=name,
         quirks=board.quirk,
     ) as emulator:
-        ended = _handle_signals(emulator)
-        print(f"serving a robot on {emulator.device}", flush=True)
-        if lidar:
-            print(f"serving a LiDAR on {emulator.lidar_device}", flush=True)
-        emulator.run(duration, until=lambda: bool(ended))
+        _serve(emulator, duration)
     return 0
+
+
+def _serve(emulator: Emulator, duration: float | None) -> None:
+    """Run an emulator for a while [s], or until a signal ends it, and say where it is."""
+    ended = _handle_signals(emulator)
+    print(f"serving a robot on {emulator.device}", flush=True)
+    if emulator.lidar_device:
+        print(f"serving a LiDAR on {emulator.lidar_device}", flush=True)
+    emulator.run(duration, until=lambda: bool(ended))
 
 
 def _first(worlds: str | None, config: RobotConfig) -> World | None:

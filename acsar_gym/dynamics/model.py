@@ -86,13 +86,7 @@ def wheel_speed(
 
 @jit
 def tyre_step(
-    vx: float,
-    vy: float,
-    yaw_rate: float,
-    wheels: Speeds,
-    own: Physics,
-    kappa: float,
-    dt: float,
+    vx: float, vy: float, yaw_rate: float, wheels: Speeds, own: Physics, kappa: float, dt: float
 ) -> Velocity:
     """Velocity (body frame) one substep later, under the forces of four tyres; wheels in [rad/s].
 

@@ -36,25 +36,14 @@ def setup_of(
 ) -> layout.Setup:
     """Compute the numbers that all robots of a batch share; see the module for the arguments."""
     dt = substep(config)
-    firmware, encoder = config.firmware, config.encoder
-    window = round(encoder.window * firmware.loop_rate)
     limited = config.geofence is not None or not limiter.free(config)
     left_radius, right_radius = config.wheel_radii
-    ramps = [config.motor.of_wheel(wheel).acceleration * dt for wheel in range(4)]
-    per_radian = encoder.counts_per_revolution / (2.0 * math.pi)
     return layout.Setup(
         dt=dt,
         period=config.period,
         wire_time=wire_time(config),
-        ramps=(ramps[0], ramps[1], ramps[2], ramps[3]),
         isotropic=isotropic,
-        top=config.motor.max_speed,
-        counts_per_radian=per_radian,
-        speed_per_count=1.0 / (per_radian * window * dt),
-        quantum=encoder.quantum or 0.0,
-        window=window,
         ticks=ticks,
-        loops=whole_ratio("firmware.loop_rate", firmware.loop_rate, "", config.control_rate),
         left_radius=left_radius,
         right_radius=right_radius,
         separation=config.effective_separation,
@@ -67,8 +56,25 @@ def setup_of(
         faults=line_faults(faults, config),
         falls_silent=faults.possible and faults.direction != "commands",
         numbers=numbers,
+        **_board(config, dt),
         **_lidar(config, sees=sees),
     )
+
+
+def _board(config: RobotConfig, dt: float) -> dict[str, Any]:
+    """The fields of a setup that are about motors, encoders and firmware."""
+    encoder, rate = config.encoder, config.firmware.loop_rate
+    window = round(encoder.window * rate)
+    per_radian = encoder.counts_per_revolution / (2.0 * math.pi)
+    return {
+        "ramps": tuple(config.motor.of_wheel(wheel).acceleration * dt for wheel in range(4)),
+        "top": config.motor.max_speed,
+        "counts_per_radian": per_radian,
+        "speed_per_count": 1.0 / (per_radian * window * dt),
+        "quantum": encoder.quantum or 0.0,
+        "window": window,
+        "loops": whole_ratio("firmware.loop_rate", rate, "", config.control_rate),
+    }
 
 
 def _lidar(config: RobotConfig, *, sees: bool) -> dict[str, Any]:
