@@ -19,7 +19,9 @@ from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.lidars.base import LidarSensor, Scan
 from acsar_gym.recording import Recorder, read
 
-CONFIG = RobotConfig.of(None).with_(lidar={"rays": 360, "rate": 100.0})
+CONFIG = RobotConfig.of(None).with_(
+    lidar={"rays": 360, "rate": 100.0}, watchdog_timeout=1.0, feedback_timeout=2.0
+)
 
 
 class Turning:
@@ -64,13 +66,15 @@ def main() -> None:
         tempfile.TemporaryDirectory() as folder,
         subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as board,
     ):
-        assert board.stdout is not None
-        device, tape = board.stdout.readline().split()[-1], Path(folder) / "tape.mcap"
-        for block in range(2 * asked.blocks):
-            records = (block + block // 2) % 2 == 1
-            late[records] += drive(device, asked.seconds, tape if records else None)
-            dropped += read(tape).dropped if records else 0
-        board.terminate()
+        try:
+            assert board.stdout is not None
+            device, tape = board.stdout.readline().split()[-1], Path(folder) / "tape.mcap"
+            for block in range(2 * asked.blocks):
+                records = (block + block // 2) % 2 == 1
+                late[records] += drive(device, asked.seconds, tape if records else None)
+                dropped += read(tape).dropped if records else 0
+        finally:
+            board.terminate()
     for records, name in ((False, "without"), (True, "with")):
         p50, p99 = np.percentile(late[records], (50, 99)) * 1e3
         worst = max(late[records]) * 1e3
