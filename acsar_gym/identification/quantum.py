@@ -14,6 +14,8 @@ Floats = NDArray[np.float64]
 
 PRINTED = 0.01
 """Resolution of the protocol's numbers [rad/s]."""
+FINEST = 0.025
+"""Smallest step that two decimals show for sure [rad/s]."""
 LARGEST = 2.0
 """Largest step that is looked for [rad/s]."""
 FEWEST = 20
@@ -60,8 +62,8 @@ def found(speeds: Floats) -> Quantum | None:
         return None
     steps = _candidates(values)
     fitting = steps[_fitting(values, shares, steps)]
-    if not len(fitting) or fitting[-1] < 2.1 * PRINTED:
-        return Quantum(PRINTED, 0.0, 2.1 * PRINTED)
+    if not len(fitting) or fitting[-1] < FINEST:
+        return Quantum(PRINTED, 0.0, FINEST)
     near = fitting[fitting > 0.98 * fitting[-1]]
     return Quantum(float(near.mean()), float(near[0]) - SLACK / 2.0, float(near[-1]) + SLACK / 2.0)
 
