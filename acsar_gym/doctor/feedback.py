@@ -16,8 +16,8 @@ LISTEN = 2.0
 """Time during which feedback is counted [s]."""
 USUAL = (5, 10, 20, 25, 30, 40, 50, 60, 80, 100, 125, 150, 200)
 """Rates that boards are set to [Hz]."""
-NEAR = 0.02
-"""A rate that is so close to one of these, or to a whole number, is that one."""
+NEAR = 0.03
+"""A rate that is so close to one of these is that one."""
 PADDED = re.compile(rb"(?:[abcd][pn][0-9]{2}\.[0-9]{2},?){1,4}\r?")
 
 
@@ -29,8 +29,8 @@ def listen(ear: Ear, config: RobotConfig) -> list[Line]:
 
 def rounded(measured: float) -> float:
     """Return the rate that a board was probably set to [Hz]."""
-    near = min((*USUAL, round(measured)), key=lambda usual: abs(measured - usual))
-    return float(near) if abs(measured - near) < NEAR * measured else round(measured, 1)
+    usual = min(USUAL, key=lambda rate: abs(measured - rate))
+    return float(usual) if abs(measured - usual) < NEAR * usual else round(measured, 1)
 
 
 def checks(ear: Ear, lines: Sequence[Line], config: RobotConfig) -> Iterator[Check]:
