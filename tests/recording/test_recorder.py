@@ -262,6 +262,17 @@ def test_a_recording_that_has_ended_cannot_go_on(tmp_path: Path) -> None:
     env.close()
 
 
+def test_an_env_that_is_closed_before_its_first_reset_ends_no_recording(tmp_path: Path) -> None:
+    """As `evaluate` does, where it makes an env again for another split of its worlds."""
+    recorder = Recorder(tmp_path / "tape.mcap")
+    for _ in range(2):
+        env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar", record=recorder)
+        env.close()
+    env.reset(seed=0)
+    env.close()
+    assert len(read(tmp_path / "tape.mcap").episodes) == 1
+
+
 def test_copies_of_a_recorded_robot_are_not_recorded(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path / "tape.mcap")
     robot = Robot(open_link("planar", CONFIG), CONFIG, recorder=recorder)
