@@ -171,7 +171,9 @@ def test_a_disk_that_is_full_is_told_once_at_the_next_reset(
     with Robot(open_link("planar", CONFIG), CONFIG, recorder=recorder) as robot:
         monkeypatch.setattr("acsar_gym.recording.mcap_file.McapFile.add", fail)
         robot.drive(0.1, 0.0)
-        time.sleep(0.1)  # the writer looks every 0.02 s
+        writer = recorder._writer
+        while writer is not None and writer.problem is None:
+            time.sleep(0.005)
         with pytest.warns(RecordingWarning, match="can't be written: No space"):
             robot.reset(Scene())
         robot.reset(Scene())
