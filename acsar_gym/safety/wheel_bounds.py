@@ -27,6 +27,8 @@ FLOOR, FINE = 0.5, 0.25
 this aren't judged."""
 DRAGGED = 2.0
 """Tolerance of a fast wheel [rad/s], beside the speed of the fastest one, which may drag it."""
+STEADY, PROOF = 0.05, 0.3
+"""Share by which a steady command may vary, and how long a wheel must turn at it as a proof [s]."""
 LEAST = 0.5
 """A wheel moves towards its command at this share of the slowest ramp and lag, at least."""
 
@@ -59,7 +61,8 @@ class WheelBounds:
     def reset(self) -> None:
         """Expect a wheel that stands."""
         self._set_low = self._set_high = self.low = self.high = self.wrong = 0.0
-        self._before = 0.0
+        self._before = self._asked = self._constant = 0.0
+        self._alive, self._proven = False, math.inf
 
     def follow(self, high: float, low: float, passed: float) -> None:
         """Update the bounds.
@@ -69,6 +72,9 @@ class WheelBounds:
             low: Lowest one.
             passed: Time since the last update [s].
         """
+        self._asked = 0.5 * (high + low)
+        steady = high - low <= STEADY * abs(self._asked)
+        self._constant = self._constant + passed if steady else 0.0
         top, deadband, change = self._top, self._dead, self._ramp * passed
         high, low = self.gain * high, self.gain * low
         if high > top or high < -top or low > top or low < -top:
@@ -94,6 +100,21 @@ class WheelBounds:
         self._set_high = self.high = max(self.high, speed, 0.0)
         self._set_low = self.low = min(self.low, speed, 0.0)
         self.wrong, self._before = 0.0, speed
+
+    def may_stand(self, asked: float) -> bool:
+        """Return whether a wheel that has turned before may stand at a command [rad/s].
+
+        That is so within a deadband, below the weakest command that has been seen to turn it.
+        """
+        return self._alive and self.gain * asked <= self._dead and asked < self._proven
+
+    def _learn(self, speed: float) -> None:
+        """Note whether the wheel turns as commanded."""
+        asked = self._asked
+        if speed * asked > 0.0 and abs(speed) > max(FLOOR, SHARE * self.gain * abs(asked)):
+            self._alive = True
+            if self._constant >= PROOF:
+                self._proven = min(self._proven, abs(asked))
 
     def explains(self, speed: float) -> bool:
         """Return whether the wheel's commands explain this speed [rad/s]."""
@@ -129,6 +150,7 @@ class WheelBounds:
         Returns:
             For how long the wheel has been wrong [s].
         """
+        self._learn(speed)
         moved, self._before = speed - self._before, speed
         if lack is None:
             return self.wrong

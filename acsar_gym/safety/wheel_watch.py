@@ -137,6 +137,8 @@ class WheelWatch:
         turns = min(abs(measured[other]) / pair.gain, abs(asked))
         if turns <= MOVES or (own.deadband > pair.deadband and turns <= 2.0 * own.deadband):
             return 0.0
+        if own.may_stand(abs(asked)):
+            return 0.0
         expected = own.gain * math.copysign(turns, asked)
         ahead = measured[number] * math.copysign(1.0, asked)
         return expected - measured[number] if ahead < QUARTER * abs(expected) else 0.0
