@@ -75,8 +75,9 @@ class RobotConfig(Section):
     feedback_timeout: Wait = 0.5
     """Feedback older than this stops the robot with an error [s]."""
     watchdog_timeout: Annotated[float, Field(ge=0.01, le=60.0)] | None = 0.15
-    """After this time without a command, the watchdog process sends zero commands [s], 0.01 to 60;
-    None: no watchdog."""
+    """Where the driving process gave no sign of life for this time while wheels turn, as it hangs,
+    the watchdog process sends zero commands [s], 0.01 to 60; it does so at once where the process
+    died. None: no watchdog."""
     wheel_check: bool = True
     """Stop a real robot with an error that names the wheel, where measured wheel speeds contradict
     the commanded ones for longer than `motor`, `firmware` and `encoder` explain."""
