@@ -85,6 +85,8 @@ def _serve(emulator: Emulator, duration: float | None) -> None:
     if emulator.lidar_device:
         print(f"serving a LiDAR on {emulator.lidar_device}", flush=True)
     emulator.run(duration, until=lambda: bool(ended))
+    if emulator.lost:
+        print(f"stood still for {emulator.lost:.1f} s in all: this computer was too busy")
 
 
 def _first(worlds: str | None, config: RobotConfig) -> World | None:
