@@ -124,6 +124,15 @@ class StoppingOptions:
     """Command that --stopping emulates the board with; default: acsar-gym emulate."""
 
 
+def check_out(path: Path | None) -> None:
+    """Check an --out before a robot drives; ConfigError where no robot can be written there."""
+    from acsar_gym.config import saving  # noqa: PLC0415
+    from acsar_gym.evaluation import report  # noqa: PLC0415
+
+    if path is not None:
+        report.check_writable(saving.target(path))
+
+
 _flat = tyro.conf.arg(name="")
 """Makes the fields options of the command itself, without a prefix."""
 HostArgs = Annotated[HostOptions, _flat]
