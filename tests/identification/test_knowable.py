@@ -49,6 +49,11 @@ def test_a_log_without_steps_tells_no_lag_and_no_delay() -> None:
     assert found.can("motor.gain", "b")
 
 
+def test_a_deadband_needs_a_lag() -> None:
+    found = known(np.tile(2.0 * np.sin(ticks(1200))[:, None], (1, 4)))
+    assert "hangs on the lag" in found.missing["motor.deadband", "a"]
+
+
 def test_a_log_without_reversal_tells_no_deadband() -> None:
     found = known(np.abs(manoeuvre()), pause=2.2)
     assert "no reversal" in found.missing["motor.deadband", "c"]
