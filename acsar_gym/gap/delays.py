@@ -32,9 +32,10 @@ def delays(
 ) -> Floats:
     """Measure how long after a step of the command the feedback shows it.
 
-    A step begins after wheel speeds that were held for `HELD`, and may be a ramp. Its delay is the
-    time from the command in which the first wheel has changed by `SHOWN` to the line in which it
-    has, so it includes the wire, the board, the motor's start and the wait for the next line.
+    A step begins after a wheel's speed was held for `HELD`, whatever the other wheels did, and may
+    be a ramp; wheels that begin with the same command are one step. Its delay is the time from the
+    command in which the first of its wheels has changed by `SHOWN` to the line in which it has, so
+    it includes the wire, the board, the motor's start and the wait for the next line.
 
     Args:
         command_stamps: (n,) times at which command lines were written [s].
@@ -43,14 +44,16 @@ def delays(
         feedback: (k, 4) measured wheel speeds [rad/s].
 
     Returns:
-        (m,) delays [s], one for each step of `steps`; NaN where the wheels weren't steady before
-        the step, the command changes by less, or no line shows it.
+        (m,) delays [s], one for each row of `steps` with a step; NaN where its wheels weren't
+        steady before it, their command changes by less, or no line shows it.
     """
-    begins = steps(command_stamps, commands)
-    ends = [*begins, len(command_stamps)][1:]
+    begun = steps(command_stamps, commands)
     found = []
-    for begin, end in zip(begins, ends, strict=True):
-        asked = commands[begin:end] - commands[begin - 1]
+    for begin in np.flatnonzero(begun.any(axis=1)).tolist():
+        wheels = begun[begin]
+        later = np.flatnonzero(begun[begin + 1 :, wheels].any(axis=1))
+        end = begin + 1 + int(later[0]) if len(later) else len(commands)
+        asked = np.where(wheels, commands[begin:end] - commands[begin - 1], 0.0)
         passed = np.flatnonzero(np.abs(asked).max(axis=1) >= SHOWN)
         if not len(passed):
             found.append(math.nan)
@@ -61,34 +64,37 @@ def delays(
     return np.array(found, np.float64)
 
 
-def steps(stamps: Floats, commands: Floats) -> list[int]:
-    """Return the numbers of the commands that differ from one held for `HELD` before.
+def steps(stamps: Floats, commands: Floats) -> NDArray[np.bool_]:
+    """Return in which commands each wheel's differs from one held for `HELD` before, (n, 4).
 
     A log that begins with zeros begins at rest, so these count as held.
     """
+    begun = np.zeros(commands.shape, np.bool_)
     if len(stamps) < 2:
-        return []
-    changes = np.flatnonzero(np.abs(np.diff(commands, axis=0)).max(axis=1) > CHANGE) + 1
-    begin = stamps[0] if np.any(commands[0]) else -math.inf
-    held = np.diff(stamps[changes], prepend=begin)
-    return [int(number) for number in changes[held >= HELD - 1e-9]]
+        return begun
+    for wheel, speeds in enumerate(commands.T):
+        changes = np.flatnonzero(np.abs(np.diff(speeds)) > CHANGE) + 1
+        begin = stamps[0] if np.any(commands[0]) else -math.inf
+        held = np.diff(stamps[changes], prepend=begin)
+        begun[changes[held >= HELD - 1e-9], wheel] = True
+    return begun
 
 
 def _delay(times: tuple[float, float], asked: Floats, stamps: Floats, speeds: Floats) -> float:
-    """Return the delay of one step [s]; NaN if the wheels weren't steady, or never show it.
+    """Return the delay of one step [s]; NaN if its wheels weren't steady, or never show it.
 
     Args:
         times: when the command began to change, and when it had changed by `SHOWN` [s].
-        asked: (4,) its change at the second time [rad/s].
+        asked: (4,) its change at the second time [rad/s]; zero for the other wheels.
         stamps: times of the lines [s].
         speeds: of the lines [rad/s].
     """
     first = int(np.searchsorted(stamps, times[0], side="right"))
     before = speeds[int(np.searchsorted(stamps, times[0] - HELD)) : first]
-    if not len(before) or np.ptp(before, axis=0).max() > SETTLED:
+    wheels = np.abs(asked) >= SHOWN
+    if not len(before) or np.ptp(before[:, wheels], axis=0).max() > SETTLED:
         return math.nan
     last = int(np.searchsorted(stamps, times[1] + LONGEST, side="right"))
-    wheels = np.abs(asked) >= SHOWN
     moved = ((speeds[first:last] - before[-1]) * np.sign(asked))[:, wheels]
     shown = np.flatnonzero(moved.max(axis=1, initial=0.0) >= SHOWN)
     return float(stamps[first + shown[0]] - times[1]) if len(shown) else math.nan
@@ -142,6 +148,14 @@ def two_sample(first: Floats, second: Floats) -> TwoSample:
         _interval(first, second),
         max(float(test.statistic) for test in tests),
         min(1.0, 2.0 * min(float(test.pvalue) for test in tests)),
+    )
+
+
+def too_few_steps(test: TwoSample) -> str:
+    """Say that a test wasn't possible, and what to drive for one."""
+    return (
+        f"delays: only {min(test.counts)} steps of the command, too few to compare: record speeds "
+        "that are held for 0.5 s, then jump by 2 rad/s or more"
     )
 
 

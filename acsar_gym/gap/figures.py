@@ -27,19 +27,21 @@ class Metric:
     unit: str
     scale: float
     """Factor from SI to the unit."""
+    resolution: float
+    """Smaller values are nothing that a log shows, in SI units."""
     rms: bool = False
     """Whether it is a root mean square, and pooled as one; otherwise a mean of sizes."""
 
 
 METRICS = {
-    "wheel_speed_rms": Metric("wheel speeds, RMS", "rad/s", 1.0, rms=True),
-    "linear_rms": Metric("linear velocity, RMS", "m/s", 1.0, rms=True),
-    "angular_rms": Metric("angular velocity, RMS", "rad/s", 1.0, rms=True),
-    "yaw_rms": Metric("yaw, RMS", "deg", 180.0 / math.pi, rms=True),
-    "end_pose": Metric("position at the end", "cm", 100.0),
-    "end_yaw": Metric("yaw at the end", "deg", 180.0 / math.pi),
-    "end_odometry": Metric("position at the end, odometry of both", "cm", 100.0),
-    "time_shift": Metric("time shift of the wheel speeds", "ms", 1000.0),
+    "wheel_speed_rms": Metric("wheel speeds, RMS", "rad/s", 1.0, 1e-3, rms=True),
+    "linear_rms": Metric("linear velocity, RMS", "m/s", 1.0, 1e-4, rms=True),
+    "angular_rms": Metric("angular velocity, RMS", "rad/s", 1.0, 1e-3, rms=True),
+    "yaw_rms": Metric("yaw, RMS", "deg", 180.0 / math.pi, 1e-3, rms=True),
+    "end_pose": Metric("position at the end", "cm", 100.0, 1e-3),
+    "end_yaw": Metric("yaw at the end", "deg", 180.0 / math.pi, 1e-3),
+    "end_odometry": Metric("position at the end, odometry of both", "cm", 100.0, 1e-3),
+    "time_shift": Metric("time shift of the wheel speeds", "ms", 1000.0, 1e-3),
 }
 """The figures by name, in SI units; `--fail-over` takes these names."""
 

@@ -12,7 +12,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.evaluation.metrics import Interval
 from acsar_gym.gap import tracks
-from acsar_gym.gap.delays import Floats, TwoSample, two_sample
+from acsar_gym.gap.delays import Floats, TwoSample, too_few_steps, two_sample
 from acsar_gym.gap.figures import Figures, figures, intervals, pooled
 from acsar_gym.gap.tracks import Track
 from acsar_gym.recording.types import Episode, Recording
@@ -213,7 +213,7 @@ def _fall(before: Figures, after: Figures, name: str, unit: str, scale: float) -
 def _about_delays(test: TwoSample) -> str:
     """Say whether the fitted twin's delays are those of the robot."""
     if math.isnan(test.p_value):
-        return f"delays: only {min(test.counts)} steps of the command, too few to compare"
+        return too_few_steps(test)
     by = f"{abs(test.difference) * 1000.0:.1f} ms {'later' if test.difference > 0 else 'earlier'}"
     if test.differs:
         return f"delays differ: the robot answers {by} than its twin (p = {test.p_value:.2g})"

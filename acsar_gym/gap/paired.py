@@ -11,6 +11,8 @@ import numpy as np
 from acsar_gym.evaluation.metrics import Interval, bootstrap, wilson
 
 NOTHING = (math.nan, math.nan)
+FEWEST_PAIRS = 2
+"""Fewest pairs that have an interval."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +31,11 @@ class Comparison:
     """Its 95 % interval."""
     pairs: int
     """Pairs in which both have a value."""
+
+    @property
+    def enough(self) -> bool:
+        """Whether there are enough pairs to tell a difference."""
+        return self.pairs >= FEWEST_PAIRS
 
     @property
     def differs(self) -> bool:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from acsar_gym.errors import ConfigError
 from acsar_gym.gap import tracks
-from acsar_gym.gap.delays import TwoSample, two_sample
+from acsar_gym.gap.delays import TwoSample, too_few_steps, two_sample
 from acsar_gym.gap.measure import same_robot
 from acsar_gym.gap.paired import Comparison, of_means, of_rates
 from acsar_gym.gap.tracks import Track
@@ -135,8 +135,7 @@ class Sides:
 def _stacked(side: Sequence[Outcome], name: str) -> NDArray[np.float64]:
     """Return the rows of all episodes of a side that have any."""
     rows = [np.asarray(getattr(outcome.episode, name), np.float64) for outcome in side]
-    full = [one for one in rows if one.size]
-    return np.concatenate(full) if full else np.zeros((0, 0))
+    return np.concatenate([one for one in rows if one.size] or [np.zeros((0, 0))])
 
 
 def distances(first: NDArray[np.float64], second: NDArray[np.float64]) -> list[float]:
@@ -274,7 +273,7 @@ def conclusion(sides: Sides) -> list[str]:
     lines = []
     for name, one in sides.comparisons().items():
         value = VALUES[name]
-        if not one.differs or one.pairs < 2:
+        if not one.differs or not one.enough:
             continue
         low, high = (end * value.scale for end in one.interval)
         more = "more" if one.difference > 0.0 else "less"
@@ -283,17 +282,19 @@ def conclusion(sides: Sides) -> list[str]:
             f"{value.label}: {second} has {size:.3g} {value.unit} {more} than {first} "
             f"(95 % interval {low:.3g} to {high:.3g})".replace("  ", " ")
         )
-    if not lines:
+    count = len(sides.pairs)
+    if not any(one.enough for one in sides.comparisons().values()):
+        lines.append(f"too few pairs ({count}) to tell whether {first} and {second} differ")
+    elif not lines:
         lines.append(f"no metric differs measurably between {first} and {second}")
-    return [f"{len(sides.pairs)} pairs of episodes", *lines, _about_delays(sides)]
+    return [f"{count} pair{'s' * (count != 1)} of episodes", *lines, _about_delays(sides)]
 
 
 def _about_delays(sides: Sides) -> str:
     """Say whether the delays differ."""
     test, (first, second) = sides.delays(), sides.names
     if math.isnan(test.p_value):
-        return f"delays: only {min(test.counts)} steps of the command, too few to compare"
-    by = f"{abs(test.difference) * 1000.0:.1f} ms"
-    way = "later" if test.difference > 0.0 else "earlier"
+        return too_few_steps(test)
+    by = f"{abs(test.difference) * 1000.0:.1f} ms {'later' if test.difference > 0 else 'earlier'}"
     differ = "differ" if test.differs else "don't differ measurably"
-    return f"delays {differ}: {second} answers {by} {way} than {first} (p = {test.p_value:.2g})"
+    return f"delays {differ}: {second} answers {by} than {first} (p = {test.p_value:.2g})"

@@ -21,7 +21,7 @@ def cell(value: float, scale: float = 1.0) -> str:
     """Format a number with three digits; "-" for NaN."""
     if math.isnan(value):
         return "-"
-    return "0" if abs(value * scale) < 1e-9 else f"{value * scale:.3g}"
+    return "0" if abs(value * scale) < 1e-6 else f"{value * scale:.3g}"
 
 
 def between(interval: Interval, scale: float = 1.0) -> str:
@@ -29,9 +29,9 @@ def between(interval: Interval, scale: float = 1.0) -> str:
     return "" if math.isnan(interval[0]) else " to ".join(cell(end, scale) for end in interval)
 
 
-def ratio(before: float, after: float) -> str:
-    """Format how much of a figure is left after fitting."""
-    known = math.isfinite(before) and math.isfinite(after) and before != 0.0
+def ratio(before: float, after: float, resolution: float) -> str:
+    """Format how much of a figure is left after fitting; "-" where there was nothing to lose."""
+    known = math.isfinite(before) and math.isfinite(after) and abs(before) >= resolution
     return f"{abs(after / before):.1%}" if known else "-"
 
 
@@ -45,7 +45,7 @@ def rows(gap: Gap) -> list[tuple[str, str, str, str, str, str]]:
             cell(before[name], metric.scale),
             cell(after[name], metric.scale),
             between(around[name], metric.scale),
-            ratio(before[name], after[name]),
+            ratio(before[name], after[name], metric.resolution),
         )
         for name, metric in METRICS.items()
     ]

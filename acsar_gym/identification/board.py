@@ -12,7 +12,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.identification import lines, pauses, quantum
 from acsar_gym.identification.estimation import Estimate
 from acsar_gym.identification.finding import Finding, unknown
-from acsar_gym.identification.knowable import LONG_PAUSE, Knowable
+from acsar_gym.identification.knowable import HANGS, LONG_PAUSE, Knowable
 from acsar_gym.identification.motors import INFLATED, Z95
 from acsar_gym.identification.solving import DELAY_BOUNDS, LONGEST_WINDOW
 from acsar_gym.identification.tracks import Track
@@ -51,7 +51,8 @@ def _half(estimate: Estimate, *weights: tuple[int, float]) -> float:
     row = np.zeros(n)
     for index, weight in weights:
         row[n + index] = weight
-    return Z95 * INFLATED * math.sqrt(max(0.0, float(row @ estimate.spread @ row)))
+    fitted = Z95 * INFLATED * math.sqrt(max(0.0, float(row @ estimate.spread @ row)))
+    return fitted + float(np.abs(row) @ estimate.slack)
 
 
 def _delay(estimate: Estimate | None, config: RobotConfig, known: Knowable) -> Finding:
@@ -108,6 +109,8 @@ def _timeout(
         return unknown(TIMEOUT, "", before, why)
     value = estimate.clock.timeout - estimate.problem.dt / 2.0  # a board looks once a loop
     half = _half(estimate, (-1, 1.0)) + 3.0 * estimate.problem.dt
+    if estimate.slack[-1] > VAGUE:
+        return unknown(TIMEOUT, "", before, HANGS)
     if half > 2.0 * VAGUE or value >= longest:
         return unknown(TIMEOUT, "", before, "too vague: stop sending commands for 2 s")
     return Finding(TIMEOUT, "", value, value - half, value + half, before, told=True)
@@ -144,8 +147,8 @@ def _quantum(estimate: Estimate | None, config: RobotConfig, tracks: Sequence[Tr
 
 def _counted(estimate: Estimate | None, config: RobotConfig, speeds: Floats) -> bool:
     """Whether the printed steps are no more than whole encoder counts."""
-    if estimate is not None:
-        return estimate.counted and not estimate.printed.step
+    if estimate is not None and estimate.counted and not estimate.printed.step:
+        return True
     return quantum.explained_by_counts(speeds, config, config.encoder.window, 0.0)
 
 

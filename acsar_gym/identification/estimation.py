@@ -40,6 +40,7 @@ class Estimate:
         problem: with the tracks and the wheels that turned.
         solution: parameters.
         spread: their covariance.
+        slack: by how much they may be off since lags that the log can't tell were held.
         deadbands: of the wheels in the problem; None where the log can't tell.
         quantum: step of the printed numbers; None where the log can't tell.
         printed: how speeds are rounded.
@@ -49,6 +50,7 @@ class Estimate:
     problem: Problem
     solution: Solution
     spread: Floats
+    slack: Floats
     deadbands: tuple[Deadband | None, ...]
     quantum: quantum.Quantum | None
     printed: Printed
@@ -98,9 +100,9 @@ def estimated(tracks: Sequence[Track], config: RobotConfig, known: Knowable) -> 
     solution = solving.searched(problem, x, bands, free)
     solution, printed, found = _in_turn(problem, solution, config, known, steps)
     spread = solving.covariance(problem, solution)
-    return Estimate(
-        problem, solution, spread, found, steps, printed, bool(free[-2] != solution.free[-2])
-    )
+    slack = solving.slack(problem, solution)
+    counted = bool(free[-2] != solution.free[-2])
+    return Estimate(problem, solution, spread, slack, found, steps, printed, counted)
 
 
 def _free(problem: Problem, known: Knowable) -> Bools:

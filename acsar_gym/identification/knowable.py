@@ -37,6 +37,7 @@ LEAST_SLOW = 0.3
 LONG_PAUSE = 2.0
 """A board that keeps turning so long without commands has no time-out [s]."""
 FEWEST_LINES = 20
+HANGS = "hangs on the lag, which this log can't tell: command sudden changes of 2 rad/s or more"
 
 
 @dataclass
@@ -103,6 +104,8 @@ def _wheel(tracks: Sequence[Track], k: int, slow: float) -> dict[str, str]:
         missing["motor.deadband"] = "no reversal: command both directions, slowly through zero"
     elif slow < LEAST_SLOW:
         missing["motor.deadband"] = "no staircase: command slow speeds, through zero and back"
+    elif "motor.time_constant" in missing:  # a lag delays what a deadband does, too
+        missing["motor.deadband"] = HANGS
     return missing
 
 

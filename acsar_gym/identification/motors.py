@@ -12,7 +12,7 @@ from scipy import stats
 from acsar_gym.config import RobotConfig
 from acsar_gym.identification.estimation import SMOOTH_NAMES, Estimate
 from acsar_gym.identification.finding import Finding, unknown
-from acsar_gym.identification.knowable import Knowable
+from acsar_gym.identification.knowable import HANGS, Knowable
 from acsar_gym.identification.problem import HIGH, LOW, PER_WHEEL
 from acsar_gym.protocol import MOTORS
 
@@ -65,7 +65,7 @@ def _smooth(
         return unknown(name, letter, before, known.missing[name, letter])
     index = PER_WHEEL * estimate.problem.wheels.index(wheel) + p
     value = float(estimate.solution.x[index])
-    half = Z95 * INFLATED * math.sqrt(estimate.spread[index, index])
+    half = Z95 * INFLATED * math.sqrt(estimate.spread[index, index]) + float(estimate.slack[index])
     if name == "motor.acceleration":
         return _ramp(letter, before, value, half)
     half = max(half, LEAST * value)
@@ -100,9 +100,13 @@ def _deadband(
     before = _before(config, wheel, name)
     if estimate is None or not known.can(name, letter):
         return unknown(name, letter, before, known.missing[name, letter])
-    one = estimate.deadbands[estimate.problem.wheels.index(wheel)]
+    index = estimate.problem.wheels.index(wheel)
+    one = estimate.deadbands[index]
     if one is None:
         return unknown(name, letter, before, "the wheel never turned")
+    lag = _smooth(estimate, config, known, SMOOTH_NAMES[0], 0, wheel)
+    if not lag.told and estimate.motors[index].lag > LOW[0] * (1.0 + EDGE):
+        return unknown(name, letter, before, HANGS)
     if one.high > known.slowest[wheel]:
         most = known.slowest[wheel]
         why = f"ended at its bound: slow commands up to {most:.1f} rad/s don't show it"

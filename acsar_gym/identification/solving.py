@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
-from acsar_gym.identification.problem import HIGH, LOW, Problem
+from acsar_gym.identification.problem import HIGH, LOW, PER_WHEEL, Problem
 from acsar_gym.identification.response import Clock, Wheel
 
 Floats = NDArray[np.float64]
@@ -202,3 +202,22 @@ def covariance(problem: Problem, solution: Solution) -> Floats:
     spread = np.zeros((len(solution.x), len(solution.x)))
     spread[np.ix_(solution.free, solution.free)] = bread @ (scores.T @ scores) @ bread * small
     return spread
+
+
+def slack(problem: Problem, solution: Solution) -> Floats:
+    """By how much fitted parameters move if lags that were held are any of those of robots.
+
+    Zeros where all lags were fitted.
+    """
+    lags = PER_WHEEL * np.arange(len(problem.wheels))
+    held = lags[~solution.free[lags]]
+    moved = np.zeros(len(solution.x))
+    if not len(held) or not solution.free.any():
+        return moved
+    for lag in (LAGS[0], LAGS[-1]):
+        start = solution.x.copy()
+        start[held] = lag
+        other = solve(problem, start, solution.deadbands, solution.free)
+        moved = np.maximum(moved, np.abs(other.x - solution.x))
+    moved[held] = 0.0
+    return moved

@@ -26,13 +26,15 @@ def answered(commands: tuple[Floats, Floats], delay: float) -> tuple[Floats, Flo
 
 def test_steps_are_changes_after_a_held_command() -> None:
     stamps, speeds = square(2.0, 0.5)
-    assert np.allclose(stamps[steps(stamps, speeds)], [0.5, 1.0, 1.5])
+    begun = steps(stamps, speeds)
+    assert np.allclose(stamps[begun.any(axis=1)], [0.5, 1.0, 1.5])
+    assert begun.sum() == 3 * 4
 
 
 def test_a_ramp_is_one_step() -> None:
     stamps = np.arange(0.0, 1.0, PERIOD)
     ramp = np.clip((stamps - 0.5) * 40.0, 0.0, 5.0)[:, None] * np.ones(4)
-    assert np.allclose(stamps[steps(stamps, ramp)], [0.51])
+    assert np.allclose(stamps[steps(stamps, ramp).any(axis=1)], [0.51])
 
 
 def test_a_ramps_delay_is_that_between_command_and_feedback() -> None:
@@ -45,12 +47,12 @@ def test_a_log_begins_at_rest() -> None:
     stamps = np.arange(0.0, 0.2, PERIOD)
     speeds = np.where(stamps > 0.015, 5.0, 0.0)[:, None] * np.ones(4)
     assert delays(stamps, speeds, stamps + 0.005, speeds) == pytest.approx([0.005])
-    assert steps(stamps, speeds + 1.0) == []
+    assert not steps(stamps, speeds + 1.0).any()
 
 
 def test_a_step_faster_than_the_hold_is_none() -> None:
     stamps, speeds = square(2.0, 0.1)
-    assert steps(stamps, speeds)[1:] == []
+    assert steps(stamps, speeds).any(axis=1).sum() <= 1
 
 
 @pytest.mark.parametrize("delay", [0.012, 0.035])
@@ -63,6 +65,24 @@ def test_one_wheel_is_enough() -> None:
     stamps, speeds = square(4.0, 0.5)
     speeds = speeds * np.array([0.0, 0.0, -1.0, 0.0])
     assert delays(stamps, speeds, stamps + 0.02, speeds) == pytest.approx([0.02] * 7)
+
+
+def test_wheels_that_step_at_different_times_have_steps_of_their_own() -> None:
+    stamps = np.arange(0.0, 4.0, PERIOD)
+    starts = np.array([0.0, 0.1, 0.2, 0.3])  # no 0.15 s without a change of some wheel
+    high = ((stamps[:, None] - starts) / 0.4 + 1e-9).astype(int) % 2 == 1
+    speeds = np.where(high, 5.0, 0.0)
+    found = delays(stamps, speeds, stamps + 0.02, speeds)
+    assert found == pytest.approx([0.02] * int(steps(stamps, speeds).sum()))
+    assert len(found) > 30
+
+
+def test_a_wheel_that_still_turns_hides_its_own_steps_only() -> None:
+    commands = square(4.0, 0.5)
+    turning = commands[1].copy()
+    turning[:, 1] = 10.0 * commands[0]
+    only = commands[1] * np.array([1.0, 0.0, 0.0, 0.0])
+    assert delays(commands[0], only, commands[0] + 0.02, turning) == pytest.approx([0.02] * 7)
 
 
 def test_wheels_that_dont_move_have_no_delay() -> None:

@@ -18,6 +18,7 @@ from acsar_gym.evaluation import report
 from acsar_gym.gap import tables
 from acsar_gym.gap.delays import Floats
 from acsar_gym.gap.measure import Gap, conclusion, measure
+from acsar_gym.identification.excitation import plan
 from acsar_gym.recording.types import Recording
 
 ACSAR = RobotConfig.preset("acsar")
@@ -74,6 +75,27 @@ def test_ten_milliseconds_of_delay_are_found() -> None:
 def test_equal_delays_are_said_to_be_equal() -> None:
     assert fitted().delays("after").p_value == 1.0
     assert "delays don't differ" in conclusion(fitted())[1]
+
+
+def test_a_share_of_nothing_is_not_shown() -> None:
+    gap = measure([("a", log())], ("acsar", ACSAR), ("hidden", ROBOT))
+    left = {row[0]: row[-1] for row in tables.rows(gap)}
+    assert left["wheel speeds, RMS"] == "-"
+    assert left["position at the end, odometry of both"] == "-"
+    assert tables.ratio(0.02, 0.01, 1e-3) == "50.0%"
+
+
+def test_the_manoeuvre_of_identify_has_enough_steps_for_delays() -> None:
+    whole = plan(ROBOT, 12.0, ROBOT.period)
+    episode = driven(ROBOT, np.concatenate((whole.before, whole.after)), phase=0.0025)
+    gap = measure([("a", recording(ACSAR, episode))], ("robot.yaml", ROBOT), BEFORE)
+    assert min(gap.delays("after").counts) > 8
+    assert "delays don't differ" in conclusion(gap)[1]
+
+
+def test_too_few_steps_name_what_to_drive() -> None:
+    gap = measure([("a", log(0, 1.5))], ("robot.yaml", ROBOT), BEFORE)
+    assert "too few to compare: record speeds that are held for 0.5 s" in conclusion(gap)[1]
 
 
 def test_fitted_logs_dont_count() -> None:

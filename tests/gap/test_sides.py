@@ -68,6 +68,14 @@ def test_a_side_doesnt_differ_from_itself() -> None:
     assert distances(*same.observations()) == [0.0] * 7
 
 
+def test_one_pair_is_too_few_to_tell() -> None:
+    single = compare([("a", sim(1, 2))], [("b", real())])
+    said = conclusion(single)
+    assert said[0] == "1 pair of episodes"
+    assert said[1] == "too few pairs (1) to tell whether sim and real differ"
+    assert not any("differs measurably" in line for line in said)
+
+
 def test_observations_that_moved_have_a_distance() -> None:
     first = np.random.default_rng(0).normal(size=(500, 2))
     assert distances(first, first + np.array([0.0, 10.0])) == [0.0, 1.0]
