@@ -194,7 +194,12 @@ def test_a_check_that_fails_to_open_listens_no_more(
 ) -> None:
     closed = []
     close = StopListener.close
-    monkeypatch.setattr(StopListener, "close", lambda one: (closed.append(one), close(one))[1])
+
+    def noted(listener: StopListener) -> None:
+        closed.append(listener)
+        close(listener)
+
+    monkeypatch.setattr(StopListener, "close", noted)
     (check,) = wire.examine(MISSING, config)
     assert (check.name, check.status) == ("open", "fail")
     assert len(closed) == 1
