@@ -50,7 +50,7 @@ def opener(path: str, flags: int) -> int:
     if not os.fstat(file).st_size:
         return file
     try:
-        os.rename(path, _free(Path(path)))
+        Path(path).rename(_free(Path(path)))
         return _ours(path, flags)
     finally:
         os.close(file)
