@@ -223,18 +223,19 @@ class RobotConfig(Section):
             fields[name] = {**fields[name], **value} if nested else value
         return RobotConfig(**fields)
 
-    def save(self, path: str | Path) -> None:
+    def save(self, path: str | Path, remarks: Mapping[str, str] | None = None) -> None:
         """Write a YAML file that `load` reads back: the geometry, and what isn't the default.
 
         Args:
             path: the file, .yaml or .yml.
+            remarks: comments to write above fields, by their names.
 
         Raises:
             ConfigError: it can't be written, or has another suffix.
         """
         from acsar_gym.config import saving  # noqa: PLC0415 - only saving needs the YAML writer
 
-        saving.save(self, saving.target(path))
+        saving.save(self, saving.target(path), remarks)
 
     @classmethod
     def load(cls, path: str | Path) -> RobotConfig:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -29,10 +31,20 @@ def target(path: str | Path) -> Path:
     return Path(path)
 
 
-def save(robot: Section, path: Path) -> None:
-    """Write a robot's geometry and what differs from the defaults; ConfigError if it can't be."""
+def save(robot: Section, path: Path, remarks: Mapping[str, str] | None = None) -> None:
+    """Write a robot's geometry and what differs from the defaults; ConfigError if it can't be.
+
+    Args:
+        robot: to write.
+        path: of the file.
+        remarks: comments to write above fields, by their names.
+    """
     fields = {name: getattr(robot, name) for name in GEOMETRY} | differing(robot, type(robot)())
-    bounded.write(path, (HEAD + structured.to_yaml(fields)).encode())
+    text = structured.to_yaml(fields)
+    for name, remark in (remarks or {}).items():
+        lines = "".join(f"# {line}\n" for line in remark.splitlines())
+        text = re.sub(f"(?m)^(?={name}:)", lines, text)
+    bounded.write(path, (HEAD + text).encode())
 
 
 def differing(section: Section, usual: Section) -> dict[str, Any]:

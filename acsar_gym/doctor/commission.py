@@ -32,6 +32,10 @@ ATTEMPTS = 5
 """How often a question is asked again."""
 NAMES = ", ".join(f"{letter} {name}" for letter, name in zip(MOTORS, WHEELS, strict=True))
 
+ASSUMED = """\
+An assumption: the wire can't tell swapped or reversed encoders from motors. Watch the wheels,
+and say what turned: acsar-gym doctor DEVICE --spin --saw b a d c --out FILE"""
+"""Remark above a wiring that nobody saw."""
 Ask = Callable[[str], str]
 """Asks whoever watches the robot."""
 
@@ -44,12 +48,15 @@ class Commission:
         eyes: which wheel was seen to turn for each letter; None: nobody looked, unless `ask`.
         ask: asks for that after each letter; None: don't ask.
         changes: fields of the config that differ from it, as found.
+        finished: whether all was found.
+        assumed: whether the wiring is one of several that answer alike.
     """
 
     eyes: Sequence[wiring.Seen] | None = None
     ask: Ask | None = None
     changes: dict[str, Any] = field(default_factory=dict)
     finished: bool = False
+    assumed: bool = False
 
     def run(self, ear: Ear, config: RobotConfig) -> Iterator[Check]:
         """Turn the wheels; yield what was found.
@@ -64,11 +71,11 @@ class Commission:
         """
         speed = min(Safety(config).bounded((SPIN, SPIN, SPIN, SPIN), (0.0, 0.0, 0.0), 0.0))
         stand(ear, speed)
-        answers = self._answers(ear, speed)
+        answers = self._answers(ear, config, speed)
         if ear.gaps:
             yield resets(ear.gaps)
             return
-        found = wiring.wiring(answers, self.eyes)
+        found = wiring.wiring(answers, self.eyes, config)
         yield from wiring.checks(answers, self.eyes, config, found)
         heard = [answer for answer in answers if answer.encoder is not None]
         if not heard:
@@ -77,6 +84,7 @@ class Commission:
         yield self._line_end(ear, config, heard, speed)
         if found != config.wheels:
             self._note(config, wheels=found.model_dump())
+            self.assumed = wiring.assumed(config, found, self.eyes)
         letters = [answer.letter for answer in heard]
         encoders = {answer.encoder for answer in heard if answer.encoder is not None}
         together = Together(ear, letters, encoders, speed)
@@ -94,13 +102,21 @@ class Commission:
         except ConfigError as error:
             return Check("robot file", "fail", f"not written: {error}", "change that field first")
         try:
-            robot.save(path)
+            robot.save(path, {"wheels": ASSUMED} if self.assumed else None)
         except ConfigError as error:
             return Check("robot file", "fail", str(error), "give another file with --out")
         differing = ", ".join(_names(self.changes)) or "nothing differs"
+        if self.assumed:
+            return Check(
+                "robot file",
+                "warn",
+                f"{path}: {differing}; which wheel is left or right is an assumption, or which way "
+                "it turns",
+                f"watch one wheel with --spin --saw ...; then use --robot {path}",
+            )
         return Check("robot file", "ok", f"{path}: {differing}", f"use --robot {path}")
 
-    def _answers(self, ear: Ear, speed: float) -> list[Answer]:
+    def _answers(self, ear: Ear, config: RobotConfig, speed: float) -> list[Answer]:
         """Turn one wheel after the other, and ask what was seen.
 
         Lines have a trailing comma, unless no wheel at all turns with it, or not the last one.
@@ -111,7 +127,7 @@ class Commission:
             for letter in range(4):
                 answers.append(spun(ear, letter, speed))
                 if self.ask is not None:
-                    said.append(_asked(self.ask, letter))
+                    said.append(_asked(self.ask, letter, config))
                     ear.clear()
                 if ear.gaps:
                     break
@@ -186,12 +202,13 @@ def _names(changes: dict[str, Any]) -> list[str]:
     return names
 
 
-def _asked(ask: Ask, letter: int) -> str:
+def _asked(ask: Ask, letter: int, config: RobotConfig) -> str:
     """Ask which wheel turned while a letter was commanded forward, until the answer makes sense."""
-    own = MOTORS[letter]
-    question = f"{own} was commanded forward: which wheel turned ({NAMES}; n behind it: backward; "
+    wheel = next(k for k, one in enumerate(config.wheels.each) if one.motor == MOTORS[letter])
+    own = MOTORS[wheel] + ("n" if config.wheels.each[wheel].motor_sign == -1 else "")
+    question = f"{MOTORS[letter]} was commanded forward: which wheel turned ({NAMES}; n behind it: backward; "
     for _ in range(ATTEMPTS):
-        said = ask(f"{question}none; Enter: {own})? ")
+        said = ask(f"{question}none; Enter: {own})? ").strip() or own
         with contextlib.suppress(ConfigError):
             wiring.seen(said, letter)
             return said

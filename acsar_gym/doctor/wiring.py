@@ -51,36 +51,44 @@ def eyes_of(said: Sequence[str]) -> list[Seen]:
     return eyes
 
 
-def wiring(answers: Sequence[Answer], eyes: Sequence[Seen] | None) -> WheelsConfig:
-    """Infer the wiring; wheels of which nothing is known keep the letters that are left.
+def wiring(
+    answers: Sequence[Answer], eyes: Sequence[Seen] | None, config: RobotConfig
+) -> WheelsConfig:
+    """Infer the wiring; wheels of which nothing is known keep their letters, or those left.
 
     Args:
         answers: of the encoders, for the letters a, b, c, d.
         eyes: what was seen to turn, for each; None if nobody looked: motors are then taken to be
-            where their letters say.
+            where the robot's file says.
+        config: of the robot, as its file says.
     """
+    own = [(MOTORS.index(wheel.motor), wheel.motor_sign) for wheel in config.wheels.each]
+    letters = [letter for letter, _ in own]
     motors: dict[int, tuple[int, int]] = {}
     encoders: dict[int, tuple[int, int]] = {}
     for answer in answers:
-        saw = (answer.letter, 1) if eyes is None else eyes[answer.letter]
+        wheel = letters.index(answer.letter)
+        saw = (wheel, own[wheel][1]) if eyes is None else eyes[answer.letter]
         if saw is None:
             continue
         wheel, way = saw
         motors[wheel] = answer.letter, way
         if answer.encoder is not None and answer.encoder not in {e for e, _ in encoders.values()}:
             encoders[wheel] = answer.encoder, answer.sign * way
-    return _config(_filled(motors), _filled(encoders))
+    heard = [(MOTORS.index(wheel.encoder), wheel.sign) for wheel in config.wheels.each]
+    return _config(_filled(motors, own), _filled(encoders, heard))
 
 
-def _filled(known: dict[int, tuple[int, int]]) -> dict[int, tuple[int, int]]:
-    """Give the other wheels their own letters, or those that are left."""
+def _filled(
+    known: dict[int, tuple[int, int]], own: Sequence[tuple[int, int]]
+) -> dict[int, tuple[int, int]]:
+    """Give the other wheels their own letters and signs, or letters that are left."""
     left = set(range(4)) - {letter for letter, _ in known.values()}
     filled = dict(known)
     others = [wheel for wheel in range(4) if wheel not in known]
-    for wheel in sorted(others, key=lambda wheel: wheel not in left):
-        letter = wheel if wheel in left else min(left)
-        left.discard(letter)
-        filled[wheel] = letter, 1
+    for wheel in sorted(others, key=lambda wheel: own[wheel][0] not in left):
+        filled[wheel] = own[wheel] if own[wheel][0] in left else (min(left), 1)
+        left.discard(filled[wheel][0])
     return filled
 
 
@@ -112,7 +120,7 @@ def checks(
     """
     for wheel, name in enumerate(WHEELS):
         yield _wheel(wheel, name, answers, eyes, config, found.each[wheel])
-    yield _sides(answers, eyes, found == config.wheels)
+    yield _sides(answers, eyes, config, found)
 
 
 def _wheel(
@@ -139,23 +147,25 @@ def _wheel(
     return Check(
         name,
         "warn",
-        f"{text}: {_different(found, wheel, looked=eyes is not None)}",
+        f"{text}: {_different(found, wheel, config.wheels, looked=eyes is not None)}",
         _mapping(wheel, found),
     )
 
 
-def _different(found: WheelConfig, wheel: int, *, looked: bool) -> str:
-    """Say how a wheel's wiring differs from its letter's."""
-    parts = []
-    if found.motor != MOTORS[wheel]:
+def _different(found: WheelConfig, wheel: int, file: WheelsConfig, *, looked: bool) -> str:
+    """Say how a wheel's wiring differs from that in the robot's file, or from its letter's."""
+    own, parts = file.each[wheel], []
+    if found.motor != own.motor:
         parts.append("its motor has another letter")
-    if found.motor_sign == -1:
+    if found.motor_sign != own.motor_sign:
         parts.append("its motor is reversed")
-    if found.encoder != MOTORS[wheel]:
-        parts.append(f"its encoder is swapped with that of {WHEELS[MOTORS.index(found.encoder)]}")
-    if found.sign == -1:
+    if found.encoder != own.encoder:
+        other = [one.encoder for one in file.each].index(found.encoder)
+        parts.append(f"its encoder is swapped with that of {WHEELS[other]}")
+    if found.sign != own.sign:
         parts.append("its encoder is reversed" + ("" if looked else UNLESS))
-    return " and ".join(parts) or "unlike in the robot's file"
+    mapped = "" if file == WheelsConfig() else ", unlike in the robot's file"
+    return " and ".join(parts) + mapped
 
 
 def _mapping(wheel: int, found: WheelConfig) -> str:
@@ -191,26 +201,58 @@ def _dead(wheel: int, name: str, answer: Answer, eyes: Sequence[Seen] | None) ->
     return Check(name, "fail", f"{found}: its motor is dead", "check the motor's plug and driver")
 
 
-def _sides(answers: Sequence[Answer], eyes: Sequence[Seen] | None, usual: bool) -> Check:
+def assumed(config: RobotConfig, found: WheelsConfig, eyes: Sequence[Seen] | None) -> bool:
+    """Whether a wiring was found that the wire alone can't tell from another one."""
+    return eyes is None and found != config.wheels
+
+
+def _sides(
+    answers: Sequence[Answer],
+    eyes: Sequence[Seen] | None,
+    config: RobotConfig,
+    found: WheelsConfig,
+) -> Check:
     """Say whether the sides are swapped, and what only eyes can tell."""
-    heard = [answer for answer in answers if answer.encoder is not None]
-    crossed = bool(heard) and all(each.encoder == MIRRORED[each.letter] for each in heard)
+    same = found == config.wheels
     if eyes is not None:
-        saw = [(letter, each[0]) for letter, each in enumerate(eyes) if each is not None]
-        mirrored = bool(saw) and all(wheel == MIRRORED[letter] for letter, wheel in saw)
-        swapped = [w for w, so in (("motors", mirrored), ("encoders", crossed != mirrored)) if so]
-        what = f"left and right {' and '.join(swapped)} are swapped" if swapped else "as seen"
-        return Check("wiring", "ok" if usual else "warn", what)
-    if crossed:
+        return Check("wiring", "ok" if same else "warn", _as_seen(answers, eyes))
+    own = config.wheels.each
+    heard = [wheel for wheel in range(4) if _answered(answers, found.each[wheel])]
+    if heard and all(found.each[w].encoder == own[MIRRORED[w]].encoder for w in heard):
         return Check(
             "wiring",
             "warn",
-            "left and right are swapped, of the encoders or of the motors: taken to be encoders",
+            "left and right are swapped, of the encoders or of the motors: that it is the encoders "
+            "is an assumption, and the robot turns the wrong way where it isn't so",
             f"{WATCH}; where a turned front left, say --saw b a d c",
         )
+    if not same:
+        return Check(
+            "wiring",
+            "warn",
+            "that encoders are swapped or reversed, and not motors, is an assumption",
+            f"{WATCH}; otherwise say what turned, such as --saw b a d c",
+        )
+    if config.wheels != WheelsConfig():
+        return Check("wiring", "ok", "as in the robot's file")
     return Check(
         "wiring",
-        "ok" if usual else "warn",
+        "ok",
         "only eyes see a motor and an encoder that are swapped or reversed together",
         f"{WATCH}; otherwise say what turned, such as --saw b a d c",
     )
+
+
+def _answered(answers: Sequence[Answer], found: WheelConfig) -> bool:
+    """Whether an encoder answered to a wheel's motor."""
+    return answers[MOTORS.index(found.motor)].encoder is not None
+
+
+def _as_seen(answers: Sequence[Answer], eyes: Sequence[Seen]) -> str:
+    """Say which sides are swapped where somebody looked."""
+    heard = [answer for answer in answers if answer.encoder is not None]
+    crossed = bool(heard) and all(each.encoder == MIRRORED[each.letter] for each in heard)
+    saw = [(letter, each[0]) for letter, each in enumerate(eyes) if each is not None]
+    mirrored = bool(saw) and all(wheel == MIRRORED[letter] for letter, wheel in saw)
+    swapped = [w for w, so in (("motors", mirrored), ("encoders", crossed != mirrored)) if so]
+    return f"left and right {' and '.join(swapped)} are swapped" if swapped else "as seen"

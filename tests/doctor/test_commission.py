@@ -224,7 +224,9 @@ def test_the_robot_file_drives_right(
     commissioned(board(*quirks), commission, guess)
     assert commission.finished
     file = tmp_path / "robot.yaml"
-    assert commission.save(guess, file).status == "ok"
+    assumed = saw is None and any("encoder" in quirk for quirk in quirks)
+    assert commission.save(guess, file).status == ("warn" if assumed else "ok")
+    assert ("# An assumption: " in file.read_text()) == assumed
     for right, pose in zip(
         driven(RobotConfig()), driven(RobotConfig.load(file), *quirks), strict=True
     ):
@@ -241,6 +243,55 @@ def test_a_robot_file_of_an_odd_board_is_right_already(tmp_path: Path) -> None:
     checks = commissioned(board(*quirks), again, RobotConfig.load(file))
     assert again.changes == {}
     assert [checks[name].status for name in WHEELS] == ["ok"] * 4
+
+
+@pytest.mark.parametrize(
+    ("quirks", "saw"),
+    [
+        (("swapped-motors",), SWAPPED),
+        (("swapped-motors", "reversed-motor=b"), ("b", "an", "d", "c")),
+        (MIRRORED, SWAPPED),
+    ],
+    ids=["motors", "reversed", "both"],
+)
+def test_a_wiring_that_was_seen_is_kept_where_nobody_looks(
+    quirks: tuple[str, ...], saw: tuple[str, ...], tmp_path: Path
+) -> None:
+    first, file = Commission(eyes=eyes_of(saw)), tmp_path / "robot.yaml"
+    commissioned(board(*quirks), first)
+    first.save(RobotConfig(), file)
+    again = Commission()
+    checks = commissioned(board(*quirks), again, RobotConfig.load(file))
+    assert (again.changes, again.assumed) == ({}, False)
+    assert {checks[name].status for name in WHEELS} == {"ok"}
+    assert (checks["wiring"].status, checks["wiring"].found) == ("ok", "as in the robot's file")
+
+
+def test_a_dead_wheel_is_named_as_the_robots_file_says() -> None:
+    letters = dict(zip("abcd", SWAPPED, strict=True))
+    config = RobotConfig(wheels={letter: {"motor": own} for letter, own in letters.items()})
+    checks = commissioned(board("swapped-motors", "dead-encoder=c"), Commission(), config)
+    assert {name for name in WHEELS if checks[name].status != "ok"} == {"rear_left"}
+
+
+def test_enter_means_that_the_robots_file_is_right() -> None:
+    letters = dict(zip("abcd", SWAPPED, strict=True))
+    config = RobotConfig(wheels={letter: {"motor": own} for letter, own in letters.items()})
+    commission = Commission(ask=lambda _: "")
+    commissioned(board("swapped-motors"), commission, config)
+    assert commission.changes == {}
+
+
+def test_a_guess_is_written_with_a_warning_and_a_remark(tmp_path: Path) -> None:
+    commission, file = Commission(), tmp_path / "robot.yaml"
+    checks = commissioned(board("swapped-encoders"), commission)
+    said = commission.save(RobotConfig(), file)
+    assert checks["wiring"].status == said.status == "warn"
+    assert "is an assumption" in checks["wiring"].found
+    assert "is an assumption" in said.found
+    assert "--saw" in said.fix
+    lines = file.read_text().splitlines()
+    assert lines[lines.index("wheels:") - 1].startswith("# and say what turned: ")
 
 
 def test_asking_takes_answers_until_they_make_sense() -> None:
