@@ -34,6 +34,10 @@ class CommandError(AcsarError):
     exit_code = 2
 
 
+class IdentificationError(AcsarError):
+    """A log that doesn't say how a robot's motors answer, or says that it is miswired."""
+
+
 class CancelledError(AcsarError):
     """The user cancelled before anything moved."""
 

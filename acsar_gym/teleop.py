@@ -43,6 +43,7 @@ def fixed(robot: Robot, linear: float, angular: float, duration: float | None) -
 
     Raises:
         CommandError: a velocity isn't finite.
+        LinkError: the robot was stopped, or its link failed.
     """
     if not (math.isfinite(linear + angular) and 0.0 <= (duration or 0.0) < math.inf):
         raise CommandError(
@@ -51,8 +52,10 @@ def fixed(robot: Robot, linear: float, angular: float, duration: float | None) -
     ticks = math.inf if duration is None else round(duration * robot.config.control_rate)
     done = 0
     with robot:
+        begin = robot.link.now()
         while done < ticks:
             robot.drive(linear, angular)
+            robot.safety.check(robot.link.now() - begin)
             done += 1
             if done % SHOW_EVERY == 0:
                 _show(robot)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -27,9 +28,10 @@ from acsar_gym.cli.options import (
 )
 from acsar_gym.cli.recording import RecordArgs
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError
+from acsar_gym.errors import ConfigError, EmergencyStopError
 
 if TYPE_CHECKING:
+    from acsar_gym.doctor.checks import Check
     from acsar_gym.doctor.commission import Commission
     from acsar_gym.emulation.board import Emulator
     from acsar_gym.worlds import World
@@ -156,16 +158,27 @@ def _checks(
     from acsar_gym.doctor import checks, wire  # noqa: PLC0415
     from acsar_gym.evaluation import report  # noqa: PLC0415
 
-    commission = _commission(device, spinning)
+    commission, stop = _commission(device, spinning), None
     found = [checks.port_list(device), checks.emergency_stop()]
     if device is not None:
         recorder = spinning.recorder("doctor", link=device)
-        found += wire.examine(device, config, commission, recorder)
+        stop = _extend(found, wire.examine(device, config, commission, recorder))
     if commission is not None and commission.finished and spinning.out is not None:
         found.append(commission.save(config, spinning.out))
     report.show(checks.table(found))
     report.write_json(json, checks.as_json(found))
+    if stop is not None:
+        raise stop
     return 1 if any(check.status == "fail" for check in found) else 0
+
+
+def _extend(found: list[Check], more: Iterable[Check]) -> EmergencyStopError | None:
+    """Collect results; returns the emergency stop that ended them, None for none."""
+    try:
+        found.extend(more)
+    except EmergencyStopError as error:
+        return error
+    return None
 
 
 def _commission(device: str | None, options: SpinOptions) -> Commission | None:

@@ -93,7 +93,7 @@ class SpinOptions(RecordOptions):
     robot!"""
     yes: bool = False
     """Turn them without a countdown, and don't ask which one turned."""
-    saw: Annotated[tuple[str, str, str, str] | None, tyro.conf.arg(metavar="A B C D")] = None
+    saw: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="A B C D")] = None
     """Wheels that were seen to turn when a, b, c, d were commanded forward, such as b a d c; with
     an n behind one that turned backward, none if none did."""
     out: File = None

@@ -206,7 +206,8 @@ def _asked(ask: Ask, letter: int, config: RobotConfig) -> str:
     """Ask which wheel turned while a letter was commanded forward, until the answer makes sense."""
     wheel = next(k for k, one in enumerate(config.wheels.each) if one.motor == MOTORS[letter])
     own = MOTORS[wheel] + ("n" if config.wheels.each[wheel].motor_sign == -1 else "")
-    question = f"{MOTORS[letter]} was commanded forward: which wheel turned ({NAMES}; n behind it: backward; "
+    question = f"{MOTORS[letter]} was commanded forward: which wheel turned ({NAMES}; "
+    question += "n behind it: backward; "
     for _ in range(ATTEMPTS):
         said = ask(f"{question}none; Enter: {own})? ").strip() or own
         with contextlib.suppress(ConfigError):

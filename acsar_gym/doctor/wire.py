@@ -10,7 +10,7 @@ from acsar_gym.doctor import feedback
 from acsar_gym.doctor.checks import Check
 from acsar_gym.doctor.commission import Commission
 from acsar_gym.doctor.listening import Ear
-from acsar_gym.errors import BoardSilentError, LinkError
+from acsar_gym.errors import BoardSilentError, EmergencyStopError, LinkError
 from acsar_gym.links.base import Link
 from acsar_gym.links.recorded import recorded
 from acsar_gym.links.serial import SerialLink
@@ -36,6 +36,9 @@ def examine(
 
     Yields:
         The results in order.
+
+    Raises:
+        EmergencyStopError: after the last result.
     """
     link = recorded(_Stoppable(device, config), recorder, config)
     begin = time.monotonic()
@@ -50,6 +53,8 @@ def examine(
         yield from examined(link, config, commission)
     except LinkError as error:
         yield Check("connection", "fail", error.found, error.fix)
+        if isinstance(error, EmergencyStopError):
+            raise
     finally:
         link.close()
         if recorder is not None:
@@ -104,7 +109,7 @@ class _Stoppable(SerialLink):
         if self._listener.is_requested():
             self.stop()
             self._listener.confirm()
-            raise LinkError("emergency stop", "start again when all is well")
+            raise EmergencyStopError
         return super().read_now()
 
     def close(self) -> None:

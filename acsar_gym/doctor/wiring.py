@@ -44,6 +44,11 @@ def seen(answer: str, letter: int) -> Seen:
 
 def eyes_of(said: Sequence[str]) -> list[Seen]:
     """Read what was seen for a, b, c, d; ConfigError where it can't be. See `seen`."""
+    if len(said) != len(MOTORS):
+        raise ConfigError(
+            f"--saw {' '.join(said)}: must be four, the wheels that turned for a, b, c and d, such "
+            "as b a d c; DEVICE stands before the options"
+        )
     eyes = [seen(answer, letter) for letter, answer in enumerate(said)]
     wheels = [saw[0] for saw in eyes if saw is not None]
     if len(set(wheels)) < len(wheels):

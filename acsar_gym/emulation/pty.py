@@ -66,6 +66,11 @@ class Cable:
             if self._name.is_symlink():
                 self._name.unlink()
             self._name.symlink_to(self.device)
+        except FileExistsError:
+            self.pull()
+            raise ConfigError(
+                f"{self._name}: exists and isn't a symbolic link: name another"
+            ) from None
         except OSError as error:
             self.pull()
             raise ConfigError(f"{self._name}: can't be made a symbolic link: {error}") from None

@@ -65,14 +65,14 @@ def collect(
 ) -> LinkError | KeyboardInterrupt | None:
     """Collect results; returns what ended the evaluation early, None where nothing did.
 
-    An error before the first result is raised, unless it is an emergency stop.
+    A link's error before the first result is raised, unless it is an emergency stop.
     """
     try:
         for result in running:
             results.append(result)  # noqa: PERF402 - what is there counts where the rest fails
-    except EmergencyStopError as error:
+    except (EmergencyStopError, KeyboardInterrupt) as error:
         return error
-    except (LinkError, KeyboardInterrupt) as error:
+    except LinkError as error:
         if not results:
             raise
         return error

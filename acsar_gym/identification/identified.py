@@ -10,18 +10,22 @@ from typing import Any
 import numpy as np
 
 from acsar_gym.config import Measured, RobotConfig, renewed
-from acsar_gym.errors import ConfigError
-from acsar_gym.identification import board, motors
+from acsar_gym.errors import ConfigError, IdentificationError
+from acsar_gym.identification import answering, board, motors
 from acsar_gym.identification.estimation import Estimate, clock_of, estimated, motor_of
 from acsar_gym.identification.finding import Finding
-from acsar_gym.identification.knowable import judged
+from acsar_gym.identification.knowable import NEVER_TURNED, judged
 from acsar_gym.identification.response import Clock, Wheel
 from acsar_gym.identification.tracks import track
-from acsar_gym.protocol import MOTORS
+from acsar_gym.protocol import MOTORS, WHEELS
 from acsar_gym.recording.wire_log import WireLog
 
 METHOD = "identify"
 COUNTS = "counts_per_revolution"
+RATE_WITHIN = 0.05
+"""A feedback rate is as configured within this share."""
+POOR = 0.3
+"""A fit with a larger error than this share of the wheel speeds isn't written."""
 DIGITS = 4
 """Significant digits of written numbers."""
 MARGIN = 0.1
@@ -36,6 +40,13 @@ class HeldOut:
     after: float
     share: float
     """Of the log that was held out."""
+    signal: float
+    """The wheel speeds themselves on that part, RMS [rad/s]."""
+
+    @property
+    def poor(self) -> bool:
+        """Whether the fit explains too little of the wheel speeds to be used."""
+        return self.after > POOR * self.signal
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +68,34 @@ class Identified:
     delays: tuple[float, ...]
     duration: float
     logs: tuple[str, ...] = ()
+
+    @property
+    def told(self) -> bool:
+        """Whether something new was found; a feedback rate as configured is nothing new."""
+        return any(
+            one.told and (one.name != board.RATE or not _alike(one.value, one.before))
+            for one in self.findings
+        )
+
+    @property
+    def dead(self) -> tuple[str, ...]:
+        """Names of the wheels that never turned."""
+        never = {one.wheel for one in self.findings if one.note == NEVER_TURNED}
+        return tuple(WHEELS[MOTORS.index(letter)] for letter in sorted(never))
+
+    def check(self) -> None:
+        """Check that this is worth a robot's file; IdentificationError says why it isn't."""
+        dead = f" ({', '.join(self.dead)} never turned)" if self.dead else ""
+        if not self.told:
+            raise IdentificationError(
+                f"nothing to write: nothing new was found{dead}; the table says what is missing"
+            )
+        if self.held_out is not None and self.held_out.poor:
+            raise IdentificationError(
+                f"nothing to write: the fit misses {self.held_out.after:.2f} of "
+                f"{self.held_out.signal:.2f} rad/s (RMS) on what it didn't see: check that the "
+                "wheels turn freely, and the wiring with 'acsar-gym doctor DEVICE --spin'"
+            )
 
     def robot(self) -> RobotConfig:
         """Make the robot with what was found; the rest stays as it was.
@@ -119,6 +158,11 @@ class Identified:
         }
 
 
+def _alike(value: float | None, before: float | None) -> bool:
+    """Whether two feedback rates are the same."""
+    return value is not None and before is not None and abs(value / before - 1.0) < RATE_WITHIN
+
+
 def rounded(value: float) -> float:
     """Round to four significant digits, for a file."""
     return float(f"{value:.{DIGITS}g}")
@@ -136,10 +180,12 @@ def identified(
 
     Raises:
         ConfigError: the logs hold no commands, or no feedback.
+        IdentificationError: a wheel doesn't answer its own command.
     """
     tracks = [one for one in (track(log, config) for log in logs) if one is not None]
     if not tracks:
         raise ConfigError("the log holds no commands, or no feedback to them: nothing to identify")
+    answering.check(tracks)
     known = judged(tracks)
     fit = estimated(tracks, config, known)
     findings = [
@@ -171,6 +217,10 @@ def _held_out(fit: Estimate | None, config: RobotConfig) -> HeldOut | None:
         rest = [problem.residuals_of(k, wheel, clock) for k, wheel in enumerate(wheels)]
         return float(np.sqrt(np.mean(np.concatenate(rest) ** 2)))
 
+    measured = np.concatenate([problem.measured(k) for k in range(len(problem.wheels))])
     return HeldOut(
-        error(configured, clock_of(config)), error(fit.motors, fit.clock), problem.count / lines
+        error(configured, clock_of(config)),
+        error(fit.motors, fit.clock),
+        problem.count / lines,
+        float(np.sqrt(np.mean(measured**2))),
     )

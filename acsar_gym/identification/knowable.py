@@ -38,6 +38,7 @@ LONG_PAUSE = 2.0
 """A board that keeps turning so long without commands has no time-out [s]."""
 FEWEST_LINES = 20
 HANGS = "hangs on the lag, which this log can't tell: command sudden changes of 2 rad/s or more"
+NEVER_TURNED = "this wheel never turned"
 
 
 @dataclass
@@ -89,7 +90,7 @@ def judged(tracks: Sequence[Track]) -> Knowable:
 def _wheel(tracks: Sequence[Track], k: int, slow: float) -> dict[str, str]:
     """What the log can't tell of one wheel."""
     if not any((np.abs(track.speeds[:, k]) > TURNING / 2.0).any() for track in tracks):
-        return dict.fromkeys(PER_WHEEL, "this wheel never turned")
+        return dict.fromkeys(PER_WHEEL, NEVER_TURNED)
     missing = {}
     if sum(_steps(track, k, JUMP, SUDDEN) for track in tracks) < FEWEST_STEPS:
         missing["motor.time_constant"] = "no steps: command sudden changes of 2 rad/s or more"

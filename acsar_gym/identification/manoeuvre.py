@@ -116,7 +116,7 @@ def drive(
 
     Raises:
         ConfigError: the duration is out of range.
-        LinkError: the robot can't be reached, or fails.
+        LinkError: the robot can't be reached, fails, or was stopped.
     """
     if not SHORTEST <= duration <= LONGEST:
         raise ConfigError(f"duration = {duration}: must be {SHORTEST:g} to {LONGEST:g} s")
@@ -130,14 +130,18 @@ def drive(
 
 def _drive(robot: Robot, whole: Plan) -> None:
     """Command the plan's speeds, tick by tick; the pause ends early where the wheels stand."""
+    begin = robot.link.now()
     for speeds in whole.before.tolist():
         robot.tick(speeds)
+        robot.safety.check(robot.link.now() - begin)
     still = 0
     for _ in range(whole.pause):
         robot.listen()
+        robot.safety.check(robot.link.now() - begin)
         still = still + 1 if max(map(abs, robot.speeds)) < STANDS else 0
         if still * robot.config.period > STOOD:
             break
     for speeds in whole.after.tolist():
         robot.tick(speeds)
+        robot.safety.check(robot.link.now() - begin)
     robot.stop()

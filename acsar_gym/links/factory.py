@@ -54,13 +54,27 @@ def open_link(
         from acsar_gym.links.serial import SerialLink  # noqa: PLC0415
 
         return SerialLink(_device(url, config), config)
+    if os.path.lexists(url):
+        raise ConfigError(
+            f"unknown link {shown(url)}: for a device, write its full path, or ./ before it"
+        )
     raise ConfigError(f"unknown link {shown(url)}{suggestion(url[:40], NAMES)}")
 
 
 def is_device(url: str | os.PathLike[str]) -> bool:
     """Return whether a URL names a serial device, whose wheels are real."""
     url = os.fspath(url)
-    return url == "serial" or _DEVICE.match(url) is not None
+    if url in ("bullet", "planar"):
+        return False
+    return url == "serial" or _DEVICE.match(url) is not None or _exists(url)
+
+
+def _exists(url: str) -> bool:
+    """Whether a URL is the path of a device, such as a symbolic link to one."""
+    try:
+        return Path(url).is_char_device()
+    except (OSError, ValueError):
+        return False
 
 
 def _simulated(name: str, config: RobotConfig, window: bool) -> Link:

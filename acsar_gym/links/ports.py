@@ -293,5 +293,5 @@ def translated(device: str) -> Iterator[None]:
         yield
     except PORT_ERRORS as error:
         raise LinkLostError(
-            f"{device}: lost while in use ({error})", "check the cable, then reset"
+            f"{device}: lost while in use ({error})", "check the cable, then start again"
         ) from None

@@ -8,6 +8,8 @@ import time
 from acsar_gym.errors import LinkError, printable
 from acsar_gym.safety import estop
 
+NOBODY = "no robot is being driven from this computer"
+
 
 def command(name: str = "", *, listing: bool = False) -> int:
     """Run `acsar-gym estop`: stop robots, or list who drives them; prints and returns exit code.
@@ -29,11 +31,11 @@ def _stop(name: str) -> int:
     for each in found:
         said = "stopped" if each.answered else "doesn't answer: its watchdog stops it"
         print(f"process {each.process}: {said}")
-    if not found and name:
+    if not found and name and estop.drivers():
         print(f"no robot {printable(name)} is being driven from this computer; these are:")
         _list()
     elif not found:
-        print("no robot is being driven from this computer")
+        print(NOBODY)
     return 0 if found and all(each.answered for each in found) else 1
 
 
@@ -46,7 +48,7 @@ def _list() -> int:
         called = f" ({printable(each.name)})" if each.name else ""
         print(f"{printable(robot)}{called}: process {each.process}, since {since}")
     if not found:
-        print("no robot is being driven from this computer")
+        print(NOBODY)
     return 0 if found else 1
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from acsar_gym import kinematics
 from acsar_gym.config import Geofence, RobotConfig
-from acsar_gym.errors import CommandError
+from acsar_gym.errors import CommandError, LinkError
 from acsar_gym.jit import COMPILED
 from acsar_gym.protocol import ZERO, Speeds, finite
 from acsar_gym.safety import rules
@@ -54,6 +54,20 @@ class Safety:
     def stopped(self) -> bool:
         """Whether the robot is held until the reset."""
         return self._memory[0] > 0.0
+
+    def check(self, elapsed: float) -> None:
+        """Check that the robot isn't held until the reset; `elapsed` [s] since the start is told.
+
+        Raises:
+            LinkError: it is; the message says why.
+        """
+        if not self.stopped:
+            return
+        why = "an emergency stop" if self._memory[0] == Reason.EMERGENCY_STOP else "the geofence"
+        fix = "start again when it is safe"
+        if why == "the geofence":
+            fix = "start farther inside, or change geofence in the robot's file"
+        raise LinkError(f"ended by {why} after {elapsed:.1f} s", fix)
 
     @property
     def sent(self) -> Twist:

@@ -70,6 +70,18 @@ def test_a_stopped_run_writes_its_json(ending: Any, call: Call, tmp_path: Path) 
     assert "emergency stop" in data["ended_early"]
 
 
+def test_ctrl_c_before_the_first_result_writes_the_json(
+    ending: Any, call: Call, tmp_path: Path
+) -> None:
+    ending(KeyboardInterrupt(), after=0)
+    file = tmp_path / "figures.json"
+    status, output, message = call(*EVALUATE, "--json", file)
+    assert (status, output.strip()) == (130, "")
+    assert "interrupted" in message
+    data = json.loads(file.read_text())
+    assert (data["episodes"], data["ended_early"]) == (0, "interrupted")
+
+
 def test_an_error_before_the_first_episode_is_that_error(ending: Any) -> None:
     ending(LinkError("no such device"), after=0)
     with pytest.raises(LinkError, match="no such device"):

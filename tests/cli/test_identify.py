@@ -40,6 +40,7 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (("planar", "--out", "/missing/robot.yaml"), 2, "can't be written"),
         ((MISSING, "--yes", "--out", "x.txt"), 2, "path = 'x.txt': a robot is written to .yaml"),
         (("one.mcap", MISSING), 2, "isn't a recording"),
+        (("planer",), 2, "did you mean 'planar'"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
 )
@@ -51,11 +52,43 @@ def test_errors_are_one_line(
     assert_one_line(error, said)
 
 
-def test_a_short_log_has_reasons_and_no_numbers(short: Path, call: Call, tmp_path: Path) -> None:
+def test_a_short_log_has_reasons_and_no_file(short: Path, call: Call, tmp_path: Path) -> None:
     out, figures = tmp_path / "mine.yaml", tmp_path / "found.json"
     code, said, error = call("identify", str(short), "--out", str(out), "--json", str(figures))
-    assert code == 0, error
+    assert code == 1
+    assert_one_line(error, "nothing to write: nothing new was found")
     assert "can't tell: 2.0 s of log" in " ".join(said.split())
     told = {one["name"] for one in json.loads(figures.read_text())["findings"] if one["told"]}
     assert told == {"firmware.feedback_rate"}
-    assert RobotConfig.load(out).motor == RobotConfig.preset("acsar").motor
+    assert not out.exists()
+
+
+def test_a_file_that_is_no_device_is_no_unknown_name(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("rob").symlink_to("/dev/acsar-missing")
+    code, _, error = call("identify", "rob", "--yes")
+    assert code == 2
+    assert_one_line(error, "unknown link 'rob': for a device, write its full path, or ./")
+
+
+def test_a_dead_wheel_is_said_in_one_line(call: Call, tmp_path: Path) -> None:
+    twin, out = tmp_path / "twin.yaml", tmp_path / "mine.yaml"
+    dead = RobotConfig(motor={"deadband": (0.0, 0.0, 20.0, 0.0)})
+    dead.save(twin)
+    options = ("--twin", twin, "--duration", "12", "--out", out)
+    code, said, error = call("identify", "planar", *options)
+    assert code == 0, error
+    assert "rear_left never turned: nothing of it was found" in said
+    assert out.exists()
+
+
+def test_a_miswired_robot_is_refused(call: Call, tmp_path: Path) -> None:
+    twin, out = tmp_path / "twin.yaml", tmp_path / "mine.yaml"
+    RobotConfig(wheels={"a": {"motor": "b"}, "b": {"motor": "a"}}).save(twin)
+    options = ("--twin", twin, "--duration", "12", "--out", out)
+    code, _, error = call("identify", "planar", *options)
+    assert code == 1
+    assert_one_line(error, "front_right answers front_left's command: run 'acsar-gym doctor DEV")
+    assert not out.exists()

@@ -317,7 +317,8 @@ def test_what_was_asked_is_mapped() -> None:
 
 
 @pytest.mark.parametrize(
-    "said", [("e", "a", "b", "c"), ("a", "a", "c", "d"), ("ax", "b", "c", "d")]
+    "said",
+    [("e", "a", "b", "c"), ("a", "a", "c", "d"), ("ax", "b", "c", "d"), ("b", "a"), tuple("badcx")],
 )
 def test_what_cannot_have_been_seen(said: tuple[str, ...]) -> None:
     with pytest.raises(ConfigError):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,9 @@ from identification.hidden_robots import scores
 
 from acsar_gym import RobotConfig, open_link
 from acsar_gym.dynamics.measured import measured_ranges
-from acsar_gym.errors import ConfigError, LinkError
+from acsar_gym.errors import ConfigError, IdentificationError, LinkError
+from acsar_gym.identification import manoeuvre
+from acsar_gym.identification.excitation import plan
 from acsar_gym.identification.finding import Finding
 from acsar_gym.identification.identified import Identified, identified
 from acsar_gym.identification.manoeuvre import TappedLink, drive
@@ -20,6 +23,7 @@ from acsar_gym.links import Link
 from acsar_gym.recording import Recorder
 from acsar_gym.recording.wire_log import WireLog
 from acsar_gym.robot import Robot
+from acsar_gym.safety.layer import Safety
 
 ACSAR = RobotConfig.preset("acsar")
 INTERVAL = {"low": 0.4, "high": 0.6, "method": "identify"}
@@ -152,3 +156,36 @@ def test_a_link_that_is_lost_ends_the_manoeuvre_with_zeros() -> None:
         drive(link, ACSAR, 12.0)
     assert link.closed
     assert link.log.sent[-1].startswith(b"ap00.00,bp00.00,cp00.00,dp00.00")
+
+
+def test_a_fit_that_explains_little_is_not_written(found: Identified) -> None:
+    found.check()
+    assert found.held_out is not None
+    poor = replace(found, held_out=replace(found.held_out, after=0.4 * found.held_out.signal))
+    with pytest.raises(IdentificationError, match="nothing to write: the fit misses"):
+        poor.check()
+
+
+@pytest.mark.parametrize(
+    ("reason", "said"), [("estop", "an emergency stop after 0.5"), ("fence", "the geofence after")]
+)
+def test_a_manoeuvre_ends_with_a_stop(reason: str, said: str) -> None:
+    class Stopping(TappedLink):
+        """Stops the robot after half a second."""
+
+        def advance(self, period: float) -> bytes:
+            data = super().advance(period)
+            if reason == "estop" and self.now() - begun[0] > 0.5:
+                Safety.estop(made[0])
+            return data
+
+    config = ACSAR
+    if reason == "fence":
+        config = ACSAR.with_(geofence={"min_x": -0.02, "max_x": 0.02})
+    link, begun, made = Stopping(open_link("planar", config)), [0.0], []
+    whole = plan(config, 12.0, 0.01)
+    with Robot(link, config) as robot:
+        made.append(robot.safety)
+        begun[0] = link.now()
+        with pytest.raises(LinkError, match=f"ended by {said}"):
+            manoeuvre._drive(robot, whole)

@@ -1,0 +1,70 @@
+"""Miswired wheels are told from their answers; logs in which wheels move together aren't blamed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from acsar_gym import RobotConfig, open_link
+from acsar_gym.errors import IdentificationError
+from acsar_gym.identification import answering
+from acsar_gym.identification.excitation import plan
+from acsar_gym.identification.manoeuvre import TappedLink
+from acsar_gym.identification.tracks import Track, track
+from acsar_gym.robot import Robot
+
+ACSAR = RobotConfig.preset("acsar")
+SLOW = {
+    "motor": {"time_constant": 0.3, "deadband": 1.0},
+    "firmware": {"feedback_rate": 20.0, "command_delay": 0.04},
+}
+
+
+def driven(commands: Any, **hidden: Any) -> list[Track]:
+    """Drive a hidden robot with these wheel speeds."""
+    tapped = TappedLink(open_link("planar", ACSAR.with_(**hidden)))
+    with Robot(tapped, ACSAR) as robot:
+        for speeds in commands:
+            robot.tick(speeds)
+    found = track(tapped.log, ACSAR)
+    assert found is not None
+    return [found]
+
+
+def steps() -> Any:
+    """Four seconds of a manoeuvre."""
+    return plan(ACSAR, 12.0, 0.01).before[:400].tolist()
+
+
+@pytest.mark.parametrize(
+    ("wheels", "said"),
+    [
+        ({"a": {"motor": "b"}, "b": {"motor": "a"}}, "front_right answers front_left's command:"),
+        ({"c": {"encoder": "d"}, "d": {"encoder": "c"}}, "rear_left answers rear_right's command:"),
+        ({"b": {"sign": -1}}, "front_left turns backward at forward commands"),
+        ({"d": {"motor_sign": -1}}, "rear_right turns backward at forward commands"),
+        (
+            {"a": {"motor": "b", "motor_sign": -1}, "b": {"motor": "a"}},
+            "front_right answers front_left's command",
+        ),
+    ],
+)
+def test_a_miswired_wheel_is_named(wheels: Any, said: str) -> None:
+    with pytest.raises(IdentificationError, match=said):
+        answering.check(driven(steps(), wheels=wheels))
+
+
+@pytest.mark.parametrize("hidden", [{}, SLOW], ids=["usual", "slow"])
+@pytest.mark.parametrize("pattern", [(1, 1, 1, 1), (1, -1, -1, 1), None])
+def test_a_robot_that_is_wired_right_is_not_blamed(pattern: Any, hidden: Any) -> None:
+    if pattern is None:
+        answering.check(driven(steps(), **hidden))
+        return
+    waves = 5.0 * np.sin(np.arange(300)[:, None] / 20.0) * pattern
+    answering.check(driven(waves.tolist(), **hidden))
+
+
+def test_a_dead_wheel_is_not_miswired() -> None:
+    answering.check(driven(steps(), motor={"deadband": (0.0, 20.0, 0.0, 0.0)}))
