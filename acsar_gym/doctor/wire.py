@@ -62,11 +62,13 @@ def examine(
 
 
 def _failure_of_opening(link: Link, recorder: Recorder | None) -> Check | None:
-    """Open the link; returns what failed."""
+    """Open the link; returns what failed. EmergencyStopError as it is."""
     try:
         link.open()
         if recorder is not None:
             link.reset(Scene())
+    except EmergencyStopError:
+        raise
     except LinkError as error:
         name = "first valid line" if isinstance(error, BoardSilentError) else "open"
         return Check(name, "fail", error.found, error.fix)

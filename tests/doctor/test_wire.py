@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import signal
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -20,10 +21,12 @@ from serial_tools import (
 )
 
 from acsar_gym import RobotConfig
-from acsar_gym.cli import main
+from acsar_gym.cli import devices, main
+from acsar_gym.cli.options import SpinOptions
 from acsar_gym.doctor import feedback, response, spinning, wire
 from acsar_gym.doctor.checks import Check
 from acsar_gym.doctor.commission import Commission
+from acsar_gym.errors import EmergencyStopError
 from acsar_gym.protocol import ZERO, encode
 
 pytestmark = pytest.mark.usefixtures("deadline")
@@ -251,6 +254,35 @@ def test_a_device_lost_during_the_examination(
                 emulator.kill()
     assert (checks[-1].name, checks[-1].status) == ("connection", "fail")
     assert emulator.device in checks[-1].found
+
+
+def test_an_emergency_stop_ends_with_its_exit_code(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def examine(*_: object) -> Iterator[Check]:
+        yield Check("connection", "fail", "emergency stop")
+        raise EmergencyStopError
+
+    monkeypatch.setattr(wire, "examine", examine)
+    report = tmp_path / "doctor.json"
+    with pytest.raises(EmergencyStopError) as ended:
+        devices._checks("/dev/ttyUSB7", RobotConfig(), report, SpinOptions())
+    assert ended.value.exit_code == 3
+    assert reported(report)["connection"]["found"] == "emergency stop"
+
+
+def test_an_emergency_stop_is_the_last_check(
+    config: RobotConfig, shared_device: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    requested: list[bool] = []
+    monkeypatch.setattr(wire.StopListener, "is_requested", lambda _: bool(requested))
+    checks = []
+    with no_leak(), pytest.raises(EmergencyStopError):
+        for check in wire.examine(shared_device, config):
+            checks.append(check)
+            if check.name == "first valid line":
+                requested.append(True)
+    assert (checks[-1].name, checks[-1].status) == ("connection", "fail")
 
 
 def test_without_a_device_only_the_computer_is_examined(tmp_path: Path) -> None:

@@ -181,9 +181,10 @@ def test_a_name_that_somebody_removed_is_no_error(cable: Cable, name: Path) -> N
 def test_where_the_name_cannot_be_made_nothing_stays_open_or_is_lost(
     kind: str, tmp_path: Path
 ) -> None:
+    said = "can't be made a" if kind == "missing folder" else "exists and isn't a symbolic link: "
     name = {"file": tmp_path / "kept", "folder": tmp_path}.get(kind, tmp_path / "no" / "name")
     (tmp_path / "kept").write_text("mine")
-    with no_leak(), pytest.raises(ConfigError, match="can't be made a symbolic link") as caught:
+    with no_leak(), pytest.raises(ConfigError, match=said) as caught:
         Cable(BAUD_RATE, name)
     assert str(name) in str(caught.value)
     assert "\n" not in str(caught.value)
@@ -242,6 +243,8 @@ def test_the_command_line_refuses_a_name_that_is_taken(tmp_path: Path) -> None:
     kept.write_text("mine")
     done = cli("emulate", "--duration", "0.1", "--name", kept)
     assert done.returncode == 2
-    assert done.stderr.startswith(f"acsar-gym: {kept}: can't be made a symbolic link")
+    assert done.stderr.startswith(
+        f"acsar-gym: {kept}: exists and isn't a symbolic link: name another"
+    )
     assert done.stderr.count("\n") == 1
     assert kept.read_text() == "mine"

@@ -17,6 +17,7 @@ from serial_tools import TIMEOUT, Emulated, StartEmulator, no_leak
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import ConfigError, LinkError, LinkLostError, PortNotFoundError
 from acsar_gym.links import ports, watchdog
+from acsar_gym.links.factory import is_device
 from acsar_gym.links.ports import PortInfo, lasting, located
 from acsar_gym.links.serial import SerialLink
 
@@ -157,6 +158,20 @@ def test_a_serial_number_that_is_not_here_tells_those_that_are(
 def test_an_empty_serial_number_is_no_port() -> None:
     with pytest.raises(ConfigError, match="unknown link 'usb:'"):
         open_link("usb:")
+
+
+def test_a_path_beside_the_user_is_a_device(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, config: RobotConfig
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("rob").symlink_to("/dev/null")
+    Path("planar").symlink_to("/dev/null")
+    assert is_device("rob")
+    assert not is_device("planar")
+    assert isinstance(open_link("rob", config), SerialLink)
+    Path("plain").touch()
+    with pytest.raises(ConfigError, match="'plain': for a device, write its full path, or ./"):
+        open_link("plain")
 
 
 def test_a_missing_adapter_is_one_clear_error(config: RobotConfig, plugged: Plugged) -> None:
