@@ -28,6 +28,7 @@ from acsar_gym.doctor.checks import Check
 from acsar_gym.doctor.commission import Commission
 from acsar_gym.errors import EmergencyStopError
 from acsar_gym.protocol import ZERO, encode
+from acsar_gym.safety.estop import StopListener
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
@@ -275,7 +276,7 @@ def test_an_emergency_stop_is_the_last_check(
     config: RobotConfig, shared_device: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     requested: list[bool] = []
-    monkeypatch.setattr(wire.StopListener, "is_requested", lambda _: bool(requested))
+    monkeypatch.setattr(StopListener, "is_requested", lambda _: bool(requested))
     checks = []
     with no_leak(), pytest.raises(EmergencyStopError):
         for check in wire.examine(shared_device, config):

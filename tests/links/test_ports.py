@@ -170,7 +170,7 @@ def test_a_path_beside_the_user_is_a_device(
     assert not is_device("planar")
     assert isinstance(open_link("rob", config), SerialLink)
     Path("plain").touch()
-    with pytest.raises(ConfigError, match="'plain': for a device, write its full path, or ./"):
+    with pytest.raises(ConfigError, match="'plain': for a device, write its full path"):
         open_link("plain")
 
 

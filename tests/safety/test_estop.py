@@ -458,6 +458,6 @@ def test_the_doctor_heeds_it(emulator: Emulated, robot_file: RobotFile) -> None:
         wait_until(emulator.is_driven, "a command that turns the wheels")
         assert estop.stop_all() == [estop.Stopped(process.pid, answered=True)]
         output, _ = process.communicate(timeout=TIMEOUT)
-    assert process.returncode == 1
+    assert process.returncode == 3
     assert "emergency stop" in output
     wait_until(emulator.is_stopped, "zero as the newest command")
