@@ -165,6 +165,10 @@ class SafetyWarning(UserWarning):
     """The robot is driven without a protection; the message says which one and what to do."""
 
 
+class RecordingWarning(UserWarning):
+    """A recording isn't whole, as its file can't be written any more; the robot drives on."""
+
+
 def suggestion(name: str, known: Iterable[str]) -> str:
     """Suggest a name for an unknown one, for the end of an error message.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Sequence
 
 from acsar_gym import kinematics
@@ -87,14 +86,13 @@ class Journal:
         """After a tick in which nothing was asked for."""
         self.ticked(odometry, math.nan, math.nan)
 
-    def ended(self) -> None:
-        """When the robot is deactivated: tell the error that is being handled, if any."""
-        error = sys.exc_info()[1]
+    def ended(self, error: BaseException | None) -> None:
+        """When the robot is deactivated: tell the error that ended it, if any."""
         if self._recorder is not None and isinstance(error, Exception):
             self._recorder.add(Fault(self._link.now(), str(error)))
 
     def close(self) -> None:
-        """Finish the recording; idempotent. ConfigError where it couldn't be written."""
+        """Finish the recording; idempotent. Warns where it couldn't be written."""
         if self._recorder is not None:
             self._recorder.close()
 

@@ -100,8 +100,8 @@ class Robot:
             self.wire.reset()
             self._stopwatch = self._watch = None
             self.wire.settle()
-        except BaseException:
-            self.deactivate()
+        except BaseException as error:
+            self.deactivate(error)
             raise
         self.odometry.reset()
         if self.link.lateness is not None:
@@ -112,8 +112,8 @@ class Robot:
         try:
             self.sensors.reset(scene, np.random.default_rng(0) if rng is None else rng)
             self._journal.began()
-        except BaseException:
-            self.deactivate()
+        except BaseException as error:
+            self.deactivate(error)
             raise
 
     def read(self) -> NDArray[np.float64]:
@@ -123,16 +123,16 @@ class Robot:
         """
         try:
             return self.sensors.read()
-        except BaseException:
-            self.deactivate()
+        except BaseException as error:
+            self.deactivate(error)
             raise
 
     def tell(self, info: dict[str, float]) -> None:
         """Add the sensors' info to an env's. Errors as for `read`."""
         try:
             self.sensors.info(info)
-        except BaseException:
-            self.deactivate()
+        except BaseException as error:
+            self.deactivate(error)
             raise
 
     def _listen(self) -> None:
@@ -160,8 +160,8 @@ class Robot:
             if self._clocked:
                 self.sensors.poll()
             self._journal.turned(self.odometry, speeds)
-        except BaseException:
-            self.deactivate()
+        except BaseException as error:
+            self.deactivate(error)
             raise
 
     def drive(self, linear: float, angular: float) -> None:
@@ -176,8 +176,8 @@ class Robot:
             if self._clocked:
                 self.sensors.poll()
             self._journal.ticked(self.odometry, linear, angular)
-        except BaseException:
-            self.deactivate()
+        except BaseException as error:
+            self.deactivate(error)
             raise
 
     def listen(self) -> None:
@@ -189,8 +189,8 @@ class Robot:
             self._heed()
             self._exchange(None)
             self._journal.listened(self.odometry)
-        except BaseException:
-            self.deactivate()
+        except BaseException as error:
+            self.deactivate(error)
             raise
 
     @property
@@ -236,16 +236,16 @@ class Robot:
         if self.active:
             self.wire.send(ZERO)
 
-    def close(self) -> None:
-        """Command zero, close the link, the sensors and the recording; idempotent."""
+    def close(self, error: BaseException | None = None) -> None:
+        """Command zero, close link, sensors and recording, which tells `error`; idempotent."""
         try:
-            self.deactivate()
+            self.deactivate(error)
         finally:
             self.sensors.close()
             self._journal.close()
 
-    def deactivate(self) -> None:
-        """Command zero, then close the link; idempotent. Sensors stay open for the next reset."""
+    def deactivate(self, error: BaseException | None = None) -> None:
+        """Command zero, close the link, record `error`; idempotent. Sensors stay open."""
         if not self.active:
             return
         try:
@@ -257,7 +257,7 @@ class Robot:
                 self._listener.close()
                 self._listener = None
             self.link.close()
-        self._journal.ended()
+        self._journal.ended(error)
 
     def _exchange(self, speeds: Speeds | None) -> None:
         """Send wheel speeds, if any, let one control period pass, and update odometry."""
@@ -296,4 +296,4 @@ class Robot:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self.close()
+        self.close(error)

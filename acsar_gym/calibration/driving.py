@@ -64,8 +64,10 @@ def drive(robot: Robot, plan: Plan, scene: Scene, observer: Observer | None = No
         for leg in plan.legs:
             driver.leg(leg)
         driver.rest()
-    finally:
-        robot.deactivate()
+    except BaseException as error:
+        robot.deactivate(error)
+        raise
+    robot.deactivate()
     readings = [] if observer is None else observer.readings(plan)
     return Run(plan.name, plan.manoeuvre, np.array(driver.wheels), tuple(readings))
 

@@ -16,10 +16,10 @@ from acsar_gym.cli.devices import doctor, drive, emulate, estop
 from acsar_gym.cli.gap import compare, gap
 from acsar_gym.cli.identify import identify
 from acsar_gym.cli.policies import evaluate, export, run, train
-from acsar_gym.cli.recording import record
+from acsar_gym.cli.recording import failed, record
 from acsar_gym.cli.tools import bench, demo, warm_up
 from acsar_gym.cli.worlds import worlds
-from acsar_gym.errors import AcsarError, SafetyWarning, printable
+from acsar_gym.errors import AcsarError, RecordingWarning, SafetyWarning, printable
 
 FORMAT = warnings.formatwarning
 
@@ -52,7 +52,7 @@ def _one_line(
     line: str | None = None,
 ) -> str:
     """Format a warning of this package as one line, and others as usual."""
-    if issubclass(category, SafetyWarning):
+    if issubclass(category, SafetyWarning | RecordingWarning):
         return f"acsar-gym: {printable(str(message))}\n"
     return FORMAT(message, category, filename, lineno, line)
 
@@ -90,4 +90,4 @@ def main() -> None:
         stopped = ", the wheels were commanded to stop" if driving else ""
         print(f"\nacsar-gym: interrupted{stopped}", file=sys.stderr)
         code = 130
-    sys.exit(code)
+    sys.exit(2 if failed() and not code else code)

@@ -50,7 +50,22 @@ class RecordOptions:
 
             sinks.append(LiveView())
             print(f"live view: open {sinks[0].url} in Foxglove", flush=True)
-        return Recorder(self.record, {"command": command, **about}, sinks)
+        made = Recorder(self.record, {"command": command, **about}, sinks)
+        _made.append(made)
+        return made
+
+
+_made: list[Recorder] = []
+"""The recorders of this command."""
+
+
+def failed() -> bool:
+    """Tell on stderr which recordings of this command aren't whole; whether there are any."""
+    broken = [recorder.path or "live view" for recorder in _made if recorder.problem is not None]
+    _made.clear()
+    for name in broken:
+        print(printable(f"acsar-gym: {name}: the recording isn't whole"), file=sys.stderr)
+    return bool(broken)
 
 
 RecordArgs = Annotated[RecordOptions, tyro.conf.arg(name="")]

@@ -198,8 +198,8 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         """Stop the robot and close the link where anything inside the block raises."""
         try:
             yield
-        except BaseException:
-            self.robot.deactivate()
+        except BaseException as error:
+            self.robot.deactivate(error)
             raise
 
     def _halt(self) -> None:
@@ -209,14 +209,14 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         """
         try:
             self.robot.stop()
-        except LinkError:
-            self.robot.deactivate()
+        except LinkError as error:
+            self.robot.deactivate(error)
 
     def _cut_short(
         self, error: LinkError, episode: Episode, action: NDArray[np.float32]
     ) -> tuple[Observation, float, bool, bool, Info]:
         """Truncate the episode because the link failed; the observation is the last one."""
-        self.robot.deactivate()
+        self.robot.deactivate(error)
         assert self._told_last is not None  # noqa: S101 - for the type checker
         (observation, info), self._told_last = self._told_last, None
         why = {"is_success": 0.0, "fault": float(fault_code(error)), "fault_reason": str(error)}

@@ -56,7 +56,7 @@ def from_device(
 ) -> Identified:
     """Drive the manoeuvre, and identify the robot from it. Errors as for `manoeuvre.drive`."""
     log = drive(link, config, duration, recorder)
-    path = recorder.path if recorder else None
+    path = None if recorder is None or recorder.problem else recorder.path
     return identified([log], config, [digest(log) if path is None else read(path).sha256])
 
 

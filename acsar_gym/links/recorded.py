@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 from acsar_gym.bodies.base import Camera, GroundTruth
 from acsar_gym.config import RobotConfig
@@ -36,14 +38,19 @@ class RecordedLink:
         shutdown.at_end(recordings.close_all)
 
     def open(self) -> None:
-        """Open the recorder, then the link.
+        """Open the link, then the recorder: a link that doesn't open costs no older recording.
 
         Raises:
-            ConfigError: the recording can't be written.
+            ConfigError: the recording can't be written, or would replace what it must not.
             LinkError: as for the link.
         """
-        self._recorder.open(self._config)
+        self._recorder.check(_source(self.link))
         self.link.open()
+        try:
+            self._recorder.open(self._config)
+        except BaseException:
+            self.link.close()
+            raise
         arrivals_of(self.link)  # from now on, it notes when bytes arrive
 
     def reset(self, scene: Scene) -> None:
@@ -122,6 +129,15 @@ class RecordedLink:
         sent, self._sent = tuple(self._sent), []
         if sent and self._recorder.has_begun:
             self._recorder.add(Written(sent))
+
+
+def _source(link: Any) -> Path | None:
+    """The file that a link replays, if it does, or one inside it."""
+    while link is not None:
+        if isinstance(path := getattr(link, "replays", None), Path):
+            return path
+        link = getattr(link, "link", None)
+    return None
 
 
 def plain(link: Link) -> Link:

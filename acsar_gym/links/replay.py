@@ -39,10 +39,12 @@ class ReplayLink:
             it; the recording then only provides the number of bytes. None to use the recorded
             bytes.
         compare: whether other commands are an error.
+
+    Attributes: `replays`, the path.
     """
 
     def __init__(self, path: str | Path, port: Port | None = None, *, compare: bool = True) -> None:
-        self._path = Path(path)
+        self.replays = Path(path)
         self._port = port
         self._compare = compare
         self._recording: Recording | None = None
@@ -54,7 +56,7 @@ class ReplayLink:
     def open(self) -> None:
         """Read the recording; ConfigError if it can't be read."""
         if self._recording is None:
-            self._recording = read(self._path)
+            self._recording = read(self.replays)
             self._tape = Tape(self._recording.episodes[0])
         self._is_open = True
 
@@ -64,7 +66,7 @@ class ReplayLink:
         episodes = self._recording.episodes if self._recording else ()
         if self._next_episode >= len(episodes):
             raise LinkLostError(
-                f"{self._path}: all {self._next_episode} episodes have been played",
+                f"{self.replays}: all {self._next_episode} episodes have been played",
                 "make a new link to play it again",
             )
         self._tape = Tape(episodes[self._next_episode])
@@ -87,12 +89,12 @@ class ReplayLink:
         tape, sent = self._playing(), self._sent
         if tape.is_over:
             raise LinkLostError(
-                f"{self._path}: the recorded episode ends here, {tape.place}",
+                f"{self.replays}: the recorded episode ends here, {tape.place}",
                 "was it made with this goal and policy?",
             )
         if tape.has_gap:
             raise LinkLostError(
-                f"{self._path}: the recording has a gap, {tape.place}",
+                f"{self.replays}: the recording has a gap, {tape.place}",
                 "its writer couldn't keep up: it can't be replayed from here on",
             )
         recorded, got = tape.next()
@@ -100,7 +102,8 @@ class ReplayLink:
         if self._compare and sent != recorded:
             one, other = (data[-40:].strip().decode("latin-1") for data in (sent, recorded))
             raise LinkLostError(
-                f"{self._path}: other commands than recorded, {tape.place}: {one!r}, not {other!r}",
+                f"{self.replays}: other commands than recorded, {tape.place}: "
+                f"{one!r}, not {other!r}",
                 "was it made with this robot, goal and policy?",
             )
         return got if self._port is None else self._read(self._port, len(got))
@@ -110,14 +113,14 @@ class ReplayLink:
         got = port.read(size)
         if len(got) != size:
             raise LinkLostError(
-                f"{self._path}: the port sent {len(got)} of {size} bytes", "check the tape player"
+                f"{self.replays}: the port sent {len(got)} of {size} bytes", "check the tape player"
             )
         return got
 
     def _playing(self) -> Tape:
         """The episode that plays."""
         if not self._is_open or self._tape is None or not self._next_episode:
-            raise LinkLostError(f"{self._path}: nothing plays", "call reset() first")
+            raise LinkLostError(f"{self.replays}: nothing plays", "call reset() first")
         return self._tape
 
     def now(self) -> float:
@@ -145,7 +148,7 @@ class ReplayLink:
 
     def __reduce__(self) -> tuple[type[ReplayLink], tuple[Path, Port | None]]:
         """Copy with the replay at its beginning."""
-        return ReplayLink, (self._path, self._port)
+        return ReplayLink, (self.replays, self._port)
 
     def close(self) -> None:
         """Close the link, but not the port, which its owner closes. A reset opens it again."""

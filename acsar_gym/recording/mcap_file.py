@@ -11,7 +11,7 @@ from typing import Any
 
 from acsar_gym.errors import ConfigError, MissingExtraError
 from acsar_gym.reading import bounded
-from acsar_gym.recording import typesystem
+from acsar_gym.recording import target, typesystem
 from acsar_gym.recording.encoder import Message
 from acsar_gym.recording.header import END, NAME, version
 from acsar_gym.recording.topics import ENCODING, SCHEMA_ENCODING, TOPICS
@@ -24,7 +24,7 @@ class McapFile:
     """A file that is being written. Errors are OSError, except in the constructor.
 
     Args:
-        path: of the file; one that is there is replaced.
+        path: of the file; a recording that is there is replaced.
         header: of the recording.
 
     Raises:
@@ -99,7 +99,7 @@ class _Unbuffered:
     """
 
     def __init__(self, path: Path) -> None:
-        self._file = open(path, "wb", buffering=0, opener=bounded.opener)  # noqa: SIM115
+        self._file = open(path, "wb", buffering=0, opener=target.opener)  # noqa: SIM115
 
     def write(self, data: bytes) -> int:
         """Write all of the bytes."""
@@ -120,5 +120,7 @@ class _Unbuffered:
         os.fdatasync(self._file.fileno())
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the file, and let others write it."""
+        if not self._file.closed:
+            target.release(self._file.fileno())
         self._file.close()

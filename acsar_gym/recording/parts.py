@@ -15,6 +15,10 @@ from acsar_gym.recording import topics
 from acsar_gym.recording.types import Episode, Exchanges, Scans
 from acsar_gym.recording.wire_log import Floats, WireLog
 
+MOST_TIME = 4e9
+"""Largest time on a link's clock, either sign [s]: 126 years."""
+MOST_OFFSET = 2**62
+"""Largest offset of an episode, either sign [ns]; times of the file then fit into 64 bits."""
 _ARRAY = struct.Struct("<4sIII")
 """Encapsulation, no dimensions, no offset, number of elements."""
 
@@ -49,7 +53,9 @@ def mapping(text: str) -> dict[str, Any]:
 def opening(data: bytes) -> dict[str, Any]:
     """Parse what begins an episode."""
     told = mapping(data[8:-1].decode("ascii", "replace"))
-    sound = isinstance(told.get("start"), int | float) and isinstance(told.get("offset"), int)
+    start, offset = told.get("start"), told.get("offset")
+    sound = isinstance(start, int | float) and abs(start) <= MOST_TIME
+    sound = sound and isinstance(offset, int) and abs(offset) <= MOST_OFFSET
     if not sound or not isinstance(told.get("info"), dict):
         raise ConfigError("is damaged: a broken episode")
     return told
@@ -167,10 +173,17 @@ def _exchanges(rows: Floats) -> Exchanges:
 
 
 def _check_times(stamps: Floats, start: float) -> None:
-    """Raise ConfigError for times that aren't finite, or go backwards."""
-    times = np.concatenate([[start], stamps])
-    if not np.isfinite(times).all() or (np.diff(times) < 0.0).any():
+    """Raise ConfigError for times that are out of range, or go backwards."""
+    times = np.concatenate([[start], _in_range(stamps)])
+    if (np.diff(times) < 0.0).any():
         raise ConfigError("is damaged: its times go backwards")
+
+
+def _in_range(stamps: Floats) -> Floats:
+    """Return times [s]; ConfigError where one is out of range or no number."""
+    if not (np.abs(stamps) <= MOST_TIME).all():
+        raise ConfigError("is damaged: a time that is out of range")
+    return stamps
 
 
 def _table(part: Part, topic: topics.Topic) -> Floats:
@@ -202,7 +215,7 @@ def missing(part: Part) -> int:
 
 def _stamps(times: list[int], offset: int) -> Floats:
     """Times of the file on the link's clock [s]."""
-    return np.array([time - offset for time in times], np.float64) / 1e9
+    return _in_range(np.array([time - offset for time in times], np.float64) / 1e9)
 
 
 def _stacked(rows: list[bytes], kind: type[np.float32]) -> NDArray[np.float32]:
@@ -223,4 +236,4 @@ def _scans(rows: list[bytes]) -> Scans:
     table = np.frombuffer(b"".join(rows), "<f8").reshape(len(rows), -1)
     if not np.isfinite(table).all():
         raise ConfigError("is damaged: a scan that isn't finite")
-    return Scans(table[:, 1].copy(), table[:, 2:].copy(), _whole(table[:, 0]))
+    return Scans(_in_range(table[:, 1]).copy(), table[:, 2:].copy(), _whole(table[:, 0]))

@@ -32,6 +32,8 @@ MOST_KEPT = 300_000_000
 """Most bytes of a recording that are kept in memory."""
 COST = 100
 """What each message costs beside its content [bytes]; rows of tables cost nothing."""
+HEADER = {"config_sha256": str, "versions": dict, "created": dict, "about": dict}
+"""What a header must have besides format and config, and its kind."""
 _MESSAGE = struct.Struct("<HIQQ")
 
 
@@ -120,7 +122,8 @@ def read(path: str | Path) -> Recording:
         episodes = tuple(made(part) for part in reader.parts)
         if not episodes:
             raise ConfigError("holds no episode")
-    dropped = int((reader.end or {}).get("dropped", 0)) or sum(map(missing, reader.parts))
+    told = (reader.end or {}).get("dropped", 0)
+    dropped = told if isinstance(told, int) and told > 0 else sum(map(missing, reader.parts))
     cut = cut or reader.end is None
     return Recording(
         reader.header, digest.hexdigest()[:16], config, episodes, cut=cut, dropped=dropped
@@ -138,3 +141,6 @@ def _check_format(header: dict[str, Any]) -> None:
     if header.get("format") != FORMAT or not isinstance(header.get("config"), dict):
         found = str(header.get("format"))[:20]
         raise ConfigError(f"is a recording of format {found}: this version reads format {FORMAT}")
+    for name, kind in HEADER.items():
+        if not isinstance(header.get(name), kind):
+            raise ConfigError(f"is damaged: its header has no {name!r}")

@@ -4,66 +4,45 @@ from __future__ import annotations
 
 import contextlib
 import os
-import threading
 import time
+import warnings
 from collections import deque
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError
-from acsar_gym.reading import bounded
-from acsar_gym.recording.encoder import Encoder, Message
+from acsar_gym.errors import ConfigError, RecordingWarning
+from acsar_gym.recording import target
+from acsar_gym.recording.encoder import Encoder
 from acsar_gym.recording.events import Began, Clock, Event, Exchange
 from acsar_gym.recording.header import header
 from acsar_gym.recording.mcap_file import McapFile
+from acsar_gym.recording.writer import Sink, Writer
 
 CAPACITY = 20_000
 """Most events that wait for the writer: at 100 Hz more than a minute's."""
-PAUSE = 0.02
-"""How often the writer looks for events [s]."""
-PIECE = 16
-"""Events that the writer handles at once, so that the control loop never waits for it."""
-BREATH = 0.0002
-"""How long it lets others run after each piece [s]."""
-FLUSH = 0.5
-"""How often what was written is made safe from crashes [s]."""
+PATIENCE = 10.0
+"""Longest wait of a simulation for the writer [s]; from then on it drops, too."""
 WAIT = 0.001
 """How often a simulation looks whether the writer has caught up [s]."""
-CLOSE = 10.0
-"""Longest wait for the writer at the end [s]."""
-
-
-class Sink(Protocol):
-    """Something that takes messages: a file, or viewers."""
-
-    def add(self, message: Message) -> None:
-        """Take a message."""
-
-    def flush(self) -> None:
-        """Pass on what was added."""
-
-    def close(self, end: Mapping[str, Any]) -> None:
-        """End; `end` has the number of dropped events."""
-
-    def abandon(self) -> None:
-        """End after an error; raises nothing."""
 
 
 class Recorder:
     """Records one robot to an MCAP file, and shows it live.
 
     The control loop only appends to a queue, which a thread empties. Where the queue is full, a
-    real robot's events are dropped and counted; a simulation waits. A file that can't be written
-    any more, as on a full disk, doesn't stop the robot: `close` and the next reset tell.
+    real robot's events are dropped and counted; a simulation waits at first. A file that can't be
+    written any more, as on a full disk, doesn't stop the robot: the next reset or `close` warns
+    once (RecordingWarning).
 
     Attributes: `dropped`, events that were dropped; `number`, that of the next exchange of the
-    episode; `has_begun`, whether there has been an episode.
+    episode; `has_begun`, whether there has been an episode; `problem`, why the recording isn't
+    whole, None where it is.
 
     Args:
-        path: the file; None for a live view only. One that is there is replaced.
+        path: the file; None for a live view only. A recording that is there is replaced.
         about: what the header says about it, ready for JSON; see `recording.header`.
         sinks: what else gets the messages.
         capacity: most events that wait.
@@ -81,30 +60,46 @@ class Recorder:
         self.dropped = 0
         self.number = 0
         self.has_begun = False
+        self.problem: str | None = None
         self._sinks = list(sinks)
         self._capacity = capacity
         self._queue: deque[Event] = deque()
         self._info: Mapping[str, Any] = {}
-        self._writer: _Writer | None = None
+        self._writer: Writer | None = None
         self._closed = False
         self._clock_due = 0.0
         self._waits = False
 
-    def open(self, config: RobotConfig) -> None:
-        """Open the file and start the writer; idempotent.
+    def check(self, source: Path | None = None) -> None:
+        """Check, before a link opens, that the recording can begin or go on; writes nothing.
+
+        Args:
+            source: file that the link replays, which can't be written at the same time.
 
         Raises:
-            ConfigError: the file can't be written, or the recording has ended.
-            MissingExtraError: mcap or rosbags isn't installed.
+            ConfigError: it has ended, or must not replace the file that is there.
         """
         if self._closed:
             raise ConfigError(f"{self._name}: this recording has ended: make another one")
+        if self._writer is None and self.path is not None:
+            target.check(self.path, source)
+
+    def open(self, config: RobotConfig) -> None:
+        """Open the file and start the writer; idempotent.
+
+        Warns (RecordingWarning) once where writing has failed since.
+
+        Raises:
+            ConfigError: as for `check`, or the file can't be written.
+            MissingExtraError: mcap or rosbags isn't installed.
+        """
+        self.check()
         if self._writer is not None:
-            self._writer.check(self._name)
+            self._tell(self._writer)
             return
         if self.path is not None:
             self._sinks.append(McapFile(self.path, header(config, self.about)))
-        self._writer = _Writer(self._queue, Encoder(config), self._sinks)
+        self._writer = Writer(self._queue, Encoder(config), self._sinks)
         self._writer.start()
         _running.add(self)
 
@@ -144,10 +139,11 @@ class Recorder:
 
     def _has_room(self) -> bool:
         """Whether there is room; for a simulation once the writer has caught up."""
-        writer = self._writer
+        writer, due = self._writer, time.monotonic() + PATIENCE
         while self._waits and writer is not None and writer.is_alive():
             if len(self._queue) < self._capacity:
                 return True
+            self._waits = time.monotonic() < due  # a disk that doesn't answer
             time.sleep(WAIT)
         return False
 
@@ -158,15 +154,21 @@ class Recorder:
     def close(self) -> None:
         """Write what waits, and finish the file; idempotent.
 
-        Raises:
-            ConfigError: the file couldn't be written.
+        Warns (RecordingWarning) where the file couldn't be written.
         """
         writer, self._writer = self._writer, None
         self._closed = True
         _running.discard(self)
         if writer is not None and writer.pid == os.getpid():
             writer.finish()
-            writer.check(self._name)
+            self._tell(writer)
+
+    def _tell(self, writer: Writer) -> None:
+        """Warn once where writing has failed."""
+        problem = writer.problem
+        if problem is not None and self.problem is None:
+            self.problem = f"{self._name}: {problem}"
+            warnings.warn(self.problem, RecordingWarning, stacklevel=3)
 
     def __reduce__(self) -> tuple[type[Recorder], tuple[Path | None, dict[str, Any]]]:
         """Copies haven't begun yet."""
@@ -182,81 +184,6 @@ class Recorder:
         trace: TracebackType | None,
     ) -> None:
         self.close()
-
-
-class _Writer(threading.Thread):
-    """Encodes events and passes the messages on.
-
-    Attributes: `dropped`, events that were dropped; `pid`, the process that it belongs to.
-
-    Args:
-        queue: of events.
-        encoder: makes messages.
-        sinks: take them.
-    """
-
-    def __init__(self, queue: deque[Event], encoder: Encoder, sinks: Sequence[Sink]) -> None:
-        super().__init__(name="acsar_gym recorder", daemon=True)
-        self.dropped = 0
-        self.pid = os.getpid()
-        self._queue = queue
-        self._encoder = encoder
-        self._sinks = sinks
-        self._error: Exception | None = None
-        self._ending = threading.Event()
-
-    def run(self) -> None:
-        """Work until the end."""
-        due = time.monotonic() + FLUSH
-        while not self._ending.wait(PAUSE):
-            self._empty()
-            if time.monotonic() >= due:
-                self._guarded(self._flush)
-                due = time.monotonic() + FLUSH
-        self._empty()
-        self._guarded(self._close)
-        for sink in self._sinks if self._error else ():
-            sink.abandon()
-
-    def finish(self) -> None:
-        """Write what waits, and end."""
-        self._ending.set()
-        self.join(CLOSE)
-
-    def check(self, name: str) -> None:
-        """Raise ConfigError where writing has failed."""
-        if self._error is not None:
-            why = bounded.reason(self._error)
-            raise ConfigError(f"{name}: can't be written: {why}") from None
-
-    def _empty(self) -> None:
-        """Write what waits in the queue now, piece by piece."""
-        queue = self._queue
-        for _ in range(len(queue) // PIECE + 1):
-            events = [queue.popleft() for _ in range(min(PIECE, len(queue)))]
-            self._guarded(self._write, events)
-            time.sleep(BREATH)
-
-    def _write(self, events: Sequence[Event]) -> None:
-        for message in self._encoder.encode(events, self.dropped):
-            for sink in self._sinks:
-                sink.add(message)
-
-    def _flush(self) -> None:
-        for sink in self._sinks:
-            sink.flush()
-
-    def _close(self) -> None:
-        for sink in self._sinks:
-            sink.close({"dropped": self.dropped})
-
-    def _guarded(self, work: Any, *arguments: Any) -> None:
-        """Do something; after the first error nothing is written any more."""
-        if self._error is None:
-            try:
-                work(*arguments)
-            except Exception as error:  # noqa: BLE001 - told by `check`; the robot drives on
-                self._error = error
 
 
 _running: set[Recorder] = set()

@@ -31,7 +31,7 @@ def of(path: Path) -> dict[str, Any]:
         "file": str(path),
         "sha256": recording.sha256,
         "whole": not recording.cut,
-        "dropped": recording.dropped,
+        "dropped": None if recording.cut and not recording.dropped else recording.dropped,
         "duration": round(sum(map(_duration, recording.episodes)), 3),
         "about": header["about"],
         "robot": {
@@ -49,14 +49,13 @@ def of(path: Path) -> dict[str, Any]:
 def lines(found: dict[str, Any]) -> list[str]:
     """Return a summary as lines of text."""
     about, robot = found["about"], found["robot"]
-    whole = "whole" if found["whole"] else "cut: its end is missing, up to a second of driving"
+    whole = "whole" if found["whole"] else "cut: what followed is missing"
     kind = "simulated" if robot["simulated"] else "real"
     told = ", ".join(f"{name} {_short(value)}" for name, value in about.items())
     episodes = found["episodes"]
     count = f"{len(episodes)} episode{'s' if len(episodes) != 1 else ''}"
-    lost = f"{found['dropped']:,} dropped" if found["dropped"] else "nothing dropped"
     return [
-        f"{found['file']}: {whole}; {count}, {found['duration']:.1f} s, {lost}",
+        f"{found['file']}: {whole}; {count}, {found['duration']:.1f} s, {_lost(found)}",
         f"{kind} robot, config {robot['sha256']}; file {found['sha256']}",
         *([told] if told else []),
         *(
@@ -67,6 +66,15 @@ def lines(found: dict[str, Any]) -> list[str]:
         *([f"... and {len(episodes) - 20} more episodes"] if len(episodes) > 20 else []),
         *(f"{name:<20} {count:>9,}" for name, count in found["topics"].items()),
     ]
+
+
+def _lost(found: dict[str, Any]) -> str:
+    """How many events were dropped; None where the end, which would tell it, is missing."""
+    dropped = found["dropped"]
+    if dropped is None:
+        return "drops unknown"
+    least = "" if found["whole"] else "at least "
+    return f"{least}{dropped:,} dropped" if dropped else "nothing dropped"
 
 
 def _duration(episode: Episode) -> float:

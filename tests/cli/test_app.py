@@ -13,6 +13,7 @@ from serial_tools import CLI, TIMEOUT, RobotFile, cli
 from zip_tools import PLACES, poison, save
 
 from acsar_gym.cli import COMMANDS
+from acsar_gym.errors import RecordingWarning
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
@@ -65,6 +66,38 @@ def test_errors_are_one_line_and_an_exit_code(
     code, _, error = call(*arguments)
     assert code == status, error
     assert_one_line(error, said)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("evaluate", "--link", "planar", "--episodes", "2"), "2/2 (100.0%)"),
+        (RUN, "1/1 (100.0%)"),
+        (("calibrate", "planar", "straight"), "left_wheel_radius_multiplier"),
+        (("identify", "planar", "--duration", "12"), "motor.time_constant"),
+        (("drive", "--link", "planar", "--linear", "0.1", "--duration", "0.1"), "feedback"),
+    ],
+    ids=lambda value: value[0] if isinstance(value, tuple) else "",
+)
+def test_results_survive_a_full_disk(
+    arguments: tuple[str, ...],
+    said: str,
+    call: Call,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def fail(*arguments: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("acsar_gym.recording.mcap_file.McapFile.add", fail)
+    figures, tape = tmp_path / "figures.json", tmp_path / "tape.mcap"
+    more = () if arguments[0] == "drive" else ("--json", figures)
+    with pytest.warns(RecordingWarning, match=r"tape.mcap: can't be written: No space left on"):
+        code, out, error = call(*arguments, "--record", tape, *more)
+    assert code == 2
+    assert said in out
+    assert figures.exists() == bool(more)
+    assert_one_line(error, "tape.mcap: the recording isn't whole")
 
 
 @pytest.mark.parametrize(

@@ -66,6 +66,11 @@ def rows(*values: list[float]) -> Callable[[Add], None]:
     return add
 
 
+def beginning(**told: float) -> Callable[[Add], None]:
+    """An episode that begins so."""
+    return lambda one: one(EPISODE, text(json.dumps(json.loads(BEGIN) | told)))
+
+
 def refused(path: Path) -> str:
     with pytest.raises(ConfigError) as caught:
         read(path)
@@ -138,6 +143,11 @@ def test_the_recordings_of_others_and_other_formats_are_told(tmp_path: Path) -> 
     newer = header(RobotConfig(), {}) | {"format": FORMAT + 1}
     assert f"format {FORMAT + 1}: this version reads" in refused(written(path, no_episode, newer))
     assert "is no mapping" in refused(written(path, no_episode, [1]))
+    whole = header(RobotConfig(), {})
+    for name in ("about", "versions", "config_sha256", "created"):
+        less = {key: value for key, value in whole.items() if key != name}
+        for told in (less, whole | {name: [1]}):
+            assert f"its header has no '{name}'" in refused(written(path, rows(), told))
     assert "holds no episode" in refused(written(path, no_episode))
     unknown = header(RobotConfig(), {}) | {"config": {"sheels": 3}}
     assert "unknown field" in refused(written(path, rows([0.0] * 11), unknown))
@@ -149,12 +159,28 @@ def test_the_recordings_of_others_and_other_formats_are_told(tmp_path: Path) -> 
         (lambda one: one(EPISODE, text("{}")), "a broken episode"),
         (lambda one: one(EPISODE, b""), "not valid JSON"),
         (rows([0.0, 5.0, *[0.0] * 9], [1.0, 4.0, *[0.0] * 9]), "times go backwards"),
-        (rows([0.0, np.nan, *[0.0] * 9]), "times go backwards"),
+        (rows([0.0, np.nan, *[0.0] * 9]), "a time that is out of range"),
+        (rows([0.0, 1e300, *[0.0] * 9]), "a time that is out of range"),
+        (beginning(start=-1e300), "a broken episode"),
+        (beginning(offset=2**70), "a broken episode"),
+        (lambda one: (beginning(offset=-(2**62))(one), one(WIRE_SENT, octets(b""))), "a time that"),
         (lambda one: (rows()(one), one(EXCHANGES, b"\0" * 16)), "a broken row"),
         (lambda one: (rows()(one), one(WIRE_SENT, b"\0" * 4)), "a broken message"),
         (lambda one: (rows()(one), one(WIRE_SENT, b"\xff" * 40)), "a broken array"),
     ],
-    ids=["episode", "no json", "backwards", "nan", "row", "short", "long"],
+    ids=[
+        "episode",
+        "no json",
+        "backwards",
+        "nan",
+        "late",
+        "start",
+        "offset",
+        "wire",
+        "row",
+        "short",
+        "long",
+    ],
 )
 def test_broken_messages_are_told(add: Callable[[Add], None], said: str, tmp_path: Path) -> None:
     assert said in refused(written(tmp_path / "file.mcap", add))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
+import math
 import os
 import pickle
 import subprocess
@@ -17,10 +19,13 @@ import pytest
 from recording_tools import drive
 
 from acsar_gym import Robot, RobotConfig, open_link
-from acsar_gym.errors import ConfigError, LinkLostError
+from acsar_gym.errors import CommandError, ConfigError, LinkError, LinkLostError, RecordingWarning
+from acsar_gym.links.fault_injection import FaultyLink
+from acsar_gym.links.faults import Faults
 from acsar_gym.recording import Recorder, read, summary
 from acsar_gym.recording.events import Clock, Exchange
 from acsar_gym.recording.recorder import close_all
+from acsar_gym.worlds import Scene
 
 CONFIG = RobotConfig.of(None)
 
@@ -45,6 +50,10 @@ class Slow:
 
     def abandon(self) -> None:
         """Nothing to close."""
+
+
+def fail(*arguments: object) -> None:
+    raise OSError(28, "No space left on device")
 
 
 def test_a_full_queue_drops_and_counts_and_never_waits(tmp_path: Path) -> None:
@@ -147,17 +156,101 @@ def test_a_disk_that_is_full_doesnt_stop_the_robot(
     recorder = Recorder(tmp_path / "tape.mcap")
     robot = Robot(open_link("planar", CONFIG), CONFIG, recorder=recorder)
     robot.activate()
-    full = OSError(28, "No space left on device")
-
-    def fail(*arguments: object) -> None:
-        raise full
-
     monkeypatch.setattr("acsar_gym.recording.mcap_file._Unbuffered.write", fail)
     for _ in range(50):
         robot.drive(0.1, 0.0)
-    with pytest.raises(ConfigError, match=r"tape.mcap: can't be written: No space left on device"):
+    with pytest.warns(RecordingWarning, match=r"tape.mcap: can't be written: No space left on de"):
         robot.close()
     robot.close()
+
+
+def test_a_disk_that_is_full_is_told_once_at_the_next_reset(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    recorder = Recorder(tmp_path / "tape.mcap")
+    with Robot(open_link("planar", CONFIG), CONFIG, recorder=recorder) as robot:
+        monkeypatch.setattr("acsar_gym.recording.mcap_file.McapFile.add", fail)
+        robot.drive(0.1, 0.0)
+        time.sleep(0.1)  # the writer looks every 0.02 s
+        with pytest.warns(RecordingWarning, match="can't be written: No space"):
+            robot.reset(Scene())
+        robot.reset(Scene())
+        robot.drive(0.1, 0.0)
+    assert recorder.problem is not None
+
+
+def test_a_writer_that_hangs_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    slow = Slow()
+    recorder = Recorder(tmp_path / "tape.mcap", sinks=[slow])
+    recorder.open(CONFIG)
+    recorder.begin(0.0, simulated=False)
+    monkeypatch.setattr("acsar_gym.recording.writer.CLOSE", 0.1)
+    with pytest.warns(RecordingWarning, match="tape.mcap: can't be written: writing has hung"):
+        recorder.close()
+    slow.goes = True
+
+
+def test_a_simulation_does_not_wait_for_ever(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("acsar_gym.recording.recorder.PATIENCE", 0.05)
+    slow = Slow()
+    recorder = Recorder(tmp_path / "tape.mcap", sinks=[slow], capacity=10)
+    recorder.open(CONFIG)
+    recorder.begin(0.0, simulated=True)
+    for stamp in range(100):
+        recorder.add(Clock(float(stamp), 0))
+    assert recorder.dropped
+    slow.goes = True
+    recorder.close()
+
+
+def test_a_link_that_does_not_open_costs_no_older_recording(tmp_path: Path) -> None:
+    path = drive(tmp_path / "tape.mcap", CONFIG, 5)
+    before = path.read_bytes()
+    with pytest.raises(LinkError, match="no such device"):
+        Robot(open_link("/dev/acsar-missing"), CONFIG, recorder=Recorder(path)).activate()
+    assert path.read_bytes() == before
+
+
+def test_a_recording_that_can_not_begin_closes_the_link(tmp_path: Path) -> None:
+    link = open_link("planar", CONFIG)
+    with pytest.raises(ConfigError, match="can't be written: No space left on device"):
+        Robot(link, CONFIG, recorder=Recorder("/dev/full")).activate()
+    with pytest.raises(LinkError):
+        link.write(b"")
+
+
+def test_a_recording_can_not_be_written_while_it_is_replayed(tmp_path: Path) -> None:
+    path = drive(tmp_path / "tape.mcap", CONFIG, 5)
+    (tmp_path / "same.mcap").symlink_to(path)
+    before = path.read_bytes()
+    for link in (open_link(f"replay:{path}"), FaultyLink(open_link(f"replay:{path}"), Faults())):
+        with pytest.raises(ConfigError, match=r"same.mcap: is being replayed: record to another"):
+            Robot(link, CONFIG, recorder=Recorder(tmp_path / "same.mcap")).activate()
+    assert path.read_bytes() == before
+
+
+def test_files_of_another_kind_are_not_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "my.yaml"
+    path.write_text("base: acsar\n")
+    with pytest.raises(ConfigError, match=r"my.yaml: isn't a recording, so it isn't replaced"):
+        drive(path, CONFIG, 5)
+    assert path.read_text() == "base: acsar\n"
+    path.write_text("")
+    drive(path, CONFIG, 5)
+    assert len(read(drive(path, CONFIG, 9)).episodes[0].stamps) == 9
+
+
+def test_two_envs_can_not_write_one_file(tmp_path: Path) -> None:
+    path = tmp_path / "tape.mcap"
+    envs = gymnasium.make_vec(
+        "acsar_gym/PointGoal-v0", 2, vectorization_mode="sync", link="planar", record=path
+    )
+    with pytest.raises(ConfigError, match=r"tape.mcap: can't be written: another recorder writes"):
+        envs.reset(seed=0)
+    envs.close()
+    assert len(read(path).episodes) == 1
 
 
 def test_a_recording_that_has_ended_cannot_go_on(tmp_path: Path) -> None:
@@ -221,3 +314,26 @@ def test_a_fault_is_told_in_diagnostics(tmp_path: Path) -> None:
     env.close()
     assert summary.of(path)["topics"]["/diagnostics"] == 1
     assert not read(path).episodes[0].terminated
+
+
+def test_only_the_error_that_ended_a_drive_is_told(tmp_path: Path) -> None:
+    told, path = [], tmp_path / "tape.mcap"
+    for fails in (False, True):
+        robot = Robot(open_link("planar", CONFIG), CONFIG, recorder=Recorder(path))
+        robot.activate()
+        try:
+            CONFIG.__dict__["something else"]
+        except KeyError:
+            with contextlib.suppress(CommandError):
+                robot.drive(math.nan if fails else 0.1, 0.0)
+            robot.close()
+        told.append("/diagnostics" in summary.of(path)["topics"])
+    assert told == [False, True]
+
+
+def test_an_error_inside_the_block_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "tape.mcap"
+    robot = Robot(open_link("planar", CONFIG), CONFIG, recorder=Recorder(path))
+    with pytest.raises(ValueError, match="mine"), robot:
+        raise ValueError("mine")
+    assert summary.of(path)["topics"]["/diagnostics"] == 1

@@ -1,0 +1,75 @@
+"""The file that a recording is written to: what it may replace, and that nobody else writes it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from pathlib import Path
+
+from acsar_gym.errors import ConfigError
+from acsar_gym.reading import bounded
+from acsar_gym.recording.records import MAGIC
+
+try:
+    import fcntl
+except ImportError:  # not on Windows
+    fcntl = None  # type: ignore[assignment]
+
+
+def check(path: Path, source: Path | None = None) -> None:
+    """Check that a recording may be written here; writes nothing.
+
+    Args:
+        path: of the recording.
+        source: file that is replayed meanwhile.
+
+    Raises:
+        ConfigError: its folder is missing, it is a file of another kind, or it is `source`.
+    """
+    try:
+        if path.is_dir() or not path.parent.is_dir():
+            raise ConfigError(f"{path}: can't be written: must be a file in a folder of yours")
+        if source is not None and path.exists() and source.exists() and path.samefile(source):
+            raise ConfigError(f"{path}: is being replayed: record to another file")
+        if path.is_file() and not _is_recording(path):
+            raise ConfigError(f"{path}: isn't a recording, so it isn't replaced: name another file")
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: can't be written: {bounded.reason(error)}") from None
+
+
+def _is_recording(path: Path) -> bool:
+    """Whether a file is an MCAP file, or empty."""
+    with path.open("rb") as file:
+        return file.read(len(MAGIC)) in (b"", MAGIC)
+
+
+def opener(path: str, flags: int) -> int:
+    """Open a file for one recorder only, for `open(opener=...)`; it is emptied once it is ours."""
+    file = bounded.opener(path, flags & ~os.O_TRUNC)
+    try:
+        _lock(file)
+        with contextlib.suppress(OSError):  # not a regular file
+            os.ftruncate(file, 0)
+    except OSError:
+        os.close(file)
+        raise
+    return file
+
+
+def _lock(file: int) -> None:
+    """Lock a file, where the file system can; OSError where another recorder holds it."""
+    if fcntl is None:
+        return
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise OSError(0, "another recorder writes it: name a file for each") from None
+    except OSError:
+        return
+
+
+def release(file: int) -> None:
+    """Unlock a file before it is closed, also for processes that were forked meanwhile."""
+    if fcntl is not None:
+        with contextlib.suppress(OSError):
+            fcntl.flock(file, fcntl.LOCK_UN)
