@@ -39,7 +39,7 @@ class StraightOptions:
         """The straight runs."""
         from acsar_gym.calibration import manoeuvres  # noqa: PLC0415
 
-        repeats = run.repeats or len(self.measured) or 3
+        repeats = run.times(len(self.measured) or 3)
         return manoeuvres.straights(self.distance, run.linear(config), repeats)
 
 
@@ -69,7 +69,7 @@ class TurnOptions:
             fastest = speed * max(self.radii, default=0.0)
             _within("--speeds times --radii", max(fastest, 1e-9), config.max_linear, "max_linear")
         kinds = len(speeds) * len(self.radii)
-        repeats = run.repeats or max(1, len(self.measured_deg) // max(1, kinds))
+        repeats = run.times(max(1, len(self.measured_deg) // max(1, kinds)))
         return manoeuvres.turns(self.turns, speeds, self.radii, repeats)
 
 
@@ -89,7 +89,7 @@ class SquareOptions:
         """The squares: as many of each direction as `ends` were read, or as asked for."""
         from acsar_gym.calibration import manoeuvres  # noqa: PLC0415
 
-        counts = [run.repeats or 2] * 2 if self.corners is None else [len(one) for one in ends]
+        counts = [run.times(2)] * 2 if self.corners is None else [len(one) for one in ends]
         rate = USUAL * config.max_angular
         return manoeuvres.squares(self.size, run.linear(config), rate, counts[0], counts[1])
 
@@ -108,6 +108,12 @@ class RunOptions:
     and radius, 2 squares each way."""
     yes: bool = False
     """Don't ask before driving, for scripts."""
+
+    def times(self, usual: int) -> int:
+        """Runs of each kind; as usual where it isn't said. ConfigError for less than one."""
+        if self.repeats is not None and self.repeats < 1:
+            raise ConfigError(f"--repeats {self.repeats}: must be 1 or more")
+        return usual if self.repeats is None else self.repeats
 
     def linear(self, config: RobotConfig) -> float:
         """Linear speed [m/s]."""

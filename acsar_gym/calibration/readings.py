@@ -16,6 +16,8 @@ from acsar_gym.reading import bounded, structured
 
 CONTRADICTION = 0.3
 """A reading that differs from odometry by more than this share is refused."""
+NOWHERE = 1e-3
+"""A straight run that is shorter than this, by odometry, can't be measured [m]."""
 SKIDS = (1.0, 2.2)
 """Multipliers of skid-steer robots; a turn may contradict odometry by as much as they explain."""
 MOST_BYTES = 1_000_000
@@ -114,6 +116,8 @@ def _check_distance(run: Run, value: float, config: RobotConfig) -> None:
     """Check the length of a straight run; ConfigError."""
     x, y, _ = end_pose(run.wheels, configured(config), config.wheel_separation)
     expected = math.hypot(x, y)
+    if expected < NOWHERE:
+        raise ConfigError(f"{run.name}: ended where it began, by odometry: not a straight run")
     if not abs(value - expected) <= CONTRADICTION * expected:
         hint = "in centimetres?" if 50.0 < value / expected < 200.0 else "another run's?"
         raise _contradiction(run, f"{value:g} m", f"odometry says {expected:.3f} m: {hint}")

@@ -11,7 +11,8 @@ from rich.table import Table
 from acsar_gym.calibration.fit import Estimate, Fit
 from acsar_gym.calibration.model import configured, predicted, sigmas
 from acsar_gym.calibration.runs import Run, sha256
-from acsar_gym.config import Measured, RobotConfig
+from acsar_gym.config import Measured, RobotConfig, renewed
+from acsar_gym.dynamics.measured import LEAST_TURN
 from acsar_gym.evaluation.report import plain
 
 RADII = ("left_wheel_radius_multiplier", "right_wheel_radius_multiplier")
@@ -26,7 +27,7 @@ def estimates(fit: Fit, config: RobotConfig) -> dict[str, Estimate]:
 
     `wheel_radius` becomes the mean radius of both sides and their multipliers 1 -+ half the ratio,
     where the ratio was told; else the multipliers stay as they are. `body.turn_factor` is the
-    multiplier, so that the twin turns as the robot does; a tyre can't turn faster than 1.
+    multiplier, so that the twin turns as the robot does; a tyre's is above 1.
     """
     found: dict[str, Estimate] = {}
     sides = (config.left_wheel_radius_multiplier, config.right_wheel_radius_multiplier)
@@ -44,7 +45,8 @@ def estimates(fit: Fit, config: RobotConfig) -> dict[str, Estimate]:
         found[MULTIPLIER] = told[MULTIPLIER]
         if told[MULTIPLIER].value > 1.0:
             one = told[MULTIPLIER]
-            found[TURN_FACTOR] = Estimate(one.value, max(one.low, 1.0), one.high)
+            low = max(one.low, min(one.value, LEAST_TURN))
+            found[TURN_FACTOR] = Estimate(one.value, low, one.high)
     return {
         name: found[name]
         for name in ("wheel_radius", *RADII, MULTIPLIER, TURN_FACTOR)
@@ -59,13 +61,16 @@ def calibrated(fit: Fit, config: RobotConfig) -> RobotConfig:
     logs = (sha256(fit.used, config),)
     measured = {
         name: Measured(low=one.low, high=one.high, method=f"calibrate {kinds}", logs=logs)
-        for name, one in found.items()
         if one.high > one.low
+        else None
+        for name, one in found.items()
     }
+    if MULTIPLIER in found:  # one that a tyre can't have ends the tyre's interval
+        measured.setdefault(TURN_FACTOR, None)
     changes: dict[str, Any] = {name: one.value for name, one in found.items() if "." not in name}
     if TURN_FACTOR in found:
         changes["body"] = {"turn_factor": found[TURN_FACTOR].value}
-    return config.with_(**changes, measured={**config.measured, **measured})
+    return config.with_(**changes, measured=renewed(config.measured, measured))
 
 
 def table(fit: Fit, config: RobotConfig) -> Table:
@@ -124,24 +129,24 @@ def runs_table(runs: Sequence[Run], fit: Fit, config: RobotConfig) -> Table:
     return found
 
 
-def as_dict(fit: Fit, runs: Sequence[Run], config: RobotConfig) -> dict[str, Any]:
-    """The result for JSON."""
+def as_dict(fit: Fit | None, runs: Sequence[Run], config: RobotConfig) -> dict[str, Any]:
+    """The result for JSON; without a fit, where no run has a reading, nothing is found."""
     return {
         "found": {
             name: {"value": one.value, "low": one.low, "high": one.high}
-            for name, one in estimates(fit, config).items()
+            for name, one in (estimates(fit, config) if fit else {}).items()
         },
-        "not_told": [name for name in MISSING if name not in fit.told],
-        "left_out": [run.name for run in fit.outliers],
-        "rms": fit.rms,
+        "not_told": [name for name in MISSING if fit is None or name not in fit.told],
+        "left_out": [run.name for run in fit.outliers] if fit else [],
+        "rms": fit.rms if fit else None,
         "runs": [_run_dict(run, fit, config) for run in runs],
     }
 
 
-def _run_dict(run: Run, fit: Fit, config: RobotConfig) -> dict[str, Any]:
+def _run_dict(run: Run, fit: Fit | None, config: RobotConfig) -> dict[str, Any]:
     """One run for JSON: readings, and odometry before and after."""
     before = predicted(run, configured(config), config.wheel_separation)
-    after = predicted(run, fit.geometry, config.wheel_separation)
+    after = predicted(run, fit.geometry, config.wheel_separation) if fit else before
     return {
         "name": run.name,
         "manoeuvre": run.manoeuvre,

@@ -29,6 +29,8 @@ ASKED = {
     "square": "end x y [m], and heading [degrees] if you have it, as the start saw them",
 }
 """What a person is asked for after each run."""
+MOST = 1e6
+"""Largest reading."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,6 +143,11 @@ class Given:
     """Ends of counter-clockwise squares."""
 
     def __post_init__(self) -> None:
+        for option in ("measured", "aside", "degrees"):
+            for number in getattr(self, option):
+                if not -MOST <= number <= MOST:
+                    name = "measured-deg" if option == "degrees" else option
+                    raise ConfigError(f"--{name} {number:g}: must be {-MOST:g} to {MOST:g}")
         if self.aside and len(self.aside) != len(self.measured):
             raise ConfigError(
                 f"--aside has {len(self.aside)} readings, --measured {len(self.measured)}: must be "
@@ -196,7 +203,7 @@ def parsed(run: Run, text: str, scales: Scales) -> Run:
     if not row:
         return run
     most = {"straight": (1, 2), "turn": (1,), "square": (2, 3)}[run.manoeuvre]
-    if len(row) not in most or not all(-1e6 < number < 1e6 for number in row):
+    if len(row) not in most or not all(-MOST <= number <= MOST for number in row):
         raise ConfigError(f"{text.strip()[:60]!r}: must be the {ASKED[run.manoeuvre]}")
     return measured(run, row, scales)
 

@@ -29,7 +29,7 @@ class Sitting:
         scales: of the readings that a person takes.
         kept_in: file that keeps the runs; existing ones are fitted, too. None: not kept.
         ask: asks a person, who can answer; None where nobody is there.
-        known: whether the file must be there already; ConfigError if it isn't.
+        known: whether the file must be there already, with runs; ConfigError if not.
     """
 
     def __init__(
@@ -48,6 +48,8 @@ class Sitting:
         self._kept_in, self._ask = kept_in, ask
         if kept_in is not None and (known or kept_in.exists()):
             self.found = runs.load(kept_in, config)
+        if known and not self.found:
+            raise ConfigError(f"{kept_in}: holds no runs: drive some with --runs {kept_in}")
 
     def drive(
         self,

@@ -13,7 +13,7 @@ import tyro
 
 from acsar_gym.calibration.options import Manoeuvres, RunOptions
 from acsar_gym.cli import asking
-from acsar_gym.cli.options import File, Json, LidarArg, RobotArg, Worlds
+from acsar_gym.cli.options import File, Json, LidarArg, RobotArg, Worlds, check_out
 from acsar_gym.cli.recording import RecordOptions
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, printable
@@ -90,7 +90,8 @@ def calibrate(
     """
     from acsar_gym.evaluation import report  # noqa: PLC0415
 
-    for path in (output.out, output.json, output.runs):
+    check_out(output.out)
+    for path in (output.json, output.runs):
         report.check_writable(path)
     config, given = RobotConfig.of(wire.robot), what.given()
     kept_in = Path(device) if device.endswith(".json") else output.runs
@@ -173,11 +174,11 @@ def _finish(
     for line in sitting.notes:
         print(printable(line))
     fit = sitting.fit()
+    report.write_json(output.json, result.as_dict(fit, sitting.found, config))
     if fit is None:
         print(printable(_waiting(sitting, kept_in)))
         return 0
     report.show(result.runs_table(sitting.found, fit, config), result.table(fit, config))
-    report.write_json(output.json, result.as_dict(fit, sitting.found, config))
     if output.out is not None:
         result.calibrated(fit, config).save(output.out)
         print(printable(f"written: {output.out}; use it with --robot {output.out}"))

@@ -23,6 +23,7 @@ from acsar_gym.cli.options import (
     TimingArgs,
     TimingOptions,
     Worlds,
+    check_out,
 )
 from acsar_gym.cli.recording import RecordArgs
 from acsar_gym.config import RobotConfig
@@ -84,6 +85,8 @@ def _serve(emulator: Emulator, duration: float | None) -> None:
     if emulator.lidar_device:
         print(f"serving a LiDAR on {emulator.lidar_device}", flush=True)
     emulator.run(duration, until=lambda: bool(ended))
+    if emulator.lost:
+        print(f"stood still for {emulator.lost:.1f} s in all: this computer was too busy")
 
 
 def _first(worlds: str | None, config: RobotConfig) -> World | None:
@@ -169,7 +172,6 @@ def _commission(device: str | None, options: SpinOptions) -> Commission | None:
     """Count down, and return what is to be found by turning wheels; None without --spin."""
     from acsar_gym.doctor.commission import Commission  # noqa: PLC0415
     from acsar_gym.doctor.wiring import eyes_of  # noqa: PLC0415
-    from acsar_gym.evaluation import report  # noqa: PLC0415
 
     if not options.spin:
         if options.out is not None or options.saw is not None:
@@ -177,7 +179,7 @@ def _commission(device: str | None, options: SpinOptions) -> Commission | None:
         return None
     if device is None:
         raise ConfigError("--spin needs a device, such as /dev/ttyUSB0")
-    report.check_writable(options.out)
+    check_out(options.out)
     eyes = None if options.saw is None else eyes_of(options.saw)
     asks = eyes is None and not options.yes
     countdown(f"the wheels of the robot on {device} will turn: lift it", yes=options.yes)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from acsar_gym.cli import asking
-from acsar_gym.cli.options import File, Json, RobotArg
+from acsar_gym.cli.options import File, Json, RobotArg, check_out
 from acsar_gym.cli.recording import RecordArgs
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, printable
@@ -50,8 +50,8 @@ def identify(
     """
     from acsar_gym.evaluation import report  # noqa: PLC0415
 
-    for path in (out, json):
-        report.check_writable(path)
+    check_out(out)
+    report.check_writable(json)
     if not sources:
         raise ConfigError("identify needs a device, or recordings made with --record")
     if _are_files(sources):

@@ -79,9 +79,9 @@ class BoardOptions:
     silent: bool = False
     """Never answer, as a board without power."""
     quirk: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")] = ()
-    """How it differs: at-comma, unpadded, padded-space, reversed-encoder=WHEEL,
-    reversed-motor=WHEEL, swapped-encoders, swapped-motors, dead-wheel=WHEEL, dead-encoder=WHEEL,
-    frozen, resets, command-timeout=SECONDS, no-timeout, feedback-rate=HZ."""
+    """How it differs: at-comma, no-comma, unpadded, padded-space,
+    reversed-encoder=WHEEL, reversed-motor=WHEEL, swapped-encoders, swapped-motors,
+    dead-wheel=WHEEL, dead-encoder=WHEEL, frozen, resets, command-timeout=SECONDS, no-timeout, feedback-rate=HZ."""
 
 
 @dataclass(frozen=True)
@@ -122,6 +122,15 @@ class StoppingOptions:
     """Kinds of faults for --stopping, such as kill, stop, watchdog; default: all."""
     board: str | None = None
     """Command that --stopping emulates the board with; default: acsar-gym emulate."""
+
+
+def check_out(path: Path | None) -> None:
+    """Check an --out before a robot drives; ConfigError where no robot can be written there."""
+    from acsar_gym.config import saving  # noqa: PLC0415
+    from acsar_gym.evaluation import report  # noqa: PLC0415
+
+    if path is not None:
+        report.check_writable(saving.target(path))
 
 
 _flat = tyro.conf.arg(name="")

@@ -42,8 +42,10 @@ class RecordOptions:
         """
         if self.record is None and not self.view:
             return None
-        from acsar_gym.recording import Recorder  # noqa: PLC0415
+        from acsar_gym.recording import Recorder, target  # noqa: PLC0415
 
+        if self.record is not None:
+            target.check(self.record)
         sinks = []
         if self.view:
             from acsar_gym.recording.live import LiveView  # noqa: PLC0415 - optional

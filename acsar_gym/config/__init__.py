@@ -8,7 +8,7 @@ measured. Bad values raise one `ConfigError` that names field, value and allowed
 
 from acsar_gym.config.lidar import LidarConfig
 from acsar_gym.config.limits import Geofence, SpeedLimits
-from acsar_gym.config.measured import Measured
+from acsar_gym.config.measured import Measured, renewed
 from acsar_gym.config.parts import (
     BodyConfig,
     EncoderConfig,
@@ -38,5 +38,6 @@ __all__ = [
     "WheelConfig",
     "WheelMotor",
     "WheelsConfig",
+    "renewed",
     "whole_ratio",
 ]

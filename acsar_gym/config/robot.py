@@ -18,7 +18,7 @@ from acsar_gym.config.limits import (
     LinearLimits,
     accelerating,
 )
-from acsar_gym.config.measured import Measured, check_names
+from acsar_gym.config.measured import Measured, check
 from acsar_gym.config.parts import BodyConfig, EncoderConfig, FirmwareConfig, MotorConfig
 from acsar_gym.config.rates import whole_ratio
 from acsar_gym.config.section import Section
@@ -75,8 +75,9 @@ class RobotConfig(Section):
     feedback_timeout: Wait = 0.5
     """Feedback older than this stops the robot with an error [s]."""
     watchdog_timeout: Annotated[float, Field(ge=0.01, le=60.0)] | None = 0.15
-    """After this time without a command, the watchdog process sends zero commands [s], 0.01 to 60;
-    None: no watchdog."""
+    """Where the driving process gave no sign of life for this time while wheels turn, as it hangs,
+    the watchdog process sends zero commands [s], 0.01 to 60; it does so at once where the process
+    died. None: no watchdog."""
     wheel_check: bool = True
     """Stop a real robot with an error that names the wheel, where measured wheel speeds contradict
     the commanded ones for longer than `motor`, `firmware` and `encoder` explain."""
@@ -126,8 +127,8 @@ class RobotConfig(Section):
 
     @model_validator(mode="after")
     def _measured_fields_exist(self) -> Self:
-        """Check the names of measured fields."""
-        check_names(list(self.measured), type(self))
+        """Check the names of measured fields, and that their intervals are within their bounds."""
+        check(self.measured, type(self))
         return self
 
     @model_validator(mode="after")
@@ -209,14 +210,16 @@ class RobotConfig(Section):
         """Return a validated copy with changed fields.
 
         Args:
-            **changes: new values; a dict changes single fields of a section.
+            **changes: new values; a dict changes single fields of a section, but `measured` is
+                replaced as a whole.
 
         Raises:
             ConfigError: for unknown fields and bad values.
         """
         fields = self.model_dump()
         for name, value in changes.items():
-            nested = isinstance(value, dict) and isinstance(fields.get(name), dict)
+            section = isinstance(fields.get(name), dict) and name != "measured"
+            nested = isinstance(value, dict) and section
             fields[name] = {**fields[name], **value} if nested else value
         return RobotConfig(**fields)
 
@@ -231,9 +234,7 @@ class RobotConfig(Section):
         """
         from acsar_gym.config import saving  # noqa: PLC0415 - only saving needs the YAML writer
 
-        if not isinstance(path, str | Path) or Path(path).suffix not in (".yaml", ".yml"):
-            raise ConfigError(f"path = {shown(path)}: a robot is written to .yaml or .yml")
-        saving.save(self, Path(path))
+        saving.save(self, saving.target(path))
 
     @classmethod
     def load(cls, path: str | Path) -> RobotConfig:

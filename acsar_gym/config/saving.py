@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from acsar_gym.config.section import Section
+from acsar_gym.errors import ConfigError, shown
 from acsar_gym.reading import bounded, structured
 
 GEOMETRY = (
@@ -18,6 +19,14 @@ GEOMETRY = (
 )
 """Fields that are always written."""
 HEAD = "# A robot for acsar_gym: its geometry, and what differs from the defaults. SI units.\n"
+
+
+def target(path: str | Path) -> Path:
+    """Return the path of a robot's file that is to be written; ConfigError for other names."""
+    if not isinstance(path, str | Path) or Path(path).suffix not in (".yaml", ".yml"):
+        name = str(path) if isinstance(path, Path) else path
+        raise ConfigError(f"path = {shown(name)}: a robot is written to .yaml or .yml")
+    return Path(path)
 
 
 def save(robot: Section, path: Path) -> None:

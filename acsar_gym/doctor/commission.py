@@ -88,11 +88,15 @@ class Commission:
         self.finished = not ear.gaps
 
     def save(self, config: RobotConfig, path: Path) -> Check:
-        """Write a robot with what was found; ConfigError if the file can't be written."""
+        """Write a robot with what was found."""
         try:
-            config.with_(**self.changes).save(path)
+            robot = config.with_(**self.changes)
         except ConfigError as error:
             return Check("robot file", "fail", f"not written: {error}", "change that field first")
+        try:
+            robot.save(path)
+        except ConfigError as error:
+            return Check("robot file", "fail", str(error), "give another file with --out")
         differing = ", ".join(_names(self.changes)) or "nothing differs"
         return Check("robot file", "ok", f"{path}: {differing}", f"use --robot {path}")
 

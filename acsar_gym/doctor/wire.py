@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import time
 from collections.abc import Iterator
 
@@ -11,7 +10,7 @@ from acsar_gym.doctor import feedback
 from acsar_gym.doctor.checks import Check
 from acsar_gym.doctor.commission import Commission
 from acsar_gym.doctor.listening import Ear
-from acsar_gym.errors import BoardSilentError, ConfigError, LinkError
+from acsar_gym.errors import BoardSilentError, LinkError
 from acsar_gym.links.base import Link
 from acsar_gym.links.recorded import recorded
 from acsar_gym.links.serial import SerialLink
@@ -38,16 +37,13 @@ def examine(
     Yields:
         The results in order.
     """
-    link = recorded(_Stoppable(device, _with_comma(config)), recorder, config)
+    link = recorded(_Stoppable(device, config), recorder, config)
     begin = time.monotonic()
     try:
-        link.open()
-        if recorder is not None:
-            link.reset(Scene())
-    except LinkError as error:
-        yield _failed_to_open(error)
-        return
-    try:
+        failed = _failure_of_opening(link, recorder)
+        if failed is not None:
+            yield failed
+            return
         took = time.monotonic() - begin
         yield Check("open", "ok", f"{device}, {config.baud_rate} baud, held exclusively")
         yield Check("first valid line", "ok", f"after {took:.2f} s")
@@ -58,6 +54,18 @@ def examine(
         link.close()
         if recorder is not None:
             recorder.close()
+
+
+def _failure_of_opening(link: Link, recorder: Recorder | None) -> Check | None:
+    """Open the link; returns what failed."""
+    try:
+        link.open()
+        if recorder is not None:
+            link.reset(Scene())
+    except LinkError as error:
+        name = "first valid line" if isinstance(error, BoardSilentError) else "open"
+        return Check(name, "fail", error.found, error.fix)
+    return None
 
 
 def examined(link: Link, config: RobotConfig, commission: Commission | None) -> Iterator[Check]:
@@ -81,10 +89,14 @@ def examined(link: Link, config: RobotConfig, commission: Commission | None) -> 
 
 
 class _Stoppable(SerialLink):
-    """A link that obeys `acsar-gym estop`, as a Robot does."""
+    """A link that obeys `acsar-gym estop`, as a Robot does.
+
+    Its zero commands, and those of its watchdog, come without and with a trailing comma, as it
+    isn't known yet which of them the board takes.
+    """
 
     def __init__(self, device: str, config: RobotConfig) -> None:
-        super().__init__(device, config)
+        super().__init__(device, config, [encode(ZERO, trailing_comma=c) for c in (False, True)])
         self._listener = StopListener(device, config.name)
 
     def read_now(self) -> bytes:
@@ -96,28 +108,14 @@ class _Stoppable(SerialLink):
         return super().read_now()
 
     def close(self) -> None:
-        """Command zero in both ways that a board may want it, and close."""
-        with contextlib.suppress(LinkError):
-            for comma in (False, True):
-                self.write(encode(ZERO, trailing_comma=comma))
-        super().close()
-        self._listener.close()
-
-
-def _failed_to_open(error: LinkError) -> Check:
-    name = "first valid line" if isinstance(error, BoardSilentError) else "open"
-    return Check(name, "fail", error.found, error.fix)
+        """Command zero and close, also for `acsar-gym estop`."""
+        try:
+            super().close()
+        finally:
+            self._listener.close()
 
 
 def _standing() -> Iterator[Check]:
     """Name the checks that need turning wheels."""
     for name in ("wiring", "command to feedback", "stops when commands stop"):
         yield Check(name, "skip", "needs turning wheels", "lift the robot and add --spin")
-
-
-def _with_comma(config: RobotConfig) -> RobotConfig:
-    """Return the config with a trailing comma, as far as its baud rate allows."""
-    try:
-        return config.with_(trailing_comma=True)
-    except ConfigError:
-        return config

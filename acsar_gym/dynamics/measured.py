@@ -37,6 +37,10 @@ FACTORS = {
 TURNING = ("body.turn_factor", "wheel_separation_multiplier")
 """Fields whose intervals the turn factor follows, the first that was measured: a multiplier that is
 right for a robot is the factor by which it turns slower."""
+LEAST_TURN = 1.001
+"""Least turn factor of a range; one of 1 would be a tyre without sideways friction."""
+SMALLEST, LARGEST = 1e-6, 1e3
+"""Factors that a range can have."""
 WHEEL_FACTORS = {"motor_gain": "gain", "motor_lag": "time_constant"}
 """Parameters that are factors on a value of each wheel, and the field of `motor`."""
 
@@ -49,7 +53,7 @@ def measured_ranges(config: RobotConfig) -> dict[str, tuple[float, ...]]:
             found[name] = _relative(config.measured[path], _value(config, path))
     turning = next((path for path in TURNING if path in config.measured), None)
     if turning is not None:
-        found["turn_factor"] = _relative(config.measured[turning], turn_factor(config))
+        found["turn_factor"] = _turning(config.measured[turning], turn_factor(config))
     for name, field in WHEEL_FACTORS.items():
         ends = list(_wheel_ends(config, field, DEFAULT[name]))
         if ends:
@@ -94,7 +98,13 @@ def _shown(name: str, width: tuple[float, ...]) -> str:
 
 def _relative(interval: Measured, value: float) -> Range:
     """An interval as a range of factors on a value."""
-    return interval.low / value, interval.high / value
+    low, high = interval.low / value, interval.high / value
+    return min(max(low, SMALLEST), LARGEST), min(max(high, SMALLEST), LARGEST)
+
+
+def _turning(interval: Measured, value: float) -> Range:
+    """An interval of turn factors as a range of factors on one, clipped to what tyres can do."""
+    return max(interval.low, LEAST_TURN) / value, max(interval.high, LEAST_TURN) / value
 
 
 def _value(config: RobotConfig, path: str) -> float:

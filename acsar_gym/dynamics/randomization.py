@@ -129,6 +129,8 @@ class Randomization:
             _check_feedback(self.feedback_rate, config)
         if self.turn_factor is not None:
             _check_turning(self.turn_factor, config)
+        if self.latency is not None:
+            _check_latency(self.latency, config, step)
         lags = config.motor.time_constant
         instant = [f"motor_lag_{w}" for i, w in enumerate("abcd") if of_wheel(lags, i) == 0.0]
         pairs = {
@@ -139,9 +141,7 @@ class Randomization:
         }
         low = {number: pair[0] for number, pair in pairs.items()}
         high = {number: pair[1] for number, pair in pairs.items()}
-        ranges = Ranges(Drawn(**low), Drawn(**high), self.delay_samples or (0.0,))
-        _check_delays(self, ranges, config, step)
-        return ranges
+        return Ranges(Drawn(**low), Drawn(**high), self.delay_samples or (0.0,))
 
 
 LEAST = {
@@ -180,16 +180,15 @@ def _delays(name: str, value: Any) -> tuple[float, ...]:
     return delays
 
 
-def _check_delays(given: Randomization, ranges: Ranges, config: RobotConfig, step: float) -> None:
-    """ConfigError where a command can take longer than an env step to reach the board."""
+def _check_latency(latency: Range, config: RobotConfig, step: float) -> None:
+    """ConfigError where feedback can take as long as an env step to reach the driver."""
     dt = substep(config)
-    names = [name for name in ("latency", "command_delay", "delay_samples") if getattr(given, name)]
-    slowest = wire_loops(config, longest_delay(ranges, config)) * dt + ranges.high.latency
-    if names and slowest > step - dt / 2.0:
-        told = f"{names[0]} = {shown(getattr(given, names[0]))}"
+    slowest = wire_loops(config) * dt + latency[1]
+    if slowest > step - dt / 2.0:
         raise ConfigError(
-            f"randomization {told}: on this wire a line takes up to {slowest:g} s; must be shorter "
-            f"than a step of the policy ({step:g} s)"
+            f"randomization latency = {latency}: on this wire a line takes up to {slowest:g} s; "
+            f"must be shorter than a step of the policy ({step:g} s); a lower policy_rate makes it "
+            "longer"
         )
 
 

@@ -30,8 +30,9 @@ from acsar_gym.worlds import Pose, Scene, World
 from acsar_gym.worlds.geometry import look
 
 Floats = NDArray[np.float64]
-STALL = 0.1
-"""A delay by the operating system is caught up with, unless it is longer than this [s]."""
+STALL = 0.5
+"""A delay by the operating system is caught up with, unless it is longer than this [s]. Drivers
+give up after 0.5 s without feedback by default; until then they take it that the robot goes on."""
 WARM_UP = 0.05
 """Simulated time before a client can connect [s]."""
 SAMPLES = 200
@@ -47,8 +48,8 @@ class Emulator:
     Args:
         config: configuration of the robot.
         body: "planar" or "bullet".
-        log: file for one JSON line per received chunk, and per loop the true pose (world
-            frame); None for no log.
+        log: file for one JSON line per received chunk, per loop the true pose (world
+            frame), and lost time; None for no log.
         silent: never answer.
         world: the world, at whose start the robot stands; None for the origin of an open floor.
         sees: also emulate an RPLIDAR, at `lidar_device`.
@@ -78,6 +79,8 @@ class Emulator:
         self._config = config
         self._silent = silent
         self.plugged = True
+        self.lost = 0.0
+        """Time that wasn't simulated, because the process was delayed for too long [s]."""
         with contextlib.ExitStack() as ours:
             self._link: Link = open_link(body, config)
             ours.callback(self._link.close)
@@ -121,6 +124,8 @@ class Emulator:
             remaining = deadline - time.monotonic()
             if remaining < -STALL:
                 deadline -= remaining
+                self.lost -= remaining
+                self._note({"lost": -remaining})
             time.sleep(max(0.0, remaining))
             self._turn(period)
 

@@ -21,6 +21,7 @@ BOOT = 1.5
 """How long a board is silent after a reset [s]."""
 NAMES: dict[str, str | None] = {
     "at-comma": None,
+    "no-comma": None,
     "unpadded": None,
     "padded-space": None,
     "reversed-encoder": "",
@@ -122,7 +123,8 @@ class QuirkyLink:
         self._comma = config.trailing_comma
         self._dead_motor = _letter(quirks.get("dead-wheel"), config, "motor")
         self._dead_encoder = _letter(quirks.get("dead-encoder"), config, "encoder")
-        self._filters_input = "at-comma" in quirks or self._dead_motor is not None
+        commas = "at-comma" in quirks or "no-comma" in quirks
+        self._filters_input = commas or self._dead_motor is not None
         self._style = _style(quirks)
         self._pause = float(quirks.get("frozen") or quirks.get("resets") or math.inf)
         self._begun = False
@@ -172,6 +174,8 @@ class QuirkyLink:
         """Return what the board takes of a line."""
         if "at-comma" in self._quirks:
             line = line[: line.rfind(b",") + 1]
+        if "no-comma" in self._quirks and line.rstrip().endswith(b","):
+            line = b",".join(line.split(b",")[:-2])
         if self._dead_motor is not None:
             for reading in Decoder().feed(line + b"\n"):
                 speeds = [0.0 if speed is None else speed for speed in reading.speeds]

@@ -88,7 +88,7 @@ def _window(estimate: Estimate | None, config: RobotConfig, known: Knowable) -> 
     if half > VAGUE:
         return unknown(WINDOW, "", before, "too vague: record more steps")
     whole = max(1, round(value / dt)) * dt
-    low, high = max(0.0, value - half - dt), value + half + dt
+    low, high = max(dt, value - half - dt), value + half + dt
     note = "by encoder counts" if estimate.counted else ""
     return Finding(WINDOW, "", whole, min(low, whole), max(high, whole), before, note, told=True)
 
@@ -122,7 +122,7 @@ def _rate(config: RobotConfig, known: Knowable, tracks: Sequence[Track]) -> Find
         return unknown(RATE, "", config.feedback_rate, known.missing[RATE, ""])
     found = lines.measured(tracks)
     note = f"jitter {1e3 * found.jitter:.1f} ms"
-    low, high = found.rate - found.half, found.rate + found.half
+    low, high = max(0.1 * found.rate, found.rate - found.half), found.rate + found.half
     if found.rate > config.firmware.loop_rate:
         return unknown(RATE, "", config.feedback_rate, "more lines than the twin has loops")
     return Finding(RATE, "", found.rate, low, high, config.feedback_rate, note, told=True)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from acsar_gym.config import RobotConfig
+from acsar_gym.config import Measured, RobotConfig, renewed
 from acsar_gym.errors import ConfigError
 from acsar_gym.identification import board, motors
 from acsar_gym.identification.estimation import Estimate, clock_of, estimated, motor_of
@@ -21,6 +21,7 @@ from acsar_gym.protocol import MOTORS
 from acsar_gym.recording.wire_log import WireLog
 
 METHOD = "identify"
+COUNTS = "counts_per_revolution"
 DIGITS = 4
 """Significant digits of written numbers."""
 MARGIN = 0.1
@@ -64,14 +65,17 @@ class Identified:
             ConfigError: what was found contradicts another field, and the message says which.
         """
         changes: dict[str, dict[str, Any]] = {"motor": {}, "firmware": {}, "encoder": {}}
-        measured: dict[str, Any] = dict(self.config.measured)
+        found: dict[str, Measured | None] = {}
         for one in self.findings:
             if one.told:
                 self._add(one, changes)
-                measured.update(self._measured(one))
+                found[f"{one.name}.{one.wheel}" if one.wheel else one.name] = self._measured(one)
         if self.delays:
             changes["firmware"]["delay_samples"] = self.delays
         counts = self._counts(changes["encoder"])
+        if COUNTS in counts["encoder"]:
+            found[f"encoder.{COUNTS}"] = None
+        measured = renewed(self.config.measured, found)
         return self.config.with_(**changes | {"measured": measured} | counts)
 
     def _add(self, one: Finding, changes: dict[str, dict[str, Any]]) -> None:
@@ -87,15 +91,13 @@ class Identified:
         )
         four[k] = value
 
-    def _measured(self, one: Finding) -> Mapping[str, Any]:
-        """The entry of one finding in the robot's `measured`."""
+    def _measured(self, one: Finding) -> Measured | None:
+        """The interval of one finding, for the robot's `measured`."""
         if one.low is None or one.high is None:
-            return {}
-        name = f"{one.name}.{one.wheel}" if one.wheel else one.name
-        ends = {"low": rounded(one.low), "high": rounded(one.high)}
-        return {name: {**ends, "method": METHOD, "logs": self.logs}}
+            return None
+        return Measured(low=rounded(one.low), high=rounded(one.high), method=METHOD, logs=self.logs)
 
-    def _counts(self, encoder: dict[str, Any]) -> dict[str, Any]:
+    def _counts(self, encoder: dict[str, Any]) -> dict[str, dict[str, Any]]:
         """Counts per turn where those configured would be coarser than the printed numbers."""
         step = next(one.value for one in self.findings if one.name == board.QUANTUM)
         window = encoder.get("window", self.config.encoder.window)
@@ -104,7 +106,7 @@ class Identified:
         if step is None or counted or own < 2.0 * step or not self.held_out:
             return {"encoder": encoder}
         fine = math.ceil(2.0 * math.pi / (MARGIN * step * window))
-        return {"encoder": {**encoder, "counts_per_revolution": min(fine, 10_000_000)}}
+        return {"encoder": {**encoder, COUNTS: min(fine, 10_000_000)}}
 
     def as_dict(self) -> dict[str, Any]:
         """Format for JSON."""

@@ -38,7 +38,7 @@ def measured(tracks: Sequence[Track]) -> Lines:
     Args:
         tracks: at least one with two lines.
     """
-    slopes = [_slope(track.stamps) for track in tracks if len(track.stamps) > 1]
+    slopes = [_slope(track) for track in tracks if len(track.stamps) > 1]
     spans = [float(np.ptp(track.stamps)) for track in tracks if len(track.stamps) > 1]
     rate = float(np.average(slopes, weights=spans))
     gaps = np.concatenate([np.diff(track.stamps) for track in tracks])
@@ -48,7 +48,7 @@ def measured(tracks: Sequence[Track]) -> Lines:
     return Lines(rate, half, jitter)
 
 
-def _slope(stamps: Floats) -> float:
+def _slope(track: Track) -> float:
     """Lines per second, of evenly chosen lines."""
-    chosen = np.unique(np.linspace(0, len(stamps) - 1, MOST_LINES).astype(np.intp))
-    return float(stats.theilslopes(chosen, stamps[chosen]).slope)
+    chosen = np.unique(np.linspace(0, len(track.stamps) - 1, MOST_LINES).astype(np.intp))
+    return float(stats.theilslopes(track.numbers[chosen], track.stamps[chosen]).slope)

@@ -88,7 +88,7 @@ def _ramp(letter: str, before: float, slowness: float, half: float) -> Finding:
         return Finding(name, letter, NO_RAMP, fastest, NO_RAMP, before, note, told=True)
     if half > VAGUE[name] * slowness:
         return unknown(name, letter, before, "too vague: record more large steps")
-    low, high = 1.0 / (slowness + half), 1.0 / (slowness - half)
+    low, high = 1.0 / (slowness + half), min(NO_RAMP, 1.0 / (slowness - half))
     return Finding(name, letter, 1.0 / slowness, low, high, before, told=True)
 
 

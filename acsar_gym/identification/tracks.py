@@ -38,6 +38,7 @@ class Track:
         stamps: when the board made each line, (m,) [s].
         speeds: of the four wheels, (m, 4) [rad/s].
         held_out: which lines a fit may not see, (m,).
+        numbers: of these lines among all that came, (m,); late ones are left out.
     """
 
     arrivals: Floats
@@ -45,6 +46,7 @@ class Track:
     stamps: Floats
     speeds: Floats
     held_out: Bools
+    numbers: NDArray[np.intp]
 
     @property
     def duration(self) -> float:
@@ -84,13 +86,14 @@ def track(log: WireLog, config: RobotConfig) -> Track | None:
         return None
     last = np.append(np.diff(got) > 0.0, True)  # of lines that came at once, the newest
     last &= got - steady(got, float(np.median(np.diff(got)))) < LATE
-    stamps, speeds = got[last] - took, speeds[last]
+    stamps, speeds, numbers = got[last] - took, speeds[last], np.flatnonzero(last)
     arrivals = np.maximum.accumulate(sent) + took
     seen = (stamps >= arrivals[0]) & (stamps <= arrivals[-1] + GAP)
     if not seen.any():
         return None
     stamps, speeds = stamps[seen], speeds[seen]
-    return Track(arrivals, commands, stamps, speeds, _held_out(stamps, arrivals))
+    held_out = _held_out(stamps, arrivals)
+    return Track(arrivals, commands, stamps, speeds, held_out, numbers[seen])
 
 
 def _held_out(stamps: Floats, arrivals: Floats) -> Bools:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import LinkError, LinkLostError
@@ -35,11 +35,12 @@ class SerialLink:
     Args:
         device: a device, a URL, or "usb:" and the serial number of a USB adapter.
         config: configuration of the robot.
+        zeros: zero commands, where that of the config isn't enough.
     """
 
     truth = None
 
-    def __init__(self, device: str, config: RobotConfig) -> None:
+    def __init__(self, device: str, config: RobotConfig, zeros: Sequence[bytes] = ()) -> None:
         self.device = device
         self._config = config
         self._port: OpenPort | None = None
@@ -47,8 +48,8 @@ class SerialLink:
         self._location = Location(device)
         self._heard = 0.0
         self._moved = False
-        self._zeros = encode(ZERO, trailing_comma=config.trailing_comma)
-        self._stop_line = b"\r\n" + self._zeros  # ends a truncated command
+        self._zeros = tuple(zeros) or (encode(ZERO, trailing_comma=config.trailing_comma),)
+        self._stop_line = b"\r\n" + b"".join(self._zeros)  # ends a truncated command
         self._watch = WatchdogHandle(config, self._location, self._stop_line)
         self._deadline = 0.0
         self._ear = Ear()

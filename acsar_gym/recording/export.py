@@ -187,7 +187,7 @@ def _minari(recording: Recording, path: Path, folder: Path) -> Path:
                 action_space=Box(-1.0, 1.0, (2,), np.float32),
                 data_format="arrow",
                 algorithm_name=_policy(recording.header),
-                description=f"Recorded by acsar_gym {recording.header['versions']['acsar_gym']}.",
+                description=f"Recorded by acsar_gym {_version(recording.header)}.",
             )
     except ValueError as error:  # it is there already
         raise ConfigError(f"{folder}: can't be written: {reason(error)}") from None
@@ -220,7 +220,7 @@ def _episodes(recording: Recording) -> Iterator[dict[str, Any]]:
         terminated = ended & one.terminated
         yield {
             "id": number,
-            "seed": one.info.get("seed"),
+            "seed": seed if isinstance(seed := one.info.get("seed"), int) else None,
             "observations": np.array(one.observations),
             "actions": np.array(one.actions),
             "rewards": one.rewards.tolist(),
@@ -233,3 +233,8 @@ def _policy(header: Mapping[str, Any]) -> str:
     """What drove, as far as the header tells."""
     policy = header.get("about", {}).get("policy")
     return str(policy.get("file", "unknown")) if isinstance(policy, dict) else "unknown"
+
+
+def _version(header: Mapping[str, Any]) -> str:
+    """The version of this package that recorded."""
+    return str(header["versions"].get("acsar_gym", "unknown"))

@@ -152,12 +152,12 @@ class Recorder:
         return "the live view" if self.path is None else str(self.path)
 
     def close(self) -> None:
-        """Write what waits, and finish the file; idempotent.
+        """Write what waits, and finish the file; idempotent, and nothing before the first `open`.
 
         Warns (RecordingWarning) where the file couldn't be written.
         """
         writer, self._writer = self._writer, None
-        self._closed = True
+        self._closed = self._closed or writer is not None
         _running.discard(self)
         if writer is not None and writer.pid == os.getpid():
             writer.finish()

@@ -1,10 +1,14 @@
 """Finds wheels whose measured speeds contradict the commanded ones: dead, reversed, swapped ones.
 
 For each wheel the watch keeps the lowest and the highest speed that the commands of the last
-moments can explain: a wheel follows its command at once, or at half the ramp and with twice the lag
-of the robot's configuration, after any delay up to the longest. A wheel contradicts them where it
-turns at less than half of that speed, the other way, or several times as fast. Where that lasts
-longer than the lag explains, `WheelWatch.tick` raises WheelError.
+moments can explain: a wheel follows its command at once, or as slowly as any board does whose lag,
+ramp, deadband and delay weren't measured; where they were, at half the ramp and with twice the lag.
+A wheel contradicts its commands where it turns at less than half of that speed, the other way, or
+several times as fast.
+
+Wheels are also compared, which needs no model: one that stands, or turns the other way, while
+another turns at the same command is wrong, whatever the deadband. A wheel that moves towards its
+command isn't wrong. Where a contradiction lasts, `WheelWatch.tick` raises WheelError.
 """
 
 from __future__ import annotations
@@ -16,26 +20,21 @@ from collections.abc import Callable
 from acsar_gym.config import BITS_PER_BYTE, LINE_BYTES, RobotConfig
 from acsar_gym.errors import WheelError
 from acsar_gym.protocol import WHEELS, ZERO, Speeds
+from acsar_gym.safety.wheel_bounds import WheelBounds, longest_delay, longest_lag
 
-SLOWER = 2.0
-"""Lag, ramp and deadband may be worse than configured by this factor."""
-SHARE = 0.5
-"""A wheel must reach this share of the lowest speed that is expected."""
-FASTER = 2.0
-"""A wheel may be faster than the highest expected speed by this factor."""
-FLOOR = 0.5
-"""Tolerance of a slow wheel [rad/s]; commands up to twice this aren't judged."""
-DRAGGED = 2.0
-"""Tolerance of a fast wheel [rad/s], beside the speed of the fastest one, which may drag it."""
 STILL = 0.2
 """A wheel slower than this stands still, for messages [rad/s]."""
+MOVES = 0.4
+"""A wheel that is faster than this proves that its command turns wheels [rad/s]."""
+QUARTER = 0.25
+"""A wheel is behind others where it has less than this share of their speed."""
 ADAPTER = 0.03
 """Longest delay of a USB adapter in both directions [s]; FTDI's is 16 ms each by default."""
 LOOK = 0.04
 """Interval of the checks [s]."""
 GAP = 0.05
 """Longest time without a new line in which the board can't have stopped its wheels [s]."""
-SHORTEST, LONGEST = 0.1, 0.2
+SHORTEST, LONGEST = 0.16, 0.2
 """Bounds of how long a contradiction must last [s]."""
 SLACK = 1e-9
 """Tolerance for comparing sums of periods [s]."""
@@ -56,10 +55,9 @@ class WheelWatch:
         delay = 2.0 * (line + board.processing_time) + config.encoder.window + ADAPTER + feedback
         self._look = max(LOOK, feedback)
         self._gap = max(GAP, 2.5 * feedback)
-        delay += board.command_delay + max(board.delay_samples, default=0.0)
-        lag = max(config.motor.of_wheel(n).time_constant for n in range(len(WHEELS)))
-        self._patience = min(max(SHORTEST, lag + LOOK), LONGEST)
-        self._wheels = [_Wheel(config, n) for n in range(len(WHEELS))]
+        delay += longest_delay(config)
+        self._patience = min(max(SHORTEST, longest_lag(config) + LOOK), LONGEST)
+        self._wheels = [WheelBounds(config, n) for n in range(len(WHEELS))]
         self._looks = max(2, math.ceil(delay / self._look))
         self.reset()
 
@@ -67,7 +65,8 @@ class WheelWatch:
         """Begin anew, with wheels that stand."""
         self._asked = deque([(ZERO, ZERO)] * self._looks, self._looks)
         self._last = self._most = self._least = ZERO
-        self._since_look = self._since_line = self._fastest = 0.0
+        self._since_look = self._since_line = 0.0
+        self._paired = self._looks
         for wheel in self._wheels:
             wheel.reset()
 
@@ -87,6 +86,8 @@ class WheelWatch:
             self._last = sent
             self._most = _each(max, self._most, sent)
             self._least = _each(min, self._least, sent)
+            if sent[0] != sent[3] or sent[1] != sent[2]:
+                self._paired = -1
         self._since_look += dt
         self._since_line += dt
         if not fresh:
@@ -107,20 +108,40 @@ class WheelWatch:
     def _check(self, measured: Speeds, passed: float) -> None:
         """Judge all wheels, `passed` [s] after the last time."""
         self._asked.append((self._most, self._least))
-        self._most = self._least = self._last
+        right, left, rear_left, rear_right = self._most = self._least = self._last
+        self._paired = self._paired + 1 if right == rear_right and left == rear_left else 0
         highs, lows = zip(*self._asked, strict=True)
-        fastest, self._fastest, worst = self._fastest, 0.0, 0.0
-        commands = zip(self._wheels, map(max, *highs), map(min, *lows), measured, strict=True)
-        for wheel, high, low, speed in commands:
+        wheels = self._wheels
+        for wheel, high, low in zip(wheels, map(max, *highs), map(min, *lows), strict=True):
             wheel.follow(high, low, passed)
-            if wheel.contradicts(speed, fastest):
-                wheel.wrong += passed
-                worst = max(worst, wheel.wrong)
-            elif wheel.wrong:
-                wheel.wrong = max(0.0, wheel.wrong - passed)
-            self._fastest = max(self._fastest, wheel.fastest)
+        fastest = max(wheel.fastest for wheel in wheels)
+        worst = 0.0
+        for number, (wheel, speed) in enumerate(zip(wheels, measured, strict=True)):
+            lack = wheel.lack(speed, fastest) or self._behind(number, measured)
+            worst = max(worst, wheel.judge(lack, speed, passed))
         if worst + SLACK >= self._patience:
             raise self._error(measured)
+
+    def _behind(self, number: int, measured: Speeds) -> float | None:
+        """Return what a wheel lacks of the speed of the other one on its side [rad/s], or 0.
+
+        None where they can't be compared: they didn't have the same commands for a while, or the
+        other one doesn't turn as commanded, either.
+        """
+        other, asked = len(WHEELS) - 1 - number, self._last[number]
+        own, pair = self._wheels[number], self._wheels[other]
+        if self._paired < self._looks or abs(asked) <= MOVES:
+            return 0.0
+        if asked * measured[other] <= 0.0:
+            return None
+        turns = min(abs(measured[other]) / pair.gain, abs(asked))
+        if turns <= MOVES or (own.deadband > pair.deadband and turns <= 2.0 * own.deadband):
+            return 0.0
+        if own.may_stand(abs(asked)):
+            return 0.0
+        expected = own.gain * math.copysign(turns, asked)
+        ahead = measured[number] * math.copysign(1.0, asked)
+        return expected - measured[number] if ahead < QUARTER * abs(expected) else 0.0
 
     def _error(self, measured: Speeds) -> WheelError:
         """Describe the wheel that has contradicted its commands for the longest time."""
@@ -133,7 +154,7 @@ class WheelWatch:
         return WheelError(
             f"{which} ({asked:.2f} rad/s commanded, {speed:.2f} measured for {lasted:.2f} s)",
             f"lift the robot and run 'acsar-gym doctor {self._device} --spin'; check motors and "
-            "encoders",
+            f"encoders, or identify this robot ('acsar-gym identify {self._device}')",
             WHEELS[number],
         )
 
@@ -156,83 +177,6 @@ class WheelWatch:
             if other != number and crossed and not own.explains(measured[number]):
                 return other
         return None
-
-
-class _Wheel:
-    """The lowest and the highest speed [rad/s] that the commands of one wheel can explain.
-
-    Attributes: `low`, `high`; `wrong`, for how long the wheel has contradicted them [s].
-
-    Args:
-        config: Of the robot.
-        number: Of the wheel, 0 to 3.
-    """
-
-    def __init__(self, config: RobotConfig, number: int) -> None:
-        motor = config.motor.of_wheel(number)
-        self._top = config.motor.max_speed
-        self._gain = motor.gain
-        self._lag = SLOWER * motor.time_constant
-        self._ramp = motor.acceleration / SLOWER
-        self._deadband = SLOWER * motor.deadband
-        self.reset()
-
-    def reset(self) -> None:
-        """Expect a wheel that stands."""
-        self._set_low = self._set_high = self.low = self.high = self.wrong = 0.0
-
-    def follow(self, high: float, low: float, passed: float) -> None:
-        """Update the bounds.
-
-        Args:
-            high: Highest command that can be in effect [rad/s].
-            low: Lowest one.
-            passed: Time since the last update [s].
-        """
-        top, deadband, change = self._top, self._deadband, self._ramp * passed
-        high, low = self._gain * high, self._gain * low
-        if high > top or high < -top or low > top or low < -top:
-            high, low = min(max(high, -top), top), min(max(low, -top), top)
-        if -deadband <= high < 0.0:
-            high = 0.0
-        if 0.0 < low <= deadband:
-            low = 0.0
-        kept = math.exp(-passed / self._lag) if self._lag else 0.0
-        falls, rises = self._set_high - change, self._set_low + change
-        self._set_high = high = high if high > falls else falls
-        self._set_low = low = low if low < rises else rises
-        self.high = high if high > self.high else high + kept * (self.high - high)
-        self.low = low if low < self.low else low + kept * (self.low - low)
-
-    @property
-    def fastest(self) -> float:
-        """Highest absolute speed that the commands can explain [rad/s]."""
-        return self.high if self.high > -self.low else -self.low
-
-    def forgive(self, speed: float) -> None:
-        """Also expect a wheel at this speed [rad/s], or one that stands, from now on."""
-        self._set_high = self.high = max(self.high, speed, 0.0)
-        self._set_low = self.low = min(self.low, speed, 0.0)
-        self.wrong = 0.0
-
-    def explains(self, speed: float) -> bool:
-        """Return whether the wheel's commands explain this speed [rad/s]."""
-        margin = SHARE * SHARE * self.fastest + FLOOR
-        return self.low - margin <= speed <= self.high + margin
-
-    def contradicts(self, speed: float, fastest: float) -> bool:
-        """Return whether a speed contradicts the commands.
-
-        Args:
-            speed: Measured [rad/s].
-            fastest: Highest absolute speed that any wheel can have [rad/s].
-        """
-        if self.low > 0.0 and speed < SHARE * self.low - FLOOR:
-            return True
-        if self.high < 0.0 and speed > SHARE * self.high + FLOOR:
-            return True
-        most = FASTER * self.fastest + fastest + DRAGGED
-        return fastest > 2.0 * FLOOR and not -most <= speed <= most
 
 
 def _each(choose: Callable[[float, float], float], some: Speeds, others: Speeds) -> Speeds:

@@ -138,7 +138,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
             numbers,
             faults,
             sees=LIDAR in sensors,
-            isotropic=config.body.turn_factor is None and varied.turn_factor is None,
+            varied=varied,
         )
         batch = Batch(self.num_envs, config, task, self._spawn, sensors, setup, varied)
         self.sensors = batch.sensors

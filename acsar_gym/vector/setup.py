@@ -2,8 +2,7 @@
 
 `setup_of` takes `ticks`, the control periods in an env step; `max_steps`, the time limit of an
 episode in env steps; `numbers`, how many numbers of the observation are the task's own;
-`sees`, whether the robots have a LiDAR; and `isotropic`, whether all robots' tyres have equal
-friction in all directions.
+`sees`, whether the robots have a LiDAR; and `varied`, what every robot draws for every episode.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from typing import Any
 
 from acsar_gym.config import RobotConfig, whole_ratio
 from acsar_gym.dynamics.drawing import Ranges
-from acsar_gym.dynamics.randomization import longest_delay
+from acsar_gym.dynamics.randomization import Randomization, longest_delay
 from acsar_gym.dynamics.timing import substep, wire_loops, wire_time
 from acsar_gym.errors import ConfigError
 from acsar_gym.lidars.base import stale_after
@@ -32,17 +31,19 @@ def setup_of(
     faults: Faults,
     *,
     sees: bool,
-    isotropic: bool,
+    varied: Randomization,
 ) -> layout.Setup:
     """Compute the numbers that all robots of a batch share; see the module for the arguments."""
     dt = substep(config)
     limited = config.geofence is not None or not limiter.free(config)
     left_radius, right_radius = config.wheel_radii
+    delay = command_loops(config, varied.ranges(config, ticks * config.period))
+    late = delay * dt > ticks * config.period - dt / 2.0
     return layout.Setup(
         dt=dt,
         period=config.period,
         wire_time=wire_time(config),
-        isotropic=isotropic,
+        isotropic=config.body.turn_factor is None and varied.turn_factor is None,
         ticks=ticks,
         left_radius=left_radius,
         right_radius=right_radius,
@@ -51,7 +52,7 @@ def setup_of(
         max_linear=config.max_linear,
         max_angular=config.max_angular,
         max_steps=math.inf if max_steps is None else float(max_steps),
-        guarded=limited or faults.possible,
+        guarded=limited or late or faults.possible,
         rules=rules.of(config),
         faults=line_faults(faults, config),
         falls_silent=faults.possible and faults.direction != "commands",
@@ -93,7 +94,7 @@ def _lidar(config: RobotConfig, *, sees: bool) -> dict[str, Any]:
 def lines_kept(setup: layout.Setup, ranges: Ranges, config: RobotConfig) -> int:
     """Size of the ring of command lines [ticks]: the longest time that one can be on its way."""
     late = 2 * math.ceil(setup.faults.lateness / setup.period) if setup.faults.possible else 0
-    return 2 + late + math.ceil(_delay(setup, ranges, config) / setup.loops)
+    return 2 + late + math.ceil(command_loops(config, ranges) / setup.loops)
 
 
 def counts_kept(setup: layout.Setup, ranges: Ranges, config: RobotConfig) -> int:
@@ -107,13 +108,14 @@ def counts_kept(setup: layout.Setup, ranges: Ranges, config: RobotConfig) -> int
         config: of the robots.
 
     Raises:
-        ConfigError: where a line can be on its way for longer than an env step.
+        ConfigError: where feedback is on its way for as long as `feedback_timeout`.
     """
-    delay = _delay(setup, ranges, config)
-    if delay >= setup.ticks * setup.loops:
+    delay = wire_loops(config) + round(ranges.high.latency / setup.dt)
+    if delay * setup.dt >= config.feedback_timeout:
         raise ConfigError(
-            f"latency of {delay * setup.dt:g} s (of wire, board and randomization): must be "
-            "shorter than a step of the policy"
+            f"feedback_timeout = {config.feedback_timeout:g} s: feedback takes "
+            f"{delay * setup.dt:g} s on this wire (baud_rate, firmware.processing_time): must be "
+            "longer"
         )
     rare = ranges.low.feedback_rate
     rate = config.feedback_rate if math.isnan(rare) else rare
@@ -122,6 +124,7 @@ def counts_kept(setup: layout.Setup, ranges: Ranges, config: RobotConfig) -> int
     return int(setup.window + delay + late + slowest + setup.loops + 1)
 
 
-def _delay(setup: layout.Setup, ranges: Ranges, config: RobotConfig) -> int:
-    """The longest time that a line can be on its way, without faults [firmware loops]."""
-    return round(wire_loops(config, longest_delay(ranges, config)) + ranges.high.latency / setup.dt)
+def command_loops(config: RobotConfig, ranges: Ranges) -> int:
+    """The longest time until a command has effect, without faults [firmware loops]."""
+    latency = ranges.high.latency / substep(config)
+    return round(wire_loops(config, longest_delay(ranges, config)) + latency)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 from calibration_tools import ACSAR, SCALES, line, spin, square
 
@@ -84,6 +85,16 @@ def test_readings_that_contradict_the_odometry_are_refused(
         check(run.read(read), ACSAR)
     assert str(told.value).startswith(run.name)
     assert "\n" not in str(told.value)
+
+
+@pytest.mark.parametrize("angles", [(0.0, 0.0), (1e6, -1e6)])
+@pytest.mark.parametrize("read", [0.0, 2.0])
+def test_a_straight_run_that_went_nowhere_is_refused(
+    angles: tuple[float, float], read: float
+) -> None:
+    run = Run("straight 1", "straight", np.array([(0.0, 0.0), angles]))
+    with pytest.raises(ConfigError, match="straight 1: ended where it began, by odometry"):
+        check(run.read(of_line([read], SCALES)), ACSAR)
 
 
 def test_a_turn_that_skidding_explains_is_told_and_kept() -> None:

@@ -11,6 +11,7 @@ from cli_tools import Call, assert_one_line
 from serial_tools import RobotFile, StartEmulator, cli
 
 from acsar_gym import RobotConfig
+from acsar_gym.calibration.runs import write
 from acsar_gym.worlds import World
 from acsar_gym.worlds.files import save
 
@@ -98,6 +99,11 @@ def test_squares_take_their_corners_from_files(call: Call, twin: Path, tmp_path:
         (("/dev/ttyUSB9", "straight", "--space", "9", "9"), "nobody would measure"),
         (("missing.json", "straight"), "missing.json: there is no such file"),
         (("planar", "straight", "--out", "missing/my.yaml"), "can't be written"),
+        (("/dev/ttyUSB9", "turn", "--yes", "--out", "x.txt"), "path = 'x.txt': a robot is"),
+        (("planar", "turn", "--measured-deg", "nan"), "--measured-deg nan: must be"),
+        (("planar", "straight", "--measured", "inf"), "--measured inf: must be"),
+        (("planar", "straight", "--repeats", "0"), "--repeats 0: must be 1 or more"),
+        (("planar", "all", "--repeats", "-1"), "--repeats -1: must be 1 or more"),
     ],
 )
 def test_what_can_not_be_done_is_one_line(
@@ -120,12 +126,22 @@ def test_a_reading_that_contradicts_the_odometry_is_refused(call: Call, tmp_path
 
 
 def test_without_readings_the_runs_wait_in_their_file(call: Call, tmp_path: Path) -> None:
-    runs = tmp_path / "cal.json"
+    runs, result = tmp_path / "cal.json", tmp_path / "r.json"
     call("calibrate", "planar", "straight", *QUICK, "--runs", runs, "--measured", "61")
-    code, said, _ = call("calibrate", runs, "straight")
+    code, said, _ = call("calibrate", runs, "straight", "--json", result)
     assert code == 0
     assert "1 runs kept in" in said
     assert "--measured" in said
+    told = json.loads(result.read_text(encoding="utf-8"))
+    assert (told["found"], len(told["not_told"]), len(told["runs"])) == ({}, 3, 1)
+
+
+def test_a_file_without_runs_is_one_line(call: Call, tmp_path: Path) -> None:
+    path = tmp_path / "none.json"
+    write(path, [], RobotConfig.preset("acsar"))
+    code, _, error = call("calibrate", path, "straight")
+    assert code == 2
+    assert_one_line(error, "none.json: holds no runs: drive some with --runs")
 
 
 def test_over_a_serial_device(

@@ -38,6 +38,7 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ((MISSING, "--yes", "--duration", "1"), 2, "must be 12 to 600 s"),
         ((MISSING, "--yes", "--twin", "acsar"), 2, "--twin is for simulated robots"),
         (("planar", "--out", "/missing/robot.yaml"), 2, "can't be written"),
+        ((MISSING, "--yes", "--out", "x.txt"), 2, "path = 'x.txt': a robot is written to .yaml"),
         (("one.mcap", MISSING), 2, "isn't a recording"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",

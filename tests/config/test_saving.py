@@ -76,3 +76,4 @@ def test_a_file_that_cannot_be_written_is_one_error(name: str, found: str, tmp_p
     with pytest.raises(ConfigError) as caught:
         RobotConfig().save(tmp_path / name)
     assert found in str(caught.value)
+    assert "Path(" not in str(caught.value)

@@ -301,3 +301,9 @@ def test_a_board_that_misses_the_value_before_a_trailing_comma() -> None:
     assert checks["rear_right"].status == "ok"
     assert checks["line end"].status == "warn"
     assert commission.changes["trailing_comma"] is False
+
+
+def test_a_file_that_can_not_be_written_is_not_a_fields_fault(tmp_path: Path) -> None:
+    check = Commission().save(RobotConfig(), tmp_path / "missing" / "robot.yaml")
+    assert (check.status, check.fix) == ("fail", "give another file with --out")
+    assert "can't be written" in check.found

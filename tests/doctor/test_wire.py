@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import sys
 from pathlib import Path
 
@@ -23,6 +24,8 @@ from acsar_gym.cli import main
 from acsar_gym.doctor import feedback, response, spinning, wire
 from acsar_gym.doctor.checks import Check
 from acsar_gym.doctor.commission import Commission
+from acsar_gym.protocol import ZERO, encode
+from acsar_gym.safety.estop import StopListener
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
@@ -56,6 +59,21 @@ while True:
         time.sleep(0.005)
 """
 """A board that writes its lines in two halves, with or without a dead wheel d."""
+
+
+SPINS = """
+import os, signal, sys
+from acsar_gym import RobotConfig
+from acsar_gym.doctor import wire
+from acsar_gym.protocol import encode
+link = wire._Stoppable(sys.argv[1], RobotConfig())
+link.open()
+for tick in range(100):
+    link.write(encode((0.0, 0.0, 0.0, 6.0), trailing_comma=False))
+    link.advance(0.01)
+os.kill(os.getpid(), int(sys.argv[2]))
+"""
+"""A check that ends while it turns the last wheel, by lines without a trailing comma."""
 
 
 @pytest.fixture(autouse=True)
@@ -158,6 +176,30 @@ def test_spin_finds_wheels_that_do_not_turn(
     assert "stops when commands stop" not in checks
 
 
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGTERM], ids=["kill", "term"])
+@pytest.mark.parametrize("quirk", ["no-comma", "at-comma"])
+def test_a_board_is_stopped_whichever_zeros_it_takes(
+    quirk: str, end: signal.Signals, start_emulator: StartEmulator
+) -> None:
+    emulator = start_emulator("--quirk", quirk, "no-timeout")
+    with program(SPINS, emulator.device, str(end.value)) as spinning_program:
+        assert spinning_program.wait(TIMEOUT) == -end
+    sent = b"".join(encode(ZERO, trailing_comma=comma) for comma in (False, True))
+    wait_until(lambda: emulator.received().endswith(sent), "both zeros as the last command")
+    wait_until(emulator.stands, "a robot that stands")
+
+
+def test_a_check_that_fails_to_open_listens_no_more(
+    config: RobotConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    closed = []
+    close = StopListener.close
+    monkeypatch.setattr(StopListener, "close", lambda one: (closed.append(one), close(one))[1])
+    (check,) = wire.examine(MISSING, config)
+    assert (check.name, check.status) == ("open", "fail")
+    assert len(closed) == 1
+
+
 def test_slow_feedback_is_a_warning(
     config: RobotConfig, start_emulator: StartEmulator, robot_file: RobotFile
 ) -> None:
@@ -225,6 +267,7 @@ def test_without_a_device_only_the_computer_is_examined(tmp_path: Path) -> None:
         (("--spin", "--yes"), "--spin needs a device"),
         ((MISSING, "--spin", "--yes", "--saw", "a", "b", "c", "x"), "'x': write the wheel"),
         ((MISSING, "--spin", "--yes", "--out", "/missing/robot.yaml"), "can't be written"),
+        ((MISSING, "--spin", "--yes", "--out", "x.txt"), "path = 'x.txt': a robot is written"),
     ],
 )
 def test_bad_options(arguments: tuple[str, ...], said: str) -> None:

@@ -11,8 +11,8 @@ import pytest
 from acsar_gym import RobotConfig
 from acsar_gym.dynamics import Randomization
 from acsar_gym.dynamics.measured import DEFAULT, told
+from acsar_gym.dynamics.model import turn_factor
 from acsar_gym.dynamics.randomizer import Randomizer
-from acsar_gym.errors import ConfigError
 
 ACSAR = RobotConfig.preset("acsar")
 MOTOR = {"time_constant": [0.1, 0.1, 0.2, 0.1], "gain": 0.98, "deadband": [0.2, 0.3, 0.2, 0.2]}
@@ -98,11 +98,23 @@ def test_measured_delays_are_replayed_in_single_envs_and_batches() -> None:
     many.close()
 
 
-def test_an_interval_that_no_robot_can_have_is_one_error() -> None:
-    for name, interval, found in (
-        ("motor.gain", between(-0.1, 0.5), "randomization motor_gain = "),
-        ("body.turn_factor", between(0.9, 1.7), "must stay above 1"),
-    ):
-        with pytest.raises(ConfigError, match=found):
-            own = FITTED.with_(measured={name: interval})
-            Randomization.measured(own).ranges(own, 0.1)
+@pytest.mark.parametrize(
+    ("name", "interval", "parameter"),
+    [
+        ("wheel_separation_multiplier", between(0.9, 1.0), "turn_factor"),
+        ("wheel_separation_multiplier", between(0.95, 1.05), "turn_factor"),
+        ("body.turn_factor", between(1.0001, 1.1), "turn_factor"),
+        ("motor.time_constant", between(0.0, 0.16), "motor_lag"),
+        ("firmware.command_delay", between(0.115, 0.125), "command_delay"),
+    ],
+)
+def test_any_interval_of_a_robot_can_be_trained_with(
+    name: str, interval: dict[str, Any], parameter: str
+) -> None:
+    own = ACSAR.with_(measured={name: interval})
+    ranges = Randomization.measured(own)
+    ranges.ranges(own, 0.1)
+    low, high = getattr(ranges, parameter)
+    assert low <= high
+    if parameter == "turn_factor":
+        assert low * turn_factor(own) == pytest.approx(1.001, abs=1e-9)

@@ -149,12 +149,24 @@ def test_a_wrong_baud_rate_garbles_both_directions(own_emulator: Emulated, wrong
 
 def test_time_lost_in_a_stall_is_not_replayed(emulator: Emulated) -> None:
     emulator.pause()
-    time.sleep(0.5)
+    time.sleep(2.0 * STALL)
     resumed = time.monotonic()
     emulator.resume()
     wait_for_log(emulator, resumed + 0.2)
     loops = [e["t"] for e in emulator.events() if "pose" in e and e["t"] > resumed]
     assert len(loops) * LOOP < loops[-1] - resumed + STALL + LOOP
+    assert sum(e["lost"] for e in emulator.events() if "lost" in e) > STALL
+
+
+def test_a_short_stall_is_caught_up_with(emulator: Emulated) -> None:
+    before = time.monotonic()
+    emulator.pause()
+    time.sleep(0.6 * STALL)
+    emulator.resume()
+    wait_for_log(emulator, time.monotonic() + 0.5)
+    events = [e for e in emulator.events() if e["t"] > before]
+    passed = sum(LOOP if "pose" in e else e.get("lost", 0.0) for e in events)
+    assert passed > events[-1]["t"] - before - 0.5 * STALL
 
 
 def test_sigterm_ends_it_cleanly(own_emulator: Emulated) -> None:

@@ -28,6 +28,7 @@ SPEEDS = (4.0, 1.0, 2.0, 3.0)
 LINE = encode(SPEEDS, trailing_comma=False)
 QUIRKS = (
     "at-comma",
+    "no-comma",
     "unpadded",
     "padded-space",
     "reversed-encoder=b",
@@ -145,6 +146,16 @@ def read(port: int) -> bytes:
 
 def test_a_board_that_takes_values_at_their_commas(heard: dict[str, Heard]) -> None:
     assert heard["at-comma"].speeds == (4.0, 1.0, 2.0, 0.0)
+
+
+@pytest.mark.parametrize(("comma", "last"), [(True, 0.0), (False, 3.0)])
+def test_a_board_that_misses_the_value_before_a_trailing_comma(comma: bool, last: float) -> None:
+    board, link = quirky("no-comma")
+    for _ in range(200):
+        board.write(encode(SPEEDS, trailing_comma=comma))
+        board.advance(0.005)
+    assert link.body is not None
+    assert link.body.wheel_speeds == pytest.approx((4.0, 1.0, 2.0, last), abs=0.01)
 
 
 @pytest.mark.parametrize(("quirk", "part"), [("unpadded", b",bp1.0"), ("padded-space", b",bp 1.0")])

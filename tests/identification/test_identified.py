@@ -10,7 +10,9 @@ import pytest
 from identification.hidden_robots import scores
 
 from acsar_gym import RobotConfig, open_link
+from acsar_gym.dynamics.measured import measured_ranges
 from acsar_gym.errors import ConfigError, LinkError
+from acsar_gym.identification.finding import Finding
 from acsar_gym.identification.identified import Identified, identified
 from acsar_gym.identification.manoeuvre import TappedLink, drive
 from acsar_gym.identification.report import table
@@ -22,6 +24,7 @@ from acsar_gym.recording.wire_log import WireLog
 from acsar_gym.robot import Robot
 
 ACSAR = RobotConfig.preset("acsar")
+INTERVAL = {"low": 0.4, "high": 0.6, "method": "identify"}
 HIDDEN = ACSAR.with_(
     motor={
         "time_constant": 0.15,
@@ -79,6 +82,27 @@ def test_wheels_that_do_not_differ_share_one_number(found: Identified) -> None:
         if one.name in wheels:
             wheels[one.name].append(one.wheel)
     assert wheels == {"motor.time_constant": [""], "motor.gain": ["a", "b", "c", "d"]}
+
+
+def test_new_findings_end_the_intervals_of_older_ones() -> None:
+    def with_gains(config: RobotConfig, wheels: str) -> RobotConfig:
+        gains = [Finding("motor.gain", w, 1.1, 1.09, 1.11, told=True) for w in wheels or [""]]
+        findings = (*gains, Finding("encoder.quantum"))
+        return Identified(config, findings, None, (), 20.0).robot()
+
+    first = with_gains(ACSAR, "abcd")
+    assert set(first.measured) == {f"motor.gain.{wheel}" for wheel in "abcd"}
+    repaired = with_gains(first, "")
+    assert set(repaired.measured) == {"motor.gain"}
+    assert measured_ranges(repaired)["motor_gain"] == pytest.approx((1.09 / 1.1, 1.11 / 1.1))
+    assert set(with_gains(repaired, "abcd").measured) == set(first.measured)
+
+
+def test_a_board_without_a_time_out_has_no_interval_of_one() -> None:
+    known = ACSAR.with_(measured={"firmware.command_timeout": INTERVAL})
+    findings = (Finding("firmware.command_timeout", told=True), Finding("encoder.quantum"))
+    robot = Identified(known, findings, None, (), 20.0).robot()
+    assert (robot.firmware.command_timeout, robot.measured) == (None, {})
 
 
 def test_the_table_has_a_row_for_each_finding(found: Identified) -> None:

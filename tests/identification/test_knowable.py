@@ -28,7 +28,8 @@ def known(commands: Floats, pause: float = 0.0) -> Knowable:
     stamps = ticks(len(commands))
     stamps[len(stamps) // 2 :] += pause
     held_out = np.zeros(len(stamps), bool)
-    return judged([Track(stamps, commands, stamps, commands, held_out)])
+    numbers = np.arange(len(stamps))
+    return judged([Track(stamps, commands, stamps, commands, held_out, numbers)])
 
 
 def manoeuvre(duration: float = 20.0) -> Floats:
@@ -82,7 +83,8 @@ def test_a_wheel_that_never_turned_is_named() -> None:
     commands = manoeuvre()
     stamps = ticks(len(commands))
     speeds = commands * [1.0, 1.0, 0.0, 1.0]
-    found = judged([Track(stamps, commands, stamps, speeds, np.zeros(len(stamps), bool))])
+    numbers, held_out = np.arange(len(stamps)), np.zeros(len(stamps), bool)
+    found = judged([Track(stamps, commands, stamps, speeds, held_out, numbers)])
     assert found.missing["motor.gain", "c"] == "this wheel never turned"
     assert found.can("motor.gain", "a")
 

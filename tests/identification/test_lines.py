@@ -5,8 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from acsar_gym.identification import lines
+from acsar_gym import RobotConfig
+from acsar_gym.identification import lines, tracks
 from acsar_gym.identification.tracks import Track
+from acsar_gym.protocol import encode
+from acsar_gym.recording.wire_log import WireLog
 
 
 def track(stamps: np.ndarray[tuple[int], np.dtype[np.float64]]) -> Track:
@@ -17,6 +20,7 @@ def track(stamps: np.ndarray[tuple[int], np.dtype[np.float64]]) -> Track:
         stamps=stamps,
         speeds=np.zeros((count, 4)),
         held_out=np.zeros(count, bool),
+        numbers=np.arange(count),
     )
 
 
@@ -35,6 +39,18 @@ def test_a_stalled_host_reads_in_bursts(stalled: float) -> None:
         read[late] = begin + stalled + 1e-4 * np.arange(np.count_nonzero(late))
     found = lines.measured([track(read)])
     assert found.rate == pytest.approx(50.0, rel=0.002)
+
+
+def test_lines_that_a_fit_leaves_out_as_late_still_count() -> None:
+    made = np.arange(2000) / 100.0
+    read = made + 0.0003 * np.random.default_rng(0).random(2000)
+    read[::30] += 0.0067
+    said = (encode((1.0, 1.0, 1.0, 1.0)),) * 2000
+    log = WireLog(made, said, read, said)
+    one = tracks.track(log, RobotConfig.preset("acsar"))
+    assert one is not None
+    assert len(one.stamps) < 1960
+    assert lines.measured([one]).rate == pytest.approx(100.0, abs=0.1)
 
 
 def test_lost_lines() -> None:

@@ -17,6 +17,7 @@ from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.recording import read, summary
 from acsar_gym.recording.export import export, tables
+from acsar_gym.recording.header import header
 
 
 @pytest.fixture(scope="module")
@@ -80,6 +81,20 @@ def test_minari_reads_the_episodes_back(tape: Path, tmp_path: Path) -> None:
         assert found.truncations.tolist() == [False, False, False, True]
     with pytest.raises(ConfigError, match="can't be written"):
         export(tape, "minari", tmp_path)
+
+
+def test_what_a_header_or_episode_lacks_is_no_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told = header(RobotConfig.of(None), {}) | {"versions": {}}
+    monkeypatch.setattr("acsar_gym.recording.recorder.header", lambda *_: told)
+    monkeypatch.setattr("acsar_gym.recording.encoder.plain", lambda _: {"seed": "x"})
+    path = tmp_path / "tape.mcap"
+    env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar", record=path)
+    env.reset(seed=0)
+    env.step(np.zeros(2, np.float32))
+    env.close()
+    assert export(path, "minari", tmp_path)[0].exists()
 
 
 def test_what_cannot_be_exported_says_so(tape: Path, tmp_path: Path) -> None:

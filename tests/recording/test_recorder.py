@@ -171,7 +171,9 @@ def test_a_disk_that_is_full_is_told_once_at_the_next_reset(
     with Robot(open_link("planar", CONFIG), CONFIG, recorder=recorder) as robot:
         monkeypatch.setattr("acsar_gym.recording.mcap_file.McapFile.add", fail)
         robot.drive(0.1, 0.0)
-        time.sleep(0.1)  # the writer looks every 0.02 s
+        writer = recorder._writer
+        while writer is not None and writer.problem is None:
+            time.sleep(0.005)
         with pytest.warns(RecordingWarning, match="can't be written: No space"):
             robot.reset(Scene())
         robot.reset(Scene())
@@ -260,6 +262,17 @@ def test_a_recording_that_has_ended_cannot_go_on(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="this recording has ended: make another one"):
         env.reset()
     env.close()
+
+
+def test_an_env_that_is_closed_before_its_first_reset_ends_no_recording(tmp_path: Path) -> None:
+    """As `evaluate` does, where it makes an env again for another split of its worlds."""
+    recorder = Recorder(tmp_path / "tape.mcap")
+    for _ in range(2):
+        env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar", record=recorder)
+        env.close()
+    env.reset(seed=0)
+    env.close()
+    assert len(read(tmp_path / "tape.mcap").episodes) == 1
 
 
 def test_copies_of_a_recorded_robot_are_not_recorded(tmp_path: Path) -> None:

@@ -53,6 +53,7 @@ def test_a_dead_wheel_is_named(wheel: int, twist: tuple[float, float]) -> None:
     assert error.wheel == WHEELS[wheel]
     assert f"{WHEELS[wheel]} stands still" in str(error)
     assert "'acsar-gym doctor robot0 --spin'" in str(error)
+    assert "or identify this robot" in str(error)
 
 
 @pytest.mark.parametrize("twist", [AHEAD, LEFT], ids=["ahead", "left"])
@@ -127,6 +128,79 @@ def test_sound_wheels_are_never_at_fault(change: dict[str, Any], faults: dict[st
                 if tick % every == 0 and rng.random() < 0.6:
                     twist = rng.uniform(-1.0, 1.0, 2) * (rng.random() > 0.2)
                 robot.drive(twist[0] * config.max_linear, twist[1] * config.max_angular)
+
+
+UNKNOWN: list[tuple[float, dict[str, Any]]] = [
+    (1.0, {"motor": {"time_constant": 0.3, "acceleration": 10.0}}),
+    (0.2, {"motor": {"deadband": 1.2}}),
+    (1.0, {"motor": {"deadband": 1.5}}),
+    (1.0, {"motor": {"time_constant": 0.3}, "firmware": {"command_delay": 0.2}}),
+    (0.3, {"motor": {"deadband": 1.2, "time_constant": [0.08, 0.1, 0.16, 0.2]}}),
+]
+
+
+@pytest.mark.parametrize(("scale", "change"), UNKNOWN, ids=str)
+def test_a_slower_board_than_configured_is_no_fault(scale: float, change: dict[str, Any]) -> None:
+    """A board that nobody has identified may be slower than the usual one."""
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        with contextlib.closing(Robot(board(ACSAR.with_(**change)), ACSAR)) as robot:
+            robot.activate()
+            for _ in range(8):
+                twist = rng.uniform(-scale, scale, 2)
+                for _ in range(rng.integers(5, 100)):
+                    robot.drive(twist[0] * ACSAR.max_linear, twist[1] * ACSAR.max_angular)
+
+
+def found_after(config: RobotConfig, seconds: float, commands: Any, *wheels: float) -> float:
+    """Time until wheels that turn at these shares of their commands are stopped [s]."""
+    watch = WheelWatch(config)
+    for tick in range(round(seconds / 0.01)):
+        asked = commands(tick)
+        a, b, c, d = (share * asked for share in wheels)
+        try:
+            watch.tick((asked,) * 4, (a, b, c, d), 0.01, fresh=True)
+        except WheelError:
+            return tick * 0.01
+    return seconds
+
+
+@pytest.mark.parametrize("share", [0.0, -1.0], ids=["dead", "reversed"])
+@pytest.mark.parametrize("speed", [0.55, 0.9, 1.0, 6.0])
+def test_a_wheel_is_judged_by_the_one_beside_it(speed: float, share: float) -> None:
+    """At any speed, as the others prove that the command turns wheels."""
+    assert found_after(ACSAR, 2.0, lambda _: speed, share, 1.0, 1.0, 1.0) < SOON
+
+
+@pytest.mark.parametrize("every", [1, 5, 15])
+def test_a_dead_wheel_is_found_while_commands_jump(every: int) -> None:
+    rng = np.random.default_rng(3)
+    jumps = rng.choice([-30.0, 30.0], 200)
+    took = found_after(ACSAR, 2.0, lambda tick: jumps[tick // every], 0.0, 0.2, 0.2, 0.2)
+    assert took < SOON
+
+
+def test_with_a_measured_deadband_slow_wheels_are_judged_too() -> None:
+    """Even where no wheel turns that could be compared."""
+    interval = {"low": 0.0, "high": 0.1, "method": "identify"}
+    names = "motor.deadband", "motor.time_constant", "motor.acceleration", "firmware.command_delay"
+    known = ACSAR.with_(measured=dict.fromkeys(names, interval))
+    still = (0.0,) * 4
+    assert found_after(known, 2.0, lambda _: 0.8, *still) < SOON
+    assert found_after(ACSAR, 2.0, lambda _: 0.8, *still) == 2.0
+
+
+def test_a_wheel_may_stand_below_the_weakest_command_that_has_turned_it() -> None:
+    """No two wheels have the same deadband."""
+
+    def commands(tick: int) -> float:
+        return 4.0 if tick < 100 else 1.0
+
+    watch = WheelWatch(ACSAR)
+    for tick in range(500):
+        asked = commands(tick)
+        own = asked if asked > 1.0 else 0.0
+        watch.tick((asked,) * 4, (own, asked, asked, asked), 0.01, fresh=True)
 
 
 def test_stops_and_pauses_are_no_fault() -> None:

@@ -44,6 +44,10 @@ CASES: dict[str, tuple[dict[str, Any], RobotConfig]] = {
     "some episodes": ({"dropped_lines": 0.7, "episodes": 0.5}, ACSAR),
     "a command delay": (DROPPED, ACSAR.with_(firmware={"command_delay": 0.0137}, **MEASURED)),
     "late with a command delay": (LATE, ACSAR.with_(firmware={"command_delay": 0.0371})),
+    "late with a delay longer than a step": (
+        LATE,
+        ACSAR.with_(firmware={"command_delay": 0.1371}),
+    ),
     "late on a slow wire": (LONG | {"direction": "commands"}, ACSAR.with_(baud_rate=38400)),
     "late and stale": (LONG | {"direction": "feedback"}, ACSAR.with_(feedback_timeout=0.15)),
     "half of 25 Hz": (

@@ -111,6 +111,11 @@ ROBOTS: dict[str, tuple[str, RobotConfig]] = {
         "PointGoal",
         UNLIMITED.with_(firmware={"command_delay": 0.0371}),
     ),
+    "commands that take longer than a step": (
+        "PointGoal",
+        ACSAR.with_(firmware={"command_delay": 0.2137}),
+    ),
+    "the same without limits": ("PathFollow", UNLIMITED.with_(firmware={"command_delay": 0.12})),
     "radii": ("PathFollow", WORN),
     "radii without limits": ("PathFollow", WORN.with_(linear_limits=FREE, angular_limits=FREE)),
     "single motors": ("PointGoal", UNEVEN),
@@ -205,6 +210,20 @@ def test_everything_is_randomized_alike_on_any_robot(robot: RobotConfig) -> None
     ranges = RANGES | {"latency": (0.0, 0.03), "feedback_rate": (5.0, 90.0)}
     arguments = {"randomization": ranges, "robot": robot, "max_episode_steps": 20}
     assert assert_robot_1_is_the_single_env("PointGoal", arguments, {}, 80, 12) >= 3
+
+
+@pytest.mark.parametrize("robot", [ACSAR, UNLIMITED])
+def test_delays_longer_than_a_step_are_drawn_alike(robot: RobotConfig) -> None:
+    ranges = {"command_delay": (0.0, 0.3), "delay_samples": (0.0, 0.1), "latency": (0.0, 0.05)}
+    arguments = {"randomization": ranges, "robot": robot, "max_episode_steps": 20}
+    assert assert_robot_1_is_the_single_env("PointGoal", arguments, {}, 80, 12) >= 3
+
+
+@pytest.mark.parametrize("robot", [ACSAR, UNLIMITED])
+def test_a_wire_slower_than_a_step(robot: RobotConfig) -> None:
+    slow = robot.with_(firmware={"processing_time": 0.061})
+    arguments = {"robot": slow, "policy_rate": 50.0, "max_episode_steps": 40}
+    assert assert_robot_1_is_the_single_env("PointGoal", arguments, {}, 100) >= 2
 
 
 def test_options_hold_until_the_next_reset_of_the_robot() -> None:

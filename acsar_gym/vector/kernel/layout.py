@@ -154,7 +154,8 @@ class Setup(NamedTuple):
     max_steps: float
     """Time limit of an episode [env steps]; infinite for none."""
     guarded: bool
-    """Whether commands can change from tick to tick: there are limits, a geofence, or faults."""
+    """Whether commands must be kept tick by tick: there are limits, a geofence, faults, or commands
+    that take longer than a step."""
     rules: Rules
     """Numbers of the safety layer."""
     faults: LineFaults

@@ -1,8 +1,9 @@
 """The safety layer of many robots, tick by tick, and commands on their way to the board.
 
-Used only where there are limits, a geofence or faults. Without them all commands of a step are the
-same, and `dynamics.command` and `dynamics.ramp` are faster. Here every tick's command is kept in a
-ring until the board uses it. The rules are those of `acsar_gym.safety.rules`.
+Used only where there are limits, a geofence, faults, or commands that take longer than a step.
+Without them all commands of a step are the same, and `dynamics.command` and `dynamics.ramp` are
+faster. Here every tick's command is kept in a ring until the board uses it. The rules are those of
+`acsar_gym.safety.rules`.
 """
 
 from __future__ import annotations
