@@ -166,7 +166,8 @@ class SafetyWarning(UserWarning):
 
 
 class RecordingWarning(UserWarning):
-    """A recording isn't whole, as its file can't be written any more; the robot drives on."""
+    """A recording isn't whole: its file can't be written any more while the robot drives on, or it
+    was cut before it was exported."""
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:

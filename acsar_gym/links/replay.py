@@ -65,8 +65,10 @@ class ReplayLink:
         self.open()
         episodes = self._recording.episodes if self._recording else ()
         if self._next_episode >= len(episodes):
+            cut = self._recording is not None and self._recording.cut
+            missing = "; the file is cut: its end is missing" if cut else ""
             raise LinkLostError(
-                f"{self.replays}: all {self._next_episode} episodes have been played",
+                f"{self.replays}: all {self._next_episode} episodes have been played{missing}",
                 "make a new link to play it again",
             )
         self._tape = Tape(episodes[self._next_episode])
