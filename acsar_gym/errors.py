@@ -166,8 +166,7 @@ class SafetyWarning(UserWarning):
 
 
 class RecordingWarning(UserWarning):
-    """A recording isn't whole: its file can't be written any more while the robot drives on, or it
-    was cut before it was exported."""
+    """A recording isn't whole: it can't be written any more, or its file was cut."""
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:

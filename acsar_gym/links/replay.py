@@ -90,6 +90,13 @@ class ReplayLink:
         """
         tape, sent = self._playing(), self._sent
         if tape.is_over:
+            recording = self._recording
+            last = recording is not None and self._next_episode == len(recording.episodes)
+            if last and recording is not None and recording.cut:
+                raise LinkLostError(
+                    f"{self.replays}: the file is cut here, {tape.place}",
+                    "what followed is missing",
+                )
             raise LinkLostError(
                 f"{self.replays}: the recorded episode ends here, {tape.place}",
                 "was it made with this goal and policy?",

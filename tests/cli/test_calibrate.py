@@ -197,3 +197,10 @@ def test_without_readings_no_robot_is_written(call: Call, tmp_path: Path) -> Non
     assert f"readings: acsar-gym calibrate {runs} straight --measured ..." in said
     assert f"{out} isn't written: there are no readings yet" in said
     assert not out.exists()
+
+
+def test_nothing_is_announced_where_nobody_can_be_asked(call: Call) -> None:
+    arguments = ("/dev/acsar-missing", "straight", "--space", "9", "9", "--measured", "2")
+    code, said, error = call("calibrate", *arguments)
+    assert (code, said) == (2, "")
+    assert_one_line(error, "no terminal to ask on; add --yes")
