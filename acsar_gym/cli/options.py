@@ -79,9 +79,9 @@ class BoardOptions:
     silent: bool = False
     """Never answer, as a board without power."""
     quirk: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")] = ()
-    """How it differs: at-comma, no-comma, unpadded, padded-space,
-    reversed-encoder=WHEEL, reversed-motor=WHEEL, swapped-encoders, swapped-motors,
-    dead-wheel=WHEEL, dead-encoder=WHEEL, frozen, resets, command-timeout=SECONDS, no-timeout, feedback-rate=HZ."""
+    """How it differs: at-comma, no-comma, unpadded, padded-space, reversed-encoder=WHEEL,
+    reversed-motor=WHEEL, swapped-encoders, swapped-motors, dead-wheel=WHEEL, dead-encoder=WHEEL,
+    frozen, resets, command-timeout=SECONDS, no-timeout, feedback-rate=HZ."""
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,8 @@ class RecordOptions:
     """Recording of what the robot does."""
 
     record: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """Record to this MCAP file, for ROS 2, Foxglove and --link replay:FILE."""
+    """Record to this MCAP file, for ROS 2, Foxglove and --link replay:FILE; an older recording of
+    that name is kept, as FILE.1.mcap."""
     view: bool = False
     """Show it live to Foxglove, on this computer only; prints the address."""
 

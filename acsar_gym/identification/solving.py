@@ -38,8 +38,9 @@ METHOD: dict[str, Any] = {
 """How `scipy.optimize.least_squares` solves."""
 NEVER = 3600.0
 """Time-out of a board that has none [s]."""
-LEAST_SCALE = 0.02
-"""Least residual at which the loss becomes linear [rad/s]."""
+LEAST_SCALE = 0.1
+"""Least residual at which the loss becomes linear [rad/s]: an encoder count, so that a fit finds
+the mean of two counts and not the more frequent one."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 from pathlib import Path
 
@@ -44,16 +45,32 @@ def _is_recording(path: Path) -> bool:
 
 
 def opener(path: str, flags: int) -> int:
-    """Open a file for one recorder only, for `open(opener=...)`; it is emptied once it is ours."""
+    """Open a file for one recorder only, for `open(opener=...)`; an older recording is kept."""
+    file = _ours(path, flags)
+    if not os.fstat(file).st_size:
+        return file
+    try:
+        Path(path).rename(_free(Path(path)))
+        return _ours(path, flags)
+    finally:
+        os.close(file)
+
+
+def _ours(path: str, flags: int) -> int:
+    """Open and lock a file; it isn't emptied."""
     file = bounded.opener(path, flags & ~os.O_TRUNC)
     try:
         _lock(file)
-        with contextlib.suppress(OSError):  # not a regular file
-            os.ftruncate(file, 0)
     except OSError:
         os.close(file)
         raise
     return file
+
+
+def _free(path: Path) -> Path:
+    """Return the first name of drive.1.mcap, drive.2.mcap, ... that no file has."""
+    numbered = (path.with_suffix(f".{number}{path.suffix}") for number in itertools.count(1))
+    return next(name for name in numbered if not name.exists())
 
 
 def _lock(file: int) -> None:

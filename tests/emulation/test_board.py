@@ -158,15 +158,16 @@ def test_time_lost_in_a_stall_is_not_replayed(emulator: Emulated) -> None:
     assert sum(e["lost"] for e in emulator.events() if "lost" in e) > STALL
 
 
-def test_a_short_stall_is_caught_up_with(emulator: Emulated) -> None:
+def test_short_stalls_are_caught_up_with(emulator: Emulated) -> None:
     before = time.monotonic()
-    emulator.pause()
-    time.sleep(0.6 * STALL)
-    emulator.resume()
-    wait_for_log(emulator, time.monotonic() + 0.5)
+    for _ in range(4):
+        emulator.pause()
+        time.sleep(0.6 * STALL)
+        emulator.resume()
+        wait_for_log(emulator, time.monotonic() + 0.1)
     events = [e for e in emulator.events() if e["t"] > before]
     passed = sum(LOOP if "pose" in e else e.get("lost", 0.0) for e in events)
-    assert passed > events[-1]["t"] - before - 0.5 * STALL
+    assert passed > events[-1]["t"] - before - STALL - 0.1
 
 
 def test_sigterm_ends_it_cleanly(own_emulator: Emulated) -> None:

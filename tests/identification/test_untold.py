@@ -32,6 +32,10 @@ def constantly(_: float) -> float:
     return 6.0
 
 
+def squares(time: float) -> float:
+    return 1.5 if int(time) % 2 else -1.5
+
+
 def with_pause(time: float) -> float | None:
     return None if PAUSE[0] < time < PAUSE[1] else 6.0
 
@@ -70,6 +74,11 @@ def test_constant_speeds_tell_the_gain_without_a_lag() -> None:
     assert gain.value == pytest.approx(0.96, abs=0.005)
     assert gain.low <= 0.96 <= gain.high  # type: ignore[operator]
     assert "motor.time_constant" not in found
+
+
+def test_the_gain_is_that_of_the_mean_of_two_counts() -> None:
+    true = ACSAR.with_(motor={"time_constant": 0.03, "gain": 0.97, "deadband": 0.3})
+    assert told(squares, true)["motor.gain"].value == pytest.approx(0.97, abs=0.004)
 
 
 def test_a_timeout_that_hangs_on_the_lag_is_not_told() -> None:

@@ -244,6 +244,15 @@ def test_files_of_another_kind_are_not_replaced(tmp_path: Path) -> None:
     assert len(read(drive(path, CONFIG, 9)).episodes[0].stamps) == 9
 
 
+def test_an_older_recording_is_kept_under_a_number(tmp_path: Path) -> None:
+    path = tmp_path / "tape.mcap"
+    for ticks in (5, 7, 9):
+        drive(path, CONFIG, ticks)
+    files = [path, tmp_path / "tape.1.mcap", tmp_path / "tape.2.mcap"]
+    assert sorted(tmp_path.iterdir()) == sorted(files)
+    assert [len(read(file).episodes[0].stamps) for file in files] == [9, 5, 7]
+
+
 def test_two_envs_can_not_write_one_file(tmp_path: Path) -> None:
     path = tmp_path / "tape.mcap"
     envs = gymnasium.make_vec(

@@ -182,7 +182,7 @@ def test_a_dead_wheel_is_found_while_commands_jump(every: int) -> None:
 
 def test_with_a_measured_deadband_slow_wheels_are_judged_too() -> None:
     """Even where no wheel turns that could be compared."""
-    interval = {"low": 0.0, "high": 0.1, "method": "identify"}
+    interval = {"low": 0.05, "high": 0.1, "method": "identify"}
     names = "motor.deadband", "motor.time_constant", "motor.acceleration", "firmware.command_delay"
     known = ACSAR.with_(measured=dict.fromkeys(names, interval))
     still = (0.0,) * 4
