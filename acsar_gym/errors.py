@@ -170,7 +170,7 @@ class SafetyWarning(UserWarning):
 
 
 class RecordingWarning(UserWarning):
-    """A recording isn't whole, as its file can't be written any more; the robot drives on."""
+    """A recording isn't whole: it can't be written any more, or its file was cut."""
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:

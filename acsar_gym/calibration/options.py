@@ -30,7 +30,8 @@ class StraightOptions:
     distance: float = 2.0
     """Length of each run, by odometry [m]."""
     measured: Numbers = ()
-    """Measured straight distances from start to end, one for each run [m]."""
+    """Measured straight distances from start to end, one for each run [m]; positive, backwards
+    runs as well."""
     aside: Numbers = ()
     """How far to the left of the line ahead each run ended [m], negative to the right; tells left
     against right radius."""
@@ -50,7 +51,8 @@ class TurnOptions:
     turns: float = 5.0
     """Full turns of each run, by odometry; left and right alternate."""
     measured_deg: Numbers = ()
-    """Measured angles, one for each run [degrees], full turns counted."""
+    """Measured angles, one for each run [degrees], full turns counted; right turns positive or
+    negative."""
     speeds: Numbers = ()
     """Turn rates [rad/s]; default: 40 % and 80 % of max_angular, or 60 % where readings are
     given."""

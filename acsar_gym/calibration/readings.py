@@ -48,7 +48,8 @@ class Scales:
 
 def of_line(numbers: Sequence[float], scales: Scales) -> list[Reading]:
     """Readings of a straight run: distance from start to end, and its offset to the left [m]."""
-    return [scales.metres(k, v) for k, v in zip(("distance", "aside"), numbers, strict=False)]
+    found = [scales.metres("distance", abs(numbers[0]))]  # backwards runs as well
+    return found + [scales.metres("aside", aside) for aside in numbers[1:]]
 
 
 def of_turn(degrees: float, run: Run, scales: Scales) -> list[Reading]:
@@ -119,7 +120,9 @@ def _check_distance(run: Run, value: float, config: RobotConfig) -> None:
     if expected < NOWHERE:
         raise ConfigError(f"{run.name}: ended where it began, by odometry: not a straight run")
     if not abs(value - expected) <= CONTRADICTION * expected:
-        hint = "in centimetres?" if 50.0 < value / expected < 200.0 else "another run's?"
+        times = value / expected
+        hint = "in centimetres?" if 50.0 < times < 200.0 else "another run's?"
+        hint = "in millimetres?" if 500.0 < times < 2000.0 else hint
         raise _contradiction(run, f"{value:g} m", f"odometry says {expected:.3f} m: {hint}")
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,6 +71,7 @@ def as_dict(runs: Sequence[Run], config: RobotConfig) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "robot": {name: getattr(config, name) for name in SAME_ROBOT},
+        "config": config.model_dump(mode="json"),
         "runs": [
             {
                 "name": run.name,
@@ -88,7 +89,9 @@ def as_dict(runs: Sequence[Run], config: RobotConfig) -> dict[str, Any]:
 
 def sha256(runs: Sequence[Run], config: RobotConfig) -> str:
     """Return the first 16 hex digits of the SHA-256 of the runs as they are written."""
-    data = json.dumps(as_dict(runs, config), allow_nan=False).encode()
+    told = as_dict(runs, config)
+    del told["config"]
+    data = json.dumps(told, allow_nan=False).encode()
     return hashlib.sha256(data).hexdigest()[:16]
 
 
@@ -98,9 +101,29 @@ def load(path: Path, config: RobotConfig) -> list[Run]:
     Raises:
         ConfigError: it is missing, cut or foreign, or its runs are of another robot.
     """
+    return _read(path, lambda found: _parsed(found, config))
+
+
+def robot_of(path: Path) -> RobotConfig | None:
+    """The robot whose runs a file keeps; None where it doesn't tell. ConfigError as for `load`."""
+    return _read(path, _robot)
+
+
+def _robot(found: Any) -> RobotConfig | None:
+    """The config in a file's content; ConfigError."""
+    _check_format(found)
+    told = found.get("config")
+    return None if told is None else RobotConfig.of(told)
+
+
+T = TypeVar("T")
+
+
+def _read(path: Path, parse: Callable[[Any], T]) -> T:
+    """Read a file; ConfigError names it."""
     data = bounded.read(path, MOST_BYTES)
     try:
-        return _parsed(structured.from_json(structured.decoded(data)), config)
+        return parse(structured.from_json(structured.decoded(data)))
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         what = " ".join(str(error).split())[:100]
         raise ConfigError(f"{path}: broken calibration runs ({what})") from None
@@ -110,10 +133,15 @@ def load(path: Path, config: RobotConfig) -> list[Run]:
 
 def _parsed(found: Any, config: RobotConfig) -> list[Run]:
     """Check and convert a file's content; ConfigError, KeyError, TypeError, ValueError."""
-    if not isinstance(found, dict) or found.get("format") != FORMAT:
-        raise ConfigError("isn't a file of calibration runs: make one with --runs")
+    _check_format(found)
     check_robot("it", found.get("robot"), config)
     return [_run(entry) for entry in found["runs"]]
+
+
+def _check_format(found: Any) -> None:
+    """Raise ConfigError for another file."""
+    if not isinstance(found, dict) or found.get("format") != FORMAT:
+        raise ConfigError("isn't a file of calibration runs: make one with --runs")
 
 
 def check_robot(where: str, robot: Any, config: RobotConfig) -> None:

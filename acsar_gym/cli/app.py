@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import os
+import signal
 import sys
 import warnings
 from collections.abc import Callable
@@ -75,6 +77,7 @@ def main() -> None:
             code = record()
         else:
             code = tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="acsar-gym")
+        sys.stdout.flush()
     except AcsarError as error:
         print(f"acsar-gym: {printable(str(error))}", file=sys.stderr)
         code = error.exit_code
@@ -90,4 +93,7 @@ def main() -> None:
         stopped = ", the wheels were commanded to stop" if driving else ""
         print(f"\nacsar-gym: interrupted{stopped}", file=sys.stderr)
         code = 130
+    except BrokenPipeError:  # such as `| head -1`: nobody reads on
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = 128 + signal.SIGPIPE
     sys.exit(2 if failed() and not code else code)

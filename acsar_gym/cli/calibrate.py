@@ -38,7 +38,8 @@ class DeviceOptions(RecordOptions):
     """The robot, who measures, and recording."""
 
     robot: RobotArg = None
-    """Preset or config file: what is known so far."""
+    """Preset or config file: what is known so far; default: the robot of the runs in the file, else
+    acsar."""
     twin: RobotArg = None
     """Simulation: the robot that is driven, where it isn't --robot: a hidden one to be found."""
     world: Worlds = None
@@ -57,9 +58,11 @@ class OutputOptions:
 
     runs: File = None
     """Keep the runs in this file, and fit all runs in it together; readings may be given later
-    with this file as DEVICE."""
+    with this file as DEVICE. With --yes nobody waits for a reading between runs: drive one run at
+    a time (--repeats 1), measure, then drive the next."""
     out: File = None
-    """Write the robot's file with what was found, to be used as --robot."""
+    """Write the robot's file with what was found, to be used as --robot; only where runs have
+    readings."""
     json: Json = None
     """Also write the result and all runs to this file."""
 
@@ -75,7 +78,8 @@ def calibrate(
     """Measure wheel radii and turning on the floor, and write them into the robot's file.
 
     The robot drives within --space, and you measure with a tape where the point below its centre
-    ended: it asks after each run (in scripts: --measured, --measured-deg, --corners). A LiDAR, or
+    ended: it asks after each run (in scripts: --measured, --measured-deg, --corners). Lengths are
+    positive; right turns are positive or negative. A LiDAR, or
     in simulation the truth, can measure instead. With --runs FILE, straight lines, turns and
     squares are fitted together, as robots with unequal wheels need.
 
@@ -93,7 +97,7 @@ def calibrate(
     check_out(output.out)
     for path in (output.json, output.runs):
         report.check_writable(path)
-    config, given = RobotConfig.of(wire.robot), what.given()
+    config, given = _robot(device, wire.robot, output.runs), what.given()
     kept_in = Path(device) if device.endswith(".json") else output.runs
     sitting = _sitting(device, manoeuvre, config, given, _scales(wire), kept_in)
     if not device.endswith((".json", ".mcap")):
@@ -102,6 +106,20 @@ def calibrate(
         sitting.drive(robot, plans, run.space, partial(_before, robot, run))
     sitting.read(manoeuvre)
     return _finish(sitting, config, kept_in, output)
+
+
+def _robot(device: str, robot: str | None, kept: Path | None) -> RobotConfig:
+    """The robot that is named; else that of the runs, which a file keeps."""
+    from acsar_gym.calibration import runs  # noqa: PLC0415
+    from acsar_gym.recording import read  # noqa: PLC0415
+
+    if robot is not None:
+        return RobotConfig.of(robot)
+    if device.endswith(".mcap"):
+        return read(Path(device)).config
+    path = Path(device) if device.endswith(".json") else kept
+    known = runs.robot_of(path) if path is not None and path.exists() else None
+    return RobotConfig.of(None) if known is None else known
 
 
 def _sitting(
@@ -147,6 +165,8 @@ def _wire(device: str, config: RobotConfig, options: DeviceOptions) -> Wire:
 
 def _before(wire: Wire, run: RunOptions, plan: Plan) -> None:
     """Ask before a real robot drives; say what is driven."""
+    if not (wire.simulated or run.yes or sys.stdin.isatty()):
+        asking.countdown(f"{wire.url}: the robot would drive", yes=False)  # says to add --yes
     print(printable(f"{plan.name} ..."), flush=True)
     if not wire.simulated:
         x, y = run.space or (0.0, 0.0)
@@ -177,6 +197,8 @@ def _finish(
     report.write_json(output.json, result.as_dict(fit, sitting.found, config))
     if fit is None:
         print(printable(_waiting(sitting, kept_in)))
+        if output.out is not None:
+            print(printable(f"{output.out} isn't written: there are no readings yet"))
         return 0
     report.show(result.runs_table(sitting.found, fit, config), result.table(fit, config))
     if output.out is not None:
@@ -192,4 +214,4 @@ def _waiting(sitting: Sitting, kept_in: Path | None) -> str:
     counts: Sequence[str] = sorted({run.manoeuvre for run in sitting.found})
     option = {"straight": "--measured", "turn": "--measured-deg", "square": "--corners"}
     hints = " or ".join(f"acsar-gym calibrate {kept_in} {m} {option[m]} ..." for m in counts)
-    return f"{len(sitting.found)} runs kept in {kept_in}; give their readings with {hints}"
+    return f"{len(sitting.found)} runs kept in {kept_in}; readings: {hints}"

@@ -70,7 +70,8 @@ def gap(
         logs: recordings of one robot, made with --record.
         robot: the fitted robot, such as the file that identify wrote.
         outputs: files and limits.
-        before: the unfitted robot; "recorded" is the one in each recording.
+        before: the unfitted robot; a preset gets the wiring, the baud rate and the comma of the
+            first recording; "recorded" is the robot in each recording.
         body: physics of the twins, planar or bullet.
         truth: log of the emulator that was recorded (emulate --log), with its true poses.
     """
@@ -80,8 +81,9 @@ def gap(
     known = limits.parsed(outputs.fail_over, tables.LIMITS)
     outputs.check()
     after = Path(robot).name, RobotConfig.of(robot)
-    unfitted = Path(before).name, None if before == RECORDED else RobotConfig.of(before)
-    found = measure.measure(_with_truth(_read(logs), truth), after, unfitted, body)
+    recordings = _with_truth(_read(logs), truth)
+    unfitted = Path(before).name, _unfitted(before, recordings[0][1].config)
+    found = measure.measure(recordings, after, unfitted, body)
     _show(tables.tables(found), [*measure.conclusion(found), *found.notes])
     _write(outputs.json, tables.as_dict(found))
     if outputs.html is not None:
@@ -118,6 +120,17 @@ def compare(
     return _judged(limits.exceeded(known, compare_tables.sizes(found)))
 
 
+def _unfitted(name: str, recorded: RobotConfig) -> RobotConfig | None:
+    """The robot before fitting, a preset on the recorded wire; None for the recorded one."""
+    if name == RECORDED:
+        return None
+    config = RobotConfig.of(name)
+    if Path(name).suffix or "/" in name:  # a file
+        return config
+    wire = {field: getattr(recorded, field) for field in ("wheels", "baud_rate", "trailing_comma")}
+    return config.with_(**wire)
+
+
 def _with_truth(
     logs: list[tuple[str, Recording]], truth: Path | None
 ) -> list[tuple[str, Recording]]:
@@ -137,9 +150,10 @@ def _read(paths: Sequence[Path]) -> list[tuple[str, Recording]]:
     logs = [(path.name, read(path)) for path in paths]
     seen: dict[str, str] = {}
     for name, log in logs:
-        if log.sha256 in seen:
-            raise ConfigError(f"{name}: is the same recording as {seen[log.sha256]}")
-        seen[log.sha256] = name
+        begun = str(log.header["created"])  # tells a cut copy, too
+        if begun in seen:
+            raise ConfigError(f"{name}: is the same recording as {seen[begun]}")
+        seen[begun] = name
     return logs
 
 

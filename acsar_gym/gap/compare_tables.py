@@ -41,6 +41,8 @@ def table(sides: Sides) -> Table:
     """Make the table of a comparison."""
     task = sides.task or "recordings without an environment"
     title = f"{task}: {sides.names[0]} and {sides.names[1]}, episodes paired by seed"
+    if sides.policies:
+        title += f"; {sides.policies}"
     made = Table(title=plain(title), title_justify="left")
     for number, name in enumerate(columns(sides)):
         made.add_column(plain(name), justify="left" if number < 2 else "right")

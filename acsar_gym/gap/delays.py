@@ -151,6 +151,11 @@ def two_sample(first: Floats, second: Floats) -> TwoSample:
     )
 
 
+def lag(difference: float) -> str:
+    """Format by how much the second side is later or earlier than the first [s]."""
+    return f"{abs(difference) * 1000.0:.1f} ms {'later' if difference > 0.0 else 'earlier'}"
+
+
 def too_few_steps(test: TwoSample) -> str:
     """Say that a test wasn't possible, and what to drive for one."""
     return (

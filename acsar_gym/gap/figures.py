@@ -64,13 +64,13 @@ def figures(recorded: Track, twin: Track, period: float) -> Figures:
     wheels = residuals(recorded, twin, period)
     stamps, own = steady(recorded.feedback_stamps, period), steady(twin.feedback_stamps, period)
     twists = recorded.twists - _between(stamps, own, twin.twists)
-    yaw = recorded.poses[:, 2] - twin.truth[:, 2]
+    yaw = recorded.poses[:, 2] - twin.poses[:, 2]
     return {
         "wheel_speed_rms": rms(wheels),
         "linear_rms": rms(twists[:, 0]),
         "angular_rms": rms(twists[:, 1]),
         "yaw_rms": rms(yaw),
-        "end_pose": _apart(recorded.poses, twin.truth),
+        "end_pose": _apart(recorded.poses, twin.poses),
         "end_yaw": abs(float(yaw[-1])) if len(yaw) else math.nan,
         "end_odometry": _apart(recorded.odometry, twin.odometry),
         "time_shift": time_shift(stamps, recorded.feedback, own, twin.feedback),

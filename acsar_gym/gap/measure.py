@@ -12,15 +12,13 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.evaluation.metrics import Interval
 from acsar_gym.gap import tracks
-from acsar_gym.gap.delays import Floats, TwoSample, too_few_steps, two_sample
+from acsar_gym.gap.delays import Floats, TwoSample, lag, too_few_steps, two_sample
 from acsar_gym.gap.figures import Figures, figures, intervals, pooled
 from acsar_gym.gap.tracks import Track
+from acsar_gym.recording.alike import check_same, differing
 from acsar_gym.recording.types import Episode, Recording
 
 SIDES = ("before", "after")
-GEOMETRY = ("wheel_radius", "wheel_separation", "wheelbase")
-ALIKE = 0.1
-"""Logs are of one robot if its lengths differ by less than this share."""
 PAUSE = 0.1
 """Longer pauses between commands are noted [s]."""
 SHORTEST = 1.0
@@ -107,7 +105,7 @@ def measure(
     Raises:
         ConfigError: the logs are of different robots, or hold nothing that can be compared.
     """
-    same_robot(logs)
+    check_same(logs, "compare logs of")
     fitted_on = {sha256 for one in robot[1].measured.values() for sha256 in one.logs}
     replays, notes = [], _notes(logs, robot)
     for name, recording in logs:
@@ -126,17 +124,17 @@ def measure(
     return Gap(robot[0], before[0], body, tuple(replays), tuple(notes))
 
 
-def same_robot(logs: Sequence[tuple[str, Recording]]) -> None:
-    """Check that all logs were recorded with one robot; ConfigError names the first other one."""
-    first_name, first = logs[0]
-    for name, recording in logs[1:]:
-        for field in GEOMETRY:
-            one, other = getattr(first.config, field), getattr(recording.config, field)
-            if abs(one - other) > ALIKE * max(one, other):
-                raise ConfigError(
-                    f"{name}: is of another robot: {field} = {other:g} m, but {one:g} m in "
-                    f"{first_name}; compare logs of one robot at a time"
-                )
+def _cut(name: str, robot: tuple[str, RobotConfig]) -> str:
+    """Say that a recording was cut, and that it isn't recognized as one that was fitted."""
+    told = f"{name}: its end is missing; the rest was used"
+    if not any(one.logs for one in robot[1].measured.values()):
+        return told
+    return f"{told}, as held out: it can't be told whether {robot[0]} was fitted to the whole of it"
+
+
+def _is_true(episode: Episode) -> bool:
+    """Whether the true poses of an episode are known."""
+    return bool(np.isfinite(episode.truth).all())
 
 
 def _notes(logs: Sequence[tuple[str, Recording]], robot: tuple[str, RobotConfig]) -> list[str]:
@@ -144,13 +142,18 @@ def _notes(logs: Sequence[tuple[str, Recording]], robot: tuple[str, RobotConfig]
     notes = []
     for name, recording in logs:
         if recording.cut:
-            notes.append(f"{name}: its end is missing; the rest was used")
+            notes.append(_cut(name, robot))
         if recording.dropped:
             notes.append(f"{name}: {recording.dropped:,} ticks are missing")
-        for field in GEOMETRY:
-            one, other = getattr(recording.config, field), getattr(robot[1], field)
-            if abs(one - other) > ALIKE * max(one, other):
-                notes.append(f"{name}: recorded with {field} = {one:g} m, {robot[0]}: {other:g} m")
+        found = differing(recording.config, robot[1], wire=True)
+        if found is not None:
+            field, own, other = found
+            notes.append(f"{name}: recorded with {field} = {own}, {robot[0]}: {other}")
+    if not all(_is_true(episode) for _, recording in logs for episode in recording.episodes):
+        notes.append(
+            f"where no true pose was recorded, positions are by odometry of both, computed anew "
+            f"from the wheel speeds with the geometry of {robot[0]}"
+        )
     return notes
 
 
@@ -184,6 +187,8 @@ def _replay(
     robot = twins["after"]
     recorded = tracks.recorded(episode, robot)
     own = {side: tracks.twin(episode, robot, twins[side], body) for side in SIDES}
+    if not recorded.known:  # like with like
+        own = {side: track.by_odometry() for side, track in own.items()}
     period = 1.0 / robot.feedback_rate
     found = {side: figures(recorded, track, period) for side, track in own.items()}
     seconds = float(episode.stamps[-1] - episode.stamps[0])
@@ -214,7 +219,7 @@ def _about_delays(test: TwoSample) -> str:
     """Say whether the fitted twin's delays are those of the robot."""
     if math.isnan(test.p_value):
         return too_few_steps(test)
-    by = f"{abs(test.difference) * 1000.0:.1f} ms {'later' if test.difference > 0 else 'earlier'}"
+    by = lag(test.difference)
     if test.differs:
         return f"delays differ: the robot answers {by} than its twin (p = {test.p_value:.2g})"
     return f"delays don't differ measurably: {by} than the twin on average (p = {test.p_value:.2g})"

@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.errors import ConfigError
-from acsar_gym.gap import tracks
-from acsar_gym.gap.delays import TwoSample, too_few_steps, two_sample
-from acsar_gym.gap.measure import same_robot
+from acsar_gym.gap import tracks, unlike
+from acsar_gym.gap.delays import TwoSample, lag, too_few_steps, two_sample
 from acsar_gym.gap.paired import Comparison, of_means, of_rates
 from acsar_gym.gap.tracks import Track
-from acsar_gym.recording.types import Episode, Recording
+from acsar_gym.gap.unlike import Named
+from acsar_gym.recording.alike import check_same
+from acsar_gym.recording.types import Episode
 
-Named = Sequence[tuple[str, Recording]]
-"""Recordings with the names of their files."""
 Key = tuple[int | None, int]
 """Seed, and which one of the episodes with this seed."""
 
@@ -42,6 +41,9 @@ class Outcome:
         seed, again = self.key
         named = f"episode {again}" if seed is None else f"seed {seed}"
         return named if seed is None or not again else f"{named} ({again + 1})"
+
+
+Pairs = tuple[tuple[Outcome, Outcome], ...]
 
 
 @dataclass(frozen=True)
@@ -100,10 +102,12 @@ class Sides:
     task: str
     names: tuple[str, str]
     outcomes: tuple[tuple[Outcome, ...], tuple[Outcome, ...]]
-    pairs: tuple[tuple[Outcome, Outcome], ...]
+    pairs: Pairs
     notes: tuple[str, ...]
     labels: tuple[str, ...] = ()
     """Names of the task's numbers in an observation, as far as the recordings tell them."""
+    policies: str = ""
+    """Says that the policies differ; empty where they don't."""
 
     def comparisons(self) -> dict[str, Comparison]:
         """Compare every metric that both sides have."""
@@ -163,15 +167,16 @@ def compare(first: Named, second: Named, names: tuple[str, str] = ("sim", "real"
         ConfigError: the recordings are of different robots or tasks, or have no seed in common.
     """
     logs = [*first, *second]
-    same_robot(logs)
-    task = _task(logs)
+    odd = unlike.kinds(first, second, names)
+    check_same(logs, "compare", wire=False)
+    task = unlike.task(logs)
     sides = tuple(_outcomes(first)), tuple(_outcomes(second))
     for side, recordings in zip(sides, (first, second), strict=True):
         if not side:
             raise ConfigError(f"{recordings[0][0]}: holds no episode that was driven")
     known = {outcome.key: outcome for outcome in sides[0]}
-    pairs = tuple((known[o.key], o) for o in sides[1] if o.key in known)
-    if not pairs:
+    common = tuple((known[o.key], o) for o in sides[1] if o.key in known)
+    if not common:
         raise ConfigError(
             f"no episode in common: {names[0]} has {_seeds(sides[0])}, {names[1]} "
             f"{_seeds(sides[1])}; record both with the same seeds"
@@ -180,8 +185,27 @@ def compare(first: Named, second: Named, names: tuple[str, str] = ("sim", "real"
     if len(widths) > 1:
         sizes = " and ".join(map(str, sorted(widths)))
         raise ConfigError(f"{second[0][0]}: another task: observations of {sizes} numbers")
-    notes = _notes(logs, sides, pairs, names)
-    return Sides(task, names, sides, pairs, tuple(notes), _labels(first[0][1]))
+    pairs, others = _of_one_goal(common)
+    notes = [*odd, *_notes(logs, sides, common, names), *others]
+    policies = unlike.policies(first, second)
+    return Sides(task, names, sides, pairs, tuple(notes), unlike.labels(first[0][1]), policies)
+
+
+def _of_one_goal(pairs: Pairs) -> tuple[Pairs, list[str]]:
+    """Leave out pairs whose goals differ; returns the others, and lines about those left out.
+
+    Raises:
+        ConfigError: no pair is left.
+    """
+    same = tuple(pair for pair in pairs if unlike.same_goal(pair[0].episode, pair[1].episode))
+    others = [one for one in pairs if one not in same]
+    if not same:
+        one, other = others[0]
+        raise ConfigError(
+            f"no pair has the same goal: {one.name} of {one.log} and of {other.log} differ; record "
+            "both with the same seeds and goals"
+        )
+    return same, [f"{one.name} of {two.log}: left out, another goal" for one, two in others]
 
 
 def _outcomes(logs: Named) -> list[Outcome]:
@@ -208,36 +232,6 @@ def _outcomes(logs: Named) -> list[Outcome]:
     return outcomes
 
 
-def _about(recording: Recording) -> Mapping[str, object]:
-    """Return what the program said about a recording."""
-    about = recording.header.get("about")
-    return about if isinstance(about, Mapping) else {}
-
-
-def _task_of(recording: Recording) -> str:
-    """Return the id of the env that was recorded; empty if there was none."""
-    env = _about(recording).get("env")
-    return str(env.get("id") or "") if isinstance(env, Mapping) else ""
-
-
-def _labels(recording: Recording) -> tuple[str, ...]:
-    """Return the names of the task's numbers in an observation; empty if they aren't known."""
-    names = _about(recording).get("observation")
-    return tuple(str(name)[:40] for name in names) if isinstance(names, list) else ()
-
-
-def _task(logs: Named) -> str:
-    """Return the task of all recordings; ConfigError if they have different ones."""
-    task = _task_of(logs[0][1])
-    for name, recording in logs[1:]:
-        other = _task_of(recording)
-        if other != task:
-            raise ConfigError(
-                f"{name}: is of {other or 'no task'}, but {logs[0][0]} of {task or 'no task'}"
-            )
-    return task
-
-
 def _seeds(side: Sequence[Outcome]) -> str:
     """Describe the seeds of a side."""
     seeds = sorted({outcome.key[0] for outcome in side if outcome.key[0] is not None})
@@ -262,6 +256,9 @@ def _notes(
         alone = len(side) - len(pairs)
         if alone:
             notes.append(f"{name}: {alone} of {len(side)} episodes have no partner")
+    for name, side in zip(names, sides, strict=True):
+        for one in side:
+            notes += unlike.late(f"{name}, {one.name} of {one.log}", one.episode)
     if any(pair[0].key[0] is None for pair in pairs):
         notes.append("episodes without a seed were paired in their order")
     return notes
@@ -270,7 +267,7 @@ def _notes(
 def conclusion(sides: Sides) -> list[str]:
     """Say in a few lines how far apart the sides are."""
     first, second = sides.names
-    lines = []
+    lines: list[str] = []
     for name, one in sides.comparisons().items():
         value = VALUES[name]
         if not one.differs or not one.enough:
@@ -287,7 +284,8 @@ def conclusion(sides: Sides) -> list[str]:
         lines.append(f"too few pairs ({count}) to tell whether {first} and {second} differ")
     elif not lines:
         lines.append(f"no metric differs measurably between {first} and {second}")
-    return [f"{count} pair{'s' * (count != 1)} of episodes", *lines, _about_delays(sides)]
+    said = [f"{count} pair{'s' * (count != 1)} of episodes", *lines, _about_delays(sides)]
+    return [sides.policies, *said] if sides.policies else said
 
 
 def _about_delays(sides: Sides) -> str:
@@ -295,6 +293,6 @@ def _about_delays(sides: Sides) -> str:
     test, (first, second) = sides.delays(), sides.names
     if math.isnan(test.p_value):
         return too_few_steps(test)
-    by = f"{abs(test.difference) * 1000.0:.1f} ms {'later' if test.difference > 0 else 'earlier'}"
+    by = lag(test.difference)
     differ = "differ" if test.differs else "don't differ measurably"
     return f"delays {differ}: {second} answers {by} than {first} (p = {test.p_value:.2g})"

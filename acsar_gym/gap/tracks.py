@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -48,6 +48,10 @@ class Track:
     def poses(self) -> Floats:
         """(n, 3) the best that is known of where the robot was: the truth, or odometry."""
         return self.truth if self.known else self.odometry
+
+    def by_odometry(self) -> Track:
+        """Return the track without its true pose, to be compared with one whose isn't known."""
+        return replace(self, truth=np.full_like(self.truth, np.nan))
 
     @property
     def delays(self) -> Floats:

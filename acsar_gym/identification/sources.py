@@ -7,18 +7,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError
 from acsar_gym.identification.identified import Identified, identified
 from acsar_gym.identification.manoeuvre import drive
 from acsar_gym.links import Link
 from acsar_gym.recording import Recorder
+from acsar_gym.recording.alike import check_same
 from acsar_gym.recording.reader import read
-from acsar_gym.recording.types import Recording
 from acsar_gym.recording.wire_log import WireLog
-
-GEOMETRY = ("wheel_radius", "wheel_separation", "wheelbase")
-WIRE = ("baud_rate", "trailing_comma", "wheels", "name")
-"""Fields that are the same in all recordings of one robot."""
 
 
 def from_files(paths: Sequence[Path], config: RobotConfig | None) -> Identified:
@@ -32,23 +27,10 @@ def from_files(paths: Sequence[Path], config: RobotConfig | None) -> Identified:
         ConfigError: a file can't be read, or they are of different robots.
     """
     recordings = [(path, read(path)) for path in paths]
-    check_same(recordings)
+    check_same([(str(path), recording) for path, recording in recordings], "identify")
     logs = [episode.wire for _, recording in recordings for episode in recording.episodes]
     hashes = [recording.sha256 for _, recording in recordings]
     return identified(logs, config or recordings[0][1].config, hashes)
-
-
-def check_same(recordings: Sequence[tuple[Path, Recording]]) -> None:
-    """Check that recordings are of one robot; ConfigError names the first other one."""
-    first_path, first = recordings[0]
-    for path, recording in recordings[1:]:
-        for field in GEOMETRY + WIRE:
-            one, other = getattr(first.config, field), getattr(recording.config, field)
-            if one != other:
-                raise ConfigError(
-                    f"{path}: is of another robot: {field} is {other!r}, but {one!r} in "
-                    f"{first_path}; identify one robot at a time"
-                )
 
 
 def from_device(

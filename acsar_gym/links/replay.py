@@ -65,8 +65,10 @@ class ReplayLink:
         self.open()
         episodes = self._recording.episodes if self._recording else ()
         if self._next_episode >= len(episodes):
+            cut = self._recording is not None and self._recording.cut
+            missing = "; the file is cut: its end is missing" if cut else ""
             raise LinkLostError(
-                f"{self.replays}: all {self._next_episode} episodes have been played",
+                f"{self.replays}: all {self._next_episode} episodes have been played{missing}",
                 "make a new link to play it again",
             )
         self._tape = Tape(episodes[self._next_episode])
@@ -88,6 +90,13 @@ class ReplayLink:
         """
         tape, sent = self._playing(), self._sent
         if tape.is_over:
+            recording = self._recording
+            last = recording is not None and self._next_episode == len(recording.episodes)
+            if last and recording is not None and recording.cut:
+                raise LinkLostError(
+                    f"{self.replays}: the file is cut here, {tape.place}",
+                    "what followed is missing",
+                )
             raise LinkLostError(
                 f"{self.replays}: the recorded episode ends here, {tape.place}",
                 "was it made with this goal and policy?",

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.errors import ConfigError, MissingExtraError, shown
+from acsar_gym.errors import ConfigError, MissingExtraError, RecordingWarning, shown
 from acsar_gym.reading.bounded import reason
 from acsar_gym.recording.reader import read
 from acsar_gym.recording.types import Episode, Recording
@@ -45,6 +45,10 @@ def export(path: Path, to: str, folder: Path) -> list[Path]:
     if to not in FORMATS:
         raise ConfigError(f"--to {shown(to)}: must be one of {', '.join(FORMATS)}")
     recording = read(path)
+    if recording.cut:
+        how = "is left out" if to == "minari" else "is incomplete"
+        last = f"the last episode {how}" if incomplete(recording) else "what followed is missing"
+        warnings.warn(f"{path}: the file is cut: {last}", RecordingWarning, stacklevel=2)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if to == "minari":
@@ -175,7 +179,8 @@ def _minari(recording: Recording, path: Path, folder: Path) -> Path:
         raise MissingExtraError("export to Minari", "export") from None
     buffers = [EpisodeBuffer(**told) for told in _episodes(recording)]
     if not buffers:
-        raise ConfigError(f"{path}: holds no steps of an env: record an env, run or evaluate")
+        what = "whole episode" if incomplete(recording) else "steps"
+        raise ConfigError(f"{path}: holds no {what} of an env: record an env, run or evaluate")
     name = "".join(c if c.isalnum() else "-" for c in path.stem).strip("-") or "recording"
     width = recording.episodes[0].observations.shape[1]
     try:
@@ -209,9 +214,15 @@ def _stored_in(folder: Path) -> Iterator[None]:
             os.environ[STORE] = before
 
 
+def incomplete(recording: Recording) -> bool:
+    """Whether the last episode is incomplete, because the file is cut."""
+    return recording.cut and not recording.episodes[-1].terminated
+
+
 def _episodes(recording: Recording) -> Iterator[dict[str, Any]]:
     """The arguments of Minari's buffers, one for each episode with steps."""
-    for number, one in enumerate(recording.episodes):
+    whole = len(recording.episodes) - incomplete(recording)
+    for number, one in enumerate(recording.episodes[:whole]):
         count = len(one.actions)
         if not count or len(one.observations) != count + 1 or len(one.rewards) != count:
             continue

@@ -29,6 +29,7 @@ def values(found: list[Reading]) -> dict[str, float]:
 
 def test_numbers_become_readings_of_the_run() -> None:
     assert values(of_line([2.01], SCALES)) == {"distance": 2.01}
+    assert values(of_line([-2.01], SCALES)) == {"distance": 2.01}  # backwards
     assert values(of_line([2.01, -0.05], SCALES)) == {"distance": 2.01, "aside": -0.05}
     assert values(of_turn(1712.0, LEFT, SCALES)) == {"heading": math.radians(1712.0)}
     assert values(of_turn(1712.0, RIGHT, SCALES)) == {"heading": -math.radians(1712.0)}
@@ -67,6 +68,7 @@ def test_bad_corners_are_one_error(tmp_path: Path, text: str, said: str) -> None
     ("run", "read", "said"),
     [
         (LINE, of_line([201.3], SCALES), "more than 30%: odometry says 2.000 m: in centimetres"),
+        (LINE, of_line([2013.0], SCALES), "odometry says 2.000 m: in millimetres"),
         (LINE, of_line([2.7], SCALES), "another run's"),
         (LINE, of_line([1.3], SCALES), "odometry says 2.000 m"),
         (LINE, of_line([0.0], SCALES), "odometry says 2.000 m"),

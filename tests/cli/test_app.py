@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+import shlex
 import subprocess
 from pathlib import Path
 from typing import Any
 
 import pytest
 from cli_tools import Call, assert_one_line
+from recording_tools import drive
 from serial_tools import CLI, TIMEOUT, RobotFile, cli
 from zip_tools import PLACES, poison, save
 
+from acsar_gym import RobotConfig
 from acsar_gym.cli import COMMANDS
 from acsar_gym.errors import RecordingWarning
 
@@ -283,3 +286,17 @@ def test_the_doctor_tells_how_soon_a_robot_is_stopped(call: Call, tmp_path: Path
     assert "SIGKILL" in output
     stop = json.loads(file.read_text())["stops"]["kill"]
     assert code == 1 - stop["in_time"]
+
+
+def test_a_closed_pipe_is_no_traceback(tmp_path: Path) -> None:
+    drive(tmp_path / "a.mcap", RobotConfig.preset("acsar"), 5)
+    line = f"{shlex.join([*CLI, 'record', 'info', str(tmp_path / 'a.mcap')])} | true"
+    done = subprocess.run(
+        ["bash", "-c", f"set -o pipefail; {line}"],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=TIMEOUT,
+    )
+    assert done.stderr == ""
+    assert done.returncode == 128 + 13

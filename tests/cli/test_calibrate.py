@@ -168,3 +168,39 @@ def test_a_lidar_measures_in_a_world(call: Call, twin: Path, tmp_path: Path) -> 
     found = RobotConfig.load(out)
     assert found.wheel_radius == pytest.approx(0.051, rel=0.01)
     assert found.wheel_separation_multiplier == pytest.approx(1.81, rel=0.01)
+
+
+@pytest.mark.parametrize("kept", ["cal.json", "cal.mcap"])
+def test_readings_given_later_keep_what_is_known_of_the_robot(
+    call: Call, tmp_path: Path, kept: str
+) -> None:
+    mine, out = tmp_path / "my.yaml", tmp_path / "out.yaml"
+    known = RobotConfig.preset("acsar").with_(motor={"time_constant": 0.14})
+    known.save(mine)
+    options = ("--record", tmp_path / "cal.mcap", "--runs", tmp_path / "cal.json", "--robot", mine)
+    drive = ("--distance", "0.6", "--repeats", "1", "--measured", "0.6")
+    assert call("calibrate", "planar", "straight", *drive, *options)[0] == 0
+    later = (tmp_path / kept, "straight", "--measured", "0.61", "--out", out)
+    assert call("calibrate", *later)[0] == 0
+    assert RobotConfig.load(out).motor == known.motor
+
+
+def test_without_readings_no_robot_is_written(call: Call, tmp_path: Path) -> None:
+    runs, out = tmp_path / "cal.json", tmp_path / "out.yaml"
+    drive = ("--distance", "0.6", "--repeats", "1", "--runs", runs)
+    assert call("calibrate", "planar", "straight", *drive)[0] == 0
+    told = json.loads(runs.read_text(encoding="utf-8"))
+    told["runs"][0]["readings"] = []
+    runs.write_text(json.dumps(told), encoding="utf-8")
+    code, said, _ = call("calibrate", runs, "straight", "--out", out)
+    assert code == 0
+    assert f"readings: acsar-gym calibrate {runs} straight --measured ..." in said
+    assert f"{out} isn't written: there are no readings yet" in said
+    assert not out.exists()
+
+
+def test_nothing_is_announced_where_nobody_can_be_asked(call: Call) -> None:
+    arguments = ("/dev/acsar-missing", "straight", "--space", "9", "9", "--measured", "2")
+    code, said, error = call("calibrate", *arguments)
+    assert (code, said) == (2, "")
+    assert_one_line(error, "no terminal to ask on; add --yes")

@@ -136,3 +136,28 @@ def test_a_cut_recording_is_used_as_far_as_it_goes(inside: Path, call: Call) -> 
     code, out, error = call("gap", "half.mcap", "--robot", "robot.yaml")
     assert code == 0, error
     assert "half.mcap: its end is missing" in out
+
+
+def test_a_preset_before_fitting_has_the_recorded_wiring(inside: Path, call: Call) -> None:
+    wires = ("a", "b"), ("b", "a")
+    wheels = {one: {"motor": other, "encoder": other} for one, other in wires}
+    wired = ROBOT.with_(wheels={**ACSAR.wheels.model_dump(), **wheels})
+    recorder = Recorder(inside / "wired.mcap")
+    with Robot(open_link("planar", wired), ACSAR.with_(wheels=wired.wheels), (), recorder) as robot:
+        for speeds in random_steps(3, 3.0, ACSAR):
+            robot.tick(speeds)
+    wired.save(inside / "wired.yaml")
+    found = {}
+    for before in ("acsar", "recorded"):
+        logs = ("gap", "wired.mcap", "--robot", "wired.yaml", "--json", "gap.json")
+        assert call(*logs, "--before", before)[0] == 0
+        found[before] = json.loads((inside / "gap.json").read_text())["before"]["figures"]
+    assert found["acsar"] == found["recorded"]
+
+
+def test_a_cut_copy_is_the_same_recording(inside: Path, call: Call) -> None:
+    whole = (inside / "log0.mcap").read_bytes()
+    (inside / "part.mcap").write_bytes(whole[: len(whole) * 2 // 3])
+    code, _, error = call("gap", "log0.mcap", "part.mcap", "--robot", "robot.yaml")
+    assert code == 2
+    assert_one_line(error, "part.mcap: is the same recording as log0.mcap")

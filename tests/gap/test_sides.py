@@ -38,6 +38,7 @@ def sides() -> Sides:
 def test_episodes_are_paired_by_seed() -> None:
     assert [(a.key[0], b.key[0]) for a, b in sides().pairs] == [(n, n) for n in range(1, 6)]
     assert sides().notes == (
+        "real.mcap: is of a simulated robot, but named as real",
         "sim: 1 of 6 episodes have no partner",
         "real: 1 of 6 episodes have no partner",
     )
@@ -82,6 +83,52 @@ def test_observations_that_moved_have_a_distance() -> None:
     assert distances(first, np.zeros((0, 0))) == []
 
 
+def on_hardware(recording: Recording, lateness: float = 0.0) -> Recording:
+    """The recording as if its robot had been real, with this lateness of every tick."""
+    episodes = [
+        replace(one, lateness=np.full(len(one.stamps), lateness)) for one in recording.episodes
+    ]
+    return replace(recording, episodes=tuple(episodes))
+
+
+def test_swapped_sides_are_an_error_and_a_wrong_kind_is_noted() -> None:
+    robot = [("real.mcap", on_hardware(real()))]
+    with pytest.raises(
+        ConfigError, match=r"real\.mcap: is of a real robot, and sim\.mcap of a sim"
+    ):
+        compare(robot, [("sim.mcap", sim())])
+    assert not any("named as" in note for note in compare([("sim.mcap", sim())], robot).notes)
+    notes = compare(robot, robot).notes
+    assert "real.mcap: is of a real robot, but named as sim" in notes
+
+
+def test_late_episodes_are_noted() -> None:
+    notes = compare([("sim.mcap", sim())], [("real.mcap", on_hardware(real(), 0.002))]).notes
+    assert "real, seed 1 of real.mcap: invalid, 100% of its ticks were late" in notes[2]
+
+
+def test_other_policies_are_said_first() -> None:
+    policies = [{"file": f"/a/{n}.onnx", "sha256": n * 64} for n in "ab"]
+    logs = [replace(sim(), header={"about": {"policy": policy}}) for policy in policies]
+    found = compare([("a", logs[0])], [("b", logs[1])])
+    assert conclusion(found)[0] == "policies differ: a.onnx (aaaaaaaa) vs b.onnx (bbbbbbbb)"
+    assert "policies differ" in str(compare_tables.table(found).title)
+    assert "policies" not in conclusion(compare([("a", logs[0])], [("b", logs[0])]))[0]
+
+
+def test_pairs_with_other_goals_are_left_out() -> None:
+    goal = {"goal": [1.0, 0.0]}
+    first, *others = [replace(one, info={**one.info, **goal}) for one in sim().episodes]
+    told = replace(sim(), episodes=(first, *others))
+    moved = replace(first, info={**first.info, "goal": [9.0, 0.0]})
+    other = replace(sim(), episodes=(moved, *others))
+    found = compare([("a", told)], [("b", other)])
+    assert len(found.pairs) == 5
+    assert "seed 0 of b: left out, another goal" in found.notes
+    with pytest.raises(ConfigError, match="no pair has the same goal: seed 0 of a and of b differ"):
+        compare([("a", told)], [("b", replace(sim(), episodes=(moved,)))])
+
+
 def test_lengths_and_turns_by_closed_form() -> None:
     outcome = sides().outcomes[0][0]
     straight = np.column_stack([np.linspace(0.0, 2.0, 9), np.zeros(9), np.linspace(0.0, 1.0, 9)])
@@ -100,7 +147,7 @@ def test_another_task_robot_and_an_empty_recording_are_refused() -> None:
     with pytest.raises(ConfigError, match=r"b: is of acsar_gym/Barn-v0, but a of acsar_gym/Point"):
         compare([("a", sim())], [("b", barn)])
     large = replace(real(), config=ACSAR.with_(wheel_radius=0.1))
-    with pytest.raises(ConfigError, match=r"b: is of another robot: wheel_radius = 0\.1 m"):
+    with pytest.raises(ConfigError, match=r"b: is of another robot: wheel_radius is 0\.1 m"):
         compare([("a", sim())], [("b", large)])
     with pytest.raises(ConfigError, match="b: holds no episode that was driven"):
         compare([("a", sim())], [("b", replace(real(), episodes=()))])

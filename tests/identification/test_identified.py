@@ -20,7 +20,8 @@ from acsar_gym.identification.manoeuvre import TappedLink, drive
 from acsar_gym.identification.report import table
 from acsar_gym.identification.sources import from_device, from_files
 from acsar_gym.links import Link
-from acsar_gym.recording import Recorder
+from acsar_gym.recording import Recorder, read
+from acsar_gym.recording.alike import check_same
 from acsar_gym.recording.wire_log import WireLog
 from acsar_gym.robot import Robot
 from acsar_gym.safety.layer import Safety
@@ -117,6 +118,11 @@ def test_recordings_of_different_robots_are_one_error(recording: Path, tmp_path:
         robot.tick((1.0, 1.0, 1.0, 1.0))
     with pytest.raises(ConfigError, match=r"other\.mcap: is of another robot: wheel_radius"):
         from_files([recording, path], None)
+
+
+def test_a_calibrated_robot_is_the_same_robot(recording: Path, tmp_path: Path) -> None:
+    after = replace(read(recording), config=ACSAR.with_(wheel_radius=0.0509))
+    check_same([("a", read(recording)), ("b", after)], "identify")
 
 
 def test_a_log_without_commands_is_an_error() -> None:

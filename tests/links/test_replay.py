@@ -10,12 +10,14 @@ import gymnasium
 import numpy as np
 import pytest
 import serial
+from recording_tools import drive
 from tapes import playing, taped
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import ConfigError, LinkError, LinkLostError
 from acsar_gym.links.replay import ReplayLink
 from acsar_gym.recording import Recorder, read
+from acsar_gym.worlds import Scene
 
 ENV_ID = "acsar_gym/PointGoal-v0"
 IDS = ("PointGoal", "ObstacleGoal", "PathFollow", "Barn")
@@ -141,3 +143,15 @@ def test_a_recording_that_cannot_be_written_says_so(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="can't be written"):
         env.reset()
     env.close()
+
+
+def test_a_cut_recording_says_so(config: RobotConfig, tmp_path: Path) -> None:
+    path = drive(tmp_path / "cut.mcap", config)
+    path.write_bytes(path.read_bytes()[:-100])
+    link = ReplayLink(path, compare=False)
+    link.reset(Scene())
+    with pytest.raises(LinkLostError, match=r"cut\.mcap: the file is cut here"):
+        for _ in range(1000):
+            link.advance(config.period)
+    with pytest.raises(LinkLostError, match="all 1 episodes have been played; the file is cut"):
+        link.reset(Scene())

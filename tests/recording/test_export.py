@@ -14,7 +14,7 @@ from pyarrow import parquet
 from recording_tools import drive
 
 from acsar_gym import RobotConfig
-from acsar_gym.errors import ConfigError
+from acsar_gym.errors import ConfigError, RecordingWarning
 from acsar_gym.recording import read, summary
 from acsar_gym.recording.export import export, tables
 from acsar_gym.recording.header import header
@@ -132,3 +132,14 @@ def test_a_summary_tells_what_a_recording_holds(tape: Path, tmp_path: Path) -> N
     said = summary.lines(summary.of(cut))[0]
     assert "cut: what followed is missing" in said
     assert "drops unknown" in said
+
+
+def test_a_cut_episode_is_no_truncated_one(tape: Path, tmp_path: Path) -> None:
+    whole = tape.read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) * 9 // 10])
+    assert len(read(tmp_path / "cut.mcap").episodes) == 2
+    with pytest.warns(RecordingWarning, match=r"cut\.mcap: the file is cut: the last .* left out"):
+        (folder,) = export(tmp_path / "cut.mcap", "minari", tmp_path / "sets")
+    assert minari.MinariDataset(folder / "data").total_episodes == 1
+    with pytest.warns(RecordingWarning, match="the last episode is incomplete"):
+        export(tmp_path / "cut.mcap", "csv", tmp_path / "tables")

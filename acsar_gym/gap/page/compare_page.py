@@ -11,7 +11,7 @@ import numpy as np
 
 import acsar_gym
 from acsar_gym.gap.compare_tables import columns, rows
-from acsar_gym.gap.delays import Floats
+from acsar_gym.gap.delays import Floats, lag
 from acsar_gym.gap.page.document import Grid, Page, Plot, Section, Tile
 from acsar_gym.gap.page.traces import MAP, axis, dots, layout, line, shares
 from acsar_gym.gap.page.wheels import Wheels, wheel_layout, wheel_traces
@@ -54,7 +54,7 @@ def page(sides: Sides) -> Page:
             Section("Metrics", _about(sides), [Grid(columns(sides), rows(sides), 2)]),
             Section("Each pair", "", [_pairs(sides)]),
             Section("Episodes", "", _curves(drawn, sides.names), key, picks=True),
-            Section("Delays", _about_delays(sides), [_delays(sides)], key),
+            _delays_section(sides, key),
             *_distributions(sides, key),
         ],
         choices=[pair[0].name for pair in drawn],
@@ -134,6 +134,12 @@ def _start(outcome: Outcome) -> float:
     return float(outcome.track.stamps[0])
 
 
+def _delays_section(sides: Sides, key: tuple[tuple[str, str], ...]) -> Section:
+    """Make the section of the delays, without a plot where there are too few steps."""
+    known = not math.isnan(sides.delays().p_value)
+    return Section("Delays", _about_delays(sides), *([_delays(sides)], key) if known else ())
+
+
 def _about_delays(sides: Sides) -> str:
     """Say what the test of the delays found."""
     test, (first, second) = sides.delays(), sides.names
@@ -141,7 +147,7 @@ def _about_delays(sides: Sides) -> str:
     if math.isnan(test.p_value):
         return f"{counts}: too few to compare."
     return (
-        f"{second} answers {cell(test.difference, 1000.0)} ms later than {first} (95 % interval "
+        f"{second} answers {lag(test.difference)} than {first} (95 % interval "
         f"{between(test.interval, 1000.0)}); Kolmogorov-Smirnov p = {cell(test.p_value)}, {counts}."
     )
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
 import acsar_gym
+from acsar_gym.gap.delays import lag, too_few_steps
 from acsar_gym.gap.figures import METRICS
 from acsar_gym.gap.measure import Gap, Replay, conclusion
 from acsar_gym.gap.page.document import Grid, Page, Plot, Section, Tile
@@ -38,7 +40,9 @@ def page(gap: Gap) -> Page:
         tiles=_tiles(gap),
         sections=[
             Section("Figures", _scope(gap), [_figures(gap)]),
-            Section("Delays", _about_delays(gap), [_delays(gap)], KEY),
+            Section(
+                "Delays", _about_delays(gap), *([_delays(gap)], KEY) if _has_delays(gap) else ()
+            ),
             Section("Episodes", "", _curves(drawn), KEY, picks=True),
             Section("All episodes", "", [_logs(gap)]),
         ],
@@ -55,7 +59,7 @@ def _curves(drawn: Sequence[Replay]) -> list[Plot]:
 def _scope(gap: Gap) -> str:
     """Say which logs the figures are of."""
     known = {replay.recorded.known for replay in gap.judged}
-    against = {True: "the true pose", False: "odometry"}
+    against = {True: "the true pose", False: "odometry (then of both)"}
     kind = "held out: the robot wasn't fitted to them" if gap.held_out else "those it was fitted to"
     return (
         f"Over {len(gap.judged)} episodes, {kind}. Positions and yaw of the twin are compared with "
@@ -105,17 +109,27 @@ def _sides(replay: Replay) -> list[dict[str, float]]:
 
 def _about_delays(gap: Gap) -> str:
     """Say what the test of the delays found, before and after."""
+    if not _has_delays(gap):
+        return f"{too_few_steps(gap.delays('after'))}."
     lines = []
     for side in ("before", "after"):
         test = gap.delays(side)
+        if math.isnan(test.p_value):
+            lines.append(f"{side} fitting, {too_few_steps(test)}")
+            continue
         around = between(test.interval, 1000.0)
         lines.append(
-            f"{side} fitting, the robot answers {cell(test.difference, 1000.0)} ms later than the "
+            f"{side} fitting, the robot answers {lag(test.difference)} than the "
             f"twin ({'95 % interval ' + around + ', ' if around else ''}"
             f"Kolmogorov-Smirnov p = {cell(test.p_value)}, {test.counts[0]} steps)"
         )
     text = "; ".join(lines)
     return f"{text[0].upper()}{text[1:]}."
+
+
+def _has_delays(gap: Gap) -> bool:
+    """Whether there are enough steps to compare the delays of the fitted twin."""
+    return not math.isnan(gap.delays("after").p_value)
 
 
 def _delays(gap: Gap) -> Plot:
@@ -183,7 +197,7 @@ def _errors(replays: Sequence[Replay]) -> Plot:
         robot, start = replay.recorded, float(replay.recorded.stamps[0])
         traces = []
         for side, color in COLORS.items():
-            apart = np.hypot(*(replay.twins[side].truth - robot.poses)[:, :2].T)
+            apart = np.hypot(*(replay.twins[side].poses - robot.poses)[:, :2].T)
             traces.append(line(f"twin {side}", robot.stamps - start, apart * 100.0, color))
         choices.append(traces)
     return Plot(
