@@ -54,11 +54,15 @@ def open_link(
         from acsar_gym.links.serial import SerialLink  # noqa: PLC0415
 
         return SerialLink(_device(url, config), config)
+    raise _unknown(url)
+
+
+def _unknown(url: str) -> ConfigError:
+    """Return the error for a URL that names no link."""
+    near = suggestion(url[:40], NAMES)
     if os.path.lexists(url):
-        raise ConfigError(
-            f"unknown link {shown(url)}: for a device, write its full path, or ./ before it"
-        )
-    raise ConfigError(f"unknown link {shown(url)}{suggestion(url[:40], NAMES)}")
+        near = ": for a device, write its full path, or ./ before it"
+    return ConfigError(f"unknown link {shown(url)}{near}")
 
 
 def is_device(url: str | os.PathLike[str]) -> bool:
