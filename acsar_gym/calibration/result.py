@@ -91,7 +91,6 @@ def table(fit: Fit, config: RobotConfig) -> Table:
 def captions(fit: Fit) -> list[str]:
     """Lines below the table: what wasn't told, and which runs were left out."""
     lines = [f"{len(fit.used)} runs, residuals {fit.rms:.1f} times what the readings' scales allow"]
-    lines += ["! off by more than 4 times what its scale allows."]
     held = [text for name, text in MISSING.items() if name not in fit.told]
     lines += [f"Not told by these runs: {text}." for text in held]
     lines += [f"Left out, contradicts the others: {plain(run.name)}." for run in fit.outliers]
@@ -127,6 +126,8 @@ def runs_table(runs: Sequence[Run], fit: Fit, config: RobotConfig) -> Table:
                 *cells[1:3],
                 cells[3] + (" !" if wide else ""),
             )
+            if wide:
+                found.caption = "! off by more than 4 times what its scale allows"
     return found
 
 
