@@ -56,7 +56,9 @@ def answers(tracks: Sequence[Track], wheel: int) -> Floats:
         norm = np.sqrt((commands**2).sum(0) * (speeds @ speeds))
         rows.append(speeds @ commands / np.maximum(norm, 1e-9))
     high, low = np.max(rows, 0), np.min(rows, 0)
-    return np.where(high >= -low - CLEARLY, high, low)  # periodic commands have both signs
+    return np.asarray(
+        np.where(high >= -low - CLEARLY, high, low)
+    )  # periodic commands have both signs
 
 
 def _commands(track: Track, lag: float) -> Floats:
