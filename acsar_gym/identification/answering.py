@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.errors import IdentificationError
+from acsar_gym.identification.knowable import SHORTEST
 from acsar_gym.identification.tracks import Track
 from acsar_gym.protocol import WHEELS
 
@@ -28,7 +29,12 @@ ADVICE = (
 
 
 def check(tracks: Sequence[Track]) -> None:
-    """Check that no wheel is reversed or swapped; IdentificationError names the first that is."""
+    """Check that no wheel is reversed or swapped; IdentificationError names the first that is.
+
+    Short logs, from which nothing is fitted, aren't checked.
+    """
+    if sum(track.duration for track in tracks) < SHORTEST:
+        return
     for wheel, name in enumerate(WHEELS):
         found = answers(tracks, wheel)
         best = int(np.argmax(np.abs(found)))
@@ -49,8 +55,10 @@ def answers(tracks: Sequence[Track], wheel: int) -> Floats:
         commands = np.concatenate([_commands(track, float(lag)) for track in tracks])
         norm = np.sqrt((commands**2).sum(0) * (speeds @ speeds))
         rows.append(speeds @ commands / np.maximum(norm, 1e-9))
-    found = np.array(rows)
-    return np.asarray(found[np.abs(found).argmax(0), np.arange(4)])
+    high, low = np.max(rows, 0), np.min(rows, 0)
+    return np.asarray(
+        np.where(high >= -low - CLEARLY, high, low)
+    )  # periodic commands have both signs
 
 
 def _commands(track: Track, lag: float) -> Floats:

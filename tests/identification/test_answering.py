@@ -34,8 +34,8 @@ def driven(commands: Any, **hidden: Any) -> list[Track]:
 
 
 def steps() -> Any:
-    """Four seconds of a manoeuvre."""
-    return plan(ACSAR, 12.0, 0.01).before[:400].tolist()
+    """Five seconds of a manoeuvre."""
+    return plan(ACSAR, 12.0, 0.01).before[:500].tolist()
 
 
 @pytest.mark.parametrize(
@@ -62,7 +62,7 @@ def test_a_robot_that_is_wired_right_is_not_blamed(pattern: Any, hidden: Any) ->
     if pattern is None:
         answering.check(driven(steps(), **hidden))
         return
-    waves = 5.0 * np.sin(np.arange(300)[:, None] / 20.0) * pattern
+    waves = 5.0 * np.sin(np.arange(500)[:, None] / 20.0) * pattern
     answering.check(driven(waves.tolist(), **hidden))
 
 
