@@ -159,6 +159,7 @@ def test_spin_measures_round_trip_and_stop(
     assert written.with_(firmware=robot.firmware.model_dump()) == robot
 
 
+@pytest.mark.slow  # as in simulated time, test_commission.py
 def test_spin_finds_a_board_that_never_stops(
     config: RobotConfig, start_emulator: StartEmulator, robot_file: RobotFile, impatient: None
 ) -> None:
@@ -169,6 +170,7 @@ def test_spin_finds_a_board_that_never_stops(
     wait_until(emulator.is_stopped, "zero as the last command")
 
 
+@pytest.mark.slow  # as in simulated time, test_commission.py
 def test_spin_finds_wheels_that_do_not_turn(
     config: RobotConfig, start_emulator: StartEmulator, robot_file: RobotFile, impatient: None
 ) -> None:
@@ -313,6 +315,7 @@ def test_bad_options(arguments: tuple[str, ...], said: str) -> None:
     assert said in done.stderr
 
 
+@pytest.mark.slow  # as in simulated time, test_commission.py
 @pytest.mark.parametrize("wheel", ["dead", "sound"])
 def test_one_dead_wheel_is_found(
     config: RobotConfig, wheel: str, monkeypatch: pytest.MonkeyPatch

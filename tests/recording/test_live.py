@@ -23,7 +23,7 @@ def test_a_viewer_gets_topics_and_messages(tmp_path: Path) -> None:
     view = LiveView(port=0)
     assert view.url.startswith("ws://127.0.0.1:")
     recorder = Recorder(tmp_path / "tape.mcap", sinks=[view])
-    with connect(view.url, subprotocols=PROTOCOLS, open_timeout=10) as viewer:  # type: ignore[arg-type]
+    with connect(view.url, subprotocols=PROTOCOLS, open_timeout=10, close_timeout=0.2) as viewer:  # type: ignore[arg-type]
         offered: dict[str, dict[str, object]] = {}
         while "/odom" not in offered:
             told = json.loads(viewer.recv(timeout=10))
