@@ -73,7 +73,7 @@ class Robot:
         self._stopwatch: Stopwatch | None = None
         self._watch: WheelWatch | None = None
         self._period = self.config.period
-        self._clocked = self.sensors.clocked
+        self._clocked, self._recorded = self.sensors.clocked, recorder is not None
 
     def activate(self) -> None:
         """Reset, if the robot isn't active. Errors as for `reset`."""
@@ -175,7 +175,8 @@ class Robot:
             self._exchange(self.safety.allowed(linear, angular, pose, age))
             if self._clocked:
                 self.sensors.poll()
-            self._journal.ticked(self.odometry, linear, angular)
+            if self._recorded:
+                self._journal.ticked(self.odometry, linear, angular)
         except BaseException as error:
             self.deactivate(error)
             raise
