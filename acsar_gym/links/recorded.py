@@ -121,8 +121,10 @@ class RecordedLink:
 
     def close(self) -> None:
         """Close the link; the recording goes on with the next reset."""
-        self._finish()
-        self.link.close()
+        try:
+            self.link.close()
+        finally:
+            self._finish()
 
     def _finish(self) -> None:
         """Record what was sent since the last period of the episode."""
