@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 
 GYMNASIUM = "gymnasium"
 IDS: dict[str, dict[str, Any]] = {
-    "PointGoal": {"max_episode_steps": 200, "reward_threshold": 4.0},
-    "ObstacleGoal": {"max_episode_steps": 400, "reward_threshold": 10.0},
-    "Barn": {"max_episode_steps": 1000, "reward_threshold": 14.0},
-    "PathFollow": {"max_episode_steps": 400, "reward_threshold": 10.0},
+    "PointGoal-v0": {"max_episode_steps": 200, "reward_threshold": 4.0},
+    "ObstacleGoal-v1": {"max_episode_steps": 400, "reward_threshold": 10.0},
+    "Barn-v1": {"max_episode_steps": 1000, "reward_threshold": 14.0},
+    "PathFollow-v0": {"max_episode_steps": 400, "reward_threshold": 10.0},
 }
-"""What `gymnasium.register` gets for each id."""
+"""What `gymnasium.register` gets for each id; the one place that knows their versions."""
 
 
 def register(
@@ -72,17 +72,18 @@ def register_all() -> None:
     """Register this package's ids. Idempotent; waits for a thread that is importing Gymnasium."""
     gymnasium = importlib.import_module(GYMNASIUM)
     for name, options in IDS.items():
-        if f"acsar_gym/{name}-v0" not in gymnasium.registry:
-            home = f"acsar_gym.envs.{_snake(name)}"
+        if f"acsar_gym/{name}" not in gymnasium.registry:
+            kind = name.partition("-")[0]
+            home = f"acsar_gym.envs.{snake(kind)}"
             gymnasium.register(
-                id=f"acsar_gym/{name}-v0",
-                entry_point=f"{home}:{name}Env",
-                vector_entry_point=f"{home}:{name}VectorEnv",
+                id=f"acsar_gym/{name}",
+                entry_point=f"{home}:{kind}Env",
+                vector_entry_point=f"{home}:{kind}VectorEnv",
                 **options,
             )
 
 
-def _snake(name: str) -> str:
+def snake(name: str) -> str:
     """Convert "PointGoal" to "point_goal"."""
     return re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()
 

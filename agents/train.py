@@ -66,7 +66,7 @@ class Recipe:
 RECIPES = {
     "acsar_gym/PointGoal-v0": Recipe(600_000, evaluations=6),
     "acsar_gym/PathFollow-v0": Recipe(1_000_000, evaluations=3),
-    "acsar_gym/ObstacleGoal-v0": Recipe(
+    "acsar_gym/ObstacleGoal-v1": Recipe(
         6_000_000,
         net=(128, 128),
         gamma=0.99,
@@ -74,7 +74,7 @@ RECIPES = {
         epochs=5,
         learning_rate=7e-4,
     ),
-    "acsar_gym/Barn-v0": Recipe(
+    "acsar_gym/Barn-v1": Recipe(
         15_000_000,
         net=(256, 128),
         gamma=0.99,

@@ -145,9 +145,9 @@ def test_a_sensor_of_ones_own(mine: Path) -> None:
     rays = importlib.import_module("mine.rays").ThreeRays
     options: dict[str, Any] = {"worlds": "clutter:4", "sensors": [rays]}
     batch: Any = gymnasium.make_vec(
-        "acsar_gym/ObstacleGoal-v0", 4, vectorization_mode="vector_entry_point", **options
+        "acsar_gym/ObstacleGoal-v1", 4, vectorization_mode="vector_entry_point", **options
     )
-    one = gymnasium.make("acsar_gym/ObstacleGoal-v0", link="planar", **options)
+    one = gymnasium.make("acsar_gym/ObstacleGoal-v1", link="planar", **options)
     assert one.observation_space.shape == (7 + 64 + 3,)
     seen, _ = one.reset(seed=1)
     np.testing.assert_allclose(batch.reset(seed=1)[0][0], seen, atol=1e-6)
@@ -160,7 +160,7 @@ def test_a_sensor_of_ones_own(mine: Path) -> None:
 
 def test_worlds_of_ones_own(mine: Path) -> None:
     env = gymnasium.make(
-        "acsar_gym/ObstacleGoal-v0", link="planar", worlds="mine.corridors:corridors:0-99"
+        "acsar_gym/ObstacleGoal-v1", link="planar", worlds="mine.corridors:corridors:0-99"
     )
     _, info = env.reset(seed=0, options={"world": 42})
     assert info["world"] == 42.0
@@ -172,6 +172,6 @@ def test_a_robot_of_ones_own(tmp_path: Path) -> None:
     text = PAGE.read_text(encoding="utf-8")
     file = tmp_path / "robot.yaml"
     file.write_text(re.findall(r"^```yaml\n(.*?)^```", text, re.M | re.S)[0], encoding="utf-8")
-    env = gymnasium.make("acsar_gym/ObstacleGoal-v0", link="planar", robot=str(file))
+    env = gymnasium.make("acsar_gym/ObstacleGoal-v1", link="planar", robot=str(file))
     env.reset(seed=0)
     env.close()

@@ -104,10 +104,10 @@ def test_compiling_a_batch_is_announced_before_and_only_where_the_cache_has_none
 @needs_numba
 @pytest.mark.parametrize("name", warm_up.NAMES)
 def test_warming_up_leaves_nothing_to_compile(name: str, caplog: pytest.LogCaptureFixture) -> None:
-    worlds = {"Barn": "barn:1", "ObstacleGoal": "open:2", "PathFollow": "smooth_path:2"}.get(name)
+    worlds = {"barn": "barn:1", "obstacle_goal": "open:2", "path_follow": "smooth_path:2"}.get(name)
     options = {"worlds": worlds} if worlds else {}
     done = warm_up.run(name, options=options)
-    assert done.worlds == {"PointGoal": 0, "Barn": 1}.get(name, 2)
+    assert done.worlds == {"point_goal": 0, "barn": 1}.get(name, 2)
     assert caplog.records == []
     assert warm_up.run(name, options=options).functions == 0
     assert compiled.LOG.level == logging.NOTSET
@@ -117,15 +117,15 @@ def test_warming_up_leaves_nothing_to_compile(name: str, caplog: pytest.LogCaptu
 def test_the_command_says_what_it_did(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(warm_up, "NAMES", ("PointGoal",))
-    warm_up.run("PointGoal")
+    monkeypatch.setattr(warm_up, "NAMES", ("point_goal",))
+    warm_up.run("point_goal")
     assert cli.COMMANDS["warm-up"]() == 0
     done, ready = capsys.readouterr().out.splitlines()
-    assert done.startswith("PointGoal: 0 functions compiled, ")
+    assert done.startswith("point_goal: 0 functions compiled, ")
     assert ready.endswith("everything had been compiled before")
 
 
 def test_without_numba_there_is_nothing_to_warm_up(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compiled, "COMPILED", False)
     with pytest.raises(MissingExtraError, match="fast"):
-        warm_up.run("PointGoal")
+        warm_up.run("point_goal")

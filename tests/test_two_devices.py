@@ -19,7 +19,7 @@ from acsar_gym.worlds import Pose, Scene
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.search import footprint_radius
 
-ENV_ID = "acsar_gym/ObstacleGoal-v0"
+ENV_ID = "acsar_gym/ObstacleGoal-v1"
 WORLD = "clutter:3-3"
 FORWARD = np.array([0.4, 0.0], np.float32)
 STILL = np.zeros(2, np.float32)

@@ -73,7 +73,7 @@ def _rays() -> list[Figure]:
 
 def _env(world: World) -> gymnasium.Env[Any, Any]:
     """Make an ObstacleGoal env in PyBullet and reset it."""
-    env = gymnasium.make("acsar_gym/ObstacleGoal-v0", link="bullet", worlds=world)
+    env = gymnasium.make("acsar_gym/ObstacleGoal-v1", link="bullet", worlds=world)
     env.reset(seed=0)
     return env
 

@@ -1,4 +1,4 @@
-"""`acsar_gym/Barn-v0`: the manual of the id, and its classes for one robot and for many."""
+"""`acsar_gym/Barn-v1`: the manual of the id, and its classes for one robot and for many."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ class BarnEnv(RobotEnv):
 
     ## Observation space
 
-    `Box((7 + rays,), float32)`, as in `acsar_gym/ObstacleGoal-v0`.
+    `Box((7 + rays,), float32)`, as in `acsar_gym/ObstacleGoal-v1`.
 
     ## Reward
 
-    As in `acsar_gym/ObstacleGoal-v0`.
+    As in `acsar_gym/ObstacleGoal-v1`.
     `reward_threshold` 14 (`acsar-gym evaluate --policy barn --episodes 200`: 16.4).
 
     ## Start and end
@@ -37,14 +37,14 @@ class BarnEnv(RobotEnv):
 
     - `link`, `robot`, `policy_rate`, `render_mode`, `view`, `faults`, `sensors`, `randomization`,
       `on_fault`, `record` as in `acsar_gym/PointGoal-v0`, `difficulty` and `lidar` as in
-      `acsar_gym/ObstacleGoal-v0`.
+      `acsar_gym/ObstacleGoal-v1`.
     - `worlds`: "barn:train", 400 worlds generated like the published ones, or "barn:test", the 300
       that `acsar-gym evaluate` tests in; or a folder of published worlds, `world_N.world` with
-      `path_N.npy` beside them or in `path_files`. More as in `acsar_gym/ObstacleGoal-v0`.
+      `path_N.npy` beside them or in `path_files`. More as in `acsar_gym/ObstacleGoal-v1`.
 
     ## Info
 
-    As in `acsar_gym/ObstacleGoal-v0`, and the score of the run, which is 0 until the goal is
+    As in `acsar_gym/ObstacleGoal-v1`, and the score of the run, which is 0 until the goal is
     reached: success * OT / clip(AT, k * OT, 8 * OT), where AT is the time it took and OT the length
     of the world's path over a speed. `barn_score` has k = 2 (the challenge since 2024) and
     `barn_score_k4` k = 4 (2022), both with the challenge's 2 m/s; `barn_score_own` and
@@ -53,6 +53,7 @@ class BarnEnv(RobotEnv):
 
     ## Version history
 
+    - v1: the reward minds the footprint's clearance.
     - v0: first version.
     """
 
@@ -63,7 +64,7 @@ class BarnEnv(RobotEnv):
 
 
 class BarnVectorEnv(RobotVectorEnv):
-    """Many robots of `acsar_gym/Barn-v0`; see `RobotVectorEnv` for the other arguments."""
+    """Many robots of `acsar_gym/Barn-v1`; see `RobotVectorEnv` for the other arguments."""
 
     def __init__(self, num_envs: int = 1, robot: RobotSource = None, **options: Any) -> None:
         super().__init__(Barn, num_envs, robot, **options)

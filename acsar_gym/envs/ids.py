@@ -16,14 +16,16 @@ from typing import Any
 import gymnasium
 
 from acsar_gym.errors import AcsarError, ConfigError
+from acsar_gym.registration import IDS
 from acsar_gym.vector.env import RobotVectorEnv
 
 
 def full_id(name: str) -> str:
-    """Expand an env's short name: "point_goal" is "acsar_gym/PointGoal-v0"."""
+    """Expand an env's short name: "barn" is "acsar_gym/Barn-v1", its newest version."""
     if not name or "/" in name or ":" in name:
         return name
-    return f"acsar_gym/{name.title().replace('_', '')}-v0"
+    kind = name.title().replace("_", "")
+    return f"acsar_gym/{next((own for own in IDS if own.startswith(f'{kind}-')), kind)}"
 
 
 def without_module(env_id: str) -> str:

@@ -1,4 +1,4 @@
-"""`acsar_gym/ObstacleGoal-v0`: the manual of the id, and its classes for one robot and for many."""
+"""`acsar_gym/ObstacleGoal-v1`: the manual of the id, and its classes for one robot and for many."""
 
 from __future__ import annotations
 
@@ -73,6 +73,7 @@ class ObstacleGoalEnv(RobotEnv):
 
     ## Version history
 
+    - v1: the reward minds the footprint's clearance.
     - v0: first version.
     """
 
@@ -83,7 +84,7 @@ class ObstacleGoalEnv(RobotEnv):
 
 
 class ObstacleGoalVectorEnv(RobotVectorEnv):
-    """Many robots of `acsar_gym/ObstacleGoal-v0`; see `RobotVectorEnv` for the other arguments."""
+    """Many robots of `acsar_gym/ObstacleGoal-v1`; see `RobotVectorEnv` for the other arguments."""
 
     def __init__(self, num_envs: int = 1, robot: RobotSource = None, **options: Any) -> None:
         super().__init__(ObstacleGoal, num_envs, robot, **options)

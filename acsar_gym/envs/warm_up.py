@@ -18,9 +18,9 @@ from acsar_gym import jit as compiled
 from acsar_gym.config import RobotConfig
 from acsar_gym.envs import ids
 from acsar_gym.errors import MissingExtraError
-from acsar_gym.registration import IDS
+from acsar_gym.registration import IDS, snake
 
-NAMES = tuple(IDS)
+NAMES = tuple(snake(name.partition("-")[0]) for name in IDS)
 """Names of the ids that are warmed up where none is given."""
 
 
@@ -41,7 +41,7 @@ def run(
     """Reset and step an env and a batch of one id once.
 
     Args:
-        name: such as "PointGoal" or "mine.module:mine/Clearance-v0".
+        name: such as "point_goal" or "mine.module:mine/Clearance-v0".
         robot: preset or config file.
         options: of the env, such as worlds.
 
@@ -63,7 +63,7 @@ def run(
 
 def _use(name: str, robot: RobotConfig | str | Path | None, options: Mapping[str, Any]) -> int:
     """Use an env and a batch once; returns the number of the batch's worlds."""
-    env_id = ids.registered(f"acsar_gym/{name}-v0" if name in NAMES else name)
+    env_id = ids.registered(name)
     one = gymnasium.make(env_id, link="planar", robot=robot, **options)
     one.reset(seed=0)
     one.step(np.zeros(2, np.float32))

@@ -121,7 +121,7 @@ class PointGoal(GoalTask):
 class ObstacleGoal(GoalTask):
     """Reach a point among obstacles, with a LiDAR."""
 
-    id = "acsar_gym/ObstacleGoal-v0"
+    id = "acsar_gym/ObstacleGoal-v1"
     sensors = ("lidar",)
     worlds = "clutter:train"
     goal_tolerance: float = 0.3
@@ -134,7 +134,7 @@ class ObstacleGoal(GoalTask):
 class Barn(GoalTask):
     """Drive 10 m through a field of cylinders (BARN), with a LiDAR; info has the score."""
 
-    id = "acsar_gym/Barn-v0"
+    id = "acsar_gym/Barn-v1"
     sensors = ("lidar",)
     worlds = "barn:train"
     goal_tolerance = barn.TOLERANCE

@@ -41,7 +41,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
     latency, motors, tyres, encoders, odometry, LiDAR and worlds: with the same seed and actions a
     robot does what `link="planar"` does, to 1e-9. Make it with
 
-        gymnasium.make_vec("acsar_gym/Barn-v0", 1024, vectorization_mode="vector_entry_point")
+        gymnasium.make_vec("acsar_gym/Barn-v1", 1024, vectorization_mode="vector_entry_point")
 
     Arguments besides those of the single env:
 

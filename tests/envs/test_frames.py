@@ -27,7 +27,7 @@ LINKS = ["bullet", "planar"]
 def make(link: str, **options: Any) -> Any:
     robot = {"lidar": {"noise": 0.0}}
     return gymnasium.make(
-        "acsar_gym/ObstacleGoal-v0", link=link, robot=robot, worlds=PILLAR, **options
+        "acsar_gym/ObstacleGoal-v1", link=link, robot=robot, worlds=PILLAR, **options
     )
 
 

@@ -38,11 +38,11 @@ from acsar_gym.worlds import Region, Scene
 
 IDS = {
     "acsar_gym/PointGoal-v0": {},
-    "acsar_gym/ObstacleGoal-v0": {"worlds": "clutter:5"},
-    "acsar_gym/Barn-v0": {"worlds": "barn:5"},
+    "acsar_gym/ObstacleGoal-v1": {"worlds": "clutter:5"},
+    "acsar_gym/Barn-v1": {"worlds": "barn:5"},
     "acsar_gym/PathFollow-v0": {"worlds": "waypoint_path:5"},
 }
-SEEING = ["acsar_gym/ObstacleGoal-v0", "acsar_gym/Barn-v0"]
+SEEING = ["acsar_gym/ObstacleGoal-v1", "acsar_gym/Barn-v1"]
 LINKS = ["bullet", "planar"]
 BARN = Path(__file__).parents[3] / "shared" / "barn"
 WALL = World(
@@ -141,7 +141,7 @@ def test_info_holds_the_same_floats_at_every_step(env_id: str) -> None:
 
 @pytest.mark.parametrize("link", LINKS)
 def test_a_wall_is_seen_and_a_collision_ends_the_episode(link: str) -> None:
-    env = make("acsar_gym/ObstacleGoal-v0", link, worlds=WALL, robot=quiet())
+    env = make("acsar_gym/ObstacleGoal-v1", link, worlds=WALL, robot=quiet())
     observation, _ = env.reset(seed=0)
     config, terminated = inner(env).robot.config, False
     info: dict[str, Any] = {}
@@ -306,7 +306,7 @@ def test_videos_can_be_recorded(tmp_path: Path) -> None:
 
 
 def test_barns_rules() -> None:
-    env = make("acsar_gym/Barn-v0")
+    env = make("acsar_gym/Barn-v1")
     assert env.spec is not None
     assert env.spec.max_episode_steps == 1000
     _, info = env.reset(seed=0)
@@ -318,7 +318,7 @@ def test_barns_rules() -> None:
 
 @pytest.mark.skipif(not BARN.is_dir(), reason="no published worlds here")
 def test_barn_takes_a_folder_of_published_worlds() -> None:
-    env = make("acsar_gym/Barn-v0", worlds=BARN)
+    env = make("acsar_gym/Barn-v1", worlds=BARN)
     names, lengths = set(), []
     for number in range(5):
         env.reset(options={"world": number})

@@ -123,7 +123,7 @@ def test_nothing_at_all_is_no_error() -> None:
 
 
 def drive(world: World, action: Any = FORWARD, link: str = "planar") -> EpisodeResult:
-    env = gymnasium.make("acsar_gym/ObstacleGoal-v0", link=link, worlds=world)
+    env = gymnasium.make("acsar_gym/ObstacleGoal-v1", link=link, worlds=world)
     (episode,) = episodes(env, lambda _: action, 1, seed=0)
     env.close()
     return episode

@@ -22,7 +22,7 @@ from acsar_gym.worlds import Region, World
 
 POINT_GOAL = AGENTS / "policies" / "point_goal.onnx"
 
-OBSTACLES = "acsar_gym/ObstacleGoal-v0"
+OBSTACLES = "acsar_gym/ObstacleGoal-v1"
 
 
 class Idle(FilePolicy):
@@ -47,7 +47,7 @@ def drive(count: int, seed: int = 3, **options: Any) -> Run:
         ("acsar_gym/PointGoal-v0", None, "None"),
         (OBSTACLES, None, "clutter 0 to 199 (test split)"),
         (f"acsar_gym:{OBSTACLES}", None, "clutter 0 to 199 (test split)"),
-        ("acsar_gym/Barn-v0", None, "barn 0 to 299 (test split)"),
+        ("acsar_gym/Barn-v1", None, "barn 0 to 299 (test split)"),
         ("acsar_gym/PathFollow-v0", None, "smooth_path 0 to 199 (test split)"),
         (OBSTACLES, "rooms", "rooms 0 to 199 (test split)"),
         (OBSTACLES, "rooms:5", "rooms 0 to 4 (test split)"),

@@ -143,8 +143,8 @@ def test_sides_without_a_seed_in_common_are_refused() -> None:
 
 
 def test_another_task_robot_and_an_empty_recording_are_refused() -> None:
-    barn = replace(real(), header={"about": {"env": {"id": "acsar_gym/Barn-v0"}}})
-    with pytest.raises(ConfigError, match=r"b: is of acsar_gym/Barn-v0, but a of acsar_gym/Point"):
+    barn = replace(real(), header={"about": {"env": {"id": "acsar_gym/Barn-v1"}}})
+    with pytest.raises(ConfigError, match=r"b: is of acsar_gym/Barn-v1, but a of acsar_gym/Point"):
         compare([("a", sim())], [("b", barn)])
     large = replace(real(), config=ACSAR.with_(wheel_radius=0.1))
     with pytest.raises(ConfigError, match=r"b: is of another robot: wheel_radius is 0\.1 m"):

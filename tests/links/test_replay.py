@@ -14,13 +14,14 @@ from recording_tools import drive
 from tapes import playing, taped
 
 from acsar_gym import Robot, RobotConfig, open_link
+from acsar_gym.envs.ids import full_id
 from acsar_gym.errors import ConfigError, LinkError, LinkLostError
 from acsar_gym.links.replay import ReplayLink
 from acsar_gym.recording import Recorder, read
 from acsar_gym.worlds import Scene
 
 ENV_ID = "acsar_gym/PointGoal-v0"
-IDS = ("PointGoal", "ObstacleGoal", "PathFollow", "Barn")
+IDS = ("point_goal", "obstacle_goal", "path_follow", "barn")
 EPISODES = 2
 STEPS = 60
 
@@ -58,11 +59,11 @@ def tty_playing(bullet: tuple[Path, list[bytes]]) -> Iterator[tuple[serial.Seria
 @pytest.mark.parametrize("name", IDS)
 def test_every_id_replays_bit_for_bit(name: str, tmp_path: Path) -> None:
     """Truth and noise of the LiDAR included, and the second episode, which has no seed."""
-    env_id, tape = f"acsar_gym/{name}-v0", tmp_path / "tape.mcap"
+    env_id, tape = full_id(name), tmp_path / "tape.mcap"
     seen = rollout("planar", env_id, 25, record=tape)
     assert rollout(f"replay:{tape}", env_id, 25) == seen
     assert len(read(tape).episodes[0].scans.stamps) == (
-        0 if name in ("PointGoal", "PathFollow") else 25 + 1
+        0 if name in ("point_goal", "path_follow") else 25 + 1
     )
 
 

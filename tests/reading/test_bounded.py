@@ -261,9 +261,9 @@ def test_every_number_of_a_config_has_an_upper_bound(model: Any) -> None:
 
 @pytest.mark.parametrize("rate", [10**400, 1e-9, 0, -1, math.nan, "10", [10], np.zeros(2), None])
 def test_a_policy_rate_is_a_sensible_number(rate: Any) -> None:
-    for name in ("PointGoal", "Barn"):
+    for name in ("PointGoal-v0", "Barn-v1"):
         with pytest.raises(ConfigError, match="policy_rate = ") as caught:
-            gymnasium.make(f"acsar_gym/{name}-v0", link="planar", policy_rate=rate)
+            gymnasium.make(f"acsar_gym/{name}", link="planar", policy_rate=rate)
         assert len(str(caught.value)) < 200
 
 

@@ -24,7 +24,7 @@ from acsar_gym.recording.header import header
 def tape(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two episodes of an env with a LiDAR."""
     path = tmp_path_factory.mktemp("tape") / "my tape.mcap"
-    env = gymnasium.make("acsar_gym/ObstacleGoal-v0", link="planar", record=path)
+    env = gymnasium.make("acsar_gym/ObstacleGoal-v1", link="planar", record=path)
     for seed in range(2):
         env.reset(seed=seed)
         for _ in range(4):

@@ -295,7 +295,7 @@ def test_copies_of_a_recorded_robot_are_not_recorded(tmp_path: Path) -> None:
 def test_an_env_records_what_the_policy_saw_and_did(tmp_path: Path) -> None:
     path = tmp_path / "tape.mcap"
     env = gymnasium.make(
-        "acsar_gym/ObstacleGoal-v0", link="planar", record=str(path), worlds="clutter:5"
+        "acsar_gym/ObstacleGoal-v1", link="planar", record=str(path), worlds="clutter:5"
     )
     seen, done = [env.reset(seed=7)[0]], []
     goal = env.unwrapped.episode.assignment.goal  # type: ignore[attr-defined]
@@ -313,7 +313,7 @@ def test_an_env_records_what_the_policy_saw_and_did(tmp_path: Path) -> None:
     assert episode.scans.ranges.shape == (6, 64)
     assert episode.info["seed"] == 7
     assert episode.info["goal"] == list(goal)
-    assert recording.header["about"]["env"]["id"] == "acsar_gym/ObstacleGoal-v0"
+    assert recording.header["about"]["env"]["id"] == "acsar_gym/ObstacleGoal-v1"
     assert recording.header["about"]["env"]["kwargs"]["worlds"] == "clutter:5"
     assert len(recording.sha256) == 16
 

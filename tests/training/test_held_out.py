@@ -30,7 +30,7 @@ def test_a_score_is_what_evaluation_says_of_the_same_episodes() -> None:
     score = held_out.evaluate(batch, towards)
     batch.close()
     env = gymnasium.make(
-        "acsar_gym/ObstacleGoal-v0", link="planar", worlds=WORLDS, max_episode_steps=STEPS
+        "acsar_gym/ObstacleGoal-v1", link="planar", worlds=WORLDS, max_episode_steps=STEPS
     )
     one = evaluation.episodes(env, lambda seen: towards(seen[None])[0], ROBOTS, held_out.FIRST_SEED)
     results = list(one)

@@ -16,7 +16,9 @@ from acsar_gym.envs import (
     PathFollowVectorEnv,
     PointGoalVectorEnv,
 )
+from acsar_gym.envs.ids import full_id
 from acsar_gym.errors import ConfigError, WorldError
+from acsar_gym.registration import snake
 from acsar_gym.vector.kernel import layout
 from acsar_gym.worlds import Region, generators
 
@@ -135,7 +137,7 @@ def assert_robot_1_is_the_single_env(
     kind: str, arguments: dict[str, Any], options: dict[str, Any], steps: int, seed: int = 41
 ) -> int:
     """Every number, through the byte-level firmware twin on the single side; ends of episodes."""
-    env_id, limits = f"acsar_gym/{kind}-v0", {"max_episode_steps": 60, **arguments}
+    env_id, limits = full_id(snake(kind)), {"max_episode_steps": 60, **arguments}
     many: Any = gymnasium.make_vec(env_id, 3, vectorization_mode="vector_entry_point", **limits)
     one = gymnasium.make(env_id, link="planar", **limits)
     mine = {name: of_robot_1(value) for name, value in options.items()}

@@ -15,7 +15,7 @@ from acsar_gym.lidars.simulated import SimulatedLidar
 from acsar_gym.sensors import Sensor
 from acsar_gym.worlds.geometry import look
 
-ENV_ID = "acsar_gym/ObstacleGoal-v0"
+ENV_ID = "acsar_gym/ObstacleGoal-v1"
 
 
 class Drifting(ThreeRays):

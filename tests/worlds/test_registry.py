@@ -108,9 +108,9 @@ def test_difficulty_is_one_number_or_varies() -> None:
 
 def test_envs_and_batches_drive_in_them() -> None:
     for worlds in ("corridors:3-4", "corridors:corridors:3-4"):
-        env: Any = gymnasium.make("acsar_gym/ObstacleGoal-v0", link="planar", worlds=worlds)
+        env: Any = gymnasium.make("acsar_gym/ObstacleGoal-v1", link="planar", worlds=worlds)
         batch: Any = gymnasium.make_vec(
-            "acsar_gym/ObstacleGoal-v0", 4, vectorization_mode="vector_entry_point", worlds=worlds
+            "acsar_gym/ObstacleGoal-v1", 4, vectorization_mode="vector_entry_point", worlds=worlds
         )
         observation, info = env.reset(seed=3)
         observations, infos = batch.reset(seed=0)

@@ -1,0 +1,1 @@
+"""Compare agents over scenes, seeds and conditions, and write the table."""
