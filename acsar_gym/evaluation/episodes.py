@@ -16,7 +16,7 @@ import numpy as np
 from acsar_gym.envs.base import RobotEnv
 from acsar_gym.errors import ConfigError, EmergencyStopError, LinkError
 from acsar_gym.links.lateness import EpisodeTiming
-from acsar_gym.policies import Policy
+from acsar_gym.policies import FilePolicy, Policy
 from acsar_gym.reading import bounded
 from acsar_gym.safety.rules import Reason
 from acsar_gym.tasks.barn import SCORES
@@ -143,6 +143,8 @@ def _episode(
     if not isinstance(unwrapped, RobotEnv):
         raise ConfigError(f"{env}: only environments of acsar_gym can be evaluated")
     observation, info = env.reset(seed=seed, options=options)
+    if isinstance(policy, FilePolicy):
+        policy.reset()
     steps, rewards, done = [info], 0.0, False
     while not done:
         observation, reward, terminated, truncated, info = env.step(policy(observation))

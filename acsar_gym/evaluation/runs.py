@@ -92,6 +92,7 @@ def made(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[str,
     if isinstance(inner, RobotEnv):
         config = inner.robot.config
         policy.check(inner.task, inner.sensors, config.control_rate / inner.ticks_per_step)
+        policy.bind(inner)
     return env
 
 

@@ -7,7 +7,7 @@ import textwrap
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,9 @@ from acsar_gym.resources import AGENTS
 from acsar_gym.sensors import Sensor
 from acsar_gym.tasks import Observation, Task, signature
 from acsar_gym.tasks.made import named
+
+if TYPE_CHECKING:
+    from acsar_gym.envs.base import RobotEnv
 
 ENV_KEY = "acsar_gym.env"
 LAYOUT_KEY = "acsar_gym.observation"
@@ -99,6 +102,16 @@ class FilePolicy(ABC):
                     f"{self.path}: made for {name} {own:g}, but this {named(task)} has {given:g}: "
                     "give the env the arguments that the policy was trained with"
                 )
+
+    def bind(self, env: RobotEnv) -> None:  # noqa: B027 - most policies need nothing of it
+        """Take what the policy needs of the env that it will drive; by default nothing.
+
+        Args:
+            env: made and checked for this policy, not reset yet.
+        """
+
+    def reset(self) -> None:  # noqa: B027 - most policies have no memory
+        """Begin an episode, right after the env's reset; by default nothing changes."""
 
     @abstractmethod
     def __call__(self, observation: Observation) -> NDArray[np.float32]:

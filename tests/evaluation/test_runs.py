@@ -13,6 +13,7 @@ import gymnasium
 import numpy as np
 import pytest
 
+from acsar_gym.envs.base import RobotEnv
 from acsar_gym.errors import ConfigError
 from acsar_gym.evaluation import provenance, runs
 from acsar_gym.evaluation.results import Run
@@ -153,3 +154,33 @@ def test_worlds_in_order_have_their_own_numbers() -> None:
     assert run.header["options"] == {"in_order": True}
     with pytest.raises(ConfigError, match="need as many worlds, but there are 2"):
         drive(3, worlds="open:1250-1251", how={"in_order": True})
+
+
+class Counting(Idle):
+    """A policy that notes what it is told."""
+
+    env_named = True
+    env_id = "acsar_gym/PointGoal-v0"
+
+    def __init__(self) -> None:
+        self.told: list[str] = []
+
+    def bind(self, env: RobotEnv) -> None:
+        self.told.append(f"bound to {env.task.id}, {env.ticks_per_step} ticks a step")
+
+    def reset(self) -> None:
+        self.told.append("reset")
+
+    def __call__(self, observation: Any) -> Any:
+        self.told.append("called")
+        return super().__call__(observation)
+
+
+def test_a_policy_is_bound_once_and_reset_before_every_episode() -> None:
+    policy = Counting()
+    runs.drive(policy, "planar", None, range(2))
+    assert policy.told[0] == "bound to acsar_gym/PointGoal-v0, 10 ticks a step"
+    resets = [n for n, what in enumerate(policy.told) if what == "reset"]
+    assert len(resets) == 2
+    assert [policy.told[n + 1] for n in resets] == ["called"] * 2
+    assert policy.told.count("bound to acsar_gym/PointGoal-v0, 10 ticks a step") == 1
