@@ -95,6 +95,25 @@ def border_distance(outline: Outline, x: float, y: float) -> float:
     return min(_distance((x, y), a, b) for a, b in sides(outline))
 
 
+def reach(outline: Outline, place: Point, bearing: float) -> float:
+    """Return how far an outline reaches from a place along a bearing; 0 where it isn't met [m].
+
+    Args:
+        outline: corners [m].
+        place: x, y of the ray's origin [m].
+        bearing: of the ray [rad].
+    """
+    along, across = (math.cos(bearing), math.sin(bearing)), (-math.sin(bearing), math.cos(bearing))
+    found = [0.0]
+    for a, b in sides(outline):
+        (ax, ay), (bx, by) = (
+            (_dot(along, place, corner), _dot(across, place, corner)) for corner in (a, b)
+        )
+        if (ay > 0.0) != (by > 0.0):
+            found.append(ax + (bx - ax) * ay / (ay - by))
+    return max(found)
+
+
 def convex_pieces(outline: Outline) -> list[Outline]:
     """Decompose an outline: itself if it is convex, otherwise triangles (ear clipping)."""
     corners = list(outline)
@@ -158,6 +177,11 @@ def _turn(a: Point, b: Point, c: Point) -> float:
 def _twice_area(outline: Outline) -> float:
     """Return twice the signed area of an outline, positive if counter-clockwise [m^2]."""
     return sum(ax * by - ay * bx for (ax, ay), (bx, by) in sides(outline))
+
+
+def _dot(direction: Point, origin: Point, p: Point) -> float:
+    """Return how far a point lies from the origin in a direction [m]."""
+    return direction[0] * (p[0] - origin[0]) + direction[1] * (p[1] - origin[1])
 
 
 def _distance(p: Point, a: Point, b: Point) -> float:

@@ -19,6 +19,7 @@ from acsar_gym.config.footprint import (
     contains,
     convex_pieces,
     radius,
+    reach,
 )
 from acsar_gym.errors import ConfigError
 from acsar_gym.worlds.search import footprint_radius
@@ -123,3 +124,13 @@ def test_without_one_it_is_the_body_and_the_wheels_beyond_it() -> None:
     wide = config.with_(wheel_separation=0.5, wheelbase=0.6)
     assert wide.outline == box(0.61, 0.51)
     assert footprint_radius(wide) == pytest.approx(math.hypot(0.61, 0.51) / 2.0)
+
+
+def test_reach_is_the_distance_to_the_edge_along_a_bearing() -> None:
+    outline = box(0.4, 0.2)
+    assert reach(outline, (0.0, 0.0), 0.0) == pytest.approx(0.2)
+    assert reach(outline, (-0.1, 0.0), 0.0) == pytest.approx(0.3)
+    assert reach(outline, (-0.1, 0.05), math.pi / 2.0) == pytest.approx(0.05)
+    assert reach(outline, (0.0, 0.0), math.atan2(0.1, 0.2)) == pytest.approx(math.hypot(0.2, 0.1))
+    assert reach(outline, (0.5, 0.0), 0.0) == 0.0, "it looks away from the robot"
+    assert reach(outline, (0.0, 0.5), -math.pi / 2.0) == pytest.approx(0.6), "the far side counts"

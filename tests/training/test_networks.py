@@ -1,0 +1,64 @@
+"""Networks of recipes: what they compute, and that their policies can be exported and timed."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+from acsar_gym import RobotConfig
+from acsar_gym.envs import ids
+from acsar_gym.errors import ConfigError
+from acsar_gym.policies import OnnxPolicy
+
+pytestmark = pytest.mark.xdist_group("torch")
+NUMBERS, RAYS = 7, 64
+
+
+def space(width: int = NUMBERS + RAYS) -> gymnasium.spaces.Box:
+    return gymnasium.spaces.Box(-2.0, 2.0, (width,))
+
+
+def features(observation: np.ndarray[Any, Any], **options: Any) -> np.ndarray[Any, Any]:
+    import torch
+
+    from acsar_gym.training.networks import RayClearance
+
+    extractor = RayClearance(space(len(observation)), **options)
+    seen = torch.from_numpy(observation[None].astype(np.float32))
+    return extractor(seen).numpy()[0]
+
+
+def test_the_last_centimetres_before_a_collision_are_told_apart() -> None:
+    config = RobotConfig.of(None)
+    ahead, left = NUMBERS + RAYS // 2, NUMBERS + 3 * RAYS // 4
+    edge = {ahead: config.body.length / 2.0 - config.lidar_x_offset, left: config.body.width / 2.0}
+    observation = np.full(NUMBERS + RAYS, 0.5)
+    for clearance in (0.0, 0.02, 0.1, 1.0):
+        for ray, distance in edge.items():
+            observation[ray] = (distance + clearance) / config.lidar.max_range
+        seen = features(observation)
+        assert seen[list(edge)] == pytest.approx(0.5 * math.log(clearance + 0.05) + 0.4, abs=1e-4)
+        assert seen[:NUMBERS] == pytest.approx(0.5)
+
+
+def test_a_ray_inside_the_footprint_has_no_clearance() -> None:
+    observation = np.zeros(NUMBERS + RAYS)
+    assert features(observation)[NUMBERS:] == pytest.approx(0.5 * math.log(0.05) + 0.4)
+
+
+def test_the_robot_and_the_place_of_the_rays_can_be_given() -> None:
+    config = RobotConfig.of(None)
+    few = config.with_(lidar={"rays": 8})
+    observation = np.full(12, 0.5)
+    seen = features(observation, robot=few, first=2)
+    assert (np.abs(seen[2:10] - 0.5) > 0.01).all()
+    assert seen[[0, 1, 10, 11]] == pytest.approx(0.5)
+    with pytest.raises(ConfigError, match="no 8 rays in an observation of 12"):
+        features(observation, robot=few, first=5)
+    with pytest.raises(ConfigError, match="no 64 rays in an observation of 12"):
+        features(observation)
