@@ -40,7 +40,7 @@ def test_turning_counts_both_ways_and_across_pi() -> None:
 
 
 def test_the_clearance_of_a_footprint_is_that_of_its_nearest_side_or_corner() -> None:
-    world = World(circles=[(2.0, 0.0, 0.5)], segments=[(-1.0, 1.0, 3.0, 1.0)])
+    world = World(circles=np.array([[2.0, 0.0, 0.5]]), segments=np.array([[-1.0, 1.0, 3.0, 1.0]]))
     outline = box(0.6, 0.4)
     straight = footprint_clearance(np.array([(0.0, 0.0, 0.0)]), outline, world)
     assert straight == pytest.approx(0.8)
@@ -64,7 +64,7 @@ def drive(world: World | None, link: str) -> EpisodeResult:
     env = gymnasium.make(
         "acsar_gym/PointGoal-v0", link=link, robot=RobotConfig(), max_episode_steps=20, **options
     )
-    reset = {"goal": (3.0, 0.0)} if world is None else {}
+    reset: dict[str, Any] = {"goal": (3.0, 0.0)} if world is None else {}
     found = next(episodes(env, lambda _: FORWARD, 1, 0, **reset))
     env.close()
     return found
@@ -74,7 +74,9 @@ def drive(world: World | None, link: str) -> EpisodeResult:
 def test_an_episode_tells_clearance_energy_and_jerk(link: str) -> None:
     """The robot drives beside a wall at 0.5 m, which its side passes at half its width less."""
     wall = World(
-        segments=[(-1.0, 0.5, 9.0, 0.5)], start=Region(0.0, 0.0, 0.0, 0.0), goal=Region(4.0, 0.0)
+        segments=np.array([[-1.0, 0.5, 9.0, 0.5]]),
+        start=Region(0.0, 0.0, 0.0, 0.0),
+        goal=Region(4.0, 0.0),
     )
     found, width = drive(wall, link), max(y for _, y in RobotConfig().outline)
     assert found.clearance == pytest.approx(0.5 - width, abs=1e-3)
@@ -84,7 +86,7 @@ def test_an_episode_tells_clearance_energy_and_jerk(link: str) -> None:
 
 def test_a_collision_has_no_clearance_and_an_open_floor_none_to_tell() -> None:
     ahead = World(
-        circles=[(0.6, 0.0, 0.2)], start=Region(0.0, 0.0, 0.0, 0.0), goal=Region(4.0, 0.0)
+        circles=np.array([[0.6, 0.0, 0.2]]), start=Region(0.0, 0.0, 0.0, 0.0), goal=Region(4.0, 0.0)
     )
     assert drive(ahead, "planar").clearance == 0.0
     assert math.isnan(drive(None, "planar").clearance)
