@@ -53,6 +53,10 @@ class Body(Protocol):
     def truth(self) -> GroundTruth:
         """Ground truth of the robot, in the frame of the world."""
 
+    @property
+    def power(self) -> float:
+        """Mechanical power of the motors now [W]; see `dynamics.power`."""
+
     def close(self) -> None:
         """Close the physics engine; idempotent."""
 

@@ -8,6 +8,7 @@ from acsar_gym.bodies.base import GroundTruth, wrapped
 from acsar_gym.config import RobotConfig
 from acsar_gym.dynamics import model
 from acsar_gym.dynamics.numbers import numbers_of
+from acsar_gym.dynamics.power import motor_power
 from acsar_gym.dynamics.timing import substep
 from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.worlds import Scene
@@ -67,6 +68,12 @@ class PlanarBody:
         vx, vy, rate = self._velocity
         forward = vx * math.cos(theta) + vy * math.sin(theta)
         return GroundTruth((x, y, wrapped(theta)), (forward, rate), self._touched)
+
+    @property
+    def power(self) -> float:
+        """Mechanical power of the motors now [W]; see `dynamics.power`."""
+        cos, sin = math.cos(self._pose[2]), math.sin(self._pose[2])
+        return motor_power(cos, sin, self._velocity, self.wheel_speeds, self._physics)
 
     def close(self) -> None:
         """Do nothing: there is no engine."""

@@ -15,16 +15,15 @@ import numpy as np
 
 from acsar_gym.envs.base import RobotEnv
 from acsar_gym.errors import ConfigError, EmergencyStopError, LinkError
+from acsar_gym.evaluation import driven
+from acsar_gym.links.base import meter_of
 from acsar_gym.links.lateness import EpisodeTiming
 from acsar_gym.policies import FilePolicy, Policy
 from acsar_gym.reading import bounded
 from acsar_gym.safety.rules import Reason
 from acsar_gym.tasks.barn import SCORES
-from acsar_gym.worlds import Pose, Region, World
-from acsar_gym.worlds.scene import point_in_world
-from acsar_gym.worlds.search import footprint_radius, path_length, way_left
+from acsar_gym.worlds import Pose
 
-Way = list[tuple[float, float]]
 MOST_BYTES = 1_000_000_000
 """Largest accepted log of an emulator [bytes]; it grows by 1 MB a minute."""
 LATE_SHARE = 0.01
@@ -77,6 +76,14 @@ class EpisodeResult:
     """Sum of the rewards."""
     length: int = 0
     """Number of policy steps."""
+    clearance: float = math.nan
+    """Least distance of the footprint to an obstacle [m], by ground truth at every env step; 0 in a
+    collision, NaN without ground truth or obstacles."""
+    energy: float = math.nan
+    """Mechanical work of a simulated robot's motors [J], W = sum over ticks of P dt with the power
+    P of `dynamics.power`; NaN on hardware."""
+    jerk: float = math.nan
+    """Mean absolute jerk of the speed driven, by odometry [m/s^3]; see `driven.jerk`."""
 
 
 def episodes(
@@ -142,6 +149,8 @@ def _episode(
     unwrapped = env.unwrapped
     if not isinstance(unwrapped, RobotEnv):
         raise ConfigError(f"{env}: only environments of acsar_gym can be evaluated")
+    if (meter := meter_of(unwrapped.robot.link)) is not None:
+        meter.metered = True
     observation, info = env.reset(seed=seed, options=options)
     if isinstance(policy, FilePolicy):
         policy.reset()
@@ -166,7 +175,7 @@ def _result(
     late_share: float,
 ) -> EpisodeResult:
     """Compute the result of an episode from its infos, one per step and the reset's first."""
-    info, timing = steps[-1], env.robot.timing
+    info, timing, meter = steps[-1], env.robot.timing, meter_of(env.robot.link)
     fault = info.get("fault_reason", "")
     late = timing.lateness.late_share if timing else 0.0
     return EpisodeResult(
@@ -174,13 +183,16 @@ def _result(
         collision=info["is_success"] != 1.0 and info["true_contact"] == 1.0,
         started=env.robot.wire.began,
         ended=env.robot.wire.stamp,
-        path=_length(steps, "odom"),
+        path=driven.length(steps, "odom"),
         pose=(info["odom_x"], info["odom_y"], info["odom_theta"]),
         odometry_error=info["odometry_error"],
         ticks=(len(steps) - 1) * env.ticks_per_step,
         late_ticks=timing.lateness.late_ticks if timing else 0,
-        **_ways(env, steps),
-        turning=_turning([step["odom_theta"] for step in steps]),
+        **driven.ways(env, steps),
+        turning=driven.turning(steps),
+        jerk=driven.jerk(steps, env.ticks_per_step * env.robot.config.period),
+        clearance=driven.least_clearance(env, steps),
+        energy=math.nan if meter is None else meter.work,
         scores=tuple(info[name] for name in SCORES if name in info),
         cross_track=info.get("mean_cross_track_error", math.nan),
         timing=timing,
@@ -191,34 +203,6 @@ def _result(
         episode_return=rewards,
         length=len(steps) - 1,
     )
-
-
-def _length(steps: Sequence[dict[str, float]], frame: str) -> float:
-    """Return the length of the path driven in `frame` ("odom" or "true") [m]."""
-    return path_length(np.array([(step[f"{frame}_x"], step[f"{frame}_y"]) for step in steps]))
-
-
-def _turning(headings: Sequence[float]) -> float:
-    """Return the sum of absolute heading changes [rad]."""
-    turns = np.diff(np.unwrap(np.array(headings)))
-    return float(np.abs(turns).sum())
-
-
-def _ways(env: RobotEnv, steps: Sequence[dict[str, float]]) -> dict[str, float]:
-    """Return lengths of the shortest, remaining and driven path [m], by ground truth if known."""
-    frame = "odom" if math.isnan(steps[-1]["true_x"]) else "true"
-    assignment = env.episode.assignment
-    if assignment.path is not None:
-        return {"driven": _length(steps, frame)}
-    if frame == "odom" and assignment.world is not None:
-        return {"driven": _length(steps, frame)}  # a real robot's surroundings aren't known
-    radius, world = footprint_radius(env.robot.config), assignment.world or World()
-    places = [(step[f"{frame}_x"], step[f"{frame}_y"]) for step in (steps[0], steps[-1])]
-    *ends, goal = (
-        Region(*point_in_world(assignment.start, place)) for place in (*places, assignment.goal)
-    )
-    shortest, left = (way_left(world, radius, end, goal) for end in ends)
-    return {"shortest": shortest, "left": left, "driven": _length(steps, frame)}
 
 
 def odometry_errors(results: Sequence[EpisodeResult], log: Path) -> list[float]:

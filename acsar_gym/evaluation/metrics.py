@@ -48,6 +48,12 @@ class Summary:
     soft_spl: float
     smoothness: float
     """Heading change per metre driven [rad/m]; smaller is smoother."""
+    jerk: float
+    """Mean absolute jerk of the speed driven, by odometry [m/s^3]; smaller is smoother."""
+    clearance: float
+    """Least distance of the footprint to an obstacle in an episode, 0 in a collision [m]."""
+    energy: float
+    """Mechanical work of a simulated robot's motors, over successful episodes [J]."""
     odometry_error: float
     """Distance between odometry and ground truth at the end of an episode [m]."""
     odometry_drift: float
@@ -134,6 +140,9 @@ def _samples(results: Sequence[EpisodeResult]) -> dict[str, list[float]]:
         "spl": [spl(result) for result in results],
         "soft_spl": [soft_spl(result) for result in results],
         "smoothness": [result.turning / max(result.path, 1e-9) for result in results],
+        "jerk": [result.jerk for result in results],
+        "clearance": [result.clearance for result in results],
+        "energy": [result.energy for result in wins],
         "odometry_error": [result.odometry_error for result in results],
         "odometry_drift": drifts,
         "cross_track": [result.cross_track for result in results],

@@ -54,7 +54,7 @@ def show(*tables: Table) -> None:
     """Print tables; piped output is wide enough for all columns."""
     console = SafeConsole()
     if not console.is_terminal:
-        console = SafeConsole(width=140)
+        console = SafeConsole(width=160)
     for table in tables:
         console.print(table)
 
@@ -199,6 +199,8 @@ COLUMNS: dict[str, Callable[[Summary], str]] = {
     "BARN score": _score,
     "time to goal": lambda summary: _number(summary.time_to_goal, "s"),
     "path": lambda summary: _number(summary.path, "m"),
+    "clearance": lambda summary: _number(summary.clearance * 100.0, "cm"),
+    "energy": lambda summary: _number(summary.energy, "J"),
     "beside path": lambda summary: _number(summary.cross_track * 100.0, "cm"),
     "odometry error": lambda summary: _number(summary.odometry_error * 100.0, "cm"),
     "late ticks": _late,

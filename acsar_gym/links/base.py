@@ -105,9 +105,29 @@ class Wrapper(Protocol):
         """The inner link."""
 
 
+@runtime_checkable
+class MeteredLink(Protocol):
+    """A simulated link, which can measure the work of the robot's motors."""
+
+    metered: bool
+    """Whether the work is measured; False at first, because it takes time in every period."""
+    work: float
+    """Mechanical work of the motors since the reset [J]: the power at the end of every period,
+    see `dynamics.power`, times the period."""
+
+
 def tape_of(link: Link) -> ScannedLink | None:
     """Return the link, or the one that it wraps, that has the scans of a recording; or None."""
     while not isinstance(link, ScannedLink):
+        if not isinstance(link, Wrapper):
+            return None
+        link = link.link
+    return link
+
+
+def meter_of(link: Link) -> MeteredLink | None:
+    """Return the link, or the one that it wraps, that can measure work; None on hardware."""
+    while not isinstance(link, MeteredLink):
         if not isinstance(link, Wrapper):
             return None
         link = link.link

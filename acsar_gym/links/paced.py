@@ -19,53 +19,53 @@ class PacedLink:
     """
 
     def __init__(self, link: Link) -> None:
-        self._link = link
+        self.link = link
         self._deadline = time.monotonic()
 
     def open(self) -> None:
         """Open the link."""
-        self._link.open()
+        self.link.open()
 
     def reset(self, scene: Scene) -> None:
         """Reset the link and restart the deadlines."""
-        self._link.reset(scene)
+        self.link.reset(scene)
         self._deadline = time.monotonic()
 
     def write(self, data: bytes) -> None:
         """Send bytes to the link."""
-        self._link.write(data)
+        self.link.write(data)
 
     def advance(self, period: float) -> bytes:
         """Advance the link, then wait for the deadline; missed deadlines are skipped."""
-        got = self._link.advance(period)
+        got = self.link.advance(period)
         self._deadline = max(self._deadline + period, time.monotonic() - period)
         time.sleep(max(0.0, self._deadline - time.monotonic()))
         return got
 
     def now(self) -> float:
         """Return the time on the link's clock [s]."""
-        return self._link.now()
+        return self.link.now()
 
     @property
     def truth(self) -> GroundTruth | None:
         """Ground truth of the link."""
-        return self._link.truth
+        return self.link.truth
 
     @property
     def lateness(self) -> float | None:
         """Lateness of the link, which is None, as its time is simulated."""
-        return self._link.lateness
+        return self.link.lateness
 
     @property
     def arrivals(self) -> Arrivals:
         """When the bytes of the newest period arrived, on the link's clock [s]."""
-        return arrivals_of(self._link)
+        return arrivals_of(self.link)
 
     @property
     def camera(self) -> Camera | None:
         """Camera of the link."""
-        return camera_of(self._link)
+        return camera_of(self.link)
 
     def close(self) -> None:
         """Close the link."""
-        self._link.close()
+        self.link.close()

@@ -16,6 +16,8 @@ from acsar_gym.worlds import Scene
 class SimulatedLink:
     """Runs firmware and physics as fast as possible; its clock is 0 at every reset.
 
+    Attributes: `metered` and `work`, as in `links.base.MeteredLink`.
+
     Args:
         config: configuration of the robot.
         make_body: makes the physics; called by `open`.
@@ -29,6 +31,8 @@ class SimulatedLink:
         self._body: Body | None = None
         self._firmware: Firmware | None = None
         self._now = 0.0
+        self.metered = False
+        self.work = 0.0
 
     def open(self) -> None:
         """Make the body and start the firmware."""
@@ -43,7 +47,7 @@ class SimulatedLink:
             raise _closed()
         self._body.reset(scene)
         self._firmware.reset(scene.physics)
-        self._now = 0.0
+        self._now = self.work = 0.0
 
     def write(self, data: bytes) -> None:
         """Send bytes over the simulated UART; LinkLostError if closed."""
@@ -58,6 +62,8 @@ class SimulatedLink:
         self._now += period
         got = self._firmware.advance(period)
         self._body.feel()
+        if self.metered:
+            self.work += self._body.power * period
         return got
 
     def now(self) -> float:

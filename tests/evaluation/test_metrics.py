@@ -77,6 +77,16 @@ def test_soft_spl_weighs_progress() -> None:
     assert soft_spl(result(left=math.inf)) == 0.0
 
 
+def test_energy_is_that_of_successes_and_clearance_that_of_all() -> None:
+    runs = [
+        result(energy=4.0, clearance=0.2, jerk=1.0),
+        result(**CRASH, energy=90.0, clearance=0.0),
+    ]
+    summary = summarise([*runs, result()])
+    assert (summary.energy, summary.clearance, summary.jerk) == (4.0, 0.1, 1.0)
+    assert summary.intervals["clearance"] == (0.0, 0.2)
+
+
 def test_wilson_is_the_published_example() -> None:
     """45 of 50 is 0.79 to 0.96."""
     assert wilson(45, 50) == pytest.approx((0.786, 0.957), abs=1e-3)

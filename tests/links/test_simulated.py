@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import math
+import os
 from collections.abc import Iterator
 from typing import Any
 
@@ -12,8 +14,12 @@ import pytest
 from acsar_gym import RobotConfig, open_link
 from acsar_gym.bodies.bullet import BulletBody
 from acsar_gym.bodies.bullet.engine import pybullet
-from acsar_gym.dynamics import Physics
+from acsar_gym.dynamics import GRAVITY, Physics
 from acsar_gym.dynamics.randomizer import Randomizer
+from acsar_gym.links.base import meter_of
+from acsar_gym.links.fault_injection import FaultyLink
+from acsar_gym.links.faults import Faults
+from acsar_gym.links.paced import PacedLink
 from acsar_gym.links.simulated import SimulatedLink
 from acsar_gym.protocol import Decoder, Speeds, encode
 from acsar_gym.worlds import Scene
@@ -53,6 +59,46 @@ def drive(link: SimulatedLink, own: Physics | None, seconds: float, speeds: Spee
 def wheels(link: SimulatedLink) -> Speeds:
     assert link.body is not None
     return link.body.wheel_speeds
+
+
+def test_a_straight_drive_takes_at_least_its_kinetic_energy(link: SimulatedLink) -> None:
+    """Wheels that reach their speed with a lag slip a little, which costs the rest."""
+    link.metered = True
+    drive(link, None, 1.0, FORWARD)
+    link.metered = False
+    kinetic = CONFIG.body.mass * (8.0 * CONFIG.wheel_radius) ** 2 / 2.0
+    assert 0.9 * kinetic < link.work < 1.5 * kinetic
+
+
+def test_the_work_of_a_turn_goes_into_friction(link: SimulatedLink) -> None:
+    """In a steady turn on the spot the motors' power is what the four sliding tyres dissipate."""
+    link.metered = True
+    drive(link, None, 2.0, (4.0, -4.0, -4.0, 4.0))
+    before = link.work
+    for _ in range(100):
+        link.write(encode((4.0, -4.0, -4.0, 4.0)))
+        link.advance(TICK)
+    link.metered = False
+    rate, rim = link.truth.twist[1], 4.0 * CONFIG.wheel_radius
+    ahead, aside = rim - rate * CONFIG.wheel_separation / 2.0, rate * CONFIG.wheelbase / 2.0
+    weight = CONFIG.body.friction * CONFIG.body.mass * GRAVITY
+    assert link.work - before == pytest.approx(weight * math.hypot(ahead, aside), rel=0.02)
+
+
+def test_work_is_measured_only_where_asked_and_from_the_reset_on(link: SimulatedLink) -> None:
+    drive(link, None, 0.1, FORWARD)
+    assert link.work == 0.0
+    link.metered = True
+    drive(link, None, 0.1, FORWARD)
+    assert link.work > 0.0
+    link.reset(Scene())
+    link.metered = False
+    assert link.work == 0.0
+
+
+def test_the_meter_of_a_wrapped_link_is_found(link: SimulatedLink) -> None:
+    assert meter_of(FaultyLink(PacedLink(link), Faults.of({"dropped_lines": 0.1}))) is link
+    assert meter_of(open_link("replay:" + os.devnull, CONFIG)) is None
 
 
 def moved(link: SimulatedLink, own: Physics | None, seconds: float) -> float:

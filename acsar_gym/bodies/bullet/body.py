@@ -21,6 +21,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.dynamics import GRAVITY, Physics, physics
 from acsar_gym.dynamics import model as dynamics
 from acsar_gym.dynamics.numbers import numbers_of
+from acsar_gym.dynamics.power import motor_power
 from acsar_gym.dynamics.timing import substep
 from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.worlds import Scene, World
@@ -175,6 +176,14 @@ class BulletBody:
         theta = pybullet.getEulerFromQuaternion(orientation)[2]
         forward = vx * math.cos(theta) + vy * math.sin(theta)
         return GroundTruth((x, y, theta), (forward, rate), self._touched)
+
+    @property
+    def power(self) -> float:
+        """Mechanical power of the motors now [W]; see `dynamics.power`."""
+        _, (qx, qy, qz, qw) = _pose_of(self._robot, self._client)
+        (vx, vy, _), (_, _, rate) = _velocity_of(self._robot, self._client)
+        cos, sin = 1.0 - 2.0 * (qy * qy + qz * qz), 2.0 * (qw * qz + qx * qy)
+        return motor_power(cos, sin, (vx, vy, rate), self.wheel_speeds, self._physics)
 
     def image(self, width: int, height: int) -> Image:
         """Take a picture with PyBullet's camera from behind and above: (height, width, 3), RGB."""
