@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
 import acsar_gym
-from acsar_gym.errors import ClusterError, JobError, MissingExtraError, printable, shown
+from acsar_gym.errors import ClusterError, ConfigError, JobError, MissingExtraError, printable, shown
 from acsar_gym.scaling.jobs import RETRIES, attempt, named
 
 J = TypeVar("J")
@@ -61,7 +61,8 @@ def _result(ray: Any, done: Any, job: object) -> Any:
             f"{named(job)}: ended {RETRIES + 1} processes: run it with --workers 1 to see why"
         ) from None
     except ray.exceptions.RayError as failure:
-        raise JobError(f"{named(job)}: {_short(failure)}") from None
+        why = getattr(failure, "cause", None) or failure
+        raise JobError(f"{named(job)}: {type(why).__name__}: {_short(why)}") from None
     if error is not None:
         raise error
     return result
@@ -130,8 +131,8 @@ def _check(address: str) -> None:
     place = named.removeprefix(CLIENT)
     host, _, port = place.rpartition(":")
     if not host or not port.isdecimal():
-        raise ClusterError(
-            f"--address {shown(address)}", "must be local, auto, host:port or ray://host:port"
+        raise ConfigError(
+            f"--address {shown(address)}: must be local, auto, host:port or ray://host:port"
         )
     try:
         import grpc  # noqa: PLC0415 - optional
@@ -145,6 +146,7 @@ def _check(address: str) -> None:
 
 
 def _short(error: BaseException) -> str:
-    """Return the first line of an error's message that says something."""
+    """Return the first sentence of an error's message."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return printable(lines[0] if lines else type(error).__name__)[:300]
+    first, _, _ = (lines[0] if lines else type(error).__name__).partition(". ")
+    return printable(first)[:300]
