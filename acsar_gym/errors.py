@@ -6,6 +6,7 @@ import difflib
 import re
 import reprlib
 from collections.abc import Iterable
+from typing import Any
 
 
 class AcsarError(Exception):
@@ -16,6 +17,18 @@ class AcsarError(Exception):
     """
 
     exit_code = 1
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle it with its message, as constructors may take other arguments."""
+        return _unpickled, (type(self), self.args, self.__dict__)
+
+
+def _unpickled(kind: type[AcsarError], args: tuple[Any, ...], fields: dict[str, Any]) -> AcsarError:
+    """Make the copy of a pickled error."""
+    error = kind.__new__(kind, *args)
+    error.args = args
+    error.__dict__.update(fields)
+    return error
 
 
 class ConfigError(AcsarError):
@@ -51,6 +64,24 @@ class MissingExtraError(AcsarError):
 
     def __init__(self, feature: str, extra: str) -> None:
         super().__init__(f"{feature} needs an extra: pip install 'acsar_gym[{extra}]'")
+
+
+class JobError(AcsarError):
+    """A job ended every process that ran it, or failed unexpectedly in another process."""
+
+
+class ClusterError(AcsarError):
+    """No Ray cluster answers, or its machines can't run the jobs.
+
+    Args:
+        found: what happened and where.
+        fix: what to do.
+    """
+
+    exit_code = 3
+
+    def __init__(self, found: str, fix: str) -> None:
+        super().__init__(f"{found}: {fix}")
 
 
 class RenderError(AcsarError):
