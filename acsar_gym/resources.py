@@ -23,16 +23,21 @@ AGENTS = _folder("agents")
 
 
 def agent(name: str) -> ModuleType:
-    """Import the script `agents/NAME.py` as a module, once.
+    """Import the script `agents/NAME.py`, or the package `agents/NAME/`, once.
 
     Args:
-        name: name of the script, without ".py".
+        name: name of the script, without ".py", or of the package.
     """
     known = f"acsar_gym_agents_{name}"
     if known not in sys.modules:
-        spec = importlib.util.spec_from_file_location(known, AGENTS / f"{name}.py")
+        package = AGENTS / name / "__init__.py"
+        file = package if package.is_file() else AGENTS / f"{name}.py"
+        inside = [str(package.parent)] if file is package else None
+        spec = importlib.util.spec_from_file_location(
+            known, file, submodule_search_locations=inside
+        )
         if spec is None or spec.loader is None:
-            raise ImportError(f"{AGENTS / name}.py: not a Python script")
+            raise ImportError(f"{file}: not a Python script")
         sys.modules[known] = module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
     return sys.modules[known]

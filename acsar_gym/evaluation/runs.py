@@ -23,6 +23,7 @@ from acsar_gym.policies import (
     FilePolicy,
     OnnxPolicy,
     ZipPolicy,
+    baselines,
     is_callable,
     resolve,
     statistics_beside,
@@ -38,10 +39,10 @@ SEEDS = 2**63
 
 
 def load(policy: str, *, trust: bool, env: str = "") -> FilePolicy:
-    """Load a policy file, packaged policy, or function such as "mine.py:act".
+    """Load a policy file, packaged policy, baseline, or function such as "mine.py:act".
 
     Args:
-        policy: its path or name.
+        policy: its path or name; files come first, then packaged policies, then baselines.
         trust: whether it may be a stable-baselines3 zip, which can run code when it is loaded.
         env: id or short name of the env that it is for; by default the one that the file names.
 
@@ -53,6 +54,8 @@ def load(policy: str, *, trust: bool, env: str = "") -> FilePolicy:
     env_id = registered(env) if env else ""
     if is_callable(policy):
         return CallablePolicy(policy, env_id)
+    if baselines.is_baseline(policy):
+        return baselines.load(policy, env_id)
     path = resolve(policy)
     if path.suffix == ".zip":
         loaded = ZipPolicy(path, trust=trust, env_id=env_id)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.errors import PolicyError
-from acsar_gym.resources import AGENTS
+from acsar_gym.resources import AGENTS, agent
 from acsar_gym.sensors import Sensor
 from acsar_gym.tasks import Observation, Task, signature
 from acsar_gym.tasks.made import named
@@ -144,7 +144,10 @@ def resolve(path: str | Path) -> Path:
     if packaged.exists():
         return packaged
     known = ", ".join(sorted(p.stem for p in packaged.parent.glob("*.onnx"))) or "none"
-    raise PolicyError(f"{path}: no such policy file; policies that come along: {known}")
+    raise PolicyError(
+        f"{path}: no such policy file; policies that come along: {known}; baselines: "
+        f"{', '.join(agent('baselines').BASELINES)}"
+    )
 
 
 def scale_of(task: Task) -> float | None:

@@ -1,0 +1,139 @@
+"""Policies that nobody trained: `agents/baselines`, found by their names, such as "dwa"."""
+
+from __future__ import annotations
+
+import hashlib
+import zlib
+from abc import abstractmethod
+from collections.abc import Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym.errors import MissingExtraError, PolicyError
+from acsar_gym.jit import COMPILED
+from acsar_gym.policies.base import FilePolicy
+from acsar_gym.policies.setting import Seen, Setting
+from acsar_gym.resources import AGENTS, agent
+from acsar_gym.tasks import Observation
+
+if TYPE_CHECKING:
+    from acsar_gym.envs.base import RobotEnv
+
+
+class BaselinePolicy(FilePolicy):
+    """Base class of the baselines: they decide from the same observations as a trained policy.
+
+    Beside them they know what any deployed policy may: the robot's config, the layout and scales
+    of the task, and its period (`setting`).
+
+    Args:
+        env_id: id of the env that it drives.
+    """
+
+    name: ClassVar[str]
+    """What `--policy` calls it."""
+    needs: ClassVar[tuple[str, ...]] = ()
+    """Names of the task's numbers that it needs."""
+    what: ClassVar[tuple[str, str]] = ("a goal", "point_goal")
+    """What these are in words, and an env that has them."""
+    lidar: ClassVar[bool] = False
+    """Whether it needs a LiDAR."""
+    compiled: ClassVar[bool] = False
+    """Whether it is too slow without numba."""
+    layout = ""
+    env_named = True
+
+    def __init__(self, env_id: str) -> None:
+        self.path, self.env_id = Path(self.name), env_id
+        source = AGENTS / "baselines" / f"{type(self).__module__.rpartition('.')[2]}.py"
+        self.sha256 = hashlib.sha256(source.read_bytes()).hexdigest()
+        self._env: RobotEnv | None = None
+        self._rng: np.random.Generator | None = None
+
+    def bind(self, env: RobotEnv) -> None:
+        """Take the setting of the env.
+
+        Raises:
+            PolicyError: the task doesn't observe what the policy needs.
+            MissingExtraError: it needs numba, which isn't installed.
+        """
+        if self.compiled and not COMPILED:
+            raise MissingExtraError(f"the baseline {self.name}", "fast")
+        setting = Setting.of(env)
+        setting.need(self.name, (*self.needs, "linear_velocity", "angular_velocity"), *self.what)
+        if self.lidar:
+            setting.need(self.name, (), "a LiDAR", "obstacle_goal")
+        self._env = env
+        self.equip(setting)
+
+    def equip(self, setting: Setting) -> None:
+        """Prepare for a robot and a task; subclasses derive their own numbers here."""
+        self.setting = setting
+
+    def reset(self) -> None:
+        """Begin an episode; subclasses forget the last one here."""
+        self._rng = None
+
+    @property
+    def rng(self) -> np.random.Generator:
+        """The generator of this episode, seeded like the env's, so that results repeat."""
+        if self._rng is None:
+            seed = 0 if self._env is None else max(int(self._env.np_random_seed or 0), 0)
+            self._rng = np.random.default_rng([zlib.crc32(self.name.encode()), seed])
+        return self._rng
+
+    @abstractmethod
+    def act(self, seen: Seen) -> tuple[float, float]:
+        """Choose the velocity command of the next step.
+
+        Args:
+            seen: the observation, in SI units.
+
+        Returns:
+            Linear [m/s] and angular velocity [rad/s]; `__call__` clips them.
+        """
+
+    def __call__(self, observation: Observation) -> NDArray[np.float32]:
+        """Choose the action for one observation, shape (2,) in [-1, 1]."""
+        linear, angular = self.act(self.setting.seen(observation))
+        config = self.setting.config
+        action = np.array((linear / config.max_linear, angular / config.max_angular), np.float32)
+        return np.clip(action, -1.0, 1.0)
+
+
+def names() -> Mapping[str, str]:
+    """Names of the baselines, and the "module:Class" of each."""
+    table: Mapping[str, str] = agent("baselines").BASELINES
+    return table
+
+
+def is_baseline(policy: str) -> bool:
+    """Whether a policy argument names a baseline; files and packaged policies come first."""
+    packaged = AGENTS / "policies" / f"{policy}.onnx"
+    return policy in names() and not Path(policy).exists() and not packaged.exists()
+
+
+def load(name: str, env_id: str) -> BaselinePolicy:
+    """Make a baseline.
+
+    Args:
+        name: one of `names`.
+        env_id: id of the env that it will drive.
+
+    Raises:
+        PolicyError: no env is named.
+    """
+    if not env_id:
+        raise PolicyError(
+            f"{name}: a baseline, which can drive more than one environment: name it, as in "
+            f"--policy {name} --env obstacle_goal"
+        )
+    module, _, kind = names()[name].partition(":")
+    made: BaselinePolicy = getattr(import_module(f"{agent('baselines').__name__}.{module}"), kind)(
+        env_id
+    )
+    return made

@@ -1,0 +1,98 @@
+"""What the baselines with a map share: odometry, the map kept from the scans, the way to the goal."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+
+import numpy as np
+
+from acsar_gym.config import RobotConfig, footprint
+from acsar_gym.lidars.base import ray_spec
+from acsar_gym.policies.baselines import BaselinePolicy
+from acsar_gym.policies.setting import GOAL, Seen, Setting
+from acsar_gym.tasks.base import OBSERVATION_LIMIT, Floats
+
+from .costmap import Costmap
+from .geometry import sides_of
+from .motion import Motion, Pose
+from .potential import Potential, potential
+
+REPLAN = 3
+"""Steps between two plans."""
+
+
+class MappedPolicy(BaselinePolicy):
+    """Keeps a map of the obstacles seen so far, and plans the way to the goal on it."""
+
+    needs = GOAL
+    lidar = True
+    compiled = True
+
+    def equip(self, setting: Setting) -> None:
+        """Prepare for a robot and a task."""
+        super().equip(setting)
+        config = setting.config
+        self.sides = sides_of(config)
+        self.outer = footprint.radius(config.outline)
+        self.radii = (inner_radius(config), self.outer)
+        self._angles = ray_spec(config).angles()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget map and motion."""
+        super().reset()
+        self._motion: Motion | None = None
+        self._steps = 0
+        self.sent = (0.0, 0.0)
+
+    def act(self, seen: Seen) -> tuple[float, float]:
+        """Update pose, map and plan, then decide."""
+        if self._motion is None:
+            self._motion = Motion(seen.goal, self.setting.period)
+            self.known = Costmap(seen.goal)
+        farthest = OBSERVATION_LIMIT * (self.setting.scale or 1.0) - 1e-3
+        motion = self._motion
+        pose = motion.update(seen.goal, (seen.linear, seen.angular), farthest)
+        self._enter(pose, seen)
+        if self._steps % REPLAN == 0:
+            self.plan: Potential = potential(self.known, pose[:2], motion.goal, self.radii)
+        self._steps += 1
+        self.sent = self.decide(pose, motion.goal, seen)
+        return self.sent
+
+    @abstractmethod
+    def decide(self, pose: Pose, goal: tuple[float, float], seen: Seen) -> tuple[float, float]:
+        """Choose the velocity command.
+
+        Args:
+            pose: x [m], y [m], theta [rad] in the odometry frame.
+            goal: in the odometry frame [m].
+            seen: the observation.
+
+        Returns:
+            Linear [m/s] and angular velocity [rad/s].
+        """
+
+    def _enter(self, pose: Pose, seen: Seen) -> None:
+        """Enter the newest scan into the map."""
+        config, (x, y, theta) = self.setting.config, pose
+        if seen.ranges is None:
+            return
+        cos, sin = math.cos(theta), math.sin(theta)
+        origin = (
+            x + cos * config.lidar_x_offset - sin * config.lidar_y_offset,
+            y + sin * config.lidar_x_offset + cos * config.lidar_y_offset,
+        )
+        along = np.column_stack([np.cos(self._angles + theta), np.sin(self._angles + theta)])
+        met = (seen.ranges < config.lidar.max_range - 1e-3).astype(np.float64)
+        self.known.update(origin, origin + seen.ranges[:, None] * along, met)
+
+    def obstacles(self, pose: Pose, reach: float) -> Floats:
+        """(n, 2): what is known within a square around the robot, in the odometry frame [m]."""
+        return self.known.points(pose[0], pose[1], reach)
+
+
+def inner_radius(config: RobotConfig) -> float:
+    """Radius of the circle around the origin within the footprint [m]."""
+    return footprint.border_distance(config.outline, 0.0, 0.0)

@@ -1,0 +1,92 @@
+"""What a ROS 2 user has: a costmap, a global plan on it, and regulated pure pursuit.
+
+The plan is that of Nav2's NavFn planner, the way down a potential; the tracker is Macenski, Singh,
+Martin & Gines, "Regulated pure pursuit for robot path tracking", Autonomous Robots 47 (2023): pure
+pursuit whose speed is regulated by curvature and by the nearness of obstacles, which turns on the
+spot where the path begins elsewhere, and stops before a predicted collision.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from acsar_gym.policies.setting import Seen
+from acsar_gym.tasks.base import Floats
+
+from .geometry import clearance
+from .mapped import MappedPolicy
+from .motion import Pose
+
+TIME, NEAREST, FARTHEST = 0.9, 0.2, 0.45
+"""The carrot is this much time ahead at the present speed, within these distances [s, m, m]."""
+RADIUS = 0.5
+"""Curves narrower than this are driven slower, in proportion [m]."""
+NEAR = 0.15
+"""Nearer than this to an obstacle, the footprint is driven slower, in proportion [m]."""
+SLOWEST = 0.08
+"""Least regulated speed [m/s]."""
+AIMED = 0.7
+"""Turns on the spot while the carrot's bearing is larger than this [rad]."""
+LOOK = 1.0
+"""Predicted arcs are checked for collisions so far ahead [s]."""
+SAFE = 0.02
+"""Least clearance on a predicted arc [m]."""
+
+
+class Navfn(MappedPolicy):
+    """Plans on its map like NavFn, and follows the plan by regulated pure pursuit."""
+
+    name = "navfn"
+
+    def decide(self, pose: Pose, goal: tuple[float, float], seen: Seen) -> tuple[float, float]:
+        """Return the velocity command [m/s, rad/s]."""
+        config = self.setting.config
+        lookahead = min(max(TIME * seen.linear, NEAREST), FARTHEST)
+        way = self.plan.way(pose[0], pose[1], FARTHEST + 0.2)
+        x, y = carrot(way, pose, lookahead, goal)
+        bearing, distance = math.atan2(y, x), max(math.hypot(x, y), 0.05)
+        near = self.obstacles(pose, config.max_linear * LOOK + self.outer + 0.3)
+        turn = math.copysign(min(2.5 * abs(bearing), config.max_angular), bearing)
+        if abs(bearing) > AIMED:
+            return 0.0, turn
+        curvature = 2.0 * y / distance**2
+        free = clearance(*pose, near, self.sides, self.outer, NEAR)
+        speed = config.max_linear * min(
+            1.0, 1.0 / max(abs(curvature) * RADIUS, 1e-6), 0.3 + 0.7 * free / NEAR
+        )
+        speed = max(speed, SLOWEST)
+        for share in (1.0, 0.5, 0.2):
+            if self._free(pose, share * speed, share * speed * curvature, near):
+                return share * speed, share * speed * curvature
+        return 0.0, turn
+
+    def _free(self, pose: Pose, linear: float, angular: float, near: Floats) -> bool:
+        """Whether a predicted arc keeps its clearance, or comes no nearer than it is."""
+        x, y, theta = pose
+        least = min(clearance(x, y, theta, near, self.sides, self.outer, SAFE), SAFE) - 2e-3
+        for _ in range(5):
+            theta += angular * LOOK / 5.0
+            x += linear * math.cos(theta) * LOOK / 5.0
+            y += linear * math.sin(theta) * LOOK / 5.0
+            if clearance(x, y, theta, near, self.sides, self.outer, SAFE) < least:
+                return False
+        return True
+
+
+def carrot(
+    way: Floats, pose: Pose, lookahead: float, goal: tuple[float, float]
+) -> tuple[float, float]:
+    """The point of the way that is so far from the robot, in the base frame [m].
+
+    Args:
+        way: (n, 2), from the robot on [m].
+        pose: of the robot, in the same frame.
+        lookahead: [m].
+        goal: which ends the way [m].
+    """
+    far = np.hypot(way[:, 0] - pose[0], way[:, 1] - pose[1]) >= lookahead
+    x, y = way[int(far.argmax())].tolist() if far.any() else goal
+    dx, dy, cos, sin = x - pose[0], y - pose[1], math.cos(pose[2]), math.sin(pose[2])
+    return dx * cos + dy * sin, dy * cos - dx * sin

@@ -1,0 +1,172 @@
+"""Distance to the goal around known obstacles: the navigation function of a costmap.
+
+Each cell costs 1 a metre, and more near obstacles. The cost of the cheapest way to the goal, T,
+solves |grad T| = cost, here by fast sweeping (Zhao, "A fast sweeping method for Eikonal equations",
+2005). A graph search over eight neighbours, as scipy has it, would overrate slanting ways by 8 %;
+Nav2's NavFn planner interpolates its potential for the same reason.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from acsar_gym.jit import loop
+from acsar_gym.tasks.base import Floats
+
+from .costmap import CELL, Costmap
+
+AROUND = 1.5
+"""How far the field reaches around start, robot, goal and all that is known [m]."""
+LETHAL, TIGHT = 60.0, 8.0
+"""Cost of a cell whose distance from an obstacle is below the footprint's inner radius, and of one
+below its outer radius, where it can't turn."""
+HEAVY, FADES = 4.0, 0.12
+"""Additional cost at the outer radius, and the distance over which it falls to 1/e [m]."""
+SWEEPS = 40
+"""Most sweeps over the field."""
+DONE = 1e-3
+"""Sweeping ends once no cell changes by more than this [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Potential:
+    """Cost of the cheapest way to the goal, as equivalent metres, on a grid."""
+
+    values: Floats
+    """(nx, ny), at the cells' centres."""
+    distances: Floats
+    """(nx, ny): from the nearest occupied cell [m]."""
+    x: float
+    """x of cell (0, 0) [m]."""
+    y: float
+
+    def at(self, x: float, y: float) -> float:
+        """The potential at a point, interpolated."""
+        return float(interpolated(self.values, self.x, self.y, x, y))
+
+    def way(self, x: float, y: float, length: float) -> Floats:
+        """(n, 2): the way down the potential from a point, so long at most, every half cell [m]."""
+        return descend(self.values, self.x, self.y, x, y, math.ceil(length / (0.5 * CELL)))
+
+
+def potential(
+    known: Costmap,
+    robot: tuple[float, float],
+    goal: tuple[float, float],
+    radii: tuple[float, float],
+) -> Potential:
+    """Compute the potential of a goal.
+
+    Args:
+        known: the map.
+        robot: where the robot is [m].
+        goal: the goal [m].
+        radii: of the circle within the footprint, and of the one around it [m].
+    """
+    from scipy.ndimage import distance_transform_edt  # noqa: PLC0415 - slow to import
+
+    occupied = known.odds > 0.0
+    part = _window(occupied, known, (robot, goal))
+    x, y = known.x + part[0].start * CELL, known.y + part[1].start * CELL
+    occupied = occupied[part]
+    distances = np.full(occupied.shape, 1e3)
+    if occupied.any():
+        distances = distance_transform_edt(~occupied, sampling=CELL)
+    values = np.full(occupied.shape, 1e9)
+    i, j = round((goal[0] - x) / CELL), round((goal[1] - y) / CELL)
+    sweep(values, costs_of(distances, radii), i, j)
+    return Potential(values, distances, x, y)
+
+
+def costs_of(distances: Floats, radii: tuple[float, float]) -> Floats:
+    """Cost of cells by their distance from the nearest obstacle."""
+    inner, outer = radii
+    costs = 1.0 + HEAVY * np.exp(-(np.maximum(distances, outer) - outer) / FADES)
+    costs += TIGHT * np.clip((outer - distances) / (outer - inner + 1e-3), 0.0, 1.0)
+    costs[distances < inner] = LETHAL
+    return costs
+
+
+def _window(
+    occupied: np.ndarray[tuple[int, int], np.dtype[np.bool_]],
+    known: Costmap,
+    ends: tuple[tuple[float, float], tuple[float, float]],
+) -> tuple[slice, slice]:
+    """The part of the map around what is occupied, the robot and the goal."""
+    more = math.ceil(AROUND / CELL)
+    parts = []
+    for axis, first in ((0, known.x), (1, known.y)):
+        filled = np.flatnonzero(occupied.any(axis=1 - axis))
+        cells = [round((end[axis] - first) / CELL) for end in ends]
+        cells += [int(filled[0]), int(filled[-1])] if len(filled) else []
+        size = occupied.shape[axis]
+        low, high = min(max(min(cells) - more, 0), size - 2), max(min(max(cells) + more, size), 2)
+        parts.append(slice(low, high))
+    return parts[0], parts[1]
+
+
+@loop
+def sweep(values: Floats, costs: Floats, goal_i: int, goal_j: int) -> None:
+    """Solve |grad T| = cost on a grid by Gauss-Seidel sweeps in four directions, in place."""
+    nx, ny = values.shape
+    goal_i, goal_j = min(max(goal_i, 0), nx - 1), min(max(goal_j, 0), ny - 1)
+    values[goal_i, goal_j] = 0.0
+    for number in range(SWEEPS):
+        change, forth, up = 0.0, number % 2 == 0, number % 4 < 2
+        for m in range(nx):
+            i = m if forth else nx - 1 - m
+            for n in range(ny):
+                j = n if up else ny - 1 - n
+                a = min(values[i - 1, j] if i > 0 else 1e9, values[i + 1, j] if i < nx - 1 else 1e9)
+                b = min(values[i, j - 1] if j > 0 else 1e9, values[i, j + 1] if j < ny - 1 else 1e9)
+                step, low = costs[i, j] * CELL, min(a, b)
+                if low + step >= values[i, j] and abs(a - b) >= step:
+                    continue
+                new = low + step
+                if abs(a - b) < step:
+                    new = 0.5 * (a + b + math.sqrt(2.0 * step * step - (a - b) * (a - b)))
+                if new < values[i, j]:
+                    change = max(change, values[i, j] - new)
+                    values[i, j] = new
+        if number >= 3 and change < DONE:
+            break
+
+
+@loop
+def interpolated(values: Floats, left: float, low: float, x: float, y: float) -> float:
+    """A field between the centres of its cells; outside it goes on with the slope of distance."""
+    u, v = (x - left) / CELL, (y - low) / CELL
+    most_u, most_v = values.shape[0] - 1.001, values.shape[1] - 1.001
+    p, q = min(max(u, 0.0), most_u), min(max(v, 0.0), most_v)
+    i, j = int(p), int(q)
+    a, b = p - i, q - j
+    inner = (1.0 - a) * ((1.0 - b) * values[i, j] + b * values[i, j + 1]) + a * (
+        (1.0 - b) * values[i + 1, j] + b * values[i + 1, j + 1]
+    )
+    outside: float = CELL * math.sqrt((u - p) * (u - p) + (v - q) * (v - q))
+    return inner + outside
+
+
+@loop
+def descend(values: Floats, left: float, low: float, x: float, y: float, most: int) -> Floats:
+    """Points down a field's gradient, every half cell, (n, 2) [m]; ends at the minimum."""
+    way = np.empty((most + 1, 2))
+    way[0, 0], way[0, 1] = x, y
+    for n in range(most):
+        here = interpolated(values, left, low, x, y)
+        gx = interpolated(values, left, low, x + CELL, y) - interpolated(
+            values, left, low, x - CELL, y
+        )
+        gy = interpolated(values, left, low, x, y + CELL) - interpolated(
+            values, left, low, x, y - CELL
+        )
+        size = math.sqrt(gx * gx + gy * gy)
+        if here < CELL or size < 1e-9:
+            return way[: n + 1]
+        x -= 0.5 * CELL * gx / size
+        y -= 0.5 * CELL * gy / size
+        way[n + 1, 0], way[n + 1, 1] = x, y
+    return way
