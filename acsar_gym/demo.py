@@ -2,37 +2,20 @@
 
 from __future__ import annotations
 
-import contextlib
 import gc
-import subprocess
-import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
-from acsar_gym.errors import LinkError, MissingExtraError
+from acsar_gym.emulation.process import emulator
+from acsar_gym.errors import MissingExtraError
 from acsar_gym.evaluation import episodes as evaluation
 from acsar_gym.evaluation import report, runs
 from acsar_gym.evaluation.episodes import EpisodeResult
 from acsar_gym.evaluation.results import Run
 from acsar_gym.policies import OnnxPolicy
 from acsar_gym.resources import agent
-
-END_TIMEOUT = 30.0
-"""Time after which an emulator that doesn't end is killed [s]."""
-ENDING_WITH_US = """
-import os, threading
-
-def follow():
-    os.read(0, 1)  # returns when the other end of the pipe is closed, or its process has ended
-    os._exit(0)
-
-threading.Thread(target=follow, daemon=True).start()
-from acsar_gym.cli import main
-main()
-"""
-"""Runs `acsar-gym` and exits when the parent process does, for whatever reason."""
 
 
 def run(steps: int, episodes: int, serial_episodes: int, out: Path) -> list[tuple[str, Run]]:
@@ -88,8 +71,8 @@ def train(steps: int, out: Path) -> Path:
 
 def _over_serial(policy: OnnxPolicy, count: int, log: Path) -> Run:
     """Evaluate with an emulator in another process, whose log provides the odometry errors."""
-    with emulator("--body", "bullet", "--log", str(log)) as device:
-        run = _whole(runs.drive(policy, device, None, range(20_000, 20_000 + count)))
+    with emulator("--body", "bullet", "--log", str(log)) as devices:
+        run = _whole(runs.drive(policy, devices.robot, None, range(20_000, 20_000 + count)))
     return replace(run, results=with_truth(run.results, log))
 
 
@@ -104,43 +87,3 @@ def with_truth(results: Sequence[EpisodeResult], log: Path) -> list[EpisodeResul
     """Return the results with odometry errors from the emulator's log."""
     errors = evaluation.odometry_errors(results, log)
     return [replace(r, odometry_error=e) for r, e in zip(results, errors, strict=True)]
-
-
-@contextlib.contextmanager
-def emulator(*arguments: str) -> Iterator[str]:
-    """Run `acsar-gym emulate` in another process, as a context manager.
-
-    It ends with the context, or with this process, even if that is killed. Ctrl-C reaches this
-    process only.
-
-    Args:
-        *arguments: command line arguments of `emulate`.
-
-    Yields:
-        Path of the emulated device.
-
-    Raises:
-        LinkError: the emulator didn't start.
-    """
-    command = [sys.executable, "-c", ENDING_WITH_US, "emulate", *arguments]
-    with subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
-    ) as process:
-        try:
-            line = process.stdout.readline() if process.stdout else ""
-            device = line.strip().split(" ")[-1]
-            if not device.startswith("/"):
-                said = f"run 'acsar-gym emulate {' '.join(arguments)}' to see why"
-                raise LinkError("the emulator didn't start", said)
-            yield device
-        finally:
-            _end(process)
-
-
-def _end(process: subprocess.Popen[str]) -> None:
-    """Terminate the emulator; kill it after END_TIMEOUT."""
-    process.terminate()
-    try:
-        process.wait(END_TIMEOUT)
-    except subprocess.TimeoutExpired:
-        process.kill()

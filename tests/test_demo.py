@@ -9,6 +9,7 @@ import pytest
 from serial_tools import first_line, program, wait_until
 
 from acsar_gym import demo
+from acsar_gym.emulation.process import emulator
 from acsar_gym.errors import LinkError
 from acsar_gym.evaluation import report
 from acsar_gym.resources import AGENTS, agent
@@ -18,9 +19,9 @@ pytestmark = pytest.mark.xdist_group("serial")
 HOLDS_AN_EMULATOR = """
 import time
 import psutil
-from acsar_gym import demo
+from acsar_gym.emulation.process import emulator
 
-with demo.emulator("--body", "planar"):
+with emulator("--body", "planar"):
     print(*(child.pid for child in psutil.Process().children()), flush=True)
     time.sleep(600)
 """
@@ -65,5 +66,5 @@ def has_ended(pid: int) -> bool:
 
 
 def test_an_emulator_that_does_not_start_is_reported() -> None:
-    with pytest.raises(LinkError, match="didn't start"), demo.emulator("--body", "balloon"):
+    with pytest.raises(LinkError, match="didn't start"), emulator("--body", "balloon"):
         pass

@@ -14,9 +14,9 @@ A benchmark's folder holds
 | key | content |
 |---|---|
 | `schema` | `SCHEMA` |
-| `header` | `versions`, `scenes` (by id and set: `version`, `sha256`, `count`, ...), `agents` (by name: |
-| | `kind` "learned" or "baseline", `policies`: for each id and training seed file and sha256), |
-| | `conditions` (by name: text), `command` |
+| `header` | `versions`; `scenes`, by id and set (`version`, `sha256`, `count`, ...); `agents`, by |
+| | name (`kind` "learned" or "baseline", and `policies` with file and sha256); `conditions`, by |
+| | name, in words |
 | `cells` | a list: the fields of `Cell`, `refused` (why it couldn't be run, else ""), `seconds`, |
 | | `summary` (figures of this cell, see `figures.FIGURES`), `episodes`: for each field of |
 | | `Episode` a list with an entry for each episode, null for NaN |
@@ -221,10 +221,9 @@ class Store:
         data = part.line().encode()
         before = self.file.stat().st_size if self.file.exists() else 0
         try:
-            with open(self.file, "ab", buffering=0) as file:
-                written = file.write(data)
-                if written != len(data):
-                    raise OSError(0, "no space left on device")
+            with open(self.file, "ab") as file:
+                file.write(data)
+                file.flush()
                 os.fsync(file.fileno())
         except OSError as error:
             _shortened(self.file, before)

@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.vector.env import RobotVectorEnv
+from acsar_gym.worlds import splits
 from acsar_gym.worlds.pool import Pool
 
 ROBOTS = 64
 """Robots in an evaluation during training; each runs one episode."""
-FIRST_WORLD = 900
-"""First held-out world; the numbers are between those of final evaluation and training."""
 FIRST_SEED = 2**32
 """First seed of held-out episodes; seeds of a training are smaller."""
 
@@ -107,12 +106,13 @@ def worlds_beside(pool: Pool | None) -> str | None:
         pool: worlds of the training; None for an open floor.
 
     Returns:
-        Generated worlds of the same kind, none of which is in `pool`; None for files and an
-        open floor, which have no others, so that only the seeds differ.
+        Generated worlds of the same kind, none of which is in `pool`: those of the validation
+        split, or those behind the pool's where it holds some of them. None for files and an open
+        floor, which have no others, so that only the seeds differ.
     """
     if pool is None or not pool.generated:
         return None
-    first = FIRST_WORLD
-    if pool.numbers[0] < FIRST_WORLD + ROBOTS and pool.numbers[-1] >= FIRST_WORLD:
-        first = pool.numbers[-1] + 1
+    own = splits.numbers(pool.kind, splits.VALIDATION)
+    apart = pool.numbers[0] > own[-1] or pool.numbers[-1] < own[0]
+    first = own[0] if apart else pool.numbers[-1] + 1
     return f"{pool.kind}:{first}-{first + ROBOTS - 1}"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from acsar_gym.worlds import registry
 
-_NUMBERS = r"(?::(train|test|\d{1,15}(?:-\d{1,15})?))?"
+_NUMBERS = r"(?::(train|validation|test|benchmark|\d{1,15}(?:-\d{1,15})?))?"
 _KIND = re.compile(rf"([a-z_][a-z0-9_]*){_NUMBERS}")
 _FOREIGN = re.compile(rf"((?:[A-Za-z_]\w*)(?:\.\w+)*):([a-z][a-z0-9_]*){_NUMBERS}", re.ASCII)
 
@@ -21,7 +21,7 @@ class Name:
     kind: str
     """The generator's name."""
     numbers: str
-    """"train", "test", "50" or "50-99"; "" where the name has none."""
+    """A split such as "train", "50" or "50-99"; "" where the name has none."""
 
     @property
     def generator(self) -> str:

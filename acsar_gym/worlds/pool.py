@@ -37,7 +37,7 @@ class Pool:
     """Worlds by their numbers.
 
     Attributes: `kind`, the generator's name or where the worlds come from; `numbers`, a range;
-    `split`, "train" or "test" where all of them belong to it, otherwise empty; `difficulty`;
+    `split`, such as "test" where all of them belong to it, otherwise empty; `difficulty`;
     `radius`, of the footprint that they were made or checked for [m]; `generated`, whether a
     generator makes them.
     """

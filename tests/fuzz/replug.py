@@ -29,7 +29,7 @@ import numpy as np
 import psutil
 
 from acsar_gym import RobotConfig
-from acsar_gym.demo import emulator
+from acsar_gym.emulation.process import emulator
 from acsar_gym.errors import LinkError
 from acsar_gym.links import watchdog
 

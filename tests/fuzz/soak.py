@@ -18,7 +18,7 @@ import gymnasium
 import numpy as np
 import psutil
 
-from acsar_gym.demo import emulator
+from acsar_gym.emulation.process import emulator
 from acsar_gym.envs.base import RobotEnv
 
 MOST_GROWTH = 4_000_000
@@ -36,8 +36,8 @@ def main() -> int:
     minutes = parser.parse_args().minutes
     process, faults, stops = psutil.Process(), 0, 0
     rng = np.random.default_rng(0)
-    with emulator() as device:
-        env = gymnasium.make("acsar_gym/PointGoal-v0", link=device, max_episode_steps=10**9)
+    with emulator() as devices:
+        env = gymnasium.make("acsar_gym/PointGoal-v0", link=devices.robot, max_episode_steps=10**9)
         inner = env.unwrapped
         if not isinstance(inner, RobotEnv):
             raise TypeError(f"{inner} is no robot")

@@ -84,7 +84,9 @@ def test_people_are_told_which_worlds_are_trained_and_evaluated_in(tmp_path: Pat
         for source in ("open:train", "open:900-963", str(file))
     }
     train, apart, mine = made.values()
-    beside = "training in open 1000 to 1399 (train split), held out: open 900 to 963"
+    beside = (
+        "training in open 1000 to 1399 (train split), held out: open 900 to 963 (validation split)"
+    )
     assert held_out.told(train, apart) == beside
     same = f"training in {file} 0 to 0, evaluated in the same worlds, other seeds"
     assert held_out.told(mine, mine) == same

@@ -1,0 +1,98 @@
+"""The statistics of Agarwal et al. 2021, against their library's tests, scipy and closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy import stats
+
+from acsar_gym.benchmark import statistics
+
+X = np.array([[1.0, 2.0], [2.0, 2.0], [1.0, 1.0], [2.0, 1.0]])
+Y = np.array([[1.0, 1.0], [2.0, 2.0], [3.0, 3.0]])
+"""Scores (runs, tasks) of the unit tests of rliable, the paper's library."""
+
+shapes = st.tuples(st.integers(1, 5), st.integers(1, 9))
+matrices = shapes.flatmap(lambda shape: arrays(np.float64, shape, elements=st.integers(0, 4)))
+
+
+def test_published_values() -> None:
+    """As rliable's tests/rliable/metrics_test.py has them."""
+    assert statistics.interquartile_mean(X) == 1.5
+    assert statistics.interquartile_mean(Y) == 2.0
+    assert statistics.mean(X) == 1.5
+    assert statistics.probability_of_improvement(X, Y) == pytest.approx(1.0 / 3.0)
+
+
+@given(matrices)
+def test_the_interquartile_mean_is_a_trimmed_mean(scores: np.ndarray) -> None:
+    expected = stats.trim_mean(scores, 0.25, axis=None)
+    assert statistics.interquartile_mean(scores) == pytest.approx(expected)
+    assert statistics.interquartile_mean([scores[:, :1], scores[:, 1:]]) == pytest.approx(expected)
+
+
+@given(matrices, st.integers(1, 4), st.integers(0, 2**32 - 1))
+def test_the_probability_of_improvement_is_mann_whitneys(
+    x: np.ndarray, seeds: int, seed: int
+) -> None:
+    y = np.random.default_rng(seed).integers(0, 5, (seeds, x.shape[1])).astype(float)
+    expected = [
+        stats.mannwhitneyu(x[:, scene], y[:, scene]).statistic / (len(x) * seeds)
+        for scene in range(x.shape[1])
+    ]
+    found = statistics.probability_of_improvement(x, y)
+    assert found == pytest.approx(np.mean(expected))
+    assert found + statistics.probability_of_improvement(y, x) == pytest.approx(1.0)
+
+
+@given(matrices)
+def test_a_profile_falls_from_the_share_above_zero_to_none(scores: np.ndarray) -> None:
+    profile = statistics.performance_profile(scores, (-1.0, 0.0, 1.0, 2.0, 4.0))
+    assert profile[0] == 1.0
+    assert profile[-1] == 0.0
+    assert profile == sorted(profile, reverse=True)
+    assert profile[1] == np.mean(scores > 0.0)
+
+
+@given(matrices)
+def test_an_interval_lies_within_the_scores(scores: np.ndarray) -> None:
+    low, high = statistics.interval([scores], resamples=50)
+    assert scores.min() <= low <= high <= scores.max()
+    assert statistics.interval([scores], resamples=50) == (low, high)
+
+
+def test_the_interval_of_a_mean_is_about_two_standard_errors_wide() -> None:
+    scores = np.random.default_rng(0).normal(size=(1, 400))
+    low, high = statistics.interval([scores], statistics.mean)
+    assert high - low == pytest.approx(2 * 1.96 / 20.0, rel=0.15)
+
+
+def test_seeds_that_differ_widen_the_interval_as_much_as_their_number_says() -> None:
+    """Two hundred scenes of one policy aren't two hundred policies."""
+    scores = np.repeat(np.array([[0.0], [1.0], [0.0], [1.0], [0.0], [1.0]]), 200, axis=1)
+    low, high = statistics.interval([scores], statistics.mean)
+    assert high - low > 0.6
+
+
+def test_ids_are_strata() -> None:
+    """Every resample has as many scores of each id as there are, so that equal ones don't vary."""
+    assert statistics.interval([np.zeros((2, 5)), np.ones((3, 8))], statistics.mean) == (
+        pytest.approx((24 / 34, 24 / 34))
+    )
+
+
+def test_the_interval_of_an_improvement_holds_its_value() -> None:
+    rng = np.random.default_rng(1)
+    x, y = rng.normal(0.5, 1.0, (5, 60)), rng.normal(0.0, 1.0, (1, 60))
+    low, high = statistics.improvement_interval(x, y)
+    assert 0.5 < low < statistics.probability_of_improvement(x, y) < high < 1.0
+    assert statistics.improvement_interval(x, x[:1] * 0 + 99.0) == (0.0, 0.0)
+
+
+def test_intervals_apart() -> None:
+    assert statistics.apart((0.1, 0.2), (0.3, 0.4))
+    assert statistics.apart((0.3, 0.4), (0.1, 0.2))
+    assert not statistics.apart((0.1, 0.3), (0.3, 0.4))
