@@ -73,6 +73,28 @@ class WorldOptions:
 
 
 @dataclass(frozen=True)
+class EpisodeOptions:
+    """The episodes of an evaluation."""
+
+    episodes: int = 100
+    """Number of episodes."""
+    seed: int = 0
+    """Seed of the first episode; the next ones count up."""
+    late_share: float = 0.01
+    """Largest share of late ticks in a valid episode."""
+
+
+@dataclass(frozen=True)
+class ScaleOptions:
+    """Parallel processes, and other machines."""
+
+    workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """Processes to use; default: one, or with --address one for each CPU of the cluster."""
+    address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT|auto|local")] = None
+    """Ray cluster to run on: host:port, ray://host:port, auto, or local to start one here."""
+
+
+@dataclass(frozen=True)
 class BoardOptions:
     """How an emulated board behaves."""
 
@@ -139,6 +161,8 @@ HostArgs = Annotated[HostOptions, _flat]
 PolicyArgs = Annotated[PolicyOptions, _flat]
 RobotArgs = Annotated[RobotOptions, _flat]
 WorldArgs = Annotated[WorldOptions, _flat]
+EpisodeArgs = Annotated[EpisodeOptions, _flat]
+ScaleArgs = Annotated[ScaleOptions, _flat]
 BoardArgs = Annotated[BoardOptions, _flat]
 SpinArgs = Annotated[SpinOptions, _flat]
 TimingArgs = Annotated[TimingOptions, _flat]

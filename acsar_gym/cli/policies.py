@@ -11,12 +11,14 @@ import tyro
 from acsar_gym.cli.asking import countdown
 from acsar_gym.cli.options import (
     EnvArg,
+    EpisodeArgs,
     HostArgs,
     Json,
     OutFile,
     PolicyArgs,
     RobotArg,
     RobotArgs,
+    ScaleArgs,
     WorldArgs,
 )
 from acsar_gym.errors import LinkError, printable
@@ -37,9 +39,8 @@ def evaluate(
     robot: RobotArgs,
     worlds: WorldArgs,
     host: HostArgs,
-    episodes: int = 100,
-    seed: int = 0,
-    late_share: float = 0.01,
+    scale: ScaleArgs,
+    episodes: EpisodeArgs,
     json: Json = None,
 ) -> int:
     """Evaluate a policy over some episodes on any link, and print its metrics.
@@ -49,16 +50,16 @@ def evaluate(
         robot: link, robot, LiDAR, and recording.
         worlds: worlds of the evaluation.
         host: process priority and cores.
-        episodes: number of episodes.
-        seed: seed of the first episode; the next ones count up.
-        late_share: largest share of late ticks in a valid episode.
+        scale: parallel processes, and other machines.
+        episodes: the episodes.
         json: also write the metrics and every episode to this file.
     """
     from acsar_gym.evaluation import report, runs  # noqa: PLC0415
+    from acsar_gym.scaling import shards  # noqa: PLC0415
 
     report.check_writable(json)
     host.prepare()
-    seeds = runs.seeds(seed, episodes)
+    seeds = runs.seeds(episodes.seed, episodes.episodes)
     loaded = runs.load(policy.policy, trust=policy.trust, env=policy.env)
     options: dict[str, Any] = {
         "worlds": worlds.worlds,
@@ -66,9 +67,14 @@ def evaluate(
         "lidar": robot.lidar,
     }
     options["record"] = robot.recorder("evaluate", link=robot.link, policy=loaded.about)
-    how = {"in_order": worlds.in_order, "late_share": late_share}
-    done = runs.drive(loaded, robot.link, robot.robot, seeds, how=how, **options)
-    title = f"{policy.policy}, seeds {seed} to {seed + episodes - 1}, worlds: {done.worlds}"
+    how = {"in_order": worlds.in_order, "late_share": episodes.late_share}
+    spread: dict[str, Any] = {
+        "workers": scale.workers,
+        "address": scale.address,
+        "trust": policy.trust,
+    }
+    done = shards.drive(loaded, robot.link, robot.robot, seeds, how=how, **spread, **options)
+    title = f"{policy.policy}, seeds {seeds[0]} to {seeds[-1]}, worlds: {done.worlds}"
     return _report(title, robot.link, done, json, intervals=True)
 
 

@@ -93,6 +93,7 @@ def episodes(
     seed: int,
     *,
     in_order: bool = False,
+    skip: int = 0,
     late_share: float = LATE_SHARE,
     **options: Any,
 ) -> Iterator[EpisodeResult]:
@@ -107,6 +108,7 @@ def episodes(
         count: number of episodes.
         seed: seed of the first reset.
         in_order: use the env's worlds one after the other, instead of random ones.
+        skip: with `in_order`, how many of the worlds other calls use before this one.
         late_share: largest share of late ticks in a valid episode, 0 to 1.
         **options: options of every reset.
 
@@ -121,7 +123,7 @@ def episodes(
     """
     if not 0.0 <= late_share <= 1.0:
         raise ConfigError(f"late_share = {late_share!r}: must be a share, 0 to 1")
-    worlds = _in_order(env, count) if in_order else None
+    worlds = _in_order(env, skip + count)[skip:] if in_order else None
     for number in range(count):
         place = {"world": worlds[number]} if worlds else {}
         yield _episode(env, policy, seed + number, options | place, late_share)

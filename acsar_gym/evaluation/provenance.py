@@ -17,6 +17,8 @@ This is the `header` in the JSON of `evaluate`, `run` and `demo`:
 | | versions of python, numpy and scipy, and the kind of machine |
 | `seeds` | of the `first` and `last` episode |
 | `options` | of the resets, and `in_order`, `late_share` |
+| `workers` | how many episodes ran at a time; null for one per CPU of the cluster |
+| `address` | of the Ray cluster that they ran on; null for this machine |
 
 The JSON also has the means of `metrics.Summary` with their `intervals`, and in `per_episode` the
 fields of every `EpisodeResult`: seed, world, episode_return, length, and so on.
@@ -76,6 +78,8 @@ def header(
         "worlds": _worlds(worlds_of(inner)),
         "seeds": {"first": seeds[0], "last": seeds[-1]},
         "options": plain(options),
+        "workers": 1,
+        "address": None,
     }
 
 

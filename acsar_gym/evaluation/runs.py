@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -145,6 +145,7 @@ def drive(
     seeds: range,
     *,
     how: Mapping[str, Any] | None = None,
+    elsewhere: Iterator[EpisodeResult] | None = None,
     **options: Any,
 ) -> Run:
     """Evaluate a policy in worlds of the test split, with a progress bar; closes the link.
@@ -158,6 +159,7 @@ def drive(
         robot: preset or file of the robot; None for the default.
         seeds: seeds of the episodes.
         how: keyword arguments of `episodes.episodes`.
+        elsewhere: results of these episodes, in any order, if other processes run them.
         **options: other arguments of the env.
 
     Raises:
@@ -166,7 +168,7 @@ def drive(
     env, how, count = made(policy, link, robot, options), how or {}, len(seeds)
     results: list[EpisodeResult] = []
     try:
-        running = evaluation.episodes(env, policy, count, seeds.start, **how)
+        running = elsewhere or evaluation.episodes(env, policy, count, seeds.start, **how)
         ended = collect(track(link, running, count), results)
         env.close()  # before the files are hashed
         return _run(env, policy, link, seeds, how, results, ended)

@@ -9,7 +9,14 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
 import acsar_gym
-from acsar_gym.errors import ClusterError, ConfigError, JobError, MissingExtraError, printable, shown
+from acsar_gym.errors import (
+    ClusterError,
+    ConfigError,
+    JobError,
+    MissingExtraError,
+    printable,
+    shown,
+)
 from acsar_gym.scaling.jobs import RETRIES, attempt, named
 
 J = TypeVar("J")
