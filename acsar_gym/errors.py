@@ -200,6 +200,10 @@ class SafetyWarning(UserWarning):
     """The robot is driven without a protection; the message says which one and what to do."""
 
 
+class PolicyWarning(UserWarning):
+    """A policy drives a robot unlike those of its training; the message names the value."""
+
+
 class RecordingWarning(UserWarning):
     """A recording isn't whole: it can't be written any more, or its file was cut."""
 

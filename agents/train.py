@@ -14,8 +14,9 @@ from __future__ import annotations
 
 import contextlib
 import sys
+import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,6 +33,7 @@ from acsar_gym.errors import (
     printable,
 )
 from acsar_gym.policies import ZipPolicy
+from acsar_gym.policies.describing import described
 from acsar_gym.training import held_out, threads
 from acsar_gym.training.options import Options
 from acsar_gym.training.signals import StopRequest
@@ -131,6 +133,11 @@ class Plan:
         """The `worlds` argument of the env, if the user gave one."""
         return {} if self.options.worlds is None else {"worlds": self.options.worlds}
 
+    @property
+    def randomization(self) -> Randomization:
+        """What every episode of the training draws anew."""
+        return Randomization.measured(self.robot) if self.options.randomize else Randomization()
+
     def __str__(self) -> str:
         cores = "1 thread" if self.threads == 1 else f"{self.threads} threads"
         found = self.options.randomize and measured.told(self.robot)
@@ -165,7 +172,7 @@ def train(options: Options) -> int:
         env = batches.enter_context(contextlib.closing(_learning(plan)))
         apart = batches.enter_context(contextlib.closing(_held_out(plan, env)))
         print(printable(f"{held_out.told(env, apart)}; {plan}"), flush=True)
-        _learn(plan, _model(plan, env, saved), apart, stop)
+        _learn(plan, _model(plan, env, saved), (env, apart), stop)
         return stop.exit_code
 
 
@@ -178,7 +185,7 @@ def _learning(plan: Plan) -> RobotVectorEnv:
         robot=options.robot,
         autoreset_mode="SameStep",
         threads=max(1, min(plan.threads, options.robots // FAIR_SHARE)),
-        randomization=Randomization.measured(plan.robot) if options.randomize else None,
+        randomization=plan.randomization,
         **plan.worlds,
     )
 
@@ -219,7 +226,6 @@ def _model(plan: Plan, env: RobotVectorEnv, saved: ZipPolicy | None) -> PPO:
             stats_window_size=options.robots,
             **always,
         )
-    sb3.label(model, plan.env_id, env.task, env.sensors)
     return model
 
 
@@ -232,10 +238,13 @@ def _check_resumable(saved: ZipPolicy, env: RobotVectorEnv) -> None:
         raise PolicyError(f"{saved.path}: only PPO's models can be trained on")
 
 
-def _learn(plan: Plan, model: PPO, apart: RobotVectorEnv, stop: StopRequest) -> None:
+def _learn(
+    plan: Plan, model: PPO, batches: tuple[RobotVectorEnv, RobotVectorEnv], stop: StopRequest
+) -> None:
     """Train, save the model, and print its score unless a signal ended the training."""
     from acsar_gym.training import callbacks, saving  # noqa: PLC0415
 
+    (env, apart), began = batches, time.monotonic()
     scores = callbacks.HeldOut(apart, plan.recipe.steps, plan.recipe.evaluations)
     watching = _callbacks(plan, scores, stop)
     fresh = plan.options.resume is None
@@ -246,10 +255,18 @@ def _learn(plan: Plan, model: PPO, apart: RobotVectorEnv, stop: StopRequest) -> 
             each.on_training_end()
     if stop.number is not None:
         print(f"interrupted at {model.num_timesteps:,} steps: saving what there is")
-    policy, zipped = saving.save(model, plan.env_id, apart, plan.out)
+    score = scores.score if stop.number is not None else scores.finish()
+    bundle = described(
+        env,
+        plan.env_id,
+        randomization=plan.randomization,
+        training=saving.told(model, asdict(plan.recipe), time.monotonic() - began),
+        metrics={} if score is None else {"held_out": asdict(score)},
+    )
+    policy, zipped = saving.save(model, bundle, plan.out)
     print(printable(f"written: {policy} (to drive with), {zipped} (to train on)"))
-    if stop.number is None:
-        _tell(plan, scores.finish(), scores.name, policy)
+    if stop.number is None and score is not None:
+        _tell(plan, score, scores.name, policy)
 
 
 def _callbacks(plan: Plan, scores: callbacks.HeldOut, stop: StopRequest) -> list[BaseCallback]:

@@ -2,31 +2,45 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from acsar_gym.policies.base import ENV_KEY, LAYOUT_KEY
+from acsar_gym.policies import graph
+from acsar_gym.policies.bundle import KEY, Bundle, parse
 from acsar_gym.resources import AGENTS
-from acsar_gym.tasks import PointGoal, signature
 
 GOOD = AGENTS / "policies" / "point_goal.onnx"
 ENV_ID = "acsar_gym/PointGoal-v0"
 
 
-def layout() -> str:
-    """What PointGoal's observation consists of."""
-    return signature(PointGoal(), ())
+def bundle_of(path: Path = GOOD) -> Bundle:
+    """The bundle of a policy file."""
+    return parse(graph.read(path.read_bytes()).metadata[KEY])
 
 
-def relabelled(path: Path, env_id: str, layout: str) -> Path:
-    """A copy of the policy that comes along which says to be for something else."""
+def changed(path: Path = GOOD, **values: Any) -> dict[str, Any]:
+    """The bundle of a policy as JSON has it, with other values; "robot__name" is one inside."""
+    data: dict[str, Any] = bundle_of(path).model_dump(mode="json")
+    for name, value in values.items():
+        *parents, last = name.split("__")
+        place = data
+        for parent in parents:
+            place = place[parent]
+        place[last] = value
+    return data
+
+
+def relabelled(path: Path, said: str | None = None, good: Path = GOOD, **values: Any) -> Path:
+    """A copy of a policy that comes along with another bundle: `said`, or with `changed` values."""
     import onnx
 
-    model = onnx.load(GOOD)
-    onnx.helper.set_model_props(model, {ENV_KEY: env_id, LAYOUT_KEY: layout})
+    model = onnx.load(good)
+    text = json.dumps(changed(good, **values)) if said is None else said
+    onnx.helper.set_model_props(model, {KEY: text})
     onnx.save(model, path)
     return path
 
@@ -38,6 +52,7 @@ class Maker:
         import onnx
 
         self._onnx, self._dtype = onnx, dtype
+        self._width = min(width, 100)
         self._inputs = [self._value("observation", dtype, ["batch", width])]
         self._nodes: list[Any] = []
         self._weights: list[Any] = []
@@ -74,7 +89,11 @@ class Maker:
         graph = helper.make_graph(self._nodes, "g", self._inputs, [output], self._weights)
         opsets = [helper.make_opsetid(domain, version) for domain, version in self.domains]
         model = helper.make_model(graph, opset_imports=opsets, ir_version=10)
-        helper.set_model_props(model, {ENV_KEY: env_id, LAYOUT_KEY: layout()})
+        data = changed(env__id=env_id)
+        if self._width != 7:
+            names, ends = [f"n{n}" for n in range(self._width)], [0.0] * self._width
+            data = changed(observation__names=names, observation__low=ends, observation__high=ends)
+        helper.set_model_props(model, {KEY: json.dumps(data)})
         return model
 
     def bytes(self, env_id: str = ENV_ID) -> bytes:
@@ -276,7 +295,7 @@ def in_other_format() -> bytes:
 
 
 HOSTILE: dict[Callable[[], bytes], str] = {
-    other_width: "takes 9 numbers, but acsar_gym/PointGoal-v0 gives 7",
+    other_width: "observation is (n0,n1,n2,n3,n4,n5,n6,n7,n8) in the file and (goal_distance",
     other_type: "observation must be float32",
     scalar: "action must be of shape",
     lies_about_its_output: "shape (1, 3)",

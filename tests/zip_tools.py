@@ -13,6 +13,7 @@ from typing import Any
 import gymnasium
 
 from acsar_gym.envs.base import RobotEnv
+from acsar_gym.policies.describing import described
 
 NAMES = ("PPO", "A2C", "SAC", "TD3", "DDPG")
 PLACES = ("data", "policy.pth", "pytorch_variables.pth", "policy.optimizer.pth")
@@ -46,7 +47,7 @@ def save(
     inner = env.unwrapped
     assert isinstance(inner, RobotEnv)
     if label:
-        sb3.label(model, inner.task.id, inner.task, inner.sensors)
+        sb3.label(model, described(inner, inner.task.id))
     model.save(path)
     env.close()
     return path

@@ -21,7 +21,13 @@ from acsar_gym.cli.policies import evaluate, export, run, train
 from acsar_gym.cli.recording import failed, record
 from acsar_gym.cli.tools import bench, demo, warm_up
 from acsar_gym.cli.worlds import worlds
-from acsar_gym.errors import AcsarError, RecordingWarning, SafetyWarning, printable
+from acsar_gym.errors import (
+    AcsarError,
+    PolicyWarning,
+    RecordingWarning,
+    SafetyWarning,
+    printable,
+)
 
 FORMAT = warnings.formatwarning
 
@@ -54,7 +60,7 @@ def _one_line(
     line: str | None = None,
 ) -> str:
     """Format a warning of this package as one line, and others as usual."""
-    if issubclass(category, SafetyWarning | RecordingWarning):
+    if issubclass(category, SafetyWarning | RecordingWarning | PolicyWarning):
         return f"acsar-gym: {printable(str(message))}\n"
     return FORMAT(message, category, filename, lineno, line)
 

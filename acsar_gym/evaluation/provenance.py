@@ -7,7 +7,8 @@ This is the `header` in the JSON of `evaluate`, `run` and `demo`:
 | `versions` | of acsar_gym, gymnasium, numpy, python, and, where they are installed, of |
 | | onnxruntime, torch and pybullet |
 | `policy` | `file`, `sha256` of what was read from it (null where nothing was), the `function` of |
-| | a Python file (else null), and the `env` that it was made for |
+| | a Python file (else null), the `env` that it was made for, and the `differences` between |
+| | the robot and those of its training |
 | `env` | `id`, `kwargs` as in its spec, `max_episode_steps` |
 | `robot` | `sha256` of its whole config |
 | `link` | name of the link |
@@ -38,6 +39,7 @@ import gymnasium
 import numpy as np
 
 import acsar_gym
+from acsar_gym.config.fingerprint import config_sha256
 from acsar_gym.envs.base import RobotEnv
 from acsar_gym.policies import FilePolicy
 from acsar_gym.vector.specs import plain
@@ -71,9 +73,9 @@ def header(
     inner: Any = env.unwrapped
     return {
         "versions": _versions(),
-        "policy": policy.about,
+        "policy": policy.about | {"differences": list(policy.differences)},
         "env": _env(env),
-        "robot": {"sha256": _sha256(inner.robot.config.model_dump_json())},
+        "robot": {"sha256": config_sha256(inner.robot.config)},
         "link": link,
         "worlds": _worlds(worlds_of(inner)),
         "seeds": {"first": seeds[0], "last": seeds[-1]},

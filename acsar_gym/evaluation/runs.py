@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -11,8 +12,8 @@ import gymnasium
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.envs.base import RobotEnv
-from acsar_gym.envs.ids import registered
-from acsar_gym.errors import ConfigError, LinkError, PolicyError, shown
+from acsar_gym.envs.ids import registered, without_module
+from acsar_gym.errors import ConfigError, LinkError, PolicyError, PolicyWarning, shown
 from acsar_gym.evaluation import episodes as evaluation
 from acsar_gym.evaluation import provenance
 from acsar_gym.evaluation.episodes import EpisodeResult
@@ -29,6 +30,7 @@ from acsar_gym.policies import (
     statistics_beside,
 )
 from acsar_gym.policies.base import one_line, quoted
+from acsar_gym.policies.describing import described, rate_of
 from acsar_gym.worlds import splits
 
 Env = gymnasium.Env[Any, Any]
@@ -94,9 +96,15 @@ def made(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[str,
     inner = env.unwrapped
     if isinstance(inner, RobotEnv):
         config = inner.robot.config
-        policy.check(inner.task, inner.sensors, config.control_rate / inner.ticks_per_step)
+        policy.check(inner.task, inner.sensors, rate_of(inner), config)
         policy.bind(inner)
     return env
+
+
+def warn(policy: FilePolicy) -> None:
+    """Issue a PolicyWarning for each way in which the robot differs from those of the training."""
+    for line in policy.differences:
+        warnings.warn(f"{policy.path}: {line}", PolicyWarning, stacklevel=3)
 
 
 def _allowed(policy: FilePolicy) -> str:
@@ -166,6 +174,7 @@ def drive(
         AcsarError: see `made` and `episodes.episodes`.
     """
     env, how, count = made(policy, link, robot, options), how or {}, len(seeds)
+    warn(policy)
     results: list[EpisodeResult] = []
     try:
         running = elsewhere or evaluation.episodes(env, policy, count, seeds.start, **how)
@@ -208,6 +217,7 @@ def to_goal(
         options |= _farther(policy, goal)
     config = RobotConfig.of(robot)
     env = made(policy, open_link(link, config), config, options)
+    warn(policy)
     results: list[EpisodeResult] = []
     try:
         running = evaluation.episodes(env, policy, 1, seed=0, goal=goal)
@@ -255,11 +265,13 @@ def export(
     env = made(policy, "planar", robot, {})
     from acsar_gym.policies import sb3_export  # noqa: PLC0415 - optional
 
-    inner: Any = env.unwrapped
-    width = env.observation_space.shape[0] if env.observation_space.shape else 0
+    known = policy.bundle
+    if known is None or known.env.id != without_module(policy.env_id):
+        inner: Any = env.unwrapped
+        known = described(inner, policy.env_id)
     try:
-        before = sb3_export.normalizer(statistics, width) if statistics else None
-        sb3_export.export(policy.network, out, policy.env_id, inner.task, inner.sensors, before)
+        before = sb3_export.normalizer(statistics, known.observation.width) if statistics else None
+        sb3_export.export(policy.network, out, known, before)
     finally:
         env.close()
 

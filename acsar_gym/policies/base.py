@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import textwrap
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -12,22 +11,16 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from acsar_gym.config import RobotConfig
 from acsar_gym.errors import PolicyError
+from acsar_gym.policies import matching
+from acsar_gym.policies.bundle import Bundle
 from acsar_gym.resources import AGENTS, agent
 from acsar_gym.sensors import Sensor
-from acsar_gym.tasks import Observation, Task, signature
-from acsar_gym.tasks.made import named
+from acsar_gym.tasks import Observation, Task
 
 if TYPE_CHECKING:
     from acsar_gym.envs.base import RobotEnv
-
-ENV_KEY = "acsar_gym.env"
-LAYOUT_KEY = "acsar_gym.observation"
-SCALE_KEY = "acsar_gym.scale"
-RATE_KEY = "acsar_gym.policy_rate"
-"""Metadata keys of a policy file: id of the env, observation signature (see `tasks.signature`),
-length that distances are divided by [m], and policy steps per second [Hz]. The last two are
-optional."""
 
 
 class Policy(Protocol):
@@ -52,12 +45,10 @@ class FilePolicy(ABC):
     """Id of the env that it was trained for; empty if the file doesn't name one."""
     env_named: bool = False
     """Whether `env_id` was given by the user (True) or by the file (False)."""
-    layout: str
-    """Signature of its observation (see `tasks.signature`); empty if the file has none."""
-    scale: float | None = None
-    """Length that distances in its observation are divided by [m]; None if unknown."""
-    policy_rate: float | None = None
-    """Policy steps per second that it was trained with [Hz]; None if unknown."""
+    bundle: Bundle | None = None
+    """What the file says about the policy; None if it can't hold that, as Python code."""
+    differences: tuple[str, ...] = ()
+    """How the robot of the last `check` differs from those of the training, a line each."""
     sha256: str | None = None
     """SHA-256 of the file's content, in hexadecimal as `sha256sum` prints it."""
     function: str | None = None
@@ -74,34 +65,38 @@ class FilePolicy(ABC):
         }
 
     def check(
-        self, task: Task, sensors: Sequence[Sensor], policy_rate: float | None = None
+        self,
+        task: Task,
+        sensors: Sequence[Sensor],
+        policy_rate: float | None = None,
+        config: RobotConfig | None = None,
     ) -> None:
-        """Check that the policy was trained for the observation that this env gives.
+        """Check that the policy can drive in an env; `differences` has how its robot differs.
+
+        A policy without a bundle fits every env.
 
         Args:
             task: task of the env.
             sensors: sensors of the env, in the order of the observation.
             policy_rate: policy steps per second of the env [Hz]; None to skip this check.
+            config: of the robot; None to skip what depends on it.
 
         Raises:
-            PolicyError: the signature, the scale of distances or the rate differs.
+            PolicyError: names the first field that doesn't match; see `matching`.
         """
-        wanted = signature(task, sensors)
-        if self.layout and self.layout != wanted:
-            raise PolicyError(
-                f"{self.path}: made for {quoted(self.env_id)} and the observation "
-                f"({quoted(self.layout)}), but {named(task)} gives ({wanted}): train it again, or "
-                "choose its robot with --robot"
-            )
-        for name, own, given in (
-            ("distances divided by", self.scale, scale_of(task)),
-            ("a policy_rate of", self.policy_rate, policy_rate),
-        ):
-            if own is not None and given is not None and not math.isclose(own, given, rel_tol=1e-6):
-                raise PolicyError(
-                    f"{self.path}: made for {name} {own:g}, but this {named(task)} has {given:g}: "
-                    "give the env the arguments that the policy was trained with"
-                )
+        if self.bundle is None:
+            return
+        try:
+            matching.check(self.bundle, task, sensors, config, policy_rate)
+        except PolicyError as error:
+            raise PolicyError(f"{self.path}: {error}") from None
+        if config is not None:
+            self.differences = tuple(matching.differences(self.bundle, sensors, config))
+
+    @property
+    def scale(self) -> float | None:
+        """Length that distances in its observation are divided by [m]; None if unknown."""
+        return None if self.bundle is None else self.bundle.observation.scale
 
     def bind(self, env: RobotEnv) -> None:  # noqa: B027 - most policies need nothing of it
         """Take what the policy needs of the env that it will drive; by default nothing.
@@ -148,12 +143,6 @@ def resolve(path: str | Path) -> Path:
         f"{path}: no such policy file; policies that come along: {known}; baselines: "
         f"{', '.join(agent('baselines').BASELINES)}"
     )
-
-
-def scale_of(task: Task) -> float | None:
-    """Return the length that a task divides observed distances by [m]; None if it has none."""
-    scale: float | None = getattr(task, "scale", getattr(task, "max_cross_track", None))
-    return scale
 
 
 def quoted(text: str) -> str:

@@ -40,8 +40,6 @@ class CallablePolicy(FilePolicy):
             named, or (when called) the action isn't two finite numbers.
     """
 
-    layout = ""
-
     def __init__(self, policy: str, env_id: str = "") -> None:
         file, _, self._name = (
             policy.rpartition(":") if not policy.endswith(".py") else (policy, "", "")

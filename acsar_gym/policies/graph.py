@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from acsar_gym.errors import PolicyError
 from acsar_gym.policies.protobuf import Message, ProtobufError
@@ -14,6 +15,8 @@ from acsar_gym.policies.protobuf import Message, ProtobufError
 FLOAT32 = 1
 MAX_WIDTH = 100_000
 """Largest accepted size of an observation."""
+MAX_STATES = 16
+"""Most states of a recurrent network."""
 Dims = tuple[int, ...]
 
 
@@ -27,13 +30,22 @@ class Node:
     transposed: tuple[bool, bool]
 
 
+class State(NamedTuple):
+    """A state of a recurrent network: names of input and output, and the shape of both."""
+
+    input: str
+    output: str
+    shape: Dims
+
+
 @dataclass(frozen=True, slots=True)
 class Graph:
-    """A network: nodes in order of execution, shapes of its weights, and size of its input."""
+    """A network: nodes in order of execution, shapes of its weights, size of its input, states."""
 
     nodes: tuple[Node, ...]
     weights: dict[str, Dims]
     width: int
+    states: tuple[State, ...]
     metadata: dict[str, str]
 
 
@@ -44,7 +56,8 @@ def read(data: bytes) -> Graph:
         data: content of the file.
 
     Returns:
-        The network, which maps `observation` (batch, n) to `action` (batch, 2) in float32.
+        The network, which maps `observation` (batch, n) to `action` (batch, 2) in float32. Any
+        further inputs are states, and the further outputs what they are next.
 
     Raises:
         PolicyError: it isn't an ONNX file, has other inputs or outputs, or contains external
@@ -57,11 +70,11 @@ def read(data: bytes) -> Graph:
         _refuse(model, graph)
         weights = {t.text(8): _dims(t, len(data)) for t in graph.messages(5)}
         nodes = tuple(_node(node, len(data)) for node in graph.messages(1))
-        width = _width(graph, weights)
+        width, states = _width(graph, weights), _states(graph, weights)
         metadata = {entry.text(1): entry.text(2) for entry in model.messages(14)}
     except ProtobufError as error:
         raise PolicyError(f"not an ONNX policy: {error}") from None
-    return Graph(nodes, weights, width, metadata)
+    return Graph(nodes, weights, width, states, metadata)
 
 
 def _refuse(model: Message, graph: Message) -> None:
@@ -98,12 +111,16 @@ def _node(node: Message, size: int) -> Node:
     return Node(node.text(4), inputs, outputs, (transposed[0], transposed[1]))
 
 
+def _inputs(graph: Message, weights: dict[str, Dims]) -> list[Message]:
+    """Return the inputs of a graph that aren't weights."""
+    return [put for put in graph.messages(11) if put.text(1) not in weights]
+
+
 def _width(graph: Message, weights: dict[str, Dims]) -> int:
-    """Return the size n of the observation (batch, n); checks input and output."""
-    inputs = [put for put in graph.messages(11) if put.text(1) not in weights]
-    outputs = graph.messages(12)
+    """Return the size n of the observation (batch, n); checks the first input and output."""
+    inputs, outputs = _inputs(graph, weights), graph.messages(12)
     names = [[put.text(1)[:40] for put in puts[:5]] for puts in (inputs, outputs)]
-    if names != [["observation"], ["action"]]:
+    if [puts[:1] for puts in names] != [["observation"], ["action"]]:
         raise PolicyError(f"must map 'observation' to 'action', maps {names[0]} to {names[1]}")
     width, given = _columns(inputs[0]), _columns(outputs[0])
     if width is None or not 0 < width <= MAX_WIDTH or given not in (None, 2):
@@ -111,6 +128,34 @@ def _width(graph: Message, weights: dict[str, Dims]) -> int:
             f"must map (batch, n) to (batch, 2), maps n = {width or '?'} to {given or '?'}"
         )
     return width
+
+
+def _states(graph: Message, weights: dict[str, Dims]) -> tuple[State, ...]:
+    """Return the states: the inputs and outputs behind the first ones, in pairs."""
+    puts = [part[1:] for part in (_inputs(graph, weights), graph.messages(12))]
+    if len(puts[0]) != len(puts[1]) or len(puts[0]) > MAX_STATES:
+        names = [[put.text(1)[:40] for put in part[:5]] for part in puts]
+        raise PolicyError(f"must have an output for every state, maps {names[0]} to {names[1]}")
+    return tuple(_state(*pair) for pair in zip(*puts, strict=True))
+
+
+def _state(before: Message, after: Message) -> State:
+    """Return one state; its shape must be constant, and small."""
+    shapes = [_shape(put) for put in (before, after)]
+    if shapes[0] is None or shapes[1] not in (None, shapes[0]):
+        raise PolicyError(f"state {before.text(1)[:40]!r}: must have one constant shape")
+    if min(shapes[0]) <= 0 or math.prod(shapes[0]) > MAX_WIDTH:
+        raise PolicyError(f"state {before.text(1)[:40]!r}: shape {shapes[0][:8]} can't be used")
+    return State(before.text(1), after.text(1), shapes[0])
+
+
+def _shape(put: Message) -> Dims | None:
+    """Return the shape of a float32 input or output; None if the file leaves it open."""
+    tensor = put.message(2).message(1)
+    dims = tensor.message(2).messages(1)
+    if tensor.integer(1) != FLOAT32:
+        raise PolicyError(f"{put.text(1)[:40]} must be float32")
+    return tuple(dim.integer(1) for dim in dims) if dims and all(1 in d for d in dims) else None
 
 
 def _columns(put: Message) -> int | None:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,21 +11,10 @@ from numpy.typing import NDArray
 
 from acsar_gym.errors import MissingExtraError, PolicyError
 from acsar_gym.policies import graph, limits, trial
-from acsar_gym.policies.base import (
-    ENV_KEY,
-    LAYOUT_KEY,
-    RATE_KEY,
-    SCALE_KEY,
-    FilePolicy,
-    one_line,
-    quoted,
-    resolve,
-)
+from acsar_gym.policies.base import FilePolicy, one_line, resolve
+from acsar_gym.policies.bundle import KEY, Bundle, parse
 from acsar_gym.reading import bounded
-from acsar_gym.sensors import Sensor
-from acsar_gym.tasks import Observation, Task
-from acsar_gym.tasks.made import named
-from acsar_gym.tasks.spaces import task_spaces
+from acsar_gym.tasks import Observation
 
 MAX_BYTES = 32_000_000
 """Largest accepted file [bytes]; 8 million float32 weights."""
@@ -56,77 +43,121 @@ class OnnxPolicy(FilePolicy):
         data = bounded.read(self.path, MAX_BYTES, PolicyError)
         self.sha256 = hashlib.sha256(data).hexdigest()
         try:
-            network = inspected(data)
-            self.scale, self.policy_rate = (_number(network, key) for key in (SCALE_KEY, RATE_KEY))
-            tried = limits.plain(network) or trial.refusal(data, network.width)
+            network, self.bundle = inspected(data)
+            shapes = _shapes(network)
+            tried = limits.plain(network) or trial.refusal(data, shapes)
         except PolicyError as error:
             raise PolicyError(f"{self.path}: {error}") from None
         if isinstance(tried, str) and tried:
             raise PolicyError(f"{self.path}: not a policy to run: {tried}")
-        self.env_id, self.layout = (network.metadata[key] for key in (ENV_KEY, LAYOUT_KEY))
-        self.width = network.width
-        self._session = self._started(data)
+        self.env_id, self.width = self.bundle.env.id, network.width
+        self._session = self._started(data, shapes)
+        self._decision = Decision(self._session, network)
 
-    def _started(self, data: bytes) -> Any:
-        """Start an onnxruntime session, after a trial in a subprocess unless the graph is plain."""
+    def _started(self, data: bytes, shapes: trial.Shapes) -> Any:
+        """Start an onnxruntime session, and run it once."""
         try:
             session = trial.session(data)
-            trial.decide(session, self.width)
+            trial.decide(session, shapes)
         except Exception as error:  # noqa: BLE001 - onnxruntime's errors have no common base of their own
             raise PolicyError(f"{self.path}: not an ONNX policy: {one_line(error)}") from None
         return session
 
-    def check(
-        self, task: Task, sensors: Sequence[Sensor], policy_rate: float | None = None
-    ) -> None:
-        """As FilePolicy.check; also compares the size of the observation.
-
-        Raises:
-            PolicyError: the policy was made for another observation than this env gives.
-        """
-        super().check(task, sensors, policy_rate)
-        wanted = (task_spaces(task, sensors)[1].shape or (0,))[0]
-        if self.width != wanted:
-            raise PolicyError(
-                f"{self.path}: takes {self.width} numbers, but {named(task)} gives {wanted}"
-            )
+    def reset(self) -> None:
+        """Begin an episode: the states of a recurrent policy become zeros."""
+        self._decision.reset()
 
     def __call__(self, observation: Observation) -> NDArray[np.float32]:
-        """Compute the deterministic action in [-1, 1], shape (2,), for one observation."""
-        action: NDArray[np.float32] = self._session.run(None, {"observation": observation[None]})[
-            0
-        ][0]
-        return action
+        """Compute the deterministic action in [-1, 1], shape (2,), for one observation.
+
+        Not for several threads at once: they share the arrays, and the states if it has some.
+
+        Raises:
+            PolicyError: the observation has another shape.
+        """
+        if observation.shape != (self.width,):
+            raise PolicyError(
+                f"{self.path}: got an observation of shape {observation.shape}: must be "
+                f"({self.width},)"
+            )
+        return self._decision(observation)
 
 
-def _number(network: graph.Graph, key: str) -> float | None:
-    """Read a number from the metadata; None if the key is missing."""
-    said = network.metadata.get(key)
-    try:
-        number = None if said is None else float(said)
-    except ValueError:
-        number = math.nan
-    if number is not None and not 0.0 < number < math.inf:
-        raise PolicyError(f"{key} = {quoted(str(said))}: must be a positive number")
-    return number
+class Decision:
+    """Runs a session on arrays that are made once, which is faster than on new ones.
+
+    Args:
+        session: of onnxruntime.
+        network: what the session runs.
+    """
+
+    def __init__(self, session: Any, network: graph.Graph) -> None:
+        self._run, self._binding = session.run_with_iobinding, session.io_binding()
+        self._observation = self._input("observation", (1, network.width))
+        self._action = self._output("action", (1, 2))
+        self._states = [
+            (self._input(state.input, state.shape), self._output(state.output, state.shape))
+            for state in network.states
+        ]
+
+    def _input(self, name: str, shape: tuple[int, ...]) -> NDArray[np.float32]:
+        """Make the array that the session reads an input from."""
+        array = np.zeros(shape, np.float32)
+        self._binding.bind_input(name, "cpu", 0, np.float32, shape, array.ctypes.data)
+        return array
+
+    def _output(self, name: str, shape: tuple[int, ...]) -> NDArray[np.float32]:
+        """Make the array that the session writes an output to."""
+        array = np.zeros(shape, np.float32)
+        self._binding.bind_output(name, "cpu", 0, np.float32, shape, array.ctypes.data)
+        return array
+
+    def reset(self) -> None:
+        """Set all states to zero."""
+        for before, _ in self._states:
+            before.fill(0.0)
+
+    def __call__(self, observation: Observation) -> NDArray[np.float32]:
+        """Decide once, and keep the next states."""
+        self._observation[0] = observation
+        self._run(self._binding)
+        for before, after in self._states:
+            before[...] = after
+        return self._action[0].copy()
 
 
-def inspected(data: bytes) -> graph.Graph:
+def _shapes(network: graph.Graph) -> dict[str, tuple[int, ...]]:
+    """Return the shapes of a network's inputs, for one robot."""
+    return {"observation": (1, network.width)} | {s.input: s.shape for s in network.states}
+
+
+def inspected(data: bytes) -> tuple[graph.Graph, Bundle]:
     """Parse and check the content of an ONNX file.
 
     Returns:
-        The network, if it is acceptable as a policy.
+        The network, if it is acceptable as a policy, and its bundle.
 
     Raises:
         PolicyError: it isn't; the message doesn't name the file.
     """
     network = graph.read(data)
     limits.check(network)
-    env_id, layout = (network.metadata.get(key, "") for key in (ENV_KEY, LAYOUT_KEY))
-    # With "module:id", Gymnasium would import a module that the file chooses.
-    if not env_id or ":" in env_id or not layout:
+    if KEY not in network.metadata:
         raise PolicyError(
-            "doesn't say which environment it is for: write it with 'acsar-gym export' or "
-            "acsar_gym.policies.save"
+            "an ONNX network without a bundle, which says what it was trained for: write it with "
+            "'acsar-gym export' or acsar_gym.policies.save"
         )
-    return network
+    bundle = parse(network.metadata[KEY])
+    if network.width != bundle.observation.width:
+        raise PolicyError(
+            f"takes {network.width} numbers, but its bundle describes {bundle.observation.width}: "
+            "export the policy again"
+        )
+    if [tuple(one) for one in network.states] != [
+        (one.input, one.output, one.shape) for one in bundle.state
+    ]:
+        raise PolicyError(
+            f"has {len(network.states)} states, which aren't the {len(bundle.state)} of its "
+            "bundle: export the policy again"
+        )
+    return network, bundle

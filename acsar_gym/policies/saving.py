@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
 from acsar_gym.config import RobotConfig
+from acsar_gym.dynamics import Randomization
 from acsar_gym.envs.base import RobotEnv
-from acsar_gym.envs.ids import full_id, registered, without_module
+from acsar_gym.envs.ids import registered
 from acsar_gym.errors import ConfigError
-from acsar_gym.policies.base import ENV_KEY, RATE_KEY, SCALE_KEY, one_line, scale_of
+from acsar_gym.policies.base import one_line
+from acsar_gym.policies.bundle import StateLayout, Training
+from acsar_gym.policies.describing import described
 
 if TYPE_CHECKING:
     import torch
@@ -25,6 +28,9 @@ def save(
     *,
     normalizer: Sequence[Any] | torch.nn.Module | None = None,
     robot: RobotConfig | str | Path | None = None,
+    training: Training | None = None,
+    metrics: Mapping[str, Mapping[str, float | None]] | None = None,
+    state: Sequence[StateLayout] = (),
     **env_kwargs: Any,
 ) -> None:
     """Write a trained network as an ONNX policy, for `acsar-gym evaluate` and `run`.
@@ -38,9 +44,13 @@ def save(
             std, clip), where mean and std are numbers or arrays (n,) and clip is a number or
             None; or a module. It becomes part of the file.
         robot: preset, file or config of the robot that it was trained on.
+        training: how it was trained.
+        metrics: its figures by occasion, such as {"held_out": {"success_rate": 0.97}}.
+        state: of a recurrent module, which maps (observation, state, ...) to (action, next
+            state, ...); the states are zeros at the start of an episode.
         **env_kwargs: other arguments of the env, as given to `gymnasium.make` for the training,
-            such as goal_distance=(0.5, 10.0) or policy_rate=20.0. The file stores the scale of
-            distances and the rate that follow from them.
+            such as goal_distance=(0.5, 10.0), policy_rate=20.0 or randomization. The file stores
+            what follows from them.
 
     Raises:
         ConfigError: there is no such environment.
@@ -53,8 +63,15 @@ def save(
     before = torch_export.normalizing(normalizer)
     env = _made(env_id, robot, env_kwargs)
     try:
-        notes = {ENV_KEY: without_module(full_id(env_id)), **_notes(env)}
-        torch_export.write(module, Path(path), env.task, env.sensors, before, notes)
+        bundle = described(
+            env,
+            env_id,
+            randomization=Randomization.of(env_kwargs.get("randomization")),
+            training=training,
+            metrics=metrics,
+            state=state,
+        )
+        torch_export.write(module, Path(path), bundle, before)
     finally:
         env.close()
 
@@ -71,12 +88,3 @@ def _made(env_id: str, robot: Any, env_kwargs: dict[str, Any]) -> RobotEnv:
         env.close()
         raise ConfigError(f"{env_id}: not an environment of acsar_gym")
     return env
-
-
-def _notes(env: RobotEnv) -> dict[str, str]:
-    """Return metadata that depends on the env's arguments but isn't part of the signature."""
-    scale = scale_of(env.task)
-    rate = env.robot.config.control_rate / env.ticks_per_step
-    return {RATE_KEY: repr(float(rate))} | (
-        {} if scale is None else {SCALE_KEY: repr(float(scale))}
-    )

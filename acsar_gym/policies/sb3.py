@@ -12,9 +12,7 @@ from numpy.typing import NDArray
 
 from acsar_gym.envs import ids
 from acsar_gym.errors import ConfigError, MissingExtraError
-from acsar_gym.policies.base import ENV_KEY, LAYOUT_KEY
-from acsar_gym.sensors import Sensor
-from acsar_gym.tasks import Task, signature
+from acsar_gym.policies.bundle import KEY, Bundle
 from acsar_gym.vector.env import RobotVectorEnv
 
 try:
@@ -175,7 +173,6 @@ def make_batch(env_id: str, num_envs: int, **options: Any) -> BatchVecEnv:
 _GOES_ON: dict[str, Any] = {}
 
 
-def label(model: BaseAlgorithm, env_id: str, task: Task, sensors: Sequence[Sensor]) -> None:
-    """Store in a model which env and observation it was trained for; `model.save` keeps this."""
-    setattr(model, ENV_KEY, ids.without_module(env_id))
-    setattr(model, LAYOUT_KEY, signature(task, sensors))
+def label(model: BaseAlgorithm, bundle: Bundle) -> None:
+    """Store in a model what it was trained for and how; `model.save` keeps this."""
+    setattr(model, KEY, bundle.as_json())

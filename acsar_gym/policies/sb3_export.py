@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from acsar_gym.envs.ids import without_module
 from acsar_gym.errors import MissingExtraError, PolicyError
 from acsar_gym.policies import torch_export
-from acsar_gym.policies.base import ENV_KEY, one_line
+from acsar_gym.policies.base import one_line
+from acsar_gym.policies.bundle import Bundle
 from acsar_gym.reading import bounded
-from acsar_gym.sensors import Sensor
-from acsar_gym.tasks import Task
 
 try:
     import torch
@@ -50,28 +47,20 @@ class _Actor(torch.nn.Module):
 
 
 def export(
-    policy: BasePolicy,
-    path: Path,
-    env_id: str,
-    task: Task,
-    sensors: Sequence[Sensor],
-    normalizer: torch.nn.Module | None = None,
+    policy: BasePolicy, path: Path, bundle: Bundle, normalizer: torch.nn.Module | None = None
 ) -> None:
     """Write the deterministic actor of PPO, A2C, SAC, TD3 or DDPG to one ONNX file.
 
     Args:
         policy: the policy of the model.
         path: file to write.
-        env_id: id of the env that it was trained for.
-        task: task of that env.
-        sensors: sensors of that env.
+        bundle: what it was trained for and how.
         normalizer: module that is applied to observations (batch, n) first.
 
     Raises:
         PolicyError: the policy doesn't fit the env, or can't be exported.
     """
-    notes = {ENV_KEY: without_module(env_id)}
-    torch_export.write(_Actor(policy), path, task, sensors, normalizer, notes)
+    torch_export.write(_Actor(policy), path, bundle, normalizer)
 
 
 def normalizer(path: Path, width: int) -> torch.nn.Module | None:

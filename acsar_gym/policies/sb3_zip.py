@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from acsar_gym.config import RobotConfig
 from acsar_gym.errors import AcsarError, MissingExtraError, PolicyError
-from acsar_gym.policies.base import ENV_KEY, LAYOUT_KEY, FilePolicy, one_line, resolve
+from acsar_gym.policies.base import FilePolicy, one_line, resolve
+from acsar_gym.policies.bundle import KEY, Bundle, parse
 from acsar_gym.reading import bounded
 from acsar_gym.sensors import Sensor
 from acsar_gym.tasks import Observation, Task
@@ -61,18 +63,23 @@ class ZipPolicy(FilePolicy):
             said = one_line(error)
             raise PolicyError(f"{self.path}: not a stable-baselines3 model: {said}") from None
         self.sha256 = hashlib.sha256(content).hexdigest()
-        self.env_id, self.env_named = env_id or data.get(ENV_KEY, ""), bool(env_id)
-        self.layout = data.get(LAYOUT_KEY, "")
+        self.bundle = _bundle(self.path, data)
+        own = "" if self.bundle is None else self.bundle.env.id
+        self.env_id, self.env_named = env_id or own, bool(env_id)
 
     def check(
-        self, task: Task, sensors: Sequence[Sensor], policy_rate: float | None = None
+        self,
+        task: Task,
+        sensors: Sequence[Sensor],
+        policy_rate: float | None = None,
+        config: RobotConfig | None = None,
     ) -> None:
         """As FilePolicy.check; also compares the spaces.
 
         Raises:
             PolicyError: the policy was made for other spaces than this env has.
         """
-        super().check(task, sensors, policy_rate)
+        super().check(task, sensors, policy_rate, config)
         for space, wanted in zip(self._spaces, task_spaces(task, sensors), strict=True):
             if space != wanted:
                 raise PolicyError(f"{self.path}: made for {space}, but {named(task)} has {wanted}")
@@ -108,6 +115,15 @@ def _load(path: Path, content: bytes) -> tuple[dict[str, Any], BasePolicy]:
     state: Any = weights["policy"]  # a dict of tensors
     network.load_state_dict(state)
     return kept, network
+
+
+def _bundle(path: Path, data: dict[str, Any]) -> Bundle | None:
+    """Return the bundle that `sb3.label` stored in a model; None if it has none."""
+    said = data.get(KEY)
+    try:
+        return None if said is None else parse(str(said))
+    except PolicyError as error:
+        raise PolicyError(f"{path}: {error}") from None
 
 
 def _network(path: Path, data: dict[str, Any]) -> BasePolicy:

@@ -10,7 +10,7 @@ import numpy as np
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import PolicyError
-from acsar_gym.policies.base import scale_of
+from acsar_gym.policies.describing import scale_of
 from acsar_gym.sensors import LIDAR
 from acsar_gym.tasks import Observation
 from acsar_gym.tasks.base import Floats

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from acsar_gym.errors import MissingExtraError, PolicyError
-from acsar_gym.policies.base import LAYOUT_KEY, one_line
+from acsar_gym.policies import bundle as bundles
+from acsar_gym.policies.base import one_line
+from acsar_gym.policies.bundle import Bundle
 from acsar_gym.policies.onnx import inspected
-from acsar_gym.sensors import Sensor
-from acsar_gym.tasks import Task, signature
-from acsar_gym.tasks.spaces import task_spaces
+from acsar_gym.reading import bounded
 
 try:
     import onnx
@@ -51,12 +51,12 @@ class Normalizer(torch.nn.Module):
         limit = np.ones(()) if clip is None else _numbers(clip)
         if not bool((self.std > 0.0).all()) or limit.ndim or not limit > 0.0:
             raise PolicyError("normalizer: std and clip must be positive")
-        self._clip = None if clip is None else float(limit)
+        self.clip = None if clip is None else float(limit)
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         """Normalize observations, shape (batch, n)."""
         scaled = (observation - self.mean) / self.std
-        return scaled if self._clip is None else torch.clamp(scaled, -self._clip, self._clip)
+        return scaled if self.clip is None else torch.clamp(scaled, -self.clip, self.clip)
 
 
 def normalizing(given: Any) -> torch.nn.Module | None:
@@ -83,6 +83,14 @@ def _numbers(values: ArrayLike) -> NDArray[np.float32]:
         return np.full((), np.nan, np.float32)
 
 
+def _summary(module: torch.nn.Module) -> bundles.Normalizer:
+    """Describe a normalizer, which becomes part of the graph."""
+    if not isinstance(module, Normalizer):
+        return bundles.Normalizer(kind=type(module).__name__)
+    mean, std = ((float(v.min()), float(v.max())) for v in (module.mean, module.std))
+    return bundles.Normalizer(kind="running", clip=module.clip, mean=mean, std=std)
+
+
 class _Whole(torch.nn.Module):
     """The exported module: normalizer, then network, then clipping to [-1, 1]."""
 
@@ -90,81 +98,85 @@ class _Whole(torch.nn.Module):
         super().__init__()
         self.normalizer, self.network = normalizer, network
 
-    def forward(self, observation: torch.Tensor) -> torch.Tensor:
+    def forward(self, observation: torch.Tensor, *states: torch.Tensor) -> Any:
         if self.normalizer is not None:
             observation = self.normalizer(observation)
-        return torch.clamp(self.network(observation), -1.0, 1.0)
+        given = self.network(observation, *states)
+        if not states:
+            return torch.clamp(given, -1.0, 1.0)
+        action, *after = given
+        return torch.clamp(action, -1.0, 1.0), *after
 
 
 def write(
-    network: torch.nn.Module,
-    path: Path,
-    task: Task,
-    sensors: Sequence[Sensor],
-    normalizer: torch.nn.Module | None,
-    notes: Mapping[str, str],
+    network: torch.nn.Module, path: Path, bundle: Bundle, normalizer: torch.nn.Module | None
 ) -> None:
     """Write a network as an ONNX file that `OnnxPolicy` reads.
 
-    The file maps `observation` (batch, n) to `action` (batch, 2) in float32. Its metadata holds the
-    signature of the observation.
+    The file maps `observation` (batch, n) to `action` (batch, 2) in float32. A recurrent one, with
+    a batch of one, also maps each state of the bundle to the next one.
 
     Args:
-        network: maps normalized observations (batch, n) to actions (batch, 2).
+        network: maps normalized observations (batch, n) to actions (batch, 2); a recurrent one
+            (observation, state, ...) to (action, next state, ...).
         path: file to write; its folder is created.
-        task: task of the env that it was trained for.
-        sensors: sensors of that env.
+        bundle: what the policy was trained for and how; the normalizer is added to it.
         normalizer: module that is applied to observations (batch, n) first; None for none.
-        notes: further metadata, such as the env's id.
 
     Raises:
         PolicyError: the network doesn't fit the env, or has operations that OnnxPolicy rejects.
     """
     whole = _Whole(network, normalizer)
     with _evaluating(whole):
-        width = task_spaces(task, sensors)[1].shape or ()
-        example = torch.zeros(1, *width, device=_device(whole))
+        shapes = [(1, bundle.observation.width), *(state.shape for state in bundle.state)]
+        example = tuple(torch.zeros(*shape, device=_device(whole)) for shape in shapes)
         _check(whole, example)
-        model: Any = _exported(whole, example)
+        model: Any = _exported(whole, example, bundle)
     _forget_sources(model)
-    facts = {LAYOUT_KEY: signature(task, sensors), **notes}
-    onnx.helper.set_model_props(model, facts)
+    if normalizer is not None:
+        seen = bundle.observation.model_copy(update={"normalizer": _summary(normalizer)})
+        bundle = bundle.model_copy(update={"observation": seen})
+    onnx.helper.set_model_props(model, {bundles.KEY: bundle.as_json()})
     data = model.SerializeToString()
     try:
         inspected(data)
     except PolicyError as error:
         raise PolicyError(f"{path}: can't be written: it {error}") from None
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(data)
+    bounded.write(path, data, PolicyError)
 
 
-def _exported(whole: torch.nn.Module, example: torch.Tensor) -> Any:
-    """Export the module to an ONNX model with a free batch size."""
+def _exported(whole: torch.nn.Module, example: tuple[torch.Tensor, ...], bundle: Bundle) -> Any:
+    """Export the module to an ONNX model, with a free batch size unless it is recurrent."""
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # torchvision isn't needed
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # deprecations inside torch's own exporter
         program: Any = torch.onnx.export(
             whole,
-            (example,),
-            input_names=["observation"],
-            output_names=["action"],
-            dynamic_shapes=({0: "batch"},),
+            example,
+            input_names=["observation", *(state.input for state in bundle.state)],
+            output_names=["action", *(state.output for state in bundle.state)],
+            dynamic_shapes=None if bundle.state else ({0: "batch"}, ()),
             dynamo=True,
             verbose=False,
         )
     return program.model_proto
 
 
-def _check(whole: torch.nn.Module, example: torch.Tensor) -> None:
-    """Run the module on one observation; PolicyError unless it gives an action (1, 2)."""
+def _check(whole: torch.nn.Module, example: tuple[torch.Tensor, ...]) -> None:
+    """Run the module once; PolicyError unless it gives an action (1, 2) and the same states."""
     try:
         with torch.no_grad():
-            action = whole(example)
+            given = whole(*example)
     except Exception as error:  # noqa: BLE001 - whatever a user's module raises
-        said = f"observations of shape (batch, {example.shape[1]}): {one_line(error)}"
+        said = f"observations of shape (batch, {example[0].shape[1]}): {one_line(error)}"
         raise PolicyError(f"the module doesn't take {said}") from None
+    action, *after = given if isinstance(given, tuple) else (given,)
     if action.shape != (1, 2):
         raise PolicyError(f"the module gives shape {tuple(action.shape)}: must be (batch, 2)")
+    if [one.shape for one in after] != [one.shape for one in example[1:]]:
+        shapes = [tuple(one.shape) for one in after]
+        raise PolicyError(f"the module gives states of shape {shapes}: must be as they came in")
 
 
 @contextlib.contextmanager

@@ -1,15 +1,17 @@
 """Runs one decision of an ONNX file in a subprocess with limits of memory and CPU time.
 
-    python -P trial.py WIDTH < policy.onnx
+    python -P trial.py '{"observation": [1, 7]}' < policy.onnx
 
 This script doesn't import acsar_gym, as that would take longer than the trial itself.
 """
 
 from __future__ import annotations
 
+import json
 import signal
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,17 +25,21 @@ PATIENCE = 30.0
 """Time limit by the wall clock, for a busy machine [s]."""
 
 
-def refusal(data: bytes, width: int) -> str:
+Shapes = Mapping[str, tuple[int, ...]]
+"""Shapes of a network's inputs by name: of the observation, and of its states."""
+
+
+def refusal(data: bytes, shapes: Shapes) -> str:
     """Try one decision of a network in a subprocess.
 
     Args:
         data: content of the ONNX file.
-        width: size of the observation.
+        shapes: of its inputs.
 
     Returns:
         Why the network is rejected; empty if it is accepted.
     """
-    command = [sys.executable, "-P", __file__, str(width)]
+    command = [sys.executable, "-P", __file__, json.dumps(shapes)]
     try:
         done = subprocess.run(
             command, input=data, capture_output=True, timeout=PATIENCE, check=False
@@ -52,22 +58,29 @@ def session(data: bytes) -> Any:
 
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.log_severity_level = 4
     options.add_session_config_entry("session.load_model_format", "ONNX")
     return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
 
 
-def decide(run: Any, width: int) -> None:
-    """Run a session once on an observation of zeros (1, width).
+def decide(run: Any, shapes: Shapes) -> None:
+    """Run a session once on zeros.
 
     Raises:
-        ValueError: the action isn't two finite float32 numbers of shape (1, 2).
+        ValueError: the action isn't two finite float32 numbers of shape (1, 2), or a state comes
+            out in another shape or type than it goes in.
     """
-    (action,) = run.run(["action"], {"observation": np.zeros((1, width), np.float32)})
+    zeros = {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
+    action, *states = run.run(None, zeros)
     if action.shape != (1, 2) or action.dtype != np.float32:
         raise ValueError(f"gives {action.dtype} of shape {action.shape}: must be float32 (1, 2)")
     if not np.isfinite(action).all():
         raise ValueError(f"gives {action[0].tolist()} for an observation of zeros")
+    for before, after in zip(list(zeros.values())[1:], states, strict=True):
+        if (before.shape, before.dtype) != (after.shape, after.dtype):
+            raise ValueError(f"gives a state of shape {after.shape}: must be {before.shape}")
 
 
 def _limit() -> None:
@@ -91,7 +104,7 @@ def _main() -> None:
     data = sys.stdin.buffer.read()
     _limit()
     try:
-        decide(session(data), int(sys.argv[1]))
+        decide(session(data), json.loads(sys.argv[1]))
     except Exception as error:  # noqa: BLE001 - onnxruntime's errors have no common base of their own
         sys.exit(" ".join(str(error).split()) or type(error).__name__)
 

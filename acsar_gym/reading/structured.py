@@ -7,6 +7,7 @@ error with a message of one line.
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Iterable
 from typing import Any
@@ -92,6 +93,14 @@ def _real(text: str) -> float:
     return float(text)
 
 
+def _finite(text: str) -> float:
+    """Parse a float of bounded length that isn't too large for one, as 1e999 is."""
+    number = _real(text)
+    if math.isinf(number):
+        raise ValueError(f"{text} is no number")
+    return number
+
+
 def _no_number(constant: str) -> float:
     """Reject NaN and infinity."""
     raise ValueError(f"{constant} is no number")
@@ -103,7 +112,7 @@ def _check_length(text: str) -> None:
         raise ValueError(f"a number of {len(text):,} characters")
 
 
-_JSON = json.JSONDecoder(parse_int=_whole, parse_float=_real, parse_constant=_no_number)
+_JSON = json.JSONDecoder(parse_int=_whole, parse_float=_finite, parse_constant=_no_number)
 
 
 class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]

@@ -14,7 +14,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import platform
 import time
@@ -25,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from acsar_gym.config import RobotConfig
+from acsar_gym.config.fingerprint import config_sha256
 
 FORMAT = 1
 NAME = "acsar_gym"
@@ -53,11 +53,10 @@ def header(config: RobotConfig, about: Mapping[str, Any]) -> dict[str, Any]:
         config: of the robot.
         about: what the program says about it, ready for JSON.
     """
-    dumped = config.model_dump_json()
     return {
         "format": FORMAT,
-        "config": json.loads(dumped),
-        "config_sha256": hashlib.sha256(dumped.encode()).hexdigest(),
+        "config": config.model_dump(mode="json"),
+        "config_sha256": config_sha256(config),
         "versions": {
             "acsar_gym": version(),
             "numpy": np.__version__,

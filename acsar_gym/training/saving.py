@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import shlex
+import sys
+from collections.abc import Callable, Mapping
+from datetime import UTC, datetime
+from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from acsar_gym.vector.env import RobotVectorEnv
+from acsar_gym.policies.bundle import Bundle, Training
+from acsar_gym.recording.header import plain, version
 
 if TYPE_CHECKING:
     from stable_baselines3 import PPO
 
 
-def save(model: PPO, env_id: str, env: RobotVectorEnv, out: Path) -> tuple[Path, Path]:
+def save(model: PPO, bundle: Bundle, out: Path) -> tuple[Path, Path]:
     """Write policy.onnx and model.zip into a folder.
 
     Args:
         model: the trained model.
-        env_id: the env that it was trained for, as given to `--env`.
-        env: a batch of that env.
+        bundle: what it was trained for and how.
         out: an existing folder.
 
     Returns:
@@ -27,15 +31,39 @@ def save(model: PPO, env_id: str, env: RobotVectorEnv, out: Path) -> tuple[Path,
     Raises:
         PolicyError: the policy can't be exported.
     """
-    from acsar_gym.policies import sb3_export  # noqa: PLC0415 - imports torch
+    from acsar_gym.policies import sb3, sb3_export  # noqa: PLC0415 - imports torch
 
+    sb3.label(model, bundle)
     zipped, policy = out / "model.zip", out / "policy.onnx"
     replace(zipped, model.save)
-    replace(
-        policy,
-        lambda path: sb3_export.export(model.policy, path, env_id, env.task, env.sensors),
-    )
+    replace(policy, lambda path: sb3_export.export(model.policy, path, bundle))
     return policy, zipped
+
+
+def told(model: PPO, hyperparameters: Mapping[str, Any], seconds: float) -> Training:
+    """Describe a training that has just ended, for the bundle of its policy.
+
+    Args:
+        model: the trained model.
+        hyperparameters: of the algorithm, by name.
+        seconds: how long it took [s].
+    """
+    return Training(
+        algorithm=type(model).__name__,
+        hyperparameters=plain(dict(hyperparameters)),
+        steps=model.num_timesteps,
+        seed=model.seed,
+        command=shlex.join(sys.argv)[:2_000],
+        versions=versions(),
+        seconds=seconds,
+        finished=datetime.now(UTC).isoformat(timespec="seconds"),
+    )
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of this package and of the libraries that a training depends on."""
+    names = ("gymnasium", "numpy", "stable_baselines3", "torch")
+    return {"acsar_gym": version()} | {name: metadata.version(name) for name in names}
 
 
 def replace(path: Path, write: Callable[[Path], object]) -> None:

@@ -112,8 +112,9 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         self._spawn = Spawn(self.task, asked.worlds, asked.difficulty, config)
         self.pool = self._spawn.pool
         self.config = config
-        ticks = whole_ratio("control_rate", config.control_rate, "policy_rate", asked.policy_rate)
-        self.batch = self._batch(asked, ticks)
+        rate = asked.policy_rate
+        self.ticks_per_step = whole_ratio("control_rate", config.control_rate, "policy_rate", rate)
+        self.batch = self._batch(asked)
         spaces = task_spaces(self.task, self.sensors)
         self.single_action_space, self.single_observation_space = spaces
         self.action_space = batch_space(self.single_action_space, self.num_envs)
@@ -125,7 +126,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         """False from the beginning of a call until its end; it stays False where one was
         interrupted."""
 
-    def _batch(self, asked: BatchOptions, ticks: int) -> Batch:
+    def _batch(self, asked: BatchOptions) -> Batch:
         """Make the robots and check the task with their sensors."""
         task, config, steps = self.task, self.config, asked.max_episode_steps
         sensors = (*task.sensors, *asked.sensors)
@@ -133,7 +134,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         varied = Randomization.of(asked.randomization)
         setup = setup_of(
             config,
-            ticks,
+            self.ticks_per_step,
             steps,
             numbers,
             faults,

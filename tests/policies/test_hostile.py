@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from onnx_tools import ENV_ID, GOOD, HOSTILE, Maker, layout, relabelled
+from onnx_tools import ENV_ID, GOOD, HOSTILE, Maker, bundle_of, relabelled
 
 from acsar_gym.errors import ConfigError, PolicyError
 from acsar_gym.evaluation import runs
@@ -127,7 +127,7 @@ def test_other_networks_are_tried_once(tmp_path: Path) -> None:
     filtered = make.add("Conv", lanes, make.weight(np.full((4, 1, 3), 0.1)))
     make.dense(make.add("Flatten", filtered), 20)
     data = make.bytes()
-    assert not plain(inspected(data))
+    assert not plain(inspected(data)[0])
     path = tmp_path / "convolution.onnx"
     path.write_bytes(data)
     assert OnnxPolicy(path)(np.ones(7, np.float32)).tolist() == pytest.approx([0.06, 0.06])
@@ -137,7 +137,7 @@ def test_other_networks_are_tried_once(tmp_path: Path) -> None:
 def test_a_file_chooses_among_the_environments_of_this_package_alone(
     env_id: str, tmp_path: Path
 ) -> None:
-    path = relabelled(tmp_path / "other.onnx", env_id, layout())
+    path = relabelled(tmp_path / "other.onnx", env__id=env_id)
     assert "which isn't acsar_gym's: if you trust that package, name it with --env" in refused(path)
     policy = runs.load(str(path), trust=False, env=ENV_ID)
     runs.made(policy, "planar", None, {}).close()
@@ -146,6 +146,7 @@ def test_a_file_chooses_among_the_environments_of_this_package_alone(
 
 
 def test_what_a_file_says_cannot_steer_a_terminal(tmp_path: Path) -> None:
-    for env_id, words in (("\x1b[2Jx", "x"), (ENV_ID, "\x1b]0;title\x07")):
-        path = relabelled(tmp_path / "escape.onnx", env_id, words)
+    names = [f"\x1b]0;{name}\x07" for name in bundle_of().observation.names]
+    for values in ({"env__id": "\x1b[2Jx"}, {"observation__names": names}):
+        path = relabelled(tmp_path / "escape.onnx", **values)
         assert "\x1b" not in refused(path)

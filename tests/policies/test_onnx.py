@@ -9,7 +9,7 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 import pytest
-from onnx_tools import ENV_ID, GOOD, Maker, relabelled
+from onnx_tools import ENV_ID, GOOD, Maker, bundle_of, relabelled
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError, PolicyError
@@ -84,26 +84,29 @@ def test_a_broken_file_says_so(tmp_path: Path, content: bytes) -> None:
 
 
 def test_a_policy_for_another_observation_is_refused(tmp_path: Path) -> None:
-    path = relabelled(tmp_path / "lidar.onnx", ENV_ID, "range_0,range_1")
-    with pytest.raises(PolicyError, match="range_0,range_1"):
+    names = ["heading_cos", *bundle_of().observation.names[1:]]
+    path = relabelled(tmp_path / "heading.onnx", observation__names=names)
+    with pytest.raises(PolicyError, match=r"observation is \(heading_cos,.*train it again"):
         runs.made(OnnxPolicy(path), "planar", None, {})
 
 
 def test_a_policy_for_another_lidar_is_refused() -> None:
     wide = RobotConfig.preset("acsar").with_(lidar={"field_of_view": 3.0})
-    with pytest.raises(PolicyError, match="64 ranges over 3 rad to 5 m"):
+    with pytest.raises(
+        PolicyError, match=r"lidar.field_of_view is 6.283 in the file and 3 on this robot"
+    ):
         runs.made(OnnxPolicy("obstacle_goal"), "planar", wide, {})
 
 
 def test_a_policy_of_no_known_environment_is_refused(tmp_path: Path) -> None:
-    path = relabelled(tmp_path / "maze.onnx", "acsar_gym/Maze-v0", "walls")
+    path = relabelled(tmp_path / "maze.onnx", env__id="acsar_gym/Maze-v0")
     with pytest.raises(PolicyError, match="Maze"):
         runs.made(OnnxPolicy(path), "planar", None, {})
 
 
 def test_a_file_cannot_have_a_module_imported(tmp_path: Path) -> None:
-    path = relabelled(tmp_path / "module.onnx", f"some_module:{ENV_ID}", "x")
-    with pytest.raises(PolicyError, match="doesn't say which environment"):
+    path = relabelled(tmp_path / "module.onnx", env__id=f"some_module:{ENV_ID}")
+    with pytest.raises(PolicyError, match="must be an id without a module"):
         OnnxPolicy(path)
 
 

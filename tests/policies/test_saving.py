@@ -9,13 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from onnx_tools import GOOD
 
 from acsar_gym import policies
 from acsar_gym.errors import ConfigError, MissingExtraError, PolicyError
 from acsar_gym.evaluation import runs
 from acsar_gym.policies import OnnxPolicy, save
-from acsar_gym.policies.base import SCALE_KEY
 
 pytestmark = pytest.mark.xdist_group("torch")
 SEEN = np.random.default_rng(0).uniform(-3.0, 3.0, (20, 7)).astype(np.float32)
@@ -85,21 +83,21 @@ def test_what_does_not_fit_is_one_line(options: dict[str, Any], said: str, tmp_p
 
 
 def test_a_file_keeps_what_the_envs_arguments_scale(tmp_path: Path) -> None:
-    """The signatures are the same; files without these notes are as good as before."""
+    """The signatures are the same."""
     path = tmp_path / "far.onnx"
     far: dict[str, Any] = {"goal_distance": (0.5, 10.0)}
     save(network(), "point_goal", path, policy_rate=20.0, **far)
     policy = OnnxPolicy(path)
-    assert (policy.scale, policy.policy_rate) == (10.0, 20.0)
-    with pytest.raises(PolicyError, match=r"distances divided by 10, but this .* has 3: give"):
+    assert policy.bundle is not None
+    assert (policy.scale, policy.bundle.rates.policy) == (10.0, 20.0)
+    with pytest.raises(PolicyError, match=r"scale is 10 in the file and 3 in this .*: give"):
         runs.made(policy, "planar", None, {})
     env: Any = runs.made(policy, "planar", None, far | {"policy_rate": 20.0}).unwrapped
     policy.check(env.task, env.sensors, policy_rate=20.0)
-    with pytest.raises(PolicyError, match=r"a policy_rate of 20, but this .* has 10: give"):
+    with pytest.raises(PolicyError, match=r"rates.policy is 20 in the file and 10 in this .*: giv"):
         policy.check(env.task, env.sensors, policy_rate=10.0)
     packaged = OnnxPolicy("point_goal")
-    assert (packaged.scale, packaged.policy_rate) == (None, None)
-    runs.made(packaged, "planar", None, far).close()
+    runs.made(packaged, "planar", None, far | {"distance_scale": 3.0}).close()
 
 
 def test_arguments_that_an_environment_does_not_take_are_one_line(tmp_path: Path) -> None:
@@ -107,16 +105,6 @@ def test_arguments_that_an_environment_does_not_take_are_one_line(tmp_path: Path
         with pytest.raises(ConfigError, match=next(iter(options))) as raised:
             save(network(), "point_goal", tmp_path / "p.onnx", **options)
         assert "\n" not in str(raised.value)
-
-
-def test_a_scale_that_is_no_number_is_one_line(tmp_path: Path) -> None:
-    import onnx
-
-    model, path = onnx.load(GOOD), tmp_path / "p.onnx"
-    model.metadata_props.add(key=SCALE_KEY, value="nan\n")
-    onnx.save(model, path)
-    with pytest.raises(PolicyError, match=r"p.onnx: acsar_gym.scale = nan\\n: must be a positive"):
-        OnnxPolicy(path)
 
 
 def test_an_unknown_environment_is_one_line(tmp_path: Path) -> None:

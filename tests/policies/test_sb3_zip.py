@@ -74,7 +74,7 @@ def test_it_decides_as_the_model_does_and_so_does_its_export(
     if algorithm in {"PPO", "SAC", "TD3"}:  # A2C and DDPG have the same actors as two of them
         runs.export(path, out, "", None, trust=True)
         exported = OnnxPolicy(out)
-    assert (exported.env_id, exported.layout) == (policy.env_id, policy.layout)
+    assert (exported.env_id, exported.bundle) == (policy.env_id, policy.bundle)
     seen = []
     for observation in np.random.default_rng(0).uniform(-1.0, 1.0, (50, 7)).astype(np.float32):
         action = policy(observation)
@@ -112,7 +112,7 @@ def test_an_unlabelled_zip_needs_to_be_told_its_environment(tmp_path: Path) -> N
 
 
 def test_a_zip_for_another_observation_is_refused(good: Path) -> None:
-    with pytest.raises(PolicyError, match="acsar_gym/PathFollow-v0 gives"):
+    with pytest.raises(PolicyError, match="in acsar_gym/PathFollow-v0: train"):
         runs.made(ZipPolicy(good, trust=True, env_id="acsar_gym/PathFollow-v0"), "planar", None, {})
 
 
@@ -219,7 +219,7 @@ def test_training_goes_on_where_a_zip_ended(tmp_path: Path) -> None:
     assert after(observation) == pytest.approx(before(observation), abs=0.02)
     assert (after(observation) != before(observation)).any()
     assert after.env_id == "acsar_gym/PointGoal-v0"
-    assert OnnxPolicy(out / "policy.onnx").layout == after.layout
+    assert OnnxPolicy(out / "policy.onnx").bundle == after.bundle
 
 
 def test_resuming_is_refused_in_one_line(
@@ -228,7 +228,10 @@ def test_resuming_is_refused_in_one_line(
     sac = save(tmp_path / "sac.zip", "SAC", buffer_size=10)
     for arguments, said in (
         (("--resume", good), "--trust"),
-        (("--resume", good, "--trust", "--env", "path_follow"), "PathFollow-v0 gives"),
+        (
+            ("--resume", good, "--trust", "--env", "path_follow"),
+            "in acsar_gym/PathFollow-v0: train",
+        ),
         (("--resume", sac, "--trust"), "only PPO"),
     ):
         command = ["train", *map(str, arguments), "--out", str(tmp_path)]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -11,9 +10,7 @@ import numpy as np
 import pytest
 
 from acsar_gym import RobotConfig
-from acsar_gym.envs import ids
 from acsar_gym.errors import ConfigError
-from acsar_gym.policies import OnnxPolicy
 
 pytestmark = pytest.mark.xdist_group("torch")
 NUMBERS, RAYS = 7, 64
