@@ -70,7 +70,7 @@ def header(
     """
     inner: Any = env.unwrapped
     return {
-        "versions": _versions(),
+        "versions": versions(),
         "policy": policy.about,
         "env": _env(env),
         "robot": {"sha256": _sha256(inner.robot.config.model_dump_json())},
@@ -83,7 +83,7 @@ def header(
     }
 
 
-def _versions() -> dict[str, str]:
+def versions() -> dict[str, str]:
     """Return the versions of this package, Python and the installed libraries."""
     versions = {
         "acsar_gym": acsar_gym.__version__,
