@@ -72,7 +72,7 @@ def header(
     """
     inner: Any = env.unwrapped
     return {
-        "versions": _versions(),
+        "versions": versions(),
         "policy": policy.about | {"differences": list(policy.differences)},
         "env": _env(env),
         "robot": {"sha256": config_sha256(inner.robot.config)},
@@ -85,7 +85,7 @@ def header(
     }
 
 
-def _versions() -> dict[str, str]:
+def versions() -> dict[str, str]:
     """Return the versions of this package, Python and the installed libraries."""
     versions = {
         "acsar_gym": acsar_gym.__version__,

@@ -1,0 +1,128 @@
+"""The result of a benchmark, from one folder or several: the content of `benchmark.json`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from acsar_gym.benchmark import comparing, rows, statistics
+from acsar_gym.benchmark.figures import summary
+from acsar_gym.benchmark.store import PLAN, SCHEMA, Part, Store, columns
+from acsar_gym.errors import ConfigError
+from acsar_gym.evaluation import metrics, provenance
+from acsar_gym.reading import bounded
+
+MOST_PLAN = 100_000_000
+"""Largest accepted plan [bytes]."""
+FILE, TABLE = "benchmark.json", "benchmark.md"
+
+
+def result(plan: Mapping[str, Any], parts: Sequence[Part]) -> dict[str, Any]:
+    """Compute everything that `store` describes.
+
+    Args:
+        plan: as `Plan.as_dict`.
+        parts: finished parts of its cells.
+    """
+    kinds = {name: seeds[0]["kind"] for name, seeds in plan["agents"].items()}
+    cells = rows.cells(parts)
+    grouped = rows.rows(cells, kinds)
+    told = {
+        "schema": SCHEMA,
+        "header": header(plan),
+        "cells": [_cell(each) for each in cells],
+        "rows": [row.as_dict() for row in grouped],
+        "improvements": comparing.improvements(grouped),
+        "best": comparing.best(grouped),
+        "taus": statistics.TAUS,
+    }
+    cleaned: dict[str, Any] = metrics.finite(told)
+    return cleaned
+
+
+def header(plan: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what is needed to repeat a benchmark."""
+    agents = {
+        name: {"kind": seeds[0]["kind"], "policies": seeds}
+        for name, seeds in plan["agents"].items()
+    }
+    return {
+        "versions": provenance.versions(),
+        "agents": agents,
+        "scenes": plan["scenes"],
+        "conditions": plan["conditions"],
+        "links": plan["links"],
+    }
+
+
+def _cell(each: rows.CellResult) -> dict[str, Any]:
+    """Return a cell with its episodes."""
+    told = asdict(each.cell) | {"refused": each.refused, "seconds": round(each.seconds, 3)}
+    figures = summary(each.episodes) if each.episodes else {}
+    return told | {"summary": figures, "episodes": columns(each.episodes)}
+
+
+def combined(folders: Sequence[Path]) -> tuple[dict[str, Any], list[Part]]:
+    """Read the plans and parts of several folders, which must have used the same scenes.
+
+    Args:
+        folders: of benchmarks, finished or not.
+
+    Returns:
+        One plan, and all parts; where two have the same one, that of the last folder.
+
+    Raises:
+        ConfigError: a folder holds no benchmark, or one of other scenes or another version.
+    """
+    plans = [_plan(folder) for folder in folders]
+    parts = {
+        (part.cell, part.first): part
+        for folder, plan in zip(folders, plans, strict=True)
+        for part in Store(folder).open(plan)
+    }
+    told = plans[0]
+    for folder, plan in zip(folders[1:], plans[1:], strict=True):
+        told = _joined(told, plan, folder)
+    return told, list(parts.values())
+
+
+def _plan(folder: Path) -> dict[str, Any]:
+    """Read the plan of a folder."""
+    try:
+        plan: dict[str, Any] = json.loads(bounded.read(folder / PLAN, MOST_PLAN))
+        sound = plan["schema"] == SCHEMA
+    except (ValueError, TypeError, LookupError):
+        sound = False
+    if not sound:
+        raise ConfigError(f"{folder / PLAN}: isn't a benchmark's plan of this version")
+    return plan
+
+
+def _joined(one: dict[str, Any], other: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Join two plans."""
+    for env_id, sets in other["scenes"].items():
+        for name, about in sets.items():
+            known = one["scenes"].get(env_id, {}).get(name, about)
+            if known["sha256"] != about["sha256"]:
+                raise ConfigError(
+                    f"{folder}: {env_id} {name}: scene set of another version than in the first "
+                    "folder"
+                )
+    scenes = {
+        env_id: one["scenes"].get(env_id, {}) | other["scenes"].get(env_id, {})
+        for env_id in [*one["scenes"], *other["scenes"]]
+    }
+    agents = dict(one["agents"])
+    for name, seeds in other["agents"].items():
+        agents[name] = agents.get(name, []) + [
+            each for each in seeds if each not in agents.get(name, [])
+        ]
+    return one | {
+        "scenes": scenes,
+        "agents": agents,
+        "conditions": one["conditions"] | other["conditions"],
+        "links": [*dict.fromkeys([*one["links"], *other["links"]])],
+    }

@@ -1,0 +1,66 @@
+"""Runs one job of a benchmark, in whatever process it is."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from functools import lru_cache
+from typing import Any
+
+from acsar_gym.benchmark import port
+from acsar_gym.benchmark.conditions import CONDITIONS
+from acsar_gym.benchmark.figures import episode_of
+from acsar_gym.benchmark.plan import PORT, Job
+from acsar_gym.benchmark.store import Part
+from acsar_gym.errors import ConfigError, PolicyError
+from acsar_gym.evaluation import episodes as evaluation
+from acsar_gym.evaluation import runs
+from acsar_gym.evaluation.episodes import EpisodeResult
+from acsar_gym.policies import FilePolicy
+
+
+def run(job: Job) -> Part:
+    """Drive the scenes of a job.
+
+    Args:
+        job: what to drive.
+
+    Returns:
+        The episodes; or why the agent can't drive there, such as another observation.
+
+    Raises:
+        LinkError: an emulated port couldn't be opened.
+    """
+    begin = time.perf_counter()
+    places = range(job.first, job.first + job.count)
+    try:
+        results = list(port.results(job) if job.cell.link == PORT else _simulated(job))
+    except (PolicyError, ConfigError) as error:
+        return Part(job.cell, job.first, refused=str(error))
+    numbers = [job.scenes.numbers[place] for place in places]
+    told = [
+        episode_of(result, number, job.cell.id)
+        for result, number in zip(results, numbers, strict=True)
+    ]
+    return Part(job.cell, job.first, told, round(time.perf_counter() - begin, 3))
+
+
+def _simulated(job: Job) -> Iterator[EpisodeResult]:
+    """Drive in a simulation of this process."""
+    env, policy = _prepared(
+        job.policy, job.env, job.cell.link, job.cell.condition, job.scenes.worlds
+    )
+    for place in range(job.first, job.first + job.count):
+        seed, options = job.scenes.reset(place)
+        yield from evaluation.episodes(env, policy, 1, seed, **options)
+
+
+@lru_cache(maxsize=1)
+def _prepared(
+    policy: str, env_id: str, link: str, condition: str, worlds: str | None
+) -> tuple[Any, FilePolicy]:
+    """Make an env and load its policy; kept for the next job of the same cell."""
+    loaded = runs.load(policy, trust=False, env=env_id)
+    config = CONDITIONS[condition].config
+    options = CONDITIONS[condition].options(config)
+    return runs.made(loaded, link, config, {"worlds": worlds, **options}), loaded
