@@ -33,6 +33,8 @@ TOLD = {
 }
 """Values of a robot that are told where they differ, and by how much they may [m]."""
 TRAIN = "train it again, or choose the robot of its training with --robot"
+MOST_TOLD = 100
+"""Longest text from a file in a message [characters]."""
 ARGUMENTS = "give the env the arguments that the policy was trained with"
 
 
@@ -76,8 +78,7 @@ def _check_observation(bundle: Bundle, own: Observation, here: str) -> None:
     file = bundle.observation
     if file.signature != own.signature:
         told = [f"({_quoted(seen.signature)})" for seen in (file, own)]
-        made = f"made for {_quoted(bundle.env.id)}: observation"
-        raise _unlike(made, told[0], told[1], f"in {here}", TRAIN)
+        raise _unlike("observation", told[0], told[1], f"in {here}", TRAIN)
     for number, name in enumerate(file.names):
         ends = [(seen.low[number], seen.high[number]) for seen in (file, own)]
         if ends[0] != ends[1]:
@@ -121,7 +122,7 @@ def _unlike(name: str, file: str, own: str, where: str, fix: str) -> PolicyError
 
 def _quoted(text: str) -> str:
     """Return text from a file as one short line without control characters."""
-    return printable(shortened(text, 150))
+    return printable(shortened(text, MOST_TOLD))
 
 
 def _span(ends: tuple[Value, Value]) -> str:

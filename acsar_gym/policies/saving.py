@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,7 +29,6 @@ def save(
     normalizer: Sequence[Any] | torch.nn.Module | None = None,
     robot: RobotConfig | str | Path | None = None,
     training: Training | None = None,
-    metrics: Mapping[str, Mapping[str, float | None]] | None = None,
     state: Sequence[StateLayout] = (),
     **env_kwargs: Any,
 ) -> None:
@@ -45,7 +44,6 @@ def save(
             None; or a module. It becomes part of the file.
         robot: preset, file or config of the robot that it was trained on.
         training: how it was trained.
-        metrics: its figures by occasion, such as {"held_out": {"success_rate": 0.97}}.
         state: of a recurrent module, which maps (observation, state, ...) to (action, next
             state, ...); the states are zeros at the start of an episode.
         **env_kwargs: other arguments of the env, as given to `gymnasium.make` for the training,
@@ -68,7 +66,6 @@ def save(
             env_id,
             randomization=Randomization.of(env_kwargs.get("randomization")),
             training=training,
-            metrics=metrics,
             state=state,
         )
         torch_export.write(module, Path(path), bundle, before)

@@ -98,13 +98,19 @@ class _Whole(torch.nn.Module):
         super().__init__()
         self.normalizer, self.network = normalizer, network
 
+    def forward(self, observation: torch.Tensor) -> Any:
+        if self.normalizer is not None:
+            observation = self.normalizer(observation)
+        return torch.clamp(self.network(observation), -1.0, 1.0)
+
+
+class _Recurrent(_Whole):
+    """The same for a recurrent network, which maps each state to the next one, too."""
+
     def forward(self, observation: torch.Tensor, *states: torch.Tensor) -> Any:
         if self.normalizer is not None:
             observation = self.normalizer(observation)
-        given = self.network(observation, *states)
-        if not states:
-            return torch.clamp(given, -1.0, 1.0)
-        action, *after = given
+        action, *after = self.network(observation, *states)
         return torch.clamp(action, -1.0, 1.0), *after
 
 
@@ -126,7 +132,7 @@ def write(
     Raises:
         PolicyError: the network doesn't fit the env, or has operations that OnnxPolicy rejects.
     """
-    whole = _Whole(network, normalizer)
+    whole = (_Recurrent if bundle.state else _Whole)(network, normalizer)
     with _evaluating(whole):
         shapes = [(1, bundle.observation.width), *(state.shape for state in bundle.state)]
         example = tuple(torch.zeros(*shape, device=_device(whole)) for shape in shapes)
@@ -156,7 +162,7 @@ def _exported(whole: torch.nn.Module, example: tuple[torch.Tensor, ...], bundle:
             example,
             input_names=["observation", *(state.input for state in bundle.state)],
             output_names=["action", *(state.output for state in bundle.state)],
-            dynamic_shapes=None if bundle.state else ({0: "batch"}, ()),
+            dynamic_shapes=None if bundle.state else ({0: "batch"},),
             dynamo=True,
             verbose=False,
         )
