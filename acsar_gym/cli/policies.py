@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 def train() -> int:
-    """Train PPO and export the policy: agents/train.py, with its own options."""
+    """Train a policy and export it: agents/train.py, with its own options."""
     from acsar_gym.resources import agent  # noqa: PLC0415
 
     return int(agent("train").main(sys.argv[2:]))
@@ -147,7 +147,7 @@ def export(
     """Convert a stable-baselines3 zip to an ONNX policy, which runs no code when it's loaded.
 
     Args:
-        model: zip of PPO, A2C, SAC, TD3 or DDPG.
+        model: zip of PPO, A2C, SAC, TD3, DDPG, TQC or RecurrentPPO.
         out: the ONNX file.
         trust: allow the zip to run code: only zips from people you trust.
         env: env that it was trained for, such as point_goal; models of 'acsar-gym train' know

@@ -11,14 +11,13 @@ import numpy as np
 from acsar_gym.errors import MissingExtraError, PolicyError
 from acsar_gym.policies import torch_export
 from acsar_gym.policies.base import one_line
-from acsar_gym.policies.bundle import Bundle
+from acsar_gym.policies.bundle import Bundle, StateLayout
 from acsar_gym.reading import bounded
 
 try:
     import torch
     from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
     from stable_baselines3.common.vec_env import VecNormalize
-    from stable_baselines3.sac.policies import SACPolicy
 except ImportError:
     raise MissingExtraError("exporting a stable-baselines3 model", "train") from None
 
@@ -40,16 +39,46 @@ class _Actor(torch.nn.Module):
             features: Any = policy.extract_features(observation, policy.pi_features_extractor)
             mean = policy.action_net(policy.mlp_extractor.forward_actor(features))
             return torch.tanh(mean) if policy.squash_output else mean
-        if isinstance(policy, SACPolicy):
+        if hasattr(policy.actor, "get_action_dist_params"):  # SAC, TQC
             return torch.tanh(policy.actor.get_action_dist_params(observation)[0])
         action: torch.Tensor = policy.actor(observation)  # TD3's is deterministic
         return action
 
 
+class _RecurrentActor(torch.nn.Module):
+    """The same for a policy of RecurrentPPO, whose state is that of the actor's LSTM."""
+
+    def __init__(self, policy: BasePolicy) -> None:
+        super().__init__()
+        self.policy = policy
+
+    def forward(
+        self, observation: torch.Tensor, hidden: torch.Tensor, cell: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Map an observation (1, n) and the states to the mean action (1, 2) and next states."""
+        policy: Any = self.policy
+        features = policy.extract_features(observation, policy.pi_features_extractor)
+        latent, (hidden, cell) = policy.lstm_actor(features.unsqueeze(0), (hidden, cell))
+        mean = policy.action_net(policy.mlp_extractor.forward_actor(latent.squeeze(0)))
+        return torch.tanh(mean) if policy.squash_output else mean, hidden, cell
+
+
+def states(policy: BasePolicy) -> tuple[StateLayout, ...]:
+    """Describe the states of a policy of RecurrentPPO; none for others."""
+    lstm = getattr(policy, "lstm_actor", None)
+    if lstm is None:
+        return ()
+    shape = (lstm.num_layers, 1, lstm.hidden_size)
+    names = (("hidden", "next_hidden"), ("cell", "next_cell"))
+    return tuple(StateLayout(input=old, output=new, shape=shape) for old, new in names)
+
+
 def export(
     policy: BasePolicy, path: Path, bundle: Bundle, normalizer: torch.nn.Module | None = None
 ) -> None:
-    """Write the deterministic actor of PPO, A2C, SAC, TD3 or DDPG to one ONNX file.
+    """Write the deterministic actor of a model to one ONNX file.
+
+    The model is of PPO, A2C, SAC, TD3, DDPG, TQC or RecurrentPPO.
 
     Args:
         policy: the policy of the model.
@@ -60,7 +89,9 @@ def export(
     Raises:
         PolicyError: the policy doesn't fit the env, or can't be exported.
     """
-    torch_export.write(_Actor(policy), path, bundle, normalizer)
+    actor = (_RecurrentActor if states(policy) else _Actor)(policy)
+    bundle = bundle.model_copy(update={"state": states(policy)})
+    torch_export.write(actor, path, bundle, normalizer)
 
 
 def normalizer(path: Path, width: int) -> torch.nn.Module | None:

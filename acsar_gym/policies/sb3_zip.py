@@ -26,13 +26,16 @@ if TYPE_CHECKING:
     from stable_baselines3.common.policies import BasePolicy
 
 MAX_BYTES = 500_000_000
+ALGORITHMS = "PPO, A2C, SAC, TD3, DDPG, TQC or RecurrentPPO"
+FAMILIES = {"ActorCriticPolicy", "SACPolicy", "TD3Policy", "TQCPolicy"}
+"""Base classes of their policies."""
 _UNUSED = {"lr_schedule": None, "clip_range": None}
 """Replacements of pickled functions that only training needs; other Python versions may not be
 able to unpickle them."""
 
 
 class ZipPolicy(FilePolicy):
-    """A policy from a zip that PPO, A2C, SAC, TD3 or DDPG has saved.
+    """A policy from a zip of PPO, A2C, SAC, TD3, DDPG, TQC or RecurrentPPO.
 
     Loading a zip can run any code in it. Statistics of a VecNormalize aren't part of a zip.
 
@@ -66,6 +69,7 @@ class ZipPolicy(FilePolicy):
         self.bundle = _bundle(self.path, data)
         own = "" if self.bundle is None else self.bundle.env.id
         self.env_id, self.env_named = env_id or own, bool(env_id)
+        self._state: tuple[NDArray[Any], ...] | None = None
 
     def check(
         self,
@@ -88,9 +92,16 @@ class ZipPolicy(FilePolicy):
     def _spaces(self) -> tuple[Any, Any]:
         return self.network.action_space, self.network.observation_space
 
+    def reset(self) -> None:
+        """Begin an episode: the state of a recurrent policy becomes zero."""
+        self._state = None
+
     def __call__(self, observation: Observation) -> NDArray[np.float32]:
         """Compute the deterministic action in [-1, 1], shape (2,), for one observation."""
-        action, _ = self.network.predict(observation, deterministic=True)
+        begun = np.array([self._state is None])
+        action, self._state = self.network.predict(
+            observation, self._state, begun, deterministic=True
+        )
         return np.asarray(action, np.float32)
 
 
@@ -128,15 +139,11 @@ def _bundle(path: Path, data: dict[str, Any]) -> Bundle | None:
 
 def _network(path: Path, data: dict[str, Any]) -> BasePolicy:
     """Construct the network from the saved classes and arguments."""
-    from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy  # noqa: PLC0415
-    from stable_baselines3.sac.policies import SACPolicy  # noqa: PLC0415
-    from stable_baselines3.td3.policies import TD3Policy  # noqa: PLC0415
+    from stable_baselines3.common.policies import ActorCriticPolicy  # noqa: PLC0415 - optional
 
     kind, options = data["policy_class"], dict(data["policy_kwargs"])
-    families = (ActorCriticPolicy, SACPolicy, TD3Policy)
-    # A class that overrides predict() is recurrent, and isn't supported.
-    if not issubclass(kind, families) or kind.predict is not BasePolicy.predict:
-        raise PolicyError(f"{path}: holds a {kind.__name__}, not one of PPO, A2C, SAC, TD3 or DDPG")
+    if not {base.__name__ for base in kind.__mro__} & FAMILIES:
+        raise PolicyError(f"{path}: holds a {kind.__name__}, not one of {ALGORITHMS}")
     if issubclass(kind, ActorCriticPolicy):
         options["use_sde"] = data["use_sde"]
     network: BasePolicy = kind(

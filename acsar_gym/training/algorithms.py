@@ -25,6 +25,8 @@ class Algorithm:
     module: str
     kind: str
     """Name of its class."""
+    policy: str
+    """Base class of its policies."""
     replays: bool = False
     """Whether it is off-policy, and so has a replay buffer."""
 
@@ -49,10 +51,10 @@ class Algorithm:
 ALGORITHMS = {
     each.name: each
     for each in (
-        Algorithm("ppo", "stable_baselines3", "PPO"),
-        Algorithm("sac", "stable_baselines3", "SAC", replays=True),
-        Algorithm("tqc", "sb3_contrib", "TQC", replays=True),
-        Algorithm("ppo_lstm", "sb3_contrib", "RecurrentPPO"),
+        Algorithm("ppo", "stable_baselines3", "PPO", "ActorCriticPolicy"),
+        Algorithm("sac", "stable_baselines3", "SAC", "SACPolicy", replays=True),
+        Algorithm("tqc", "sb3_contrib", "TQC", "TQCPolicy", replays=True),
+        Algorithm("ppo_lstm", "sb3_contrib", "RecurrentPPO", "RecurrentActorCriticPolicy"),
     )
 }
 
@@ -68,7 +70,8 @@ def algorithm(name: str) -> Algorithm:
     return ALGORITHMS[name]
 
 
-def of_model(model: Any) -> Algorithm | None:
-    """Find the algorithm of a model by its class; None where `train` doesn't know it."""
-    kinds = {each.kind: each for each in ALGORITHMS.values()}
-    return kinds.get(type(model).__name__)
+def of_policy(policy: Any) -> str | None:
+    """Return the name of the algorithm that a policy is of; None where `train` doesn't know it."""
+    names = {each.policy: each.name for each in ALGORITHMS.values()}
+    bases = (names.get(kind.__name__) for kind in type(policy).__mro__)
+    return next((name for name in bases if name is not None), None)

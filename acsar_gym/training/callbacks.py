@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
-import numpy as np
-import torch
-from numpy.typing import NDArray
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from stable_baselines3.common.callbacks import BaseCallback
 
-from acsar_gym.training import held_out
+from acsar_gym.training import deciding, held_out, history
 from acsar_gym.training.held_out import Score
 from acsar_gym.training.signals import StopRequest
 from acsar_gym.vector.env import RobotVectorEnv
+
+
+class TargetReached(Exception):  # noqa: N818 - ends a training, and isn't an error
+    """The held-out success rate has reached the target."""
 
 
 class HeldOut(BaseCallback):
@@ -22,55 +25,74 @@ class HeldOut(BaseCallback):
 
     It does so after the first rollout, then up to `evaluations` times, and when `finish` is called.
     Scores are logged as eval/success_rate, eval/collision_rate, eval/mean_return and
-    eval/mean_length.
+    eval/mean_length. A score that reaches the target raises TargetReached.
 
     Args:
         batch: robots to evaluate on.
         steps: env steps of the training.
         evaluations: largest number of evaluations during the training.
+        target: success rate at which the training ends; None for none.
+        clock: returns the time since the beginning of the training [s].
+        file: CSV that is written anew after every evaluation; None for none.
+        rows: the learning curve so far, where a training is resumed.
 
     Attributes:
         score: the newest score; None before the first one.
         name: label of the success rate, for output.
+        rows: the learning curve; `history.COLUMNS` are its columns.
     """
 
-    def __init__(self, batch: RobotVectorEnv, steps: int, evaluations: int) -> None:
+    def __init__(
+        self,
+        batch: RobotVectorEnv,
+        steps: int,
+        evaluations: int,
+        *,
+        target: float | None = None,
+        clock: Callable[[], float] = time.monotonic,
+        file: Path | None = None,
+        rows: history.Rows | None = None,
+    ) -> None:
         super().__init__()
-        self._batch = batch
+        self._batch, self._target, self.clock, self._file = batch, target, clock, file
         self._interval = max(1, steps // evaluations)
-        self._next = 0
+        self.rows: history.Rows = list(rows or [])
         self.score: Score | None = None
+        self._reached: Score | None = None
         self.name = held_out.measured(batch)
 
     def _on_step(self) -> bool:
         return True
 
     def _on_rollout_end(self) -> None:
-        if self.num_timesteps >= self._next:
-            self._next = self.num_timesteps + self._interval
-            self._evaluate()
+        last = self.rows[-1]["steps"] if self.rows else -self._interval
+        if self.num_timesteps // self._interval > last // self._interval:
+            score = self._evaluate()
+            if self._target is not None and score.success_rate >= self._target:
+                self._reached = score
+                raise TargetReached
 
     def finish(self) -> Score:
-        """Evaluate the policy after its last update."""
+        """Return the score of the policy after its last update."""
+        if self._reached is not None:
+            return self._reached
         score = self._evaluate()
         self.logger.dump(self.num_timesteps)
         return score
 
     def _evaluate(self) -> Score:
         """Evaluate the policy and log the score."""
-        with torch.no_grad():
-            score = held_out.evaluate(self._batch, self._decide)
-        for name in ("success_rate", "collision_rate", "mean_return", "mean_length"):
-            self.logger.record(f"eval/{name}", getattr(score, name))
+        score = held_out.evaluate(self._batch, deciding.decider(self.model))
+        row = {name: getattr(score, name) for name in history.COLUMNS[2:]}
+        for name, value in row.items():
+            self.logger.record(f"eval/{name}", value)
         self.score = score
+        if self.rows and self.rows[-1]["steps"] == self.num_timesteps:
+            self.rows.pop()  # before the last update
+        self.rows.append({"steps": self.num_timesteps, "seconds": round(self.clock(), 2), **row})
+        if self._file is not None:
+            history.write(self._file, self.rows)
         return score
-
-    def _decide(self, seen: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Compute deterministic actions (n, 2), in half the time of the policy's `predict`."""
-        policy: Any = self.model.policy
-        mean: torch.Tensor = policy.get_distribution(torch.from_numpy(seen)).mode()
-        clipped: NDArray[np.float32] = np.clip(mean.numpy(), -1.0, 1.0)
-        return clipped
 
 
 class WholeCohorts(BaseCallback):
@@ -95,7 +117,7 @@ class WholeCohorts(BaseCallback):
     def _on_rollout_end(self) -> None:
         buffers: Any = self.model
         buffers.ep_success_buffer.clear()
-        if self.n_calls < self._episode_steps:
+        if self.num_timesteps < self._episode_steps * self.training_env.num_envs:
             buffers.ep_info_buffer.clear()
 
 
@@ -107,11 +129,12 @@ class TrainingProgress(BaseCallback):
     Args:
         steps: env steps of the training.
         scores: the callback that evaluates.
+        before: steps of the model that aren't of this training; None for all at its beginning.
     """
 
-    def __init__(self, steps: int, scores: HeldOut) -> None:
+    def __init__(self, steps: int, scores: HeldOut, before: int | None = None) -> None:
         super().__init__()
-        self._steps, self._scores = steps, scores
+        self._steps, self._scores, self._not_counted = steps, scores, before
         self._shown: Score | None = None
         self._progress = Progress(
             BarColumn(),
@@ -122,11 +145,12 @@ class TrainingProgress(BaseCallback):
         self._progress.disable = not self._progress.console.is_terminal
         self._task: TaskID = self._progress.add_task("train", total=steps, speed=0.0, rate="-")
         self._begin = 0.0
-        self._before = 0
+        self._begun_at = self._before = 0
 
     def _on_training_start(self) -> None:
         self._begin = time.monotonic()
-        self._before = self.num_timesteps
+        self._begun_at = self.num_timesteps
+        self._before = self._begun_at if self._not_counted is None else self._not_counted
         self._progress.start()
 
     def _on_step(self) -> bool:
@@ -134,7 +158,7 @@ class TrainingProgress(BaseCallback):
 
     def _on_rollout_end(self) -> None:
         done, score = self.num_timesteps - self._before, self._scores.score
-        speed = done / (time.monotonic() - self._begin)
+        speed = (self.num_timesteps - self._begun_at) / (time.monotonic() - self._begin)
         total, rate = max(done, self._steps), f"{score.success_rate:.1%}" if score else "-"
         self._progress.update(self._task, completed=done, total=total, speed=speed, rate=rate)
         if self._progress.disable and score is not self._shown:

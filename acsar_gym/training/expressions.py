@@ -50,7 +50,7 @@ def arguments(given: Any) -> dict[str, Any]:
     if isinstance(given, str):
         try:
             given = _value(ast.parse(given.strip(), mode="eval").body)
-        except (SyntaxError, ValueError, RecursionError, MemoryError):
+        except (SyntaxError, TypeError, ValueError, RecursionError, MemoryError):
             raise ConfigError(f"{shown(given)}: must be like dict(net_arch=[64, 64])") from None
     if not isinstance(given, dict) or not all(isinstance(name, str) for name in given):
         raise ConfigError(f"{shown(given)}: must be arguments by name")
@@ -106,8 +106,9 @@ def _value(node: ast.expr) -> Any:
 
 def _call(node: ast.Call, name: str) -> Any:
     """Compute dict(...) or get_class_by_name("...")."""
-    if name == "dict" and not node.args and all(word.arg for word in node.keywords):
-        return {str(word.arg): _value(word.value) for word in node.keywords}
+    if name == "dict" and len(node.args) < 2 and all(word.arg for word in node.keywords):
+        first = _value(node.args[0]) if node.args else {}
+        return dict(first) | {str(word.arg): _value(word.value) for word in node.keywords}
     if name == "get_class_by_name" and len(node.args) == 1 and not node.keywords:
         return imported(str(ast.literal_eval(node.args[0])))
     raise ValueError(name)

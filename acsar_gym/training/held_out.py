@@ -15,11 +15,13 @@ from acsar_gym.worlds.pool import Pool
 
 ROBOTS = 64
 """Robots in an evaluation during training; each runs one episode."""
+ROBOTS_FOR_TARGET = 512
+"""Robots in an evaluation that decides whether a target is reached."""
 FIRST_SEED = 2**32
 """First seed of held-out episodes; seeds of a training are smaller."""
 
 Decide = Callable[[NDArray[np.float32]], NDArray[Any]]
-"""Maps observations (n, m) to actions (n, 2)."""
+"""Maps observations (n, m) to actions (n, 2); one that has a state begins at its first call."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,11 +101,12 @@ def _others(batch: RobotVectorEnv) -> bool:
     return pool is None or pool.generated
 
 
-def worlds_beside(pool: Pool | None) -> str | None:
-    """Choose ROBOTS held-out worlds.
+def worlds_beside(pool: Pool | None, robots: int = ROBOTS) -> str | None:
+    """Choose held-out worlds.
 
     Args:
         pool: worlds of the training; None for an open floor.
+        robots: how many worlds.
 
     Returns:
         Generated worlds of the same kind, none of which is in `pool`: those of the validation
@@ -115,4 +118,4 @@ def worlds_beside(pool: Pool | None) -> str | None:
     own = splits.numbers(pool.kind, splits.VALIDATION)
     apart = pool.numbers[0] > own[-1] or pool.numbers[-1] < own[0]
     first = own[0] if apart else pool.numbers[-1] + 1
-    return f"{pool.kind}:{first}-{first + ROBOTS - 1}"
+    return f"{pool.kind}:{first}-{first + robots - 1}"

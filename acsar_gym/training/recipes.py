@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -60,8 +61,7 @@ class Recipe:
         net = wanted.pop("net", None)
         arguments = self.arguments | wanted
         if net is not None:
-            policy_kwargs = self.policy_kwargs()
-            arguments["policy_kwargs"] = policy_kwargs | {"net_arch": list(net)}
+            arguments["policy_kwargs"] = _with_net(arguments.get("policy_kwargs") or {}, net)
         return replace(self, arguments=arguments, **own)
 
     def as_dict(self) -> dict[str, Any]:
@@ -74,12 +74,6 @@ class Recipe:
             "vec_env_wrapper": "acsar_gym.training.rl_zoo.batch",
             **self.arguments,
         }
-
-    def policy_kwargs(self) -> dict[str, Any]:
-        """Return the arguments of the policy; ConfigError where they can't be read."""
-        given = self.arguments.get("policy_kwargs", {})
-        with self.named("policy_kwargs"):
-            return expressions.arguments(given)
 
     def built(self) -> dict[str, Any]:
         """Return the arguments of the algorithm, with schedules and classes for their names.
@@ -105,6 +99,13 @@ class Recipe:
     def named(self, key: str) -> expressions.Named:
         """Name file and key in every ConfigError that is raised in this context."""
         return expressions.Named(f"{self.file}: {self.key}: {key}")
+
+
+def _with_net(policy_kwargs: Any, net: Sequence[int]) -> Any:
+    """Change the widths of the layers; an expression becomes another one."""
+    if isinstance(policy_kwargs, str):
+        return f"dict({policy_kwargs}, net_arch={list(net)})"
+    return {**policy_kwargs, "net_arch": list(net)}
 
 
 def recipe(algorithm: Algorithm, env_id: str, file: Path | None = None) -> Recipe:

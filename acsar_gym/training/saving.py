@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from datetime import UTC, datetime
-from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from acsar_gym.policies.bundle import Bundle, Training
-from acsar_gym.recording.header import plain, version
+from acsar_gym.recording.header import plain
+from acsar_gym.training import record
+from acsar_gym.training.checkpoints import replace
 
 if TYPE_CHECKING:
-    from stable_baselines3 import PPO
+    from stable_baselines3.common.base_class import BaseAlgorithm
 
 
-def save(model: PPO, bundle: Bundle, out: Path) -> tuple[Path, Path]:
+__all__ = ["replace", "save", "told"]
+
+
+def save(model: BaseAlgorithm, bundle: Bundle, out: Path) -> tuple[Path, Path]:
     """Write policy.onnx and model.zip into a folder.
 
     Args:
@@ -40,7 +44,7 @@ def save(model: PPO, bundle: Bundle, out: Path) -> tuple[Path, Path]:
     return policy, zipped
 
 
-def told(model: PPO, hyperparameters: Mapping[str, Any], seconds: float) -> Training:
+def told(model: BaseAlgorithm, hyperparameters: Mapping[str, Any], seconds: float) -> Training:
     """Describe a training that has just ended, for the bundle of its policy.
 
     Args:
@@ -54,28 +58,8 @@ def told(model: PPO, hyperparameters: Mapping[str, Any], seconds: float) -> Trai
         steps=model.num_timesteps,
         seed=model.seed,
         command=shlex.join(sys.argv)[:2_000],
-        versions=versions(),
+        versions=record.versions(),
+        revision=record.revision(),
         seconds=seconds,
         finished=datetime.now(UTC).isoformat(timespec="seconds"),
     )
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of this package and of the libraries that a training depends on."""
-    names = ("gymnasium", "numpy", "stable_baselines3", "torch")
-    return {"acsar_gym": version()} | {name: metadata.version(name) for name in names}
-
-
-def replace(path: Path, write: Callable[[Path], object]) -> None:
-    """Replace a file atomically: the old content stays until the new file is complete.
-
-    Args:
-        path: file to replace.
-        write: writes the new content to the path that it is given.
-    """
-    new = path.with_name(f".{path.name}")
-    try:
-        write(new)
-        new.replace(path)
-    finally:
-        new.unlink(missing_ok=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -232,6 +233,13 @@ class Batch:
         drawn = self.tables.drawn[:, : self.robots]
         rows = {name: drawn[numbers].T for name, numbers in self._drawn.items()}
         return {name: row[:, 0] if row.shape[1] == 1 else row for name, row in rows.items()}
+
+    def changing(self) -> dict[str, NDArray[Any]] | None:
+        """All arrays that a later step depends on, by name; None where Python code has a state."""
+        memory = self._loops.memory
+        if memory is None or len(self.python):
+            return None
+        return {**self.tables._asdict(), "memory": memory}
 
     @property
     def bytes_per_robot(self) -> float:

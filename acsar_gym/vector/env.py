@@ -132,15 +132,8 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         sensors = (*task.sensors, *asked.sensors)
         faults, numbers = checked(asked.faults, config), len(task.observation)
         varied = Randomization.of(asked.randomization)
-        setup = setup_of(
-            config,
-            self.ticks_per_step,
-            steps,
-            numbers,
-            faults,
-            sees=LIDAR in sensors,
-            varied=varied,
-        )
+        ticks, sees = self.ticks_per_step, LIDAR in sensors
+        setup = setup_of(config, ticks, steps, numbers, faults, sees=sees, varied=varied)
         batch = Batch(self.num_envs, config, task, self._spawn, sensors, setup, varied)
         self.sensors = batch.sensors
         tried(task, config, self.sensors)
@@ -233,6 +226,10 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         self._whole = True
         info |= self._info(np.ones(self.num_envs, np.bool_))
         return tables.observations.copy(), rewards, terminated, truncated, info
+
+    def go_on(self) -> None:
+        """Allow steps without a reset, after all arrays of the batch have been set."""
+        self._whole = self.batch.seeded = True
 
     def _checked(self, actions: Array) -> Array:
         """The actions as float64 (num_envs, 2); CommandError for another shape, NaN or infinity."""

@@ -32,6 +32,8 @@ class Loops(Protocol):
     compiled: bool
     """Whether `start` and `step` release the GIL, so that threads can run them for slices of
     robots."""
+    memory: NDArray[Any] | None
+    """What the task remembers of all robots; None where Python objects hold it."""
 
     def start(self, mask: Mask, first: int, last: int) -> None:
         """Begin the episodes of robots in the mask and write their first observations."""
@@ -60,9 +62,9 @@ class CompiledLoops:
         self._task, self._tables, self._setup, self._spawns = task, tables, setup, spawns
         self._numbers = numbers_of(task)
         kinds = [(name, np.float64) for name in task.memory] or [("nothing", np.float64)]
-        self._memory = np.zeros(len(tables.rewards) + 1, kinds)
+        self.memory: NDArray[Any] = np.zeros(len(tables.rewards) + 1, kinds)
         for name, value in task.memory.items():
-            self._memory[name][-1] = value
+            self.memory[name][-1] = value
         self._start = kernel.bound(kernel.start, task)
         self._step = kernel.bound(kernel.step, task)
 
@@ -80,7 +82,7 @@ class CompiledLoops:
     def _call(self, loop: Callable[..., None], *share: Any) -> None:
         """Call a compiled loop; ConfigError where numba can't compile the task."""
         try:
-            loop(self._numbers, self._memory, self._tables, *share, self._setup, self._spawns)
+            loop(self._numbers, self.memory, self._tables, *share, self._setup, self._spawns)
         except (NumbaError, KeyError, NotImplementedError, TypeError) as error:
             raise kernel.explained(self._task, error) from None
         except (IndexError, ValueError, ZeroDivisionError) as error:
@@ -88,7 +90,7 @@ class CompiledLoops:
 
     def info(self) -> Info:
         """The task's part of info: what it remembers."""
-        return {name: self._memory[name][:-1].copy() for name in told(self._task)}
+        return {name: self.memory[name][:-1].copy() for name in told(self._task)}
 
 
 def numbers_of(task: Task) -> Any:
@@ -127,6 +129,7 @@ class PythonLoops:
     """Loops that call the task's methods in Python, for one robot after the other."""
 
     compiled = False
+    memory = None
 
     def __init__(self, task: Task, tables: TaskTables, setup: TaskSetup, spawns: Spawns) -> None:
         self._task, self._tables, self._setup, self._spawns = task, tables, setup, spawns

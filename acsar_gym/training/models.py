@@ -1,0 +1,88 @@
+"""Makes and loads the models of a training. Imports torch."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
+
+from acsar_gym.errors import AcsarError, ConfigError, PolicyError
+from acsar_gym.policies import ZipPolicy, sb3
+from acsar_gym.policies.base import one_line
+from acsar_gym.training import algorithms
+from acsar_gym.training.plan import Plan
+from acsar_gym.vector.env import RobotVectorEnv
+
+MOST_TORCH_THREADS = 2
+"""Default limit of torch's threads; more don't help with networks this small."""
+
+
+def prepare(plan: Plan) -> None:
+    """Set the number of torch's threads, and check the device.
+
+    Raises:
+        ConfigError: torch can't use the device.
+    """
+    torch.set_num_threads(min(plan.threads, plan.options.threads or MOST_TORCH_THREADS))
+    if plan.options.device == "cuda" and not torch.cuda.is_available():
+        why = (
+            "has no CUDA device that it can use" if torch.version.cuda else "is built without CUDA"
+        )
+        raise ConfigError(f"--device cuda: torch {torch.__version__} {why}: leave --device away")
+
+
+def made(plan: Plan, env: RobotVectorEnv) -> BaseAlgorithm:
+    """Make a new model by the recipe.
+
+    Args:
+        plan: the training.
+        env: the robots to train on.
+
+    Raises:
+        ConfigError: a hyperparameter can't be used; the message names the file.
+    """
+    recipe = plan.recipe
+    arguments = recipe.built()
+    if "n_steps" in arguments and "batch_size" in arguments:
+        rollout = arguments["n_steps"] * env.num_envs
+        arguments["batch_size"] = min(arguments["batch_size"], rollout)
+    given: dict[str, Any] = {"stats_window_size": env.num_envs} | arguments | _always(plan)
+    try:
+        return plan.algorithm.load()(env=sb3.BatchVecEnv(env), **given)
+    except AcsarError:
+        raise
+    except Exception as error:  # noqa: BLE001 - whatever a constructor makes of bad values
+        raise ConfigError(f"{recipe.file}: {recipe.key}: {one_line(error)}") from None
+
+
+def loaded(
+    plan: Plan, env: RobotVectorEnv, saved: ZipPolicy, *, go_on: bool = False
+) -> BaseAlgorithm:
+    """Load a model, with the hyperparameters that it was saved with.
+
+    Args:
+        plan: the training.
+        env: the robots to train on.
+        saved: the zip.
+        go_on: whether the state of the robots will be restored, too; otherwise they are reset.
+
+    Raises:
+        PolicyError: it was made for another observation, or by another algorithm.
+    """
+    saved.check(env.task, env.sensors)
+    found = algorithms.of_policy(saved.network)
+    if found != plan.algorithm.name:
+        wanted, is_of = plan.algorithm, found or "an algorithm that train doesn't know"
+        raise PolicyError(
+            f"{saved.path}: is of {is_of}, but with --algo {wanted.name} only "
+            f"{wanted.kind}'s models can be trained on"
+        )
+    batch = sb3.BatchVecEnv(env)
+    return plan.algorithm.load().load(saved.path, batch, force_reset=not go_on, **_always(plan))
+
+
+def _always(plan: Plan) -> dict[str, Any]:
+    """Return the arguments of a model that don't come from recipes."""
+    logs = str(plan.out / "tensorboard")
+    return {"device": plan.options.device, "seed": plan.options.seed, "tensorboard_log": logs}

@@ -1,0 +1,128 @@
+"""config.yml beside a training: everything that is needed to repeat it."""
+
+from __future__ import annotations
+
+import contextlib
+import platform
+import subprocess
+import sys
+from collections.abc import Mapping
+from dataclasses import fields
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+import acsar_gym
+from acsar_gym.envs import ids
+from acsar_gym.errors import ConfigError
+from acsar_gym.reading import bounded
+from acsar_gym.training import threads
+from acsar_gym.training.checkpoints import replace
+from acsar_gym.training.options import Options
+from acsar_gym.training.plan import Plan
+
+FILE = "config.yml"
+RUN = "run"
+"""Key of what isn't a recipe. The recipe is beside it, so that the file can be a --conf-file."""
+LIBRARIES = ("torch", "stable-baselines3", "sb3-contrib", "gymnasium", "numpy", "numba")
+PATIENCE = 5.0
+"""Time limit of git [s]."""
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of this package, Python and the libraries that training uses."""
+    found = {"acsar_gym": acsar_gym.__version__, "python": platform.python_version()}
+    for name in LIBRARIES:
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            found[name] = metadata.version(name)
+    return found
+
+
+def revision() -> str | None:
+    """Return the git revision of the package, with "-dirty" where files differ; None outside."""
+    folder = Path(acsar_gym.__file__).resolve().parent.parent
+    if not (folder / ".git").exists():
+        return None
+    command = ["git", "-C", str(folder), "describe", "--always", "--dirty", "--abbrev=40"]
+    try:
+        told = subprocess.run(
+            [*command, "--exclude=*"], capture_output=True, text=True, timeout=PATIENCE, check=True
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return told.stdout.strip() or None
+
+
+def begin(plan: Plan) -> dict[str, Any]:
+    """Write config.yml at the beginning of a training.
+
+    Args:
+        plan: the training.
+
+    Returns:
+        Its content, for `finish`.
+    """
+    options = {each.name: _plain(getattr(plan.options, each.name)) for each in fields(Options)}
+    options |= {"threads": plan.threads, "steps": plan.recipe.steps, "out": str(plan.out)}
+    content = {
+        ids.without_module(plan.env_id): plan.recipe.as_dict(),
+        RUN: {
+            "commands": [*_before(plan), [Path(sys.argv[0]).name, *sys.argv[1:]]],
+            "options": options,
+            "versions": versions(),
+            "revision": revision(),
+            "cores": threads.cores(),
+            "machine": f"{platform.system()} {platform.machine()}",
+            "steps": 0,
+            "seconds": 0.0,
+        },
+    }
+    _write(plan.out, content)
+    return content
+
+
+def _before(plan: Plan) -> list[Any]:
+    """Return the commands of a training that goes on."""
+    if plan.options.resume != plan.out:
+        return []
+    commands: list[Any] = yaml.safe_load((plan.out / FILE).read_text("utf-8"))[RUN]["commands"]
+    return commands
+
+
+def finish(plan: Plan, content: dict[str, Any], **facts: Any) -> None:
+    """Write config.yml again at the end of a training, with more facts about the run."""
+    content[RUN] |= facts
+    _write(plan.out, content)
+
+
+def options(folder: Path) -> Options:
+    """Read the options of a training from its folder.
+
+    Raises:
+        ConfigError: it has no config.yml of a training.
+    """
+    path = folder / FILE
+    try:
+        found = yaml.safe_load(bounded.read(path, 1_000_000, ConfigError))
+        given = found[RUN]["options"]
+        net, paths = given["net"], ("conf_file", "out", "resume")
+        given |= {name: Path(given[name]) for name in paths if given[name] is not None}
+        return Options(**(given | {"net": None if net is None else tuple(net)}))
+    except (yaml.YAMLError, KeyError, TypeError, ValueError) as error:
+        said = " ".join(str(error).split())
+        raise ConfigError(f"{path}: not of 'acsar-gym train': {said}") from None
+
+
+def _write(out: Path, content: Mapping[str, Any]) -> None:
+    """Write config.yml, whole or not at all."""
+    text = yaml.safe_dump(content, sort_keys=False)
+    replace(out / FILE, lambda new: new.write_text(text, encoding="utf-8"))
+
+
+def _plain(value: Any) -> Any:
+    """Convert a value to one that YAML has."""
+    if isinstance(value, tuple):
+        return list(value)
+    return str(value) if isinstance(value, Path) else value
