@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from inspect import signature
 from typing import Any
 
 import torch
@@ -47,6 +48,7 @@ def made(plan: Plan, env: RobotVectorEnv) -> BaseAlgorithm:
     if "n_steps" in arguments and "batch_size" in arguments:
         rollout = arguments["n_steps"] * env.num_envs
         arguments["batch_size"] = min(arguments["batch_size"], rollout)
+    _tell_robot(arguments.get("policy_kwargs") or {}, plan)
     given: dict[str, Any] = {"stats_window_size": env.num_envs} | arguments | _always(plan)
     try:
         return plan.algorithm.load()(env=sb3.BatchVecEnv(env), **given)
@@ -80,6 +82,14 @@ def loaded(
         )
     batch = sb3.BatchVecEnv(env)
     return plan.algorithm.load().load(saved.path, batch, force_reset=not go_on, **_always(plan))
+
+
+def _tell_robot(policy_kwargs: dict[str, Any], plan: Plan) -> None:
+    """Give the robot to a features extractor that takes one, such as `networks.RayClearance`."""
+    kind = policy_kwargs.get("features_extractor_class")
+    if kind is not None and plan.options.robot and "robot" in signature(kind).parameters:
+        own = policy_kwargs.get("features_extractor_kwargs") or {}
+        policy_kwargs["features_extractor_kwargs"] = {"robot": plan.robot} | own
 
 
 def _always(plan: Plan) -> dict[str, Any]:

@@ -73,8 +73,8 @@ def _merged(folder: Path, options: Options) -> Options:
                 f"{getattr(before, name)}: leave --{flag} away, or train anew"
             )
     changes |= {"out": folder, "conf_file": folder / record.FILE}
-    kept = dict.fromkeys(("gamma", "learning_rate", "net"))  # in config.yml already
-    return replace(before, **(kept | changes))
+    changes |= dict.fromkeys(("gamma", "learning_rate", "net"))  # in config.yml already
+    return replace(before, **changes)
 
 
 def _given(options: Options) -> dict[str, Any]:

@@ -32,8 +32,10 @@ class Loops(Protocol):
     compiled: bool
     """Whether `start` and `step` release the GIL, so that threads can run them for slices of
     robots."""
-    memory: NDArray[Any] | None
-    """What the task remembers of all robots; None where Python objects hold it."""
+
+    @property
+    def memory(self) -> NDArray[Any] | None:
+        """What the task remembers of all robots; None where Python objects hold it."""
 
     def start(self, mask: Mask, first: int, last: int) -> None:
         """Begin the episodes of robots in the mask and write their first observations."""
@@ -129,7 +131,7 @@ class PythonLoops:
     """Loops that call the task's methods in Python, for one robot after the other."""
 
     compiled = False
-    memory = None
+    memory: NDArray[Any] | None = None
 
     def __init__(self, task: Task, tables: TaskTables, setup: TaskSetup, spawns: Spawns) -> None:
         self._task, self._tables, self._setup, self._spawns = task, tables, setup, spawns
