@@ -1,0 +1,63 @@
+"""agents/examples: each script trains for a few steps, and what it exports drives."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from acsar_gym.evaluation import runs
+from acsar_gym.policies import OnnxPolicy
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "agents" / "examples"
+SMALL = ("--steps", "256", "--robots", "8", "--rollout", "16", "--seed", "3")
+
+
+def run(name: str, folder: Path, *options: str) -> str:
+    """Run a script in a process of its own, as a user does; returns what it printed."""
+    done = subprocess.run(
+        [sys.executable, EXAMPLES / name, *options],
+        cwd=folder,
+        env=os.environ
+        | {"RAY_AUTH_MODE": "disabled", "OMP_NUM_THREADS": "1", "MINARI_DATASETS_PATH": str(folder)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=600,
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    return done.stdout
+
+
+@pytest.mark.parametrize(
+    ("name", "more"),
+    [
+        ("cleanrl_ppo", ("--num-minibatches", "4")),
+        ("rllib_batch", ("--runners", "1")),
+        ("sb3_ppo", ()),
+        ("sbx_ppo", ()),
+        ("skrl_ppo", ()),
+        ("torchrl_ppo", ()),
+    ],
+)
+@pytest.mark.parametrize("env_id", ["acsar_gym:acsar_gym/PointGoal-v0"])
+def test_it_trains_and_its_export_drives(
+    name: str, more: tuple[str, ...], env_id: str, tmp_path: Path
+) -> None:
+    said = run(f"{name}.py", tmp_path, "--env", env_id, "--out", "mine.onnx", *SMALL, *more)
+    assert "steps/s" in said
+    policy = OnnxPolicy(tmp_path / "mine.onnx")
+    assert policy.env_id == "acsar_gym/PointGoal-v0"
+    env = runs.made(policy, "planar", None, {})
+    observation, _ = env.reset(seed=0)
+    assert abs(policy(observation)).max() <= 1.0
+    env.close()
+
+
+def test_minari_has_the_episodes(tmp_path: Path) -> None:
+    said = run("minari_record.py", tmp_path, "--steps", "100")
+    assert "acsar/point_goal-v0: " in said
+    assert (tmp_path / "acsar" / "point_goal-v0" / "data").is_dir()
