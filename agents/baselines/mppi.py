@@ -1,0 +1,237 @@
+"""Model predictive path integral control on the planar twin's own model: Williams, Drews,
+Goldfain, Rehg & Theodorou, "Information-theoretic model predictive control", IEEE T-RO 34 (2018).
+
+Every step, the plan of the last one is shifted by a step, and rollouts of it with Gaussian noise on
+its commands are simulated: command limits, the firmware's ramp, motors and tyres as in `dynamics`,
+with larger substeps. The new plan is their mean, weighted by exp(-cost / TEMPERATURE). A rollout's
+cost is that of the way left at its end, by the navigation function of the kept map, and of
+nearness, collisions, reverse driving and changes of the commands on the way.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.dynamics.model import physics, tyre_step, wheel_speed
+from acsar_gym.dynamics.numbers import Physics
+from acsar_gym.jit import loop
+from acsar_gym.policies.setting import Seen, Setting
+from acsar_gym.safety.limiter import limits
+from acsar_gym.tasks.base import Floats
+
+from .geometry import clearance
+from .mapped import MappedPolicy
+from .motion import Pose
+from .potential import interpolated
+
+ROLLOUTS = 300
+STEPS = 20
+"""Policy steps that are looked ahead."""
+SUBSTEP = 0.02
+"""Step of the model in a rollout [s]."""
+NOISE = (0.35, 0.6)
+"""Standard deviation of the noise on the linear and the angular action."""
+KEPT = 0.6
+"""Correlation of the noise from one step to the next."""
+TEMPERATURE = 0.04
+"""Costs that differ by this count e times less [m]."""
+NOSE = 0.2
+"""The navigation function counts this far ahead of the robot, so that its heading matters [m]."""
+SOFT, FADES = 0.5, 0.06
+"""Cost of a second without clearance [m/s], and the clearance where it has fallen to 1/e [m]."""
+SAFE = 0.02
+"""Clearance below which a rollout counts as a collision [m]."""
+CRASH = 5.0
+"""Cost of a collision, plus what the steps left would cost [m]."""
+REVERSE = 0.3
+"""Cost of a second of reverse driving at full speed [m/s]."""
+CHANGE = 0.004
+"""Cost of changing an action by 1 [m]."""
+
+
+class Model(NamedTuple):
+    """The robot's numbers in rollouts."""
+
+    own: Physics
+    fastest: float
+    """Velocity of a full action [m/s], with the next one [rad/s]."""
+    turning: float
+    rise: float
+    """Greatest change of the linear command in a substep [m/s], of the angular one [rad/s], and of
+    a wheel's set point [rad/s]."""
+    spin: float
+    ramp: float
+    separation: float
+    """Effective wheel separation, by which commands become wheel speeds [m]."""
+    substeps: int
+    """In a policy step."""
+    dt: float
+    """Substep [s]."""
+
+
+def model_of(config: RobotConfig, period: float) -> Model:
+    """Make the model of a robot for a policy period [s]."""
+    substeps = max(1, round(period / SUBSTEP))
+    dt = period / substeps
+    motors = [config.motor.of_wheel(wheel) for wheel in range(4)]
+    blends = [1.0 - math.exp(-dt / m.time_constant) if m.time_constant > 0.0 else 1.0 for m in motors]
+    named = {f"blend_{w}": blend for w, blend in zip("abcd", blends, strict=True)}
+    return Model(
+        physics(config)._replace(**named),
+        config.max_linear,
+        config.max_angular,
+        limits(config.linear_limits).max_acceleration * dt,
+        limits(config.angular_limits).max_acceleration * dt,
+        min(motor.acceleration for motor in motors) * dt,
+        config.effective_separation,
+        substeps,
+        dt,
+    )
+
+
+class Mppi(MappedPolicy):
+    """Samples plans around the last one, and takes their mean weighted by how good they are."""
+
+    name = "mppi"
+
+    def equip(self, setting: Setting) -> None:
+        """Prepare for a robot and a task."""
+        self._model = model_of(setting.config, setting.period)
+        super().equip(setting)
+
+    def reset(self) -> None:
+        """Forget map, motion and plan."""
+        super().reset()
+        self._actions = np.zeros((STEPS, 2))
+
+    def decide(self, pose: Pose, goal: tuple[float, float], seen: Seen) -> tuple[float, float]:
+        """Return the first command of the new plan [m/s, rad/s]."""
+        config = self.setting.config
+        reach = config.max_linear * STEPS * self.setting.period + self.outer + 0.3
+        near = self.obstacles(pose, reach)
+        self._actions = np.vstack([self._actions[1:], self._actions[-1:]])
+        tried = np.clip(self._actions + self._noise(), -1.0, 1.0)
+        tried[0] = self._actions
+        tried[1] = 0.0
+        state = (*pose, seen.linear, seen.angular, *self.sent)
+        field = (self.plan.values, self.plan.x, self.plan.y)
+        body = (self.sides, self.outer)
+        target = (*goal, self.setting.tolerance)
+        costs = rolled(tried, state, self._model, near, body, field, target)
+        weights = np.exp(-(costs - costs.min()) / TEMPERATURE)
+        self._actions = np.einsum("n,nsa->sa", weights / weights.sum(), tried)
+        linear, angular = self._actions[0].tolist()
+        return linear * config.max_linear, angular * config.max_angular
+
+    def _noise(self) -> Floats:
+        """(ROLLOUTS, STEPS, 2): noise on actions, correlated in time."""
+        noise = self.rng.standard_normal((ROLLOUTS, STEPS, 2))
+        for step in range(1, STEPS):
+            fresh = math.sqrt(1.0 - KEPT**2) * noise[:, step]
+            noise[:, step] = KEPT * noise[:, step - 1] + fresh
+        return noise * NOISE
+
+
+@loop
+def advanced(
+    v: tuple[float, float, float],
+    right: float,
+    left: float,
+    set_right: float,
+    set_left: float,
+    command: tuple[float, float],
+    model: Model,
+) -> tuple[tuple[float, float, float], float, float, float, float]:
+    """Advance body and wheels by a substep.
+
+    Args:
+        v: velocity of the body: ahead, left [m/s], yaw rate [rad/s].
+        right: speed of the right wheels [rad/s].
+        left: speed of the left wheels [rad/s].
+        set_right: set point of the firmware [rad/s].
+        set_left: set point of the firmware [rad/s].
+        command: linear [m/s] and angular [rad/s].
+        model: of the robot.
+
+    Returns:
+        Velocity, wheel speeds and set points after it.
+    """
+    own, half = model.own, command[1] * model.separation / 2.0
+    want_right = (command[0] + half) / own.right_radius
+    want_left = (command[0] - half) / own.left_radius
+    set_right += min(max(want_right - set_right, -model.ramp), model.ramp)
+    set_left += min(max(want_left - set_left, -model.ramp), model.ramp)
+    right = wheel_speed(right, set_right, own.gain_a, own.blend_a, own.deadband_a, own.max_speed)
+    left = wheel_speed(left, set_left, own.gain_b, own.blend_b, own.deadband_b, own.max_speed)
+    wheels = (right, left, left, right)
+    return tyre_step(v[0], v[1], v[2], wheels, own, own.kappa, model.dt), right, left, set_right, set_left
+
+
+@loop
+def rolled(
+    tried: Floats,
+    state: tuple[float, float, float, float, float, float, float],
+    model: Model,
+    near: Floats,
+    body: tuple[Floats, float],
+    field: tuple[Floats, float, float],
+    target: tuple[float, float, float],
+) -> Floats:
+    """Simulate rollouts and sum up their costs.
+
+    Args:
+        tried: (rollouts, steps, 2): actions in [-1, 1].
+        state: pose, twist and last command.
+        model: of the robot.
+        near: (n, 2), obstacles in the frame of the pose [m].
+        body: the footprint's sides, and the radius of the disc around it [m].
+        field: the navigation function: values, x and y of its first cell.
+        target: the goal, and its radius [m].
+
+    Returns:
+        (rollouts,): costs in equivalent metres.
+    """
+    costs, own, count = np.empty(len(tried)), model.own, tried.shape[1]
+    span = model.substeps * model.dt
+    for n in range(len(tried)):
+        x, y, theta, linear, angular, sent_v, sent_w = state
+        half = angular * model.separation / 2.0
+        right, left = (linear + half) / own.right_radius, (linear - half) / own.left_radius
+        half = sent_w * model.separation / 2.0
+        set_right, set_left = (sent_v + half) / own.right_radius, (sent_v - half) / own.left_radius
+        velocity = (linear, 0.0, angular)
+        cost, last_v, last_w, arrived = 0.0, sent_v / model.fastest, sent_w / model.turning, False
+        for step in range(count):
+            act_v, act_w = tried[n, step, 0], tried[n, step, 1]
+            for _ in range(model.substeps):
+                sent_v += min(max(act_v * model.fastest - sent_v, -model.rise), model.rise)
+                sent_w += min(max(act_w * model.turning - sent_w, -model.spin), model.spin)
+                velocity, right, left, set_right, set_left = advanced(
+                    velocity, right, left, set_right, set_left, (sent_v, sent_w), model
+                )
+                theta += velocity[2] * model.dt
+                cos, sin = math.cos(theta), math.sin(theta)
+                x += (cos * velocity[0] - sin * velocity[1]) * model.dt
+                y += (sin * velocity[0] + cos * velocity[1]) * model.dt
+            cost += CHANGE * ((act_v - last_v) ** 2 + (act_w - last_w) ** 2)
+            cost += REVERSE * span * max(-act_v, 0.0)
+            last_v, last_w = act_v, act_w
+            free = clearance(x, y, theta, near, body[0], body[1], 0.3)
+            cost += span * SOFT * math.exp(-free / FADES)
+            if free < SAFE:
+                cost += CRASH * (1.0 - 0.5 * step / count)
+                break
+            dx, dy = target[0] - x, target[1] - y
+            if dx * dx + dy * dy < target[2] * target[2]:
+                arrived = True
+                cost += 0.1 * span * step
+                break
+        if not arrived:
+            nose_x, nose_y = x + NOSE * math.cos(theta), y + NOSE * math.sin(theta)
+            cost += interpolated(field[0], field[1], field[2], nose_x, nose_y) + 0.1 * span * count
+        costs[n] = cost
+    return costs
