@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.progress import TimeElapsedColumn as Elapsed
@@ -46,8 +46,7 @@ def run(
     try:
         with _progress(every, waiting) as advance, contextlib.closing(_generator(running)) as parts:
             for number, part in parts:
-                store.add(part)
-                done[part.cell, part.first] = part
+                done[part.cell, part.first] = store.add(part)
                 advance(waiting[number])
     except KeyboardInterrupt:
         raise CancelledError(
@@ -57,7 +56,7 @@ def run(
     return _in_order(every, done)
 
 
-def _generator(running: Iterator[tuple[int, Part]]) -> Iterator[tuple[int, Part]]:  # type: ignore[misc]
+def _generator(running: Iterator[tuple[int, Part]]) -> Generator[tuple[int, Part], None, None]:
     """Wrap an iterator, so that closing it ends the running jobs."""
     yield from running
 

@@ -212,8 +212,8 @@ class Store:
                     f"{self.file}: line {number} isn't a benchmark's: use another folder"
                 ) from None
 
-    def add(self, part: Part) -> None:
-        """Append a part as one line, flushed to the disk.
+    def add(self, part: Part) -> Part:
+        """Append a part as one line, flushed to the disk; returns it as it will be read.
 
         Raises:
             ConfigError: it can't be written, as on a full disk; what was there before is kept.
@@ -231,6 +231,7 @@ class Store:
                 f"{self.file}: can't be written: {bounded.reason(error)}; what was finished is "
                 "kept: make room and give the same command again"
             ) from None
+        return Part.of(json.loads(data))
 
 
 def _same(noted: Path, plan: Mapping[str, Any]) -> None:

@@ -13,6 +13,7 @@ from typing import Any
 import tyro
 
 import acsar_gym
+from acsar_gym.cli.benchmark import benchmark
 from acsar_gym.cli.calibrate import calibrate
 from acsar_gym.cli.devices import doctor, drive, emulate, estop
 from acsar_gym.cli.gap import compare, gap
@@ -47,6 +48,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "record": record,
     "gap": gap,
     "compare": compare,
+    "benchmark": benchmark,
     "worlds": worlds,
     "warm-up": warm_up,
 }

@@ -1,0 +1,126 @@
+"""The card of each packaged policy: how it was trained, its figures, and its known weaknesses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from acsar_gym.benchmark.agents import PACKAGED
+from acsar_gym.benchmark.conditions import NOMINAL
+from acsar_gym.benchmark.table import LINKS, main_table
+from acsar_gym.errors import printable
+from acsar_gym.policies import OnnxPolicy
+from acsar_gym.reading import bounded
+from acsar_gym.resources import AGENTS
+
+Told = Mapping[str, Any]
+WEAK = 0.96
+"""A condition is a weakness where success falls below this share of nominal."""
+
+
+def write(told: Told, folder: Path) -> Iterator[Path]:
+    """Write a page for each packaged policy that a benchmark has figures of.
+
+    Args:
+        told: result of the benchmark.
+        folder: to write to.
+
+    Yields:
+        The files.
+
+    Raises:
+        ConfigError: a file can't be written.
+    """
+    agent = told["header"]["agents"].get(PACKAGED)
+    for each in agent["policies"] if agent else ():
+        file = AGENTS / "policies" / each["file"]
+        path = folder / f"{file.stem}.md"
+        bounded.write(path, card(OnnxPolicy(file), each["id"], told).encode())
+        yield path
+
+
+def card(policy: OnnxPolicy, env_id: str, told: Told) -> str:
+    """Return the card of a policy.
+
+    Args:
+        policy: the file.
+        env_id: its id, without namespace.
+        told: result of a benchmark.
+    """
+    rows = [row for row in told["rows"] if row["id"] == env_id and row["agent"] == PACKAGED]
+    nominal = [row for row in rows if row["condition"] == NOMINAL]
+    scenes = told["header"]["scenes"][env_id]
+    names = "; ".join(
+        f"{name}: {about['count']} from {about['first']} on, sha256 {about['sha256'][:16]}"
+        for name, about in scenes.items()
+    )
+    weak = [f"- {line}" for line in weaknesses(rows, told)] or ["- none was found."]
+    parts = [
+        f"# {policy.path.name}",
+        f"Drives `acsar_gym/{env_id}`. SHA-256 `{policy.sha256}`. Written by "
+        "`acsar-gym benchmark --cards`.",
+        "## Training",
+        "\n".join(trained(policy)),
+        "## Figures",
+        f"Scenes: {names}. See [the benchmark](../benchmark.md) for what the columns mean.",
+        main_table(nominal),
+        "## Known weaknesses",
+        "\n".join(weak),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def trained(policy: OnnxPolicy) -> list[str]:
+    """Return how a policy was trained, as lines of a list."""
+    bundle = policy.bundle
+    training = bundle.training
+    if training is None:
+        return ["Not known: the file doesn't say."]
+    said = {
+        "command": training.command and f"`{training.command}`",
+        "algorithm": training.algorithm,
+        "seed": training.seed,
+        "steps": training.steps and f"{training.steps:,}",
+        "time": training.seconds and f"{training.seconds:.0f} s",
+        "worlds": bundle.env.worlds,
+        "source": training.revision,
+        "versions": ", ".join(f"{name} {text}" for name, text in training.versions.items()),
+        "finished": training.finished,
+    }
+    return [f"- {name}: {printable(str(text))}" for name, text in said.items() if text or text == 0]
+
+
+def weaknesses(rows: Sequence[Told], told: Told) -> Iterator[str]:
+    """Yield what the figures say against a policy.
+
+    Args:
+        rows: of the policy, under all conditions.
+        told: result of the benchmark.
+    """
+    driven = [row for row in rows if not row["refused"]]
+    nominal = {(row["link"], row["scenes"]): row for row in driven if row["condition"] == NOMINAL}
+    for (link, scenes), row in nominal.items():
+        for name, what in (("collision_rate", "touches an obstacle"), ("fault_rate", "faults")):
+            if row[name]:
+                yield f"{LINKS[link]}, {scenes} scenes: {what} in {row[name]:.1%} of the episodes"
+        late = 1.0 - row["success_rate"] - row["collision_rate"] - row["fault_rate"]
+        if late > 1e-9:
+            yield f"{LINKS[link]}, {scenes} scenes: {late:.1%} end without goal or collision"
+    words = told["header"]["conditions"]
+    for row in rows:
+        text = words[row["condition"]]["words"]
+        if row["refused"]:
+            yield f"{text}: {printable(row['refused'])}"
+            continue
+        before = nominal.get((row["link"], row["scenes"]))
+        if before and row["success_rate"] < WEAK * before["success_rate"]:
+            yield (
+                f"{LINKS[row['link']]}, {text}: {row['success_rate']:.1%} success instead of "
+                f"{before['success_rate']:.1%}"
+            )
+    for best in told["best"]:
+        for name, what in (("success_rate", "success"), ("score_iqm", "score")):
+            ours = best["learned"] == PACKAGED and best["id"] == (rows[0]["id"] if rows else "")
+            if ours and not best[name]["better"]:
+                yield f"{LINKS[best['link']]}: {best['baseline']} has no lower {what}"

@@ -1,0 +1,220 @@
+"""The tables of a benchmark in Markdown, from its JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+from acsar_gym.benchmark.conditions import NOMINAL
+from acsar_gym.errors import printable
+
+Told = Mapping[str, Any]
+HEAD = """# Benchmark
+
+`acsar-gym benchmark` writes this page. Every agent drives the same scenes with the same seeds.
+Intervals have 95 %: Wilson's for success over all episodes; for the score the stratified bootstrap
+over training seeds and scenes of its interquartile mean (IQM), as Agarwal et al. 2021 define them.
+The score is 0 without success, else SPL; in Barn the BARN score over its largest value (k = 2, the
+robot's own top speed); in PathFollow 1 - mean cross-track error / 10 cm. Clearance, jerk and drift
+are means over episodes, time and energy over successful ones.
+"""
+LINKS = {"planar": "planar", "bullet": "PyBullet", "port": "emulated port"}
+
+
+def markdown(told: Told) -> str:
+    """Return the page.
+
+    Args:
+        told: as `store` describes `benchmark.json`.
+    """
+    parts = [HEAD, _provenance(told["header"])]
+    nominal = [row for row in told["rows"] if row["condition"] == NOMINAL]
+    for env_id, scenes in _unique((row["id"], row["scenes"]) for row in told["rows"]):
+        own = [row for row in nominal if (row["id"], row["scenes"]) == (env_id, scenes)]
+        about = told["header"]["scenes"][env_id][scenes]
+        parts.append(_heading(env_id, scenes, about))
+        parts += [main_table(own)] if own else []
+        parts += _refused(own)
+    parts += _best(told["best"]) + _improvements(told) + _links(nominal)
+    parts += _profiles(told["rows"], told["header"]["conditions"])
+    return "\n".join(part.strip() + "\n" for part in parts if part)
+
+
+def _unique(items: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
+    """The different items, in order."""
+    return list(dict.fromkeys(items))
+
+
+def _provenance(header: Told) -> str:
+    """Versions of what was used."""
+    versions = ", ".join(f"{name} {version}" for name, version in header["versions"].items())
+    return f"Versions: {versions}."
+
+
+def _heading(env_id: str, scenes: str, about: Told) -> str:
+    """Heading of an id's table, with its scenes."""
+    kind = "seeds" if about["kind"] == "seeds" else f"worlds of {about['kind']}"
+    last = about["first"] + about["count"] - 1
+    return (
+        f"## {env_id}, {scenes} scenes\n\n{about['count']} {kind}, {about['first']} to {last}, "
+        f"version {about['version']}, sha256 {about['sha256'][:16]}"
+    )
+
+
+def main_table(own: Sequence[Told]) -> str:
+    """Return the table of some rows: by link, the best score first."""
+    driven = [row for row in own if not row["refused"]]
+    driven.sort(key=lambda row: (list(LINKS).index(row["link"]), -row["score_iqm"]))
+    shown = {
+        name: cells for name, cell in COLUMNS.items() if any(cells := [cell(row) for row in driven])
+    }
+    rows = zip(*shown.values(), strict=True)
+    return _table(list(shown), [[cell or "-" for cell in row] for row in rows])
+
+
+def _table(names: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A Markdown table; numbers are aligned to the right."""
+    aligned = ["---" if number == 0 else "---:" for number in range(len(names))]
+    lines = [names, aligned, *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def _refused(own: Sequence[Told]) -> list[str]:
+    """Why agents have no row."""
+    why = {row["agent"]: row["refused"] for row in own if row["refused"]}
+    return [f"- {_plain(name)} can't drive here: {_plain(said)}" for name, said in why.items()]
+
+
+def _plain(text: str) -> str:
+    """Escape what has a meaning in a table."""
+    return printable(text).replace("|", "\\|")
+
+
+def _number(key: str, digits: int, factor: float = 1.0) -> Callable[[Told], str]:
+    """Format a figure; empty where there is none."""
+    return lambda row: "" if row.get(key) is None else f"{row[key] * factor:.{digits}f}"
+
+
+def _success(row: Told) -> str:
+    """Success rate with its interval [%], and the seeds' worst and median where there are some."""
+    low, high = row["success_interval"]
+    told = f"{row['success_rate']:.1%} ({100 * low:.1f} to {100 * high:.1f})"
+    if len(row["training_seeds"]) > 1:
+        told += f", worst seed {row['success_worst_seed']:.1%}"
+    return told
+
+
+def _score(row: Told) -> str:
+    low, high = row["intervals"]["score_iqm"]
+    return f"{row['score_iqm']:.3f} ({low:.3f} to {high:.3f})"
+
+
+COLUMNS: dict[str, Callable[[Told], str]] = {
+    "agent": lambda row: (
+        f"**{_plain(row['agent'])}**" if row["kind"] == "learned" else _plain(row["agent"])
+    ),
+    "link": lambda row: LINKS[row["link"]],
+    "seeds": lambda row: str(len(row["training_seeds"])) if row["kind"] == "learned" else "",
+    "episodes": lambda row: str(row["episodes"]),
+    "success": _success,
+    "score IQM": _score,
+    "SPL": _number("spl", 3),
+    "BARN score, own speed": _number("barn_score_own", 3),
+    "BARN score, 2 m/s": _number("barn_score", 3),
+    "cross-track [cm]": _number("cross_track", 2, 100.0),
+    "time [s]": _number("time_to_goal", 2),
+    "clearance [cm]": _number("clearance", 1, 100.0),
+    "turning [rad/m]": _number("smoothness", 2),
+    "jerk [m/s³]": _number("jerk", 2),
+    "energy [J]": _number("energy", 2),
+    "drift [%]": _number("odometry_drift", 2, 100.0),
+}
+"""Cells of the main tables; empty text means no value, and columns without any are left out."""
+
+
+def _best(best: Sequence[Told]) -> list[str]:
+    """The best learned agent against the best baseline."""
+    if not best:
+        return []
+    rows = []
+    for each in best:
+        told = [each["id"], each["scenes"], LINKS[each["link"]], each["learned"], each["baseline"]]
+        for name, form in (("success_rate", ".1%"), ("score_iqm", ".3f")):
+            figure = each[name]
+            told.append(f"{figure['learned']:{form}} : {figure['baseline']:{form}}")
+            told.append("yes" if figure["better"] else "no")
+            told.append("yes" if figure["apart"] else "no")
+        rows.append(list(map(_plain, told)))
+    names = ["id", "scenes", "link", "learned", "baseline"]
+    names += ["success", "better", "intervals apart", "score IQM", "better", "intervals apart"]
+    text = (
+        "## Best learned agent against best baseline\n\nThe best have the highest IQM of the score."
+    )
+    return [f"{text}\n\n{_table(names, rows)}"]
+
+
+def _improvements(told: Told) -> list[str]:
+    """Probability of improvement of the best learned agents."""
+    own = {(best["id"], best["scenes"], best["link"], best["learned"]) for best in told["best"]}
+    rows = [
+        [
+            *(each["id"], each["scenes"], LINKS[each["link"]]),
+            *(_plain(each["agent"]), _plain(each["over"])),
+            f"{each['probability']:.3f} ({each['interval'][0]:.3f} to {each['interval'][1]:.3f})",
+        ]
+        for each in told["improvements"]
+        if (each["id"], each["scenes"], each["link"], each["agent"]) in own
+    ]
+    if not rows:
+        return []
+    text = (
+        "## Probability of improvement\n\nThat a run of the first agent scores more than one of the "
+        "second in the same scene; equal scores count half."
+    )
+    return [f"{text}\n\n{_table(['id', 'scenes', 'link', 'agent', 'over', 'probability'], rows)}"]
+
+
+def _links(nominal: Sequence[Told]) -> list[str]:
+    """Success of the same agents behind different links."""
+    names = [link for link in LINKS if any(row["link"] == link for row in nominal)]
+    found: dict[tuple[str, str, str], dict[str, float]] = {}
+    for row in nominal:
+        if not row["refused"]:
+            place = row["id"], row["scenes"], row["agent"]
+            found.setdefault(place, {})[row["link"]] = row["success_rate"]
+    rows = [
+        [*map(_plain, place), *(f"{rates[n]:.1%}" if n in rates else "-" for n in names)]
+        for place, rates in found.items()
+        if len(rates) > 1
+    ]
+    if not rows:
+        return []
+    head = ["id", "scenes", "agent", *(LINKS[name] for name in names)]
+    return [f"## The same agents behind other links\n\nSuccess.\n\n{_table(head, rows)}"]
+
+
+def _profiles(rows: Sequence[Told], conditions: Told) -> list[str]:
+    """Success under every condition, and relative to nominal."""
+    found = []
+    for place in _unique((row["id"], row["link"]) for row in rows if row["condition"] != NOMINAL):
+        own = [row for row in rows if (row["id"], row["link"]) == place and not row["refused"]]
+        own = [row for row in own if row["scenes"] == "test"]
+        rates = {(row["agent"], row["condition"]): row["success_rate"] for row in own}
+        agents = list(dict.fromkeys(row["agent"] for row in own))
+        lines = [
+            [conditions[name]["words"], *(_relative(rates, agent, name) for agent in agents)]
+            for name in conditions
+        ]
+        head = (
+            f"## Robustness: {place[0]}, {LINKS[place[1]]}\n\nSuccess (and its share of nominal)."
+        )
+        found.append(f"{head}\n\n{_table(['condition', *map(_plain, agents)], lines)}")
+    return found
+
+
+def _relative(rates: Mapping[tuple[str, str], float], agent: str, condition: str) -> str:
+    """Success under a condition, and its share of that under nominal conditions."""
+    rate, nominal = rates.get((agent, condition)), rates.get((agent, NOMINAL))
+    if rate is None:
+        return "-"
+    return f"{rate:.1%}" + (f" ({rate / nominal:.3f})" if nominal and condition != NOMINAL else "")
