@@ -11,8 +11,8 @@ BOARD_SUITES := tests/links/test_contract.py tests/links/test_serial.py tests/li
   tests/safety/test_estop.py
 REPLUG_CYCLES ?= 1000
 
-.PHONY: demo test test-slow test-browser test-ecosystem lint firmware firmware-tested fuzz soak \
-  replug identify-check clean
+.PHONY: demo test test-slow test-browser test-ecosystem test-scale throughput lint firmware \
+  firmware-tested fuzz soak replug identify-check clean
 
 demo: $(READY)  ## train a policy, drive it in PyBullet, then over a serial device
 	$(BIN)/acsar-gym demo
@@ -50,6 +50,12 @@ firmware-tested: $(READY)
 
 test-browser: $(READY)  ## the HTML reports in headless Chromium, which apt installs
 	$(BIN)/pytest tests/browser
+
+test-scale: $(READY)  ## Ray clusters of two nodes on this machine, one of them killed
+	$(BIN)/pytest tests/scale
+
+throughput: $(READY)  ## what a second Ray node is worth; needs a machine with nothing else to do
+	$(BIN)/python tests/scale/throughput.py
 
 fuzz: $(READY)  ## coverage-guided fuzzing of what reads bytes and files, FUZZ_SECONDS each
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[fuzz]'

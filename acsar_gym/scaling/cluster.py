@@ -23,6 +23,8 @@ J = TypeVar("J")
 R = TypeVar("R")
 PATIENCE = 5.0
 """How long a cluster may take to answer, and interrupted jobs to close their links [s]."""
+QUEUED = 100
+"""Jobs that are sent to a cluster at once, at least; its autoscaler counts those that wait."""
 CLIENT = "ray://"
 QUIET: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
 
@@ -34,10 +36,11 @@ def completed(
     with connected(address, workers) as ray:
         remote = ray.remote(num_cpus=1, max_retries=RETRIES)(_attempt)
         queue = iter(enumerate(jobs))
+        most = workers or max(QUEUED, 2 * int(ray.cluster_resources().get("CPU", 1)))
         running: dict[Any, int] = {}
         try:
             while True:
-                while len(running) < (workers or len(jobs)) and (each := next(queue, None)):
+                while len(running) < most and (each := next(queue, None)):
                     running[remote.remote(acsar_gym.__version__, function, each[1])] = each[0]
                 if not running:
                     return
@@ -132,10 +135,10 @@ _HINT = "start a cluster with 'ray start --head', or run without --address"
 
 def _check(address: str) -> None:
     """Check that something like Ray answers; ClusterError if nothing does within PATIENCE."""
-    named = os.environ.get("RAY_ADDRESS", "") if address == "auto" else address
-    if not named:
+    place = os.environ.get("RAY_ADDRESS", "auto") if address == "auto" else address
+    if place == "auto":
         return  # Ray looks for a cluster of this machine, and soon says that there is none
-    place = named.removeprefix(CLIENT)
+    place = place.removeprefix(CLIENT)
     host, _, port = place.rpartition(":")
     if not host or not port.isdecimal():
         raise ConfigError(

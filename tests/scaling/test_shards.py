@@ -38,7 +38,7 @@ def both(policy: FilePolicy, count: int, **options: Any) -> list[Run]:
 
 
 def test_two_processes_give_the_results_of_one(policy: FilePolicy) -> None:
-    one, two = both(policy, 9, worlds="open", difficulty=0.3)
+    one, two = both(policy, 4, worlds="open", difficulty=0.3)
     assert repr(one.results) == repr(two.results)
     assert one.worlds == two.worlds
     assert [done.header.pop("workers") for done in (one, two)] == [1, 2]

@@ -1,0 +1,186 @@
+"""Jobs and evaluations on a Ray cluster of two nodes; run by `make test-scale`."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cluster_tools import Nodes, nodes
+from job_tools import Job, broken, missing, square
+
+from acsar_gym.errors import JobError, MissingExtraError
+from acsar_gym.evaluation import runs
+from acsar_gym.evaluation.episodes import EpisodeResult
+from acsar_gym.scaling import completed, shards
+
+PATIENCE = 120.0
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Nodes]:
+    with nodes(2) as running:
+        yield running
+
+
+def evaluated(address: str | None, after: Any = None) -> tuple[list[EpisodeResult], str]:
+    """Evaluate the packaged policy on 60 episodes; calls `after` when some are done."""
+    policy = runs.load("obstacle_goal", trust=False)
+    seeds = range(60)
+    if address is None:
+        done = runs.drive(policy, "planar", None, seeds)
+        return done.results, done.worlds
+    with pytest.MonkeyPatch.context() as patch:
+
+        def noticed(*arguments: Any, **options: Any) -> Iterator[Any]:
+            for count, result in enumerate(completed(*arguments, **options)):
+                if count == 2 and after is not None:
+                    after()
+                yield result
+
+        patch.setattr(shards, "completed", noticed)
+        done = shards.drive(policy, "planar", None, seeds, address=address)
+    return done.results, done.worlds
+
+
+def test_jobs_run_on_both_nodes_and_their_results_come_in_order_of_completion(
+    cluster: Nodes, tmp_path: Path
+) -> None:
+    """The first job waits for the second, which only another CPU can run."""
+    jobs = [Job(0, tmp_path, waits=tmp_path / "end-1"), Job(1, tmp_path)]
+    assert list(completed(square, jobs, address=cluster.address)) == [(1, 1), (0, 0)]
+
+
+def test_a_dead_process_costs_no_result(cluster: Nodes, tmp_path: Path) -> None:
+    jobs = [Job(number, tmp_path, deaths=number) for number in range(3)]
+    results = sorted(completed(square, jobs, address=cluster.address))
+    assert results == [(0, 0), (1, 1), (2, 4)]
+
+
+def test_errors_are_those_of_one_process(cluster: Nodes, tmp_path: Path) -> None:
+    with pytest.raises(MissingExtraError, match="this job needs an extra"):
+        list(completed(missing, [1], address=cluster.address))
+    with pytest.raises(JobError, match=r"job 5: ZeroDivisionError.*job_tools\.py, line \d+\)"):
+        list(completed(broken, [5], address=cluster.address))
+    with pytest.raises(JobError, match=r"Job\(number=7.*ended 4 processes"):
+        list(completed(square, [Job(7, tmp_path, deaths=99)], address=cluster.address))
+
+
+def test_a_closed_iterator_ends_running_jobs_in_good_order(cluster: Nodes, tmp_path: Path) -> None:
+    jobs = [Job(0, tmp_path), Job(1, tmp_path, waits=tmp_path / "never")]
+    results: Any = completed(square, jobs, address=cluster.address)
+    assert next(results) == (0, 0)
+    while not list(tmp_path.glob("start-1-*")):
+        time.sleep(0.01)
+    results.close()
+    assert (tmp_path / "end-1").exists()
+
+
+def test_two_nodes_give_the_table_of_one_process(cluster: Nodes) -> None:
+    assert repr(evaluated(cluster.address)) == repr(evaluated(None))
+
+
+def test_a_killed_node_costs_no_result() -> None:
+    with nodes(2) as cluster:
+        results = evaluated(cluster.address, lambda: cluster.kill(0))
+    assert repr(results) == repr(evaluated(None))
+
+
+def command(*arguments: str) -> list[str]:
+    return [sys.executable, "-m", "acsar_gym", "evaluate", "--link", "planar", *arguments]
+
+
+def test_the_command_runs_on_a_cluster_and_prints_nothing_of_ray(
+    cluster: Nodes, tmp_path: Path
+) -> None:
+    file = tmp_path / "results.json"
+    asked = ("--episodes", "20", "--json", str(file), "--address", cluster.address)
+    ended = subprocess.run(
+        command(*asked), check=False, capture_output=True, text=True, timeout=PATIENCE
+    )
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert "ray" not in ended.stdout.lower()
+    header = json.loads(file.read_text(encoding="utf-8"))["header"]
+    assert (header["workers"], header["address"]) == (None, cluster.address)
+
+
+IDLE = """
+from pathlib import Path
+
+calls = 0
+
+def act(observation):
+    global calls
+    calls += 1
+    if calls == {calls}:
+        Path({marker!r}).touch()
+    return 0.0, 0.0
+"""
+"""A policy that leaves a file when it has been called often enough for 20 episodes."""
+
+
+def test_ctrl_c_on_a_cluster_keeps_what_is_finished(cluster: Nodes, tmp_path: Path) -> None:
+    file, policy, marker = (tmp_path / name for name in ("results.json", "idle.py", "marker"))
+    policy.write_text(IDLE.format(calls=20 * 200, marker=str(marker)), encoding="utf-8")
+    asked = ("--policy", f"{policy}:act", "--env", "point_goal", "--episodes", "100000")
+    running = subprocess.Popen(
+        command(*asked, "--json", str(file), "--address", cluster.address),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    while not marker.exists():
+        assert running.poll() is None
+        time.sleep(0.1)
+    running.send_signal(signal.SIGINT)
+    _, error = running.communicate(timeout=PATIENCE)
+    assert running.returncode == 130
+    assert error.strip().startswith("acsar-gym: interrupted")
+    assert "Traceback" not in error
+    data = json.loads(file.read_text(encoding="utf-8"))
+    assert data["ended_early"] == "interrupted"
+    assert 0 < data["episodes"] < 100_000
+
+
+@pytest.mark.parametrize("kind", ["", "ray://"])
+def test_an_address_that_is_something_else_than_ray_is_one_line(kind: str) -> None:
+    """A port that accepts connections and says nothing."""
+    import socket
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"{kind}127.0.0.1:{server.getsockname()[1]}"
+        begin = time.monotonic()
+        ended = subprocess.run(
+            command("--address", address),
+            check=False,
+            capture_output=True,
+            text=True,
+            timeout=PATIENCE,
+        )
+    assert ended.returncode == 3
+    assert ended.stderr.count("\n") == 1
+    assert "doesn't answer" in ended.stderr
+    assert time.monotonic() - begin < PATIENCE
+
+
+def test_ray_of_this_machine_alone(tmp_path: Path) -> None:
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent.parent)}
+    script = (
+        "from job_tools import threads\nfrom acsar_gym.scaling import completed\n"
+        "print(list(completed(threads, ['OMP_NUM_THREADS'], workers=1, address='local')))\n"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", script],
+        check=False,
+        capture_output=True,
+        text=True,
+        env=environment,
+    )
+    assert (ended.stdout, ended.stderr) == ("[(0, '1')]\n", "")
