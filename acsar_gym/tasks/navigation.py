@@ -33,7 +33,7 @@ class NavigationTask(GoalTask):
     """Base of the tasks with a goal behind obstacles, which the robot sees with a LiDAR."""
 
     sensors = ("lidar",)
-    observation = {
+    observation: ClassVar[Mapping[str, tuple[float, float]]] = {
         **GOAL_OBSERVATION,
         "stalled": (0.0, 1.0),
         "detour": (0.0, OBSERVATION_LIMIT),
