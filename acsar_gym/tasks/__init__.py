@@ -9,7 +9,8 @@ from acsar_gym.tasks.base import (
     Task,
     signature,
 )
-from acsar_gym.tasks.goal import Barn, ObstacleGoal, PointGoal
+from acsar_gym.tasks.goal import PointGoal
+from acsar_gym.tasks.navigation import Barn, ObstacleGoal
 from acsar_gym.tasks.path import PathFollow
 from acsar_gym.tasks.spawn import Assignment
 

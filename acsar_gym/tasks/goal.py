@@ -1,4 +1,4 @@
-"""Tasks with a goal: on an open floor, among obstacles, or through the worlds of BARN.
+"""Tasks with a goal, and the one on an open floor.
 
 Observation, success and bounds use odometry only, so they are the same on hardware. Only a
 simulated robot knows that it has touched something: there a collision ends the episode, too.
@@ -14,7 +14,6 @@ from typing import Any, ClassVar
 from acsar_gym.dynamics.trigonometry import direction
 from acsar_gym.errors import ConfigError, shown
 from acsar_gym.jit import compilable
-from acsar_gym.tasks import barn
 from acsar_gym.tasks.base import (
     OBSERVATION_LIMIT,
     Goal,
@@ -117,43 +116,6 @@ class PointGoal(GoalTask):
         return OBSERVATION_LIMIT * self.goal_distance[1]
 
 
-@dataclass(frozen=True, kw_only=True)
-class ObstacleGoal(GoalTask):
-    """Reach a point among obstacles, with a LiDAR."""
-
-    id = "acsar_gym/ObstacleGoal-v1"
-    sensors = ("lidar",)
-    worlds = "clutter:train"
-    goal_tolerance: float = 0.3
-
-    def __post_init__(self) -> None:
-        tolerance = positive("goal_tolerance", self.goal_tolerance)
-        object.__setattr__(self, "goal_tolerance", tolerance)
-
-
-class Barn(GoalTask):
-    """Drive 10 m through a field of cylinders (BARN), with a LiDAR; info has the score."""
-
-    id = "acsar_gym/Barn-v1"
-    sensors = ("lidar",)
-    worlds = "barn:train"
-    goal_tolerance = barn.TOLERANCE
-    memory: ClassVar[Mapping[str, float]] = {"goal_distance": 0.0} | dict.fromkeys(barn.SCORES, 0.0)
-    compiled = True
-
-    def begin(self, state: State, memory: Any) -> None:
-        """Remember the distance to the goal; the scores are zero until it is reached."""
-        memory.goal_distance = goal_distance(state.pose[0], state.pose[1], state.goal)
-        score(state, memory, 0)
-
-    def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
-        """Reward of the step, see `goal_reward`; remembers the distance and the scores."""
-        before = memory.goal_distance
-        memory.goal_distance = goal_distance(state.pose[0], state.pose[1], state.goal)
-        score(state, memory, outcome)
-        return goal_reward(before, memory.goal_distance, state.action[0], outcome, self.end)
-
-
 # The functions below take and return scalars, so that numba can compile them for batches.
 
 
@@ -217,15 +179,6 @@ def goal_distance(x: float, y: float, goal: Goal) -> float:
     """Straight-line distance to the goal [m]."""
     dx, dy = goal[0] - x, goal[1] - y
     return math.sqrt(dx * dx + dy * dy)
-
-
-@compilable
-def score(state: State, memory: Any, outcome: int) -> None:
-    """Write BARN's scores of the run so far into the memory; zeros without success."""
-    success = 1.0 if outcome == 1 else 0.0
-    s2, s4, own2, own4 = barn.scores(success, state.time, state.length, state.max_twist[0])
-    memory.barn_score, memory.barn_score_k4 = s2, s4
-    memory.barn_score_own, memory.barn_score_own_k4 = own2, own4
 
 
 @compilable

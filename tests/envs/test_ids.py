@@ -146,7 +146,7 @@ def test_a_wall_is_seen_and_a_collision_ends_the_episode(link: str) -> None:
     config, terminated = inner(env).robot.config, False
     info: dict[str, Any] = {}
     reward: Any = 0.0
-    ahead = 7 + config.lidar.rays // 2
+    ahead = config.lidar.rays // 2 - config.lidar.rays
     assert observation[ahead] * config.lidar.max_range == pytest.approx(1.15, abs=1e-6)
     while not terminated:
         observation, reward, terminated, _, info = env.step(np.array([1.0, 0.0], np.float32))

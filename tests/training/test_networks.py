@@ -14,6 +14,7 @@ from acsar_gym.errors import ConfigError
 
 pytestmark = pytest.mark.xdist_group("torch")
 NUMBERS, RAYS = 7, 64
+ODD = (2, 4, 6)
 
 
 def space(width: int = NUMBERS + RAYS) -> gymnasium.spaces.Box:
@@ -59,3 +60,51 @@ def test_the_robot_and_the_place_of_the_rays_can_be_given() -> None:
         features(observation, robot=few, first=5)
     with pytest.raises(ConfigError, match="no 64 rays in an observation of 12"):
         features(observation)
+
+
+def test_a_mirrored_scene_gets_the_mirrored_action_and_the_same_value() -> None:
+    import torch
+
+    policy = mirrored()
+    rng = np.random.default_rng(0)
+    seen = rng.uniform(0.1, 1.0, (5, NUMBERS + RAYS)).astype(np.float32)
+    image = seen.copy()
+    image[:, ODD] *= -1.0
+    image[:, NUMBERS:] = seen[:, NUMBERS + (-np.arange(RAYS)) % RAYS]
+    with torch.no_grad():
+        actions, images = (
+            policy.get_distribution(torch.from_numpy(one)).mode().numpy() for one in (seen, image)
+        )
+        values, same = (policy.predict_values(torch.from_numpy(one)) for one in (seen, image))
+    assert images == pytest.approx(actions * [1.0, -1.0], abs=1e-6)
+    assert np.abs(actions).min() > 1e-4
+    assert same.numpy() == pytest.approx(values.numpy(), abs=1e-5)
+
+
+def mirrored(**options: Any) -> Any:
+    import torch
+
+    from acsar_gym.training.mirrored import MirrorPolicy
+    from acsar_gym.training.networks import RayClearance
+
+    torch.manual_seed(0)
+    policy = MirrorPolicy(
+        space(),
+        gymnasium.spaces.Box(-1.0, 1.0, (2,)),
+        lambda _: 1e-3,
+        **{
+            "net_arch": [32, 32],
+            "odd": ODD,
+            "features_extractor_class": RayClearance,
+            "activation_fn": torch.nn.ReLU,
+            **options,
+        },
+    )
+    for weights in policy.action_net.parameters():
+        torch.nn.init.normal_(weights)
+    return policy
+
+
+def test_numbers_that_are_no_numbers_are_refused() -> None:
+    with pytest.raises(ConfigError, match="before 64 rays, of 71 features"):
+        mirrored(odd=(7,))

@@ -1,0 +1,201 @@
+"""A policy network that drives the mirror image of a scene as the mirror image of its drive.
+
+A robot that is symmetric left to right has the same task in a mirrored world, so a network that
+knows this has half as much to learn. Imports torch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+import torch
+from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.type_aliases import Schedule
+
+from acsar_gym.config import RobotConfig, RobotSource
+from acsar_gym.errors import ConfigError
+from acsar_gym.lidars.base import ray_spec
+
+GAIN = 2.0**0.5
+"""Of the first weights, for rectified units."""
+SMALL = 0.01
+"""Of the first weights of the action, so that a new policy acts about zero."""
+
+Parts = tuple[torch.Tensor, torch.Tensor]
+
+
+class MirrorPolicy(ActorCriticPolicy):
+    """PPO's actor and critic, equivariant under the mirror image left to right.
+
+    Every layer has weights for the even part of its input, (x + mirrored x) / 2, and for the odd
+    part, (x - mirrored x) / 2, and acts on their sum and their difference: its units and their
+    mirror images. The linear velocity and the value are even, the angular velocity is odd. A layer
+    of n pairs of units costs half of a layer of 2 n units.
+
+    Args:
+        *args: as of ActorCriticPolicy; the features must be laid out as the observation, such as
+            those of `RayClearance`, with the rays at the end.
+        odd: indices of the numbers before the rays that change their sign in the mirror.
+        robot: whose LiDAR it is; see `RobotConfig.of`.
+        **kwargs: as of ActorCriticPolicy; `net_arch` has the pairs of units of each layer.
+
+    Raises:
+        ConfigError: the features are fewer than the rays, or `odd` names none of them.
+    """
+
+    def __init__(
+        self, *args: Any, odd: Sequence[int] = (), robot: RobotSource = None, **kwargs: Any
+    ) -> None:
+        self._odd, self._robot = tuple(odd), robot
+        super().__init__(*args, **kwargs)
+
+    def _get_constructor_parameters(self) -> dict[str, Any]:
+        return super()._get_constructor_parameters() | {"odd": self._odd, "robot": self._robot}
+
+    def _build_mlp_extractor(self) -> None:
+        """Make the hidden layers of actor and critic."""
+        split = mirror(self.features_dim, self._odd, RobotConfig.of(self._robot))
+        given: Any = self.net_arch
+        widths = given if isinstance(given, dict) else {"pi": given, "vf": given}
+        built = _Hidden(split, list(widths["pi"]), list(widths["vf"]), self.activation_fn)
+        self.mlp_extractor = built  # type: ignore[assignment]  # has the same methods
+
+    def _build(self, lr_schedule: Schedule) -> None:
+        """Make all layers and their first weights, and the optimizer."""
+        self.ortho_init = False  # ActorCriticPolicy's would touch layers that have theirs already
+        super()._build(lr_schedule)
+        width = self.mlp_extractor.latent_dim_pi // 2
+        self.action_net = _Action(width)  # type: ignore[assignment]  # instead of a Linear
+        torch.nn.init.orthogonal_(self.value_net.weight)
+        torch.nn.init.zeros_(self.value_net.bias)
+        self.optimizer = self.optimizer_class(
+            self.parameters(),
+            lr=lr_schedule(1),  # type: ignore[call-arg]  # torch's Optimizer has no lr
+            **self.optimizer_kwargs,
+        )
+
+
+def mirror(width: int, odd: Sequence[int], config: RobotConfig) -> _Split:
+    """Make the module that splits features into their even and odd parts.
+
+    Args:
+        width: of the features; the last ones are the rays.
+        odd: indices of the numbers that change their sign in the mirror.
+        config: of the robot.
+
+    Raises:
+        ConfigError: the features are fewer than the rays, or `odd` names none of them.
+    """
+    angles = ray_spec(config).angles()
+    first = width - len(angles)
+    if first < 0 or not all(0 <= number < first for number in odd):
+        raise ConfigError(
+            f"MirrorPolicy: odd = {tuple(odd)}: must be indices of the numbers before "
+            f"{len(angles)} rays, of {width} features"
+        )
+    image = torch.diag(torch.tensor([-1.0 if k in odd else 1.0 for k in range(width)]))
+    image[first:, first:] = 0.0
+    for ray, angle in enumerate(angles.tolist()):
+        other = torch.tensor(angles + angle)  # 0, or a full turn, at the ray's mirror image
+        image[first + int(torch.cos(other).argmax()), first + ray] = 1.0
+    return _Split(image)
+
+
+class _Split(torch.nn.Module):
+    """Features as coordinates of their even and odd parts, by one matrix."""
+
+    def __init__(self, image: torch.Tensor) -> None:
+        super().__init__()
+        kept = [_rows(torch.eye(len(image)) + sign * image) for sign in (1.0, -1.0)]
+        self.even, self.odd = (len(rows) for rows in kept)
+        self.basis: torch.Tensor
+        self.register_buffer("basis", torch.cat(kept).T.contiguous() / 2.0)
+
+    def forward(self, features: torch.Tensor) -> Parts:
+        parts = features @ self.basis
+        return parts[:, : self.even], parts[:, self.even :]
+
+
+def _rows(matrix: torch.Tensor) -> torch.Tensor:
+    """Rows that aren't zero, nor an earlier row or its negative."""
+    kept: list[torch.Tensor] = []
+    for row in matrix:
+        known = any(torch.equal(row, sign * one) for one in kept for sign in (1.0, -1.0))
+        if bool(row.any()) and not known:
+            kept.append(row)
+    return torch.stack(kept)
+
+
+class _Layers(torch.nn.Module):
+    """Hidden layers on even and odd parts."""
+
+    def __init__(
+        self, even: int, odd: int, widths: Sequence[int], activation: type[torch.nn.Module]
+    ) -> None:
+        super().__init__()
+        self.even = torch.nn.ModuleList(_linear(a, b) for a, b in pairwise([even, *widths]))
+        self.odd = torch.nn.ModuleList(
+            _linear(a, b, bias=False) for a, b in pairwise([odd, *widths])
+        )
+        self.activation = activation()
+
+    def forward(self, even: torch.Tensor, odd: torch.Tensor) -> Parts:
+        for on_even, on_odd in zip(self.even, self.odd, strict=True):
+            even, odd = on_even(even), on_odd(odd)
+            units, images = self.activation(even + odd), self.activation(even - odd)
+            even, odd = 0.5 * (units + images), 0.5 * (units - images)
+        return even, odd
+
+
+class _Hidden(torch.nn.Module):
+    """The hidden layers of actor and critic, with the methods of SB3's MlpExtractor."""
+
+    def __init__(
+        self,
+        split: _Split,
+        actor: Sequence[int],
+        critic: Sequence[int],
+        activation: type[torch.nn.Module],
+    ) -> None:
+        super().__init__()
+        self.split = split
+        self.actor = _Layers(split.even, split.odd, actor, activation)
+        self.critic = _Layers(split.even, split.odd, critic, activation)
+        self.latent_dim_pi, self.latent_dim_vf = 2 * actor[-1], critic[-1]
+
+    def forward(self, features: torch.Tensor) -> Parts:
+        return self.forward_actor(features), self.forward_critic(features)
+
+    def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
+        """Even and odd units of the actor side by side, (batch, 2 n)."""
+        return torch.cat(self.actor(*self.split(features)), dim=1)
+
+    def forward_critic(self, features: torch.Tensor) -> torch.Tensor:
+        """Even units of the critic, (batch, n)."""
+        even: torch.Tensor = self.critic(*self.split(features))[0]
+        return even
+
+
+class _Action(torch.nn.Module):
+    """Linear velocity from the even units, angular velocity from the odd ones."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.width = width
+        self.linear = _linear(width, 1, SMALL)
+        self.angular = _linear(width, 1, SMALL, bias=False)
+
+    def forward(self, units: torch.Tensor) -> torch.Tensor:
+        even, odd = units[:, : self.width], units[:, self.width :]
+        return torch.cat((self.linear(even), self.angular(odd)), dim=1)
+
+
+def _linear(before: int, after: int, gain: float = GAIN, *, bias: bool = True) -> torch.nn.Linear:
+    """Make a layer with orthogonal weights and no bias at first."""
+    layer = torch.nn.Linear(before, after, bias=bias)
+    torch.nn.init.orthogonal_(layer.weight, gain)
+    if bias:
+        torch.nn.init.zeros_(layer.bias)
+    return layer
