@@ -38,7 +38,7 @@ NOSE = 0.25
 """The navigation function counts this far ahead of the robot, so that its heading matters [m]."""
 SAFE = 0.03
 """Least clearance of the footprint on the way to a stop [m]."""
-SOFT, FADES = 0.5, 0.06
+SOFT, FADES = 0.15, 0.06
 """Cost of a second without clearance [m/s], and the clearance where it has fallen to 1/e [m]."""
 STRONG = 3.0
 """Deceleration of a full stop, which the command limits don't slow down [m/s^2]."""
@@ -69,7 +69,9 @@ class Dwa(MappedPolicy):
         near = self.obstacles(pose, config.max_linear * HORIZON + self.outer + 0.3)
         state = (*pose, seen.linear, seen.angular, *self.sent)
         field = (self.plan.values, self.plan.x, self.plan.y)
-        scores = scored(window, state, self._model, near, self.sides, self.outer, field)
+        target = (*goal, 0.9 * self.setting.tolerance)
+        body = (self.sides, self.outer)
+        scores = scored(window, state, self._model, near, body, field, target)
         best = int(scores.argmin())
         if not math.isfinite(scores[best]):
             return self._escape(near, state)
@@ -105,9 +107,9 @@ def scored(
     state: tuple[float, float, float, float, float, float, float],
     model: tuple[float, float, float],
     near: Floats,
-    sides: Floats,
-    outer: float,
+    body: tuple[Floats, float],
     field: tuple[Floats, float, float],
+    target: tuple[float, float, float],
 ) -> Floats:
     """Score velocities; less is better.
 
@@ -117,21 +119,21 @@ def scored(
         model: greatest linear [m/s^2] and angular acceleration [rad/s^2], and the share of the
             difference to the command by which the twist changes in a STEP.
         near: (n, 2), obstacles in the frame of the pose [m].
-        sides: of the footprint.
-        outer: radius of the disc around it [m].
+        body: the footprint's sides, and the radius of the disc around it [m].
         field: the navigation function: values, x and y of its first cell.
+        target: the goal, and its radius [m].
 
     Returns:
         (n,): the scores, in equivalent metres; infinite where a velocity isn't admissible.
     """
-    scores = np.empty(len(window))
+    scores, (sides, outer) = np.empty(len(window)), body
     for n in range(len(window)):
         command = (window[n, 0], window[n, 1])
         if not stops(command, state, model, near, sides, outer):
             scores[n] = np.inf
             continue
         x, y, theta, v, w, sent_v, sent_w = state
-        cost = 0.0
+        cost, arrived = 0.0, False
         for step in range(int(HORIZON / STEP + 0.5)):
             turning = command[1] if step * STEP < TURNS else 0.0
             sent_v += min(max(command[0] - sent_v, -model[0] * STEP), model[0] * STEP)
@@ -147,8 +149,14 @@ def scored(
                 if free < SAFE:
                     cost += 0.3 * (1.0 - step * STEP / HORIZON)
                     break
+                dx, dy = target[0] - x, target[1] - y
+                if dx * dx + dy * dy < target[2] * target[2]:
+                    arrived = True
+                    cost -= 1.0 - step * STEP / HORIZON
+                    break
         nose_x, nose_y = x + NOSE * math.cos(theta), y + NOSE * math.sin(theta)
-        scores[n] = cost + interpolated(field[0], field[1], field[2], nose_x, nose_y)
+        left = interpolated(field[0], field[1], field[2], nose_x, nose_y)
+        scores[n] = cost if arrived else cost + left
     return scores
 
 
