@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from acsar_gym.jit import loop
+from acsar_gym.jit import jit, loop
 from acsar_gym.policies.setting import Seen, Setting
 from acsar_gym.safety.limiter import limits
 from acsar_gym.tasks.base import Floats
@@ -38,10 +38,21 @@ NOSE = 0.25
 """The navigation function counts this far ahead of the robot, so that its heading matters [m]."""
 SAFE = 0.03
 """Least clearance of the footprint on the way to a stop [m]."""
-SOFT, FADES = 0.5, 0.06
+SOFT, FADES = 0.15, 0.06
 """Cost of a second without clearance [m/s], and the clearance where it has fallen to 1/e [m]."""
+BLOCKED = 0.3
+"""Cost of an arc that comes too near to something, times the share of it that is left [m]."""
+STILL, ALIGNED = 5, 0.3
+"""After so many decisions to stand still it turns to the plan, up to this bearing [rad]."""
 STRONG = 3.0
 """Deceleration of a full stop, which the command limits don't slow down [m/s^2]."""
+
+
+State = tuple[float, float, float, float, float, float, float]
+"""Pose (x, y, theta), twist and last command (linear, angular)."""
+Model = tuple[float, float, float]
+Body = tuple[Floats, float]
+Field = tuple[Floats, float, float]
 
 
 class Dwa(MappedPolicy):
@@ -69,11 +80,37 @@ class Dwa(MappedPolicy):
         near = self.obstacles(pose, config.max_linear * HORIZON + self.outer + 0.3)
         state = (*pose, seen.linear, seen.angular, *self.sent)
         field = (self.plan.values, self.plan.x, self.plan.y)
-        scores = scored(window, state, self._model, near, self.sides, self.outer, field)
+        target = (*goal, 0.9 * self.setting.tolerance)
+        body = (self.sides, self.outer)
+        scores = scored(window, state, self._model, near, body, field, target)
         best = int(scores.argmin())
         if not math.isfinite(scores[best]):
             return self._escape(near, state)
-        return float(window[best, 0]), float(window[best, 1])
+        linear, angular = window[best].tolist()
+        idle = abs(linear) < 0.03 and abs(angular) < 0.15
+        self._still = self._still + 1 if idle or self._still > STILL else 0
+        if self._still > STILL:
+            return self._align(pose, goal, state, near) or (linear, angular)
+        return linear, angular
+
+    def reset(self) -> None:
+        """Forget map, motion and decisions."""
+        super().reset()
+        self._still = 0
+
+    def _align(
+        self, pose: Pose, goal: tuple[float, float], state: State, near: Floats
+    ) -> tuple[float, float] | None:
+        """Turn towards the plan; None once it lies ahead, or where there is no room to turn."""
+        x, y = self.carrot(pose, goal, 0.4)
+        bearing = math.atan2(y, x)
+        turn = math.copysign(0.5 * self.setting.config.max_angular, bearing)
+        if abs(bearing) < ALIGNED or not stops(
+            0.0, turn, state, self._model, near, (self.sides, self.outer)
+        ):
+            self._still = 0
+            return None
+        return 0.0, turn
 
     def _window(self, fastest: float, turning: float) -> Floats:
         """(n, 2): velocities that can be reached in a step, and standing still."""
@@ -84,7 +121,7 @@ class Dwa(MappedPolicy):
         window: Floats = pairs.reshape(2, -1).T
         return window
 
-    def _escape(self, near: Floats, state: tuple[float, ...]) -> tuple[float, float]:
+    def _escape(self, near: Floats, state: State) -> tuple[float, float]:
         """Back off slowly, or turn, to where there is more clearance; nothing is admissible."""
         x, y, theta = state[:3]
         best, chosen = -1.0, (0.0, 0.0)
@@ -99,87 +136,114 @@ class Dwa(MappedPolicy):
         return chosen
 
 
+@jit
+def advanced(state: State, linear: float, angular: float, brake: float, model: Model) -> State:
+    """Predict the state a STEP later.
+
+    Args:
+        state: now.
+        linear: command [m/s].
+        angular: command [rad/s].
+        brake: greatest linear acceleration [m/s^2].
+        model: as in `scored`.
+    """
+    x, y, theta, v, w, sent_v, sent_w = state
+    sent_v += min(max(linear - sent_v, -brake * STEP), brake * STEP)
+    sent_w += min(max(angular - sent_w, -model[1] * STEP), model[1] * STEP)
+    v += model[2] * (sent_v - v)
+    w += model[2] * (sent_w - w)
+    theta += w * STEP
+    return (
+        x + v * STEP * math.cos(theta),
+        y + v * STEP * math.sin(theta),
+        theta,
+        v,
+        w,
+        sent_v,
+        sent_w,
+    )
+
+
 @loop
 def scored(
     window: Floats,
-    state: tuple[float, float, float, float, float, float, float],
-    model: tuple[float, float, float],
+    state: State,
+    model: Model,
     near: Floats,
-    sides: Floats,
-    outer: float,
-    field: tuple[Floats, float, float],
+    body: Body,
+    field: Field,
+    target: tuple[float, float, float],
 ) -> Floats:
     """Score velocities; less is better.
 
     Args:
         window: (n, 2), linear [m/s] and angular [rad/s].
-        state: pose, twist and last command.
+        state: now.
         model: greatest linear [m/s^2] and angular acceleration [rad/s^2], and the share of the
             difference to the command by which the twist changes in a STEP.
         near: (n, 2), obstacles in the frame of the pose [m].
-        sides: of the footprint.
-        outer: radius of the disc around it [m].
+        body: the footprint's sides, and the radius of the disc around it [m].
         field: the navigation function: values, x and y of its first cell.
+        target: the goal, and its radius [m].
 
     Returns:
         (n,): the scores, in equivalent metres; infinite where a velocity isn't admissible.
     """
-    scores = np.empty(len(window))
+    scores = np.full(len(window), np.inf)
     for n in range(len(window)):
-        command = (window[n, 0], window[n, 1])
-        if not stops(command, state, model, near, sides, outer):
-            scores[n] = np.inf
-            continue
-        x, y, theta, v, w, sent_v, sent_w = state
-        cost = 0.0
-        for step in range(int(HORIZON / STEP + 0.5)):
-            turning = command[1] if step * STEP < TURNS else 0.0
-            sent_v += min(max(command[0] - sent_v, -model[0] * STEP), model[0] * STEP)
-            sent_w += min(max(turning - sent_w, -model[1] * STEP), model[1] * STEP)
-            v += model[2] * (sent_v - v)
-            w += model[2] * (sent_w - w)
-            theta += w * STEP
-            x += v * STEP * math.cos(theta)
-            y += v * STEP * math.sin(theta)
-            if step % 2 == 1:
-                free = clearance(x, y, theta, near, sides, outer, 0.25)
-                cost += 2.0 * STEP * SOFT * math.exp(-free / FADES)
-                if free < SAFE:
-                    cost += 0.3 * (1.0 - step * STEP / HORIZON)
-                    break
-        nose_x, nose_y = x + NOSE * math.cos(theta), y + NOSE * math.sin(theta)
-        scores[n] = cost + interpolated(field[0], field[1], field[2], nose_x, nose_y)
+        if stops(window[n, 0], window[n, 1], state, model, near, body):
+            scores[n] = score(window[n, 0], window[n, 1], state, model, near, body, field, target)
     return scores
 
 
 @loop
-def stops(
-    command: tuple[float, float],
-    state: tuple[float, float, float, float, float, float, float],
-    model: tuple[float, float, float],
+def score(  # noqa: PLR0913 - a compiled function takes no objects
+    linear: float,
+    angular: float,
+    state: State,
+    model: Model,
     near: Floats,
-    sides: Floats,
-    outer: float,
+    body: Body,
+    field: Field,
+    target: tuple[float, float, float],
+) -> float:
+    """Score of one admissible velocity, see `scored`."""
+    cost, steps = 0.0, int(HORIZON / STEP + 0.5)
+    for step in range(steps):
+        turning = angular if step * STEP < TURNS else 0.0
+        state = advanced(state, linear, turning, model[0], model)
+        if step % 2 == 0:
+            continue
+        x, y, theta = state[0], state[1], state[2]
+        free = clearance(x, y, theta, near, body[0], body[1], 0.25)
+        cost += 2.0 * STEP * SOFT * math.exp(-free / FADES)
+        left = 1.0 - step / steps
+        if free < SAFE:
+            cost += BLOCKED * left
+            break
+        dx, dy = target[0] - x, target[1] - y
+        if dx * dx + dy * dy < target[2] * target[2]:
+            return cost - left
+    nose_x, nose_y = state[0] + NOSE * math.cos(state[2]), state[1] + NOSE * math.sin(state[2])
+    return cost + interpolated(field[0], field[1], field[2], nose_x, nose_y)
+
+
+@loop
+def stops(
+    linear: float, angular: float, state: State, model: Model, near: Floats, body: Body
 ) -> bool:
     """Whether the robot can obey a command for a while, and then stop without touching anything.
 
     Where it is too near to something already, coming no nearer is enough.
     """
-    x, y, theta, v, w, sent_v, sent_w = state
-    least = min(clearance(x, y, theta, near, sides, outer, SAFE) - 1e-3, SAFE)
+    least = clearance(state[0], state[1], state[2], near, body[0], body[1], SAFE) - 1e-3
     for step in range(int(1.0 / STEP)):
-        held = step * STEP < HELD
-        limit = model[0] if held else STRONG
-        goal_v, goal_w = (command[0], command[1]) if held else (0.0, 0.0)
-        sent_v += min(max(goal_v - sent_v, -limit * STEP), limit * STEP)
-        sent_w += min(max(goal_w - sent_w, -model[1] * STEP), model[1] * STEP)
-        v += model[2] * (sent_v - v)
-        w += model[2] * (sent_w - w)
-        theta += w * STEP
-        x += v * STEP * math.cos(theta)
-        y += v * STEP * math.sin(theta)
-        if clearance(x, y, theta, near, sides, outer, SAFE) < least:
+        if step * STEP < HELD:
+            state = advanced(state, linear, angular, model[0], model)
+        else:
+            state = advanced(state, 0.0, 0.0, STRONG, model)
+        if clearance(state[0], state[1], state[2], near, body[0], body[1], SAFE) < least:
             return False
-        if not held and abs(v) < 0.01 and abs(w) < 0.05:
+        if step * STEP >= HELD and abs(state[3]) < 0.01 and abs(state[4]) < 0.05:
             break
     return True

@@ -92,6 +92,22 @@ class MappedPolicy(BaselinePolicy):
         """(n, 2): what is known within a square around the robot, in the odometry frame [m]."""
         return self.known.points(pose[0], pose[1], reach)
 
+    def carrot(
+        self, pose: Pose, goal: tuple[float, float], lookahead: float
+    ) -> tuple[float, float]:
+        """The point of the plan that is so far from the robot, in the base frame [m].
+
+        Args:
+            pose: of the robot.
+            goal: which ends the plan [m].
+            lookahead: [m].
+        """
+        way = self.plan.way(pose[0], pose[1], 1.5 * lookahead)
+        far = np.hypot(way[:, 0] - pose[0], way[:, 1] - pose[1]) >= lookahead
+        x, y = way[int(far.argmax())].tolist() if far.any() else goal
+        dx, dy, cos, sin = x - pose[0], y - pose[1], math.cos(pose[2]), math.sin(pose[2])
+        return dx * cos + dy * sin, dy * cos - dx * sin
+
 
 def inner_radius(config: RobotConfig) -> float:
     """Radius of the circle around the origin within the footprint [m]."""

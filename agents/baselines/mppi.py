@@ -18,7 +18,7 @@ import numpy as np
 from acsar_gym.config import RobotConfig
 from acsar_gym.dynamics.model import physics, tyre_step, wheel_speed
 from acsar_gym.dynamics.numbers import Physics
-from acsar_gym.jit import loop
+from acsar_gym.jit import jit, loop
 from acsar_gym.policies.setting import Seen, Setting
 from acsar_gym.safety.limiter import limits
 from acsar_gym.tasks.base import Floats
@@ -53,6 +53,13 @@ CHANGE = 0.004
 """Cost of changing an action by 1 [m]."""
 
 
+TIME = 0.1
+"""Cost of a second until the goal is reached [m/s]."""
+
+Body = tuple[Floats, float]
+Field = tuple[Floats, float, float]
+
+
 class Model(NamedTuple):
     """The robot's numbers in rollouts."""
 
@@ -78,7 +85,9 @@ def model_of(config: RobotConfig, period: float) -> Model:
     substeps = max(1, round(period / SUBSTEP))
     dt = period / substeps
     motors = [config.motor.of_wheel(wheel) for wheel in range(4)]
-    blends = [1.0 - math.exp(-dt / m.time_constant) if m.time_constant > 0.0 else 1.0 for m in motors]
+    blends = [
+        1.0 - math.exp(-dt / m.time_constant) if m.time_constant > 0.0 else 1.0 for m in motors
+    ]
     named = {f"blend_{w}": blend for w, blend in zip("abcd", blends, strict=True)}
     return Model(
         physics(config)._replace(**named),
@@ -136,56 +145,87 @@ class Mppi(MappedPolicy):
         return noise * NOISE
 
 
-@loop
+Drive = tuple[float, float, float, float]
+"""Speeds of the right and the left wheels, and the firmware's set points of them [rad/s]."""
+Start = tuple[float, float, float, float, float, float, float]
+"""Pose (x, y, theta), twist and last command (linear, angular)."""
+
+
+@jit
+def wheels_of(linear: float, angular: float, model: Model) -> tuple[float, float]:
+    """Speeds of the right and the left wheels for a twist [rad/s]."""
+    half = angular * model.separation / 2.0
+    return (linear + half) / model.own.right_radius, (linear - half) / model.own.left_radius
+
+
+@jit
 def advanced(
-    v: tuple[float, float, float],
-    right: float,
-    left: float,
-    set_right: float,
-    set_left: float,
-    command: tuple[float, float],
-    model: Model,
-) -> tuple[tuple[float, float, float], float, float, float, float]:
+    v: tuple[float, float, float], drive: Drive, linear: float, angular: float, model: Model
+) -> tuple[tuple[float, float, float], Drive]:
     """Advance body and wheels by a substep.
 
     Args:
         v: velocity of the body: ahead, left [m/s], yaw rate [rad/s].
-        right: speed of the right wheels [rad/s].
-        left: speed of the left wheels [rad/s].
-        set_right: set point of the firmware [rad/s].
-        set_left: set point of the firmware [rad/s].
-        command: linear [m/s] and angular [rad/s].
+        drive: of the wheels.
+        linear: command [m/s].
+        angular: command [rad/s].
         model: of the robot.
 
     Returns:
-        Velocity, wheel speeds and set points after it.
+        Velocity and wheels after it.
     """
-    own, half = model.own, command[1] * model.separation / 2.0
-    want_right = (command[0] + half) / own.right_radius
-    want_left = (command[0] - half) / own.left_radius
-    set_right += min(max(want_right - set_right, -model.ramp), model.ramp)
-    set_left += min(max(want_left - set_left, -model.ramp), model.ramp)
+    own, (right, left, set_right, set_left) = model.own, drive
+    wanted = wheels_of(linear, angular, model)
+    set_right += min(max(wanted[0] - set_right, -model.ramp), model.ramp)
+    set_left += min(max(wanted[1] - set_left, -model.ramp), model.ramp)
     right = wheel_speed(right, set_right, own.gain_a, own.blend_a, own.deadband_a, own.max_speed)
     left = wheel_speed(left, set_left, own.gain_b, own.blend_b, own.deadband_b, own.max_speed)
-    wheels = (right, left, left, right)
-    return tyre_step(v[0], v[1], v[2], wheels, own, own.kappa, model.dt), right, left, set_right, set_left
+    after = tyre_step(v[0], v[1], v[2], (right, left, left, right), own, own.kappa, model.dt)
+    return after, (right, left, set_right, set_left)
+
+
+@loop
+def track(actions: Floats, start: Start, model: Model, poses: Floats) -> None:
+    """Simulate a rollout.
+
+    Args:
+        actions: (steps, 2), in [-1, 1].
+        start: the state now.
+        model: of the robot.
+        poses: (steps, 3): is set to x [m], y [m], theta [rad] after each step.
+    """
+    x, y, theta, linear, angular, sent_v, sent_w = start
+    right, left = wheels_of(linear, angular, model)
+    set_right, set_left = wheels_of(sent_v, sent_w, model)
+    drive, velocity = (right, left, set_right, set_left), (linear, 0.0, angular)
+    for step in range(len(actions)):
+        wanted_v, wanted_w = actions[step, 0] * model.fastest, actions[step, 1] * model.turning
+        for _ in range(model.substeps):
+            sent_v += min(max(wanted_v - sent_v, -model.rise), model.rise)
+            sent_w += min(max(wanted_w - sent_w, -model.spin), model.spin)
+            velocity, drive = advanced(velocity, drive, sent_v, sent_w, model)
+            theta += velocity[2] * model.dt
+            cos, sin = math.cos(theta), math.sin(theta)
+            x += (cos * velocity[0] - sin * velocity[1]) * model.dt
+            y += (sin * velocity[0] + cos * velocity[1]) * model.dt
+        poses[step, 0], poses[step, 1], poses[step, 2] = x, y, theta
 
 
 @loop
 def rolled(
     tried: Floats,
-    state: tuple[float, float, float, float, float, float, float],
+    start: Start,
     model: Model,
     near: Floats,
-    body: tuple[Floats, float],
-    field: tuple[Floats, float, float],
+    body: Body,
+    field: Field,
     target: tuple[float, float, float],
 ) -> Floats:
     """Simulate rollouts and sum up their costs.
 
     Args:
         tried: (rollouts, steps, 2): actions in [-1, 1].
-        state: pose, twist and last command.
+        start: the state now.
         model: of the robot.
         near: (n, 2), obstacles in the frame of the pose [m].
         body: the footprint's sides, and the radius of the disc around it [m].
@@ -195,43 +235,52 @@ def rolled(
     Returns:
         (rollouts,): costs in equivalent metres.
     """
-    costs, own, count = np.empty(len(tried)), model.own, tried.shape[1]
+    costs, poses = np.empty(len(tried)), np.empty((tried.shape[1], 3))
     span = model.substeps * model.dt
+    sent = (start[5] / model.fastest, start[6] / model.turning)
     for n in range(len(tried)):
-        x, y, theta, linear, angular, sent_v, sent_w = state
-        half = angular * model.separation / 2.0
-        right, left = (linear + half) / own.right_radius, (linear - half) / own.left_radius
-        half = sent_w * model.separation / 2.0
-        set_right, set_left = (sent_v + half) / own.right_radius, (sent_v - half) / own.left_radius
-        velocity = (linear, 0.0, angular)
-        cost, last_v, last_w, arrived = 0.0, sent_v / model.fastest, sent_w / model.turning, False
-        for step in range(count):
-            act_v, act_w = tried[n, step, 0], tried[n, step, 1]
-            for _ in range(model.substeps):
-                sent_v += min(max(act_v * model.fastest - sent_v, -model.rise), model.rise)
-                sent_w += min(max(act_w * model.turning - sent_w, -model.spin), model.spin)
-                velocity, right, left, set_right, set_left = advanced(
-                    velocity, right, left, set_right, set_left, (sent_v, sent_w), model
-                )
-                theta += velocity[2] * model.dt
-                cos, sin = math.cos(theta), math.sin(theta)
-                x += (cos * velocity[0] - sin * velocity[1]) * model.dt
-                y += (sin * velocity[0] + cos * velocity[1]) * model.dt
-            cost += CHANGE * ((act_v - last_v) ** 2 + (act_w - last_w) ** 2)
-            cost += REVERSE * span * max(-act_v, 0.0)
-            last_v, last_w = act_v, act_w
-            free = clearance(x, y, theta, near, body[0], body[1], 0.3)
-            cost += span * SOFT * math.exp(-free / FADES)
-            if free < SAFE:
-                cost += CRASH * (1.0 - 0.5 * step / count)
-                break
-            dx, dy = target[0] - x, target[1] - y
-            if dx * dx + dy * dy < target[2] * target[2]:
-                arrived = True
-                cost += 0.1 * span * step
-                break
-        if not arrived:
-            nose_x, nose_y = x + NOSE * math.cos(theta), y + NOSE * math.sin(theta)
-            cost += interpolated(field[0], field[1], field[2], nose_x, nose_y) + 0.1 * span * count
-        costs[n] = cost
+        track(tried[n], start, model, poses)
+        costs[n] = effort(tried[n], sent, span) + price(poses, near, body, field, target, span)
     return costs
+
+
+@jit
+def effort(actions: Floats, sent: tuple[float, float], span: float) -> float:
+    """Cost of changing actions, and of driving backwards.
+
+    Args:
+        actions: (steps, 2).
+        sent: the action before them.
+        span: duration of a step [s].
+    """
+    cost, (last_v, last_w) = 0.0, sent
+    for step in range(len(actions)):
+        v, w = actions[step, 0], actions[step, 1]
+        cost += CHANGE * ((v - last_v) ** 2 + (w - last_w) ** 2) + REVERSE * span * max(-v, 0.0)
+        last_v, last_w = v, w
+    return cost
+
+
+@loop
+def price(
+    poses: Floats,
+    near: Floats,
+    body: Body,
+    field: Field,
+    target: tuple[float, float, float],
+    span: float,
+) -> float:
+    """Cost of a rollout's poses, (steps, 3), that take `span` [s] each; see `rolled`."""
+    cost, count = 0.0, len(poses)
+    for step in range(count):
+        x, y, theta = poses[step, 0], poses[step, 1], poses[step, 2]
+        free = clearance(x, y, theta, near, body[0], body[1], 0.3)
+        cost += span * (TIME + SOFT * math.exp(-free / FADES))
+        if free < SAFE:
+            cost += CRASH * (1.0 - 0.5 * step / count)
+            break
+        dx, dy = target[0] - x, target[1] - y
+        if dx * dx + dy * dy < target[2] * target[2]:
+            return cost
+    nose_x, nose_y = x + NOSE * math.cos(theta), y + NOSE * math.sin(theta)
+    return cost + interpolated(field[0], field[1], field[2], nose_x, nose_y)

@@ -10,8 +10,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from acsar_gym.policies.setting import Seen
 from acsar_gym.tasks.base import Floats
 
@@ -44,8 +42,7 @@ class Navfn(MappedPolicy):
         """Return the velocity command [m/s, rad/s]."""
         config = self.setting.config
         lookahead = min(max(TIME * seen.linear, NEAREST), FARTHEST)
-        way = self.plan.way(pose[0], pose[1], FARTHEST + 0.2)
-        x, y = carrot(way, pose, lookahead, goal)
+        x, y = self.carrot(pose, goal, lookahead)
         bearing, distance = math.atan2(y, x), max(math.hypot(x, y), 0.05)
         near = self.obstacles(pose, config.max_linear * LOOK + self.outer + 0.3)
         turn = math.copysign(min(2.5 * abs(bearing), config.max_angular), bearing)
@@ -73,20 +70,3 @@ class Navfn(MappedPolicy):
             if clearance(x, y, theta, near, self.sides, self.outer, SAFE) < least:
                 return False
         return True
-
-
-def carrot(
-    way: Floats, pose: Pose, lookahead: float, goal: tuple[float, float]
-) -> tuple[float, float]:
-    """The point of the way that is so far from the robot, in the base frame [m].
-
-    Args:
-        way: (n, 2), from the robot on [m].
-        pose: of the robot, in the same frame.
-        lookahead: [m].
-        goal: which ends the way [m].
-    """
-    far = np.hypot(way[:, 0] - pose[0], way[:, 1] - pose[1]) >= lookahead
-    x, y = way[int(far.argmax())].tolist() if far.any() else goal
-    dx, dy, cos, sin = x - pose[0], y - pose[1], math.cos(pose[2]), math.sin(pose[2])
-    return dx * cos + dy * sin, dy * cos - dx * sin
