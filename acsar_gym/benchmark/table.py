@@ -168,8 +168,8 @@ def _improvements(told: Told) -> list[str]:
     if not rows:
         return []
     text = (
-        "## Probability of improvement\n\nThat a run of the first agent scores more than one of the "
-        "second in the same scene; equal scores count half."
+        "## Probability of improvement\n\nThat a run of the first agent scores more than one of "
+        "the second in the same scene; equal scores count half."
     )
     return [f"{text}\n\n{_table(['id', 'scenes', 'link', 'agent', 'over', 'probability'], rows)}"]
 
