@@ -17,12 +17,29 @@ FIRST = SCENES[ENV_ID].test.numbers[0]
 def episode(number: int = 0, score: float = 0.9, **changes: Any) -> Episode:
     """An episode of the open floor; it is a success where its score isn't 0."""
     values: dict[str, Any] = {
-        **{"scene": FIRST + number, "seed": FIRST + number, "success": score > 0.0},
-        **{"collision": False, "score": score, "spl": score, "soft_spl": score, "time": 4.0},
-        **{"steps": 40, "path": 1.5, "driven": 1.5, "shortest": 1.4, "turning": 0.5, "jerk": 2.0},
-        **{"clearance": math.nan, "energy": 3.0, "odometry_error": 0.01, "cross_track": math.nan},
-        **{"barn_score": math.nan, "barn_score_own": math.nan, "episode_return": 4.0},
-        **{"late_ticks": 0, "fault": ""},
+        "scene": FIRST + number,
+        "seed": FIRST + number,
+        "success": score > 0.0,
+        "collision": False,
+        "score": score,
+        "spl": score,
+        "soft_spl": score,
+        "time": 4.0,
+        "steps": 40,
+        "path": 1.5,
+        "driven": 1.5,
+        "shortest": 1.4,
+        "turning": 0.5,
+        "jerk": 2.0,
+        "clearance": math.nan,
+        "energy": 3.0,
+        "odometry_error": 0.01,
+        "cross_track": math.nan,
+        "barn_score": math.nan,
+        "barn_score_own": math.nan,
+        "episode_return": 4.0,
+        "late_ticks": 0,
+        "fault": "",
     }
     return Episode(**values | changes)
 
@@ -47,7 +64,12 @@ def plan(**kinds: str) -> dict[str, Any]:
     }
     about = SCENES[ENV_ID].test.about | {"count": 2}
     return {
-        **{"schema": SCHEMA, "version": "0.1.0", "agents": agents, "ids": [ENV_ID]},
-        **{"links": ["planar"], "scenes": {ENV_ID: {"test": about}}, "port_scenes": 0},
+        "schema": SCHEMA,
+        "version": "0.1.0",
+        "agents": agents,
+        "ids": [ENV_ID],
+        "links": ["planar"],
+        "scenes": {ENV_ID: {"test": about}},
+        "port_scenes": 0,
         "conditions": {name: {"words": each.words} for name, each in CONDITIONS.items()},
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from benchmark_tools import ENV_ID, cell, episode, part, plan
 
 from acsar_gym.benchmark import result, statistics, submission
 from acsar_gym.benchmark.cards import weaknesses
-from acsar_gym.benchmark.figures import score, summary
+from acsar_gym.benchmark.figures import Scoring, episode_of, score, summary
 from acsar_gym.benchmark.store import Part, Store
 from acsar_gym.benchmark.table import markdown
 from acsar_gym.errors import ConfigError
@@ -64,7 +65,7 @@ def test_the_best_are_compared(told: dict[str, Any]) -> None:
     (best,) = told["best"]
     assert (best["learned"], best["baseline"]) == ("ours", "floor")
     assert best["score_iqm"]["better"]
-    assert best["score_iqm"]["apart"]
+    assert not best["score_iqm"]["apart"]
     (improved,) = told["improvements"]
     assert improved["probability"] == pytest.approx(7 / 8)
 
@@ -74,9 +75,8 @@ def test_figures_are_those_of_an_evaluation() -> None:
         EpisodeResult(True, False, 0.0, 4.0, 1.5, (1, 0, 0), 0.02, 400, 0, 1.4, 0.0, 1.5, 0.3),
         EpisodeResult(False, True, 0.0, 9.0, 2.0, (1, 0, 0), 0.04, 900, 0, 1.9, 0.5, 2.0, 0.5),
     ]
-    from acsar_gym.benchmark.figures import episode_of
-
-    ours = summary([episode_of(each, 0, "ObstacleGoal-v1") for each in results])
+    scoring = Scoring("ObstacleGoal-v1", 0.5, 0.15)
+    ours = summary([episode_of(each, 0, scoring) for each in results])
     theirs = metrics.summarise(results)
     for name in ("success_rate", "collision_rate", "spl", "soft_spl", "time_to_goal", "path"):
         assert ours[name] == pytest.approx(getattr(theirs, name)), name
@@ -86,14 +86,15 @@ def test_figures_are_those_of_an_evaluation() -> None:
 
 
 def test_scores_of_the_ids() -> None:
-    ended = EpisodeResult(True, False, 0.0, 4.0, 1.5, (1, 0, 0), 0.0, 400, 0, 1.4, 0.0, 2.8)
-    assert score(ended, "PointGoal-v0") == pytest.approx(0.5)
-    from dataclasses import replace
-
-    assert score(replace(ended, scores=(0.1, 0.2, 0.45, 0.2)), "Barn-v1") == pytest.approx(0.9)
-    assert score(replace(ended, cross_track=0.01), "PathFollow-v0") == pytest.approx(0.9)
-    assert score(replace(ended, cross_track=0.3), "PathFollow-v0") == 0.0
-    assert score(replace(ended, success=False), "PointGoal-v0") == 0.0
+    ended = EpisodeResult(True, False, 1.0, 5.0, 1.5, (1, 0, 0), 0.0, 400, 0, 1.15, 0.0, 2.8)
+    goal = Scoring("PointGoal-v0", 0.5, 0.15)
+    assert score(ended, goal) == pytest.approx(0.5)  # 1 m in 4 s instead of 2 s
+    assert score(replace(ended, ended=2.0), goal) == 1.0
+    assert score(replace(ended, shortest=0.1), goal) == 0.0
+    assert score(replace(ended, success=False), goal) == 0.0
+    follow = replace(goal, id="PathFollow-v0")
+    assert score(replace(ended, cross_track=0.01), follow) == pytest.approx(0.9)
+    assert score(replace(ended, cross_track=0.3), follow) == 0.0
 
 
 def test_the_page_says_it_all(told: dict[str, Any]) -> None:
@@ -101,7 +102,7 @@ def test_the_page_says_it_all(told: dict[str, Any]) -> None:
     assert "| **ours** | planar | 2 | 8 | 87.5% (52.9 to 97.8), worst seed 75.0% |" in page
     assert "| PointGoal-v0 | test | planar | ours | floor | 87.5% : 50.0% | yes |" in page
     assert "| 5 % of the lines lost | 50.0% (0.571) |" in page
-    assert "- other can't drive here: other: needs a LiDAR" in page
+    assert "Without a row:\n\n- other: needs a LiDAR" in page
     assert "BARN" not in page.partition("## ")[2]
     assert "nan" not in page.lower().replace("nanmean", "")
 

@@ -71,7 +71,7 @@ def test_a_full_disk_loses_nothing_that_was_finished(tmp_path: Path) -> None:
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (ROOM, before[1]))
     try:
-        with pytest.raises(ConfigError, match="can't be written: .* is kept: make room") as caught:
+        with pytest.raises(ConfigError, match=r"can't be written: .* is kept: make room") as caught:
             for first in range(2, 100, 2):
                 store.add(part(first=first))
     finally:
