@@ -58,8 +58,8 @@ def card(policy: OnnxPolicy, env_id: str, told: Told) -> str:
     weak = [f"- {line}" for line in weaknesses(rows, told)] or ["- none was found."]
     parts = [
         f"# {policy.path.name}",
-        f"Drives `acsar_gym/{env_id}`. SHA-256 `{policy.sha256}`. Written by "
-        "`acsar-gym benchmark --cards`.",
+        f"Drives `acsar_gym/{env_id}`; `acsar-gym benchmark --cards` writes this page.",
+        f"SHA-256 `{policy.sha256}`",
         "## Training",
         "\n".join(trained(policy)),
         "## Figures",
@@ -98,29 +98,45 @@ def weaknesses(rows: Sequence[Told], told: Told) -> Iterator[str]:
         rows: of the policy, under all conditions.
         told: result of the benchmark.
     """
-    driven = [row for row in rows if not row["refused"]]
-    nominal = {(row["link"], row["scenes"]): row for row in driven if row["condition"] == NOMINAL}
-    for (link, scenes), row in nominal.items():
-        for name, what in (("collision_rate", "touches an obstacle"), ("fault_rate", "faults")):
-            if row[name]:
-                yield f"{LINKS[link]}, {scenes} scenes: {what} in {row[name]:.1%} of the episodes"
-        late = 1.0 - row["success_rate"] - row["collision_rate"] - row["fault_rate"]
-        if late > 1e-9:
-            yield f"{LINKS[link]}, {scenes} scenes: {late:.1%} end without goal or collision"
-    words = told["header"]["conditions"]
+    nominal = {
+        (row["link"], row["scenes"]): row
+        for row in rows
+        if row["condition"] == NOMINAL and not row["refused"]
+    }
+    for row in nominal.values():
+        yield from _failures(row)
     for row in rows:
-        text = words[row["condition"]]["words"]
-        if row["refused"]:
-            yield f"{text}: {printable(row['refused'])}"
-            continue
-        before = nominal.get((row["link"], row["scenes"]))
-        if before and row["success_rate"] < WEAK * before["success_rate"]:
-            yield (
-                f"{LINKS[row['link']]}, {text}: {row['success_rate']:.1%} success instead of "
-                f"{before['success_rate']:.1%}"
-            )
+        yield from _worse(row, nominal, told["header"]["conditions"])
     for best in told["best"]:
-        for name, what in (("success_rate", "success"), ("score_iqm", "score")):
-            ours = best["learned"] == PACKAGED and best["id"] == (rows[0]["id"] if rows else "")
-            if ours and not best[name]["better"]:
-                yield f"{LINKS[best['link']]}: {best['baseline']} has no lower {what}"
+        if best["learned"] == PACKAGED and rows and best["id"] == rows[0]["id"]:
+            yield from _beaten(best)
+
+
+def _failures(row: Told) -> Iterator[str]:
+    """How nominal episodes fail."""
+    place = f"{LINKS[row['link']]}, {row['scenes']} scenes"
+    for name, what in (("collision_rate", "touches an obstacle"), ("fault_rate", "faults")):
+        if row[name]:
+            yield f"{place}: {what} in {row[name]:.1%} of the episodes"
+    late = 1.0 - row["success_rate"] - row["collision_rate"] - row["fault_rate"]
+    if late > 1e-9:
+        yield f"{place}: {late:.1%} end without goal or collision"
+
+
+def _worse(row: Told, nominal: Mapping[tuple[str, str], Told], conditions: Told) -> Iterator[str]:
+    """Where a condition costs much success, or refuses the policy."""
+    words, before = conditions[row["condition"]]["words"], nominal.get((row["link"], row["scenes"]))
+    if row["refused"]:
+        yield f"{words}: {printable(row['refused'])}"
+    elif before and row["success_rate"] < WEAK * before["success_rate"]:
+        yield (
+            f"{LINKS[row['link']]}, {words}: {row['success_rate']:.1%} success instead of "
+            f"{before['success_rate']:.1%}"
+        )
+
+
+def _beaten(best: Told) -> Iterator[str]:
+    """Where a baseline is as good or better."""
+    for name, what in (("success_rate", "success"), ("score_iqm", "score")):
+        if not best[name]["better"]:
+            yield f"{LINKS[best['link']]}: {best['baseline']} has no lower {what}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from acsar_gym.benchmark.store import Episode
@@ -11,19 +12,29 @@ from acsar_gym.evaluation import metrics
 from acsar_gym.evaluation.episodes import EpisodeResult
 from acsar_gym.tasks.barn import SCORES
 
-BEST_BARN = 0.5
-"""Largest BARN score with k = 2."""
 WORST_ERROR = 0.1
 """Mean cross-track error at which following a path scores nothing [m]."""
 
 
-def episode_of(result: EpisodeResult, scene: int, env_id: str) -> Episode:
+@dataclass(frozen=True, slots=True)
+class Scoring:
+    """What the score of an episode depends on besides its result."""
+
+    id: str
+    """Id of the env, without its namespace."""
+    top_speed: float
+    """Of the robot [m/s]."""
+    tolerance: float
+    """Distance to the goal that is a success [m]."""
+
+
+def episode_of(result: EpisodeResult, scene: int, scoring: Scoring) -> Episode:
     """Flatten a result.
 
     Args:
         result: of the episode.
         scene: its number.
-        env_id: id without its namespace, which decides the score.
+        scoring: how it is scored.
     """
     scores = dict(zip(SCORES, result.scores, strict=False))
     return Episode(
@@ -31,7 +42,7 @@ def episode_of(result: EpisodeResult, scene: int, env_id: str) -> Episode:
         seed=result.seed or 0,
         success=bool(result.success),
         collision=bool(result.collision),
-        score=score(result, env_id),
+        score=score(result, scoring),
         spl=metrics.spl(result),
         soft_spl=metrics.soft_spl(result),
         time=result.ended - result.started,
@@ -53,19 +64,19 @@ def episode_of(result: EpisodeResult, scene: int, env_id: str) -> Episode:
     )
 
 
-def score(result: EpisodeResult, env_id: str) -> float:
+def score(result: EpisodeResult, scoring: Scoring) -> float:
     """Return the score of an episode, 0 to 1, 0 without success.
 
-    BARN's score (k = 2, the robot's own top speed) over its largest value; for path following
-    1 - mean cross-track error / 10 cm; SPL for the other ids.
+    For path following 1 - mean cross-track error / 10 cm. Otherwise success weighted by completion
+    time (Yokoyama, Ha & Batra 2021): T* / max(T, T*), where T is the time that it took, and T* that
+    of the shortest path, up to the goal's tolerance, at the robot's top speed.
     """
     if not result.success:
         return 0.0
-    if env_id.startswith("Barn-") and result.scores:
-        return result.scores[SCORES.index("barn_score_own")] / BEST_BARN
-    if env_id.startswith("PathFollow-"):
+    if scoring.id.startswith("PathFollow-"):
         return max(0.0, 1.0 - result.cross_track / WORST_ERROR)
-    return metrics.spl(result)
+    fastest = max(result.shortest - scoring.tolerance, 0.0) / scoring.top_speed
+    return fastest / max(result.ended - result.started, fastest, 1e-9)
 
 
 def _won(value: Callable[[Episode], float]) -> Callable[[Episode], float]:

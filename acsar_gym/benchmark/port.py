@@ -39,22 +39,23 @@ THINNED = 20
 """Every so many true poses of the log, which are 200 a second, count for lengths."""
 
 
-def results(job: Job) -> Iterator[EpisodeResult]:
+def results(job: Job, env: Any, policy: FilePolicy) -> Iterator[EpisodeResult]:
     """Drive the scenes of a job, each with an emulator of its own.
+
+    Args:
+        job: what to drive.
+        env: a simulated env of the same kind, for whose robot and worlds the policy was checked.
+        policy: drives.
 
     Raises:
         LinkError: the emulator didn't start, or its port can't be opened.
-        PolicyError, ConfigError: the policy can't drive there.
+        ConfigError: the port can't have this condition.
     """
-    condition = CONDITIONS[job.cell.condition]
-    config = condition.config
-    options = condition.options(config) | {"worlds": job.scenes.worlds}
-    policy = runs.load(job.policy, trust=False, env=job.env)
-    runs.made(policy, "planar", config, options).close()  # refuses before anything is started
+    config = env.unwrapped.robot.config
+    options = CONDITIONS[job.cell.condition].options(config) | {"worlds": job.scenes.worlds}
     for place in range(job.first, job.first + job.count):
-        seed, reset = job.scenes.reset(place)
         with tempfile.TemporaryDirectory() as folder:
-            yield _driven(policy, config, options, (seed, reset), Path(folder))
+            yield _driven(policy, config, options, job.scenes.reset(place), Path(folder))
 
 
 def _driven(

@@ -1,9 +1,9 @@
 """A submission: the row of anybody's policy, which others can check.
 
 `acsar-gym benchmark --policy mine.onnx` writes `mine.row.json`: the JSON of its benchmark and
-`sha256`, the hash of all the rest. `check` compares that hash, the scenes' hashes with those of this
-package, and the figures with those computed anew from the episodes. It can't know whether the
-episodes were really driven: whoever doubts it runs the same policy file, whose hash is in the row.
+`sha256`, the hash of all the rest. `check` compares that hash, the hashes of the scenes with those
+of this package, and the figures with those computed anew from the episodes. It can't know whether
+the episodes were really driven: whoever doubts it runs the policy, whose hash is in the row.
 """
 
 from __future__ import annotations
@@ -81,8 +81,8 @@ def check(path: Path) -> str:
         raise ConfigError(f"{path}: isn't a row of 'acsar-gym benchmark --policy'") from None
     note = "" if version == acsar_gym.__version__ else f" (this is {acsar_gym.__version__})"
     return (
-        f"{path}: sound: {', '.join(names)}, {count} episodes, acsar_gym {version}{note}, scenes of "
-        "this version, figures as computed from the episodes"
+        f"{path}: sound: {', '.join(names)}, {count} episodes, acsar_gym {version}{note}, scenes "
+        "of this version, figures as computed from the episodes"
     )
 
 
@@ -102,8 +102,8 @@ def _check_cell(path: Path, cell: Mapping[str, Any]) -> int:
     for name, value in cell["summary"].items():
         if not _alike(value, own.get(name)):
             raise ConfigError(
-                f"{path}: {name} of {cell['id']}, {cell['link']}, {cell['condition']} isn't that of "
-                f"its episodes: {value}, computed {own.get(name)}"
+                f"{path}: {cell['id']}, {cell['link']}, {cell['condition']}: {name} = {value} "
+                f"isn't that of its episodes, {own.get(name)}"
             )
     return int(own["episodes"])
 

@@ -14,9 +14,10 @@ HEAD = """# Benchmark
 `acsar-gym benchmark` writes this page. Every agent drives the same scenes with the same seeds.
 Intervals have 95 %: Wilson's for success over all episodes; for the score the stratified bootstrap
 over training seeds and scenes of its interquartile mean (IQM), as Agarwal et al. 2021 define them.
-The score is 0 without success, else SPL; in Barn the BARN score over its largest value (k = 2, the
-robot's own top speed); in PathFollow 1 - mean cross-track error / 10 cm. Clearance, jerk and drift
-are means over episodes, time and energy over successful ones.
+The score of an episode is 0 without success, else the time of the shortest path at the robot's top
+speed over the time that it took (success weighted by completion time, Yokoyama et al. 2021); in
+PathFollow 1 - mean cross-track error / 10 cm. BARN scores have k = 2. Clearance, jerk and drift are
+means over episodes, time and energy over successful ones.
 """
 LINKS = {"planar": "planar", "bullet": "PyBullet", "port": "emulated port"}
 
@@ -81,8 +82,8 @@ def _table(names: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 def _refused(own: Sequence[Told]) -> list[str]:
     """Why agents have no row."""
-    why = {row["agent"]: row["refused"] for row in own if row["refused"]}
-    return [f"- {_plain(name)} can't drive here: {_plain(said)}" for name, said in why.items()]
+    why = dict.fromkeys(_plain(row["refused"]) for row in own if row["refused"])
+    return ["\n".join(["Without a row:", "", *(f"- {said}" for said in why)])] if why else []
 
 
 def _plain(text: str) -> str:
@@ -168,8 +169,8 @@ def _improvements(told: Told) -> list[str]:
     if not rows:
         return []
     text = (
-        "## Probability of improvement\n\nThat a run of the first agent scores more than one of the "
-        "second in the same scene; equal scores count half."
+        "## Probability of improvement\n\nThat a run of the first agent scores more than one of "
+        "the second in the same scene; equal scores count half."
     )
     return [f"{text}\n\n{_table(['id', 'scenes', 'link', 'agent', 'over', 'probability'], rows)}"]
 

@@ -1,0 +1,195 @@
+"""Figures, comparisons, tables, cards and submissions of made-up cells."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from benchmark_tools import ENV_ID, cell, episode, part, plan
+
+from acsar_gym.benchmark import result, statistics, submission
+from acsar_gym.benchmark.cards import weaknesses
+from acsar_gym.benchmark.figures import Scoring, episode_of, score, summary
+from acsar_gym.benchmark.store import Part, Store
+from acsar_gym.benchmark.table import markdown
+from acsar_gym.errors import ConfigError
+from acsar_gym.evaluation import metrics
+from acsar_gym.evaluation.episodes import EpisodeResult
+
+KINDS = {"ours": "learned", "floor": "baseline", "other": "baseline"}
+GOOD, BAD = (0.9, 0.8, 0.95, 0.9), (0.5, 0.0, 0.4, 0.0)
+PARTS = [
+    part(cell("ours", 0), GOOD),
+    part(cell("ours", 1), (0.9, 0.85, 0.0, 0.9)),
+    part(cell("floor"), BAD[:2]),
+    part(cell("floor"), BAD[2:], first=2),
+    part(cell("ours", 0, condition="dropped-5"), BAD),
+    Part(cell("other"), 0, refused="other: needs a LiDAR"),
+]
+
+
+@pytest.fixture(scope="module")
+def told() -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(json.dumps(result.result(plan(**KINDS), PARTS)))
+    return found
+
+
+def row(told: dict[str, Any], agent: str, condition: str = "nominal") -> dict[str, Any]:
+    (found,) = (
+        row for row in told["rows"] if (row["agent"], row["condition"]) == (agent, condition)
+    )
+    return dict(found)
+
+
+def test_a_row_holds_all_training_seeds(told: dict[str, Any]) -> None:
+    ours = row(told, "ours")
+    assert (ours["training_seeds"], ours["episodes"], ours["scene_count"]) == ([0, 1], 8, 4)
+    assert ours["success_rate"] == 7 / 8
+    assert (ours["success_worst_seed"], ours["success_median_seed"]) == (0.75, 0.875)
+    assert ours["success_interval"] == list(metrics.wilson(7, 8))
+    scores = np.array([GOOD, (0.9, 0.85, 0.0, 0.9)])
+    assert ours["score_iqm"] == pytest.approx(statistics.interquartile_mean(scores))
+    assert ours["intervals"]["score_iqm"] == pytest.approx(statistics.interval([scores]))
+
+
+def test_a_refused_agent_has_no_figures(told: dict[str, Any]) -> None:
+    assert row(told, "other")["refused"] == "other: needs a LiDAR"
+    assert "success_rate" not in row(told, "other")
+
+
+def test_the_best_are_compared(told: dict[str, Any]) -> None:
+    (best,) = told["best"]
+    assert (best["learned"], best["baseline"]) == ("ours", "floor")
+    assert best["score_iqm"]["better"]
+    assert not best["score_iqm"]["apart"]
+    (improved,) = told["improvements"]
+    assert improved["probability"] == pytest.approx(7 / 8)
+
+
+def test_figures_are_those_of_an_evaluation() -> None:
+    results = [
+        EpisodeResult(True, False, 0.0, 4.0, 1.5, (1, 0, 0), 0.02, 400, 0, 1.4, 0.0, 1.5, 0.3),
+        EpisodeResult(False, True, 0.0, 9.0, 2.0, (1, 0, 0), 0.04, 900, 0, 1.9, 0.5, 2.0, 0.5),
+    ]
+    scoring = Scoring("ObstacleGoal-v1", 0.5, 0.15)
+    ours = summary([episode_of(each, 0, scoring) for each in results])
+    theirs = metrics.summarise(results)
+    for name in ("success_rate", "collision_rate", "spl", "soft_spl", "time_to_goal", "path"):
+        assert ours[name] == pytest.approx(getattr(theirs, name)), name
+    for name in ("smoothness", "odometry_error", "odometry_drift"):
+        assert ours[name] == pytest.approx(getattr(theirs, name)), name
+    assert ours["success_interval"] == list(theirs.intervals["success_rate"])
+
+
+def test_scores_of_the_ids() -> None:
+    ended = EpisodeResult(True, False, 1.0, 5.0, 1.5, (1, 0, 0), 0.0, 400, 0, 1.15, 0.0, 2.8)
+    goal = Scoring("PointGoal-v0", 0.5, 0.15)
+    assert score(ended, goal) == pytest.approx(0.5)  # 1 m in 4 s instead of 2 s
+    assert score(replace(ended, ended=2.0), goal) == 1.0
+    assert score(replace(ended, shortest=0.1), goal) == 0.0
+    assert score(replace(ended, success=False), goal) == 0.0
+    follow = replace(goal, id="PathFollow-v0")
+    assert score(replace(ended, cross_track=0.01), follow) == pytest.approx(0.9)
+    assert score(replace(ended, cross_track=0.3), follow) == 0.0
+
+
+def test_the_page_says_it_all(told: dict[str, Any]) -> None:
+    page = markdown(told)
+    assert "| **ours** | planar | 2 | 8 | 87.5% (52.9 to 97.8), worst seed 75.0% |" in page
+    assert "| PointGoal-v0 | test | planar | ours | floor | 87.5% : 50.0% | yes |" in page
+    assert "| 5 % of the lines lost | 50.0% (0.571) |" in page
+    assert "Without a row:\n\n- other: needs a LiDAR" in page
+    assert "BARN" not in page.partition("## ")[2]
+    assert "nan" not in page.lower().replace("nanmean", "")
+
+
+def test_weaknesses_are_told(told: dict[str, Any]) -> None:
+    own = [each for each in told["rows"] if each["agent"] == "ours"]
+    said = list(weaknesses(own, told))
+    assert "planar, test scenes: 12.5% end without goal or collision" in said
+    assert "planar, 5 % of the lines lost: 50.0% success instead of 87.5%" in said
+
+
+def test_folders_are_combined(tmp_path: Path) -> None:
+    folders = [tmp_path / name for name in ("one", "two")]
+    kinds = [{"ours": "learned"}, {"floor": "baseline"}]
+    for folder, own, parts in zip(folders, kinds, (PARTS[:2], PARTS[2:4]), strict=True):
+        folder.mkdir()
+        store = Store(folder)
+        store.open(plan(**own))
+        for each in parts:
+            store.add(each)
+    found, parts = result.combined(folders)
+    assert list(found["agents"]) == ["ours", "floor"]
+    assert repr(parts) == repr(PARTS[:4])
+    assert result.result(found, parts)["best"][0]["baseline"] == "floor"
+
+
+def test_scenes_of_another_version_are_not_combined(tmp_path: Path) -> None:
+    for name, sha in (("one", None), ("two", "0" * 64)):
+        (tmp_path / name).mkdir()
+        told = plan()
+        if sha:
+            told["scenes"][ENV_ID]["test"]["sha256"] = sha
+        Store(tmp_path / name).open(told)
+    with pytest.raises(ConfigError, match="scene set of another version"):
+        result.combined([tmp_path / "one", tmp_path / "two"])
+    with pytest.raises(ConfigError, match="no such file"):
+        result.combined([tmp_path])
+
+
+def submitted(folder: Path) -> Path:
+    return submission.write(result.result(plan(), [part()]), "mine", folder)
+
+
+def test_a_submission_is_sound(tmp_path: Path) -> None:
+    path = submitted(tmp_path)
+    assert path.name == "mine.row.json"
+    assert "sound: packaged" in submission.check(path)
+    assert "2 episodes" in submission.check(path)
+
+
+def changed(path: Path, *, signed: bool, **what: Any) -> None:
+    told = json.loads(path.read_text())
+    told["cells"][0]["summary"] |= what
+    if signed:
+        told["sha256"] = submission.signature(told)
+    path.write_text(json.dumps(told))
+
+
+def test_a_changed_submission_is_refused(tmp_path: Path) -> None:
+    path = submitted(tmp_path)
+    changed(path, signed=False, spl=1.0)
+    with pytest.raises(ConfigError, match="was changed after it was written"):
+        submission.check(path)
+    changed(path, signed=True, spl=1.0)
+    with pytest.raises(ConfigError, match=r"spl = 1\.0 isn't that of its episodes, 0\.85"):
+        submission.check(path)
+
+
+def test_a_submission_in_other_scenes_is_refused(tmp_path: Path) -> None:
+    path = submitted(tmp_path)
+    told = json.loads(path.read_text())
+    told["header"]["scenes"][ENV_ID]["test"]["sha256"] = "0" * 64
+    told["sha256"] = submission.signature(told)
+    path.write_text(json.dumps(told))
+    with pytest.raises(ConfigError, match="scene set of another version"):
+        submission.check(path)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"schema": 1, "sha256": 3}', "null"])
+def test_what_is_no_submission(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "row.json"
+    path.write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        submission.check(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_episode_without_success_scores_nothing() -> None:
+    assert summary([episode(0, 0.0)])["time_to_goal"] is None

@@ -1,0 +1,82 @@
+"""The folder of a benchmark: what is kept, and what an end in mid-run costs."""
+
+from __future__ import annotations
+
+import json
+import resource
+from pathlib import Path
+
+import pytest
+from benchmark_tools import cell, episode, part, plan
+
+from acsar_gym.benchmark.store import RESULTS, Part, Store, columns, episodes
+from acsar_gym.errors import ConfigError
+
+ROOM = 3_000
+
+
+def test_what_is_added_is_read_again(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    assert store.open(plan()) == []
+    told = [part(), part(first=2), Part(cell("dwa"), 0, refused="dwa: needs a LiDAR")]
+    added = [store.add(each) for each in told]
+    assert repr(Store(tmp_path).open(plan())) == repr(added) == repr(told)
+
+
+def test_columns_hold_episodes_with_nothing_that_json_has_not() -> None:
+    some = [episode(0), episode(1, 0.0, fault="link lost", collision=True)]
+    table = json.loads(json.dumps(columns(some), allow_nan=False))
+    assert table["clearance"] == [None, None]
+    assert repr(episodes(table)) == repr(some)
+
+
+def test_a_line_that_was_cut_is_dropped(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    store.open(plan())
+    store.add(part())
+    whole = store.file.read_bytes()
+    store.file.write_bytes(whole + whole[: len(whole) // 2])
+    assert len(Store(tmp_path).open(plan())) == 1
+    assert store.file.read_bytes() == whole
+    store.add(part(first=2))
+    assert [each.first for each in Store(tmp_path).open(plan())] == [0, 2]
+
+
+def test_another_plan_is_refused(tmp_path: Path) -> None:
+    Store(tmp_path).open(plan())
+    with pytest.raises(ConfigError, match="another plan \\(agents differs\\)"):
+        Store(tmp_path).open(plan(dwa="baseline"))
+
+
+@pytest.mark.parametrize("line", ["{}", "[]", '{"cell": 3}', "no JSON", '{"cell": {}, "first": 0}'])
+def test_a_foreign_file_is_refused(tmp_path: Path, line: str) -> None:
+    store = Store(tmp_path)
+    store.open(plan())
+    store.file.write_text(f"{line}\n")
+    with pytest.raises(ConfigError, match="line 1 isn't a benchmark's"):
+        store.open(plan())
+
+
+def test_results_without_a_plan_are_refused(tmp_path: Path) -> None:
+    (tmp_path / RESULTS).write_text("")
+    with pytest.raises(ConfigError, match=r"has no plan\.json beside it"):
+        Store(tmp_path).open(plan())
+
+
+def test_a_full_disk_loses_nothing_that_was_finished(tmp_path: Path) -> None:
+    """A limit of the file's size ends a write in the middle, as a full disk does."""
+    store = Store(tmp_path)
+    store.open(plan())
+    store.add(part())
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (ROOM, before[1]))
+    try:
+        with pytest.raises(ConfigError, match=r"can't be written: .* is kept: make room") as caught:
+            for first in range(2, 100, 2):
+                store.add(part(first=first))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert "\n" not in str(caught.value)
+    kept = Store(tmp_path).open(plan())
+    assert 1 <= len(kept) < 10
+    assert store.file.read_bytes().endswith(b"\n")

@@ -1,0 +1,75 @@
+"""Parts of a benchmark with made-up episodes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from acsar_gym.benchmark.conditions import CONDITIONS
+from acsar_gym.benchmark.scenes import SCENES
+from acsar_gym.benchmark.store import SCHEMA, Cell, Episode, Part
+
+ENV_ID = "PointGoal-v0"
+FIRST = SCENES[ENV_ID].test.numbers[0]
+
+
+def episode(number: int = 0, score: float = 0.9, **changes: Any) -> Episode:
+    """An episode of the open floor; it is a success where its score isn't 0."""
+    values: dict[str, Any] = {
+        "scene": FIRST + number,
+        "seed": FIRST + number,
+        "success": score > 0.0,
+        "collision": False,
+        "score": score,
+        "spl": score,
+        "soft_spl": score,
+        "time": 4.0,
+        "steps": 40,
+        "path": 1.5,
+        "driven": 1.5,
+        "shortest": 1.4,
+        "turning": 0.5,
+        "jerk": 2.0,
+        "clearance": math.nan,
+        "energy": 3.0,
+        "odometry_error": 0.01,
+        "cross_track": math.nan,
+        "barn_score": math.nan,
+        "barn_score_own": math.nan,
+        "episode_return": 4.0,
+        "late_ticks": 0,
+        "fault": "",
+    }
+    return Episode(**values | changes)
+
+
+def cell(agent: str = "packaged", seed: int | None = None, **changes: str) -> Cell:
+    """A nominal cell in the planar simulation."""
+    told = {"id": ENV_ID, "link": "planar", "condition": "nominal"} | changes
+    return Cell(agent, seed, **told)
+
+
+def part(own: Cell | None = None, scores: Sequence[float] = (0.9, 0.8), first: int = 0) -> Part:
+    """A finished part of a cell."""
+    episodes = [episode(first + number, score) for number, score in enumerate(scores)]
+    return Part(own or cell(), first, episodes, 1.5)
+
+
+def plan(**kinds: str) -> dict[str, Any]:
+    """The plan of agents by name and kind."""
+    agents = {
+        name: [{"kind": kind, "id": ENV_ID, "training_seed": None, "file": name, "sha256": None}]
+        for name, kind in (kinds or {"packaged": "learned"}).items()
+    }
+    about = SCENES[ENV_ID].test.about | {"count": 2}
+    return {
+        "schema": SCHEMA,
+        "version": "0.1.0",
+        "agents": agents,
+        "ids": [ENV_ID],
+        "links": ["planar"],
+        "scenes": {ENV_ID: {"test": about}},
+        "port_scenes": 0,
+        "conditions": {name: {"words": each.words} for name, each in CONDITIONS.items()},
+    }
