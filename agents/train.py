@@ -2,6 +2,7 @@
 
     python agents/train.py --env obstacle_goal --out runs/obstacle_goal
     python agents/train.py --env mine.module:mine/Clearance-v0 --steps 2000000 --algo sac
+    python agents/train.py --env obstacle_goal --seeds 0-4 --workers 2
 
 The hyperparameters are in agents/recipes/, in RL Zoo's format. Into the folder go:
 
@@ -27,6 +28,7 @@ from collections.abc import Sequence
 import tyro
 
 from acsar_gym.errors import AcsarError
+from acsar_gym.training import seeds
 from acsar_gym.training.options import Options
 from acsar_gym.training.run import train
 
@@ -35,7 +37,8 @@ __all__ = ["Options", "main", "train"]
 
 def main(arguments: Sequence[str]) -> int:
     """Train with the options of a command line; returns the exit code."""
-    return train(tyro.cli(Options, prog="acsar-gym train", args=list(arguments)))
+    options = tyro.cli(Options, prog="acsar-gym train", args=list(arguments))
+    return train(options) if options.seeds is None else seeds.train(options)
 
 
 if __name__ == "__main__":

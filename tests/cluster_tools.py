@@ -44,7 +44,9 @@ class Nodes:
 def nodes(count: int) -> Iterator[Nodes]:
     """Run a cluster inside the block; its processes can import the tests' modules."""
     before = {name: os.environ.get(name) for name in ("PYTHONPATH", "RAY_USAGE_STATS_ENABLED")}
-    os.environ.update(PYTHONPATH=str(TESTS), RAY_USAGE_STATS_ENABLED="0")
+    os.environ.update(
+        PYTHONPATH=os.pathsep.join([str(TESTS), str(TESTS.parent)]), RAY_USAGE_STATS_ENABLED="0"
+    )
     running = Nodes(count)
     try:
         yield running

@@ -42,6 +42,12 @@ class Options:
     """Robots stepped together, at most 16,384; default: the recipe's."""
     seed: int = 0
     """Seed of everything random, 0 to 2^32 - 1."""
+    seeds: Annotated[str | None, tyro.conf.arg(metavar="0-4|1,5,9")] = None
+    """Train these seeds instead of one, each in a folder of its own, and compare them."""
+    workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """With --seeds: trainings at a time; default: one, or with --address one for each CPU."""
+    address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT|auto|local")] = None
+    """With --seeds: Ray cluster to train on."""
     device: Annotated[str, tyro.conf.arg(metavar="cpu|cuda")] = "cpu"
     """Where the networks are trained; the robots are simulated on the CPU."""
     threads: int | None = None
@@ -90,6 +96,8 @@ class Options:
             if value is not None and not least <= value <= most:
                 raise ConfigError(f"--{name} {shown(value)}: must be {least:,} to {most:,}")
         algorithm(self.algo)
+        if self.seeds is None and (self.workers, self.address) != (None, None):
+            raise ConfigError("--workers and --address: train several seeds: give --seeds, too")
         if self.device not in DEVICES:
             raise ConfigError(f"--device {self.device}: unknown{suggestion(self.device, DEVICES)}")
         for module in ("torch", "stable_baselines3", "tensorboard", "onnx", "onnxscript"):

@@ -22,7 +22,11 @@ def run(name: str, folder: Path, *options: str) -> str:
         [sys.executable, EXAMPLES / name, *options],
         cwd=folder,
         env=os.environ
-        | {"RAY_AUTH_MODE": "disabled", "OMP_NUM_THREADS": "1", "MINARI_DATASETS_PATH": str(folder)},
+        | {
+            "RAY_AUTH_MODE": "disabled",
+            "OMP_NUM_THREADS": "1",
+            "MINARI_DATASETS_PATH": str(folder),
+        },
         capture_output=True,
         text=True,
         check=False,

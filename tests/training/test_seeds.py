@@ -1,0 +1,119 @@
+"""Trainings of several seeds."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from acsar_gym.errors import ConfigError
+from acsar_gym.resources import AGENTS, agent
+from acsar_gym.training import seeds
+from acsar_gym.training.options import Options
+
+pytestmark = pytest.mark.xdist_group("torch")
+
+TIMEOUT = 300.0
+SMALL = ("--steps", "1", "--robots", "4")
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [("7", [7]), ("0-4", [0, 1, 2, 3, 4]), ("1,5,9", [1, 5, 9]), ("8,2-4,3", [2, 3, 4, 8])],
+)
+def test_seeds_are_ranges_and_lists(text: str, wanted: list[int]) -> None:
+    assert seeds.parsed(text) == wanted
+
+
+@pytest.mark.parametrize(
+    "text", ["", "a", "1-", "-1", "4-0", "0-1000", "1,,2", "0-99999999999", "4294967296"]
+)
+def test_what_isnt_seeds_is_refused(text: str) -> None:
+    with pytest.raises(ConfigError, match=r"--seeds .*: must be like 0-4 or 1,5,9"):
+        seeds.parsed(text)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ("--workers 2", "give --seeds, too"),
+        ("--address auto", "give --seeds, too"),
+        ("--seeds 0-1 --workers 0", "--workers 0: must be 1 to"),
+        ("--seeds 0-1 --resume runs/x", "leave out --seeds"),
+    ],
+)
+def test_options_that_dont_fit_are_refused(arguments: str, said: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=said):
+        agent("train").main([*arguments.split(), *SMALL, "--out", str(tmp_path)])
+    assert not list(tmp_path.glob("seed-*"))
+
+
+def test_every_seed_has_a_folder_and_a_row(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert agent("train").main(["--seeds", "3,5", *SMALL, "--out", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    data = json.loads((tmp_path / "seeds.json").read_text(encoding="utf-8"))
+    rates = [each["success_rate"] for each in data["seeds"]]
+    assert [each["seed"] for each in data["seeds"]] == [3, 5]
+    assert data["worst"] == min(rates)
+    assert data["median"] == sum(rates) / 2
+    assert f"worst {min(rates):.1%}" in said
+    for seed in (3, 5):
+        folder = tmp_path / f"seed-{seed}"
+        assert f"seed {seed}" in (folder / "log.txt").read_text(encoding="utf-8")
+        assert (folder / "policy.onnx").exists()
+        assert (folder / "model.zip").exists()
+
+
+def test_files_of_a_training_go_to_another_machine_and_come_back(tmp_path: Path) -> None:
+    """A job that runs away writes nothing here; its files arrive with its result."""
+    recipe = tmp_path / "mine.yml"
+    recipe.write_bytes((AGENTS / "recipes" / "ppo.yml").read_bytes())
+    options = Options(steps=1, robots=4, conf_file=recipe, seeds="2", address="nowhere:1")
+    job = seeds.job(options, 2, tmp_path / "out")
+    recipe.unlink()
+    trained = seeds.run(job)
+    assert not (tmp_path / "out").exists()
+    seeds.keep(trained, tmp_path / "out")
+    names = {path.name for path in (tmp_path / "out" / "seed-2").iterdir()}
+    assert {"policy.onnx", "model.zip", "config.yml", "log.txt"} <= names
+    assert "checkpoints" not in names
+    with pytest.raises(ConfigError, match="a folder can't be sent"):
+        seeds.job(replace(options, conf_file=None, worlds=str(tmp_path)), 2, tmp_path)
+
+
+@pytest.mark.slow
+def test_a_killed_process_goes_on_at_its_checkpoint(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "acsar_gym", "train", "--seeds", "0-1", "--workers", "2"]
+    command += ["--steps", "400000", "--robots", "64", "--checkpoint-seconds", "1"]
+    with subprocess.Popen([*command, "--out", str(tmp_path)], stdout=subprocess.PIPE) as running:
+        deadline = time.monotonic() + TIMEOUT
+        while not list(tmp_path.glob("seed-1/checkpoints/*.zip")):
+            assert running.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
+        killed = _process_of(running.pid, tmp_path / "seed-1")
+        os.kill(killed, signal.SIGKILL)
+        running.communicate(timeout=TIMEOUT)
+    assert running.returncode == 0
+    assert "going on at" in (tmp_path / "seed-1" / "log.txt").read_text(encoding="utf-8")
+    data = json.loads((tmp_path / "seeds.json").read_text(encoding="utf-8"))
+    assert [each["steps"] >= 400_000 for each in data["seeds"]] == [True, True]
+
+
+def _process_of(parent: int, folder: Path) -> int:
+    """The process that trains in a folder: it has the log open."""
+    import psutil
+
+    for each in psutil.Process(parent).children(recursive=True):
+        if any(Path(file.path) == folder / "log.txt" for file in each.open_files()):
+            return each.pid
+    raise AssertionError("no process trains there")
