@@ -54,7 +54,9 @@ def simulated(config: RobotConfig, pose: Pose) -> Any:
 
 def assert_seen(observation: Any, config: RobotConfig, pose: Pose) -> None:
     """Rays at the edge of an obstacle may meet it or not."""
-    errors = np.abs(observation[-config.lidar.rays :] * config.lidar.max_range - simulated(config, pose))
+    errors = np.abs(
+        observation[-config.lidar.rays :] * config.lidar.max_range - simulated(config, pose)
+    )
     assert np.median(errors) < 0.05
     assert np.mean(errors < 0.15) > 0.8
 

@@ -14,7 +14,7 @@ from acsar_gym.errors import (
     LinkLostError,
     WheelError,
 )
-from acsar_gym.lidars.base import newest_scan
+from acsar_gym.lidars.base import edges, newest_scan
 from acsar_gym.robot import Robot
 from acsar_gym.tasks import Observation, Outcome, State
 from acsar_gym.tasks.base import NO_PATH, NO_RANGES
@@ -69,6 +69,7 @@ def state_of(
         sent=robot.safety.sent,
         reason=int(robot.safety.reason),
         ranges=NO_RANGES if scan is None else scan.ranges,
+        edges=NO_RANGES if scan is None else edges(config),
         sensed=sensed,
         time=episode.steps * ticks * config.period,
         feedback_age=robot.feedback_age,

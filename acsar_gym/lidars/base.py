@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from acsar_gym.bodies.base import GroundTruth
 from acsar_gym.config import RobotConfig
+from acsar_gym.config.footprint import Outline, reach
 from acsar_gym.errors import LidarError
 from acsar_gym.sensors import LIDAR, Sensor
 from acsar_gym.worlds import Scene
@@ -116,6 +118,20 @@ def ray_spec(config: RobotConfig) -> RaySpec:
     """The rays of a robot's LiDAR."""
     lidar = config.lidar
     return RaySpec(lidar.rays, lidar.max_range, lidar.field_of_view)
+
+
+def edges(config: RobotConfig) -> NDArray[np.float64]:
+    """Distance from the LiDAR to the edge of the footprint along each ray, (rays,) [m]."""
+    return _edges(config.outline, ray_spec(config), config.lidar_x_offset, config.lidar_y_offset)
+
+
+@lru_cache(maxsize=16)
+def _edges(outline: Outline, rays: RaySpec, x: float, y: float) -> NDArray[np.float64]:
+    """As `edges`; the same array for the same robot."""
+    found: NDArray[np.float64] = np.array(
+        [reach(outline, (x, y), angle) for angle in rays.angles().tolist()]
+    )
+    return found
 
 
 def stale_after(config: RobotConfig) -> float:

@@ -66,6 +66,8 @@ class State(NamedTuple):
     """Why `sent` differs from the action: a `safety.layer.Reason`; 0 where it doesn't."""
     ranges: Floats = NO_RANGES
     """(rays,): the LiDAR's newest scan [m]; empty where the task uses none."""
+    edges: Floats = NO_RANGES
+    """(rays,): distance from the LiDAR to the edge of the footprint along each ray [m]."""
     sensed: Observation = NOTHING_SENSED
     """(numbers,): what all sensors add to the observation, scaled as it is there."""
     time: float = 0.0
@@ -266,6 +268,24 @@ def relative(
     """
     dx, dy = other_x - x, other_y - y
     return dx * cos + dy * sin, dy * cos - dx * sin
+
+
+@compilable
+def clearance(ranges: Floats, edges: Floats, most: float) -> float:
+    """Compute the least clearance of the footprint along the rays of a scan.
+
+    Args:
+        ranges: (rays,): `State.ranges` [m].
+        edges: (rays,): `State.edges` [m].
+        most: what is returned where nothing is nearer [m].
+
+    Returns:
+        0 to `most` [m].
+    """
+    least = most
+    for ray in range(len(ranges)):
+        least = min(least, ranges[ray] - edges[ray])
+    return max(least, 0.0)
 
 
 @compilable

@@ -11,6 +11,7 @@ import numpy as np
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, shown, suggestion
+from acsar_gym.lidars.base import edges
 from acsar_gym.reading.objects import imported, name_of
 from acsar_gym.sensors import LIDAR, Sensor
 from acsar_gym.tasks.base import (
@@ -181,6 +182,7 @@ def _example(task: Task, config: RobotConfig, sensors: Sequence[Sensor]) -> Stat
     path = np.column_stack([np.linspace(0.0, 1.0, 21), np.zeros((21, 2))])
     return State(
         ranges=np.full(rays, config.lidar.max_range),
+        edges=edges(config)[:rays],
         sensed=np.where(np.isfinite(most), most, 0.0).astype(np.float32),
         time=0.1,
         path=path if task.follows else path[:0],

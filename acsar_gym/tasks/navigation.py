@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 from acsar_gym.jit import compilable
 from acsar_gym.tasks import barn
-from acsar_gym.tasks.base import OBSERVATION_LIMIT, Outcome, State, clipped
+from acsar_gym.tasks.base import OBSERVATION_LIMIT, Outcome, State, clearance, clipped
 from acsar_gym.tasks.goal import (
     GOAL_OBSERVATION,
     GoalTask,
@@ -21,6 +21,8 @@ from acsar_gym.tasks.goal import (
 )
 from acsar_gym.tasks.options import positive
 
+NEAR = 0.15
+"""Less clearance than this costs reward [m]."""
 NEARER = 0.05
 """The robot has come nearer once its distance to the goal is so much below the least one [m]."""
 PATIENCE = 10.0
@@ -54,8 +56,7 @@ class NavigationTask(GoalTask):
 
     def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
         """Reward of the step, see `navigation_reward`."""
-        gained = followed(state, memory)
-        return navigation_reward(gained, stalled(state, memory), state.action[0], outcome, self.end)
+        return navigation_reward(state, memory, outcome, self.end)
 
     def observe(self, state: State, memory: Any) -> tuple[float, ...]:
         """The numbers of `observation`; distances and speeds are scaled."""
@@ -108,8 +109,7 @@ class Barn(NavigationTask):
     def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
         """Reward of the step, see `navigation_reward`; remembers the scores."""
         score(state, memory, outcome)
-        gained = followed(state, memory)
-        return navigation_reward(gained, stalled(state, memory), state.action[0], outcome, self.end)
+        return navigation_reward(state, memory, outcome, self.end)
 
 
 # The functions below are compiled for batches, too.
@@ -143,25 +143,27 @@ def stalled(state: State, memory: Any) -> float:
 
 
 @compilable
-def navigation_reward(
-    gained: float, waited: float, linear: float, outcome: int, end: float
-) -> float:
-    """Reward of a step towards a goal behind obstacles.
+def navigation_reward(state: State, memory: Any, outcome: int, end: float) -> float:
+    """Reward of a step towards a goal behind obstacles; updates the memory.
 
-        2 gained - 0.01 - 0.1 waited + 0.05 min(linear, 0) + (end, -end or 0)
+        2 gained - 0.01 - 0.03 stalled - 0.15 max(0, 1 - clearance / 0.15 m)
+            + 0.05 min(linear, 0) + (end, -end or 0)
 
-    Standing still costs ever more, so that a detour is worth its way; driving backwards costs up to
-    0.05 a step, because sensors look ahead.
+    `gained` is how much nearer the goal is after the step [m]. A gap that is hardly wider than the
+    robot costs more than a detour of a metre, and standing still costs ever more. Driving backwards
+    costs up to 0.05 a step, because sensors look ahead.
 
     Args:
-        gained: how much nearer the goal is after the step [m].
-        waited: time without coming nearer, see `stalled`.
-        linear: the action's linear part, in [-1, 1].
+        state: after the step.
+        memory: of the episode.
         outcome: number of the step's Outcome.
         end: added at success, subtracted for a collision or beyond the boundary.
     """
+    gained = followed(state, memory)
+    near = 1.0 - clearance(state.ranges, state.edges, NEAR) / NEAR
     last = end if outcome == 1 else (-end if outcome > 1 else 0.0)
-    return 2.0 * gained - 0.01 - 0.1 * waited + 0.05 * min(linear, 0.0) + last
+    costs = 0.01 + 0.03 * stalled(state, memory) + 0.15 * near - 0.05 * min(state.action[0], 0.0)
+    return float(2.0 * gained - costs + last)
 
 
 @compilable

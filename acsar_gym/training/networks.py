@@ -11,9 +11,8 @@ import torch
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 from acsar_gym.config import RobotConfig, RobotSource
-from acsar_gym.config.footprint import reach
 from acsar_gym.errors import ConfigError
-from acsar_gym.lidars.base import ray_spec
+from acsar_gym.lidars.base import edges
 
 MARGIN = 0.05
 """Added to a clearance before its logarithm is taken [m]; five times the LiDAR's noise."""
@@ -57,7 +56,7 @@ class RayClearance(BaseFeaturesExtractor):
         self._last = self._first + rays
         self._max_range = config.lidar.max_range
         self.edges: torch.Tensor
-        self.register_buffer("edges", torch.tensor(edges(config)))
+        self.register_buffer("edges", torch.tensor(edges(config), dtype=torch.float32))
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         """Map observations (batch, n) to features (batch, n)."""
@@ -65,9 +64,3 @@ class RayClearance(BaseFeaturesExtractor):
         clearances = torch.clamp(rays * self._max_range - self.edges, min=0.0)
         near = SCALE * torch.log(clearances + MARGIN) + OFFSET
         return torch.cat((before, near, after), dim=1)
-
-
-def edges(config: RobotConfig) -> list[float]:
-    """Distance from the LiDAR to the edge of the footprint along each ray, in order [m]."""
-    place = config.lidar_x_offset, config.lidar_y_offset
-    return [reach(config.outline, place, float(bearing)) for bearing in ray_spec(config).angles()]

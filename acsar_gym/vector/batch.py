@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from acsar_gym.config import RobotConfig
 from acsar_gym.dynamics import Randomization, physics
 from acsar_gym.dynamics.drawing import places
-from acsar_gym.lidars.base import LidarSensor
+from acsar_gym.lidars.base import LidarSensor, edges
 from acsar_gym.lidars.simulated import SimulatedLidar
 from acsar_gym.sensors import Factory, Sensor
 from acsar_gym.tasks.base import Task
@@ -117,6 +117,7 @@ class Batch:
             kept=np.zeros((layout.COMMAND_LOOPS, columns if setup.falls_silent else 0)),
             kept_rays=np.zeros((robots if setup.falls_silent else 0, rays), np.float32),
             ranges=np.zeros((robots, rays)),
+            edges=edges(self._config)[:rays],
             observations=np.zeros((robots, self._first_python), np.float32),
             rewards=np.zeros(robots),
             ends=np.zeros((2, robots), np.bool_),

@@ -204,6 +204,7 @@ class PythonLoops:
                 (sent_linear, sent_angular),
                 int(reason),
                 ranges[place],
+                tables.edges,
                 sensed[place],
                 steps * self._setup.ticks * self._setup.period,
                 age,

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from task_tools import Played
 
 from acsar_gym.tasks import Barn, ObstacleGoal
-from acsar_gym.tasks.navigation import navigation_reward
 from acsar_gym.worlds import Region, World
 
 WORLD = World(start=Region(0.0, 0.0, 0.0, 0.0), goal=Region(4.0, 0.0))
@@ -58,13 +58,33 @@ def test_an_episode_begins_without_the_memory_of_the_last_one() -> None:
     assert [episode.seen()[name] for name in names] == [0.0, 0.0, 0.0]
 
 
+def paid(time: float = 0.1, ranges: float = 1.0, **known: object) -> float:
+    """Reward of one step."""
+    episode = played()
+    episode.episode.steps = round(time / 0.1) - 1
+    scan = {"ranges": np.full(2, ranges), "edges": np.array([0.2, 0.3])}
+    return episode.step(**scan, **known)[0]
+
+
 def test_standing_still_costs_ever_more() -> None:
-    driving = navigation_reward(0.05, 0.0, 1.0, 0, 5.0)
-    waiting = [navigation_reward(0.0, waited, 0.0, 0, 5.0) for waited in (0.0, 0.5, 1.0)]
-    assert driving > 0.0 > waiting[0] > waiting[1] > waiting[2]
-    assert navigation_reward(0.05, 0.0, -1.0, 0, 5.0) == pytest.approx(driving - 0.05)
-    assert navigation_reward(0.05, 0.0, 1.0, 1, 5.0) == pytest.approx(driving + 5.0)
-    assert navigation_reward(0.05, 0.0, 1.0, 3, 5.0) == pytest.approx(driving - 5.0)
+    waiting = [paid(time) for time in (0.1, 5.0, 10.0, 20.0)]
+    assert waiting == pytest.approx([-0.0103, -0.025, -0.04, -0.04])
+
+
+def test_reward_pays_for_progress_and_arrival() -> None:
+    step = paid(pose=(0.1, 0.0, 0.0))
+    assert step == pytest.approx(0.19)
+    assert paid(pose=(0.1, 0.0, 0.0), action=(-1.0, 0.0)) == pytest.approx(step - 0.05)
+    assert paid(pose=(0.1, 0.0, 0.0), contact=True) == pytest.approx(step - 5.0)
+    assert paid(pose=(3.8, 0.0, 0.0)) == pytest.approx(7.59 + 5.0)
+
+
+def test_little_clearance_costs() -> None:
+    free = paid()
+    assert paid(ranges=0.45) == pytest.approx(free)
+    assert paid(ranges=0.375) == pytest.approx(free - 0.075)
+    assert paid(ranges=0.3) == pytest.approx(free - 0.15)
+    assert paid(ranges=0.1) == pytest.approx(free - 0.15), "a touch, which noise makes nearer"
 
 
 def test_info_has_the_scores_but_not_the_memory_of_barn() -> None:

@@ -240,6 +240,8 @@ class Tables(NamedTuple):
     """(R, rays): the observed ranges before the step; no rows where boards can't fall silent."""
     ranges: Floats
     """(R, rays): the LiDAR's newest scan [m]."""
+    edges: Floats
+    """(rays,): distance from the LiDAR to the edge of the footprint along each ray [m]."""
     observations: NDArray[np.float32]
     """(R, numbers)."""
     rewards: Floats
@@ -272,6 +274,7 @@ class TaskTables(NamedTuple):
     over: NDArray[np.bool_]
     idle: NDArray[np.bool_]
     ranges: Floats
+    edges: Floats
     observations: NDArray[np.float32]
     rewards: Floats
     ends: NDArray[np.bool_]

@@ -94,6 +94,7 @@ def state_of(tables: TaskTables, i: int, setup: TaskSetup, spawns: Spawns) -> St
         (s[SENT_LINEAR, i], s[SENT_ANGULAR, i]),
         int(s[REASON, i]),
         tables.ranges[i],
+        tables.edges,
         tables.observations[i, setup.numbers :],
         s[STEPS, i] * setup.ticks * setup.period,
         s[AGE, i],
