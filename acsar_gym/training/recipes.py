@@ -121,7 +121,7 @@ def recipe(algorithm: Algorithm, env_id: str, file: Path | None = None) -> Recip
             keys; the message names file and key.
     """
     path = file or AGENTS / "recipes" / f"{algorithm.name}.yml"
-    found = _content(path)
+    found = content(path)
     key = env_id if env_id in found else DEFAULT
     if key not in found:
         raise ConfigError(f"{path}: has no recipe for {env_id}, and no {DEFAULT!r}")
@@ -141,7 +141,7 @@ def recipe(algorithm: Algorithm, env_id: str, file: Path | None = None) -> Recip
     )
 
 
-def _content(path: Path) -> dict[Any, Any]:
+def content(path: Path) -> dict[Any, Any]:
     """Read a YAML file that holds a mapping."""
     data = bounded.read(path, MAX_BYTES, ConfigError)
     try:

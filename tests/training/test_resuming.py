@@ -1,0 +1,163 @@
+"""Trainings that go on: after SIGKILL with the same curve, or refused in one line."""
+
+from __future__ import annotations
+
+import csv
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import yaml
+from serial_tools import TIMEOUT
+
+from acsar_gym.errors import AcsarError
+from acsar_gym.resources import AGENTS, agent
+from acsar_gym.training import checkpoints
+from acsar_gym.training.checkpoints import State
+
+pytestmark = pytest.mark.xdist_group("torch")
+
+STEPS = 2048
+"""Eight rollouts."""
+TINY = ["--robots", "4", "--no-progress", "--threads", "1", "--checkpoint-seconds", "0"]
+
+
+def curve(folder: Path) -> list[dict[str, str]]:
+    """The learning curve without its times."""
+    with (folder / "learning_curve.csv").open() as file:
+        return [{k: v for k, v in row.items() if k != "seconds"} for row in csv.DictReader(file)]
+
+
+def weights(folder: Path) -> list[bytes]:
+    from stable_baselines3.common.save_util import load_from_zip_file
+
+    _, params, _ = load_from_zip_file(folder / "model.zip", device="cpu")
+    return [tensor.numpy().tobytes() for tensor in params["policy"].values()]
+
+
+def killed(arguments: list[str], out: Path) -> None:
+    """Start a training, and kill it once it has written a checkpoint or two."""
+    command = [sys.executable, str(AGENTS / "train.py"), *arguments, "--out", str(out)]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
+        until = time.monotonic() + TIMEOUT
+        while not checkpoints.found(out / "checkpoints") and time.monotonic() < until:
+            assert process.poll() is None
+            time.sleep(0.01)
+        process.send_signal(signal.SIGKILL)
+    assert process.returncode == -signal.SIGKILL
+    assert not (out / "model.zip").exists()
+
+
+def test_a_killed_training_goes_on_with_the_same_curve(tmp_path: Path) -> None:
+    whole, cut = tmp_path / "whole", tmp_path / "cut"
+    arguments = [*TINY, "--steps", str(STEPS), "--seed", "7", "--learning-rate", "0.003"]
+    killed(arguments, cut)
+    assert agent("train").main([*arguments, "--out", str(whole)]) == 0
+    before = checkpoints.read(checkpoints.found(cut / "checkpoints")[-1])
+    assert 0 < before.steps < STEPS
+    assert agent("train").main(["--resume", str(cut), "--trust"]) == 0
+    assert curve(cut) == curve(whole)
+    assert weights(cut) == weights(whole)
+    told = yaml.safe_load((cut / "config.yml").read_text())
+    assert told["acsar_gym/PointGoal-v0"]["learning_rate"] == 0.003
+    assert (told["run"]["steps"], len(told["run"]["commands"])) == (STEPS, 2)
+    assert told["run"]["seconds"] > before.seconds
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("algo", ["sac", "tqc", "ppo_lstm"])
+def test_the_other_algorithms_go_on_with_the_same_curve_too(algo: str, tmp_path: Path) -> None:
+    whole, cut = tmp_path / "whole", tmp_path / "cut"
+    arguments = [*TINY, "--steps", "3000", "--seed", "7", "--algo", algo]
+    killed(arguments, cut)
+    assert agent("train").main([*arguments, "--out", str(whole)]) == 0
+    assert agent("train").main(["--resume", str(cut), "--trust"]) == 0
+    assert curve(cut) == curve(whole)
+    assert weights(cut) == weights(whole)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a training of 256 steps."""
+    out = tmp_path_factory.mktemp("finished")
+    assert agent("train").main([*TINY, "--steps", "256", "--out", str(out)]) == 0
+    return out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ("", "pass --trust"),
+        ("--trust", "its 256 steps are done: ask for more with --steps"),
+        ("--trust --algo sac", "--algo sac: {} is of a training with ppo"),
+        ("--trust --env barn", "--env barn: {} is of a training with point_goal"),
+        ("--trust --seed 3", "--seed 3: {} is of a training with 0"),
+    ],
+)
+def test_a_folder_is_refused_in_one_line(finished: Path, arguments: str, said: str) -> None:
+    with pytest.raises(AcsarError) as error:
+        agent("train").main(["--resume", str(finished), *arguments.split()])
+    assert said.format(finished) in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("content", [b"", b"not a zip", b"PK\x03\x04"])
+def test_a_broken_checkpoint_is_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "rl_model_8_steps.zip"
+    path.write_bytes(content)
+    with pytest.raises(AcsarError, match="not a whole checkpoint"):
+        checkpoints.read(path)
+
+
+def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(AcsarError, match=r"config\.yml"):
+        agent("train").main(["--resume", str(tmp_path), "--trust"])
+    (tmp_path / "config.yml").write_text("run: 3\n")
+    with pytest.raises(AcsarError, match="not of 'acsar-gym train'"):
+        agent("train").main(["--resume", str(tmp_path), "--trust"])
+
+
+def test_more_steps_go_on_in_the_same_folder(
+    finished: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert agent("train").main(["--resume", str(finished), "--trust", "--steps", "512"]) == 0
+    assert "going on at 256 steps\n" in capsys.readouterr().out
+    assert [path.name for path in checkpoints.found(finished / "checkpoints")] == [
+        "rl_model_256_steps.zip",
+        "rl_model_512_steps.zip",
+    ]
+    config = yaml.safe_load((finished / "config.yml").read_text())
+    assert config["run"]["versions"]["acsar_gym"]
+    assert config["run"]["cores"] >= 1
+    assert (finished / "learning_curve.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_full_disk_leaves_the_last_checkpoint_and_policy(tmp_path: Path) -> None:
+    """The next checkpoint's temporary file is a device that is always full."""
+    (tmp_path / "policy.onnx").write_bytes(b"before")
+    folder = tmp_path / "checkpoints"
+    folder.mkdir()
+    (folder / ".rl_model_512_steps.zip").symlink_to("/dev/full")
+    with pytest.raises(AcsarError) as error:
+        agent("train").main([*TINY, "--steps", "768", "--out", str(tmp_path)])
+    said = str(error.value)
+    assert said.startswith(f"--out {tmp_path}: can't be written: No space left on device; ")
+    assert f"{folder / 'rl_model_256_steps.zip'} is whole" in said
+    assert "\n" not in said
+    assert (tmp_path / "policy.onnx").read_bytes() == b"before"
+    assert checkpoints.read(folder / "rl_model_256_steps.zip").steps == 256
+
+
+def test_old_checkpoints_are_removed(tmp_path: Path) -> None:
+    import zipfile
+
+    def save(path: Path) -> None:
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.writestr("data", "{}")
+
+    for steps in (8, 16, 100):
+        checkpoints.write(tmp_path, save, State(steps, 1.5, [], {"a": [1]}, {}))
+    assert [checkpoints.read(path).steps for path in checkpoints.found(tmp_path)] == [16, 100]

@@ -1,0 +1,111 @@
+"""`train` with its algorithms, devices and targets."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from acsar_gym.errors import ConfigError
+from acsar_gym.policies import OnnxPolicy, ZipPolicy
+from acsar_gym.resources import agent
+
+pytestmark = pytest.mark.xdist_group("torch")
+
+TINY = ["--robots", "4", "--no-progress", "--threads", "1", "--seed", "3"]
+
+
+@pytest.mark.parametrize("algo", ["sac", "tqc", "ppo_lstm"])
+def test_every_algorithm_leaves_a_policy_that_decides_as_its_model(
+    algo: str, tmp_path: Path
+) -> None:
+    recipe = tmp_path / "mine.yml"
+    recipe.write_text(yaml.safe_dump({"default": SMALL[algo]}))
+    options = ["--algo", algo, "--conf-file", str(recipe), "--out", str(tmp_path)]
+    assert agent("train").main([*TINY, *options]) == 0
+    policy = OnnxPolicy(tmp_path / "policy.onnx")
+    saved = ZipPolicy(tmp_path / "model.zip", trust=True)
+    seen = np.random.default_rng(0).uniform(-1.0, 1.0, (6, 7)).astype(np.float32)
+    for _ in range(2):
+        actions = [(policy(one), saved(one)) for one in seen]
+        for exported, own in actions:
+            assert exported == pytest.approx(own, abs=1e-5)
+        policy.reset()
+        saved.reset()
+        assert policy(seen[0]) == pytest.approx(actions[0][0], abs=1e-6)
+        policy.reset()
+        saved.reset()
+    assert (policy(seen[1]) == policy(seen[1])).all() == (algo != "ppo_lstm")
+
+
+SMALL = {
+    "sac": {
+        "n_timesteps": 64,
+        "n_envs": 4,
+        "learning_starts": 8,
+        "policy_kwargs": {"net_arch": [8]},
+    },
+    "tqc": {
+        "n_timesteps": 64,
+        "n_envs": 4,
+        "learning_starts": 8,
+        "policy_kwargs": {"net_arch": [8], "n_quantiles": 5},
+    },
+    "ppo_lstm": {
+        "n_timesteps": 64,
+        "n_envs": 4,
+        "policy": "MlpLstmPolicy",
+        "n_steps": 16,
+        "batch_size": 32,
+        "n_epochs": 1,
+        "policy_kwargs": {"net_arch": [8], "lstm_hidden_size": 8},
+    },
+}
+
+
+def test_a_target_ends_the_training_with_the_policy_that_reached_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = ["--steps", "100000", "--target", "0", "--out", str(tmp_path)]
+    assert agent("train").main([*TINY, *options]) == 0
+    said = capsys.readouterr().out
+    assert " of 512 episodes (" in said
+    assert "target of 0.0% reached at 256 steps" in said
+    with (tmp_path / "learning_curve.csv").open() as file:
+        (row,) = csv.DictReader(file)
+    assert row["steps"] == "256"
+    config = yaml.safe_load((tmp_path / "config.yml").read_text())
+    assert config["run"]["held_out"]["success_rate"] == float(row["success_rate"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ("--algo dqn", "--algo dqn: unknown"),
+        ("--device tpu", "--device tpu: unknown"),
+        ("--target 1.5", "--target 1.5: must be 0 to 1"),
+        ("--conf-file /no/such.yml", "/no/such.yml"),
+    ],
+)
+def test_bad_options_are_refused(arguments: str, said: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=said):
+        agent("train").main([*arguments.split(), "--out", str(tmp_path), "--threads", "1"])
+
+
+def test_where_there_is_no_cuda_it_says_so(tmp_path: Path) -> None:
+    import torch
+
+    if torch.cuda.is_available():
+        pytest.skip("there is CUDA here")
+    with pytest.raises(ConfigError, match="--device cuda: torch .* leave --device away"):
+        agent("train").main([*TINY, "--device", "cuda", "--out", str(tmp_path)])
+
+
+def test_a_bad_hyperparameter_is_told_with_its_file(tmp_path: Path) -> None:
+    recipe = tmp_path / "mine.yml"
+    recipe.write_text("default: {n_timesteps: 8, n_envs: 2, n_steps: 8, batch_size: many}\n")
+    with pytest.raises(ConfigError, match=r"mine\.yml: default: "):
+        agent("train").main([*TINY, "--conf-file", str(recipe), "--out", str(tmp_path)])
