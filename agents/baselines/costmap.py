@@ -76,14 +76,14 @@ def mark(
         last_i, last_j = -1, -1
         for step in range(int((length - OPEN) / (0.5 * CELL))):
             share = 0.5 * CELL * step / length
-            i = int(math.floor((origin[0] + share * dx - corner[0]) / CELL + 0.5))
-            j = int(math.floor((origin[1] + share * dy - corner[1]) / CELL + 0.5))
+            i = math.floor((origin[0] + share * dx - corner[0]) / CELL + 0.5)
+            j = math.floor((origin[1] + share * dy - corner[1]) / CELL + 0.5)
             if (i != last_i or j != last_j) and 0 <= i < nx and 0 <= j < ny:
                 odds[i, j] = max(odds[i, j] + MISS, LEAST)
             last_i, last_j = i, j
     for ray in range(len(ends)):
-        i = int(math.floor((ends[ray, 0] - corner[0]) / CELL + 0.5))
-        j = int(math.floor((ends[ray, 1] - corner[1]) / CELL + 0.5))
+        i = math.floor((ends[ray, 0] - corner[0]) / CELL + 0.5)
+        j = math.floor((ends[ray, 1] - corner[1]) / CELL + 0.5)
         if met[ray] > 0.0 and 0 <= i < nx and 0 <= j < ny:
             if odds[i, j] <= 0.0:
                 places[i, j, 2] = 0.0

@@ -1,5 +1,7 @@
-"""The dynamic window approach: Fox, Burgard & Thrun, "The dynamic window approach to collision
-avoidance", IEEE Robotics & Automation Magazine 4 (1997).
+"""The dynamic window approach.
+
+Fox, Burgard & Thrun, "The dynamic window approach to collision avoidance", IEEE Robotics &
+Automation Magazine 4 (1997).
 
 Of the velocities that the robot can reach within a step, those are admissible after which it can
 still stop before it touches anything. Among them the best is chosen by progress to the goal and
@@ -197,7 +199,7 @@ def scored(
 
 
 @loop
-def score(  # noqa: PLR0913 - a compiled function takes no objects
+def score(
     linear: float,
     angular: float,
     state: State,

@@ -1,5 +1,7 @@
-"""Follow the gap: Sezer & Gokasan, "A novel obstacle avoidance algorithm: follow the gap method",
-Robotics and Autonomous Systems 60 (2012).
+"""Follow the gap.
+
+Sezer & Gokasan, "A novel obstacle avoidance algorithm: follow the gap method", Robotics and
+Autonomous Systems 60 (2012).
 
 Obstacles are circles, enlarged by the robot's radius. Of the gaps between them the robot takes one,
 and heads for

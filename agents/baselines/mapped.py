@@ -1,4 +1,4 @@
-"""What the baselines with a map share: odometry, the map kept from the scans, the way to the goal."""
+"""What the baselines with a map share: odometry, the map kept from the scans, and the plan."""
 
 from __future__ import annotations
 

@@ -1,5 +1,7 @@
-"""Model predictive path integral control on the planar twin's own model: Williams, Drews,
-Goldfain, Rehg & Theodorou, "Information-theoretic model predictive control", IEEE T-RO 34 (2018).
+"""Model predictive path integral control on the planar twin's own model.
+
+Williams, Drews, Goldfain, Rehg & Theodorou, "Information-theoretic model predictive control", IEEE
+Transactions on Robotics 34 (2018).
 
 Every step, the plan of the last one is shifted by a step, and rollouts of it with Gaussian noise on
 its commands are simulated: command limits, the firmware's ramp, motors and tyres as in `dynamics`,

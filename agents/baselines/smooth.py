@@ -1,5 +1,7 @@
-"""A smooth law to a point: Park & Kuipers, "A smooth control law for graceful motion of
-differential wheeled mobile robots in 2D environment", ICRA 2011.
+"""A smooth law to a point.
+
+Park & Kuipers, "A smooth control law for graceful motion of differential wheeled mobile robots in
+2D environment", ICRA 2011.
 
 In polar coordinates around the goal, with the distance r, the line of sight's direction theta
 relative to the wanted heading at the goal, and the robot's heading delta relative to the line of

@@ -1,5 +1,7 @@
-"""The Stanley controller: Hoffmann, Tomlin, Montemerlo & Thrun, "Autonomous automobile trajectory
-tracking for off-road driving", ACC 2007.
+"""The Stanley controller.
+
+Hoffmann, Tomlin, Montemerlo & Thrun, "Autonomous automobile trajectory tracking for off-road
+driving", ACC 2007.
 
 A bicycle steers its front wheel by delta = psi + atan(k e / (k_soft + v)), in which psi is the
 path's direction relative to the heading, and e the distance of the path from the front axle,
