@@ -156,7 +156,12 @@ def episodes(table: Mapping[str, Sequence[Any]]) -> list[Episode]:
     """Return the episodes of `columns`; None becomes NaN."""
     names = [each.name for each in fields(Episode)]
     rows = zip(*(table[name] for name in names), strict=True)
-    return [Episode(*(math.nan if value is None else value for value in row)) for row in rows]
+    return [Episode(*map(_known, row)) for row in rows]
+
+
+def _known(value: Any) -> Any:
+    """Return a value as JSON has it, NaN for None."""
+    return math.nan if value is None else value
 
 
 class Store:
