@@ -121,7 +121,7 @@ class Part:
     """Place of the first scene in the set."""
     episodes: list[Episode] = field(default_factory=list)
     seconds: float = 0.0
-    """Wall time that it took [s]."""
+    """CPU time that it took, without that of an emulator [s]."""
     refused: str = ""
     """Why the agent couldn't be run here; empty if it was."""
 

@@ -107,7 +107,9 @@ def test_every_condition_can_be_driven(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["husky", "jackal"])
 def test_other_robots_drive(name: str) -> None:
-    own = Plan(tuple(agents.baselines(["Barn-v1"])), ("Barn-v1",), ("bullet",), (name,), 1)
+    """A Husky is too wide for the gaps of any BARN world."""
+    env_id = "ObstacleGoal-v1"
+    own = Plan(tuple(agents.baselines([env_id])), (env_id,), ("bullet",), (name,), 1)
     job = next(job for job in own.jobs() if job.policy == "dwa")
     assert worker.run(job).episodes
 
@@ -137,7 +139,7 @@ def test_over_an_emulated_port(env_id: str, name: str) -> None:
     (episode,) = worker.run(job).episodes
     assert episode.success
     assert episode.driven == pytest.approx(episode.path, rel=0.05)
-    assert 0.0 <= episode.odometry_error < 0.1
+    assert 0.0 <= episode.odometry_error < 0.05 * episode.driven
     assert (episode.clearance > 0.0) == (env_id == "Barn-v1")
     assert 0.0 < episode.spl <= 1.0
 
