@@ -74,8 +74,8 @@ def card(policy: OnnxPolicy, env_id: str, told: Told) -> str:
 def trained(policy: OnnxPolicy) -> list[str]:
     """Return how a policy was trained, as lines of a list."""
     bundle = policy.bundle
-    training = bundle.training
-    if training is None:
+    training = None if bundle is None else bundle.training
+    if bundle is None or training is None:
         return ["Not known: the file doesn't say."]
     said = {
         "command": training.command and f"`{training.command}`",

@@ -18,7 +18,7 @@ def by_place(some: Iterable[Row]) -> dict[Place, list[Row]]:
         if row.driven:
             found.setdefault(row.place, []).append(row)
     for group in found.values():
-        group.sort(key=lambda row: -statistics.interquartile_mean(row.matrix("score")))
+        group.sort(key=lambda row: -statistics.overall([row.matrix("score")]))
     return found
 
 
@@ -46,12 +46,12 @@ def _compared(place: Place, ours: Row, other: Row) -> dict[str, Any]:
         "baseline": other.agent,
     }
     figures = {
-        "score_iqm": ("score", statistics.interquartile_mean),
+        "score_iqm": ("score", statistics.iqm),
         "success_rate": ("success", statistics.mean),
     }
     for name, (figure, statistic) in figures.items():
         values = [row.matrix(figure) for row in (ours, other)]
-        both = [statistic(each) for each in values]
+        both = [statistics.overall([each], statistic) for each in values]
         ends = [statistics.interval([each], statistic) for each in values]
         told[name] = {
             "learned": both[0],

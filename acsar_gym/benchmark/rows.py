@@ -90,7 +90,7 @@ class Row:
             **summary(self.episodes),
             "success_worst_seed": self.worst_seed,
             "success_median_seed": self.median_seed,
-            "score_iqm": statistics.interquartile_mean(score),
+            "score_iqm": statistics.overall([score]),
             "intervals": self._intervals(score),
             "profile": statistics.performance_profile(score),
         }

@@ -13,45 +13,50 @@ drove them all, so its scores aren't independent of each other.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
 Interval = tuple[float, float]
-Statistic = Callable[[Sequence[Floats]], float]
-"""Computes a figure from matrices of scores."""
+Statistic = Callable[[Floats], Floats]
+"""Maps rows of scores (..., n) to one figure a row (...)."""
 
 CONFIDENCE = 0.95
 RESAMPLES = 2000
 """Bootstrap samples of an interval; their seed is fixed, so equal scores give equal intervals."""
+AT_ONCE = 4_000_000
+"""Scores that are resampled at once, at most; limits the memory."""
 TAUS = tuple(np.linspace(0.0, 1.0, 21).round(2).tolist())
 """Thresholds of performance profiles."""
 
 
-def interquartile_mean(scores: ArrayLike | Sequence[Floats]) -> float:
-    """Return the mean of the middle half of all scores, a 25 % trimmed mean; NaN without any.
+def iqm(rows: Floats) -> Floats:
+    """Return the mean of the middle half of each row, a 25 % trimmed mean.
 
     Args:
-        scores: one matrix of any shape, or a list of matrices, whose scores are put together.
+        rows: (..., n), with n of at least one.
     """
-    flat = np.sort(_flat(scores))
-    cut = len(flat) // 4
-    return float(flat[cut : len(flat) - cut].mean()) if len(flat) else float("nan")
+    count = rows.shape[-1]
+    cut = count // 4
+    trimmed: Floats = np.sort(rows, axis=-1)[..., cut : count - cut].mean(axis=-1)
+    return trimmed
 
 
-def mean(scores: ArrayLike | Sequence[Floats]) -> float:
-    """Return the mean of all scores; NaN without any."""
-    flat = _flat(scores)
-    return float(flat.mean()) if len(flat) else float("nan")
+def mean(rows: Floats) -> Floats:
+    """Return the mean of each row (..., n)."""
+    means: Floats = rows.mean(axis=-1)
+    return means
 
 
-def _flat(scores: Any) -> Floats:
-    """All scores of a matrix, or of a list of matrices, as one row."""
-    if isinstance(scores, list | tuple) and scores and isinstance(scores[0], np.ndarray):
-        return np.concatenate([np.ravel(each) for each in scores])
-    return np.ravel(np.asarray(scores, np.float64))
+def overall(scores: Sequence[Floats], statistic: Statistic = iqm) -> float:
+    """Return a statistic of all scores of some matrices, put together.
+
+    Args:
+        scores: a matrix (seeds, scenes) for each id.
+        statistic: `iqm` or `mean`.
+    """
+    return float(statistic(np.concatenate([np.ravel(each) for each in scores])))
 
 
 def probability_of_improvement(x: ArrayLike, y: ArrayLike) -> float:
@@ -64,8 +69,14 @@ def probability_of_improvement(x: ArrayLike, y: ArrayLike) -> float:
         x: (seeds of X, scenes).
         y: (seeds of Y, scenes), of the same scenes.
     """
+    return float(_better(x, y).mean())
+
+
+def _better(x: ArrayLike, y: ArrayLike) -> Floats:
+    """(seeds of X, seeds of Y, scenes): 1 where X scores more, 0.5 where both are equal."""
     ours, others = np.asarray(x, np.float64)[:, None], np.asarray(y, np.float64)[None]
-    return float(((ours > others) + 0.5 * (ours == others)).mean())
+    better: Floats = (ours > others) + 0.5 * (ours == others)
+    return better
 
 
 def performance_profile(scores: ArrayLike, taus: Sequence[float] = TAUS) -> list[float]:
@@ -76,7 +87,7 @@ def performance_profile(scores: ArrayLike, taus: Sequence[float] = TAUS) -> list
 
 def interval(
     scores: Sequence[Floats],
-    statistic: Statistic = interquartile_mean,
+    statistic: Statistic = iqm,
     *,
     resamples: int = RESAMPLES,
     seed: int = 0,
@@ -85,7 +96,7 @@ def interval(
 
     Args:
         scores: a matrix (seeds, scenes) for each id.
-        statistic: of such a list.
+        statistic: of rows with all scores.
         resamples: bootstrap samples.
         seed: of the resampling.
 
@@ -93,8 +104,24 @@ def interval(
         Low and high end.
     """
     rng = np.random.default_rng(seed)
-    found = [statistic([resampled(each, rng) for each in scores]) for _ in range(resamples)]
-    return _percentiles(found)
+    chunk = max(1, AT_ONCE // sum(each.size for each in scores))
+    found = [
+        statistic(np.concatenate([_resampled(each, count, rng) for each in scores], axis=1))
+        for count in _chunks(resamples, chunk)
+    ]
+    return _percentiles(np.concatenate(found))
+
+
+def _chunks(total: int, most: int) -> list[int]:
+    """Cut a number into parts of at most `most`."""
+    whole, rest = divmod(total, most)
+    return [most] * whole + ([rest] if rest else [])
+
+
+def _resampled(scores: Floats, count: int, rng: np.random.Generator) -> Floats:
+    """(count, seeds * scenes): draw as many seeds and scenes as there are, with replacement."""
+    seeds, scenes = (rng.integers(size, size=(count, size)) for size in scores.shape)
+    return scores[seeds[:, :, None], scenes[:, None, :]].reshape(count, -1)
 
 
 def improvement_interval(
@@ -105,27 +132,14 @@ def improvement_interval(
     Seeds of X and Y are resampled apart, the scenes together, as both drove the same ones.
     """
     rng = np.random.default_rng(seed)
-    ours, others = np.asarray(x)[:, None], np.asarray(y)[None]
-    better = (ours > others) + 0.5 * (ours == others)  # (seeds of X, seeds of Y, scenes)
-    found = [
-        float(better[np.ix_(*(_drawn(count, rng) for count in better.shape))].mean())
-        for _ in range(resamples)
-    ]
-    return _percentiles(found)
+    better = _better(x, y)
+    ours, others, scenes = (
+        rng.multinomial(size, np.full(size, 1.0 / size), resamples) / size for size in better.shape
+    )  # how often each was drawn, as shares
+    return _percentiles(np.einsum("ri,rj,rk,ijk->r", ours, others, scenes, better, optimize=True))
 
 
-def resampled(scores: Floats, rng: np.random.Generator) -> Floats:
-    """Draw as many seeds and scenes as there are, with replacement."""
-    drawn: Floats = scores[np.ix_(*(_drawn(count, rng) for count in scores.shape))]
-    return drawn
-
-
-def _drawn(count: int, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Draw `count` indices with replacement."""
-    return rng.integers(count, size=count)
-
-
-def _percentiles(values: Sequence[float]) -> Interval:
+def _percentiles(values: Floats) -> Interval:
     """The middle 95 % of some values."""
     tail = 50.0 * (1.0 - CONFIDENCE)
     low, high = np.percentile(values, [tail, 100.0 - tail])

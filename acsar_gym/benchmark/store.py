@@ -121,7 +121,7 @@ class Part:
     """Place of the first scene in the set."""
     episodes: list[Episode] = field(default_factory=list)
     seconds: float = 0.0
-    """Wall time that it took [s]."""
+    """CPU time that it took, without that of an emulator [s]."""
     refused: str = ""
     """Why the agent couldn't be run here; empty if it was."""
 
@@ -156,7 +156,12 @@ def episodes(table: Mapping[str, Sequence[Any]]) -> list[Episode]:
     """Return the episodes of `columns`; None becomes NaN."""
     names = [each.name for each in fields(Episode)]
     rows = zip(*(table[name] for name in names), strict=True)
-    return [Episode(*(math.nan if value is None else value for value in row)) for row in rows]
+    return [Episode(*map(_known, row)) for row in rows]
+
+
+def _known(value: Any) -> Any:
+    """Return a value as JSON has it, NaN for None."""
+    return math.nan if value is None else value
 
 
 class Store:

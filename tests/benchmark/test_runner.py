@@ -1,0 +1,189 @@
+"""Benchmarks that run: with baselines, interrupted and gone on with, over a port."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from acsar_gym.benchmark import agents, conditions, runner, worker
+from acsar_gym.benchmark.plan import CHUNKS, Job, Plan
+from acsar_gym.benchmark.rows import cells
+from acsar_gym.benchmark.scenes import SCENES
+from acsar_gym.benchmark.store import Part, Store
+from acsar_gym.errors import CancelledError, ConfigError, PolicyError
+from acsar_gym.evaluation import runs
+from acsar_gym.evaluation.episodes import episodes
+from acsar_gym.resources import AGENTS
+
+ID = "PointGoal-v0"
+BASELINES = {each.name: each for each in agents.baselines([ID])}
+
+
+@pytest.fixture(autouse=True)
+def _no_env_is_kept() -> Iterator[None]:
+    yield
+    worker._prepared.cache_clear()
+
+
+def plan(*names: str, **changes: Any) -> Plan:
+    """Two scenes of the open floor, planar."""
+    some = tuple(BASELINES[name] for name in names or ("turn_drive",))
+    return Plan(some, (ID,), **{"links": ("planar",), "count": 2, **changes})
+
+
+def test_episodes_are_those_of_an_evaluation_with_the_same_seeds(tmp_path: Path) -> None:
+    (part,) = runner.run(plan(), Store(tmp_path))
+    policy = runs.load("turn_drive", trust=False, env="point_goal")
+    env = runs.made(policy, "planar", None, {})
+    results = list(episodes(env, policy, 2, SCENES[ID].test.numbers[0]))
+    env.close()
+    assert [each.success for each in part.episodes] == [True, True]
+    assert [each.path for each in part.episodes] == pytest.approx([r.path for r in results])
+    assert [each.energy for each in part.episodes] == pytest.approx([r.energy for r in results])
+    assert all(0.0 < each.score < 1.0 for each in part.episodes)
+
+
+def test_an_interrupted_benchmark_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Finished parts aren't driven again, and the result is that of one run."""
+    monkeypatch.setitem(CHUNKS, "planar", 1)
+    whole = runner.run(plan(count=3), Store(_made(tmp_path / "whole")))
+    drive, seen = worker.run, []
+
+    def interrupted(job: Job) -> Part:
+        seen.append(job.first)
+        if len(seen) == 3:
+            raise KeyboardInterrupt
+        return drive(job)
+
+    monkeypatch.setattr(worker, "run", interrupted)
+    store = Store(_made(tmp_path / "cut"))
+    with pytest.raises(CancelledError, match="2 of 3 parts are kept") as caught:
+        runner.run(plan(count=3), store)
+    assert caught.value.exit_code == 130
+    again = runner.run(plan(count=3), store)
+    assert seen == [0, 1, 2, 2]
+    assert _told(again) == _told(whole)
+
+
+def _made(folder: Path) -> Path:
+    folder.mkdir()
+    return folder
+
+
+def _told(parts: list[Part]) -> str:
+    """The parts without their times."""
+    return repr([(part.cell, part.first, part.episodes) for part in parts])
+
+
+def test_an_agent_that_cannot_drive_there_is_refused(tmp_path: Path) -> None:
+    parts = runner.run(plan("stanley", "turn_drive", count=1), Store(tmp_path))
+    refused, driven = cells(parts)
+    assert "needs a path" in refused.refused
+    assert not refused.episodes
+    assert len(driven.episodes) == 1
+
+
+def test_a_refusal_names_no_folder_of_this_machine() -> None:
+    own = next(iter(agents.packaged()))
+    job = next(Plan((own,), (own.id,), ("planar",), count=1).jobs())
+    broken = Job(job.cell, job.policy, "acsar_gym/PathFollow-v0", job.scenes, 0, 1)
+    part = worker.run(broken)
+    assert part.refused.startswith("barn.onnx: ")
+    assert str(AGENTS) not in part.refused
+
+
+@pytest.mark.parametrize("name", [n for n in conditions.CONDITIONS if n not in ("husky", "jackal")])
+def test_every_condition_can_be_driven(name: str) -> None:
+    """With a LiDAR where it is about one; robots of other sizes are a slow test."""
+    job = next(plan(conditions=(name,), count=1).jobs())
+    (episode,) = worker.run(job).episodes
+    assert episode.scene == SCENES[ID].test.numbers[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["husky", "jackal"])
+def test_other_robots_drive(name: str) -> None:
+    """A Husky is too wide for the gaps of any BARN world."""
+    env_id = "ObstacleGoal-v1"
+    own = Plan(tuple(agents.baselines([env_id])), (env_id,), ("bullet",), (name,), 1)
+    job = next(job for job in own.jobs() if job.policy == "dwa")
+    assert worker.run(job).episodes
+
+
+def test_the_conditions_change_what_they_say() -> None:
+    for name, condition in conditions.CONDITIONS.items():
+        config = condition.config
+        nominal = conditions.CONDITIONS["nominal"].config
+        assert (config != nominal or bool(condition.options(config))) == (name != "nominal"), name
+
+
+@pytest.mark.parametrize("workers", [2])
+@pytest.mark.slow
+def test_several_processes_find_the_same(tmp_path: Path, workers: int) -> None:
+    one = runner.run(plan("turn_drive", "smooth"), Store(_made(tmp_path / "one")))
+    both = runner.run(plan("turn_drive", "smooth"), Store(_made(tmp_path / "two")), workers=workers)
+    assert _told(one) == _told(both)
+
+
+@pytest.mark.slow
+@pytest.mark.xdist_group("serial")
+@pytest.mark.parametrize(("env_id", "name"), [("PointGoal-v0", "turn_drive"), ("Barn-v1", "dwa")])
+def test_over_an_emulated_port(env_id: str, name: str) -> None:
+    """The emulator's log says what odometry can't: the path driven, and distances to obstacles."""
+    (own,) = (each for each in agents.baselines([env_id]) if each.name == name)
+    job = next(Plan((own,), (env_id,), ("port",), port_count=1).jobs())
+    (episode,) = worker.run(job).episodes
+    assert episode.success
+    assert episode.driven == pytest.approx(episode.path, rel=0.05)
+    assert 0.0 <= episode.odometry_error < 0.05 * episode.driven
+    assert (episode.clearance > 0.0) == (env_id == "Barn-v1")
+    assert 0.0 < episode.spl <= 1.0
+
+
+def test_trained_seeds_are_found_in_a_folder(tmp_path: Path) -> None:
+    policy = (AGENTS / "policies" / "point_goal.onnx").read_bytes()
+    for seed in ("0", "seed-3", "1"):
+        (tmp_path / "ppo" / seed).mkdir(parents=True)
+        (tmp_path / "ppo" / seed / "policy.onnx").write_bytes(policy)
+    found = agents.chosen(["ppo"], [ID], tmp_path, 2)
+    assert [(each.name, each.training_seed, each.id) for each in found] == [
+        ("ppo", 0, ID),
+        ("ppo", 1, ID),
+    ]
+    assert not agents.chosen(["ppo"], ["Barn-v1"], tmp_path, 2)
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda: agents.short("bran"), "--ids 'bran'"),
+        (lambda: agents.chosen(["dwaa"], [ID], None, 5), "did you mean 'dwa'"),
+        (lambda: agents.chosen([], [ID], Path("nowhere"), 5), "holds no NAME/SEED/policy.onnx"),
+        (lambda: conditions.chosen(["drooped-2"]), "did you mean 'dropped-2'"),
+        (lambda: plan(links=("bulet",)), "did you mean 'bullet'"),
+        (lambda: Plan((), (ID,)), "none of them drives"),
+        (lambda: plan(count=0).check(), "0 were asked for"),
+    ],
+)
+def test_what_cannot_be_asked_for(call: Any, said: str) -> None:
+    with pytest.raises(ConfigError, match=said) as caught:
+        call()
+    assert "\n" not in str(caught.value)
+
+
+def test_a_policy_for_another_id_has_no_scenes(tmp_path: Path) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text("ENV_ID = 'CartPole-v1'\ndef act(seen):\n    return seen[:2]\n")
+    with pytest.raises(PolicyError, match="for which there are no scenes"):
+        agents.submitted(f"{file}:act")
+
+
+def test_the_plan_is_json_and_names_no_folder() -> None:
+    some = tuple(agents.packaged())
+    told = json.dumps(Plan(some, tuple(each.id for each in some)).as_dict())
+    assert str(AGENTS) not in told
+    assert '"barn.onnx"' in told

@@ -1,0 +1,99 @@
+"""`acsar-gym benchmark`: what it writes, and how it refuses."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from cli_tools import Call, assert_one_line
+
+from acsar_gym.benchmark.submission import SUFFIX
+from acsar_gym.resources import AGENTS
+
+SMALL = ("--ids", "point_goal", "--links", "planar", "--scenes", "2")
+
+
+@pytest.fixture
+def ran(call: Call, tmp_path: Path) -> Path:
+    """The folder of a small benchmark."""
+    out = tmp_path / "run"
+    code, said, error = call(
+        *("benchmark", *SMALL, "--agents", "packaged", "turn_drive", "--out", out),
+        *("--table", tmp_path / "table.md", "--json", tmp_path / "told.json"),
+        *("--cards", tmp_path / "cards"),
+    )
+    assert code == 0, error
+    assert f"tables: {tmp_path / 'table.md'}" in said.replace("\n", "")
+    return out
+
+
+def test_it_writes_tables_json_and_cards(ran: Path, call: Call) -> None:
+    told = json.loads((ran / "benchmark.json").read_text())
+    assert told == json.loads((ran.parent / "told.json").read_text())
+    assert {row["agent"]: row["success_rate"] for row in told["rows"]} == {
+        "packaged": 1.0,
+        "turn_drive": 1.0,
+    }
+    page = (ran / "benchmark.md").read_text()
+    assert "| **packaged** | planar |" in page
+    assert str(ran.parent) not in page
+    assert page == (ran.parent / "table.md").read_text()
+    (card,) = (ran.parent / "cards").iterdir()
+    assert card.name == "point_goal.md"
+    assert "## Known weaknesses" in card.read_text()
+    again = call("benchmark", "--combine", ran, "--out", ran.parent / "both")
+    assert again[0] == 0, again[2]
+    assert (ran.parent / "both" / "benchmark.md").read_text() == page
+
+
+def test_another_plan_in_the_same_folder(ran: Path, call: Call) -> None:
+    other = ("benchmark", *SMALL, "--agents", "smooth", "--out", ran)
+    code, _, error = call(*other)
+    assert code == 2
+    assert_one_line(error, "holds a benchmark with another plan (agents differs)")
+    assert call(*other, "--no-resume")[0] == 0
+
+
+def test_anybodys_policy_gets_a_row(call: Call, tmp_path: Path) -> None:
+    shutil.copy(AGENTS / "policies" / "point_goal.onnx", tmp_path / "mine.onnx")
+    own = ("--links", "planar", "--scenes", "1", "--out", tmp_path / "run")
+    code, said, error = call("benchmark", "--policy", tmp_path / "mine.onnx", *own)
+    assert code == 0, error
+    row = tmp_path / "run" / f"mine{SUFFIX}"
+    assert "row to submit" in said
+    code, said, error = call("benchmark", "--check", row)
+    assert code == 0, error
+    assert "sound: mine" in said
+    row.write_text(row.read_text().replace('"success_rate": 1.0', '"success_rate": 0.9'))
+    code, _, error = call("benchmark", "--check", row)
+    assert code == 2
+    assert_one_line(error, "was changed after it was written")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--ids", "bran"), "--ids 'bran'; did you mean"),
+        (("--agents", "dwaa"), "--agents 'dwaa'; did you mean 'dwa'?"),
+        (("--links", "bulet"), "--links 'bulet'; did you mean 'bullet'?"),
+        (("--conditions", "husk"), "--conditions 'husk'; did you mean 'husky'?"),
+        (("--scenes", "1001"), "has 1,000 scenes, 1,001 were asked for"),
+        (("--trained", "nowhere"), "holds no NAME/SEED/policy.onnx"),
+        (("--policy", "nowhere.onnx"), "no such policy file"),
+        (("--policy", "barn", "--agents", "dwa"), "--policy: benchmarks one policy"),
+        (("--combine", "nowhere"), "no such file"),
+        (("--check", "nowhere.json"), "no such file"),
+        (("--table", "nowhere/table.md"), "can't be written"),
+        (("--out", "/proc/nowhere"), "can't be made a folder"),
+        (("--ids", "point_goal", "--agents", "turn_drive", "--workers", "0"), "--workers 0"),
+    ],
+)
+def test_one_line_for_every_mistake(
+    call: Call, tmp_path: Path, arguments: tuple[str, ...], said: str
+) -> None:
+    out = () if "--out" in arguments else ("--out", str(tmp_path / "run"))
+    code, _, error = call("benchmark", *arguments, *out)
+    assert code == 2
+    assert_one_line(error, said)
