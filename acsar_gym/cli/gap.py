@@ -43,7 +43,7 @@ class Outputs:
     def check(self) -> None:
         """Check that everything can be written, before the work begins."""
         from acsar_gym.evaluation import report  # noqa: PLC0415
-        from acsar_gym.gap.page import document  # noqa: PLC0415
+        from acsar_gym.evaluation.page import document  # noqa: PLC0415
 
         report.check_writable(self.json)
         report.check_writable(self.html)

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from acsar_gym.cli.recording import RecordOptions
+from acsar_gym.errors import printable
+
+if TYPE_CHECKING:
+    from acsar_gym.evaluation.episodes import EpisodeResult
 
 Json = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
 File = Json
@@ -85,6 +90,33 @@ class EpisodeOptions:
 
 
 @dataclass(frozen=True)
+class VideoOptions:
+    """Videos of episodes."""
+
+    video: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER|FILE.mp4")] = None
+    """Write a video and a picture of each of the worst episodes into this folder; or all of them
+    as one video, and the pictures beside it."""
+    video_episodes: int = 10
+    """Most episodes of --video, the worst first; 0: all."""
+
+    def prepare(self) -> None:
+        """Check before the episodes that --video can be written; see `pictures.prepare`."""
+        from acsar_gym.evaluation import pictures  # noqa: PLC0415
+
+        if self.video is not None:
+            pictures.prepare(self.video)
+
+    def write(self, results: Sequence[EpisodeResult]) -> None:
+        """Write the worst of these episodes, and say where."""
+        from acsar_gym.evaluation import pictures  # noqa: PLC0415
+
+        if self.video is not None:
+            chosen = pictures.worst(results, self.video_episodes or None)
+            for path in pictures.write(chosen, self.video):
+                print(printable(f"written: {path}"))
+
+
+@dataclass(frozen=True)
 class ScaleOptions:
     """Parallel processes, and other machines."""
 
@@ -157,6 +189,7 @@ def check_out(path: Path | None) -> None:
 
 _flat = tyro.conf.arg(name="")
 """Makes the fields options of the command itself, without a prefix."""
+VideoArgs = Annotated[VideoOptions, _flat]
 HostArgs = Annotated[HostOptions, _flat]
 PolicyArgs = Annotated[PolicyOptions, _flat]
 RobotArgs = Annotated[RobotOptions, _flat]

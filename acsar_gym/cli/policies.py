@@ -19,6 +19,7 @@ from acsar_gym.cli.options import (
     RobotArg,
     RobotArgs,
     ScaleArgs,
+    VideoArgs,
     WorldArgs,
 )
 from acsar_gym.errors import LinkError, printable
@@ -41,6 +42,7 @@ def evaluate(
     host: HostArgs,
     scale: ScaleArgs,
     episodes: EpisodeArgs,
+    video: VideoArgs,
     json: Json = None,
 ) -> int:
     """Evaluate a policy over some episodes on any link, and print its metrics.
@@ -52,12 +54,14 @@ def evaluate(
         host: process priority and cores.
         scale: parallel processes, and other machines.
         episodes: the episodes.
+        video: videos of the worst episodes.
         json: also write the metrics and every episode to this file.
     """
     from acsar_gym.evaluation import report, runs  # noqa: PLC0415
     from acsar_gym.scaling import shards  # noqa: PLC0415
 
     report.check_writable(json)
+    video.prepare()
     host.prepare()
     seeds = runs.seeds(episodes.seed, episodes.episodes)
     loaded = runs.load(policy.policy, trust=policy.trust, env=policy.env)
@@ -65,6 +69,7 @@ def evaluate(
         "worlds": worlds.worlds,
         "difficulty": worlds.difficulty,
         "lidar": robot.lidar,
+        "tracked": video.video is not None,
     }
     options["record"] = robot.recorder("evaluate", link=robot.link, policy=loaded.about)
     how = {"in_order": worlds.in_order, "late_share": episodes.late_share}
@@ -75,7 +80,10 @@ def evaluate(
     }
     done = shards.drive(loaded, robot.link, robot.robot, seeds, how=how, **spread, **options)
     title = f"{policy.policy}, seeds {seeds[0]} to {seeds[-1]}, worlds: {done.worlds}"
-    return _report(title, robot.link, done, json, intervals=True)
+    try:
+        return _report(title, robot.link, done, json, intervals=True)
+    finally:
+        video.write(done.results)
 
 
 def run(

@@ -6,7 +6,7 @@ import contextlib
 import json
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ import numpy as np
 from acsar_gym.envs.base import RobotEnv
 from acsar_gym.errors import ConfigError, EmergencyStopError, LinkError
 from acsar_gym.evaluation import driven
+from acsar_gym.evaluation.tracks import Track, TrackedEnv
 from acsar_gym.links.base import meter_of
 from acsar_gym.links.lateness import EpisodeTiming
 from acsar_gym.policies import FilePolicy, Policy
@@ -84,6 +85,8 @@ class EpisodeResult:
     P of `dynamics.power`; NaN on hardware."""
     jerk: float = math.nan
     """Mean absolute jerk of the speed driven, by odometry [m/s^3]; see `driven.jerk`."""
+    track: Track | None = None
+    """Poses and scans of every step, where the env is a `tracks.TrackedEnv`."""
 
 
 def episodes(
@@ -166,7 +169,8 @@ def _episode(
         done = terminated or truncated
     with contextlib.suppress(LinkError):  # the next reset reports it
         unwrapped.robot.stop()  # the TimeLimit wrapper doesn't stop the robot
-    return _result(unwrapped, seed, steps, rewards, late_share)
+    result = _result(unwrapped, seed, steps, rewards, late_share)
+    return replace(result, track=env.track()) if isinstance(env, TrackedEnv) else result
 
 
 def _result(

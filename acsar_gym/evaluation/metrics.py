@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -87,8 +87,9 @@ class Summary:
 
 
 def per_episode(results: Sequence[EpisodeResult]) -> list[dict[str, Any]]:
-    """Return the results for JSON, one dict per episode, timing included."""
-    return [finite(asdict(result)) for result in results]
+    """Return the results for JSON, one dict per episode, timing included, tracks left out."""
+    told = [asdict(replace(result, track=None)) for result in results]
+    return [{name: finite(value) for name, value in one.items() if name != "track"} for one in told]
 
 
 def finite(value: Any) -> Any:

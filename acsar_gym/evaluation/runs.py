@@ -18,6 +18,7 @@ from acsar_gym.evaluation import episodes as evaluation
 from acsar_gym.evaluation import provenance
 from acsar_gym.evaluation.episodes import EpisodeResult
 from acsar_gym.evaluation.results import Run, collect, track
+from acsar_gym.evaluation.tracks import TrackedEnv
 from acsar_gym.links import Link, open_link
 from acsar_gym.policies import (
     CallablePolicy,
@@ -75,7 +76,8 @@ def made(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[str,
         policy: the policy. Only the user, not the file, may name an env of another package.
         link: name of the link, or an open link.
         robot: preset, file or config of the robot.
-        options: other arguments of the env; None means the env's default. Worlds such as
+        options: other arguments of the env; None means the env's default, and a true `tracked`
+            that episodes get a track (see `tracks.TrackedEnv`). Worlds such as
             "clutter", and those of an env that trains in a training split, become their test
             split; "clutter:train" means the training split.
 
@@ -85,6 +87,7 @@ def made(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[str,
     """
     env_id = _allowed(policy)
     given = {name: value for name, value in options.items() if value is not None}
+    tracked = given.pop("tracked", False)
     given = {"link": link, "robot": robot, **given}
     if "worlds" in given:
         given["worlds"] = splits.tested(given["worlds"])
@@ -98,7 +101,7 @@ def made(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[str,
         config = inner.robot.config
         policy.check(inner.task, inner.sensors, rate_of(inner), config)
         policy.bind(inner)
-    return env
+    return TrackedEnv(env) if tracked else env
 
 
 def warn(policy: FilePolicy) -> None:

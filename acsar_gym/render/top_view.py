@@ -34,6 +34,7 @@ Image = NDArray[np.uint8]
 ODOM: Colour = (30, 110, 220)
 TRUTH: Colour = (245, 137, 32)
 RAY: Colour = (216, 60, 80)
+HIT: Colour = (214, 20, 30)
 SMALL = 10.0
 """Robots shorter than this get a ring, to be visible [pixels]."""
 MOST_POINTS = 1000
@@ -63,6 +64,8 @@ class Frame:
     reach: float = math.inf
     """Range of a ray that hits nothing [m]."""
     caption: str = ""
+    hit: Point | None = None
+    """Where the robot collided."""
 
 
 class TopView:
@@ -114,6 +117,9 @@ class TopView:
         self._robot(canvas, pose)
         if frame.truth is not None:
             self._ghost(canvas, frame.truth, frame.odom)
+        if frame.hit is not None:
+            canvas.disc(frame.hit, 0.0, (*HIT, 90), HIT, width=2.5, least=9.0)
+            canvas.disc(frame.hit, 0.0, HIT, least=2.5)
         if frame.caption:
             canvas.text((12.0, 20.0), frame.caption, TEXT, INK, box=LABEL)
         return canvas.picture()

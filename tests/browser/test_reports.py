@@ -17,9 +17,9 @@ import pytest
 from rollout_tools import HIDDEN, driven, random_steps, recording, rollouts
 
 from acsar_gym import RobotConfig
+from acsar_gym.evaluation.page.document import Page
 from acsar_gym.gap.measure import measure
 from acsar_gym.gap.page import compare_page, gap_page
-from acsar_gym.gap.page.document import Page
 from acsar_gym.gap.sides import compare
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")

@@ -1,1 +1,1 @@
-"""Reports as one self-contained HTML file: text, tables and interactive plots."""
+"""The pages of `gap` and `compare`."""

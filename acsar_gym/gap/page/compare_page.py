@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 import acsar_gym
+from acsar_gym.evaluation.page.document import Grid, Page, Plot, Section, Tile
+from acsar_gym.evaluation.page.traces import MAP, axis, dots, layout, line, shares
 from acsar_gym.gap.compare_tables import columns, rows
 from acsar_gym.gap.delays import Floats, lag
-from acsar_gym.gap.page.document import Grid, Page, Plot, Section, Tile
-from acsar_gym.gap.page.traces import MAP, axis, dots, layout, line, shares
 from acsar_gym.gap.page.wheels import Wheels, wheel_layout, wheel_traces
 from acsar_gym.gap.sides import VALUES, Outcome, Sides, conclusion, distances
 from acsar_gym.gap.tables import between, cell

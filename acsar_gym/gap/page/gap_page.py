@@ -8,11 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 
 import acsar_gym
+from acsar_gym.evaluation.page.document import Grid, Page, Plot, Section, Tile
+from acsar_gym.evaluation.page.traces import MAP, dotted, layout, line, shares
 from acsar_gym.gap.delays import lag, too_few_steps
 from acsar_gym.gap.figures import METRICS
 from acsar_gym.gap.measure import Gap, Replay, conclusion
-from acsar_gym.gap.page.document import Grid, Page, Plot, Section, Tile
-from acsar_gym.gap.page.traces import MAP, dotted, layout, line, shares
 from acsar_gym.gap.page.wheels import Wheels, wheel_layout, wheel_traces
 from acsar_gym.gap.tables import between, cell, rows
 from acsar_gym.gap.tracks import Track

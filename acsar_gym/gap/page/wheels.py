@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from acsar_gym.evaluation.page.traces import Trace, axis, line, stairs
 from acsar_gym.gap.delays import Floats
-from acsar_gym.gap.page.traces import Trace, axis, line, stairs
 
 CORNERS = (
     (1, "front left (b)"),

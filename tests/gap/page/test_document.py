@@ -15,10 +15,10 @@ from rollout_tools import HIDDEN, driven, random_steps, recording, rollouts
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError, MissingExtraError
+from acsar_gym.evaluation.page.document import Grid, Page, Plot, Section
+from acsar_gym.evaluation.page.traces import MOST_POINTS, line, shares, stairs
 from acsar_gym.gap.measure import measure
 from acsar_gym.gap.page import compare_page, gap_page
-from acsar_gym.gap.page.document import Grid, Page, Plot, Section
-from acsar_gym.gap.page.traces import MOST_POINTS, line, shares, stairs
 from acsar_gym.gap.sides import compare
 
 pytest.importorskip("plotly")

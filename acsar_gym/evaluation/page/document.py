@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,7 +16,8 @@ from acsar_gym.evaluation.metrics import finite
 from acsar_gym.reading import bounded
 
 POLICY = (
-    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
+    "img-src data: blob:; media-src data:"
 )
 """Content security policy: a browser refuses to load anything over the network."""
 
@@ -47,6 +49,24 @@ class Grid:
 
 
 @dataclass(frozen=True)
+class Film:
+    """A picture with a caption, which becomes a video when it is played."""
+
+    caption: str
+    picture: bytes
+    """PNG."""
+    video: bytes
+    """MP4."""
+
+
+@dataclass(frozen=True)
+class Gallery:
+    """Films side by side."""
+
+    films: Sequence[Film]
+
+
+@dataclass(frozen=True)
 class Tile:
     """One figure in large type: what, its value, and the old value that it replaces."""
 
@@ -57,11 +77,11 @@ class Tile:
 
 @dataclass(frozen=True)
 class Section:
-    """A heading, a paragraph, then tables and plots; `picks` puts the picker here."""
+    """A heading, a paragraph, then tables, plots and films; `picks` puts the picker here."""
 
     title: str
     text: str = ""
-    parts: Sequence[Grid | Plot] = ()
+    parts: Sequence[Grid | Plot | Gallery] = ()
     key: Sequence[tuple[str, str]] = ()
     """Colours and what they stand for."""
     picks: bool = False
@@ -166,14 +186,34 @@ def _list(lines: Sequence[str]) -> str:
 
 def _section(section: Section, choices: Sequence[str], plots: Sequence[Plot]) -> str:
     """Return a section with its tables and plots."""
-    parts = "".join(
-        _plot(part, _name(part, plots)) if isinstance(part, Plot) else _grid(part)
-        for part in section.parts
-    )
+    parts = "".join(_part(part, plots) for part in section.parts)
     text = f'<p class="muted">{escape(section.text)}</p>' if section.text else ""
     picker = _picker(choices) if section.picks and len(choices) > 1 else ""
     key = _key(section.key) if section.key else ""
     return f"<section><h2>{escape(section.title)}</h2>{text}{picker}{key}{parts}</section>"
+
+
+def _part(part: Grid | Plot | Gallery, plots: Sequence[Plot]) -> str:
+    if isinstance(part, Plot):
+        return _plot(part, _name(part, plots))
+    return _grid(part) if isinstance(part, Grid) else _gallery(part)
+
+
+def _gallery(gallery: Gallery) -> str:
+    """Return films; their pictures are shown until they are played."""
+    films = "".join(
+        f'<figure class="card"><video controls muted playsinline preload="none" '
+        f'poster="{_embedded("image/png", film.picture)}" '
+        f'src="{_embedded("video/mp4", film.video)}" aria-label="{escape(film.caption)}"></video>'
+        f"<figcaption>{escape(film.caption)}</figcaption></figure>"
+        for film in gallery.films
+    )
+    return f'<div class="gallery">{films}</div>'
+
+
+def _embedded(kind: str, data: bytes) -> str:
+    """Return a file as the URL that holds it."""
+    return f"data:{kind};base64,{base64.b64encode(data).decode()}"
 
 
 def _picker(choices: Sequence[str]) -> str:

@@ -1,0 +1,197 @@
+"""Pictures and videos of episodes, drawn from their tracks after they were driven."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from acsar_gym.evaluation import metrics, report
+from acsar_gym.evaluation.episodes import EpisodeResult
+from acsar_gym.evaluation.tracks import Track
+from acsar_gym.lidars.base import ray_spec
+from acsar_gym.reading import bounded
+from acsar_gym.render import video
+from acsar_gym.render.canvas import encode
+from acsar_gym.render.top_view import Frame, Image, TopView
+from acsar_gym.worlds.clearance import clearance
+
+SIZE = (480, 480)
+"""Width and height [pixels]; even, as videos ask."""
+LAST = 1.0
+"""How long a video shows the end of an episode [s]."""
+TOUCHED = 0.05
+"""A footprint that is this near to an obstacle in a collision touches it there [m]."""
+
+
+def worst(results: Sequence[EpisodeResult], count: int | None) -> list[EpisodeResult]:
+    """Return the worst episodes, the worst first.
+
+    Failed ones come before successful ones; among both, those with less SoftSPL, and in path
+    following those with a larger cross-track error, come first.
+
+    Args:
+        results: all episodes.
+        count: most episodes to return; None for all.
+    """
+    return sorted(results, key=_merit)[:count]
+
+
+def _merit(result: EpisodeResult) -> tuple[bool, float]:
+    progress = metrics.soft_spl(result)
+    error = 0.0 if math.isnan(result.cross_track) else result.cross_track
+    return result.success, -error if math.isnan(progress) else progress
+
+
+def outcome(result: EpisodeResult) -> str:
+    """Return how an episode ended, in a few words."""
+    if result.fault:
+        return "fault"
+    if result.success:
+        return "goal reached"
+    return "collision" if result.collision else "time-out"
+
+
+def title(result: EpisodeResult) -> str:
+    """Return what a picture is of, such as "seed 7, world 7: collision after 6.2 s"."""
+    world = "" if result.world is None or result.world < 0 else f", world {result.world}"
+    return (
+        f"seed {result.seed}{world}: {outcome(result)} after {result.ended - result.started:.1f} s"
+    )
+
+
+def still(result: EpisodeResult, view: TopView | None = None) -> Image:
+    """Draw an episode as one picture: world, paths, the last scan, and where it collided.
+
+    Args:
+        result: with its track.
+        view: to draw with; None for a new one.
+
+    Raises:
+        MissingExtraError: Pillow isn't installed.
+    """
+    track = tracked(result)
+    frame = _frame(track, len(track.odometry) - 1, title(result), result)
+    return (view or TopView(track.robot, SIZE)).draw(frame)
+
+
+def film(result: EpisodeResult) -> Iterator[Image]:
+    """Yield the pictures of an episode, one for each env step, the last one for a second.
+
+    Raises:
+        MissingExtraError: Pillow isn't installed.
+    """
+    track = tracked(result)
+    view, count = TopView(track.robot, SIZE), len(track.odometry)
+    name = f"seed {result.seed}"
+    for step in range(count - 1):
+        yield view.draw(_frame(track, step, f"{name}, {step * track.period:.1f} s"))
+    last = still(result, view)
+    for _ in range(max(1, round(LAST / track.period))):
+        yield last
+
+
+def tracked(result: EpisodeResult) -> Track:
+    """Return the track of an episode; ValueError for one that was driven without."""
+    if result.track is None:
+        raise ValueError("the episode was driven without a track")
+    return result.track
+
+
+def _frame(track: Track, step: int, caption: str, end: EpisodeResult | None = None) -> Frame:
+    """Make the picture of a step; `end` is the result at the last one."""
+    odometry, truth = track.odometry[: step + 1], track.truth
+    scan = None if track.scans is None else track.scans[step].astype(float)
+    return Frame(
+        world=track.world,
+        odom=_pose(odometry[-1]),
+        truth=None if truth is None else _pose(truth[step]),
+        goal=track.goal,
+        goal_radius=track.goal_radius,
+        odom_path=[(x, y) for x, y, _ in odometry.tolist()],
+        true_path=[] if truth is None else [(x, y) for x, y, _ in truth[: step + 1].tolist()],
+        rays=None if scan is None else (ray_spec(track.robot).angles(), scan),
+        reach=track.robot.lidar.max_range,
+        caption=caption,
+        hit=hit(track) if end is not None and end.collision else None,
+    )
+
+
+def _pose(row: np.ndarray[tuple[int], np.dtype[np.float32]]) -> tuple[float, float, float]:
+    x, y, theta = row.tolist()
+    return x, y, theta
+
+
+def hit(track: Track) -> tuple[float, float] | None:
+    """Return the point of the footprint's border that is nearest to an obstacle at the end [m].
+
+    None where no obstacle is near, and without ground truth.
+    """
+    if track.truth is None or track.world is None or not track.world.obstacles:
+        return None
+    corners, share = np.array(track.robot.outline), np.linspace(0.0, 1.0, 41)[:-1, None]
+    sides = zip(corners, np.roll(corners, -1, axis=0), strict=True)
+    border = np.concatenate([a + share * (b - a) for a, b in sides])
+    x, y, theta = _pose(track.truth[-1])
+    cos, sin = math.cos(theta), math.sin(theta)
+    placed = border @ np.array([[cos, sin], [-sin, cos]]) + (x, y)
+    apart = clearance(placed, track.world)
+    nearest = int(apart.argmin())
+    return tuple(placed[nearest].tolist()) if apart[nearest] < TOUCHED else None
+
+
+def prepare(where: Path) -> None:
+    """Check before a long run that pictures and videos can be written; makes a folder.
+
+    Args:
+        where: as for `write`.
+
+    Raises:
+        ConfigError: there is no such folder, and it can't be made.
+        MissingExtraError: moviepy isn't installed, which brings Pillow.
+    """
+    video.library()
+    if is_file(where):
+        report.check_writable(where)
+    else:
+        report.make_folder(where)
+
+
+def write(results: Iterable[EpisodeResult], where: Path) -> list[Path]:
+    """Write episodes as a video and a picture each.
+
+    Args:
+        results: with their tracks; episodes of more than one are numbered in this order.
+        where: a folder, or one video file for all, beside which the pictures are written.
+
+    Returns:
+        The files.
+
+    Raises:
+        ConfigError: a file can't be written, as on a full disk.
+        MissingExtraError: moviepy or Pillow isn't installed.
+    """
+    every, one = list(results), is_file(where)
+    if not every:
+        return []
+    rate = 1.0 / tracked(every[0]).period
+    written = [where] if one else []
+    if one:
+        video.write(where, (image for result in every for image in film(result)), rate)
+    for number, result in enumerate(every, start=1):
+        name = f"{number:02d}_seed_{result.seed}"
+        base = where.with_name(f"{where.stem}_{name}") if one else where / name
+        if not one:
+            video.write(base.with_suffix(".mp4"), film(result), rate)
+            written.append(base.with_suffix(".mp4"))
+        picture = base.with_suffix(".png")
+        bounded.write(picture, encode(still(result)))
+        written.append(picture)
+    return written
+
+
+def is_file(where: Path) -> bool:
+    """Return whether this is the name of a video file, rather than of a folder."""
+    return where.suffix.lower() in video.SUFFIXES
