@@ -27,7 +27,6 @@ def measured(work: Callable[[Any], int], job: Any) -> Cost:
     begin, cpu = time.perf_counter(), time.process_time()
     units = work(job)
     return Cost(
-        ray.get_runtime_context().get_node_id(),
         units,
         time.process_time() - cpu,
         time.perf_counter() - begin,
