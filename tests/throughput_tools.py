@@ -14,7 +14,6 @@ from typing import Any
 class Cost:
     """What a job took."""
 
-    node: str
     units: int
     """Episodes, or env steps of a training."""
     cpu: float
@@ -25,12 +24,9 @@ class Cost:
 
 def measured(work: Callable[[Any], int], job: Any) -> Cost:
     """Run a job; `work` returns its units."""
-    import ray
-
     begin, cpu = time.perf_counter(), time.process_time()
     units = work(job)
     return Cost(
-        ray.get_runtime_context().get_node_id(),
         units,
         time.process_time() - cpu,
         time.perf_counter() - begin,

@@ -19,6 +19,8 @@ from acsar_gym.training.recipes import Recipe
 from acsar_gym.vector.env import RobotVectorEnv
 from acsar_gym.vector.settings import FAIR_SHARE
 
+RANDOMIZATION = "randomization"
+"""Argument of an env that only the robots of the training get."""
 MOST_EVALUATIONS = 16
 STEPS_BETWEEN = 100_000
 """Least env steps between two held-out evaluations, which take up to 5 % of the time."""
@@ -72,8 +74,11 @@ class Plan:
 
     @property
     def randomization(self) -> Randomization:
-        """What every episode of the training draws anew."""
-        return Randomization.measured(self.robot) if self.options.randomize else Randomization()
+        """What every episode of the training draws anew: the recipe's ranges if it has any."""
+        if not self.options.randomize:
+            return Randomization()
+        ranges = self.recipe.env_kwargs.get(RANDOMIZATION)
+        return Randomization.of(ranges) if ranges else Randomization.measured(self.robot)
 
     @property
     def evaluations(self) -> int:
@@ -110,7 +115,8 @@ class Plan:
     def _arguments(self) -> dict[str, Any]:
         """Arguments of the env: the recipe's, and the worlds if the user gave some."""
         worlds = self.options.worlds
-        return self.recipe.env_kwargs | ({} if worlds is None else {"worlds": worlds})
+        given = {key: each for key, each in self.recipe.env_kwargs.items() if key != RANDOMIZATION}
+        return given | ({} if worlds is None else {"worlds": worlds})
 
     def __str__(self) -> str:
         cores = "1 thread" if self.threads == 1 else f"{self.threads} threads"

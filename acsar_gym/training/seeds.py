@@ -207,8 +207,10 @@ def _result(out: Path, seed: int) -> Trained:
     """Read the result of a training from its folder."""
     told = yaml.safe_load((out / record.FILE).read_text(encoding="utf-8"))[record.RUN]
     last = told.get("held_out") or {}
-    rates = (last.get(name, math.nan) for name in ("success_rate", "collision_rate"))
-    return Trained(seed, *rates, steps=told["steps"], seconds=told["seconds"])
+    success, collision = (
+        float(last.get(name, math.nan)) for name in ("success_rate", "collision_rate")
+    )
+    return Trained(seed, success, collision, int(told["steps"]), float(told["seconds"]))
 
 
 def _zipped(folder: Path) -> bytes:

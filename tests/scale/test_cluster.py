@@ -22,6 +22,8 @@ from acsar_gym.evaluation.episodes import EpisodeResult
 from acsar_gym.scaling import completed, shards
 
 PATIENCE = 120.0
+KILLED_AFTER = 30.0
+"""When a node dies in mid-training [s]."""
 
 
 @pytest.fixture(scope="module")
@@ -184,3 +186,31 @@ def test_ray_of_this_machine_alone(tmp_path: Path) -> None:
         env=environment,
     )
     assert (ended.stdout, ended.stderr) == ("[(0, '1')]\n", "")
+
+
+def test_trainings_of_seeds_run_on_a_cluster_and_their_files_come_back(tmp_path: Path) -> None:
+    """One of the nodes dies while both train."""
+    asked = ["--env", "point_goal", "--steps", "300000", "--robots", "64", "--seeds", "0-1"]
+    with nodes(2) as cluster:
+        arguments = [*asked, "--out", str(tmp_path), "--address", cluster.address]
+        running = subprocess.Popen([sys.executable, "-m", "acsar_gym", "train", *arguments])
+        time.sleep(KILLED_AFTER)
+        assert running.poll() is None
+        cluster.kill(0)
+        assert running.wait(600.0) == 0
+    data = json.loads((tmp_path / "seeds.json").read_text(encoding="utf-8"))
+    assert [each["seed"] for each in data["seeds"]] == [0, 1]
+    for seed in (0, 1):
+        assert runs.load(str(tmp_path / f"seed-{seed}" / "policy.onnx"), trust=False)
+
+
+def test_a_sweep_with_ray_tune_prints_its_table(
+    cluster: Nodes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from acsar_gym.resources import agent
+
+    asked = "--env point_goal --levels 0 3 --seeds 0-1 --steps 1 --episodes 2"
+    sweep = agent("examples/tune_randomization")
+    sweep.main([*asked.split(), "--out", str(tmp_path), "--address", cluster.address])
+    rows = [line.split() for line in capsys.readouterr().out.splitlines() if "%" in line]
+    assert [row[:2] for row in rows] == [["0", "2"], ["3", "2"]]

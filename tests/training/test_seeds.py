@@ -13,10 +13,12 @@ from pathlib import Path
 
 import pytest
 
+from acsar_gym.dynamics import Randomization
 from acsar_gym.errors import ConfigError
 from acsar_gym.resources import AGENTS, agent
 from acsar_gym.training import seeds
 from acsar_gym.training.options import Options
+from acsar_gym.training.plan import Plan
 
 pytestmark = pytest.mark.xdist_group("torch")
 
@@ -88,6 +90,17 @@ def test_files_of_a_training_go_to_another_machine_and_come_back(tmp_path: Path)
     assert "checkpoints" not in names
     with pytest.raises(ConfigError, match="a folder can't be sent"):
         seeds.job(replace(options, conf_file=None, worlds=str(tmp_path)), 2, tmp_path)
+
+
+def test_a_recipe_may_have_ranges_of_its_own(tmp_path: Path) -> None:
+    recipe = tmp_path / "mine.yml"
+    text = "{env_kwargs: {randomization: {friction: [0.7, 1.2]}}, n_timesteps: 1, n_envs: 4}"
+    recipe.write_text(f"acsar_gym/PointGoal-v0: {text}", encoding="utf-8")
+    plan = Plan.of(Options(conf_file=recipe, out=tmp_path, robots=4, threads=1))
+    assert plan.randomization == Randomization(friction=(0.7, 1.2))
+    plan.held_out(plan.learning()).close()
+    plain = replace(plan, options=replace(plan.options, randomize=False))
+    assert plain.randomization == Randomization()
 
 
 @pytest.mark.slow
