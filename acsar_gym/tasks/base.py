@@ -224,19 +224,6 @@ def told(task: Task) -> tuple[str, ...]:
     return tuple(task.memory) if task.told is None else task.told
 
 
-def signature(task: Task, sensors: Iterable[Sensor]) -> str:
-    """Describe an observation in words, to check that a policy was trained on the same one.
-
-    Args:
-        task: whose numbers come first.
-        sensors: in the order of their numbers.
-
-    Returns:
-        Names of the task's numbers and layouts of the sensors, separated by commas.
-    """
-    return ",".join([*task.observation, *(sensor.layout for sensor in sensors)])
-
-
 # Functions for tasks; they take and return scalars, so that numba can compile them.
 
 
