@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from enum import IntEnum
 from types import SimpleNamespace
 from typing import Any, ClassVar, NamedTuple
@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.jit import compilable
-from acsar_gym.sensors import Sensor
 
 Observation = NDArray[np.float32]
 Floats = NDArray[np.float64]
