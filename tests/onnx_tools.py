@@ -295,7 +295,7 @@ def in_other_format() -> bytes:
 
 
 HOSTILE: dict[Callable[[], bytes], str] = {
-    other_width: "observation is (n0,n1,n2,n3,n4,n5,n6,n7,n8) in the file and (goal_distance",
+    other_width: "observation[0] is n0 in the file and goal_distance in acsar_gym/PointGoal-v0",
     other_type: "observation must be float32",
     scalar: "action must be of shape",
     lies_about_its_output: "shape (1, 3)",

@@ -206,10 +206,14 @@ def _policy(policy: str | None) -> list[Figure]:
         actor = OnnxPolicy(policy or "point_goal")
     except MissingExtraError:
         return []
-    observation = np.zeros(7, np.float32)
-    return [
-        Figure("ONNX policy, one decision", _median(lambda: actor(observation), 1000) * 1e6, "us")
-    ]
+    return [_deciding(actor, "")] + ([] if policy else [_deciding(OnnxPolicy("barn"), ", barn")])
+
+
+def _deciding(actor: OnnxPolicy, name: str) -> Figure:
+    """Measure one decision of a policy."""
+    observation = np.zeros(actor.width, np.float32)
+    took = _median(lambda: actor(observation), 1000)
+    return Figure(f"ONNX policy{name}, one decision", took * 1e6, "us")
 
 
 def _median(call: Callable[[], object], times: int) -> float:

@@ -14,6 +14,7 @@ import tyro
 
 import acsar_gym
 from acsar_gym.cli.benchmark import benchmark
+from acsar_gym.cli.bundles import policy
 from acsar_gym.cli.calibrate import calibrate
 from acsar_gym.cli.devices import doctor, drive, emulate, estop
 from acsar_gym.cli.gap import compare, gap
@@ -49,9 +50,17 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "gap": gap,
     "compare": compare,
     "benchmark": benchmark,
+    "policy": policy,
     "worlds": worlds,
     "warm-up": warm_up,
 }
+GROUPS: dict[str, Callable[[], int]] = {
+    "policy": policy,
+    "record": record,
+    "train": train,
+    "worlds": worlds,
+}
+"""Commands that parse their own arguments, as they have subcommands or options of a script."""
 
 
 def _one_line(
@@ -77,12 +86,8 @@ def main() -> None:
         if sys.argv[1:] == ["--version"]:
             print(f"acsar-gym {acsar_gym.__version__}")
             code = 0
-        elif sys.argv[1:2] == ["train"]:
-            code = train()
-        elif sys.argv[1:2] == ["worlds"]:
-            code = worlds()
-        elif sys.argv[1:2] == ["record"]:
-            code = record()
+        elif sys.argv[1:2] and sys.argv[1] in GROUPS:
+            code = GROUPS[sys.argv[1]]()
         else:
             code = tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="acsar-gym")
         sys.stdout.flush()

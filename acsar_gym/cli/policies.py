@@ -114,11 +114,14 @@ def run(
     report.check_writable(json)
     host.prepare()
     loaded = runs.load(policy.policy, trust=policy.trust, env=policy.env)
-    if is_device(robot.link):
-        countdown(f"the robot on {robot.link} will drive", yes=yes)
+
+    def ready() -> None:
+        if is_device(robot.link):
+            countdown(f"the robot on {robot.link} will drive", yes=yes)
+
     recorder = robot.recorder("run", link=robot.link, policy=loaded.about)
     options = {"lidar": robot.lidar, "record": recorder, "goal_distance": goal_distance}
-    done = runs.to_goal(loaded, robot.link, robot.robot, goal, **options)
+    done = runs.to_goal(loaded, robot.link, robot.robot, goal, ready, **options)
     title = f"{policy.policy} to ({goal[0]:g}, {goal[1]:g}), worlds: {done.worlds}"
     code = _report(title, robot.link, done, json, intervals=False)
     return code or (0 if done.results[0].success else 1)

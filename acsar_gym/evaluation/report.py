@@ -167,6 +167,16 @@ def interval_table(title: str, summary: Summary) -> Table:
     return table
 
 
+def fact_table(title: str, rows: Iterable[tuple[str, str]]) -> Table:
+    """Format names and values as a table of two columns."""
+    table = Table(title=plain(title), title_justify="left", show_header=False)
+    table.add_column()
+    table.add_column(overflow="fold")
+    for name, value in rows:
+        table.add_row(plain(name), escape("".join(c if c.isprintable() else "?" for c in value)))
+    return table
+
+
 def _success(summary: Summary) -> str:
     wins = round(summary.success_rate * summary.episodes)
     return f"{wins}/{summary.episodes} ({summary.success_rate:.1%})"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -209,9 +209,12 @@ def to_goal(
     link: str,
     robot: str | None,
     goal: tuple[float, float],
+    ready: Callable[[], object] = lambda: None,
     **options: Any,
 ) -> Run:
     """Run one episode to `goal` (x, y) [m] in the odometry frame; arguments as for `drive`.
+
+    `ready` is called before anything moves, when all that can be known of the policy is told.
 
     With `goal_distance`, goals may be nearer or farther than those that the policy was trained for;
     the time limit grows with the distance.
@@ -223,6 +226,7 @@ def to_goal(
     warn(policy)
     results: list[EpisodeResult] = []
     try:
+        ready()
         running = evaluation.episodes(env, policy, 1, seed=0, goal=goal)
         ended = collect(running, results)
         env.close()
@@ -268,11 +272,11 @@ def export(
     env = made(policy, "planar", robot, {})
     from acsar_gym.policies import sb3_export  # noqa: PLC0415 - optional
 
-    known = policy.bundle
-    if known is None or known.env.id != without_module(policy.env_id):
-        inner: Any = env.unwrapped
-        known = described(inner, policy.env_id)
+    inner: Any = env.unwrapped
     try:
+        known = policy.bundle
+        if known is None or known.env.id != without_module(policy.env_id):
+            known = described(inner, policy.env_id)
         before = sb3_export.normalizer(statistics, known.observation.width) if statistics else None
         sb3_export.export(policy.network, out, known, before)
     finally:

@@ -108,11 +108,6 @@ class Observation(Section):
         """How many numbers an observation has."""
         return len(self.names) + sum(sensor.size for sensor in self.sensors)
 
-    @property
-    def signature(self) -> str:
-        """The observation in words, as `tasks.signature` describes that of an env."""
-        return ",".join([*self.names, *(sensor.layout for sensor in self.sensors)])
-
 
 class Action(Section):
     """The numbers of an action: parts of the robot's own limits."""

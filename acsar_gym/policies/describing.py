@@ -156,7 +156,8 @@ def robot(config: RobotConfig, sensors: Iterable[Sensor]) -> Robot:
 def values(config: RobotConfig, sensors: Iterable[Sensor]) -> dict[str, Value]:
     """Return a robot's values by name: those of FIELDS, and with a LiDAR of LIDAR_FIELDS."""
     sees = any(sensor.name == LIDAR for sensor in sensors)
-    return {name: read(config) for name, read in (FIELDS | (LIDAR_FIELDS if sees else {})).items()}
+    readers = {**FIELDS, **(LIDAR_FIELDS if sees else {})}
+    return {name: read(config) for name, read in readers.items()}
 
 
 def ranges(randomization: Randomization) -> dict[str, tuple[float, ...]]:
@@ -167,10 +168,10 @@ def ranges(randomization: Randomization) -> dict[str, tuple[float, ...]]:
 def _env(env: AnyEnv, env_id: str) -> Env:
     """Describe the task and the worlds of an env."""
     spec, task = env.spec, env.task
-    fields = dataclasses.fields(task) if dataclasses.is_dataclass(task) else ()
+    names = [one.name for one in dataclasses.fields(task)] if dataclasses.is_dataclass(task) else []
     return Env(
         id=without_module(full_id(env_id)),
-        options={field.name: plain(getattr(task, field.name)) for field in fields},
+        options={name: plain(getattr(task, name)) for name in names},
         worlds="" if env.pool is None else str(env.pool),
         max_episode_steps=None if spec is None else spec.max_episode_steps,
     )

@@ -8,6 +8,7 @@ differ, or its physics lies outside of the ranges of the training.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 from acsar_gym.config import RobotConfig
@@ -76,9 +77,10 @@ def check(
 def _check_observation(bundle: Bundle, own: Observation, here: str) -> None:
     """Compare the observation of a file with that of an env; PolicyError where they differ."""
     file = bundle.observation
-    if file.signature != own.signature:
-        told = [f"({_quoted(seen.signature)})" for seen in (file, own)]
-        raise _unlike("observation", told[0], told[1], f"in {here}", TRAIN)
+    pairs = itertools.zip_longest(_parts(file), _parts(own), fillvalue="nothing")
+    for number, (said, wanted) in enumerate(pairs):
+        if said != wanted:
+            raise _unlike(f"observation[{number}]", _quoted(said), wanted, f"in {here}", TRAIN)
     for number, name in enumerate(file.names):
         ends = [(seen.low[number], seen.high[number]) for seen in (file, own)]
         if ends[0] != ends[1]:
@@ -93,6 +95,11 @@ def _check_observation(bundle: Bundle, own: Observation, here: str) -> None:
     if not trained.equal(file.scale, own.scale):
         told = [trained.shown(seen.scale) for seen in (file, own)]
         raise _unlike("observation.scale", told[0], told[1], f"in this {here}", ARGUMENTS)
+
+
+def _parts(seen: Observation) -> list[str]:
+    """Return the names of an observation's numbers, and the layouts of its sensors."""
+    return [*seen.names, *(sensor.layout for sensor in seen.sensors)]
 
 
 def differences(bundle: Bundle, sensors: Sequence[Sensor], config: RobotConfig) -> list[str]:

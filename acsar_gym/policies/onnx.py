@@ -123,7 +123,8 @@ class Decision:
         self._run(self._binding)
         for before, after in self._states:
             before[...] = after
-        return self._action[0].copy()
+        action: NDArray[np.float32] = self._action[0].copy()
+        return action
 
 
 def _shapes(network: graph.Graph) -> dict[str, tuple[int, ...]]:

@@ -35,39 +35,30 @@ def save(
     """Write a trained network as an ONNX policy, for `acsar-gym evaluate` and `run`.
 
     Args:
-        module: maps observations (batch, n) to deterministic actions (batch, 2); actions are
-            clipped to [-1, 1].
-        env_id: the env that it was trained for, such as "acsar_gym/PointGoal-v0".
+        module: maps observations (batch, n) to actions (batch, 2), which are clipped to [-1, 1].
+        env_id: the env of the training, such as "acsar_gym/PointGoal-v0".
         path: the ONNX file to write.
-        normalizer: normalization of the observations during training: (mean, std) or (mean,
-            std, clip), where mean and std are numbers or arrays (n,) and clip is a number or
-            None; or a module. It becomes part of the file.
+        normalizer: of the observations: (mean, std), (mean, std, clip) or a module; mean and std
+            are numbers or arrays (n,). It becomes part of the file.
         robot: preset, file or config of the robot that it was trained on.
         training: how it was trained.
         state: of a recurrent module, which maps (observation, state, ...) to (action, next
             state, ...); the states are zeros at the start of an episode.
-        **env_kwargs: other arguments of the env, as given to `gymnasium.make` for the training,
-            such as goal_distance=(0.5, 10.0), policy_rate=20.0 or randomization. The file stores
-            what follows from them.
+        **env_kwargs: other arguments of the env in the training, such as policy_rate=20.0 or
+            randomization; the file stores what follows from them.
 
     Raises:
         ConfigError: there is no such environment.
-        PolicyError: the module doesn't fit the env, or uses operations that a policy may not
-            have.
+        PolicyError: the module doesn't fit the env, or uses operations that are refused.
         MissingExtraError: torch, onnx or onnxscript isn't installed.
     """
     from acsar_gym.policies import torch_export  # noqa: PLC0415 - optional
 
     before = torch_export.normalizing(normalizer)
-    env = _made(env_id, robot, env_kwargs)
+    env, varied = _made(env_id, robot, env_kwargs), env_kwargs.get("randomization")
     try:
-        bundle = described(
-            env,
-            env_id,
-            randomization=Randomization.of(env_kwargs.get("randomization")),
-            training=training,
-            state=state,
-        )
+        ranges = Randomization.of(varied)
+        bundle = described(env, env_id, randomization=ranges, training=training, state=state)
         torch_export.write(module, Path(path), bundle, before)
     finally:
         env.close()

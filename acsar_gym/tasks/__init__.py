@@ -7,7 +7,6 @@ from acsar_gym.tasks.base import (
     Outcome,
     State,
     Task,
-    signature,
 )
 from acsar_gym.tasks.goal import PointGoal
 from acsar_gym.tasks.navigation import Barn, ObstacleGoal
@@ -26,5 +25,4 @@ __all__ = [
     "PointGoal",
     "State",
     "Task",
-    "signature",
 ]

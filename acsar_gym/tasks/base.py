@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from enum import IntEnum
 from types import SimpleNamespace
 from typing import Any, ClassVar, NamedTuple
@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.jit import compilable
-from acsar_gym.sensors import Sensor
 
 Observation = NDArray[np.float32]
 Floats = NDArray[np.float64]
@@ -224,19 +223,6 @@ def remembered(task: Task) -> Memory:
 def told(task: Task) -> tuple[str, ...]:
     """Names of the memory that are keys of info."""
     return tuple(task.memory) if task.told is None else task.told
-
-
-def signature(task: Task, sensors: Iterable[Sensor]) -> str:
-    """Describe an observation in words, to check that a policy was trained on the same one.
-
-    Args:
-        task: whose numbers come first.
-        sensors: in the order of their numbers.
-
-    Returns:
-        Names of the task's numbers and layouts of the sensors, separated by commas.
-    """
-    return ",".join([*task.observation, *(sensor.layout for sensor in sensors)])
 
 
 # Functions for tasks; they take and return scalars, so that numba can compile them.

@@ -170,7 +170,7 @@ def test_a_trusted_zip_is_evaluated_run_and_exported(
     ("arguments", "said"),
     [
         (("--env", "maze"), "Maze"),
-        (("--env", "path_follow"), "PathFollow-v0 gives"),
+        (("--env", "path_follow"), "in acsar_gym/PathFollow-v0: train"),
         (("--robot", "acsr"), "did you mean 'acsar'?"),
     ],
     ids=["environment", "observation", "robot"],

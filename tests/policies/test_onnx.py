@@ -86,7 +86,9 @@ def test_a_broken_file_says_so(tmp_path: Path, content: bytes) -> None:
 def test_a_policy_for_another_observation_is_refused(tmp_path: Path) -> None:
     names = ["heading_cos", *bundle_of().observation.names[1:]]
     path = relabelled(tmp_path / "heading.onnx", observation__names=names)
-    with pytest.raises(PolicyError, match=r"observation is \(heading_cos,.*train it again"):
+    with pytest.raises(
+        PolicyError, match=r"observation\[0\] is heading_cos in the file.*train it again"
+    ):
         runs.made(OnnxPolicy(path), "planar", None, {})
 
 

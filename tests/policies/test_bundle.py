@@ -1,0 +1,297 @@
+"""What a policy file says about itself: read whatever it holds, and compared with an env."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from onnx_tools import GOOD, bundle_of, changed, relabelled
+
+from acsar_gym import RobotConfig
+from acsar_gym.config.fingerprint import calibration_sha256, config_sha256
+from acsar_gym.errors import PolicyError, PolicyWarning
+from acsar_gym.evaluation import runs
+from acsar_gym.policies import OnnxPolicy, showing
+from acsar_gym.policies.bundle import MOST_BYTES, Bundle, parse
+from acsar_gym.policies.trained import VARIED, trained_range
+from acsar_gym.resources import AGENTS
+
+ACSAR = RobotConfig.preset("acsar")
+WHOLE = json.dumps(changed())
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=20),
+    lambda inner: st.lists(inner, max_size=5) | st.dictionaries(st.text(max_size=9), inner),
+    max_leaves=20,
+)
+
+
+def fails(text: str) -> str:
+    """What is said of a bundle that can't be read."""
+    with pytest.raises(PolicyError) as raised:
+        parse(text)
+    said = str(raised.value)
+    assert "\n" not in said
+    return said
+
+
+def paths(data: Any, prefix: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """All places of a JSON document."""
+    inner = data.items() if isinstance(data, dict) else enumerate(data)
+    nested = [((*prefix, key), value) for key, value in inner]
+    found = [path for path, _ in nested]
+    for path, value in nested:
+        found += paths(value, path) if isinstance(value, dict | list) else []
+    return found
+
+
+PLACES = paths(changed())
+
+
+def test_a_bundle_is_read_as_it_was_written() -> None:
+    bundle = bundle_of()
+    assert parse(bundle.as_json()) == bundle
+    assert bundle.observation.width == 7
+    assert bundle.robot.sha256 == config_sha256(ACSAR)
+    assert bundle.randomization is not None
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.text(max_size=200) | JSON.map(json.dumps))
+def test_rubbish_is_one_line(text: str) -> None:
+    fails(text)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.integers(0, len(WHOLE) - 1))
+def test_a_cut_bundle_is_one_line(end: int) -> None:
+    assert "damaged" in fails(WHOLE[:end])
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.sampled_from(PLACES), JSON)
+def test_a_changed_bundle_is_a_bundle_or_one_line(path: tuple[Any, ...], value: Any) -> None:
+    data = changed()
+    place = data
+    for part in path[:-1]:
+        place = place[part]
+    place[path[-1]] = value
+    try:
+        found = parse(json.dumps(data))
+    except PolicyError as error:
+        assert "\n" not in str(error)  # noqa: PT017 - some changes are harmless
+    else:
+        assert parse(found.as_json()) == found
+        assert list(showing.rows(found))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "damaged: not valid JSON"),
+        ("[]", "must be a mapping"),
+        ("{}", "version None, this acsar_gym reads 1: update"),
+        (json.dumps(changed(version=2)), "version 2, this acsar_gym reads 1: update"),
+        (json.dumps(changed(version=True)), "version True"),
+        (json.dumps(changed(rates__policy=-1.0)), "rates.policy = -1.0: must be greater than 0"),
+        (json.dumps(changed(extra=1)), "unknown field 'bundle.extra'"),
+        (json.dumps(changed(observation__names=[])), "must be of one length"),
+        (WHOLE.replace('"scale": 3.0', '"scale": 1e999'), "1e999 is no number"),
+        (WHOLE.replace('"options": {', '"options": {"a": ' + "[" * 30 + "]" * 30 + ", "), "deeply"),
+        ("[" * 100_000, "not valid JSON"),
+        (WHOLE + " " * MOST_BYTES, "larger than 500,000 bytes"),
+    ],
+    ids=range(12),
+)
+def test_each_kind_of_damage_is_named(text: str, said: str) -> None:
+    assert said in fails(text)
+
+
+def test_a_network_of_another_tool_says_how_to_make_it_a_policy(tmp_path: Path) -> None:
+    import onnx
+
+    model, path = onnx.load(GOOD), tmp_path / "foreign.onnx"
+    del model.metadata_props[:]
+    onnx.save(model, path)
+    with pytest.raises(
+        PolicyError, match=r"foreign.onnx: an ONNX network without a bundle.*export"
+    ):
+        OnnxPolicy(path)
+
+
+def test_a_bundle_must_describe_its_own_network(tmp_path: Path) -> None:
+    seven = bundle_of().observation.names
+    wide = dict.fromkeys(("observation__low", "observation__high"), [0.0] * 8)
+    path = relabelled(tmp_path / "p.onnx", observation__names=[*seven, "x"], **wide)
+    with pytest.raises(PolicyError, match="takes 7 numbers, but its bundle describes 8"):
+        OnnxPolicy(path)
+    state = [{"input": "h", "output": "h2", "shape": [1, 1, 4]}]
+    with pytest.raises(PolicyError, match="has 0 states, which aren't the 1 of its bundle"):
+        OnnxPolicy(relabelled(path, state=state))
+
+
+def refused(path: Path, **env: Any) -> str:
+    with pytest.raises(PolicyError) as raised:
+        runs.made(OnnxPolicy(path), "planar", env.pop("robot", None), env)
+    return str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"observation__scale": 9.0}, "observation.scale is 9 in the file and 3 in this"),
+        ({"rates__policy": 20.0}, "rates.policy is 20 in the file and 10 in this"),
+        ({"action__high": [1.0, 0.5]}, "action is linear -1 to 1 max_linear, angular -1 to 0.5"),
+        ({"action__units": ["m/s", "rad/s"]}, "action is linear -1 to 1 m/s, angular"),
+        ({"observation__high": [1.0] * 7}, "observation.goal_distance is 0 to 1 in the file and 0"),
+    ],
+    ids=["scale", "rate", "action", "units", "bounds"],
+)
+def test_what_does_not_fit_is_named(values: dict[str, Any], said: str, tmp_path: Path) -> None:
+    path = relabelled(tmp_path / "policy.onnx", **values)
+    assert refused(path).startswith(f"{path}: {said}")
+
+
+@pytest.mark.parametrize(
+    ("lidar", "said"),
+    [
+        (
+            {"field_of_view": 4.71},
+            "lidar.field_of_view is 6.283 in the file and 4.71 on this robot",
+        ),
+        ({"rays": 32}, "lidar.rays is 64 in the file and 32 on this robot"),
+        ({"max_range": 8.0}, "lidar.max_range is 5 in the file and 8 on this robot"),
+    ],
+    ids=["field of view", "rays", "range"],
+)
+def test_another_lidar_is_named(lidar: dict[str, Any], said: str) -> None:
+    path = AGENTS / "policies" / "obstacle_goal.onnx"
+    assert said in refused(path, robot=ACSAR.with_(lidar=lidar), worlds="open:2")
+
+
+def differences(packaged: str = "point_goal", /, **changes: Any) -> tuple[str, ...]:
+    """What is told of a robot that drives with a packaged policy."""
+    policy = OnnxPolicy(packaged)
+    runs.made(policy, "planar", ACSAR.with_(**changes), {}).close()
+    return policy.differences
+
+
+def test_a_robot_like_those_of_the_training_is_not_told() -> None:
+    within = {"motor": {"time_constant": (0.05, 0.08, 0.1, 0.119)}, "body": {"friction": 0.8}}
+    silent = {"wheel_radius": 0.06, "name": "other", "serial_port": "/dev/ttyUSB7"}
+    assert differences() == differences(**within) == differences(**silent) == ()
+    assert differences(firmware={"command_delay": 0.015}) == ()
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"max_linear": 1.0}, "max_linear was 0.5 in the training and is 1 on this robot"),
+        ({"body": {"mass": 9.0}}, "body.mass was 4 in the training and is 9 on"),
+        ({"body": {"friction": 0.3}}, "body.friction was 0.7 to 1.2 in the training and is 0.3 on"),
+        (
+            {"motor": {"time_constant": (0.08, 0.3, 0.08, 0.08)}},
+            "was 0.048 to 0.12 in the training",
+        ),
+        ({"body": {"turn_factor": 2.0}}, "turn_factor was 1.384 to 1.692 in the training and is 2"),
+        ({"wheel_separation_multiplier": 2.0}, "multiplier was 1.398 to 1.709 in the training and"),
+        ({"firmware": {"command_delay": 0.05}}, "command_delay was 0 to 0.02 in the training and"),
+        ({"firmware": {"feedback_rate": 20.0}}, "feedback_rate was 100 in the training and is 20"),
+        ({"linear_limits": {"max_acceleration": 1.0}}, "linear_limits.max_acceleration was 2 in"),
+        ({"control_rate": 50.0, "firmware": {"feedback_rate": 100.0}}, "rates.control was 100 in"),
+    ],
+    ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
+)
+def test_a_robot_outside_of_the_training_is_one_line_a_field(
+    changes: dict[str, Any], said: str
+) -> None:
+    (line,) = differences(**changes)
+    assert said in line
+    assert line.endswith("it may drive worse than it was measured to")
+
+
+def test_where_a_lidar_looks_from_is_told_of_policies_that_use_one() -> None:
+    assert differences(lidar_x_offset=0.1) == ()
+    line, footprint = differences("obstacle_goal", lidar_x_offset=0.1, body={"length": 0.6})
+    assert "lidar_x_offset was -0.15 in the training and is 0.1" in line
+    assert "footprint.radius was 0.2404" in footprint
+
+
+def test_ranges_of_a_training_follow_from_the_randomization() -> None:
+    ranges = {"deadband": (0.1, 0.3), "deadband_offset": (-0.1, 0.2), "latency": (0.0, 0.02)}
+    ranges |= {"delay_samples": (0.004, 0.03, 0.01), "feedback_rate": (20.0, 50.0)}
+    assert trained_range(VARIED["motor.deadband"], (0.0,), ranges) == pytest.approx((0.0, 0.5))
+    delay = trained_range(VARIED["firmware.command_delay"], (0.01,), ranges)
+    assert delay == pytest.approx((0.014, 0.06))
+    assert trained_range(VARIED["feedback_rate"], (100.0,), ranges) == (20.0, 50.0)
+    unknown = bundle_of().model_copy(update={"randomization": None})
+    assert isinstance(unknown, Bundle)
+
+
+def test_driving_warns_once_a_field_and_the_header_says_it() -> None:
+    robot: Any = ACSAR.with_(body={"mass": 9.0}, max_angular=1.0)
+    policy = OnnxPolicy("point_goal")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        done = runs.drive(policy, "planar", robot, range(1))
+    told = [str(one.message) for one in caught if one.category is PolicyWarning]
+    assert told == [f"{policy.path}: {line}" for line in policy.differences]
+    assert len(told) == 2
+    assert done.header["policy"]["differences"] == list(policy.differences)
+
+
+def test_hashes_of_robots_and_calibrations() -> None:
+    interval = {"low": 1.5, "high": 1.6, "method": "test"}
+    known = ACSAR.with_(measured={"wheel_separation_multiplier": interval})
+    assert calibration_sha256(ACSAR) is None
+    assert calibration_sha256(known) == calibration_sha256(known.with_(max_linear=0.4))
+    assert config_sha256(known) != config_sha256(ACSAR)
+    assert config_sha256(ACSAR) == config_sha256(RobotConfig.preset("acsar"))
+
+
+def test_a_policy_is_shown_without_being_run(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    from acsar_gym.cli.bundles import policy
+
+    out = tmp_path / "bundle.json"
+    monkeypatch.setattr("sys.argv", ["acsar-gym", "policy", "show", "barn", "--json", str(out)])
+    monkeypatch.setitem(__import__("sys").modules, "onnxruntime", None)
+    assert policy() == 0
+    shown = capsys.readouterr().out
+    for said in ("acsar_gym/Barn-v1", "goal_distance 0 to 2", "64 ranges over", "friction 0.7 to"):
+        assert said in shown
+    assert parse(out.read_text()) == bundle_of(AGENTS / "policies" / "barn.onnx")
+
+
+def test_text_of_a_file_cannot_steer_a_terminal(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    from acsar_gym.cli.bundles import policy
+
+    path = relabelled(tmp_path / "p.onnx", env__worlds="\x1b[2J[red]a\nb")
+    monkeypatch.setattr("sys.argv", ["acsar-gym", "policy", "show", str(path)])
+    assert policy() == 0
+    shown = capsys.readouterr().out
+    assert "\x1b" not in shown
+    assert "[red]a" in shown
+
+
+def test_an_observation_of_another_shape_is_one_line() -> None:
+    policy = OnnxPolicy("point_goal")
+    for seen in (np.zeros(1, np.float32), np.zeros((1, 7), np.float32), np.zeros(8, np.float32)):
+        with pytest.raises(PolicyError, match=r"got an observation of shape .*: must be \(7,\)"):
+            policy(seen)
+
+
+def test_actions_of_several_decisions_are_arrays_of_their_own() -> None:
+    policy = OnnxPolicy("point_goal")
+    first = policy(np.zeros(7, np.float32))
+    kept = first.copy()
+    assert (policy(np.ones(7, np.float32)) != kept).any()
+    assert (first == kept).all()
