@@ -31,13 +31,19 @@ class _Actor(torch.nn.Module):
     def __init__(self, policy: BasePolicy) -> None:
         super().__init__()
         self.policy = policy
+        plain = getattr(policy, "plain_actor", None)
+        self.plain = None if plain is None else plain()
+        """Layers that do the same in less time, of a policy that has them (`MirrorPolicy`)."""
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         """Map observations (batch, n) to mean actions (batch, 2)."""
         policy: Any = self.policy
         if isinstance(policy, ActorCriticPolicy):
             features: Any = policy.extract_features(observation, policy.pi_features_extractor)
-            mean = policy.action_net(policy.mlp_extractor.forward_actor(features))
+            if self.plain is not None:
+                mean = self.plain(features)
+            else:
+                mean = policy.action_net(policy.mlp_extractor.forward_actor(features))
             return torch.tanh(mean) if policy.squash_output else mean
         if hasattr(policy.actor, "get_action_dist_params"):  # SAC, TQC
             return torch.tanh(policy.actor.get_action_dist_params(observation)[0])

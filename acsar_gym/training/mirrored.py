@@ -76,6 +76,24 @@ class MirrorPolicy(ActorCriticPolicy):
             **self.optimizer_kwargs,
         )
 
+    def plain_actor(self) -> torch.nn.Module:
+        """Make ordinary layers that map features to the mean action as this policy does.
+
+        They take half the time for one observation, and twice the time for thousands.
+        """
+        hidden: Any = self.mlp_extractor
+        action: Any = self.action_net
+        layers: list[torch.nn.Module] = []
+        to_even, to_odd = hidden.split.parts
+        for even, odd in zip(hidden.actor.even, hidden.actor.odd, strict=True):
+            a, b = even.weight @ to_even, odd.weight @ to_odd
+            layers += [_dense(torch.cat((a + b, a - b)), even.bias.repeat(2)), self.activation_fn()]
+            half = torch.eye(len(even.bias)) / 2.0
+            to_even, to_odd = torch.cat((half, half), 1), torch.cat((half, -half), 1)
+        rows = action.linear.weight @ to_even, action.angular.weight @ to_odd
+        biases = torch.cat((action.linear.bias, torch.zeros(1)))
+        return torch.nn.Sequential(*layers, _dense(torch.cat(rows), biases))
+
 
 def mirror(width: int, odd: Sequence[int], config: RobotConfig) -> _Split:
     """Make the module that splits features into their even and odd parts.
@@ -112,6 +130,11 @@ class _Split(torch.nn.Module):
         self.even, self.odd = (len(rows) for rows in kept)
         self.basis: torch.Tensor
         self.register_buffer("basis", torch.cat(kept).T.contiguous() / 2.0)
+
+    @property
+    def parts(self) -> Parts:
+        """Matrices (even, n) and (odd, n) that map features to their even and odd parts."""
+        return self.basis.T[: self.even], self.basis.T[self.even :]
 
     def forward(self, features: torch.Tensor) -> Parts:
         parts = features @ self.basis
@@ -190,6 +213,15 @@ class _Action(torch.nn.Module):
     def forward(self, units: torch.Tensor) -> torch.Tensor:
         even, odd = units[:, : self.width], units[:, self.width :]
         return torch.cat((self.linear(even), self.angular(odd)), dim=1)
+
+
+def _dense(weights: torch.Tensor, biases: torch.Tensor) -> torch.nn.Linear:
+    """Make a layer of these weights and biases."""
+    layer = torch.nn.Linear(weights.shape[1], weights.shape[0])
+    with torch.no_grad():
+        layer.weight.copy_(weights)
+        layer.bias.copy_(biases)
+    return layer
 
 
 def _linear(before: int, after: int, gain: float = GAIN, *, bias: bool = True) -> torch.nn.Linear:

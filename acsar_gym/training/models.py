@@ -48,7 +48,7 @@ def made(plan: Plan, env: RobotVectorEnv) -> BaseAlgorithm:
     if "n_steps" in arguments and "batch_size" in arguments:
         rollout = arguments["n_steps"] * env.num_envs
         arguments["batch_size"] = min(arguments["batch_size"], rollout)
-    _tell_robot(arguments.get("policy_kwargs") or {}, plan)
+    _tell_robot(arguments.get("policy_kwargs") or {}, arguments["policy"], plan)
     given: dict[str, Any] = {"stats_window_size": env.num_envs} | arguments | _always(plan)
     try:
         return plan.algorithm.load()(env=sb3.BatchVecEnv(env), **given)
@@ -84,8 +84,10 @@ def loaded(
     return plan.algorithm.load().load(saved.path, batch, force_reset=not go_on, **_always(plan))
 
 
-def _tell_robot(policy_kwargs: dict[str, Any], plan: Plan) -> None:
-    """Give the robot to a features extractor that takes one, such as `networks.RayClearance`."""
+def _tell_robot(policy_kwargs: dict[str, Any], policy: Any, plan: Plan) -> None:
+    """Give the robot to a policy or features extractor that takes one: MirrorPolicy, RayClearance."""
+    if plan.options.robot and "robot" in signature(policy).parameters:
+        policy_kwargs.setdefault("robot", plan.robot)
     kind = policy_kwargs.get("features_extractor_class")
     if kind is not None and plan.options.robot and "robot" in signature(kind).parameters:
         own = policy_kwargs.get("features_extractor_kwargs") or {}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -10,7 +11,10 @@ import numpy as np
 import pytest
 
 from acsar_gym import RobotConfig
+from acsar_gym.envs import ids
 from acsar_gym.errors import ConfigError
+from acsar_gym.policies import OnnxPolicy
+from acsar_gym.policies.describing import described
 
 pytestmark = pytest.mark.xdist_group("torch")
 NUMBERS, RAYS = 7, 64
@@ -81,7 +85,7 @@ def test_a_mirrored_scene_gets_the_mirrored_action_and_the_same_value() -> None:
     assert same.numpy() == pytest.approx(values.numpy(), abs=1e-5)
 
 
-def mirrored(**options: Any) -> Any:
+def mirrored(width: int = NUMBERS + RAYS, **options: Any) -> Any:
     import torch
 
     from acsar_gym.training.mirrored import MirrorPolicy
@@ -89,7 +93,7 @@ def mirrored(**options: Any) -> Any:
 
     torch.manual_seed(0)
     policy = MirrorPolicy(
-        space(),
+        space(width),
         gymnasium.spaces.Box(-1.0, 1.0, (2,)),
         lambda _: 1e-3,
         **{
@@ -108,3 +112,36 @@ def mirrored(**options: Any) -> Any:
 def test_numbers_that_are_no_numbers_are_refused() -> None:
     with pytest.raises(ConfigError, match="before 64 rays, of 71 features"):
         mirrored(odd=(7,))
+
+
+def test_the_exported_network_acts_as_the_trained_one(tmp_path: Path) -> None:
+    import torch
+
+    from acsar_gym.policies import sb3_export
+
+    env = ids.make_vec("acsar_gym/ObstacleGoal-v1", 1, worlds="clutter:1")
+    width = env.single_observation_space.shape[0]
+    policy = mirrored(width=width, odd=(2, 4, 6, 9))
+    for bias in policy.mlp_extractor.actor.even:
+        torch.nn.init.normal_(bias.bias)
+    path = tmp_path / "policy.onnx"
+    sb3_export.export(policy, path, described(env, "acsar_gym/ObstacleGoal-v1"))
+    env.close()
+    exported, rng = OnnxPolicy(path), np.random.default_rng(0)
+    for _ in range(5):
+        seen = rng.uniform(0.1, 1.0, width).astype(np.float32)
+        with torch.no_grad():
+            wanted = policy.get_distribution(torch.from_numpy(seen[None])).mode().numpy()[0]
+        assert exported(seen) == pytest.approx(np.clip(wanted, -1.0, 1.0), abs=1e-5)
+
+
+def test_a_saved_model_can_be_loaded(tmp_path: Path) -> None:
+    import torch
+
+    from acsar_gym.training.mirrored import MirrorPolicy
+
+    policy = mirrored()
+    policy.save(tmp_path / "policy.pt")
+    loaded = MirrorPolicy.load(tmp_path / "policy.pt")
+    seen = torch.rand(3, NUMBERS + RAYS)
+    assert torch.equal(loaded.get_distribution(seen).mode(), policy.get_distribution(seen).mode())
