@@ -20,7 +20,7 @@ class BarnEnv(RobotEnv):
 
     ## Observation space
 
-    `Box((7 + rays,), float32)`, as in `acsar_gym/ObstacleGoal-v1`.
+    `Box((10 + rays,), float32)`, as in `acsar_gym/ObstacleGoal-v1`.
 
     ## Reward
 
@@ -53,7 +53,7 @@ class BarnEnv(RobotEnv):
 
     ## Version history
 
-    - v1: the reward minds the footprint's clearance.
+    - v1: reward and observation as in `acsar_gym/ObstacleGoal-v1`.
     - v0: first version.
     """
 

@@ -20,7 +20,7 @@ class ObstacleGoalEnv(RobotEnv):
 
     ## Observation space
 
-    `Box((7 + rays,), float32)`, with the 64 rays of the ACSAR robot (71,):
+    `Box((10 + rays,), float32)`, with the 64 rays of the ACSAR robot (74,):
 
     | index | observation | range |
     |---|---|---|
@@ -29,7 +29,10 @@ class ObstacleGoalEnv(RobotEnv):
     | 3 | linear velocity / `max_linear` | -2 to 2 |
     | 4 | angular velocity / `max_angular` | -2 to 2 |
     | 5, 6 | the last action | -1 to 1 |
-    | 7 on | range of each ray / `lidar.max_range`, counter-clockwise from the back | 0 to 1 |
+    | 7 | time since the robot last came nearer to the goal / 10 s | 0 to 1 |
+    | 8 | how much further the goal is than it was at the nearest [m] | 0 to 2 |
+    | 9 | mean turn rate of the last seconds / `max_angular` (time constant 3 s) | -2 to 2 |
+    | 10 on | range of each ray / `lidar.max_range`, counter-clockwise from the back | 0 to 1 |
 
     Rays are those of `robot.lidar` (rays, field_of_view, min_range, max_range, rate, noise,
     dropouts) at the robot's `lidar_x_offset` and `lidar_y_offset`: ray k points at
@@ -37,8 +40,9 @@ class ObstacleGoalEnv(RobotEnv):
 
     ## Reward
 
-    Twice the metres gained on the goal, less 0.02 a step and 0.05 times the backward part of the
-    action; +5 at the goal, -5 for a collision.
+    Twice the metres gained on the goal; less 0.01 a step, 0.03 times observation 7, 0.05 times the
+    backward part of the action, and 0.15 (1 - c / 0.15 m) where the footprint's clearance c along
+    the rays is less than 0.15 m; +5 at the goal, -5 for a collision.
     `reward_threshold` 10 (`acsar-gym evaluate --policy obstacle_goal --episodes 200`: 11.4).
 
     ## Start and end
@@ -73,7 +77,8 @@ class ObstacleGoalEnv(RobotEnv):
 
     ## Version history
 
-    - v1: the reward minds the footprint's clearance.
+    - v1: the reward minds the footprint's clearance, and robots that stand still; observations 7
+      to 9 are new, the rays follow them.
     - v0: first version.
     """
 
