@@ -22,11 +22,15 @@ def run(name: str, folder: Path, *options: str) -> str:
         [sys.executable, EXAMPLES / name, *options],
         cwd=folder,
         env=os.environ
-        | {"RAY_AUTH_MODE": "disabled", "OMP_NUM_THREADS": "1", "MINARI_DATASETS_PATH": str(folder)},
+        | {
+            "RAY_AUTH_MODE": "disabled",
+            "OMP_NUM_THREADS": "1",
+            "MINARI_DATASETS_PATH": str(folder),
+        },
         capture_output=True,
         text=True,
         check=False,
-        timeout=600,
+        timeout=1800,
     )
     assert done.returncode == 0, done.stderr[-3000:]
     return done.stdout
