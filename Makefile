@@ -31,7 +31,7 @@ lint: $(READY)
 	$(BIN)/lint-imports
 	$(BIN)/mypy
 
-test-ecosystem: $(ECOSYSTEM)/ready  ## README's snippets for RL Zoo, CleanRL, RLlib, TorchRL, skrl
+test-ecosystem: $(ECOSYSTEM)/ready  ## agents/examples and RL Zoo, with their libraries, in ten minutes
 	$(ECOSYSTEM)/bin/pytest --noconftest -o addopts= tests/ecosystem
 
 firmware: $(READY)  ## build the board's program with avr-gcc, and test it on a simulated chip
@@ -80,7 +80,7 @@ $(READY): pyproject.toml constraints.txt
 $(ECOSYSTEM)/ready: pyproject.toml tests/ecosystem/constraints.txt
 	$(PYTHON) -m venv $(ECOSYSTEM)
 	$(ECOSYSTEM)/bin/pip install --quiet --constraint tests/ecosystem/constraints.txt \
-	  rl_zoo3 'ray[rllib]' torchrl skrl pytest onnx onnxscript torch --editable '.[bullet,fast,deploy]'
+	  rl_zoo3 'ray[rllib]' torchrl skrl sbx-rl minari pytest onnx onnxscript torch --editable '.[bullet,fast,deploy]'
 	$(ECOSYSTEM)/bin/pip install --quiet --no-deps --ignore-requires-python cleanrl==1.2.0
 	touch $@
 

@@ -6,9 +6,9 @@
 
 `gym_env_vectorize_mode="vector_entry_point"` is what makes RLlib take the batch; without it, each
 env runner steps single envs one by one (`env_config={"link": "planar"}`). A runner that dies is
-started again. Of one core, a runner samples 21,800 steps/s and the learner takes in 7,800 (6 epochs):
-beyond one runner the learner is what limits. 300,000 steps take 55 s of one core; rllib.onnx then
-reaches 100 of 100 goals.
+started again. Of one core, a runner samples 21,800 steps/s and the learner takes in 7,800
+(6 epochs): beyond one runner the learner is what limits. 300,000 steps take 55 s of one core;
+rllib.onnx then reaches 100 of 100 goals.
 """
 
 import argparse
@@ -31,7 +31,10 @@ class Mean(torch.nn.Module):
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         """Map observations (batch, n) to actions (batch, 2)."""
-        return self.module.forward_inference({"obs": observation})["action_dist_inputs"][:, :2]
+        told: torch.Tensor = self.module.forward_inference({"obs": observation})[
+            "action_dist_inputs"
+        ]
+        return told[:, :2]
 
 
 def configured(asked: argparse.Namespace) -> PPOConfig:

@@ -10,6 +10,7 @@ steps take 9 s of one core (34,200 steps/s); skrl.onnx then reaches 100 of 100 g
 
 import argparse
 import time
+from typing import Any
 
 import gymnasium
 import torch
@@ -38,7 +39,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--out", default="skrl.onnx")
     asked = parser.parse_args(arguments)
 
-    how = {"vectorization_mode": "vector_entry_point", "autoreset_mode": "SameStep"}
+    how: dict[str, Any] = {"vectorization_mode": "vector_entry_point", "autoreset_mode": "SameStep"}
     batch = gymnasium.make_vec(asked.env, asked.robots, **how)
     steps = asked.steps // asked.robots
     config = {
@@ -58,13 +59,14 @@ def main(arguments: list[str] | None = None) -> None:
 class Mean(torch.nn.Module):
     """The mean action of skrl's Gaussian policy."""
 
-    def __init__(self, policy: torch.nn.Module) -> None:
+    def __init__(self, policy: Any) -> None:
         super().__init__()
         self.policy = policy
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         """Map observations (batch, n) to actions (batch, 2)."""
-        return self.policy.compute({"observations": observation}, role="policy")[0]
+        mean: torch.Tensor = self.policy.compute({"observations": observation}, role="policy")[0]
+        return mean
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ torchrl.onnx then reaches 100 of 100 goals.
 
 import argparse
 import time
+from typing import Any
 
 import gymnasium
 import torch
@@ -38,7 +39,7 @@ def main(arguments: list[str] | None = None) -> None:
     asked = parser.parse_args(arguments)
 
     torch.manual_seed(asked.seed)
-    how = {"vectorization_mode": "vector_entry_point", "autoreset_mode": "Disabled"}
+    how: dict[str, Any] = {"vectorization_mode": "vector_entry_point", "autoreset_mode": "Disabled"}
     batch = GymWrapper(gymnasium.make_vec(asked.env, asked.robots, **how))
     batch.set_seed(asked.seed)
     numbers = batch.observation_spec["observation"].shape[-1]
@@ -76,7 +77,8 @@ class Mean(nn.Module):
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         """Map observations (batch, n) to actions (batch, 2)."""
-        return self.network(observation)[0].tanh()
+        mean: torch.Tensor = self.network(observation)[0]
+        return mean.tanh()
 
 
 if __name__ == "__main__":

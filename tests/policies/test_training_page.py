@@ -1,4 +1,4 @@
-"""README's section "Train with your own library", where the library is in the dev extra."""
+"""docs/training.md: its blocks of code, where the library is in the dev extra."""
 
 from __future__ import annotations
 
@@ -15,14 +15,18 @@ pytestmark = pytest.mark.xdist_group("torch")
 TINY = {"256": "4", "n_steps=64": "n_steps=8", "batch_size=4096": "batch_size=32", "300_000": "32"}
 
 
-def test_every_library_has_its_snippet() -> None:
-    libraries = ["stable-baselines3", "torch", "mine.py", "RL Zoo", "CleanRL", "RLlib", "TorchRL"]
-    assert list(snippets.snippets()) == [*libraries, "skrl"]
+def test_every_way_has_its_block() -> None:
+    ways = ["both ways", "stable-baselines3", "torch", "mine.py"]
+    assert list(snippets.snippets()) == ways
 
 
 def execute(name: str, smaller: dict[str, str]) -> None:
     """Run a block in this process, which has imported torch already."""
     exec(compile(snippets.shrunk(name, smaller), name, "exec"), {})  # noqa: S102 - our own
+
+
+def test_both_ways() -> None:
+    execute("both ways", {"256": "2"})
 
 
 def test_stable_baselines3(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
