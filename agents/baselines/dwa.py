@@ -63,6 +63,7 @@ class Dwa(MappedPolicy):
     """Samples the velocities that can be reached within a step, and keeps able to stop."""
 
     name = "dwa"
+    _still = 0
 
     def equip(self, setting: Setting) -> None:
         """Prepare for a robot and a task."""

@@ -118,8 +118,8 @@ def test_it_doesnt_drive_into_a_wall_that_hides_the_goal(name: str) -> None:
 def test_the_same_seed_gives_the_same_episode(name: str) -> None:
     def path() -> list[float]:
         policy = runs.load(name, trust=False, env="obstacle_goal")
-        worlds = {"worlds": "clutter:1", "difficulty": 0.0}
-        results = runs.drive(policy, "planar", None, range(1), **worlds).results
+        done = runs.drive(policy, "planar", None, range(1), worlds="clutter:1", difficulty=0.0)
+        results = done.results
         assert results[0].success
         return [results[0].path, results[0].episode_return]
 
