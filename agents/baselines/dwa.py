@@ -28,6 +28,8 @@ from .potential import interpolated
 
 LINEAR, ANGULAR = 9, 25
 """How many linear and angular velocities of the window are tried."""
+REVERSE = 0.4
+"""Greatest speed backwards, out of dead ends, as a share of the greatest one ahead."""
 HORIZON = 1.5
 """How far ahead an arc is scored [s]."""
 TURNS = 0.6
@@ -61,6 +63,7 @@ class Dwa(MappedPolicy):
     """Samples the velocities that can be reached within a step, and keeps able to stop."""
 
     name = "dwa"
+    _still = 0
 
     def equip(self, setting: Setting) -> None:
         """Prepare for a robot and a task."""
@@ -117,7 +120,8 @@ class Dwa(MappedPolicy):
     def _window(self, fastest: float, turning: float) -> Floats:
         """(n, 2): velocities that can be reached in a step, and standing still."""
         linear, angular = self._model[0] * self.setting.period, self._model[1] * self.setting.period
-        v = np.clip(self.sent[0] + np.linspace(-linear, linear, LINEAR), 0.0, fastest)
+        v = self.sent[0] + np.linspace(-linear, linear, LINEAR)
+        v = np.clip(v, -REVERSE * fastest, fastest)
         w = np.clip(self.sent[1] + np.linspace(-angular, angular, ANGULAR), -turning, turning)
         pairs = np.stack(np.meshgrid(np.unique(np.append(v, 0.0)), np.unique(np.append(w, 0.0))))
         window: Floats = pairs.reshape(2, -1).T

@@ -146,8 +146,9 @@ def interpolated(values: Floats, left: float, low: float, x: float, y: float) ->
     inner = (1.0 - a) * ((1.0 - b) * values[i, j] + b * values[i, j + 1]) + a * (
         (1.0 - b) * values[i + 1, j] + b * values[i + 1, j + 1]
     )
-    outside: float = CELL * math.sqrt((u - p) * (u - p) + (v - q) * (v - q))
-    return inner + outside
+    outside = CELL * math.sqrt((u - p) * (u - p) + (v - q) * (v - q))
+    value: float = inner + outside
+    return value
 
 
 @loop

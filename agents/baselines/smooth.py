@@ -22,8 +22,9 @@ from acsar_gym.policies.setting import GOAL, Seen
 
 K1, K2 = 1.0, 3.0
 """Gains of the slow and of the fast subsystem, as in the paper."""
-BETA, LAMBDA = 0.4, 2.0
-"""How much a curve slows the robot down, as in the paper."""
+BETA, LAMBDA = 0.4, 1.0
+"""How much a curve slows the robot down. The paper's lambda is 2, with which the yaw rate falls to
+0 in narrow curves; with 1 it tends to v_max / beta."""
 NEAREST = 0.1
 """Below this distance the curvature doesn't grow any more [m]."""
 

@@ -1,0 +1,67 @@
+"""Baselines without an env: their setting, observations in SI units, and scans of simple rooms."""
+
+from __future__ import annotations
+
+import math
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from acsar_gym import RobotConfig
+from acsar_gym.policies import baselines
+from acsar_gym.policies.baselines import BaselinePolicy
+from acsar_gym.policies.setting import Seen, Setting
+from acsar_gym.resources import agent
+from acsar_gym.tasks.base import Floats
+from acsar_gym.worlds.geometry import RaySpec
+
+PERIOD = 0.1
+CONFIG = RobotConfig.preset("acsar")
+ANGLES = RaySpec(CONFIG.lidar.rays).angles()
+
+
+def module(name: str) -> Any:
+    """A module of agents/baselines."""
+    return import_module(f"{agent('baselines').__name__}.{name}")
+
+
+def equipped(name: str) -> BaselinePolicy:
+    """A baseline for the default robot, at 10 Hz."""
+    policy = baselines.load(name, "acsar_gym/ObstacleGoal-v1")
+    policy.equip(Setting(CONFIG, "a task", PERIOD, 0.3, {}, 10.0, slice(0, len(ANGLES))))
+    policy.reset()
+    return policy
+
+
+def goal_seen(
+    ahead: float, left: float, walls: tuple[tuple[float, float], ...] = (), moving: float = 0.0
+) -> Seen:
+    """What a robot sees of a goal at (ahead, left) [m] between walls.
+
+    Args:
+        ahead: of the goal.
+        left: of the goal.
+        walls: (normal's direction [rad], distance from the base [m]) of endless walls.
+        moving: linear velocity [m/s].
+    """
+    ranges = np.full(len(ANGLES), CONFIG.lidar.max_range)
+    for normal, distance in walls:
+        towards = np.cos(ANGLES - normal)
+        offset = distance - CONFIG.lidar_x_offset * math.cos(normal)
+        with np.errstate(divide="ignore"):
+            ranges = np.where(towards > 1e-6, np.minimum(ranges, offset / towards), ranges)
+    distance, bearing = math.hypot(ahead, left), math.atan2(left, ahead)
+    return Seen(linear=moving, angular=0.0, distance=distance, bearing=bearing, ranges=ranges)
+
+
+def path_seen(points: Floats, cross_track: float = 0.0, heading_error: float = 0.0) -> Seen:
+    """What a robot at 0.5 m/s sees of a path whose points ahead are (4, 2) [m]."""
+    return Seen(
+        linear=0.5,
+        angular=0.0,
+        cross_track=cross_track,
+        heading_error=heading_error,
+        remaining=3.0,
+        points=points,
+    )
