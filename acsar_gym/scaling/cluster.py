@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import Any, TypeVar
 
 import acsar_gym
@@ -31,7 +31,7 @@ QUIET: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
 
 def completed(
     function: Callable[[J], R], jobs: Sequence[J], workers: int | None, address: str
-) -> Iterator[tuple[int, R]]:
+) -> Generator[tuple[int, R], None, None]:
     """As `jobs.completed`, on the cluster at `address`."""
     with connected(address, workers) as ray:
         remote = ray.remote(num_cpus=1, max_retries=RETRIES)(_attempt)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import traceback
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from typing import TypeVar
 
 from acsar_gym.errors import AcsarError, ConfigError, JobError, printable, shown
@@ -22,7 +22,7 @@ def completed(
     *,
     workers: int | None = None,
     address: str | None = None,
-) -> Iterator[tuple[int, R]]:
+) -> Generator[tuple[int, R], None, None]:
     """Run `function` on every job and yield the results in order of completion.
 
     Without an address, the jobs run on this machine: in this process with one worker, otherwise in
@@ -51,17 +51,15 @@ def completed(
     if workers is not None and not 1 <= workers <= MOST_WORKERS:
         raise ConfigError(f"--workers {shown(workers)}: must be 1 to {MOST_WORKERS:,}")
     listed = list(jobs)
-    if not listed:
-        return iter(())
+    if not listed or (address is None and workers in (None, 1)):
+        return ((number, function(job)) for number, job in enumerate(listed))
     if address is not None:
         from acsar_gym.scaling import cluster  # noqa: PLC0415 - optional
 
         return cluster.completed(function, listed, workers, address)
-    if workers is None or workers == 1:
-        return ((number, function(job)) for number, job in enumerate(listed))
     from acsar_gym.scaling import processes  # noqa: PLC0415 - one process needs none
 
-    return processes.completed(function, listed, workers)
+    return processes.completed(function, listed, workers or 1)
 
 
 def attempt(function: Callable[[J], R], job: J) -> tuple[R | None, AcsarError | None]:

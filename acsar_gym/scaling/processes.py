@@ -13,7 +13,7 @@ import pickle
 import signal
 import sys
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from multiprocessing.connection import Connection, wait
 from typing import Any, TypeVar
 
@@ -32,7 +32,7 @@ ONE_THREAD = dict.fromkeys(
 
 def completed(
     function: Callable[[J], R], jobs: Sequence[J], workers: int
-) -> Iterator[tuple[int, R]]:
+) -> Generator[tuple[int, R], None, None]:
     """As `jobs.completed`, in up to `workers` processes."""
     waiting = deque(range(len(jobs)))
     deaths: Counter[int] = Counter()

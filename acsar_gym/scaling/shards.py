@@ -6,7 +6,7 @@ An episode depends on its seed alone, so the results are those of one process.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -90,20 +90,13 @@ def drive(
         Shard(sent, link, config, part, part[0] - seeds[0], how or {}, portable)
         for part in parts(seeds, workers)
     ]
-    results = _each(completed(run, jobs, workers=workers, address=address))
-    done = runs.drive(policy, link, robot, seeds, how=how, elsewhere=results, **options)
+    finished = completed(run, jobs, workers=workers, address=address)
+    with contextlib.closing(finished):
+        results = (result for _, shard in finished for result in shard)
+        done = runs.drive(policy, link, robot, seeds, how=how, elsewhere=results, **options)
     done.results.sort(key=lambda result: seeds.index(result.seed or 0))
     done.header.update(workers=workers, address=address)
     return done
-
-
-def _each(finished: Iterator[tuple[int, list[EpisodeResult]]]) -> Iterator[EpisodeResult]:
-    """Yield the results of the shards' episodes; closes `finished` with itself."""
-    try:
-        for _, results in finished:
-            yield from results
-    finally:
-        finished.close()  # type: ignore[attr-defined]
 
 
 def _check(link: str, options: Mapping[str, Any]) -> None:

@@ -113,10 +113,11 @@ def train(options: Options) -> int:
     results: dict[int, Trained] = {}
     running = completed(run, jobs, workers=options.workers, address=options.address)
     try:
-        for _, trained in report.watched("seeds trained", running, len(jobs)):
-            results[trained.seed] = trained
-            keep(trained, out)
-            print(printable(_line(trained)), flush=True)
+        with contextlib.closing(running):
+            for _, trained in report.watched("seeds trained", running, len(jobs)):
+                results[trained.seed] = trained
+                keep(trained, out)
+                print(printable(_line(trained)), flush=True)
     finally:
         _tell(options, results, out)
     return 0
