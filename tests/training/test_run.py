@@ -100,7 +100,7 @@ def test_where_there_is_no_cuda_it_says_so(tmp_path: Path) -> None:
 
     if torch.cuda.is_available():
         pytest.skip("there is CUDA here")
-    with pytest.raises(ConfigError, match="--device cuda: torch .* leave --device away"):
+    with pytest.raises(ConfigError, match=r"--device cuda: torch .* leave --device away"):
         agent("train").main([*TINY, "--device", "cuda", "--out", str(tmp_path)])
 
 
