@@ -31,7 +31,7 @@ settings.register_profile("ours", max_examples=30, deadline=None, derandomize="C
 settings.register_profile("thorough", settings.get_profile("ours"), max_examples=400)
 settings.load_profile("ours")
 
-SERIAL = {"deadline", "shared_emulator", "start_emulator"}
+DEVICES = {"shared_emulator", "start_emulator"}
 """A test that asks for one of these talks to another process in real time."""
 
 
@@ -44,10 +44,13 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """One worker runs all tests over serial devices, so that they don't disturb each other.
 
-    Those that use no such fixture have the mark themselves.
+    Those that use no such fixture have the mark themselves. What has a deadline is taken to be in
+    real time, too, unless it is marked `anywhere`: it only starts processes.
     """
     for item in items:
-        if SERIAL & set(getattr(item, "fixturenames", ())):
+        asked = set(getattr(item, "fixturenames", ()))
+        timed = "deadline" in asked and item.get_closest_marker("anywhere") is None
+        if DEVICES & asked or timed:
             item.add_marker(pytest.mark.xdist_group("serial"))
 
 

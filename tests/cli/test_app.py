@@ -18,7 +18,7 @@ from acsar_gym import RobotConfig
 from acsar_gym.cli import COMMANDS
 from acsar_gym.errors import RecordingWarning
 
-pytestmark = pytest.mark.usefixtures("deadline")
+pytestmark = [pytest.mark.anywhere, pytest.mark.usefixtures("deadline")]
 
 MISSING = "/dev/acsar-missing"
 HUGE = str(10**400)
@@ -224,7 +224,9 @@ def figures(path: Path) -> dict[str, Any]:
     return {key: data[key] for key in known}
 
 
-@pytest.mark.parametrize("kind", ["planar", "bullet", "serial"])
+@pytest.mark.parametrize(
+    "kind", ["planar", "bullet", pytest.param("serial", marks=pytest.mark.xdist_group("serial"))]
+)
 def test_a_recorded_run_replays_with_the_same_figures(
     kind: str, call: Call, request: pytest.FixtureRequest, robot_file: RobotFile, tmp_path: Path
 ) -> None:
@@ -278,6 +280,7 @@ def test_the_doctor_tells_how_late_ticks_are(
     assert json.loads(file.read_text())["lateness"]["ticks"] == 50
 
 
+@pytest.mark.xdist_group("serial")
 def test_the_doctor_tells_how_soon_a_robot_is_stopped(call: Call, tmp_path: Path) -> None:
     file = tmp_path / "stops.json"
     options = ("--stopping", "--trials", "1", "--kinds", "kill")

@@ -7,8 +7,6 @@ from cli_tools import Call, assert_one_line
 
 from acsar_gym.scaling import cluster
 
-pytestmark = pytest.mark.xdist_group("serial")
-
 
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),

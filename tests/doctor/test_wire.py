@@ -236,6 +236,7 @@ def test_a_silent_board(config: RobotConfig, start_emulator: StartEmulator) -> N
     assert "power" in check.fix
 
 
+@pytest.mark.anywhere
 def test_a_missing_device(tmp_path: Path) -> None:
     report = tmp_path / "doctor.json"
     done = cli("doctor", MISSING, "--json", report)
@@ -288,6 +289,7 @@ def test_an_emergency_stop_is_the_last_check(
     assert (checks[-1].name, checks[-1].status) == ("connection", "fail")
 
 
+@pytest.mark.anywhere
 def test_without_a_device_only_the_computer_is_examined(tmp_path: Path) -> None:
     report = tmp_path / "doctor.json"
     done = cli("doctor", "--json", report)
@@ -295,6 +297,7 @@ def test_without_a_device_only_the_computer_is_examined(tmp_path: Path) -> None:
     assert set(reported(report)) == {"serial ports", "emergency stop"}
 
 
+@pytest.mark.anywhere
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

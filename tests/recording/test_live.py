@@ -6,14 +6,11 @@ import json
 import struct
 from pathlib import Path
 
-import pytest
 from websockets.sync.client import connect
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.recording import Recorder
 from acsar_gym.recording.live import LiveView
-
-pytestmark = pytest.mark.xdist_group("serial")
 
 CONFIG = RobotConfig.of(None)
 PROTOCOLS = ["foxglove.sdk.v1", "foxglove.websocket.v1"]

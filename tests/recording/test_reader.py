@@ -214,7 +214,6 @@ for path in sorted(Path(sys.argv[1]).iterdir()):
 """
 
 
-@pytest.mark.xdist_group("serial")
 def test_hostile_files_are_bounded_in_time_and_memory(tmp_path: Path) -> None:
     whole = header(RobotConfig(), {})
 

@@ -11,7 +11,7 @@ from job_tools import threads
 from acsar_gym.errors import ClusterError, ConfigError, MissingExtraError
 from acsar_gym.scaling import cluster, completed
 
-pytestmark = pytest.mark.xdist_group("serial")
+pytestmark = pytest.mark.xdist_group("processes")
 
 
 @pytest.fixture(autouse=True)

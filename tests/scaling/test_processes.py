@@ -14,7 +14,7 @@ from job_tools import Job, broken, missing, square, threads
 from acsar_gym.errors import ConfigError, JobError, MissingExtraError
 from acsar_gym.scaling import completed
 
-pytestmark = pytest.mark.xdist_group("serial")
+pytestmark = pytest.mark.xdist_group("processes")
 
 
 @pytest.fixture(autouse=True)

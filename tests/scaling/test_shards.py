@@ -17,7 +17,7 @@ from acsar_gym.scaling import completed, shards
 from acsar_gym.scaling.sent import Sent
 from acsar_gym.worlds import Region, World, files
 
-pytestmark = pytest.mark.xdist_group("serial")
+pytestmark = pytest.mark.xdist_group("processes")
 
 SLOW = "def act(observation):\n    return 0.5 + 0.1 * float(observation[0]), 0.3\n"
 

@@ -139,7 +139,6 @@ def elsewhere(*program: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.mark.xdist_group("serial")
 def test_the_command_line_names_the_module(tmp_path: Path) -> None:
     out = tmp_path / "found.json"
     command = ("-m", "acsar_gym", "worlds", "check")
@@ -148,7 +147,6 @@ def test_the_command_line_names_the_module(tmp_path: Path) -> None:
     assert json.loads(out.read_text())["source"] == "corridors 0 to 2 (test split)"
 
 
-@pytest.mark.xdist_group("serial")
 def test_another_process_imports_the_module_itself(tmp_path: Path) -> None:
     pool = Pool.of("corridors:3", None, RADIUS)
     file = tmp_path / "pool"

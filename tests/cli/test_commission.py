@@ -6,9 +6,11 @@ import math
 from pathlib import Path
 
 import pytest
-from serial_tools import Emulated, StartEmulator, cli, wait_until
+from cli_tools import Call
+from serial_tools import TIMEOUT, Emulated, StartEmulator, wait_until
 
 from acsar_gym import Robot, RobotConfig, open_link
+from acsar_gym.doctor import feedback, response, spinning
 from acsar_gym.worlds import Pose
 
 pytestmark = [pytest.mark.xdist_group("serial"), pytest.mark.usefixtures("deadline")]
@@ -52,15 +54,23 @@ def simulated(config: RobotConfig) -> Pose:
 
 
 def test_an_odd_board_is_commissioned_and_driven(
-    config: RobotConfig, start_emulator: StartEmulator, tmp_path: Path
+    config: RobotConfig,
+    start_emulator: StartEmulator,
+    call: Call,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
 ) -> None:
     """The last of its answers only eyes can give: the sides are swapped at the motors."""
+    monkeypatch.setattr(feedback, "LISTEN", 0.5)  # shorter than at the command line
+    monkeypatch.setattr(response, "TRIALS", 2)
+    for module in (spinning, response):  # and patient on a busy machine
+        monkeypatch.setattr(module, "PATIENCE", TIMEOUT)
     odd = start_emulator("--quirk", *ODD)
     guess, found, report = (tmp_path / name for name in ("guess.yaml", "found.yaml", "out.json"))
     config.save(guess)
     options = ("--robot", guess, "--out", found, "--json", report, "--saw", "b", "a", "d", "c")
-    done = cli("doctor", odd.device, "--spin", "--yes", *options)
-    assert done.returncode == 0, done.stdout
+    code, out, error = call("doctor", odd.device, "--spin", "--yes", *options)
+    assert (code, error) == (0, ""), out
     assert "left and right motors are swapped" in " ".join(report.read_text().split())
     known = RobotConfig.load(found)
     assert known.firmware.feedback_rate == 50.0
