@@ -3,7 +3,8 @@
 Compiled code is cached on disk: beside its source, or where numba keeps it otherwise. numba
 recompiles when a function's own file has changed, but not when another file has changed whose
 functions were compiled into it. So this module stamps cached code with a fingerprint of all source
-files of the package; code with another stamp is compiled anew.
+files of the package; code with another stamp is compiled anew. Functions of another package, such
+as agents/baselines, are stamped with that package's sources, too.
 
 A batch's first reset in a new installation compiles for up to a minute. The logger
 "acsar_gym.jit" says so before, as a warning: Python prints it to stderr by default.
@@ -12,14 +13,17 @@ A batch's first reset in a new installation compiles for up to a minute. The log
 from __future__ import annotations
 
 import hashlib
+import inspect
 import logging
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
 P = ParamSpec("P")
 R = TypeVar("R")
 LOG = logging.getLogger(__name__)
+PACKAGE = Path(__file__).parent
 BATCHES = "acsar_gym.vector.kernel."
 """Modules whose functions take long to compile."""
 TASKS = "acsar_gym.vector.kernel.task"
@@ -41,6 +45,17 @@ def fingerprint(package: Path) -> str:
         content = source.read_bytes()
         digest.update(f"{source.relative_to(package)} {len(content)}\n".encode() + content)
     return digest.hexdigest()
+
+
+@cache
+def fingerprint_beside(folder: Path) -> str:
+    """Hash of the sources of a package of its own; empty for scripts, and within this package.
+
+    Args:
+        folder: of the source file whose functions are compiled.
+    """
+    own = folder == PACKAGE or PACKAGE in folder.parents
+    return "" if own or not (folder / "__init__.py").is_file() else fingerprint(folder)
 
 
 try:
@@ -77,7 +92,7 @@ else:
     COMPILED = True
     NumbaError = errors.NumbaError
     leading = to_fixed_tuple
-    FINGERPRINT = fingerprint(Path(__file__).parent)
+    FINGERPRINT = fingerprint(PACKAGE)
 
     def jit(function: Callable[P, R]) -> Callable[P, R]:
         """Compile a scalar function and inline it into callers, so that loops vectorize."""
@@ -102,7 +117,8 @@ else:
             try:
                 compiled = numba.njit(cache=True, **options)(function)
                 file = compiled._cache._cache_file  # noqa: SLF001 - numba has no other way
-                file._source_stamp = (file._source_stamp, FINGERPRINT)  # noqa: SLF001
+                beside = fingerprint_beside(Path(inspect.getfile(function)).parent)
+                file._source_stamp = (file._source_stamp, FINGERPRINT + beside)  # noqa: SLF001
             except (RuntimeError, AttributeError) as error:
                 _uncached(str(error))
                 compiled = None

@@ -37,6 +37,17 @@ def test_the_fingerprint_is_that_of_names_and_contents_of_all_sources(tmp_path: 
     assert len({before, after, compiled.fingerprint(tmp_path)}) == 3
 
 
+def test_a_package_beside_this_one_has_a_fingerprint_of_its_own(tmp_path: Path) -> None:
+    assert compiled.fingerprint_beside(compiled.PACKAGE / "tasks") == ""
+    script, package = tmp_path / "script", tmp_path / "package"
+    for folder in (script, package):
+        folder.mkdir()
+        (folder / "loops.py").write_text("x = 1")
+    (package / "__init__.py").touch()
+    assert compiled.fingerprint_beside(script) == ""
+    assert compiled.fingerprint_beside(package) == compiled.fingerprint(package)
+
+
 def plus_one(x: float) -> float:
     return x + 1.0
 

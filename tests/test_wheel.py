@@ -21,7 +21,9 @@ import acsar_gym
 from acsar_gym.policies import resolve
 from acsar_gym.resources import AGENTS
 assert (AGENTS / "train.py").exists()
-print(acsar_gym.__file__, resolve("point_goal"), sep="\\n")
+from acsar_gym.policies import baselines
+law = sys.modules[type(baselines.load("navfn", "acsar_gym/Barn-v1")).__module__]
+print(acsar_gym.__file__, resolve("point_goal"), law.__file__, sep="\\n")
 """
 
 
