@@ -79,7 +79,8 @@ class Command:
         """Write JSON, tables and cards, and say where they are."""
         page = markdown(told)
         for path in (self.out / result.FILE, self.json):
-            report.write_json(path, told)
+            if path is not None:
+                result.write(path, told)
         for path in (self.out / result.TABLE, self.table):
             if path is not None:
                 bounded.write(path, page.encode())

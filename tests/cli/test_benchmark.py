@@ -66,7 +66,7 @@ def test_anybodys_policy_gets_a_row(call: Call, tmp_path: Path) -> None:
     code, said, error = call("benchmark", "--check", row)
     assert code == 0, error
     assert "sound: mine" in said
-    row.write_text(row.read_text().replace('"success_rate": 1.0', '"success_rate": 0.9'))
+    row.write_text(row.read_text().replace('"success_rate":1.0', '"success_rate":0.9'))
     code, _, error = call("benchmark", "--check", row)
     assert code == 2
     assert_one_line(error, "was changed after it was written")
