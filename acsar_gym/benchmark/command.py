@@ -8,13 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from acsar_gym.benchmark import cards, result, runner, submission
+from acsar_gym.benchmark import agents, cards, result, runner, submission
 from acsar_gym.benchmark.plan import Plan
 from acsar_gym.benchmark.store import PLAN, RESULTS, Store
 from acsar_gym.benchmark.table import markdown
 from acsar_gym.errors import ConfigError, printable
 from acsar_gym.evaluation import report
 from acsar_gym.reading import bounded
+from acsar_gym.registration import IDS
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,10 @@ class Command:
     """Another file for the JSON."""
     cards: Path | None = None
     """Folder for a page of each packaged policy."""
+    html: Path | None = None
+    """File for the HTML report."""
+    worst: int = 10
+    """How many of the worst episodes the HTML report shows."""
 
     def run(
         self,
@@ -59,12 +64,22 @@ class Command:
         if policy:
             said = submission.write(told, plan.agents[0].name, self.out)
             print(printable(f"row to submit: {said}"))
-        self._write(told)
+        self._write(told, plan.agents)
 
-    def combine(self, folders: Sequence[Path]) -> None:
-        """Write everything from the folders of several benchmarks; runs nothing."""
+    def combine(self, folders: Sequence[Path], trained: Path | None, seeds: int) -> None:
+        """Write everything from the folders of several benchmarks.
+
+        Args:
+            folders: of the benchmarks.
+            trained: folder of the trained policies, for films of their worst episodes.
+            seeds: most training seeds of each.
+
+        Raises:
+            ConfigError: a folder can't be used, or a file can't be written.
+        """
         report.make_folder(self.out)
-        self._write(result.result(*result.combined(folders)))
+        told = result.result(*result.combined(folders))
+        self._write(told, agents.chosen((), tuple(IDS), trained, seeds) if self.html else ())
 
     def _forget(self) -> None:
         """Remove the results of an earlier run."""
@@ -75,11 +90,12 @@ class Command:
                 except PermissionError as error:
                     raise ConfigError(f"{self.out / name}: {bounded.reason(error)}") from None
 
-    def _write(self, told: Mapping[str, Any]) -> None:
-        """Write JSON, tables and cards, and say where they are."""
+    def _write(self, told: Mapping[str, Any], some: Sequence[agents.Agent]) -> None:
+        """Write JSON, tables, cards and report, and say where they are."""
         page = markdown(told)
         for path in (self.out / result.FILE, self.json):
-            report.write_json(path, told)
+            if path is not None:
+                result.write(path, told)
         for path in (self.out / result.TABLE, self.table):
             if path is not None:
                 bounded.write(path, page.encode())
@@ -88,3 +104,8 @@ class Command:
             report.make_folder(self.cards)
             for path in cards.write(told, self.cards):
                 print(printable(f"card: {path}"))
+        if self.html is not None:
+            from acsar_gym.benchmark.page import report as page  # noqa: PLC0415 - optional
+
+            page.write(told, self.html, some, self.worst)
+            print(printable(f"report: {self.html}"))

@@ -43,6 +43,16 @@ def result(plan: Mapping[str, Any], parts: Sequence[Part]) -> dict[str, Any]:
     return cleaned
 
 
+def write(path: Path, told: Mapping[str, Any]) -> None:
+    """Write JSON on one line: lists of episodes with a line for each number would be long.
+
+    Raises:
+        ConfigError: it can't be written.
+    """
+    text = json.dumps(told, allow_nan=False, separators=(",", ":"))
+    bounded.write(path, f"{text}\n".encode())
+
+
 def header(plan: Mapping[str, Any]) -> dict[str, Any]:
     """Return what is needed to repeat a benchmark."""
     agents = {

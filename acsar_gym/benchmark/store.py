@@ -146,10 +146,10 @@ def columns(some: Sequence[Episode]) -> dict[str, list[Any]]:
 
 
 def _plain(value: Any) -> Any:
-    """Round a float to 9 digits; None where it isn't finite."""
+    """Round a float to 6 digits; None where it isn't finite."""
     if not isinstance(value, float):
         return value
-    return float(f"{value:.9g}") if math.isfinite(value) else None
+    return float(f"{value:.6g}") if math.isfinite(value) else None
 
 
 def episodes(table: Mapping[str, Sequence[Any]]) -> list[Episode]:

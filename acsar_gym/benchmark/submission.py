@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import Any
 
 import acsar_gym
+from acsar_gym.benchmark import result
 from acsar_gym.benchmark.figures import summary
 from acsar_gym.benchmark.scenes import SCENES, TEST
 from acsar_gym.benchmark.store import MOST_BYTES, SCHEMA, episodes
 from acsar_gym.errors import ConfigError
-from acsar_gym.evaluation import report
 from acsar_gym.reading import bounded
 
 SUFFIX = ".row.json"
@@ -40,7 +40,7 @@ def write(told: Mapping[str, Any], name: str, folder: Path) -> Path:
         The file.
     """
     path = folder / f"{name}{SUFFIX}"
-    report.write_json(path, {**told, "sha256": signature(told)})
+    result.write(path, {**told, "sha256": signature(told)})
     return path
 
 

@@ -101,7 +101,8 @@ def _success(row: Told) -> str:
     low, high = row["success_interval"]
     told = f"{row['success_rate']:.1%} ({100 * low:.1f} to {100 * high:.1f})"
     if len(row["training_seeds"]) > 1:
-        told += f", worst seed {row['success_worst_seed']:.1%}"
+        worst, median = row["success_worst_seed"], row["success_median_seed"]
+        told += f", worst seed {worst:.1%}, median {median:.1%}"
     return told
 
 

@@ -61,6 +61,10 @@ class HowOptions:
     """Also write the Markdown tables to this file."""
     json: Json = None
     """Also write the JSON to this file."""
+    html: Json = None
+    """Also write an HTML report with films of the worst episodes, which are driven again."""
+    worst: int = 10
+    """How many of these episodes."""
 
 
 _flat = tyro.conf.arg(name="")
@@ -93,15 +97,15 @@ def benchmark(
     if check is not None:
         print(submission.check(check))
         return 0
-    for path in (how.table, how.json):
+    for path in (how.table, how.json, how.html):
         report.check_writable(path)
     if policy and (what.agents or what.trained or combine):
         raise ConfigError(
             "--policy: benchmarks one policy; leave out --agents, --trained, --combine"
         )
-    command = Command(how.out, how.table, how.json, cards)
+    command = Command(how.out, how.table, how.json, cards, how.html, how.worst)
     if combine:
-        command.combine(combine)
+        command.combine(combine, what.trained, what.seeds)
     else:
         command.run(_plan(what, policy), policy, how.workers, how.address, resume=how.resume)
     return 0

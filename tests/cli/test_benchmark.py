@@ -22,7 +22,7 @@ def ran(call: Call, tmp_path: Path) -> Path:
     code, said, error = call(
         *("benchmark", *SMALL, "--agents", "packaged", "turn_drive", "--out", out),
         *("--table", tmp_path / "table.md", "--json", tmp_path / "told.json"),
-        *("--cards", tmp_path / "cards"),
+        *("--cards", tmp_path / "cards", "--html", tmp_path / "page.html", "--worst", "0"),
     )
     assert code == 0, error
     assert f"tables: {tmp_path / 'table.md'}" in said.replace("\n", "")
@@ -43,6 +43,7 @@ def test_it_writes_tables_json_and_cards(ran: Path, call: Call) -> None:
     (card,) = (ran.parent / "cards").iterdir()
     assert card.name == "point_goal.md"
     assert "## Known weaknesses" in card.read_text()
+    assert "turn_drive" in (ran.parent / "page.html").read_text()
     again = call("benchmark", "--combine", ran, "--out", ran.parent / "both")
     assert again[0] == 0, again[2]
     assert (ran.parent / "both" / "benchmark.md").read_text() == page
@@ -66,7 +67,7 @@ def test_anybodys_policy_gets_a_row(call: Call, tmp_path: Path) -> None:
     code, said, error = call("benchmark", "--check", row)
     assert code == 0, error
     assert "sound: mine" in said
-    row.write_text(row.read_text().replace('"success_rate": 1.0', '"success_rate": 0.9'))
+    row.write_text(row.read_text().replace('"success_rate":1.0', '"success_rate":0.9'))
     code, _, error = call("benchmark", "--check", row)
     assert code == 2
     assert_one_line(error, "was changed after it was written")
