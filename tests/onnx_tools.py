@@ -9,11 +9,15 @@ from typing import Any
 
 import numpy as np
 
+from acsar_gym.dynamics import Randomization
+from acsar_gym.envs.ids import full_id
 from acsar_gym.policies import graph
 from acsar_gym.policies.bundle import KEY, Bundle, parse
+from acsar_gym.policies.describing import described
 from acsar_gym.resources import AGENTS
 
 GOOD = AGENTS / "policies" / "point_goal.onnx"
+VARIED: dict[str, Any] = {"friction": (0.7, 1.2), "motor_lag": (0.6, 1.5)}
 ENV_ID = "acsar_gym/PointGoal-v0"
 
 
@@ -100,6 +104,27 @@ class Maker:
         """The finished file."""
         data: bytes = self.model(env_id).SerializeToString()
         return data
+
+
+def fitting(path: Path, env_id: str, bias: float = 0.0, **options: Any) -> Path:
+    """A policy with small weights for an environment, with what `described` says of it."""
+    import gymnasium
+
+    env: Any = gymnasium.make(full_id(env_id), link="planar", **options)
+    bundle = described(env.unwrapped, env_id, randomization=Randomization(**VARIED))
+    env.close()
+    make = Maker(bundle.observation.width)
+    make.add(
+        "Add",
+        make.dense("observation", bundle.observation.width, out="d"),
+        make.weight(bias),
+        out="action",
+    )
+    model = make.model()
+    del model.metadata_props[:]
+    model.metadata_props.add(key=KEY, value=bundle.as_json())
+    path.write_bytes(model.SerializeToString())
+    return path
 
 
 def other_width() -> bytes:

@@ -177,7 +177,7 @@ class Bundle(Section):
     """All that a policy file says about itself; see the module."""
 
     section = "bundle"
-    version: Literal[1] = VERSION
+    version: Literal[1] = 1
     env: Env
     observation: Observation
     action: Action = Action()

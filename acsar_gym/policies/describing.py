@@ -168,10 +168,10 @@ def ranges(randomization: Randomization) -> dict[str, tuple[float, ...]]:
 def _env(env: AnyEnv, env_id: str) -> Env:
     """Describe the task and the worlds of an env."""
     spec, task = env.spec, env.task
-    names = [one.name for one in dataclasses.fields(task)] if dataclasses.is_dataclass(task) else []
+    fields: Any = dataclasses.fields(task) if dataclasses.is_dataclass(task) else ()
     return Env(
         id=without_module(full_id(env_id)),
-        options={name: plain(getattr(task, name)) for name in names},
+        options={one.name: plain(getattr(task, one.name)) for one in fields},
         worlds="" if env.pool is None else str(env.pool),
         max_episode_steps=None if spec is None else spec.max_episode_steps,
     )

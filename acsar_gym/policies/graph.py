@@ -22,12 +22,13 @@ Dims = tuple[int, ...]
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """One operation; `transposed` are the transA and transB attributes of a Gemm."""
+    """One operation; `transposed` are transA and transB of a Gemm, `axis` is that of a Concat."""
 
     op: str
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     transposed: tuple[bool, bool]
+    axis: int | None
 
 
 class State(NamedTuple):
@@ -108,7 +109,8 @@ def _node(node: Message, size: int) -> Node:
         _dims(part.message(5), size)
     transposed = [n in attributes and attributes[n].integer(3) != 0 for n in ("transA", "transB")]
     inputs, outputs = tuple(node.texts(1)), tuple(node.texts(2))
-    return Node(node.text(4), inputs, outputs, (transposed[0], transposed[1]))
+    axis = attributes["axis"].integer(3) if "axis" in attributes else None
+    return Node(node.text(4), inputs, outputs, (transposed[0], transposed[1]), axis)
 
 
 def _inputs(graph: Message, weights: dict[str, Dims]) -> list[Message]:

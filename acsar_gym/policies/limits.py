@@ -72,7 +72,8 @@ def _sizes(node: Node) -> tuple[str, ...]:
 def plain(graph: Graph) -> bool:
     """Return whether a network is a small chain of dense layers, safe to run without a trial.
 
-    Every value in it is one row: as wide as the observation, or as one dense layer.
+    Every value in it is one row, no wider than follows from the operations. Parts of the
+    observation may be cut out, changed number by number, and put together again.
     """
     widths, work = {"observation": graph.width}, 0
     for node in graph.nodes:
@@ -83,37 +84,46 @@ def plain(graph: Graph) -> bool:
         if node.op in ("Gemm", "MatMul"):
             work += math.prod(graph.weights[node.inputs[1]])
         widths[node.outputs[0]] = width
-    return work <= MAX_WORK and widths.get("action") == 2
+    return work <= MAX_WORK and "action" in widths
 
 
 def _row(node: Node, widths: dict[str, int], weights: dict[str, Dims]) -> int | None:
-    """Return the width of a node's output; None unless it is certainly a single row."""
+    """Return the largest width of a node's output; None unless it is certainly a single row."""
     inputs = [name for name in node.inputs if name]
+    rows = [widths[name] for name in inputs if name in widths]
+    rest = [weights.get(name) for name in inputs if name not in widths]
+    if not rows or inputs[0] not in widths:
+        return _product(rows, rest) if node.op in _ELEMENTWISE else None
     if node.op in _SIMPLE and len(inputs) == 1:
-        return widths.get(inputs[0])
+        return rows[0]
+    if node.op == "Slice" and len(rows) == 1:
+        return rows[0]  # of its rest, only the numbers count, not the shapes
+    if node.op == "Concat" and node.axis in (1, -1) and not rest:
+        return sum(rows)
     if node.op in ("Gemm", "MatMul") and len(inputs) >= 2:
-        return _layer(node, inputs, widths, weights)
-    if node.op in _ELEMENTWISE:
-        found = {widths[name] for name in inputs if name in widths}
-        if len(found) == 1:
-            (width,) = found
-            rest = [name for name in inputs if name not in widths]
-            return width if all(_fits(weights.get(name), width) for name in rest) else None
-    return None
+        return _layer(node, inputs, weights)
+    return _product(rows, rest) if node.op in _ELEMENTWISE else None
 
 
-def _layer(
-    node: Node, inputs: list[str], widths: dict[str, int], weights: dict[str, Dims]
-) -> int | None:
+def _product(rows: list[int], rest: list[Dims | None]) -> int | None:
+    """Return the largest width of an operation on rows and weights, element by element."""
+    sizes = [_width(shape) for shape in rest]
+    known = [size for size in sizes if size is not None]
+    return max((*rows, *known)) if rows and len(known) == len(sizes) else None
+
+
+def _layer(node: Node, inputs: list[str], weights: dict[str, Dims]) -> int | None:
     """Return the width of the output of a Gemm or MatMul; None if it isn't a dense layer."""
     shape = weights.get(inputs[1], ())
-    if len(shape) != 2 or inputs[0] not in widths or node.transposed[0]:
+    if len(shape) != 2 or node.transposed[0]:
         return None
-    rows, columns = reversed(shape) if node.transposed[1] else shape
-    fits = all(_fits(weights.get(name), columns) for name in inputs[2:])
-    return columns if rows == widths[inputs[0]] and fits else None
+    columns = shape[0] if node.transposed[1] else shape[1]
+    biases = (_width(weights.get(name)) for name in inputs[2:])
+    return columns if all(width is not None and width <= columns for width in biases) else None
 
 
-def _fits(shape: Dims | None, width: int) -> bool:
-    """Return whether adding weights of this shape to a row of `width` keeps its shape."""
-    return shape in ((), (1,), (width,), (1, 1), (1, width))
+def _width(shape: Dims | None) -> int | None:
+    """Return the width of weights that are one row, or one number; None for others."""
+    if shape is None or math.prod(shape) != max((1, *shape)) or len(shape) > 2:
+        return None
+    return None if len(shape) == 2 and shape[0] != 1 else max((1, *shape))

@@ -34,6 +34,8 @@ class OnnxPolicy(FilePolicy):
         MissingExtraError: onnxruntime isn't installed.
     """
 
+    bundle: Bundle
+
     def __init__(self, path: str | Path) -> None:
         self.path = resolve(path)
         try:

@@ -42,8 +42,7 @@ def save(
             are numbers or arrays (n,). It becomes part of the file.
         robot: preset, file or config of the robot that it was trained on.
         training: how it was trained.
-        state: of a recurrent module, which maps (observation, state, ...) to (action, next
-            state, ...); the states are zeros at the start of an episode.
+        state: of a recurrent module, (observation, state, ...) to (action, next state, ...).
         **env_kwargs: other arguments of the env in the training, such as policy_rate=20.0 or
             randomization; the file stores what follows from them.
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from onnx_tools import GOOD, bundle_of, changed, relabelled
+from onnx_tools import GOOD, bundle_of, changed, fitting, relabelled
 
 from acsar_gym import RobotConfig
 from acsar_gym.config.fingerprint import calibration_sha256, config_sha256
@@ -126,7 +126,7 @@ def test_a_network_of_another_tool_says_how_to_make_it_a_policy(tmp_path: Path) 
 
 def test_a_bundle_must_describe_its_own_network(tmp_path: Path) -> None:
     seven = bundle_of().observation.names
-    wide = dict.fromkeys(("observation__low", "observation__high"), [0.0] * 8)
+    wide: dict[str, Any] = dict.fromkeys(("observation__low", "observation__high"), [0.0] * 8)
     path = relabelled(tmp_path / "p.onnx", observation__names=[*seven, "x"], **wide)
     with pytest.raises(PolicyError, match="takes 7 numbers, but its bundle describes 8"):
         OnnxPolicy(path)
@@ -169,15 +169,16 @@ def test_what_does_not_fit_is_named(values: dict[str, Any], said: str, tmp_path:
     ],
     ids=["field of view", "rays", "range"],
 )
-def test_another_lidar_is_named(lidar: dict[str, Any], said: str) -> None:
-    path = AGENTS / "policies" / "obstacle_goal.onnx"
+def test_another_lidar_is_named(lidar: dict[str, Any], said: str, tmp_path: Path) -> None:
+    path = fitting(tmp_path / "p.onnx", "obstacle_goal", worlds="open:2")
     assert said in refused(path, robot=ACSAR.with_(lidar=lidar), worlds="open:2")
 
 
-def differences(packaged: str = "point_goal", /, **changes: Any) -> tuple[str, ...]:
-    """What is told of a robot that drives with a packaged policy."""
-    policy = OnnxPolicy(packaged)
-    runs.made(policy, "planar", ACSAR.with_(**changes), {}).close()
+def differences(file: str | Path = "point_goal", /, **changes: Any) -> tuple[str, ...]:
+    """What is told of a robot that drives with a policy."""
+    policy = OnnxPolicy(file)
+    worlds = None if file == "point_goal" else "open:2"
+    runs.made(policy, "planar", ACSAR.with_(**changes), {"worlds": worlds}).close()
     return policy.differences
 
 
@@ -215,15 +216,20 @@ def test_a_robot_outside_of_the_training_is_one_line_a_field(
     assert line.endswith("it may drive worse than it was measured to")
 
 
-def test_where_a_lidar_looks_from_is_told_of_policies_that_use_one() -> None:
+def test_where_a_lidar_looks_from_is_told_of_policies_that_use_one(tmp_path: Path) -> None:
     assert differences(lidar_x_offset=0.1) == ()
-    line, footprint = differences("obstacle_goal", lidar_x_offset=0.1, body={"length": 0.6})
+    path = fitting(tmp_path / "p.onnx", "obstacle_goal", worlds="open:2")
+    line, footprint = differences(path, lidar_x_offset=0.1, body={"length": 0.6})
     assert "lidar_x_offset was -0.15 in the training and is 0.1" in line
     assert "footprint.radius was 0.2404" in footprint
 
 
 def test_ranges_of_a_training_follow_from_the_randomization() -> None:
-    ranges = {"deadband": (0.1, 0.3), "deadband_offset": (-0.1, 0.2), "latency": (0.0, 0.02)}
+    ranges: dict[str, tuple[float, ...]] = {
+        "latency": (0.0, 0.02),
+        "deadband": (0.1, 0.3),
+        "deadband_offset": (-0.1, 0.2),
+    }
     ranges |= {"delay_samples": (0.004, 0.03, 0.01), "feedback_rate": (20.0, 50.0)}
     assert trained_range(VARIED["motor.deadband"], (0.0,), ranges) == pytest.approx((0.0, 0.5))
     delay = trained_range(VARIED["firmware.command_delay"], (0.01,), ranges)

@@ -121,6 +121,41 @@ def test_plain_networks_need_no_trial(monkeypatch: pytest.MonkeyPatch) -> None:
         OnnxPolicy(path)
 
 
+def sliced(make: Maker, first: int, last: int) -> str:
+    """Some numbers of the observation."""
+    ends = [make.weight([number], np.int64) for number in (first, last, 1, 1)]
+    return make.add("Slice", "observation", *ends)
+
+
+def test_networks_that_change_a_part_of_the_observation_need_no_trial() -> None:
+    """As those do that take logarithms of a LiDAR's ranges."""
+    make = Maker()
+    rays = make.add("Sub", sliced(make, 3, 7), make.weight([0.1, 0.2, 0.3, 0.4]))
+    logs = make.add("Log", make.add("Add", rays, make.weight(0.5)))
+    parts = make.add("Concat", sliced(make, 0, 3), logs, axis=1)
+    make.add("Tanh", make.dense(parts, 7, out="d"), out="action")
+    assert plain(inspected(make.bytes())[0])
+
+
+@pytest.mark.parametrize("axis", [0, 2])
+def test_rows_below_each_other_are_tried(axis: int) -> None:
+    """Their product could be anything."""
+    make = Maker()
+    make.dense(make.add("Concat", "observation", "observation", axis=axis), 7)
+    assert not plain(inspected(make.bytes())[0])
+
+
+def test_weights_of_several_rows_are_tried() -> None:
+    for op in ("Add", "Mul"):
+        make = Maker()
+        square = make.add(op, "observation", make.weight(np.zeros((500, 7))))
+        make.dense(make.add("ReduceMax", square, make.weight([0], np.int64), keepdims=1), 7)
+        assert not plain(inspected(make.bytes())[0])
+        column = Maker()
+        column.dense(column.add(op, column.weight(np.zeros((500, 1))), "observation"), 7)
+        assert not plain(inspected(column.bytes())[0])
+
+
 def test_other_networks_are_tried_once(tmp_path: Path) -> None:
     make = Maker()
     lanes = make.add("Unsqueeze", "observation", make.weight([1], np.int64))
