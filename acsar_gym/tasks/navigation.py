@@ -49,6 +49,8 @@ class NavigationTask(GoalTask):
     }
     told = ("goal_distance",)
     compiled = True
+    crash: float = 15.0
+    """What a collision costs; more than the goal pays, so that haste isn't worth the risk."""
 
     def begin(self, state: State, memory: Any) -> None:
         """Remember the distance to the goal."""
@@ -56,7 +58,7 @@ class NavigationTask(GoalTask):
 
     def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
         """Reward of the step, see `navigation_reward`."""
-        return navigation_reward(state, memory, outcome, self.end)
+        return navigation_reward(state, memory, outcome, self.end, self.crash)
 
     def observe(self, state: State, memory: Any) -> tuple[float, ...]:
         """The numbers of `observation`; distances and speeds are scaled."""
@@ -109,7 +111,7 @@ class Barn(NavigationTask):
     def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
         """Reward of the step, see `navigation_reward`; remembers the scores."""
         score(state, memory, outcome)
-        return navigation_reward(state, memory, outcome, self.end)
+        return navigation_reward(state, memory, outcome, self.end, self.crash)
 
 
 # The functions below are compiled for batches, too.
@@ -143,11 +145,11 @@ def stalled(state: State, memory: Any) -> float:
 
 
 @compilable
-def navigation_reward(state: State, memory: Any, outcome: int, end: float) -> float:
+def navigation_reward(state: State, memory: Any, outcome: int, end: float, crash: float) -> float:
     """Reward of a step towards a goal behind obstacles; updates the memory.
 
-        2 gained - 0.01 - 0.03 stalled - 0.15 max(0, 1 - clearance / 0.15 m)
-            + 0.05 min(linear, 0) + (end, -end or 0)
+        2 gained - 0.01 - 0.05 stalled - 0.15 max(0, 1 - clearance / 0.15 m)
+            + 0.05 min(linear, 0) + (end, -crash or 0)
 
     `gained` is how much nearer the goal is after the step [m]. A gap that is hardly wider than the
     robot costs more than a detour of a metre, and standing still costs ever more. Driving backwards
@@ -157,12 +159,13 @@ def navigation_reward(state: State, memory: Any, outcome: int, end: float) -> fl
         state: after the step.
         memory: of the episode.
         outcome: number of the step's Outcome.
-        end: added at success, subtracted for a collision or beyond the boundary.
+        end: added at success.
+        crash: subtracted for a collision.
     """
     gained = followed(state, memory)
     near = 1.0 - clearance(state.ranges, state.edges, NEAR) / NEAR
-    last = end if outcome == 1 else (-end if outcome > 1 else 0.0)
-    costs = 0.01 + 0.03 * stalled(state, memory) + 0.15 * near - 0.05 * min(state.action[0], 0.0)
+    last = end if outcome == 1 else (-crash if outcome > 1 else 0.0)
+    costs = 0.01 + 0.05 * stalled(state, memory) + 0.15 * near - 0.05 * min(state.action[0], 0.0)
     return float(2.0 * gained - costs + last)
 
 

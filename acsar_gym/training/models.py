@@ -85,7 +85,7 @@ def loaded(
 
 
 def _tell_robot(policy_kwargs: dict[str, Any], policy: Any, plan: Plan) -> None:
-    """Give the robot to a policy or features extractor that takes one: MirrorPolicy, RayClearance."""
+    """Give the robot to a policy or features extractor that takes one, such as `RayClearance`."""
     if plan.options.robot and "robot" in signature(policy).parameters:
         policy_kwargs.setdefault("robot", plan.robot)
     kind = policy_kwargs.get("features_extractor_class")

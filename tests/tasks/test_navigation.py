@@ -68,14 +68,14 @@ def paid(time: float = 0.1, ranges: float = 1.0, **known: object) -> float:
 
 def test_standing_still_costs_ever_more() -> None:
     waiting = [paid(time) for time in (0.1, 5.0, 10.0, 20.0)]
-    assert waiting == pytest.approx([-0.0103, -0.025, -0.04, -0.04])
+    assert waiting == pytest.approx([-0.0105, -0.035, -0.06, -0.06])
 
 
 def test_reward_pays_for_progress_and_arrival() -> None:
     step = paid(pose=(0.1, 0.0, 0.0))
     assert step == pytest.approx(0.19)
     assert paid(pose=(0.1, 0.0, 0.0), action=(-1.0, 0.0)) == pytest.approx(step - 0.05)
-    assert paid(pose=(0.1, 0.0, 0.0), contact=True) == pytest.approx(step - 5.0)
+    assert paid(pose=(0.1, 0.0, 0.0), contact=True) == pytest.approx(step - 15.0)
     assert paid(pose=(3.8, 0.0, 0.0)) == pytest.approx(7.59 + 5.0)
 
 
