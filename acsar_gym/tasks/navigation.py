@@ -47,7 +47,7 @@ class NavigationTask(GoalTask):
         "nearest_at": 0.0,
         "turn_rate": 0.0,
     }
-    told = ("goal_distance",)
+    told: ClassVar[tuple[str, ...] | None] = ("goal_distance",)
     compiled = True
     crash: float = 15.0
     """What a collision costs; more than the goal pays, so that haste isn't worth the risk."""
@@ -99,8 +99,11 @@ class Barn(NavigationTask):
     id = "acsar_gym/Barn-v1"
     worlds = "barn:train"
     goal_tolerance = barn.TOLERANCE
-    memory = NavigationTask.memory | dict.fromkeys(barn.SCORES, 0.0)
-    told = ("goal_distance", *barn.SCORES)
+    memory: ClassVar[Mapping[str, float]] = {
+        **NavigationTask.memory,
+        **dict.fromkeys(barn.SCORES, 0.0),
+    }
+    told: ClassVar[tuple[str, ...] | None] = ("goal_distance", *barn.SCORES)
     compiled = True
 
     def begin(self, state: State, memory: Any) -> None:
@@ -141,7 +144,7 @@ def followed(state: State, memory: Any) -> float:
 @compilable
 def stalled(state: State, memory: Any) -> float:
     """Time since the robot last came nearer to the goal, as a share of PATIENCE, at most 1."""
-    return min((state.time - memory.nearest_at) / PATIENCE, 1.0)
+    return float(min((state.time - memory.nearest_at) / PATIENCE, 1.0))
 
 
 @compilable

@@ -67,7 +67,7 @@ class MirrorPolicy(ActorCriticPolicy):
         self.ortho_init = False  # ActorCriticPolicy's would touch layers that have theirs already
         super()._build(lr_schedule)
         width = self.mlp_extractor.latent_dim_pi // 2
-        self.action_net = _Action(width)  # type: ignore[assignment]  # instead of a Linear
+        self.action_net = _Action(width)  # instead of a Linear
         torch.nn.init.orthogonal_(self.value_net.weight)
         torch.nn.init.zeros_(self.value_net.bias)
         self.optimizer = self.optimizer_class(
