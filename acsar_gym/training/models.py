@@ -45,9 +45,9 @@ def made(plan: Plan, env: RobotVectorEnv) -> BaseAlgorithm:
     """
     recipe = plan.recipe
     arguments = recipe.built()
-    if "n_steps" in arguments and "batch_size" in arguments:
-        rollout = arguments["n_steps"] * env.num_envs
-        arguments["batch_size"] = min(arguments["batch_size"], rollout)
+    sizes = arguments.get("n_steps"), arguments.get("batch_size")
+    if all(isinstance(size, int) for size in sizes):
+        arguments["batch_size"] = min(sizes[1], sizes[0] * env.num_envs)
     _tell_robot(arguments.get("policy_kwargs") or {}, arguments["policy"], plan)
     given: dict[str, Any] = {"stats_window_size": env.num_envs} | arguments | _always(plan)
     try:

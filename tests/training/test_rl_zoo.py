@@ -7,12 +7,13 @@ import sys
 from pathlib import Path
 
 import pytest
-from serial_tools import TIMEOUT
 
 from acsar_gym.resources import AGENTS
 
 pytestmark = pytest.mark.xdist_group("torch")
 
+PATIENCE = 300.0
+"""For a subprocess on a busy machine [s]."""
 ENV = ["--env", "acsar_gym/PointGoal-v0", "--gym-packages", "acsar_gym"]
 SMALL = ["--hyperparams", "n_envs:8", "n_steps:16", "batch_size:128"]
 
@@ -20,7 +21,7 @@ SMALL = ["--hyperparams", "n_envs:8", "n_steps:16", "batch_size:128"]
 def zoo(script: str, *arguments: str | Path) -> str:
     """Run a script of rl_zoo3 and return what it says."""
     command = [sys.executable, "-m", f"rl_zoo3.{script}", *ENV, *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
