@@ -85,13 +85,19 @@ def loaded(
 
 
 def _tell_robot(policy_kwargs: dict[str, Any], policy: Any, plan: Plan) -> None:
-    """Give the robot to a policy or features extractor that takes one: MirrorPolicy, RayClearance."""
-    if plan.options.robot and "robot" in signature(policy).parameters:
+    """Give the robot to a policy or features extractor that takes one: those of `networks`."""
+    if not plan.options.robot:
+        return
+    if _takes_robot(policy):
         policy_kwargs.setdefault("robot", plan.robot)
-    kind = policy_kwargs.get("features_extractor_class")
-    if kind is not None and plan.options.robot and "robot" in signature(kind).parameters:
+    if _takes_robot(policy_kwargs.get("features_extractor_class")):
         own = policy_kwargs.get("features_extractor_kwargs") or {}
         policy_kwargs["features_extractor_kwargs"] = {"robot": plan.robot} | own
+
+
+def _takes_robot(kind: Any) -> bool:
+    """Return whether a class has a parameter `robot`; False for a name such as "MlpPolicy"."""
+    return isinstance(kind, type) and "robot" in signature(kind).parameters
 
 
 def _always(plan: Plan) -> dict[str, Any]:
