@@ -45,9 +45,9 @@ def made(plan: Plan, env: RobotVectorEnv) -> BaseAlgorithm:
     """
     recipe = plan.recipe
     arguments = recipe.built()
-    sizes = arguments.get("n_steps"), arguments.get("batch_size")
-    if all(isinstance(size, int) for size in sizes):
-        arguments["batch_size"] = min(sizes[1], sizes[0] * env.num_envs)
+    steps, size = (arguments.get(name) for name in ("n_steps", "batch_size"))
+    if isinstance(steps, int) and isinstance(size, int):
+        arguments["batch_size"] = min(size, steps * env.num_envs)
     _tell_robot(arguments.get("policy_kwargs") or {}, arguments["policy"], plan)
     given: dict[str, Any] = {"stats_window_size": env.num_envs} | arguments | _always(plan)
     try:
