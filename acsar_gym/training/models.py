@@ -45,9 +45,9 @@ def made(plan: Plan, env: RobotVectorEnv) -> BaseAlgorithm:
     """
     recipe = plan.recipe
     arguments = recipe.built()
-    if "n_steps" in arguments and "batch_size" in arguments:
-        rollout = arguments["n_steps"] * env.num_envs
-        arguments["batch_size"] = min(arguments["batch_size"], rollout)
+    steps, size = (arguments.get(name) for name in ("n_steps", "batch_size"))
+    if isinstance(steps, int) and isinstance(size, int):
+        arguments["batch_size"] = min(size, steps * env.num_envs)
     _tell_robot(arguments.get("policy_kwargs") or {}, arguments["policy"], plan)
     given: dict[str, Any] = {"stats_window_size": env.num_envs} | arguments | _always(plan)
     try:
@@ -85,13 +85,19 @@ def loaded(
 
 
 def _tell_robot(policy_kwargs: dict[str, Any], policy: Any, plan: Plan) -> None:
-    """Give the robot to a policy or features extractor that takes one, such as `RayClearance`."""
-    if plan.options.robot and "robot" in signature(policy).parameters:
+    """Give the robot to a policy or features extractor that takes one: those of `networks`."""
+    if not plan.options.robot:
+        return
+    if _takes_robot(policy):
         policy_kwargs.setdefault("robot", plan.robot)
-    kind = policy_kwargs.get("features_extractor_class")
-    if kind is not None and plan.options.robot and "robot" in signature(kind).parameters:
+    if _takes_robot(policy_kwargs.get("features_extractor_class")):
         own = policy_kwargs.get("features_extractor_kwargs") or {}
         policy_kwargs["features_extractor_kwargs"] = {"robot": plan.robot} | own
+
+
+def _takes_robot(kind: Any) -> bool:
+    """Return whether a class has a parameter `robot`; False for a name such as "MlpPolicy"."""
+    return isinstance(kind, type) and "robot" in signature(kind).parameters
 
 
 def _always(plan: Plan) -> dict[str, Any]:

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 import yaml
-from serial_tools import TIMEOUT
 
 from acsar_gym.errors import AcsarError
 from acsar_gym.resources import AGENTS, agent
@@ -22,6 +21,8 @@ pytestmark = pytest.mark.xdist_group("torch")
 
 STEPS = 2048
 """Eight rollouts."""
+PATIENCE = 300.0
+"""For a subprocess on a busy machine [s]."""
 TINY = ["--robots", "4", "--no-progress", "--threads", "1", "--checkpoint-seconds", "0"]
 
 
@@ -42,12 +43,12 @@ def killed(arguments: list[str], out: Path) -> None:
     """Start a training, and kill it once it has written a checkpoint or two."""
     command = [sys.executable, str(AGENTS / "train.py"), *arguments, "--out", str(out)]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
-        until = time.monotonic() + TIMEOUT
+        until = time.monotonic() + PATIENCE
         while not checkpoints.found(out / "checkpoints") and time.monotonic() < until:
             assert process.poll() is None
             time.sleep(0.01)
         process.send_signal(signal.SIGKILL)
-    assert process.returncode == -signal.SIGKILL
+    assert checkpoints.found(out / "checkpoints")
     assert not (out / "model.zip").exists()
 
 

@@ -7,12 +7,13 @@ import sys
 from pathlib import Path
 
 import pytest
-from serial_tools import TIMEOUT
 
 from acsar_gym.resources import AGENTS
 
 pytestmark = pytest.mark.xdist_group("torch")
 
+PATIENCE = 300.0
+"""For a subprocess on a busy machine [s]."""
 ENV = ["--env", "acsar_gym/PointGoal-v0", "--gym-packages", "acsar_gym"]
 SMALL = ["--hyperparams", "n_envs:8", "n_steps:16", "batch_size:128"]
 
@@ -20,14 +21,23 @@ SMALL = ["--hyperparams", "n_envs:8", "n_steps:16", "batch_size:128"]
 def zoo(script: str, *arguments: str | Path) -> str:
     """Run a script of rl_zoo3 and return what it says."""
     command = [sys.executable, "-m", f"rl_zoo3.{script}", *ENV, *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
 
 def test_rl_zoo_trains_on_the_batch_and_enjoys(tmp_path: Path) -> None:
     recipe = AGENTS / "recipes" / "ppo.yml"
-    options = ["--conf-file", recipe, "-f", tmp_path, "-n", "2000", "--eval-episodes", "1"]
+    options: list[str | Path] = [
+        "--conf-file",
+        recipe,
+        "-f",
+        tmp_path,
+        "-n",
+        "2000",
+        "--eval-episodes",
+        "1",
+    ]
     said = zoo("train", "--algo", "ppo", *options, "--eval-freq", "1000", *SMALL)
     assert "Using 8 environments" in said
     run = tmp_path / "ppo" / "acsar_gym-PointGoal-v0_1"
@@ -44,7 +54,16 @@ def test_rl_zoo_trains_on_the_batch_and_enjoys(tmp_path: Path) -> None:
 @pytest.mark.parametrize("algo", ["sac", "tqc", "ppo_lstm"])
 def test_rl_zoo_trains_with_the_other_recipes(algo: str, tmp_path: Path) -> None:
     recipe = AGENTS / "recipes" / f"{algo}.yml"
-    options = ["--conf-file", recipe, "-f", tmp_path, "-n", "2500", "--eval-freq", "-1"]
+    options: list[str | Path] = [
+        "--conf-file",
+        recipe,
+        "-f",
+        tmp_path,
+        "-n",
+        "2500",
+        "--eval-freq",
+        "-1",
+    ]
     zoo("train", "--algo", algo, *options, "--hyperparams", "n_envs:8")
     zoo("enjoy", "--algo", algo, "-f", tmp_path, "--no-render", "-n", "50")
 
@@ -52,7 +71,16 @@ def test_rl_zoo_trains_with_the_other_recipes(algo: str, tmp_path: Path) -> None
 @pytest.mark.slow
 def test_rl_zoo_tunes(tmp_path: Path) -> None:
     recipe = AGENTS / "recipes" / "ppo.yml"
-    options = ["--conf-file", recipe, "-f", tmp_path, "-n", "4000", "--n-trials", "1"]
+    options: list[str | Path] = [
+        "--conf-file",
+        recipe,
+        "-f",
+        tmp_path,
+        "-n",
+        "4000",
+        "--n-trials",
+        "1",
+    ]
     tuning = ["-optimize", "--n-evaluations", "1", "--eval-episodes", "1", "--no-optim-plots"]
     said = zoo("train", "--algo", "ppo", *options, *tuning, "--hyperparams", "n_envs:8")
     assert "Number of finished trials:  1" in said
