@@ -9,6 +9,10 @@ from pathlib import Path
 
 import pytest
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+import snippets
+
 from acsar_gym.evaluation import runs
 from acsar_gym.policies import OnnxPolicy
 
@@ -65,3 +69,13 @@ def test_minari_has_the_episodes(tmp_path: Path) -> None:
     said = run("minari_record.py", tmp_path, "--steps", "100")
     assert "acsar/point_goal-v0: " in said
     assert (tmp_path / "acsar" / "point_goal-v0" / "data").is_dir()
+
+
+def test_rllib_takes_the_id_as_it_is(tmp_path: Path) -> None:
+    code = snippets.shrunk("RLlib", {"256": "4"}) + (
+        "config.training(train_batch_size_per_learner=32, minibatch_size=16, num_epochs=1)\n"
+        "config.env_runners(num_env_runners=0)\n"
+        "print(config.build_algo().train()['env_runners']['num_env_steps_sampled'])\n"
+    )
+    (tmp_path / "mine.py").write_text(code)
+    assert int(float(run(str(tmp_path / "mine.py"), tmp_path).split()[-1])) >= 32

@@ -16,7 +16,7 @@ TINY = {"256": "4", "n_steps=64": "n_steps=8", "batch_size=4096": "batch_size=32
 
 
 def test_every_way_has_its_block() -> None:
-    ways = ["both ways", "stable-baselines3", "torch", "mine.py"]
+    ways = ["both ways", "stable-baselines3", "RLlib", "torch", "mine.py"]
     assert list(snippets.snippets()) == ways
 
 
