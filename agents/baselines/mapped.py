@@ -43,6 +43,7 @@ class MappedPolicy(BaselinePolicy):
         """Forget map and motion."""
         super().reset()
         self._motion: Motion | None = None
+        self._scan = np.zeros((0, 2))
         self._steps = 0
         self.sent = (0.0, 0.0)
 
@@ -85,12 +86,20 @@ class MappedPolicy(BaselinePolicy):
             y + sin * config.lidar_x_offset + cos * config.lidar_y_offset,
         )
         along = np.column_stack([np.cos(self._angles + theta), np.sin(self._angles + theta)])
-        met = (seen.ranges < config.lidar.max_range - 1e-3).astype(np.float64)
-        self.known.update(origin, origin + seen.ranges[:, None] * along, met)
+        met, ends = (
+            seen.ranges < config.lidar.max_range - 1e-3,
+            origin + seen.ranges[:, None] * along,
+        )
+        self.known.update(origin, ends, met.astype(np.float64))
+        self._scan = ends[met]
 
     def obstacles(self, pose: Pose, reach: float) -> Floats:
-        """(n, 2): what is known within a square around the robot, in the odometry frame [m]."""
-        return self.known.points(pose[0], pose[1], reach)
+        """(n, 2): what is known within a square around the robot, in the odometry frame [m].
+
+        The newest scan counts as it is, too: the mean of a cell may hide a corner.
+        """
+        near = np.abs(self._scan - pose[:2]).max(axis=1) <= reach
+        return np.concatenate([self.known.points(pose[0], pose[1], reach), self._scan[near]])
 
     def carrot(
         self, pose: Pose, goal: tuple[float, float], lookahead: float
