@@ -105,7 +105,7 @@ class Command:
             for path in cards.write(told, self.cards):
                 print(printable(f"card: {path}"))
         if self.html is not None:
-            from acsar_gym.benchmark.page import report as page  # noqa: PLC0415 - optional
+            from acsar_gym.benchmark.page import report as html  # noqa: PLC0415 - optional
 
-            page.write(told, self.html, some, self.worst)
+            html.write(told, self.html, some, self.worst)
             print(printable(f"report: {self.html}"))

@@ -125,14 +125,25 @@ def _joined(one: dict[str, Any], other: dict[str, Any], folder: Path) -> dict[st
         env_id: one["scenes"].get(env_id, {}) | other["scenes"].get(env_id, {})
         for env_id in [*one["scenes"], *other["scenes"]]
     }
-    agents = dict(one["agents"])
-    for name, seeds in other["agents"].items():
-        agents[name] = agents.get(name, []) + [
-            each for each in seeds if each not in agents.get(name, [])
-        ]
+    agents = {
+        name: _policies(name, one["agents"].get(name, []), other["agents"].get(name, []), folder)
+        for name in [*one["agents"], *other["agents"]]
+    }
     return one | {
         "scenes": scenes,
         "agents": agents,
         "conditions": one["conditions"] | other["conditions"],
         "links": [*dict.fromkeys([*one["links"], *other["links"]])],
     }
+
+
+def _policies(
+    name: str, some: list[dict[str, Any]], others: list[dict[str, Any]], folder: Path
+) -> list[dict[str, Any]]:
+    """Join the policies of an agent; ConfigError where two files were the same seed on an id."""
+    known = {(each["id"], each["training_seed"]): each["sha256"] for each in some}
+    for each in others:
+        place = each["id"], each["training_seed"]
+        if known.get(place, each["sha256"]) != each["sha256"]:
+            raise ConfigError(f"{folder}: {name} on {each['id']} was another policy file there")
+    return some + [each for each in others if (each["id"], each["training_seed"]) not in known]

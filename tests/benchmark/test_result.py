@@ -145,6 +145,16 @@ def test_scenes_of_another_version_are_not_combined(tmp_path: Path) -> None:
         result.combined([tmp_path])
 
 
+def test_two_policies_are_not_taken_for_one(tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        told = plan()
+        told["agents"]["packaged"][0]["sha256"] = name
+        Store(tmp_path / name).open(told)
+    with pytest.raises(ConfigError, match="packaged on PointGoal-v0 was another policy file"):
+        result.combined([tmp_path / "one", tmp_path / "two"])
+
+
 def submitted(folder: Path) -> Path:
     return submission.write(result.result(plan(), [part()]), "mine", folder)
 
