@@ -48,8 +48,10 @@ def scores(rows: Sequence[Told], chosen: Mapping[str, str]) -> Plot:
         "Interquartile mean of the score, 95 % intervals",
         [traces],
         {
-            "xaxis": axis("score", range=[0.0, 1.02]),
+            "xaxis": axis("score", range=[-0.02, 1.02]),
             "yaxis": axis("", categoryorder="array", categoryarray=names[::-1]),
+            "scattermode": "group",
+            "scattergap": 0.5,
             **(LEGEND if len(traces) > 1 else {}),
             "margin": {"l": 56, "r": 16, "t": 8, "b": 48},
         },
@@ -65,6 +67,8 @@ def _bars(
         "type": "scatter",
         "mode": "markers",
         "name": name,
+        "orientation": "h",
+        "offsetgroup": name,
         "x": list(values),
         "y": list(labels),
         "error_x": {
@@ -92,7 +96,7 @@ def profiles(rows: Sequence[Told], results: Told, chosen: Mapping[str, str]) -> 
         [traces],
         {
             "xaxis": axis("score", range=[0.0, 1.0]),
-            "yaxis": axis("share of runs", range=[0.0, 1.02]),
+            "yaxis": axis("share of runs", range=[-0.02, 1.02]),
             "hovermode": "x unified",
             **LEGEND,
         },

@@ -84,7 +84,7 @@ def _tiles(results: Told) -> list[Tile]:
     found: dict[str, Tile] = {}
     for best in results["best"]:
         rate = best["success_rate"]
-        label = f"{best['id']}: success of {best['learned']} (best baseline: {best['baseline']})"
+        label = f"{best['id']}, success, {best['learned']} : {best['baseline']}"
         told = f"{rate['learned']:.1%}", f"{rate['baseline']:.1%}"
         if best["scenes"] == "test":
             found[best["id"]] = Tile(label, f"{told[0]} : {told[1]}")
@@ -123,7 +123,14 @@ def _about(scenes: Told, env_id: str, name: str) -> str:
 def table(rows: Sequence[Told]) -> Grid:
     """Make the table of some rows, without columns that have no value."""
     columns = {name: [_plain(cell(row)) for row in rows] for name, cell in COLUMNS.items()}
-    told = {name: cells for name, cells in columns.items() if any(cells)}
+    cut = [text.partition(", worst seed ") for text in columns["success"]]
+    seeds = {"success": [rate for rate, _, _ in cut], "worst seed": [seed for _, _, seed in cut]}
+    ordered = {
+        key: cells
+        for name, own in columns.items()
+        for key, cells in (seeds if name == "success" else {name: own}).items()
+    }
+    told = {name: cells for name, cells in ordered.items() if any(cells)}
     lines = zip(*told.values(), strict=True)
     return Grid(list(told), [[text or "-" for text in line] for line in lines], 2)
 

@@ -22,6 +22,10 @@ POLICY = (
 """Content security policy: a browser refuses to load anything over the network."""
 
 
+MOST_COLUMNS = 9
+"""Tables with more columns have small type."""
+
+
 @dataclass(frozen=True)
 class Plot:
     """An interactive plot. Colours are names of page.css, such as "--robot".
@@ -252,4 +256,5 @@ def _grid(grid: Grid) -> str:
 
     rows = "".join(f"<tr>{row(cells, 'td')}</tr>" for cells in grid.rows)
     head = f"<thead><tr>{row(grid.columns, 'th')}</tr></thead>"
-    return f'<div class="card"><table>{head}<tbody>{rows}</tbody></table></div>'
+    wide = ' class="wide"' if len(grid.columns) > MOST_COLUMNS else ""
+    return f'<div class="card"><table{wide}>{head}<tbody>{rows}</tbody></table></div>'
