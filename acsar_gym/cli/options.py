@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -75,6 +75,11 @@ class WorldOptions:
     """Use every world once, in order, instead of random ones."""
     difficulty: float | None = None
     """Difficulty of generated worlds, 0 to 1."""
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """Arguments of the env."""
+        return {"worlds": self.worlds, "difficulty": self.difficulty}
 
 
 @dataclass(frozen=True)

@@ -65,19 +65,10 @@ def evaluate(
     host.prepare()
     seeds = runs.seeds(episodes.seed, episodes.episodes)
     loaded = runs.load(policy.policy, trust=policy.trust, env=policy.env)
-    options: dict[str, Any] = {
-        "worlds": worlds.worlds,
-        "difficulty": worlds.difficulty,
-        "lidar": robot.lidar,
-        "tracked": video.video is not None,
-    }
+    options = worlds.options | {"lidar": robot.lidar, "tracked": video.video is not None}
     options["record"] = robot.recorder("evaluate", link=robot.link, policy=loaded.about)
     how = {"in_order": worlds.in_order, "late_share": episodes.late_share}
-    spread: dict[str, Any] = {
-        "workers": scale.workers,
-        "address": scale.address,
-        "trust": policy.trust,
-    }
+    spread: Any = {"workers": scale.workers, "address": scale.address}
     done = shards.drive(loaded, robot.link, robot.robot, seeds, how=how, **spread, **options)
     title = f"{policy.policy}, seeds {seeds[0]} to {seeds[-1]}, worlds: {done.worlds}"
     try:

@@ -102,8 +102,7 @@ def episodes(
 ) -> Iterator[EpisodeResult]:
     """Run episodes with the seeds `seed`, `seed + 1`, ..., and yield the result of each.
 
-    An episode is marked as not valid if a fault ends it, or if too many of its ticks are late.
-    After a fault, the next reset connects to the robot again.
+    A fault, or too many late ticks, make an episode not valid; the next reset connects again.
 
     Args:
         env: an env of this package, wrapped or not.

@@ -17,7 +17,7 @@ from acsar_gym.errors import (
     printable,
     shown,
 )
-from acsar_gym.scaling.jobs import RETRIES, attempt, named
+from acsar_gym.scaling.attempts import RETRIES, attempt, named
 
 J = TypeVar("J")
 R = TypeVar("R")

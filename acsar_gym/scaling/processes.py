@@ -18,7 +18,7 @@ from multiprocessing.connection import Connection, wait
 from typing import Any, TypeVar
 
 from acsar_gym.errors import AcsarError, JobError
-from acsar_gym.scaling.jobs import RETRIES, attempt, named
+from acsar_gym.scaling.attempts import RETRIES, attempt, named
 
 J = TypeVar("J")
 R = TypeVar("R")

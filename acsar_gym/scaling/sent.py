@@ -11,7 +11,7 @@ from pathlib import Path
 
 from acsar_gym.errors import PolicyError
 from acsar_gym.evaluation import runs
-from acsar_gym.policies import FilePolicy
+from acsar_gym.policies import FilePolicy, ZipPolicy
 from acsar_gym.reading import bounded
 
 MAX_BYTES = 200_000_000
@@ -32,12 +32,11 @@ class Sent:
     """Content of its file; None for a policy that isn't a file."""
 
     @classmethod
-    def of(cls, policy: FilePolicy, *, trust: bool = False) -> Sent:
+    def of(cls, policy: FilePolicy) -> Sent:
         """Read the file of a policy.
 
         Args:
-            policy: the policy.
-            trust: whether it may be a stable-baselines3 zip.
+            policy: the policy; a zip that is loaded already is trusted.
 
         Raises:
             PolicyError: its file has changed since it was loaded.
@@ -48,6 +47,7 @@ class Sent:
             content = bounded.read(policy.path, MAX_BYTES, PolicyError)
             if policy.sha256 not in (None, _hash(content)):
                 raise PolicyError(f"{policy.path}: changed since it was loaded: start again")
+        trust = isinstance(policy, ZipPolicy)
         return cls(str(policy.path), env, policy.function, trust, policy.sha256, content)
 
     def load(self) -> FilePolicy:

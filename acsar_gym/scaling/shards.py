@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from acsar_gym.config import RobotConfig
@@ -62,7 +62,6 @@ def drive(
     how: Mapping[str, Any] | None = None,
     workers: int | None = None,
     address: str | None = None,
-    trust: bool = False,
     **options: Any,
 ) -> Run:
     """Evaluate a policy as `runs.drive`, in parallel.
@@ -75,7 +74,6 @@ def drive(
         how: keyword arguments of `episodes.episodes`.
         workers: as for `completed`.
         address: as for `completed`.
-        trust: whether the policy may be a stable-baselines3 zip.
         **options: other arguments of the env.
 
     Raises:
@@ -85,11 +83,12 @@ def drive(
     if address is None and workers in (None, 1):
         return runs.drive(policy, link, robot, seeds, how=how, **options)
     _check(link, options)
-    sent, config, portable = Sent.of(policy, trust=trust), RobotConfig.of(robot), _portable(options)
-    jobs = [
-        Shard(sent, link, config, part, part[0] - seeds[0], how or {}, portable)
-        for part in parts(seeds, workers)
-    ]
+    jobs = _split(
+        Shard(
+            Sent.of(policy), link, RobotConfig.of(robot), seeds, 0, how or {}, _portable(options)
+        ),
+        workers,
+    )
     finished = completed(run, jobs, workers=workers, address=address)
     with contextlib.closing(finished):
         results = (result for _, shard in finished for result in shard)
@@ -115,6 +114,14 @@ def _portable(options: Mapping[str, Any]) -> dict[str, Any]:
     source = options.get("worlds")
     read = pool.read(source) if isinstance(source, str) else None
     return dict(options) if read is None else {**options, "worlds": read}
+
+
+def _split(whole: Shard, workers: int | None) -> list[Shard]:
+    """Split an evaluation into jobs."""
+    first = whole.seeds.start
+    return [
+        replace(whole, seeds=part, skip=part.start - first) for part in parts(whole.seeds, workers)
+    ]
 
 
 def parts(seeds: range, workers: int | None) -> list[range]:

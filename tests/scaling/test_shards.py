@@ -38,7 +38,17 @@ def both(policy: FilePolicy, count: int, **options: Any) -> list[Run]:
     ]
 
 
-def test_two_processes_give_the_results_of_one(policy: FilePolicy) -> None:
+def here(function: Any, jobs: list[Any], **_: Any) -> Any:
+    """Run jobs in this process after they were pickled: faster than starting others."""
+    return completed(function, [pickle.loads(pickle.dumps(job)) for job in jobs])  # noqa: S301
+
+
+@pytest.mark.parametrize("started", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_two_processes_give_the_results_of_one(
+    policy: FilePolicy, monkeypatch: pytest.MonkeyPatch, started: bool
+) -> None:
+    if not started:
+        monkeypatch.setattr(shards, "completed", here)
     one, two = both(policy, 4, worlds="open", difficulty=0.3)
     assert repr(one.results) == repr(two.results)
     assert one.worlds == two.worlds
@@ -49,20 +59,20 @@ def test_two_processes_give_the_results_of_one(policy: FilePolicy) -> None:
 def test_worlds_of_a_file_are_sent_and_keep_their_order(
     policy: FilePolicy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Jobs are pickled, but run here: that is faster."""
+    sent: list[Any] = []
 
-    def here(function: Any, jobs: list[Any], **_: Any) -> Any:
-        sent = [pickle.loads(pickle.dumps(job)) for job in jobs]  # noqa: S301 - just made
-        assert all(isinstance(world, World) for job in sent for world in job.options["worlds"])
-        return completed(function, sent)
+    def noticed(function: Any, jobs: list[Any], **_: Any) -> Any:
+        sent.extend(jobs)
+        return here(function, jobs)
 
-    monkeypatch.setattr(shards, "completed", here)
+    monkeypatch.setattr(shards, "completed", noticed)
     folder = tmp_path / "worlds"
     folder.mkdir()
     for number in range(3):
         files.save(World(goal=Region(0.8 + 0.1 * number, 0.3)), folder / f"{number}.json")
     one, two = both(policy, 3, worlds=str(folder), how={"in_order": True})
     assert [result.world for result in two.results] == [0, 1, 2]
+    assert all(isinstance(world, World) for job in sent for world in job.options["worlds"])
     assert repr(one.results) == repr(two.results)
 
 
