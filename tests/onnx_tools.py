@@ -106,6 +106,23 @@ class Maker:
         return data
 
 
+def counting(path: Path, shape: tuple[Any, ...] = (1, 2), dtype: int = 1, outputs: int = 1) -> Path:
+    """A recurrent policy for PointGoal whose action is how often it decided before, times 0.1."""
+    import onnx
+
+    make, value = Maker(), onnx.helper.make_tensor_value_info
+    make.add("Add", make.dense("observation", 7, out="d"), "count", out="action")
+    if outputs:
+        make.add("Add", "count", make.weight(np.full((1, 2), 0.1)), out="next")
+    model = make.model()
+    model.graph.input.append(value("count", dtype, shape))
+    model.graph.output.extend([value("next", dtype, shape)] * outputs)
+    state = [{"input": "count", "output": "next", "shape": [1, 2]}]
+    model.metadata_props[0].value = json.dumps(changed(state=state))
+    path.write_bytes(model.SerializeToString())
+    return path
+
+
 def fitting(path: Path, env_id: str, bias: float = 0.0, **options: Any) -> Path:
     """A policy with small weights for an environment, with what `described` says of it."""
     import gymnasium

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from onnx_tools import GOOD, bundle_of, changed, fitting, relabelled
+from onnx_tools import GOOD, bundle_of, changed, counting, fitting, relabelled
 
 from acsar_gym import RobotConfig
 from acsar_gym.config.fingerprint import calibration_sha256, config_sha256
@@ -301,3 +301,33 @@ def test_actions_of_several_decisions_are_arrays_of_their_own() -> None:
     kept = first.copy()
     assert (policy(np.ones(7, np.float32)) != kept).any()
     assert (first == kept).all()
+
+
+def test_a_recurrent_policy_keeps_its_state_until_the_reset(tmp_path: Path) -> None:
+    policy, seen = OnnxPolicy(counting(tmp_path / "p.onnx")), np.zeros(7, np.float32)
+    for _ in range(2):
+        policy.reset()
+        decided = [float(policy(seen)[1]) for _ in range(3)]
+        assert decided == pytest.approx([0.0, 0.1, 0.2])
+    done = runs.drive(policy, "planar", None, range(2))
+    assert [one.length > 0 for one in done.results] == [True, True]
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"shape": ("n", 2)}, "state 'count': must have one constant shape"),
+        ({"shape": (1, 0)}, r"shape \(1, 0\) can't be used"),
+        ({"shape": (50_000, 50_000)}, r"shape \(50000, 50000\) can't be used"),
+        ({"shape": (1, 3)}, "1 states, which aren't the 1 of its bundle"),
+        ({"dtype": 7}, "count must be float32"),
+        ({"outputs": 0}, r"an output for every state, maps \['count'\] to \[\]"),
+        ({"outputs": 2}, "an output for every state"),
+    ],
+    ids=["free", "empty", "huge", "other", "integers", "lost", "too many"],
+)
+def test_a_state_that_cannot_be_kept_is_one_line(
+    options: dict[str, Any], said: str, tmp_path: Path
+) -> None:
+    with pytest.raises(PolicyError, match=f"p.onnx: .*{said}"):
+        OnnxPolicy(counting(tmp_path / "p.onnx", **options))
