@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from statistics import fmean, median
+from statistics import fmean, median_low
 
 from acsar_gym.doctor.listening import Ear, Line
 from acsar_gym.doctor.spinning import STANDS, stand
@@ -194,6 +194,6 @@ class Together:
 
 def _delays(found: Sequence[float], period: float) -> Delays:
     """Leave out wheels that still crept from an earlier command: all others lie in one period."""
-    usual = median(found)
+    usual = median_low(found)  # one of them, so that it is near itself
     near = [delay for delay in found if abs(delay - usual) <= period + JITTER]
     return Delays(min(near), max(near))

@@ -5,12 +5,11 @@
     python agents/examples/rllib_batch.py --runners 16 --address auto   # on a cluster's head node
 
 `gym_env_vectorize_mode="vector_entry_point"` is what makes RLlib take the batch; without it, each
-env runner steps single envs one by one (`env_config={"link": "planar"}`). What RLlib would do with
-actions that aren't in [-1, 1], and with info, is switched off: it took longer than the robots. RLlib
-also takes the id as it is, `environment("acsar_gym:acsar_gym/PointGoal-v0")`. A runner that dies is
-started again. Of one core, a runner samples 21,800 steps/s and the learner takes in 7,800
-(6 epochs): beyond one runner the learner is what limits. 300,000 steps take 55 s of one core;
-rllib.onnx then reaches 100 of 100 goals.
+env runner steps single envs one by one (`env_config={"link": "planar"}`). What RLlib does with
+info, and to rescale actions, is switched off: it took longer than the robots. RLlib also takes the
+id as it is, `environment("acsar_gym:acsar_gym/PointGoal-v0")`. A runner that dies is started again.
+
+FIGURE 300,000 steps take 55 s of one core; rllib.onnx then reaches 100 of 100 goals.
 """
 
 import argparse
