@@ -83,9 +83,9 @@ def course_of(
     if len(near) == 0:
         return bearing, math.inf
     wide = np.arcsin(np.clip(radius / np.maximum(near, 1e-6), 0.0, 1.0))
-    middles: Floats = (np.arange(BINS) + 0.5) * (2.0 * math.pi / BINS) - math.pi
+    middles: Floats = np.linspace(-math.pi, math.pi, BINS, endpoint=False)
     apart = np.abs((middles[:, None] - to + math.pi) % (2.0 * math.pi) - math.pi)
-    free = (apart > wide).all(axis=1)
+    free: NDArray[np.bool_] = np.all(apart > wide, axis=1)
     if not free.any():
         return float(to[near.argmax()]), float(near.min())
     centre = min(gaps(free, middles), key=lambda gap: off_gap(gap, bearing))[0]
