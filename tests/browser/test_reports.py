@@ -12,15 +12,21 @@ import shutil
 import subprocess
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
+from benchmark_tools import cell, part, plan
 from rollout_tools import HIDDEN, driven, random_steps, recording, rollouts
 
 from acsar_gym import RobotConfig
-from acsar_gym.evaluation.page.document import Page
+from acsar_gym.benchmark import page as benchmark_page
+from acsar_gym.benchmark import result
+from acsar_gym.evaluation.page.document import Film, Page
 from acsar_gym.gap.measure import measure
 from acsar_gym.gap.page import compare_page, gap_page
 from acsar_gym.gap.sides import compare
+from acsar_gym.render.canvas import encode
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 pytestmark = pytest.mark.skipif(
@@ -30,7 +36,9 @@ TIMEOUT = 120.0
 SCHEMES = {"dark": (0, (20, 22, 26)), "light": (1, (251, 251, 250))}
 """Blink's number of each scheme, and the background in page.css."""
 ACSAR = RobotConfig.preset("acsar")
-PAGES = ("gap", "compare")
+DOT = encode(np.full((64, 64, 3), 200, np.uint8))
+"""A picture."""
+PAGES = ("gap", "compare", "benchmark")
 
 
 @dataclass(frozen=True)
@@ -59,10 +67,24 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made: dict[str, Page] = {
         "gap": gap_page.page(gap),
         "compare": compare_page.page(compare(sim, real)),
+        "benchmark": benchmark_page.page(benchmark(), [Film("an episode", DOT, b"")]),
     }
     for name, page in made.items():
         page.write(folder / f"{name}.html")
     return folder
+
+
+def benchmark() -> dict[str, Any]:
+    """Results with several agents, links and conditions."""
+    scores = (0.9, 0.0, 0.5, 0.7)
+    parts = [
+        part(cell(agent, link=link, condition=condition), scores)
+        for agent in ("packaged", "floor")
+        for link, condition in (("planar", "nominal"), ("bullet", "nominal"), ("planar", "husky"))
+    ]
+    told = result.result(plan(packaged="learned", floor="baseline"), parts)
+    found: dict[str, Any] = json.loads(json.dumps(told))
+    return found
 
 
 def opened(page: Path, scheme: str, folder: Path, height: int = 3000) -> Seen:

@@ -142,33 +142,31 @@ def _improvements(own: Sequence[Told]) -> Plot:
     )
 
 
-def robustness(rows: Sequence[Told], conditions: Told) -> Plot:
-    """Plot success by condition, a line for each agent."""
-    chosen, order = colors(rows), [name for name in conditions if _any(rows, name)]
-    words = [conditions[name]["words"] for name in order]
+def robustness(rows: Sequence[Told], conditions: Told, chosen: Mapping[str, str]) -> Plot:
+    """Plot success by condition, a line for each agent; what a condition is shows beside it."""
+    order = [name for name in conditions if _any(rows, name)]
     traces = []
-    for name, color in chosen.items():
+    for name in dict.fromkeys(row["agent"] for row in rows):
         own = {row["condition"]: row for row in rows if row["agent"] == name}
-        found = [(place, own[each]) for place, each in enumerate(order) if each in own]
-        rates = [100.0 * row["success_rate"] for _, row in found]
-        where = [place for place, _ in found]
-        marker = {"color": color, "size": 8}
+        found = [each for each in order if each in own]
+        color, rates = chosen[name], [100.0 * own[each]["success_rate"] for each in found]
+        places = [order.index(each) for each in found]
         traces.append(
-            dots(name, where, rates, color, mode="lines+markers", marker=marker)
-            | {"line": {"color": color, "width": _width(found[0][1])}}
+            dots(name, places, rates, color, mode="lines+markers")
+            | {"line": {"color": color, "width": _width(own[found[0]])}}
+            | {"text": [conditions[each]["words"] for each in found]}
+            | {"hovertemplate": "%{y:.1f} %, %{text}"}
         )
-    ticks: dict[str, Any] = {"tickvals": list(range(len(order))), "ticktext": words}
     return Plot(
         f"{rows[0]['id']}, {LINKS[rows[0]['link']]}",
         [traces],
         {
-            "xaxis": axis("", **ticks, tickangle=-30),
-            "yaxis": axis("success [%]", range=[0.0, 102.0]),
-            "hovermode": "x unified",
-            **LEGEND,
+            "xaxis": axis("", tickvals=list(range(len(order))), ticktext=order, tickangle=-30),
+            "yaxis": axis("success [%]", range=[-2.0, 102.0]),
+            "showlegend": True,
             "legend": {"orientation": "h", "y": 1.12, "x": 0, "font": {"size": 12}},
         },
-        480,
+        440,
     )
 
 

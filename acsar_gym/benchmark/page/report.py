@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import acsar_gym
@@ -12,7 +12,7 @@ from acsar_gym.benchmark.conditions import NOMINAL
 from acsar_gym.benchmark.page import plots, worst
 from acsar_gym.benchmark.page.plots import Told
 from acsar_gym.benchmark.table import COLUMNS, LINKS
-from acsar_gym.evaluation.page.document import Film, Gallery, Grid, Page, Section, Tile
+from acsar_gym.evaluation.page.document import Film, Gallery, Grid, Page, Plot, Section, Tile
 
 WORST = 10
 """Episodes that are shown."""
@@ -61,16 +61,16 @@ def page(results: Told, films: Sequence[Film] = (), missing: Sequence[str] = ())
     rows = [row for row in results["rows"] if not row["refused"]]
     nominal = [row for row in rows if row["condition"] == NOMINAL]
     count = sum(row["episodes"] for row in rows)
-    names = dict.fromkeys(row["agent"] for row in rows)
+    colors = plots.colors(rows)
     return Page(
         title="Benchmark",
-        subtitle=f"{len(names)} agents, {count:,} episodes",
+        subtitle=f"{len(colors)} agents, {count:,} episodes",
         said=[INTRODUCTION, SCORE, *_refused(results)],
         tiles=_tiles(results),
         sections=[
-            *_places(results, nominal),
+            *_places(results, nominal, colors),
             *_comparisons(results),
-            *_robustness(results, rows),
+            *_robustness(results, rows, colors),
             *_worst(films),
             Section("Provenance", "", [_provenance(results["header"]), _policies(results)]),
         ],
@@ -98,13 +98,16 @@ def _refused(results: Told) -> list[str]:
     return [f"{'; '.join(told)}."] if told else []
 
 
-def _places(results: Told, nominal: Sequence[Told]) -> Iterator[Section]:
+def _places(results: Told, nominal: Sequence[Told], colors: Mapping[str, str]) -> Iterator[Section]:
     """Make a section for each id and set of scenes: table, scores and performance profile."""
     for env_id, scenes in dict.fromkeys((row["id"], row["scenes"]) for row in nominal):
         own = [row for row in nominal if (row["id"], row["scenes"]) == (env_id, scenes)]
         own.sort(key=lambda row: (list(LINKS).index(row["link"]), -row["score_iqm"]))
-        colors = plots.colors(own)
-        parts = [table(own), plots.scores(own, colors), plots.profiles(own, results, colors)]
+        parts: list[Grid | Plot] = [
+            table(own),
+            plots.scores(own, colors),
+            plots.profiles(own, results, colors),
+        ]
         name = env_id if scenes == "test" else f"{env_id}, {scenes} scenes"
         yield Section(name, _about(results["header"]["scenes"], env_id, scenes), parts)
 
@@ -142,7 +145,12 @@ def _plain(text: str) -> str:
 
 def _comparisons(results: Told) -> list[Section]:
     """Make the section of the probability of improvement."""
-    some = results["improvements"]
+    own = {(best["id"], best["scenes"], best["link"], best["learned"]) for best in results["best"]}
+    some = [
+        each
+        for each in results["improvements"]
+        if (each["id"], each["scenes"], each["link"], each["agent"]) in own
+    ]
     if not some:
         return []
     text = (
@@ -152,13 +160,14 @@ def _comparisons(results: Told) -> list[Section]:
     return [Section("Probability of improvement", text, plots.improvements(some))]
 
 
-def _robustness(results: Told, rows: Sequence[Told]) -> list[Section]:
+def _robustness(results: Told, rows: Sequence[Told], colors: Mapping[str, str]) -> list[Section]:
     """Make the section of the robustness profiles."""
     places = dict.fromkeys((row["id"], row["link"]) for row in rows if row["condition"] != NOMINAL)
     parts = [
         plots.robustness(
             [row for row in rows if (row["id"], row["link"]) == place and row["scenes"] == "test"],
             results["header"]["conditions"],
+            colors,
         )
         for place in places
     ]
@@ -170,7 +179,7 @@ def _worst(films: Sequence[Film]) -> list[Section]:
     """Make the section of the worst episodes."""
     text = (
         "Of the best learned agent of each id: failures first, then the lowest scores. Orange: the "
-        "true path, blue: odometry, red: where it collided."
+        "true path, blue: odometry, red: where it collided. A click plays the episode."
     )
     return [Section("Worst episodes", text, [Gallery(films)])] if films else []
 

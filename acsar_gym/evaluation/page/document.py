@@ -204,9 +204,9 @@ def _part(part: Grid | Plot | Gallery, plots: Sequence[Plot]) -> str:
 
 
 def _gallery(gallery: Gallery) -> str:
-    """Return films; their pictures are shown until they are played."""
+    """Return films; their pictures are shown until they are clicked, see page.js."""
     films = "".join(
-        f'<figure class="card"><video controls muted playsinline preload="none" '
+        f'<figure class="card"><video muted playsinline preload="none" '
         f'poster="{_embedded("image/png", film.picture)}" '
         f'src="{_embedded("video/mp4", film.video)}" aria-label="{escape(film.caption)}"></video>'
         f"<figcaption>{escape(film.caption)}</figcaption></figure>"
