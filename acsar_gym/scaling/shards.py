@@ -72,8 +72,7 @@ def drive(
         robot: preset or file of the robot; None for the default.
         seeds: seeds of the episodes.
         how: keyword arguments of `episodes.episodes`.
-        workers: as for `completed`.
-        address: as for `completed`.
+        workers, address: as for `completed`.
         **options: other arguments of the env.
 
     Raises:
@@ -83,13 +82,9 @@ def drive(
     if address is None and workers in (None, 1):
         return runs.drive(policy, link, robot, seeds, how=how, **options)
     _check(link, options)
-    jobs = _split(
-        Shard(
-            Sent.of(policy), link, RobotConfig.of(robot), seeds, 0, how or {}, _portable(options)
-        ),
-        workers,
-    )
-    finished = completed(run, jobs, workers=workers, address=address)
+    config, portable = RobotConfig.of(robot), _portable(options)
+    whole = Shard(Sent.of(policy), link, config, seeds, 0, how or {}, portable)
+    finished = completed(run, _split(whole, workers), workers=workers, address=address)
     with contextlib.closing(finished):
         results = (result for _, shard in finished for result in shard)
         done = runs.drive(policy, link, robot, seeds, how=how, elsewhere=results, **options)
