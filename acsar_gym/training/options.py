@@ -93,7 +93,8 @@ class Options:
             *(("net", width, 1, MOST_WIDTH) for width in self.net or ()),
         )
         for name, value, least, most in ranges:
-            if value is not None and not least <= value <= most:
+            number = isinstance(value, int | float)  # config.yml may have been edited
+            if value is not None and not (number and least <= value <= most):
                 raise ConfigError(f"--{name} {shown(value)}: must be {least:,} to {most:,}")
         algorithm(self.algo)
         if self.seeds is None and (self.workers, self.address) != (None, None):

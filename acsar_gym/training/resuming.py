@@ -46,16 +46,27 @@ def start(options: Options) -> Start:
         return Start(options, ZipPolicy(options.resume, trust=options.trust))
     folder = options.resume
     merged = _merged(folder, options)
+    merged.check()
     found = checkpoints.found(folder / CHECKPOINTS)
     if not found:
         raise ConfigError(f"{folder}: has no checkpoint yet: train anew, without --resume")
-    saved = ZipPolicy(found[-1], trust=options.trust)
-    state = checkpoints.read(found[-1])
+    saved, state = _read(found, trust=options.trust)
     if merged.steps is not None and state.steps >= merged.steps:
         raise ConfigError(
             f"{folder}: its {merged.steps:,} steps are done: ask for more with --steps"
         )
     return Start(merged, saved, state)
+
+
+def _read(found: list[Path], *, trust: bool) -> tuple[ZipPolicy, State]:
+    """Read the newest checkpoint; the error names an older one, if there is one."""
+    *older, newest = found
+    try:
+        state = checkpoints.read(newest)
+    except ConfigError as error:
+        instead = f": delete it to go on from {older[-1]}" if older else ""
+        raise ConfigError(f"{error}{instead}") from None
+    return ZipPolicy(newest, trust=trust), state
 
 
 def _merged(folder: Path, options: Options) -> Options:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import shutil
 import signal
 import subprocess
 import sys
@@ -23,7 +24,7 @@ STEPS = 2048
 """Eight rollouts."""
 PATIENCE = 300.0
 """For a subprocess on a busy machine [s]."""
-TINY = ["--robots", "4", "--no-progress", "--threads", "1", "--checkpoint-seconds", "0"]
+TINY = ["--robots", "8", "--no-progress", "--threads", "1", "--checkpoint-seconds", "0"]
 
 
 def curve(folder: Path) -> list[dict[str, str]]:
@@ -119,6 +120,18 @@ def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
     (tmp_path / "config.yml").write_text("run: 3\n")
     with pytest.raises(AcsarError, match="not of 'acsar-gym train'"):
         agent("train").main(["--resume", str(tmp_path), "--trust"])
+
+
+def test_an_edited_config_and_a_cut_checkpoint_are_refused(finished: Path, tmp_path: Path) -> None:
+    shutil.copytree(finished, tmp_path / "copy")
+    resumed = ["--resume", str(tmp_path / "copy"), "--trust", "--steps", "512"]
+    (tmp_path / "copy/checkpoints/rl_model_300_steps.zip").write_bytes(b"PK")
+    with pytest.raises(AcsarError, match=r"delete it to go on from .*rl_model_256_steps\.zip"):
+        agent("train").main(resumed)
+    config = tmp_path / "copy" / "config.yml"
+    config.write_text(config.read_text().replace("robots: 8", "robots: many"))
+    with pytest.raises(AcsarError, match="--robots 'many': must be"):
+        agent("train").main(resumed)
 
 
 def test_more_steps_go_on_in_the_same_folder(

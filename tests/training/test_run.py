@@ -15,7 +15,7 @@ from acsar_gym.resources import agent
 
 pytestmark = pytest.mark.xdist_group("torch")
 
-TINY = ["--robots", "4", "--no-progress", "--threads", "1", "--seed", "3"]
+TINY = ["--robots", "8", "--no-progress", "--threads", "1", "--seed", "3"]
 
 
 @pytest.mark.parametrize("algo", ["sac", "tqc", "ppo_lstm"])
