@@ -124,7 +124,7 @@ def test_a_report_is_drawn(name: str, scheme: str, pages: Path, tmp_path: Path) 
     seen = opened(pages / f"{name}.html", scheme, tmp_path)
     assert seen.console == []
     assert seen.requests == []
-    plots = seen.dom.count("<figure")
+    plots = seen.dom.count('role="img"')
     assert f'data-drawn="{plots}"' in seen.dom
     assert seen.dom.count('class="main-svg"') >= 2 * plots
     assert "NaN" not in re.sub(r"<script.*?</script>", "", seen.dom, flags=re.DOTALL)
