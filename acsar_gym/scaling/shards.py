@@ -72,7 +72,8 @@ def drive(
         robot: preset or file of the robot; None for the default.
         seeds: seeds of the episodes.
         how: keyword arguments of `episodes.episodes`.
-        workers, address: as for `completed`.
+        workers: as for `completed`.
+        address: as for `completed`.
         **options: other arguments of the env.
 
     Raises:
