@@ -183,6 +183,7 @@ def _result(
     info, timing, meter = steps[-1], env.robot.timing, meter_of(env.robot.link)
     fault = info.get("fault_reason", "")
     late = timing.lateness.late_share if timing else 0.0
+    ways: dict[str, Any] = driven.ways(env, steps)
     return EpisodeResult(
         success=info["is_success"] == 1.0,
         collision=info["is_success"] != 1.0 and info["true_contact"] == 1.0,
@@ -193,7 +194,7 @@ def _result(
         odometry_error=info["odometry_error"],
         ticks=(len(steps) - 1) * env.ticks_per_step,
         late_ticks=timing.lateness.late_ticks if timing else 0,
-        **driven.ways(env, steps),
+        **ways,
         turning=driven.turning(steps),
         jerk=driven.jerk(steps, env.ticks_per_step * env.robot.config.period),
         clearance=driven.least_clearance(env, steps),

@@ -61,7 +61,7 @@ class TrackedEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         self._scans: list[NDArray[np.float32]] = []
 
     @property
-    def spec(self) -> EnvSpec | None:
+    def spec(self) -> EnvSpec | None:  # type: ignore[override]  # read only, as Gymnasium's wrappers
         """The spec of the env, without this wrapper."""
         return self.env.spec
 

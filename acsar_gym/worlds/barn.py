@@ -71,8 +71,8 @@ def barn(rng: np.random.Generator, difficulty: float, radius: float) -> World:
         if tried > MOST_TRIED:
             break
     raise GeneratorError(
-        f"no BARN world lets a footprint of radius {radius:g} m through; use a lower difficulty, or another "
-        "kind of world"
+        f"no BARN world lets a footprint of radius {radius:g} m through; use a lower difficulty, "
+        "or another kind of world"
     )
 
 

@@ -32,7 +32,8 @@ def features(observation: np.ndarray[Any, Any], **options: Any) -> np.ndarray[An
 
     extractor = RayClearance(space(len(observation)), **options)
     seen = torch.from_numpy(observation[None].astype(np.float32))
-    return extractor(seen).numpy()[0]
+    numbers: np.ndarray[Any, Any] = extractor(seen).numpy()[0]
+    return numbers
 
 
 def test_the_last_centimetres_before_a_collision_are_told_apart() -> None:
@@ -120,7 +121,7 @@ def test_the_exported_network_acts_as_the_trained_one(tmp_path: Path) -> None:
     from acsar_gym.policies import sb3_export
 
     env = ids.make_vec("acsar_gym/ObstacleGoal-v1", 1, worlds="clutter:1")
-    width = env.single_observation_space.shape[0]
+    width = int(np.prod(env.single_observation_space.shape))
     policy = mirrored(width=width, odd=(2, 4, 6, 9))
     for bias in policy.mlp_extractor.actor.even:
         torch.nn.init.normal_(bias.bias)
@@ -141,7 +142,7 @@ def test_a_saved_model_can_be_loaded(tmp_path: Path) -> None:
     from acsar_gym.training.mirrored import MirrorPolicy
 
     policy = mirrored()
-    policy.save(tmp_path / "policy.pt")
-    loaded = MirrorPolicy.load(tmp_path / "policy.pt")
+    policy.save(str(tmp_path / "policy.pt"))
+    loaded = MirrorPolicy.load(str(tmp_path / "policy.pt"))
     seen = torch.rand(3, NUMBERS + RAYS)
     assert torch.equal(loaded.get_distribution(seen).mode(), policy.get_distribution(seen).mode())
