@@ -96,7 +96,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--out", default="rllib.onnx")
     asked = parser.parse_args(arguments)
 
-    ray.init(address=asked.address, log_to_driver=False)
+    ray.init(address=asked.address or "local", log_to_driver=False)
     algorithm, steps, started = configured(asked).build_algo(), 0, time.perf_counter()
     while steps < asked.steps:
         told = algorithm.train()
