@@ -121,7 +121,7 @@ def test_the_exported_network_acts_as_the_trained_one(tmp_path: Path) -> None:
     from acsar_gym.policies import sb3_export
 
     env = ids.make_vec("acsar_gym/ObstacleGoal-v1", 1, worlds="clutter:1")
-    width = int(np.prod(env.single_observation_space.shape))
+    width = len(env.single_observation_space.sample())
     policy = mirrored(width=width, odd=(2, 4, 6, 9))
     for bias in policy.mlp_extractor.actor.even:
         torch.nn.init.normal_(bias.bias)
