@@ -69,7 +69,7 @@ def begin(plan: Plan) -> dict[str, Any]:
     content = {
         ids.without_module(plan.env_id): plan.recipe.as_dict(),
         RUN: {
-            "commands": [*_before(plan), [Path(sys.argv[0]).name, *sys.argv[1:]]],
+            "commands": [*_before(plan), command()],
             "options": options,
             "versions": versions(),
             "revision": revision(),
@@ -81,6 +81,14 @@ def begin(plan: Plan) -> dict[str, Any]:
     }
     _write(plan.out, content)
     return content
+
+
+def command() -> list[str]:
+    """The command that began this training, without the folder that it writes to."""
+    given = sys.argv[2:] if sys.argv[1:2] == ["train"] else sys.argv[1:]
+    words = iter(given)
+    kept = [word for word in words if word != "--out" or not next(words, "")]
+    return ["acsar-gym", "train", *kept]
 
 
 def _before(plan: Plan) -> list[Any]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-import sys
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -57,7 +56,7 @@ def told(model: BaseAlgorithm, hyperparameters: Mapping[str, Any], seconds: floa
         hyperparameters=plain(dict(hyperparameters)),
         steps=model.num_timesteps,
         seed=model.seed,
-        command=shlex.join(sys.argv)[:2_000],
+        command=shlex.join(record.command())[:2_000],
         versions=record.versions(),
         revision=record.revision(),
         seconds=seconds,

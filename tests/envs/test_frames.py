@@ -61,7 +61,7 @@ def test_info_is_told_in_the_odometry_frame(link: str) -> None:
     assert truth is not None
     assert to_world(START, true)[:2] == pytest.approx(truth.pose[:2])
     lidar = inner.robot.config.lidar_x_offset
-    ahead = observation[7 + 32] * inner.robot.config.lidar.max_range
+    ahead = observation[10 + 32] * inner.robot.config.lidar.max_range
     assert ahead == pytest.approx(1.4 - true[0] - lidar, abs=0.02)
     env.close()
 

@@ -59,7 +59,7 @@ def test_it_sees_the_wall_in_both_simulations(make: Make, link: str) -> None:
     env = make(link, Quiet, sees=True, robot={"lidar": {"noise": 0.0, "rays": 4}})
     side = 1.5 / math.cos(math.radians(30.0))
     observation, info = env.reset(seed=0)
-    assert observation.shape == (7 + 4 + 3,)
+    assert observation.shape == (10 + 4 + 3,)
     assert observation[-3:] == pytest.approx(np.array([side, 1.5, side]) / REACH, abs=0.01)
     assert info["three_rays_time"] == env.robot.link.now()
     for _ in range(10):
