@@ -56,7 +56,8 @@ class MirrorPolicy(ActorCriticPolicy):
 
     def _build_mlp_extractor(self) -> None:
         """Make the hidden layers of actor and critic."""
-        split = mirror(self.features_dim, self._odd, RobotConfig.of(self._robot))
+        images = getattr(self.features_extractor, "images", ())
+        split = mirror(self.features_dim, self._odd, RobotConfig.of(self._robot), images)
         given: Any = self.net_arch
         widths = given if isinstance(given, dict) else {"pi": given, "vf": given}
         built = _Hidden(split, list(widths["pi"]), list(widths["vf"]), self.activation_fn)
@@ -95,29 +96,35 @@ class MirrorPolicy(ActorCriticPolicy):
         return torch.nn.Sequential(*layers, _dense(torch.cat(rows), biases))
 
 
-def mirror(width: int, odd: Sequence[int], config: RobotConfig) -> _Split:
+def mirror(
+    width: int, odd: Sequence[int], config: RobotConfig, images: Sequence[int] = ()
+) -> _Split:
     """Make the module that splits features into their even and odd parts.
 
     Args:
         width: of the features; the last ones are the rays.
         odd: indices of the numbers that change their sign in the mirror.
         config: of the robot.
+        images: of the features right before the rays: number of each one's mirror image.
 
     Raises:
         ConfigError: the features are fewer than the rays, or `odd` names none of them.
     """
     angles = ray_spec(config).angles()
     first = width - len(angles)
-    if first < 0 or not all(0 <= number < first for number in odd):
+    numbers = first - len(images)
+    if numbers < 0 or not all(0 <= number < numbers for number in odd):
         raise ConfigError(
             f"MirrorPolicy: odd = {tuple(odd)}: must be indices of the numbers before "
             f"{len(angles)} rays, of {width} features"
         )
     image = torch.diag(torch.tensor([-1.0 if k in odd else 1.0 for k in range(width)]))
-    image[first:, first:] = 0.0
+    image[numbers:, numbers:] = 0.0
+    for feature, other in enumerate(images):
+        image[numbers + other, numbers + feature] = 1.0
     for ray, angle in enumerate(angles.tolist()):
-        other = torch.tensor(angles + angle)  # 0, or a full turn, at the ray's mirror image
-        image[first + int(torch.cos(other).argmax()), first + ray] = 1.0
+        apart = torch.tensor(angles + angle)  # 0, or a full turn, at the ray's mirror image
+        image[first + int(torch.cos(apart).argmax()), first + ray] = 1.0
     return _Split(image)
 
 

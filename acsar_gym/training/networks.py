@@ -1,6 +1,6 @@
 """Networks for policies that see a LiDAR. Imports torch.
 
-Both classes are named in a recipe's `policy_kwargs`, for `acsar-gym train` and for RL Zoo. They are
+The classes are named in a recipe's `policy_kwargs`, for `acsar-gym train` and for RL Zoo. They are
 made of plain torch modules, so that a policy's ONNX file contains them.
 """
 
@@ -13,6 +13,7 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from acsar_gym.config import RobotConfig, RobotSource
 from acsar_gym.errors import ConfigError
 from acsar_gym.lidars.base import edges
+from acsar_gym.training import arcs
 
 MARGIN = 0.05
 """Added to a clearance before its logarithm is taken [m]; five times the LiDAR's noise."""
@@ -60,7 +61,69 @@ class RayClearance(BaseFeaturesExtractor):
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         """Map observations (batch, n) to features (batch, n)."""
+        before, rays, after = self._parts(observations)
+        return torch.cat((before, self._near(rays), after), dim=1)
+
+    def _parts(self, observations: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Split observations into the numbers before the rays, ranges [m], and numbers after."""
         before, rays, after = observations.tensor_split((self._first, self._last), dim=1)
-        clearances = torch.clamp(rays * self._max_range - self.edges, min=0.0)
-        near = SCALE * torch.log(clearances + MARGIN) + OFFSET
-        return torch.cat((before, near, after), dim=1)
+        return before, rays * self._max_range, after
+
+    def _near(self, ranges: torch.Tensor) -> torch.Tensor:
+        """The logarithm of each ray's clearance (batch, rays)."""
+        return logarithm(torch.clamp(ranges - self.edges, min=0.0))
+
+
+class ArcClearance(RayClearance):
+    """As RayClearance, and how far the robot can drive along some arcs, put before the rays.
+
+    They are what the dynamic window approach looks at (Fox et al. 1997): the free ways along
+    `arcs.ARCS`, with the exact footprint, as logarithms, too. A small network can't work out from
+    single rays whether a corner of the footprint will pass.
+
+    Args:
+        observation_space: of a task with the LiDAR.
+        robot: whose LiDAR and footprint these are; see `RobotConfig.of`.
+        first: index of the first ray in the observation; None where the rays come last.
+
+    Attributes:
+        images: number of each arc's mirror image.
+
+    Raises:
+        ConfigError: the observation is too small for the robot's rays.
+    """
+
+    images = arcs.IMAGES
+
+    def __init__(
+        self,
+        observation_space: gymnasium.spaces.Box,
+        robot: RobotSource = None,
+        first: int | None = None,
+    ) -> None:
+        super().__init__(observation_space, robot, first)
+        config = RobotConfig.of(robot)
+        self._features_dim += len(arcs.ARCS)
+        table = logarithm(torch.tensor(arcs.free_ways(config), dtype=torch.float32))
+        rays, cells, ways = table.shape
+        self._cell, self._last_cell = arcs.cell(config), cells - 1
+        self.table: torch.Tensor
+        self.rows: torch.Tensor
+        self.register_buffer("table", table.reshape(rays * cells, ways).contiguous())
+        self.register_buffer("rows", torch.arange(rays) * cells)
+
+    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+        """Map observations (batch, n) to features (batch, n + arcs)."""
+        before, ranges, after = self._parts(observations)
+        return torch.cat((before, self._free(ranges), self._near(ranges), after), dim=1)
+
+    def _free(self, ranges: torch.Tensor) -> torch.Tensor:
+        """The logarithm of each arc's free share (batch, arcs); it has no gradient."""
+        cells = (ranges.detach() / self._cell).long().clamp(0, self._last_cell)
+        ways = torch.nn.functional.embedding(cells + self.rows, self.table)
+        return ways.amin(dim=1)
+
+
+def logarithm(lengths: torch.Tensor) -> torch.Tensor:
+    """0.5 log(length + 0.05) + 0.4, which tells small lengths apart."""
+    return SCALE * torch.log(lengths + MARGIN) + OFFSET

@@ -146,3 +146,88 @@ def test_a_saved_model_can_be_loaded(tmp_path: Path) -> None:
     loaded = MirrorPolicy.load(str(tmp_path / "policy.pt"))
     seen = torch.rand(3, NUMBERS + RAYS)
     assert torch.equal(loaded.get_distribution(seen).mode(), policy.get_distribution(seen).mode())
+
+
+def arcs_seen(observation: np.ndarray[Any, Any]) -> dict[tuple[int, float], float]:
+    """The free share of each arc, by its direction and curvature."""
+    import torch
+
+    from acsar_gym.training.arcs import ARCS
+    from acsar_gym.training.networks import ArcClearance
+
+    extractor = ArcClearance(space(len(observation)))
+    seen = extractor(torch.from_numpy(observation[None].astype(np.float32))).numpy()[0]
+    assert len(seen) == extractor.features_dim == len(observation) + len(ARCS)
+    shares = np.exp((seen[NUMBERS : NUMBERS + len(ARCS)] - 0.4) / 0.5) - 0.05
+    return dict(zip(ARCS, shares.tolist(), strict=True))
+
+
+def test_an_obstacle_ends_the_arcs_that_meet_it() -> None:
+    """A point 0.5 m ahead of the front edge: straight on ends there, turns on the spot don't."""
+    config = RobotConfig.of(None)
+    observation = np.full(NUMBERS + RAYS, 1.0)
+    front = config.body.length / 2.0
+    observation[NUMBERS + RAYS // 2] = (
+        front + 0.5 - config.lidar_x_offset
+    ) / config.lidar.max_range
+    seen = arcs_seen(observation)
+    radius = math.hypot(front, config.body.width / 2.0)
+    assert seen[1, 0.0] * 4.0 * radius == pytest.approx(0.5 - 0.125 * radius, abs=0.04)
+    assert seen[0, 1.0] == seen[0, -1.0] == seen[-1, 0.0] == seen[1, 0.96] == pytest.approx(1.0)
+    assert seen[1, 0.12] == pytest.approx(seen[1, -0.12], abs=0.021)
+    assert seen[1, 0.12] < 1.0
+
+
+def test_free_ways_are_those_of_a_footprint_that_is_driven_there() -> None:
+    """Against points that are moved one by one, for a footprint that isn't a box."""
+    from acsar_gym.config.footprint import border_distance, contains
+    from acsar_gym.training import arcs
+
+    config = RobotConfig(footprint=((0.2, 0.0), (-0.15, 0.14), (-0.15, -0.14)))
+    table, rng = arcs.free_ways(config), np.random.default_rng(0)
+    angles = np.linspace(-math.pi, math.pi, RAYS, endpoint=False)
+    radius, size = 0.2052, arcs.cell(config)
+    for _ in range(40):
+        ray, cell = int(rng.integers(RAYS)), int(rng.integers(5, 60))
+        reach = (cell + 0.5) * size
+        x = reach * math.cos(angles[ray]) + config.lidar_x_offset
+        y = reach * math.sin(angles[ray]) + config.lidar_y_offset
+        ways = np.arange(1, 51) / 50 * math.pi / 2
+        back = [
+            (x * math.cos(a) + y * math.sin(a), y * math.cos(a) - x * math.sin(a)) for a in ways
+        ]
+        met = [
+            contains(config.outline, *p)
+            or border_distance(config.outline, *p) < arcs.MARGIN * radius
+            for p in back
+        ]
+        first = met.index(True) / 50 if True in met else 1.0
+        assert table[ray, cell, arcs.ARCS.index((0, 1.0))] == pytest.approx(first, abs=0.021)
+
+
+def test_a_policy_with_arcs_drives_the_mirror_image_as_the_mirror_image() -> None:
+    import torch
+
+    from acsar_gym.training.mirrored import MirrorPolicy
+    from acsar_gym.training.networks import ArcClearance
+
+    policy = MirrorPolicy(
+        space(),
+        gymnasium.spaces.Box(-1.0, 1.0, (2,)),
+        lambda _: 1e-3,
+        net_arch=[16, 16],
+        odd=ODD,
+        features_extractor_class=ArcClearance,
+    )
+    for layer in policy.parameters():
+        if layer.requires_grad:
+            torch.nn.init.normal_(layer)
+    seen = torch.rand(20, NUMBERS + RAYS)
+    image = seen.clone()
+    image[:, list(ODD)] *= -1.0
+    image[:, NUMBERS + 1 :] = seen[:, NUMBERS + 1 :].flip(1)
+    with torch.no_grad():
+        here = policy.get_distribution(seen).mode()
+        there = policy.get_distribution(image).mode() * torch.tensor([1.0, -1.0])
+    close = torch.isclose(here, there, atol=1e-3).all(dim=1)
+    assert close.float().mean() > 0.9  # a point at the edge of a cell may fall to either side
