@@ -31,7 +31,7 @@ lint: $(READY)
 	$(BIN)/lint-imports
 	$(BIN)/mypy
 
-test-ecosystem: $(ECOSYSTEM)/ready  ## agents/examples and RL Zoo, with their libraries, in ten minutes
+test-ecosystem: $(ECOSYSTEM)/ready  ## agents/examples and RL Zoo, with their libraries, in five minutes
 	$(ECOSYSTEM)/bin/pytest --noconftest -o addopts= tests/ecosystem
 
 firmware: $(READY)  ## build the board's program with avr-gcc, and test it on a simulated chip
