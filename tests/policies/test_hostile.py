@@ -39,10 +39,11 @@ def test_a_hostile_file_is_one_line(
     path = tmp_path / "policy.onnx"
     path.write_bytes(make())
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    largest = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss  # of other tests' children
     assert HOSTILE[make] in refused(path)
     grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
     assert grown < 300_000  # kB
-    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss < 1_500_000  # with other tests'
+    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss <= max(largest, 1_500_000)
 
 
 @pytest.mark.parametrize("domain", ["ai.onnx.ml", "pkg.onnxscript.torch_lib"])
