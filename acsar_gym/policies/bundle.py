@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, StringConstraints, model_validator
 
 from acsar_gym.config.section import Section
-from acsar_gym.errors import ConfigError, PolicyError, shown
+from acsar_gym.errors import ConfigError, PolicyError, printable, shown
 from acsar_gym.reading import structured
 
 KEY = "acsar_gym.bundle"
@@ -238,4 +238,4 @@ class _BundleError(PolicyError):
     """A damaged bundle, with what to do."""
 
     def __init__(self, problem: str) -> None:
-        super().__init__(f"its bundle is damaged: {problem}: export the policy again")
+        super().__init__(f"its bundle is damaged: {printable(problem)}: export the policy again")

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from onnx_tools import GOOD, bundle_of, changed, counting, fitting, relabelled
 
@@ -75,6 +75,7 @@ def test_a_cut_bundle_is_one_line(end: int) -> None:
 
 @settings(max_examples=300, deadline=None)
 @given(st.sampled_from(PLACES), JSON)
+@example(("metrics", "held_out"), {"\n": ""})
 def test_a_changed_bundle_is_a_bundle_or_one_line(path: tuple[Any, ...], value: Any) -> None:
     data = changed()
     place = data

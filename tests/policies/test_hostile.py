@@ -43,7 +43,11 @@ def test_a_hostile_file_is_one_line(
     assert HOSTILE[make] in refused(path)
     grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
     assert grown < 300_000  # kB
-    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss <= max(largest, 1_500_000)
+    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss <= max(
+        largest,
+        before + 100_000,
+        1_500_000,  # a child begins with the size of its parent
+    )
 
 
 @pytest.mark.parametrize("domain", ["ai.onnx.ml", "pkg.onnxscript.torch_lib"])
