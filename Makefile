@@ -11,7 +11,7 @@ BOARD_SUITES := tests/links/test_contract.py tests/links/test_serial.py tests/li
   tests/safety/test_estop.py
 REPLUG_CYCLES ?= 1000
 
-.PHONY: demo test test-slow test-browser test-ecosystem test-scale throughput lint firmware \
+.PHONY: demo test docs test-slow test-browser test-ecosystem test-scale throughput lint firmware \
   firmware-tested fuzz soak replug identify-check clean
 
 demo: $(READY)  ## train a policy, drive it in PyBullet, then over a serial device
@@ -30,6 +30,10 @@ lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports
 	$(BIN)/mypy
+
+docs: $(READY)  ## the site, into build/site; no network, and a warning is an error
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@echo "make docs: build/site/index.html"
 
 test-ecosystem: $(ECOSYSTEM)/ready  ## agents/examples and RL Zoo, with their libraries, in five minutes
 	$(ECOSYSTEM)/bin/pytest --noconftest -o addopts= tests/ecosystem
@@ -73,7 +77,7 @@ replug: $(READY)  ## pull the cable of a driving robot a thousand times, in twen
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[all,dev]'
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[all,dev,docs]'
 	touch $@
 
 # CleanRL's package is its scripts: what else it asks for is years old.

@@ -11,7 +11,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-import snippets
+import page_tools
 
 from acsar_gym.evaluation import runs
 from acsar_gym.policies import OnnxPolicy
@@ -72,7 +72,12 @@ def test_minari_has_the_episodes(tmp_path: Path) -> None:
 
 
 def test_rllib_takes_the_id_as_it_is(tmp_path: Path) -> None:
-    code = snippets.shrunk("RLlib", {"256": "4"}) + (
+    page = page_tools.blocks(page_tools.ROOT / "docs" / "training.md")
+    (shown,) = (
+        block.code for block in page if "rllib" in block.code and block.language == "python"
+    )
+    assert "256" in shown
+    code = shown.replace("256", "4") + (
         "config.training(train_batch_size_per_learner=32, minibatch_size=16, num_epochs=1)\n"
         "config.env_runners(num_env_runners=0)\n"
         "print(config.build_algo().train()['env_runners']['num_env_steps_sampled'])\n"

@@ -1,0 +1,232 @@
+"""README.md and docs/: every block of code runs. `page_tools` tells how pages mark their blocks."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import importlib
+import re
+import runpy
+import shlex
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import gymnasium
+import page_tools
+import pytest
+import tyro
+from page_tools import PAGES, ROOT, Block
+
+from acsar_gym import cli
+from acsar_gym.cli import app, bundles, recording
+from acsar_gym.cli import worlds as world_commands
+from acsar_gym.training.options import Options
+from acsar_gym.worlds import registry
+
+UNFINISHED = {"README.md", "docs/extending.md"}
+"""Pages that are being rewritten."""
+LANGUAGES = {"bash", "c", "cpp", "dockerfile", "ini", "json", "python", "text", "xml", "yaml"}
+DEVICE = re.compile(r"/dev/tty(?:ACM|USB)\d")
+LIMIT = 600.0
+"""After which a block counts as hanging [s]; far more than any takes."""
+SMALLER: dict[str, dict[str, str]] = {
+    "docs/training.md": {
+        "256": "4",
+        "n_steps=64": "n_steps=8",
+        "batch_size=4096": "batch_size=32",
+        "300_000": "32",
+    },
+    "docs/scaling.md": {"workers=8": "workers=1"},
+}
+"""Numbers of a page's blocks of Python that tests make smaller."""
+SMALLEST = {
+    "evaluate": {"--episodes": "1", "--workers": "1"},
+    "train": {"--steps": "64", "--robots": "8", "--workers": "1"},
+}
+"""Options that commands get, or have, with other values."""
+
+
+def smaller(words: list[str], device: str | None) -> list[str]:
+    """A command's arguments, as tests run it."""
+    words = [DEVICE.sub(device, word) if device else word for word in words]
+    for option, value in SMALLEST.get(words[0], {}).items():
+        if option in words:
+            words[words.index(option) + 1] = value
+        elif option != "--workers":
+            words += [option, value]
+    return words
+
+
+@contextlib.contextmanager
+def limited(block: Block) -> Iterator[None]:
+    """Fails a block that hangs."""
+
+    def expire(number: int, frame: FrameType | None) -> None:
+        pytest.fail(f"{block}: not within {LIMIT:g} s")
+
+    before = signal.signal(signal.SIGALRM, expire)
+    signal.setitimer(signal.ITIMER_REAL, LIMIT)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The folder of a page, from which it imports; what it registers is forgotten at the end."""
+    modules, ids, own = set(sys.modules), dict(gymnasium.registry), dict(registry._OWN)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    for name in ("agents", "assets"):  # pages name them as from a checkout
+        (tmp_path / name).symlink_to(ROOT / name)
+    yield tmp_path
+    for name in set(sys.modules) - modules:
+        if str(getattr(sys.modules[name], "__file__", None)).startswith(str(tmp_path)):
+            del sys.modules[name]
+    for kept, known in ((ids, gymnasium.registry), (own, registry._OWN)):
+        known.clear()
+        known.update(kept)
+
+
+def source(block: Block) -> str:
+    """A block's code with smaller numbers; errors tell its lines in the page."""
+    code = block.code
+    for old, new in SMALLER.get(str(block.page.relative_to(ROOT)), {}).items():
+        code = code.replace(old, new)
+    return "\n" * (block.line - 1) + code
+
+
+def save(block: Block, folder: Path, name: str) -> None:
+    """Write a file; a module of Python is imported, as a check."""
+    path = folder / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(source(block).lstrip("\n"), encoding="utf-8")
+    if path.suffix == ".py":
+        for package in list(path.parents)[: len(Path(name).parents) - 1]:
+            (package / "__init__.py").touch()
+        importlib.invalidate_caches()
+        importlib.import_module(".".join(Path(name).with_suffix("").parts))
+
+
+def called(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Run a command of a bash block in this process."""
+    monkeypatch.setattr(sys, "argv", words)
+    with pytest.raises(SystemExit) as ended:
+        if words[0] == "python":
+            runpy.run_path(words[1], run_name="__main__")
+            sys.exit(0)
+        cli.main()
+    assert not ended.value.code, shlex.join(words)
+
+
+def quiet(command: Callable[..., Any]) -> Callable[..., int]:
+    """The command's options, and nothing else of it."""
+
+    @functools.wraps(command)
+    def nothing(*_: Any, **__: Any) -> int:
+        return 0
+
+    return nothing
+
+
+def parsed(words: list[str]) -> None:
+    """Check a command's name and options; it isn't run."""
+    with pytest.MonkeyPatch.context() as patch:
+        for table in (app.COMMANDS, bundles.POLICY, world_commands.WORLDS):
+            for name in [name for name in table if name not in app.GROUPS]:
+                patch.setitem(table, name, quiet(table[name]))
+        for name in ("info", "export"):
+            patch.setattr(recording, name, quiet(getattr(recording, name)))
+        patch.setitem(app.GROUPS, "train", lambda: bool(tyro.cli(Options, args=words[2:])) - 1)
+        called(words, patch)
+
+
+def is_ours(words: list[str]) -> bool:
+    return words[0] == "acsar-gym"
+
+
+def is_script(words: list[str]) -> bool:
+    return words[0] == "python" and words[1:2] != ["-m"]
+
+
+def check(block: Block) -> None:
+    """The syntax of a block that isn't run."""
+    if block.language == "python":
+        compile(source(block), str(block), "exec")
+    for words in block.commands if block.language == "bash" else ():
+        if is_ours(words):
+            parsed([word for word in words if word != "&"])
+
+
+def execute(block: Block, folder: Path, names: dict[str, Any], board: Callable[[], str]) -> None:
+    """Run a block."""
+    if block.saved is not None:
+        save(block, folder, block.saved)
+    elif block.language == "python":
+        exec(compile(source(block), str(block.page), "exec"), names)  # noqa: S102 - our own
+    for words in block.commands if block.language == "bash" else ():
+        with pytest.MonkeyPatch.context() as patch:
+            if words[-1] == "&" and is_ours(words):
+                parsed(words[:-1])
+            elif is_ours(words):
+                device = board() if DEVICE.search(" ".join(words)) else None
+                called(["acsar-gym", *smaller(words[1:], device)], patch)
+            elif is_script(words):
+                called(words, patch)
+
+
+def runs(page: Path) -> list[Block]:
+    """Blocks of a page that do something."""
+    return [
+        block
+        for block in page_tools.blocks(page)
+        if block.saved or block.language in ("python", "bash")
+    ]
+
+
+def group(page: Path) -> str:
+    """Pages that drive a device don't disturb each other; those with torch import it once."""
+    run = "\n".join(block.code for block in runs(page) if block.reason is None)
+    return "serial" if DEVICE.search(run) else "torch"
+
+
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(
+            page, id=str(page.relative_to(ROOT)), marks=pytest.mark.xdist_group(group(page))
+        )
+        for page in PAGES
+        if runs(page) and str(page.relative_to(ROOT)) not in UNFINISHED
+    ],
+)
+def test_the_code_of_a_page_runs(page: Path, folder: Path, request: pytest.FixtureRequest) -> None:
+    names: dict[str, Any] = {"__name__": "page"}
+    for block in runs(page):
+        with limited(block):
+            if block.reason is None:
+                execute(block, folder, names, lambda: str(request.getfixturevalue("shared_device")))
+            else:
+                check(block)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_blocks_are_fenced_and_name_their_language(page: Path) -> None:
+    if str(page.relative_to(ROOT)) in UNFINISHED:
+        pytest.skip("being rewritten")
+    assert page_tools.indented(page) == []
+    assert [str(b) for b in page_tools.blocks(page) if b.language not in LANGUAGES] == []
+
+
+@pytest.mark.parametrize(
+    "line", ["evaluate --episods 3", "worlds chek barn", "train --envv barn", "fly"]
+)
+def test_wrong_commands_are_found(line: str) -> None:
+    with pytest.raises(AssertionError):
+        parsed(["acsar-gym", *line.split()])
