@@ -6,8 +6,8 @@ How pages write code, so that `tests/docs/test_code.py` can run it:
   is a comment with a path, `# mine/clearance.py`, is saved there and imported; blocks in other
   languages with such a first line (`# robot.yaml`) are saved.
 - ```bash blocks: lines that start with `acsar-gym` run in this process, `python FILE` too; with
-  smaller numbers (see SMALLER in the test), and with an emulated board for /dev/ttyUSB0 or
-  /dev/ttyACM0. A line that ends with `&` isn't run.
+  smaller numbers (see SMALLER and SMALLEST in the test). /dev/ttyUSB0 and /dev/ttyACM0 are an
+  emulated board, and `acsar-gym emulate --name /tmp/robot &` starts another. Other lines are read.
 - What a command prints is a ```text block right after it.
 - `<!-- not run: REASON -->` in the line before a block: Python is only compiled, and commands are
   only parsed (command, options and their values must be right).

@@ -50,9 +50,29 @@ SMALLEST = {
 """Options that commands get, or have, with other values."""
 
 
-def smaller(words: list[str], device: str | None) -> list[str]:
+class Boards:
+    """Emulated boards, by the names that a page has for them."""
+
+    def __init__(self, request: pytest.FixtureRequest) -> None:
+        self._request = request
+        self._devices: dict[str, str] = {}
+
+    def start(self, options: list[str]) -> None:
+        """`acsar-gym emulate OPTIONS &`, with `--name` among them."""
+        at = options.index("--name")
+        emulator = self._request.getfixturevalue("start_emulator")
+        self._devices[options[at + 1]] = emulator(*options[:at], *options[at + 2 :]).device
+
+    def device(self, word: str) -> str:
+        """A word of a command, or the device of the board that it means."""
+        if DEVICE.fullmatch(word):
+            return str(self._request.getfixturevalue("shared_device"))
+        return self._devices.get(word, word)
+
+
+def smaller(words: list[str]) -> list[str]:
     """A command's arguments, as tests run it."""
-    words = [DEVICE.sub(device, word) if device else word for word in words]
+    words = words.copy()
     for option, value in SMALLEST.get(words[0], {}).items():
         if option in words:
             words[words.index(option) + 1] = value
@@ -164,7 +184,7 @@ def check(block: Block) -> None:
             parsed([word for word in words if word != "&"])
 
 
-def execute(block: Block, folder: Path, names: dict[str, Any], board: Callable[[], str]) -> None:
+def execute(block: Block, folder: Path, names: dict[str, Any], boards: Boards) -> None:
     """Run a block."""
     if block.saved is not None:
         save(block, folder, block.saved)
@@ -172,11 +192,11 @@ def execute(block: Block, folder: Path, names: dict[str, Any], board: Callable[[
         exec(compile(source(block), str(block.page), "exec"), names)  # noqa: S102 - our own
     for words in block.commands if block.language == "bash" else ():
         with pytest.MonkeyPatch.context() as patch:
-            if words[-1] == "&" and is_ours(words):
-                parsed(words[:-1])
+            if is_ours(words) and words[-1] == "&":
+                assert words[1] == "emulate"
+                boards.start(words[2:-1])
             elif is_ours(words):
-                device = board() if DEVICE.search(" ".join(words)) else None
-                called(["acsar-gym", *smaller(words[1:], device)], patch)
+                called(["acsar-gym", *map(boards.device, smaller(words[1:]))], patch)
             elif is_script(words):
                 called(words, patch)
 
@@ -193,7 +213,7 @@ def runs(page: Path) -> list[Block]:
 def group(page: Path) -> str:
     """Pages that drive a device don't disturb each other; those with torch import it once."""
     run = "\n".join(block.code for block in runs(page) if block.reason is None)
-    return "serial" if DEVICE.search(run) else "torch"
+    return "serial" if DEVICE.search(run) or "acsar-gym emulate" in run else "torch"
 
 
 @pytest.mark.parametrize(
@@ -208,10 +228,11 @@ def group(page: Path) -> str:
 )
 def test_the_code_of_a_page_runs(page: Path, folder: Path, request: pytest.FixtureRequest) -> None:
     names: dict[str, Any] = {"__name__": "page"}
+    boards = Boards(request)
     for block in runs(page):
         with limited(block):
             if block.reason is None:
-                execute(block, folder, names, lambda: str(request.getfixturevalue("shared_device")))
+                execute(block, folder, names, boards)
             else:
                 check(block)
 
