@@ -2,70 +2,23 @@
 
 from __future__ import annotations
 
-import ctypes
 import re
-import subprocess
-from collections.abc import Sequence
 from pathlib import Path
 
+import protocol_tools
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from protocol_tools import Program
 
 from acsar_gym.protocol import MAX_LINE, Decoder, encode
-from acsar_gym.resources import ASSETS
 
 PART = re.compile(rb"([abcd])([pn])([0-9]{2})\.([0-9]{2})")
-Four = ctypes.c_int16 * 4
-UNTOLD = -32768
-
-
-class State(ctypes.Structure):
-    """struct parser."""
-
-    _fields_ = (
-        ("speeds", Four),
-        ("named", ctypes.c_uint8),
-        ("place", ctypes.c_uint8),
-        ("motor", ctypes.c_uint8),
-        ("backward", ctypes.c_uint8),
-        ("value", ctypes.c_int16),
-        ("length", ctypes.c_uint16),
-    )
-
-
-class Program:
-    """protocol.c."""
-
-    def __init__(self, library: Path) -> None:
-        self._code = ctypes.CDLL(str(library))
-        self._state = State()
-
-    def take(self, data: bytes) -> list[dict[int, int]]:
-        """The motors that each line names, with their speeds [0.01 rad/s]."""
-        lines = []
-        for byte in data:
-            speeds = Four(*[UNTOLD] * 4)
-            named = self._code.protocol_take(ctypes.byref(self._state), byte, speeds)
-            told = {motor: speeds[motor] for motor in range(4) if speeds[motor] != UNTOLD}
-            assert named == sum(1 << motor for motor in told)
-            lines += [told] if told else []
-        return lines
-
-    def line(self, speeds: Sequence[int], *, comma: bool) -> bytes:
-        """What it prints."""
-        text = ctypes.create_string_buffer(34)
-        length = self._code.protocol_line(Four(*speeds), comma, text)
-        return text.raw[:length]
 
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    source = ASSETS / "firmware" / "acsar" / "protocol.c"
-    path = tmp_path_factory.mktemp("protocol") / "protocol.so"
-    strict = ("-Wall", "-Wextra", "-Werror", "-fsanitize=undefined", "-fno-sanitize-recover=all")
-    subprocess.run(["cc", "-shared", "-fPIC", "-O1", *strict, source, "-o", path], check=True)
-    return path
+    return protocol_tools.compiled(tmp_path_factory.mktemp("protocol"))
 
 
 def expected(data: bytes) -> list[dict[int, int]]:
