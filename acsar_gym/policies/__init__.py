@@ -6,7 +6,7 @@ Importing this package imports neither torch nor onnxruntime.
 from acsar_gym.policies.base import FilePolicy, Policy, resolve
 from acsar_gym.policies.callables import CallablePolicy, is_callable
 from acsar_gym.policies.onnx import OnnxPolicy
-from acsar_gym.policies.saving import save
+from acsar_gym.policies.saving import actor, save
 from acsar_gym.policies.sb3_zip import ZipPolicy, statistics_beside
 
 __all__ = [
@@ -15,6 +15,7 @@ __all__ = [
     "OnnxPolicy",
     "Policy",
     "ZipPolicy",
+    "actor",
     "is_callable",
     "resolve",
     "save",

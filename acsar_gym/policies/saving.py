@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +19,27 @@ from acsar_gym.policies.describing import described
 
 if TYPE_CHECKING:
     import torch
+
+
+def actor(network: torch.nn.Module, call: Callable[[Any, torch.Tensor], Any]) -> torch.nn.Module:
+    """Adapt a network of another library to `save`, which wants observations in, actions out.
+
+    For instance TorchRL's, which returns mean and scale before the tanh of its distribution:
+    `policies.save(policies.actor(network, lambda net, seen: net(seen)[0].tanh()), ...)`.
+
+    Args:
+        network: any module; its weights become part of the file.
+        call: called with the network and observations (batch, n); returns actions (batch, 2).
+
+    Returns:
+        A module that maps observations (batch, n) to actions (batch, 2).
+
+    Raises:
+        MissingExtraError: torch, onnx or onnxscript isn't installed.
+    """
+    from acsar_gym.policies import torch_export  # noqa: PLC0415 - optional
+
+    return torch_export.Actor(network, call)
 
 
 def save(

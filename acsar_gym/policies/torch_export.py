@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +57,18 @@ class Normalizer(torch.nn.Module):
         """Normalize observations, shape (batch, n)."""
         scaled = (observation - self.mean) / self.std
         return scaled if self.clip is None else torch.clamp(scaled, -self.clip, self.clip)
+
+
+class Actor(torch.nn.Module):
+    """Calls a network of another library in its own way; see `policies.actor`."""
+
+    def __init__(self, network: torch.nn.Module, call: Callable[[Any, Any], Any]) -> None:
+        super().__init__()
+        self.network, self.call = network, call
+
+    def forward(self, observation: torch.Tensor) -> Any:
+        """Map observations (batch, n) to actions (batch, 2)."""
+        return self.call(self.network, observation)
 
 
 def normalizing(given: Any) -> torch.nn.Module | None:

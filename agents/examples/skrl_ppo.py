@@ -4,16 +4,14 @@
     python agents/examples/skrl_ppo.py --env acsar_gym:acsar_gym/PointGoal-v0 --steps 300000
 
 skrl's automatic choice of a wrapper looks at the names of an env's base classes and doesn't know
-ours; `wrapper="gymnasium"` is the right one. It takes the batch as it is. 300,000
-steps take 9 s of one core (34,200 steps/s); skrl.onnx then reaches 100 of 100 goals.
+ours; `wrapper="gymnasium"` is the right one. It takes the batch as it is. 300,000 steps take 9 s
+of one core (34,200 steps/s); skrl.onnx then reaches 100 of 100 goals.
 """
 
-import argparse
 import time
-from typing import Any
 
 import gymnasium
-import torch
+import tyro
 from skrl.envs.wrappers.torch import wrap_env
 from skrl.utils.runner.torch import Runner
 
@@ -28,46 +26,31 @@ MODELS = {
 AGENT = {"class": "PPO", "learning_epochs": 6, "mini_batches": 4, "discount_factor": 0.98}
 
 
-def main(arguments: list[str] | None = None) -> None:
-    """Train and export."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--env", default="acsar_gym:acsar_gym/PointGoal-v0")
-    parser.add_argument("--steps", type=int, default=300_000)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--robots", type=int, default=256)
-    parser.add_argument("--rollout", type=int, default=64, help="steps of a robot between updates")
-    parser.add_argument("--out", default="skrl.onnx")
-    asked = parser.parse_args(arguments)
-
-    how: dict[str, Any] = {"vectorization_mode": "vector_entry_point", "autoreset_mode": "SameStep"}
-    batch = gymnasium.make_vec(asked.env, asked.robots, **how)
-    steps = asked.steps // asked.robots
+def main(
+    env: str = "acsar_gym:acsar_gym/PointGoal-v0",
+    steps: int = 300_000,
+    seed: int = 0,
+    robots: int = 256,
+    rollout: int = 64,
+    out: str = "skrl.onnx",
+) -> None:
+    """Train and export; a robot makes `rollout` steps between updates."""
+    mode, each = "vector_entry_point", steps // robots
+    batch = gymnasium.make_vec(env, robots, vectorization_mode=mode, autoreset_mode="SameStep")
     config = {
-        "seed": asked.seed,
+        "seed": seed,
         "models": MODELS,
         "memory": {"class": "RandomMemory", "memory_size": -1},
-        "agent": AGENT | {"rollouts": asked.rollout, "time_limit_bootstrap": True},
-        "trainer": {"class": "SequentialTrainer", "timesteps": steps, "headless": True},
+        "agent": AGENT | {"rollouts": rollout, "time_limit_bootstrap": True},
+        "trainer": {"class": "SequentialTrainer", "timesteps": each, "headless": True},
     }
-    runner = Runner(wrap_env(batch, wrapper="gymnasium"), config)
-    started = time.perf_counter()
+    runner, started = Runner(wrap_env(batch, wrapper="gymnasium"), config), time.perf_counter()
     runner.run()
-    print(f"{steps * asked.robots / (time.perf_counter() - started):,.0f} steps/s")
-    policies.save(Mean(runner.agent.policy), asked.env, asked.out)
-
-
-class Mean(torch.nn.Module):
-    """The mean action of skrl's Gaussian policy."""
-
-    def __init__(self, policy: Any) -> None:
-        super().__init__()
-        self.policy = policy
-
-    def forward(self, observation: torch.Tensor) -> torch.Tensor:
-        """Map observations (batch, n) to actions (batch, 2)."""
-        mean: torch.Tensor = self.policy.compute({"observations": observation}, role="policy")[0]
-        return mean
+    print(f"{each * robots / (time.perf_counter() - started):,.0f} steps/s")
+    actor = runner.agent.policy  # returns the mean action first
+    mean = policies.actor(actor, lambda net, seen: net.compute({"observations": seen}, "policy")[0])
+    policies.save(mean, env, out)
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main)

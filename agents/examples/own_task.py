@@ -1,0 +1,59 @@
+"""A task of one's own, parking: trained in a batch of robots, then driven one by one on any link.
+
+python agents/examples/own_task.py --steps 500000 --link bullet
+"""
+
+import math
+from typing import Any
+
+import gymnasium
+import torch
+import tyro
+from stable_baselines3 import PPO
+
+import acsar_gym
+from acsar_gym import Outcome, State, policies
+from acsar_gym.evaluation.episodes import episodes
+from acsar_gym.policies import sb3
+
+
+class Parking(acsar_gym.Task):
+    """Stand still on a point of an open floor; to cross it isn't enough."""
+
+    observation = {"ahead": (-20, 20), "left": (-20, 20), "speed": (-2, 2), "turning": (-4, 4)}
+    memory = {"distance": 0.0}
+
+    def begin(self, state: State, memory: Any) -> None:
+        memory.distance = math.dist(state.goal, state.pose[:2])
+
+    def outcome(self, state: State, memory: Any) -> Outcome:
+        near = math.dist(state.goal, state.pose[:2]) < 0.15
+        return Outcome.SUCCESS if near and abs(state.twist[0]) < 0.05 else Outcome.GOING
+
+    def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
+        before, memory.distance = memory.distance, math.dist(state.goal, state.pose[:2])
+        return 2 * (before - memory.distance) - 0.02 + 2 * (outcome == Outcome.SUCCESS)
+
+    def observe(self, state: State, memory: Any) -> tuple[float, ...]:
+        (x, y), (at_x, at_y, theta) = state.goal, state.pose
+        distance, bearing = math.hypot(x - at_x, y - at_y), math.atan2(y - at_y, x - at_x) - theta
+        return distance * math.cos(bearing), distance * math.sin(bearing), *state.twist
+
+
+acsar_gym.register("mine/Parking-v0", task=Parking, max_episode_steps=200)
+
+
+def main(steps: int = 500_000, link: str = "planar", count: int = 100) -> None:
+    """Train 256 robots, write parking.onnx, and drive `count` episodes on `link`."""
+    batch = sb3.make_batch("mine/Parking-v0", 256)
+    actor = PPO("MlpPolicy", batch, 1e-3, n_steps=64, batch_size=4096, seed=0).learn(steps).policy
+    network = torch.nn.Sequential(actor.mlp_extractor.policy_net, actor.action_net)
+    policies.save(network, "mine/Parking-v0", "parking.onnx")
+    env, policy = gymnasium.make("mine/Parking-v0", link=link), policies.OnnxPolicy("parking.onnx")
+    results = list(episodes(env, policy, count, seed=0))
+    env.close()
+    print(f"{link}: parked in {sum(each.success for each in results)} of {count} episodes")
+
+
+if __name__ == "__main__":
+    tyro.cli(main)
