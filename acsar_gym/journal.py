@@ -46,6 +46,12 @@ class Journal:
         self._sensors = sensors
         self._stamp: float | None = None
 
+    @property
+    def recording(self) -> str:
+        """The file that is recorded to, as an absolute path; empty for none."""
+        path = None if self._recorder is None else self._recorder.path
+        return "" if path is None else str(path.absolute())
+
     def began(self) -> None:
         """After a reset: tell the first scan."""
         self._stamp = None

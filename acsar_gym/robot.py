@@ -67,8 +67,7 @@ class Robot:
         self.wire = Wire(link, self.config)
         self.active = False
         self.safety = Safety(self.config)
-        own = self.config, self.wire, self.safety, self.sensors
-        self._journal = Journal(recorder, link, *own)
+        self._journal = Journal(recorder, link, self.config, self.wire, self.safety, self.sensors)
         self._listener: StopListener | None = None
         self._stopwatch: Stopwatch | None = None
         self._watch: WheelWatch | None = None
@@ -137,7 +136,8 @@ class Robot:
 
     def _listen(self) -> None:
         """Listen for `acsar-gym estop`; a warning where that is impossible."""
-        self._listener = StopListener(getattr(self.link, "device", ""), self.config.name)
+        device = getattr(self.link, "device", "")
+        self._listener = StopListener(device, self.config.name, self._journal.recording)
         if self._listener.unavailable:
             said = f"'acsar-gym estop' can't stop this robot: {self._listener.unavailable}"
             warnings.warn(said, SafetyWarning, stacklevel=4)

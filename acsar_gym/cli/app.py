@@ -16,6 +16,7 @@ import acsar_gym
 from acsar_gym.cli.benchmark import benchmark
 from acsar_gym.cli.bundles import policy
 from acsar_gym.cli.calibrate import calibrate
+from acsar_gym.cli.dashboard import view
 from acsar_gym.cli.devices import doctor, drive, emulate, estop
 from acsar_gym.cli.gap import compare, gap
 from acsar_gym.cli.identify import identify
@@ -47,6 +48,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "run": run,
     "export": export,
     "record": record,
+    "view": view,
     "gap": gap,
     "compare": compare,
     "benchmark": benchmark,

@@ -5,6 +5,7 @@
 | `format` | number of this format |
 | `config`, `config_sha256` | the robot, and the hash of its whole config |
 | `versions` | of acsar_gym, python, numpy |
+| `process` | id of the process that records, which listens for an emergency stop on hardware |
 | `created` | `wall` clock [ns since 1970] and `monotonic` clock [ns] at the same moment; |
 | | /time_reference repeats the wall clock every second |
 | `about` | what the program says about it: `env` (id, kwargs), `task`, `observation` (names of |
@@ -15,6 +16,7 @@
 from __future__ import annotations
 
 import json
+import os
 import platform
 import time
 from collections.abc import Mapping
@@ -62,6 +64,7 @@ def header(config: RobotConfig, about: Mapping[str, Any]) -> dict[str, Any]:
             "numpy": np.__version__,
             "python": platform.python_version(),
         },
+        "process": os.getpid(),
         "created": {"wall": time.time_ns(), "monotonic": time.monotonic_ns()},
         "about": plain(dict(about)),
     }

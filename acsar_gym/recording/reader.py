@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import struct
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
@@ -37,14 +38,25 @@ HEADER = {"config_sha256": str, "versions": dict, "created": dict, "about": dict
 _MESSAGE = struct.Struct("<HIQQ")
 
 
-class _Reader:
-    """Collects the episodes of a file."""
+class Collector:
+    """Collects the episodes of a file.
 
-    def __init__(self) -> None:
+    Attributes: `header` and `end`, None until they were read; `parts`, the episodes; `takers`, by
+    the numbers of the channels that are wanted; `kept`, bytes that were kept so far.
+
+    Args:
+        wanted: what takes the messages of each topic that is wanted.
+
+    Raises:
+        ConfigError: by `take`, for a record that is damaged or of another version.
+    """
+
+    def __init__(self, wanted: Mapping[str, Take] = TAKERS) -> None:
         self.header: dict[str, Any] | None = None
+        self._wanted = wanted
         self.end: dict[str, Any] | None = None
         self.parts: list[Part] = []
-        self._kept = 0
+        self.kept = 0
         self._tables: set[int] = set()
         self.takers: dict[int, Take] = {}
 
@@ -70,8 +82,8 @@ class _Reader:
             raise ConfigError(f"{name} has other columns: it was recorded by another version")
         if name in columns:
             self._tables.add(number)
-        if name in TAKERS:
-            self.takers[number] = TAKERS[name]
+        if name in self._wanted:
+            self.takers[number] = self._wanted[name]
 
     def _message(self, content: bytes) -> None:
         """Take a message."""
@@ -82,8 +94,8 @@ class _Reader:
         taker = self.takers.get(number)
         if taker is None:
             return
-        self._kept += len(content) + (0 if number in self._tables else COST)
-        if self._kept > MOST_KEPT:
+        self.kept += len(content) + (0 if number in self._tables else COST)
+        if self.kept > MOST_KEPT:
             raise ConfigError("holds too much: cut out a part of it")
         data = content[_MESSAGE.size :]
         if taker is begin:
@@ -104,13 +116,11 @@ def read(path: str | Path) -> Recording:
     Raises:
         ConfigError: the file can't be read, isn't a recording, or is damaged.
     """
-    reader, digest, cut = _Reader(), hashlib.sha256(), False
+    reader, digest, cut = Collector(), hashlib.sha256(), False
     path = Path(path)
     with bounded.opened(path, MOST_BYTES) as file:
         try:
-            _check_kind(file.read(1))
-            file.seek(0)
-            found = Records(file, digest)
+            found = records_of(file, digest)
             found.wanted = reader.takers
             for opcode, content in found:
                 reader.take(opcode, content)
@@ -130,10 +140,12 @@ def read(path: str | Path) -> Recording:
     )
 
 
-def _check_kind(first: bytes) -> None:
-    """Raise ConfigError for the recordings of older versions."""
-    if first == b"{":
+def records_of(file: IO[bytes], digest: Any) -> Records:
+    """Return the records of a file; ConfigError for recordings of older versions."""
+    if file.read(1) == b"{":
         raise ConfigError("is a recording of an older version, in JSON: record again")
+    file.seek(0)
+    return Records(file, digest)
 
 
 def _check_format(header: dict[str, Any]) -> None:

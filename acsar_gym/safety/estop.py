@@ -57,6 +57,8 @@ class Driver:
     """Device of the robot; empty where the process doesn't answer."""
     name: str
     """Name of the robot; empty where it has none, or the process doesn't answer."""
+    recording: str
+    """File that the process records to; empty where it doesn't record, or doesn't answer."""
 
 
 class StopListener:
@@ -70,10 +72,11 @@ class StopListener:
     Args:
         device: Of the robot that is stopped.
         name: Of the robot.
+        recording: File that it is recorded to.
     """
 
-    def __init__(self, device: str = "", name: str = "") -> None:
-        self._told = b"\t".join((OTHER, os.fsencode(device), os.fsencode(name)))
+    def __init__(self, device: str = "", name: str = "", recording: str = "") -> None:
+        self._told = b"\t".join((OTHER, *map(os.fsencode, (device, name, recording))))
         real = os.path.realpath(device) if device.startswith("/") else device
         known = {device, os.path.basename(device), real, os.path.basename(real), name}  # noqa: PTH119
         self._names = {os.fsencode(each) for each in known if each} | {b"%d" % os.getpid()}
@@ -202,10 +205,16 @@ def drivers() -> list[Driver]:
     """
     found = []
     for path, answer in sorted(_asked(WHO).items(), key=lambda item: _process(item[0])):
-        _, device, name = (*answer.split(b"\t"), b"", b"")[:3]
+        _, *told = (*answer.split(b"\t", 3), b"", b"", b"")[:4]
         since = max(map(_made_at, (folder / path for folder in folders()[0])), default=0.0)
-        found.append(Driver(_process(path), since, os.fsdecode(device), os.fsdecode(name)))
+        found.append(Driver(_process(path), since, *map(os.fsdecode, told)))
     return found
+
+
+def listens(process: int) -> bool:
+    """Whether a process of this user has a socket for stops; asks nobody."""
+    names = [path.name for folder in folders()[0] for path in _drivers(folder)]
+    return any(_process(name) == process for name in names)
 
 
 def _made_at(path: Path) -> float:

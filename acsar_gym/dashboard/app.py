@@ -1,0 +1,235 @@
+"""The Dash application: what the page's parts do."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import dash
+from dash import Input, Output, State, ctx, no_update
+
+from acsar_gym.dashboard import layout
+from acsar_gym.dashboard import session as sessions
+from acsar_gym.dashboard.session import Session
+from acsar_gym.errors import printable
+
+ASSETS = Path(__file__).parent / "assets"
+POLICY = (
+    "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; "
+    "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; connect-src 'self'"
+)
+"""Content security policy: a browser refuses to load anything from elsewhere."""
+HOSTS = ("127.0.0.1", "localhost")
+SILENT = 3.0
+"""A live run from which nothing came for so long is told [s]."""
+LONGEST = 1.0
+"""Longest step of playing [s]: a browser pauses pages that nobody looks at."""
+VALUES = (
+    *("time", "end", "goal", "late", "worst", "age", "reason", "said"),
+    *(f"{kind}_{who}" for kind in ("linear", "angular") for who in ("asked", "sent", "measured")),
+)
+STATES = {
+    sessions.LIVE: "live",
+    sessions.STOPPED: "stopped",
+    sessions.ENDED: "ended",
+    sessions.RECORDED: "recorded",
+    sessions.BROKEN: "can't be read",
+}
+
+
+GRAPHS = ("top", "wheels", "late")
+OUTPUTS = {
+    **{graph: Output(graph, "figure") for graph in GRAPHS},
+    **{name: Output(f"value-{name}", "children") for name in VALUES},
+    "slider": Output("time", "value"),
+    "longest": Output("time", "max"),
+    "playing": Output("playing", "data"),
+    "clock": Output("clock", "data"),
+    "pulse": Output("pulse", "interval"),
+    "play": Output("play", "children"),
+    "state": Output("state", "children"),
+    "look": Output("state", "className"),
+    "box": Output("stop-box", "className"),
+    "message": Output("message", "children"),
+    "episode": Output("episode", "value"),
+    "episodes": Output("episodes", "children"),
+    "safety": Output("safety", "className"),
+}
+INPUTS = {
+    "pulse": Input("pulse", "n_intervals"),
+    "at": Input("time", "value"),
+    "play": Input("play", "n_clicks"),
+    "episode": Input("episode", "value"),
+    "playing": State("playing", "data"),
+    "clock": State("clock", "data"),
+    "rate": State("rate", "value"),
+}
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What the page sends: see `INPUTS`."""
+
+    pulse: int | None
+    at: float | None
+    play: int | None
+    episode: int | None
+    playing: bool
+    clock: float
+    rate: str
+
+
+def made(session: Session) -> dash.Dash:
+    """Make the application of a session; it loads nothing from anywhere else."""
+    app = dash.Dash(
+        "acsar_gym",
+        assets_folder=str(ASSETS),
+        title=f"{session.tail.path.name} - acsar-gym",
+        update_title="",
+        serve_locally=True,
+        add_log_handler=False,
+        enable_mcp=False,
+    )
+    app.layout = lambda: layout.page(session)
+    app.callback(OUTPUTS, INPUTS)(Shown(session))
+    app.callback(
+        Output("stop-said", "children"),
+        Input("stop", "n_clicks"),
+        running=[
+            (Output("stop", "children"), "Stopping …", "Stop robot"),
+            (Output("stop", "className"), "stop busy", "stop"),
+        ],
+        prevent_initial_call=True,
+    )(partial(_stop, session))
+    _guard(app.server)
+    return app
+
+
+class Shown:
+    """Works out what the page shows next.
+
+    Args:
+        session: what is shown.
+    """
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+
+    def __call__(self, **page: Any) -> dict[str, Any]:
+        """Answer the page: from its inputs, by name, to its outputs."""
+        return self.answered(Inputs(**page), ctx.triggered_id, time.monotonic())
+
+    def answered(self, page: Inputs, cause: str | None, now: float) -> dict[str, Any]:
+        """Work out the outputs.
+
+        Args:
+            page: what the page has sent.
+            cause: the part of the page that has changed; None when it was opened.
+            now: of a steady clock [s].
+        """
+        session = self._session
+        changed, live = session.poll(), session.is_live
+        playing = _playing(page, cause, live=live)
+        follows = live and playing
+        count = len(session.tail.episodes)
+        number = count if follows or not page.episode else min(max(page.episode, 1), count)
+        shown = session.episode(number - 1)
+        end = 0.0 if shown is None else shown.end
+        step = min(max(now - page.clock, 0.0), LONGEST) * float(page.rate)
+        at = end if follows else _moved(page, cause, end, step if playing else 0.0)
+        playing = follows or (playing and at < end)
+        told = self._state(live=live, playing=playing) | {"playing": playing, "clock": now}
+        if cause == "pulse" and not (changed or playing or page.playing):
+            return dict.fromkeys(OUTPUTS, no_update) | told
+        return (
+            told
+            | self._pictures(number - 1, at)
+            | {
+                "slider": at,
+                "longest": max(end, 0.01),
+                "episode": number or no_update,
+                "episodes": f"of {count}",
+            }
+        )
+
+    def _state(self, *, live: bool, playing: bool) -> dict[str, Any]:
+        """What the head of the page tells, and how often it asks again."""
+        session = self._session
+        state = session.state
+        return {
+            "state": STATES[state],
+            "look": f"state {state}",
+            "box": "stopping" if session.can_stop else "stopping none",
+            "message": _message(session),
+            "pulse": layout.QUICK if live or playing else layout.SLOW,
+            "play": "Pause" if playing else "Follow" if live else "Play",
+        }
+
+    def _pictures(self, number: int, at: float) -> dict[str, Any]:
+        """Figures, and figures in words."""
+        frame = self._session.frame(number, at)
+        told: dict[str, Any] = dict.fromkeys((*GRAPHS, *VALUES, "safety"), no_update)
+        shown = {name: frame.readings[name] for name in VALUES if frame.readings}
+        grade = frame.readings.get("grade", "0")
+        return told | frame.figures | shown | {"safety": f"tile reason{grade}"}
+
+
+def _playing(page: Inputs, cause: str | None, *, live: bool) -> bool:
+    """Whether time goes on."""
+    if cause == "play":
+        return not page.playing
+    if cause == "time" and live:  # somebody looks at the past
+        return False
+    return page.playing and cause != "episode"
+
+
+def _moved(page: Inputs, cause: str | None, end: float, step: float) -> float:
+    """Return the time to show, within the episode [s]."""
+    at = page.at or 0.0
+    if cause == "episode" or (cause == "play" and at >= end):
+        return 0.0
+    if cause == "pulse":
+        at += step
+    return min(at, end)
+
+
+def _message(session: Session) -> str:
+    """What goes wrong, in one line; empty where nothing does."""
+    if session.problem:
+        return printable(session.problem)
+    episodes = session.tail.episodes
+    if not episodes:
+        return "waiting for the first episode"
+    if episodes[-1].faults:
+        return printable(episodes[-1].faults[-1][1])
+    age = session.tail.age
+    return f"nothing new for {age:.0f} s" if session.is_live and age > SILENT else ""
+
+
+def _stop(session: Session, clicks: int) -> str:
+    """Stop the robot; returns what came of it."""
+    return printable(session.stop().said)
+
+
+def _guard(server: Any) -> None:
+    """Answer pages from this computer only, and tell browsers to load nothing from elsewhere."""
+    from flask import abort, request  # noqa: PLC0415 - optional
+
+    def check() -> None:
+        own = {f"http://{host}" for host in (request.host,)}
+        if (
+            request.host.rsplit(":", 1)[0] not in HOSTS
+            or request.headers.get("Origin", *own) not in own
+        ):
+            abort(403)
+
+    def secured(response: Any) -> Any:
+        response.headers["Content-Security-Policy"] = POLICY
+        response.headers["X-Frame-Options"] = "DENY"
+        return response
+
+    server.before_request(check)
+    server.after_request(secured)

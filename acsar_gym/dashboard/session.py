@@ -1,0 +1,126 @@
+"""One run that is shown: its recording, where it stands, and how to stop it."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from acsar_gym.dashboard import charts, stopping, top_view
+from acsar_gym.dashboard.episodes import Episode
+from acsar_gym.dashboard.readings import readings
+from acsar_gym.dashboard.stopping import Stop
+from acsar_gym.dashboard.surroundings import world_of
+from acsar_gym.dashboard.tail import Tail
+from acsar_gym.errors import ConfigError
+from acsar_gym.worlds import World
+
+LIVE, STOPPED, ENDED, RECORDED, BROKEN = "live", "stopped", "ended", "recorded", "broken"
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What the page shows at one time.
+
+    Attributes: `figures`, of plotly: top, wheels, late; `readings`, see `readings.readings`.
+    """
+
+    figures: dict[str, Any]
+    readings: dict[str, str]
+
+
+class Session:
+    """A recording, whether it is live, and the stop button.
+
+    Attributes: `problem`, why it can't be read any further, empty where it can; `stopped`, what
+    came of the last stop, None before.
+
+    Args:
+        path: of the recording.
+
+    Raises:
+        ConfigError: it can't be read, or is over and holds no episode.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.tail = Tail(path)
+        self.problem = ""
+        self.stopped: Stop | None = None
+        self._lock = threading.Lock()
+        self._worlds: dict[int, World | None] = {}
+        self._was_live = self.tail.is_growing
+        if not self.tail.episodes and not self._was_live:
+            raise ConfigError(f"{path}: holds no episode")
+
+    def poll(self) -> bool:
+        """Read what was added; returns whether there is anything new."""
+        with self._lock:
+            known = self.tail.header
+            try:
+                changed = self.tail.poll()
+            except ConfigError as error:
+                self.problem = str(error)
+                return False
+            if self.tail.header is not known:
+                self._worlds, self.stopped = {}, None
+            self._was_live = self._was_live or self.tail.is_growing
+            return changed
+
+    @property
+    def state(self) -> str:
+        """LIVE, STOPPED, ENDED, RECORDED or BROKEN."""
+        if self.problem:
+            return BROKEN
+        if self.stopped is not None and self.stopped.state == "stopped":
+            return STOPPED
+        if self.tail.is_growing:
+            return LIVE
+        return ENDED if self._was_live else RECORDED
+
+    @property
+    def is_live(self) -> bool:
+        """Whether the run goes on, stopped or not."""
+        return not self.problem and self.tail.is_growing
+
+    @property
+    def can_stop(self) -> bool:
+        """Whether the stop button does anything."""
+        return self.is_live and stopping.can_stop(self.tail.process)
+
+    def stop(self) -> Stop:
+        """Stop the robot, and wait until its program says so."""
+        self.stopped = stopping.stop(self.tail.process)
+        return self.stopped
+
+    def episode(self, number: int) -> Episode | None:
+        """Return an episode; the newest one for a number that there isn't."""
+        found = self.tail.episodes
+        if not found:
+            return None
+        return found[number] if 0 <= number < len(found) else found[-1]
+
+    def frame(self, number: int, time: float) -> Frame:
+        """Draw an episode at a time since its reset [s]."""
+        with self._lock:
+            episode = self.episode(number)
+            if episode is None:
+                return Frame({}, {})
+            revision = f"{self.tail.path} {number}"
+            config = self.tail.config
+            figures = {
+                "top": top_view.figure(
+                    episode, config, self._world(number, episode), time, revision
+                ),
+                "wheels": charts.wheels(episode, time, revision),
+                "late": charts.lateness(episode, time, revision),
+            }
+            return Frame(figures, readings(episode, time))
+
+    def _world(self, number: int, episode: Episode) -> World | None:
+        """The world of an episode, made once; None where it isn't known."""
+        if number not in self._worlds:
+            if not len(episode.truth):
+                return None
+            self._worlds[number] = world_of(self.tail.header, self.tail.config, episode)
+        return self._worlds[number]
