@@ -58,7 +58,12 @@ class CancelledError(AcsarError):
 
 
 class MissingExtraError(AcsarError):
-    """A feature whose optional dependency isn't installed."""
+    """A feature whose optional dependency isn't installed.
+
+    Args:
+        feature: what needs it.
+        extra: name of the extra that installs it.
+    """
 
     exit_code = 2
 
@@ -178,12 +183,21 @@ _UNPRINTABLE = re.compile(
 
 
 def shortened(text: str, most: int = LONGEST) -> str:
-    """Truncate text to `most` characters, with "..." at the end."""
+    """Return text, cut to `most` characters with "..." at the end.
+
+    Args:
+        text: to cut.
+        most: longest text that stays as it is [characters].
+    """
     return text if len(text) <= most else f"{text[:most]}..."
 
 
 def shown(value: object) -> str:
-    """Format a value like repr(), shortened and on one line."""
+    """Return a value's repr(), shortened and on one line.
+
+    Args:
+        value: anything.
+    """
     try:
         return " ".join(reprlib.repr(value).split())
     except ValueError:  # Python refuses to print integers of thousands of digits
@@ -191,7 +205,11 @@ def shown(value: object) -> str:
 
 
 def printable(text: str) -> str:
-    """Make untrusted text safe for a terminal: shortened, control characters escaped."""
+    """Return untrusted text made safe for a terminal: shortened, control characters escaped.
+
+    Args:
+        text: of a stranger, such as a file's or board's.
+    """
     short = shortened(text)
     return _UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode(), short)
 

@@ -12,6 +12,8 @@ from collections.abc import Sequence
 from acsar_gym.errors import CommandError, ConfigError
 from acsar_gym.protocol import Speeds
 
+__all__ = ["forward", "inverse"]
+
 
 def forward(
     speeds: Sequence[float],

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Self
 
 from acsar_gym import kinematics
+from acsar_gym.config import RobotConfig
 from acsar_gym.errors import CommandError, ConfigError
 from acsar_gym.protocol import ZERO, Speeds
 
+__all__ = ["POSE_COVARIANCE", "TWIST_COVARIANCE", "Odometry"]
 POSE_COVARIANCE: tuple[float, ...] = tuple(0.01 if i in (0, 7, 35) else 0.0 for i in range(36))
 """Row-major 6 x 6 covariance (x, y, z, roll, pitch, yaw), as the robot's driver publishes it."""
 TWIST_COVARIANCE: tuple[float, ...] = tuple(0.01 if i in (0, 35) else 0.0 for i in range(36))
@@ -107,6 +110,21 @@ class Odometry:
         self._right_radius = wheel_radius * right_wheel_radius_multiplier
         self._separation = wheel_separation * wheel_separation_multiplier
         self.reset()
+
+    @classmethod
+    def of(cls, config: RobotConfig) -> Self:
+        """Return the odometry of a robot, at the origin.
+
+        Args:
+            config: of the robot.
+        """
+        return cls(
+            config.wheel_radius,
+            config.wheel_separation,
+            config.wheel_separation_multiplier,
+            left_wheel_radius_multiplier=config.left_wheel_radius_multiplier,
+            right_wheel_radius_multiplier=config.right_wheel_radius_multiplier,
+        )
 
     def reset(self) -> None:
         """Set pose, twist and wheel angles to zero."""

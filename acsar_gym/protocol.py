@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 from acsar_gym.errors import CommandError
 
+__all__ = ["MAX_SPEED", "WHEELS", "ZERO", "Decoder", "Reading", "Speeds", "encode"]
 MOTORS = "abcd"
 WHEELS = ("front_right", "front_left", "rear_left", "rear_right")
 MAX_SPEED = 99.99
@@ -98,18 +99,16 @@ def line_of(a: float, b: float, c: float, d: float, end: bytes) -> bytes:
 
 
 class Reading(NamedTuple):
-    """Content of one line: speeds [rad/s] in the order a, b, c, d; None for missing motors."""
+    """Content of one line."""
 
     speeds: tuple[float | None, float | None, float | None, float | None]
+    """Wheel speeds [rad/s] in the order a, b, c, d; None for missing motors."""
 
     def over(self, old: Speeds) -> Speeds:
-        """Fill in missing motors.
+        """Return all four speeds [rad/s].
 
         Args:
             old: speeds [rad/s] that missing motors keep.
-
-        Returns:
-            All four speeds [rad/s].
         """
         a, b, c, d = self.speeds
         return (

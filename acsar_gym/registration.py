@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from acsar_gym.tasks import Task
 
+__all__ = ["IDS", "register"]
 GYMNASIUM = "gymnasium"
 IDS: dict[str, dict[str, Any]] = {
     "PointGoal-v0": {"max_episode_steps": 200, "reward_threshold": 4.0},

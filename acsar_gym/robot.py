@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import gc
-import warnings
-from collections.abc import Iterable, Sequence
-from types import TracebackType
-from typing import Self
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import LinkError, SafetyWarning
+from acsar_gym.errors import LinkError
 from acsar_gym.journal import Journal
 from acsar_gym.lidars.factory import factories
 from acsar_gym.links.base import Link, arrivals_of
@@ -29,6 +28,22 @@ from acsar_gym.sensors import Factory, Sensor, Sensors
 from acsar_gym.wire import Wire
 from acsar_gym.worlds import Scene
 
+Method = TypeVar("Method", bound=Callable[..., Any])
+
+
+def _deactivating(method: Method) -> Method:
+    """Make any error of a method deactivate the robot."""
+
+    @functools.wraps(method)
+    def guarded(robot: Robot, *args: Any, **kwargs: Any) -> Any:
+        try:
+            return method(robot, *args, **kwargs)
+        except BaseException as error:
+            robot.deactivate(error)
+            raise
+
+    return guarded  # type: ignore[return-value]
+
 
 class Robot:
     """Drives the robot, real or simulated, behind `link`.
@@ -40,11 +55,11 @@ class Robot:
     As a context manager it is active inside the block, and stopped and closed on any way out of it.
 
     Args:
-        link: The wire to the robot.
-        config: Its parameters; None is the ACSAR robot.
-        sensors: Names ("lidar", "mine.rays:ThreeRays"), factories (subclasses of Sensor) or ready
+        link: the wire to the robot.
+        config: its parameters; None is the ACSAR robot.
+        sensors: names ("lidar", "mine.rays:ThreeRays"), factories (subclasses of Sensor) or ready
             sensors. The robot owns them: it resets, polls and closes them.
-        recorder: Records what the robot does; the robot owns it as well.
+        recorder: records what the robot does; the robot owns it as well.
     """
 
     def __init__(
@@ -57,13 +72,7 @@ class Robot:
         self.config = RobotConfig.of(config)
         self.link = link = recorded(link, recorder, self.config)
         self.sensors = Sensors(factories(sensors), link, self.config)
-        self.odometry = Odometry(
-            self.config.wheel_radius,
-            self.config.wheel_separation,
-            self.config.wheel_separation_multiplier,
-            left_wheel_radius_multiplier=self.config.left_wheel_radius_multiplier,
-            right_wheel_radius_multiplier=self.config.right_wheel_radius_multiplier,
-        )
+        self.odometry = Odometry.of(self.config)
         self.wire = Wire(link, self.config)
         self.active = False
         self.safety = Safety(self.config)
@@ -79,11 +88,15 @@ class Robot:
         if not self.active:
             self.reset(Scene())
 
+    @_deactivating
     def reset(self, scene: Scene, rng: np.random.Generator | None = None) -> None:
         """Open the link, stop, wait for standstill, and reset odometry and sensors.
 
-        Where this raises, the link is closed. Warns (SafetyWarning) where `acsar-gym estop` can't
-        reach a real robot. `rng` is for the noise of sensors.
+        Warns (SafetyWarning) where `acsar-gym estop` can't reach a real robot.
+
+        Args:
+            scene: start, goal, world and physics; only simulated links use it.
+            rng: for the noise of sensors; None for a new one with seed 0.
 
         Raises:
             LinkError: link or sensors don't work, the board is silent, or the wheels keep turning.
@@ -91,108 +104,95 @@ class Robot:
         if not self.active:
             self.link.open()
             self.active = True
-        try:
-            if self.link.truth is None and self._listener is None:
-                self._listen()
-            self.link.reset(scene)
-            self.safety.reset()
-            self.wire.reset()
-            self._stopwatch = self._watch = None
-            self.wire.settle()
-        except BaseException as error:
-            self.deactivate(error)
-            raise
+        if self.link.truth is None and self._listener is None:
+            device = getattr(self.link, "device", "")
+            self._listener = StopListener(device, self.config.name, self._journal.recording)
+            self._listener.warn()
+        self.link.reset(scene)
+        self.safety.reset()
+        self.wire.reset()
+        self._stopwatch = self._watch = None
+        self.wire.settle()
         self.odometry.reset()
         if self.link.lateness is not None:
             gc.collect()  # takes 60 ms, so it is done before the wheels turn
             self._stopwatch = Stopwatch(self._period)
             if self.link.truth is None and self.config.wheel_check:
                 self._watch = WheelWatch(self.config, getattr(self.link, "device", "DEVICE"))
-        try:
-            self.sensors.reset(scene, np.random.default_rng(0) if rng is None else rng)
-            self._journal.began()
-        except BaseException as error:
-            self.deactivate(error)
-            raise
+        self.sensors.reset(scene, np.random.default_rng(0) if rng is None else rng)
+        self._journal.began()
 
+    @_deactivating
     def read(self) -> NDArray[np.float64]:
-        """Read the numbers of all sensors, as in an observation.
+        """Return the numbers of all sensors, (sum of their sizes,), as in an observation.
 
-        Any error deactivates the robot.
+        Raises:
+            SensorError: a sensor gives something else than its finite numbers.
+            LinkError: a sensor's device fails.
         """
-        try:
-            return self.sensors.read()
-        except BaseException as error:
-            self.deactivate(error)
-            raise
+        return self.sensors.read()
 
+    @_deactivating
     def tell(self, info: dict[str, float]) -> None:
-        """Add the sensors' info to an env's. Errors as for `read`."""
-        try:
-            self.sensors.info(info)
-        except BaseException as error:
-            self.deactivate(error)
-            raise
+        """Add the sensors' info to an env's.
 
-    def _listen(self) -> None:
-        """Listen for `acsar-gym estop`; a warning where that is impossible."""
-        device = getattr(self.link, "device", "")
-        self._listener = StopListener(device, self.config.name, self._journal.recording)
-        if self._listener.unavailable:
-            said = f"'acsar-gym estop' can't stop this robot: {self._listener.unavailable}"
-            warnings.warn(said, SafetyWarning, stacklevel=4)
+        Args:
+            info: gets their keys and values.
 
+        Raises:
+            ConfigError: it has one of the keys already.
+        """
+        self.sensors.info(info)
+
+    @_deactivating
     def tick(self, speeds: Sequence[float]) -> None:
-        """Do one control period: send four wheel speeds [rad/s], read feedback, update odometry.
+        """Do one control period: send four wheel speeds, read feedback, update odometry.
 
         All are scaled by one factor where one exceeds `max_wheel_speed`, or their twist the speed
         limits; only `drive` limits acceleration. Zeros are sent while `safety` holds the robot. Any
         error deactivates the robot.
 
+        Args:
+            speeds: four [rad/s], in the order front right, front left, rear left, rear right.
+
         Raises:
             CommandError: unless `speeds` are four finite numbers.
             LinkError: not active, link lost or silent for `feedback_timeout`, or a sensor fails.
         """
-        try:
-            self._heed()
-            pose, age = self.odometry.pose, self.wire.age
-            self._exchange(self.safety.bounded(speeds, pose, age))
-            if self._clocked:
-                self.sensors.poll()
-            self._journal.turned(self.odometry, speeds)
-        except BaseException as error:
-            self.deactivate(error)
-            raise
+        self._heed()
+        pose, age = self.odometry.pose, self.wire.age
+        self._exchange(self.safety.bounded(speeds, pose, age))
+        if self._clocked:
+            self.sensors.poll()
+        self._journal.turned(self.odometry, speeds)
 
+    @_deactivating
     def drive(self, linear: float, angular: float) -> None:
-        """Do one control period towards a twist (linear [m/s], angular [rad/s]), within the limits.
+        """Do one control period towards a twist, within the limits; (0, 0) stops at once.
 
-        (0, 0) stops at once. Errors as for `tick`.
+        Errors as for `tick`.
+
+        Args:
+            linear: velocity [m/s], forward positive.
+            angular: velocity [rad/s], counter-clockwise positive.
         """
-        try:
-            self._heed()
-            pose, age = self.odometry.pose, self.wire.age
-            self._exchange(self.safety.allowed(linear, angular, pose, age))
-            if self._clocked:
-                self.sensors.poll()
-            if self._recorded:
-                self._journal.ticked(self.odometry, linear, angular)
-        except BaseException as error:
-            self.deactivate(error)
-            raise
+        self._heed()
+        pose, age = self.odometry.pose, self.wire.age
+        self._exchange(self.safety.allowed(linear, angular, pose, age))
+        if self._clocked:
+            self.sensors.poll()
+        if self._recorded:
+            self._journal.ticked(self.odometry, linear, angular)
 
+    @_deactivating
     def listen(self) -> None:
         """Do one control period without a command, as where the board's own time-out is measured.
 
         Errors as for `tick`.
         """
-        try:
-            self._heed()
-            self._exchange(None)
-            self._journal.listened(self.odometry)
-        except BaseException as error:
-            self.deactivate(error)
-            raise
+        self._heed()
+        self._exchange(None)
+        self._journal.listened(self.odometry)
 
     @property
     def decoder(self) -> Decoder:
@@ -223,7 +223,12 @@ class Robot:
         return self._stopwatch.summary() if self._stopwatch else None
 
     def wheel_speeds(self, linear: float, angular: float) -> Speeds:
-        """Wheel speeds [rad/s] for a twist, scaled to `max_wheel_speed` at the same turn radius."""
+        """Return the wheel speeds [rad/s] of a twist; `max_wheel_speed` keeps its turn radius.
+
+        Args:
+            linear: velocity [m/s].
+            angular: velocity [rad/s].
+        """
         return self.safety.wheels(linear, angular)
 
     def estop(self) -> None:
@@ -238,7 +243,11 @@ class Robot:
             self.wire.send(ZERO)
 
     def close(self, error: BaseException | None = None) -> None:
-        """Command zero, close link, sensors and recording, which tells `error`; idempotent."""
+        """Command zero, close link, sensors and recording; idempotent.
+
+        Args:
+            error: what ended the drive; the recording tells it.
+        """
         try:
             self.deactivate(error)
         finally:
@@ -246,7 +255,11 @@ class Robot:
             self._journal.close()
 
     def deactivate(self, error: BaseException | None = None) -> None:
-        """Command zero, close the link, record `error`; idempotent. Sensors stay open."""
+        """Command zero and close the link; idempotent. Sensors stay open.
+
+        Args:
+            error: what ended the episode; the recording tells it.
+        """
         if not self.active:
             return
         try:
@@ -264,7 +277,8 @@ class Robot:
         """Send wheel speeds, if any, let one control period pass, and update odometry."""
         wire = self.wire
         heard, dt = wire.exchange(speeds)
-        self._integrate(heard, dt)
+        for one, share in wire.shares(heard, dt):
+            self.odometry.update(one, share)
         if self._stopwatch is not None:
             self._stopwatch.tick(self.link.lateness or 0.0, wire.age)
             fastest = max(map(abs, wire.speeds))
@@ -275,14 +289,6 @@ class Robot:
         elif self._watch is not None:
             self._watch.reset()  # the board may stop the wheels by itself
 
-    def _integrate(self, heard: list[Speeds], dt: float) -> None:
-        """Update odometry with the newest speeds; after a pause, with all, each for its share."""
-        if dt > 2.0 * self._period and len(heard) > 1:
-            for speeds in heard:
-                self.odometry.update(speeds, dt / len(heard))
-        else:
-            self.odometry.update(self.wire.speeds, dt)
-
     def __reduce__(self) -> tuple[type[Robot], tuple[Link, RobotConfig, tuple[Sensor, ...]]]:
         """Copies and pickles are inactive robots with a link and sensors of their own."""
         return Robot, (self.link, self.config, tuple(self.sensors))
@@ -291,10 +297,5 @@ class Robot:
         self.activate()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         self.close(error)

@@ -95,6 +95,20 @@ class Wire:
             raise silence(self.age, self.decoder)
         return heard, lasted
 
+    def shares(self, heard: list[Speeds], lasted: float) -> list[tuple[Speeds, float]]:
+        """Return what odometry integrates: the newest speeds, or after a pause all that were heard.
+
+        Args:
+            heard: as returned by `exchange`.
+            lasted: likewise [s].
+
+        Returns:
+            Wheel speeds [rad/s], and for how long they held [s].
+        """
+        if lasted > 2.0 * self._period and len(heard) > 1:
+            return [(speeds, lasted / len(heard)) for speeds in heard]
+        return [(self.speeds, lasted)]
+
     def _fed(self, data: bytes) -> list[Reading]:
         """Decode lines of a board whose encoders have other letters or signs."""
         readings = self.decoder.feed(data)

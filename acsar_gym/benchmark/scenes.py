@@ -78,6 +78,7 @@ class SceneSet:
     numbers: range
     """Numbers of the worlds, or seeds on an open floor."""
     version: int = VERSION
+    """Version of the set, which changes where its worlds do."""
 
     def __str__(self) -> str:
         """Such as "Barn-v1 test (barn 100000 to 100999)"."""
@@ -159,12 +160,20 @@ class Scenes:
     """The sets of scenes of one id."""
 
     train: SceneSet
+    """For training."""
     validation: SceneSet
+    """For the choice among checkpoints and parameters."""
     test: SceneSet
+    """For results."""
 
     @classmethod
     def of(cls, env_id: str, source: str) -> Scenes:
-        """Make the sets of an id, whose worlds a generator makes; "" for an open floor."""
+        """Return the sets of an id.
+
+        Args:
+            env_id: without its namespace.
+            source: generator of the worlds; "" for an open floor.
+        """
         sets = {
             name: SceneSet(env_id, name, source, splits.numbers(source, _SPLITS[name]))
             if source

@@ -41,10 +41,18 @@ class Body(Protocol):
     """Angles turned by the four wheels since the reset [rad]; the encoders measure them."""
 
     def reset(self, scene: Scene) -> None:
-        """Build the scene, with the robot at rest at its start."""
+        """Build the scene, with the robot at rest at its start.
+
+        Args:
+            scene: start, world and physics.
+        """
 
     def step(self, set_points: Speeds) -> None:
-        """Simulate one firmware loop with these set points of the four wheel speeds [rad/s]."""
+        """Simulate one firmware loop.
+
+        Args:
+            set_points: of the four wheel speeds [rad/s].
+        """
 
     def feel(self) -> None:
         """Check whether the robot touches an obstacle now; `truth` then tells it."""

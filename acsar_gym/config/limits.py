@@ -39,9 +39,14 @@ class SpeedLimits(Section):
 
     section = "limits"
     max_velocity: Annotated[float, Field(ge=0.0, le=1e6)] | None = None
+    """Forward or counter-clockwise."""
     min_velocity: Annotated[float, Field(ge=-1e6, le=0.0)] | None = None
+    """Backward or clockwise; not positive."""
     max_acceleration: Annotated[float, Field(gt=0.0, le=1e6)] | None = None
+    """Of a robot that speeds up forward, and in the names of Humble also of one that brakes
+    backward."""
     min_acceleration: Annotated[float, Field(ge=-1e6, lt=0.0)] | None = None
+    """Humble's; negative, and an error beside a name of Jazzy."""
     max_deceleration: Change | None = None
     """Of a robot that goes forward; None: as `max_acceleration`."""
     max_acceleration_reverse: Change | None = None
@@ -49,7 +54,9 @@ class SpeedLimits(Section):
     max_deceleration_reverse: Change | None = None
     """Of a robot that goes backward; None: as `max_deceleration`."""
     max_jerk: Annotated[float, Field(gt=0.0, le=1e6)] | None = None
+    """How fast the acceleration may grow [m/s^3 or rad/s^3]."""
     min_jerk: Annotated[float, Field(ge=-1e6, lt=0.0)] | None = None
+    """How fast the acceleration may fall; negative."""
 
     @model_validator(mode="after")
     def _names_of_one_release(self) -> Self:
@@ -91,9 +98,13 @@ class Geofence(Section):
 
     section = "geofence"
     min_x: float = -math.inf
+    """Least x [m]; negative."""
     max_x: float = math.inf
+    """Largest x [m]; positive."""
     min_y: float = -math.inf
+    """Least y [m]; negative."""
     max_y: float = math.inf
+    """Largest y [m]; positive."""
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=True)
 
     @model_validator(mode="after")

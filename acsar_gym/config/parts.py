@@ -37,7 +37,11 @@ class MotorConfig(Section):
     four."""
 
     def of_wheel(self, wheel: int) -> WheelMotor:
-        """Return the values of one wheel, 0 to 3 for a to d."""
+        """Return the values of one wheel.
+
+        Args:
+            wheel: 0 to 3 for a to d.
+        """
         return WheelMotor(*(of_wheel(getattr(self, name), wheel) for name in WheelMotor._fields))
 
 

@@ -20,7 +20,7 @@ from acsar_gym.config.limits import (
 )
 from acsar_gym.config.measured import Measured, check
 from acsar_gym.config.parts import BodyConfig, EncoderConfig, FirmwareConfig, MotorConfig
-from acsar_gym.config.rates import whole_ratio
+from acsar_gym.config.rates import check_feedback, check_window, whole_ratio
 from acsar_gym.config.section import Section
 from acsar_gym.config.units import Length, Name, Offset, Rate, Speed, Wait
 from acsar_gym.config.wheels import WheelsConfig
@@ -31,8 +31,6 @@ FOOT = 0.01
 """Size of the contact patch of a wheel, which the default footprint contains [m]."""
 USUAL_RATES = (200.0, 100.0, 50.0, 40.0, 25.0, 20.0, 10.0, 5.0, 2.0, 1.0)
 """Rates that error messages suggest [Hz]."""
-MOST_SAMPLES = 2_000
-"""Most encoder readings that the simulated firmware stores for averaging."""
 TWIN = ("motor", "encoder", "firmware", "body", "measured")
 """Sections that the robot's own driver doesn't have: for the simulation only, or about it."""
 
@@ -99,12 +97,17 @@ class RobotConfig(Section):
     geofence: Geofence | None = None
     """Area that the robot may not leave, by odometry; None for no limit."""
     odom_frame: Name = "odom"
+    """Name of the odometry frame in recordings."""
     base_frame: Name = "base_link"
+    """Name of the base frame in recordings."""
     lidar_frame: Name = "lidar_link"
+    """Name of the LiDAR's frame in recordings."""
     lidar_x_offset: Offset = -0.15
-    """Position of the LiDAR in the base frame [m], with the two fields below."""
+    """x of the LiDAR in the base frame [m], forward."""
     lidar_y_offset: Offset = 0.0
+    """y of the LiDAR in the base frame [m], to the left."""
     lidar_z_offset: Offset = 0.37
+    """z of the LiDAR in the base frame [m], up."""
     footprint: Corners | None = None
     """Footprint for collisions: polygon of 3 to 100 corners (x, y) in order, in the base frame [m],
     with the origin inside. A list, or a string like "[[0.2, 0.1], [-0.2, 0.1], [0.0, -0.2]]".
@@ -112,10 +115,15 @@ class RobotConfig(Section):
     wheels: WheelsConfig = WheelsConfig()
     """Letters and signs of motors and encoders, where the board is wired differently."""
     motor: MotorConfig = MotorConfig()
+    """Motors and their speed control, as simulated."""
     encoder: EncoderConfig = EncoderConfig()
+    """Wheel encoders, as simulated."""
     firmware: FirmwareConfig = FirmwareConfig()
+    """Program of the microcontroller, as simulated."""
     body: BodyConfig = BodyConfig()
+    """Chassis and ground, as simulated."""
     lidar: LidarConfig = LidarConfig()
+    """Range sensor, simulated or real."""
     measured: dict[str, Measured] = Field(default_factory=dict, max_length=1_000)
     """95 % intervals of measured fields, by dotted name, such as "wheel_separation_multiplier",
     "motor.time_constant.a" or "firmware.command_delay". Randomization can take its ranges from
@@ -152,30 +160,12 @@ class RobotConfig(Section):
         return self
 
     @model_validator(mode="after")
-    def _rates_are_whole(self) -> Self:
-        """Check that the rates are integer multiples, and the averaging window fits."""
+    def _rates_fit(self) -> Self:
+        """Check that the rates are integer multiples, and time-out and averaging window fit."""
         loop = self.firmware.loop_rate
         whole_ratio("firmware.loop_rate", loop, "control_rate", self.control_rate)
-        if self.feedback_rate > loop:
-            raise ConfigError(
-                f"firmware.feedback_rate = {self.feedback_rate:g} Hz: must be at most "
-                f"firmware.loop_rate = {loop:g} Hz"
-            )
-        if self.feedback_timeout < 1.5 / self.feedback_rate:
-            raise ConfigError(
-                f"feedback_timeout = {self.feedback_timeout:g} s: must be at least one and a half "
-                f"periods of the feedback at {self.feedback_rate:g} Hz"
-            )
-        if self.encoder.window * loop < 1.0 - 1e-9:
-            raise ConfigError(
-                f"encoder.window = {self.encoder.window:g} s: must be at least one period of "
-                f"firmware.loop_rate ({1.0 / loop:g} s)"
-            )
-        if self.encoder.window * loop > MOST_SAMPLES:
-            raise ConfigError(
-                f"encoder.window = {self.encoder.window:g} s: must be at most {MOST_SAMPLES:,} "
-                f"periods of firmware.loop_rate ({MOST_SAMPLES / loop:g} s)"
-            )
+        check_feedback(self.feedback_rate, self.feedback_timeout, loop)
+        check_window(self.encoder.window, loop)
         return self
 
     @property
@@ -239,7 +229,7 @@ class RobotConfig(Section):
 
     @classmethod
     def load(cls, path: str | Path) -> RobotConfig:
-        """Read a `.yaml` file, or the `<ros2_control>` parameters of a `.urdf` file.
+        """Return the robot of a `.yaml` file, or of a `.urdf` file's `<ros2_control>` parameters.
 
         Args:
             path: the file. A URDF without a baud_rate means 9600 baud, as for the robot's own
@@ -264,18 +254,21 @@ class RobotConfig(Section):
 
     @classmethod
     def preset(cls, name: str) -> RobotConfig:
-        """Load a robot that comes with the package, such as "acsar"; ConfigError if unknown."""
+        """Return a robot that comes with the package; ConfigError where there is no such preset.
+
+        Args:
+            name: such as "acsar".
+        """
         from acsar_gym.config import files  # noqa: PLC0415
 
         return cls.load(files.preset(name))
 
     @classmethod
     def of(cls, robot: RobotSource) -> RobotConfig:
-        """Make a config from any value of an env's `robot` argument.
+        """Return the config that a value of an env's `robot` argument means.
 
         Args:
-            robot: a config, a mapping of fields, a file, the name of a preset, or None for
-                acsar.
+            robot: a config, a mapping of fields, a file, the name of a preset, or None for acsar.
 
         Raises:
             ConfigError: for other types, and see `load` and `preset`.

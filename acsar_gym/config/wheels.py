@@ -74,13 +74,17 @@ class Letters:
 
 
 class WheelsConfig(Section):
-    """The wiring: a is the front right wheel, b front left, c rear left, d rear right."""
+    """The wiring: letters and signs of each wheel's motor and encoder."""
 
     section = "wheels"
     a: Annotated[WheelConfig, _wheel("a")] = WheelConfig(motor="a", encoder="a")
+    """The front right wheel."""
     b: Annotated[WheelConfig, _wheel("b")] = WheelConfig(motor="b", encoder="b")
+    """The front left wheel."""
     c: Annotated[WheelConfig, _wheel("c")] = WheelConfig(motor="c", encoder="c")
+    """The rear left wheel."""
     d: Annotated[WheelConfig, _wheel("d")] = WheelConfig(motor="d", encoder="d")
+    """The rear right wheel."""
 
     @model_validator(mode="after")
     def _letters_are_used_once(self) -> Self:

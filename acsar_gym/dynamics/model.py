@@ -35,7 +35,11 @@ def turn_factor(config: RobotConfig) -> float:
 
 
 def physics(config: RobotConfig) -> Physics:
-    """Compute the physics of a robot from its configuration."""
+    """Return the physics of a robot from its configuration, nothing randomized.
+
+    Args:
+        config: of the robot.
+    """
     body, dt = config.body, substep(config)
     motors = [config.motor.of_wheel(wheel) for wheel in range(4)]
     lags = [motor.time_constant for motor in motors]

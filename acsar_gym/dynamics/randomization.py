@@ -75,13 +75,13 @@ class Randomization:
 
     @classmethod
     def of(cls, ranges: Mapping[str, Range] | Self | None) -> Randomization:
-        """Make a Randomization from a mapping of names to ranges.
+        """Return a Randomization from a mapping of names to ranges.
 
         Args:
             ranges: a mapping, a Randomization, or None for nothing.
 
         Raises:
-            ConfigError: A name is unknown, or a range is malformed.
+            ConfigError: a name is unknown, or a range is malformed.
         """
         if isinstance(ranges, Randomization):
             return ranges
@@ -99,7 +99,7 @@ class Randomization:
 
     @classmethod
     def measured(cls, config: RobotConfig) -> Randomization:
-        """Take the ranges from a robot's measurements; see `acsar_gym.dynamics.measured`.
+        """Return the ranges of a robot's measurements; see `acsar_gym.dynamics.measured`.
 
         What wasn't measured has a default width. Measured delays (`firmware.delay_samples`, or the
         interval of `firmware.command_delay`) replace the default latency.
@@ -115,14 +115,14 @@ class Randomization:
         return tuple(f.name for f in fields(self) if getattr(self, f.name) is not None)
 
     def ranges(self, config: RobotConfig, step: float) -> Ranges:
-        """Compute the range of every number that an episode draws.
+        """Return the range of every number that an episode draws.
 
         Args:
-            config: The robot.
-            step: Duration of an env step [s].
+            config: the robot.
+            step: duration of an env step [s].
 
         Raises:
-            ConfigError: The latency is as long as a step, or the wire or `feedback_timeout` doesn't
+            ConfigError: the latency is as long as a step, or the wire or `feedback_timeout` doesn't
                 allow the feedback rate.
         """
         if self.feedback_rate is not None:

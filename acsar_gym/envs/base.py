@@ -19,20 +19,19 @@ from acsar_gym.dynamics.randomizer import Randomizer
 from acsar_gym.envs.actions import checked
 from acsar_gym.envs.options import RENDER_MODES, EnvOptions
 from acsar_gym.envs.recording import EnvRecord
-from acsar_gym.envs.told import Info, fault_code, info_of, state_of
-from acsar_gym.errors import AcsarError, CommandError, ConfigError, LinkError, RenderError, shown
+from acsar_gym.envs.told import Info, fault_code, info_of, observed, state_of
+from acsar_gym.errors import AcsarError, CommandError, ConfigError, LinkError, RenderError
 from acsar_gym.lidars.base import newest_scan
-from acsar_gym.lidars.factory import factories
 from acsar_gym.links import Link, open_link
 from acsar_gym.links.fault_injection import FaultyLink
 from acsar_gym.links.faults import Faults
 from acsar_gym.render.renderer import Screen
 from acsar_gym.robot import Robot
-from acsar_gym.sensors import LIDAR, Factory, Sensor
+from acsar_gym.sensors import Sensor
 from acsar_gym.tasks import Observation, Outcome, State, Task
 from acsar_gym.tasks.base import NOTHING_SENSED
 from acsar_gym.tasks.episode import Episode
-from acsar_gym.tasks.made import made, named, tried
+from acsar_gym.tasks.made import made, tried
 from acsar_gym.tasks.spaces import task_spaces
 from acsar_gym.tasks.spawn import Spawn
 from acsar_gym.vector.specs import PlainSpec
@@ -98,18 +97,11 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         faults = Faults.of(asked.faults)
         self._faulty = FaultyLink(wire, faults) if faults.possible else None
         self._record = EnvRecord(asked.record)
-        own = config, self._factories(), self._record.recorder
+        own = config, asked.factories(self.task), self._record.recorder
         self.robot = Robot(self._faulty or wire, *own)
         self._top = (config.max_linear, config.max_angular)
         mode = None if self._bullets_window(link) else self.render_mode
         self._screen = Screen(config, mode, asked.view)
-
-    def _factories(self) -> list[Sensor | Factory]:
-        """Factories of the task's sensors and the env's."""
-        names, lidar = (*self.task.sensors, *self._options.sensors), self._options.lidar
-        if lidar is not None and LIDAR not in names:
-            raise ConfigError(f"lidar = {shown(lidar)}: {named(self.task)} uses none")
-        return factories(names, lidar)
 
     def _link(self, link: Any, config: RobotConfig) -> Link:
         """Make the link that the `link` argument names, or return a Link that was given."""
@@ -131,6 +123,9 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         Args:
             seed: of the env's generator; None goes on with the one that there is.
             options: see the class of the id, such as "goal" and "world".
+
+        Returns:
+            The first observation, (numbers,) float32, and info.
 
         Raises:
             ConfigError, WorldError: for unknown options, or values out of range.
@@ -161,6 +156,9 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
 
         Args:
             action: (2,), linear and angular, clipped to [-1, 1].
+
+        Returns:
+            Observation (numbers,) float32, reward, terminated, truncated and info.
 
         Raises:
             CommandError: for another shape, NaN or infinity; the wheels are commanded to stop.
@@ -239,12 +237,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
     def _told(self, episode: Episode, state: State) -> tuple[Observation, Info]:
         """Observation and info after a reset or step; also updates the screen."""
         self._screen.show(state, self._truth, newest_scan(self.robot.sensors))
-        numbers = np.array(episode.observe(state), np.float32)
-        if numbers.shape != (len(self.task.observation),):
-            raise ConfigError(
-                f"{named(self.task)}.observe returned numbers of shape {numbers.shape}: must be "
-                f"({len(self.task.observation)},)"
-            )
+        numbers = observed(episode, state, self.task)
         info = info_of(episode, state, self._truth) | self._randomizer.info()
         if self._faulty is not None or self._truth is None:
             info["fault"] = 0.0
@@ -260,13 +253,17 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
 
     @property
     def episode(self) -> Episode:
-        """The current episode. ConfigError before the first reset."""
+        """The current episode.
+
+        Raises:
+            ConfigError: before the first reset.
+        """
         if self._episode is None:
             raise ConfigError("there is no episode before reset(): call it first")
         return self._episode
 
     def render(self) -> Image | None:
-        """Take a picture in mode rgb_array: (height, width, 3) uint8; None in other modes.
+        """Return a picture in mode rgb_array, (height, width, 3) uint8; None in other modes.
 
         Raises:
             RenderError: before the first reset.

@@ -6,6 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from acsar_gym.errors import ConfigError, RenderError, shown
+from acsar_gym.lidars.factory import factories
+from acsar_gym.sensors import LIDAR, Factory, Sensor
+from acsar_gym.tasks import Task
+from acsar_gym.tasks.made import named
 from acsar_gym.tasks.options import Options
 
 RENDER_MODES = ("human", "rgb_array")
@@ -33,6 +37,20 @@ class EnvOptions(Options):
             raise ConfigError(f"view = {shown(self.view)}: must be top or camera")
         if not isinstance(self.on_fault, str) or self.on_fault not in ("raise", "truncate"):
             raise ConfigError(f"on_fault = {shown(self.on_fault)}: must be raise or truncate")
+
+    def factories(self, task: Task) -> list[Sensor | Factory]:
+        """Return the factories of a task's sensors and these.
+
+        Args:
+            task: of the env.
+
+        Raises:
+            ConfigError: there is a `lidar` for a task that uses none, or an unknown sensor.
+        """
+        names = (*task.sensors, *self.sensors)
+        if self.lidar is not None and LIDAR not in names:
+            raise ConfigError(f"lidar = {shown(self.lidar)}: {named(task)} uses none")
+        return factories(names, self.lidar)
 
     def check_view(self, link: Any) -> None:
         """Raise RenderError for view="camera" where the link has no camera."""

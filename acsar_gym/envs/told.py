@@ -5,10 +5,13 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
 from acsar_gym.bodies.base import GroundTruth
 from acsar_gym.errors import (
     BoardGarbledError,
     BoardSilentError,
+    ConfigError,
     LidarError,
     LinkError,
     LinkLostError,
@@ -16,9 +19,10 @@ from acsar_gym.errors import (
 )
 from acsar_gym.lidars.base import edges, newest_scan
 from acsar_gym.robot import Robot
-from acsar_gym.tasks import Observation, Outcome, State
+from acsar_gym.tasks import Observation, Outcome, State, Task
 from acsar_gym.tasks.base import NO_PATH, NO_RANGES
 from acsar_gym.tasks.episode import Episode
+from acsar_gym.tasks.made import named
 from acsar_gym.worlds import Pose
 from acsar_gym.worlds.scene import to_odometry
 
@@ -80,6 +84,26 @@ def state_of(
         max_twist=(config.max_linear, config.max_angular),
         period=ticks * config.period,
     )
+
+
+def observed(episode: Episode, state: State, task: Task) -> Observation:
+    """The task's own part of the observation, (numbers,).
+
+    Args:
+        episode: with the memory.
+        state: after the reset or step.
+        task: of the episode.
+
+    Raises:
+        ConfigError: the task returned another number of numbers.
+    """
+    numbers = np.array(episode.observe(state), np.float32)
+    if numbers.shape != (len(task.observation),):
+        raise ConfigError(
+            f"{named(task)}.observe returned numbers of shape {numbers.shape}: must be "
+            f"({len(task.observation)},)"
+        )
+    return numbers
 
 
 def info_of(episode: Episode, state: State, truth: GroundTruth | None) -> Info:

@@ -127,13 +127,7 @@ def travelled(
     Returns:
         Twists (k, 2) and poses (k, 3), with theta unwrapped.
     """
-    odometry = Odometry(
-        config.wheel_radius,
-        config.wheel_separation,
-        config.wheel_separation_multiplier,
-        left_wheel_radius_multiplier=config.left_wheel_radius_multiplier,
-        right_wheel_radius_multiplier=config.right_wheel_radius_multiplier,
-    )
+    odometry = Odometry.of(config)
     twists, poses, before = np.zeros((len(stamps), 2)), np.zeros((len(stamps), 3)), start
     for number, (stamp, row) in enumerate(zip(stamps.tolist(), speeds.tolist(), strict=True)):
         odometry.update(row, max(0.0, stamp - before))

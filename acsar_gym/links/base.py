@@ -39,6 +39,9 @@ class Link(Protocol):
     def write(self, data: bytes) -> None:
         """Send bytes to the robot.
 
+        Args:
+            data: whole command lines.
+
         Raises:
             LinkLostError: the device is gone.
         """

@@ -24,7 +24,7 @@ def open_link(
     window: bool = False,
     realtime: bool = False,
 ) -> Link:
-    """Make a link, closed; it connects only in `open()` or `Robot.activate()`.
+    """Return a link, closed; it connects only in `open()` or `Robot.activate()`.
 
     Args:
         url: "bullet" or "planar" for a simulation; "/dev/ttyUSB0", "COM3", "usb:A50285BI" (USB

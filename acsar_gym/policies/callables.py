@@ -22,7 +22,11 @@ MAX_BYTES = 10_000_000
 
 
 def is_callable(policy: str) -> bool:
-    """Return whether a policy argument names a Python file, such as "mine.py" or "mine.py:act"."""
+    """Return whether a policy argument names a Python file.
+
+    Args:
+        policy: such as "mine.py" or "mine.py:act".
+    """
     return policy.endswith(".py") or policy.rpartition(":")[0].endswith(".py")
 
 

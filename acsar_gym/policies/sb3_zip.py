@@ -80,6 +80,12 @@ class ZipPolicy(FilePolicy):
     ) -> None:
         """As FilePolicy.check; also compares the spaces.
 
+        Args:
+            task: of the env.
+            sensors: of the env's robot.
+            policy_rate: env steps per second [Hz]; None where it isn't known.
+            config: of the env's robot; None where it isn't known.
+
         Raises:
             PolicyError: the policy was made for other spaces than this env has.
         """
@@ -106,7 +112,14 @@ class ZipPolicy(FilePolicy):
 
 
 def statistics_beside(path: Path) -> Path | None:
-    """Find a saved VecNormalize in a model's folder or, as RL Zoo stores it, one folder deeper."""
+    """Find a saved VecNormalize in a model's folder or, as RL Zoo stores it, one folder deeper.
+
+    Args:
+        path: the model's zip.
+
+    Returns:
+        The first such file; None where there is none.
+    """
     patterns = ("*vecnormalize*.pkl", "*/vecnormalize.pkl")
     return next((f for p in patterns for f in sorted(path.parent.glob(p))), None)
 

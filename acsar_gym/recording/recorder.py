@@ -89,6 +89,9 @@ class Recorder:
 
         Warns (RecordingWarning) once where writing has failed since.
 
+        Args:
+            config: of the robot.
+
         Raises:
             ConfigError: as for `check`, or the file can't be written.
             MissingExtraError: mcap or rosbags isn't installed.
@@ -104,7 +107,11 @@ class Recorder:
         _running.add(self)
 
     def describe(self, info: Mapping[str, Any]) -> None:
-        """Say something about the next episode, such as seed and goal, ready for JSON."""
+        """Say something about the next episode.
+
+        Args:
+            info: such as seed and goal, ready for JSON.
+        """
         self._info = info
 
     def begin(self, stamp: float, *, simulated: bool) -> None:
@@ -120,7 +127,11 @@ class Recorder:
         self._info = {}
 
     def exchanged(self, event: Exchange) -> None:
-        """Record a control period of the wire, and once a second the clocks."""
+        """Record a control period of the wire, and once a second the clocks.
+
+        Args:
+            event: what was sent and heard in it.
+        """
         self.number = event.number + 1
         self.add(event)
         if event.stamp >= self._clock_due:
@@ -128,7 +139,11 @@ class Recorder:
             self.add(Clock(event.stamp, time.time_ns()))
 
     def add(self, event: Event) -> None:
-        """Record an event, if there is room for it."""
+        """Record an event, if there is room for it.
+
+        Args:
+            event: of `recording.events`.
+        """
         if len(self._queue) >= self._capacity and not self._has_room():
             self.dropped += 1
             writer = self._writer

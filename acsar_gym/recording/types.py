@@ -113,6 +113,7 @@ class Recording:
     config: RobotConfig
     """The robot that was recorded."""
     episodes: tuple[Episode, ...]
+    """What was recorded between a reset and the next one, each."""
     cut: bool = False
     """Whether the file's end is missing, because the program or the computer died."""
     dropped: int = 0

@@ -14,11 +14,12 @@ import re
 import select
 import socket
 import time
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from acsar_gym.errors import LinkError
+from acsar_gym.errors import LinkError, SafetyWarning
 from acsar_gym.safety.estop_folders import folders
 
 ANSWER = 2.0
@@ -98,6 +99,12 @@ class StopListener:
     def unavailable(self) -> str:
         """Why no stop can be received; empty where it can."""
         return "" if self._sockets else "; ".join(map(str, self.faults))
+
+    def warn(self) -> None:
+        """Warn (SafetyWarning) where no stop can be received."""
+        if self.unavailable:
+            said = f"'acsar-gym estop' can't stop this robot: {self.unavailable}"
+            warnings.warn(said, SafetyWarning, stacklevel=5)
 
     def is_requested(self) -> bool:
         """Whether a stop of this robot has been requested; doesn't block."""

@@ -49,6 +49,10 @@ class Sensor(ABC):
         config: The robot's parameters.
         scene: The episode's world and start; set by `reset`.
         rng: The generator that all noise must come from; set by `reset`.
+
+    Args:
+        link: The wire to the robot.
+        config: The robot's parameters.
     """
 
     name: str

@@ -97,7 +97,11 @@ class Sensors(Sequence[Sensor]):
     def info(self, told: dict[str, float]) -> None:
         """Add what the sensors tell to an env's info.
 
-        ConfigError for a key that is there already.
+        Args:
+            told: gets their keys and values.
+
+        Raises:
+            ConfigError: it has one of the keys already.
         """
         now = self._link.now()
         for sensor in self._sensors:

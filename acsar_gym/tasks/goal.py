@@ -80,7 +80,9 @@ class PointGoal(GoalTask):
 
     id = "acsar_gym/PointGoal-v0"
     goal_distance: tuple[float, float] = (0.5, 3.0)
+    """Nearest and farthest goal [m]."""
     goal_tolerance: float = 0.15
+    """Radius of the goal [m]."""
     distance_scale: float | None = None
     """Observed distances are divided by this [m]; None: by the distance of the farthest goal."""
     end = 2.0

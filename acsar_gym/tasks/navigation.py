@@ -87,6 +87,7 @@ class ObstacleGoal(NavigationTask):
     id = "acsar_gym/ObstacleGoal-v1"
     worlds = "clutter:train"
     goal_tolerance: float = 0.3
+    """Radius of the goal [m]."""
 
     def __post_init__(self) -> None:
         tolerance = positive("goal_tolerance", self.goal_tolerance)

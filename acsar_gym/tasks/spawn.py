@@ -32,6 +32,7 @@ class Assignment:
     goal: Goal
     """The goal x, y in the odometry frame, in which the robot starts at the origin [m]."""
     world: World | None = None
+    """Obstacles; None on an open floor."""
     path: Floats | None = None
     """(samples, 3): x [m], y [m] and direction [rad] of the path to follow, in the odometry
     frame."""

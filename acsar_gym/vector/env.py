@@ -201,8 +201,12 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         Args:
             actions: (num_envs, 2), linear and angular, clipped to [-1, 1].
 
+        Returns:
+            Observations (num_envs, numbers), rewards, terminated, truncated (num_envs,), info.
+
         Raises:
             CommandError: for another shape, NaN or infinity; names the first bad env.
+            ConfigError: before a reset, after an interrupted call, or for an env that has ended.
         """
         actions = self._checked(actions)
         if not self.batch.seeded:

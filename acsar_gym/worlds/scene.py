@@ -23,8 +23,11 @@ class Scene:
     """
 
     start: Pose = (0.0, 0.0, 0.0)
+    """x [m], y [m], theta [rad]."""
     goal: tuple[float, float] | None = None
+    """x, y [m]; None: not shown."""
     world: World | None = None
+    """Obstacles; None on an open floor."""
     physics: Physics | None = None
     """The simulated robot's physics in this episode; None: as configured."""
 

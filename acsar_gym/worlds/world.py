@@ -59,11 +59,14 @@ class World:
     segments: Floats = field(default_factory=lambda: np.zeros((0, 4)))
     """(segments, 4): x1, y1, x2, y2 [m]."""
     start: Region = Region(0.0, 0.0, 0.0, 0.0)
+    """Where robots start."""
     goal: Region = Region(1.0, 0.0)
+    """Where goals are drawn."""
     path: Floats | None = None
     """(points, 2): a path from the start to the goal [m]: the shortest one for the footprint
     that the world was made for, the published one, or the one to follow."""
     name: str = ""
+    """For pictures and reports."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "circles", _rows("circles", self.circles, 3))
