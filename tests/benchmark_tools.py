@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from acsar_gym.benchmark.conditions import CONDITIONS
+from acsar_gym.benchmark.plan import plain
 from acsar_gym.benchmark.scenes import SCENES
 from acsar_gym.benchmark.store import SCHEMA, Cell, Episode, Part
 
@@ -56,8 +57,8 @@ def part(own: Cell | None = None, scores: Sequence[float] = (0.9, 0.8), first: i
     return Part(own or cell(), first, episodes, 1.5)
 
 
-def plan(**kinds: str) -> dict[str, Any]:
-    """The plan of agents by name and kind."""
+def plan(*conditions: str, **kinds: str) -> dict[str, Any]:
+    """The plan of agents by name and kind, with these conditions or all of them."""
     agents = {
         name: [{"kind": kind, "id": ENV_ID, "training_seed": None, "file": name, "sha256": None}]
         for name, kind in (kinds or {"packaged": "learned"}).items()
@@ -71,5 +72,5 @@ def plan(**kinds: str) -> dict[str, Any]:
         "links": ["planar"],
         "scenes": {ENV_ID: {"test": about}},
         "port_scenes": 0,
-        "conditions": {name: {"words": each.words} for name, each in CONDITIONS.items()},
+        "conditions": {name: plain(CONDITIONS[name]) for name in conditions or CONDITIONS},
     }

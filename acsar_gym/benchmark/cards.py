@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from acsar_gym.benchmark.agents import PACKAGED
+from acsar_gym.benchmark.agents import BASELINE, PACKAGED
 from acsar_gym.benchmark.conditions import NOMINAL
 from acsar_gym.benchmark.table import LINKS, main_table
 from acsar_gym.errors import printable
@@ -107,9 +107,8 @@ def weaknesses(rows: Sequence[Told], told: Told) -> Iterator[str]:
         yield from _failures(row)
     for row in rows:
         yield from _worse(row, nominal, told["header"]["conditions"])
-    for best in told["best"]:
-        if best["learned"] == PACKAGED and rows and best["id"] == rows[0]["id"]:
-            yield from _beaten(best)
+    for row in nominal.values():
+        yield from _beaten(row, told["rows"])
 
 
 def _failures(row: Told) -> Iterator[str]:
@@ -135,8 +134,21 @@ def _worse(row: Told, nominal: Mapping[tuple[str, str], Told], conditions: Told)
         )
 
 
-def _beaten(best: Told) -> Iterator[str]:
-    """Where a baseline is as good or better."""
-    for name, what in (("success_rate", "success"), ("score_iqm", "score")):
-        if not best[name]["better"]:
-            yield f"{LINKS[best['link']]}: {best['baseline']} has no lower {what}"
+def _beaten(row: Told, rows: Sequence[Told]) -> Iterator[str]:
+    """Which baseline is as good or better, by each figure."""
+    place = [row[name] for name in _PLACE]
+    others = [
+        each
+        for each in rows
+        if each["kind"] == BASELINE
+        and not each["refused"]
+        and [each[name] for name in _PLACE] == place
+    ]
+    for figure, what in (("success_rate", "success"), ("score_iqm", "score")):
+        first = max(others, key=lambda each: each[figure], default=None)
+        if first is not None and first[figure] >= row[figure]:
+            where = f"{LINKS[row['link']]}, {row['scenes']} scenes"
+            yield f"{where}: {first['agent']} has no lower {what}"
+
+
+_PLACE = ("id", "scenes", "link", "condition")

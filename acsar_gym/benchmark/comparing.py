@@ -22,46 +22,59 @@ def by_place(some: Iterable[Row]) -> dict[Place, list[Row]]:
     return found
 
 
+COMPARED = {
+    "success_rate": ("success", statistics.mean),
+    "score_iqm": ("score", statistics.iqm),
+}
+"""The figures that the best are compared by: a field of `Episode`, and the statistic of it."""
+
+
 def best(some: Sequence[Row]) -> list[dict[str, Any]]:
     """Compare the best learned agent with the best baseline of each nominal place.
 
-    The best are those with the highest interquartile mean of the score.
+    Each figure has its own best agents: the baseline with the highest score may not be the one that
+    succeeds most often.
     """
     found = []
     for place, group in by_place(some).items():
-        ours = next((row for row in group if row.kind == LEARNED), None)
-        other = next((row for row in group if row.kind == BASELINE), None)
-        if place[3] == NOMINAL and ours is not None and other is not None:
-            found.append(_compared(place, ours, other))
+        for figure in COMPARED if place[3] == NOMINAL else ():
+            ours, other = (_first(group, kind, figure) for kind in (LEARNED, BASELINE))
+            if ours is not None and other is not None:
+                found.append(_compared(figure, ours, other))
     return found
 
 
-def _compared(place: Place, ours: Row, other: Row) -> dict[str, Any]:
-    """Compare two rows by score and success."""
-    told: dict[str, Any] = {
-        "id": place[0],
-        "scenes": place[1],
-        "link": place[2],
+def _first(group: Iterable[Row], kind: str, figure: str) -> Row | None:
+    """The row of a kind with the highest figure; None where there is none."""
+    own = (row for row in group if row.kind == kind)
+    return max(own, key=lambda row: _value(row, figure), default=None)
+
+
+def _value(row: Row, figure: str) -> float:
+    """A figure of COMPARED over all seeds and scenes of a row."""
+    name, statistic = COMPARED[figure]
+    return statistics.overall([row.matrix(name)], statistic)
+
+
+def _compared(figure: str, ours: Row, other: Row) -> dict[str, Any]:
+    """Compare two rows of one place by a figure."""
+    name, statistic = COMPARED[figure]
+    values = [_value(row, figure) for row in (ours, other)]
+    ends = [statistics.interval([row.matrix(name)], statistic) for row in (ours, other)]
+    return {
+        "id": ours.place[0],
+        "scenes": ours.place[1],
+        "link": ours.place[2],
+        "figure": figure,
         "learned": ours.agent,
         "baseline": other.agent,
+        "learned_value": values[0],
+        "baseline_value": values[1],
+        "better": values[0] > values[1],
+        "learned_interval": ends[0],
+        "baseline_interval": ends[1],
+        "apart": statistics.apart(*ends),
     }
-    figures = {
-        "score_iqm": ("score", statistics.iqm),
-        "success_rate": ("success", statistics.mean),
-    }
-    for name, (figure, statistic) in figures.items():
-        values = [row.matrix(figure) for row in (ours, other)]
-        both = [statistics.overall([each], statistic) for each in values]
-        ends = [statistics.interval([each], statistic) for each in values]
-        told[name] = {
-            "learned": both[0],
-            "baseline": both[1],
-            "better": both[0] > both[1],
-            "learned_interval": ends[0],
-            "baseline_interval": ends[1],
-            "apart": statistics.apart(*ends),
-        }
-    return told
 
 
 def improvements(some: Sequence[Row]) -> list[dict[str, Any]]:

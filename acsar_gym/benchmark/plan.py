@@ -11,10 +11,12 @@ from typing import Any
 import acsar_gym
 from acsar_gym.benchmark import scenes
 from acsar_gym.benchmark.agents import Agent
-from acsar_gym.benchmark.conditions import CONDITIONS, NOMINAL
+from acsar_gym.benchmark.conditions import CONDITIONS, NOMINAL, Condition
 from acsar_gym.benchmark.scenes import SCENES, SceneSet
 from acsar_gym.benchmark.store import SCHEMA, Cell
 from acsar_gym.errors import ConfigError, shown, suggestion
+from acsar_gym.evaluation import runs
+from acsar_gym.scaling.sent import Sent
 
 PLANAR, BULLET, PORT = "planar", "bullet", "port"
 LINKS = (PLANAR, BULLET, PORT)
@@ -27,10 +29,8 @@ class Job:
     """Some scenes of a cell, for one process."""
 
     cell: Cell
-    policy: str
-    """File, or name of a baseline."""
-    env: str
-    """Id to name for a policy that has none of its own; else empty."""
+    policy: Sent
+    """The policy, with what its file contains: another machine may not have the file."""
     scenes: SceneSet
     first: int
     """Place of the first scene in the set."""
@@ -87,7 +87,7 @@ class Plan:
             "agents": told,
             "ids": list(self.ids),
             "links": list(self.links),
-            "conditions": {name: _plain(CONDITIONS[name]) for name in self.conditions},
+            "conditions": {name: plain(CONDITIONS[name]) for name in self.conditions},
             "scenes": {
                 env_id: {some.name: some.about | {"count": count} for some, count in sets}
                 for env_id, sets in ((env_id, self.sets(env_id)) for env_id in self.ids)
@@ -96,7 +96,12 @@ class Plan:
         }
 
     def jobs(self) -> Iterator[Job]:
-        """Yield the jobs, cells of one id and link after the other."""
+        """Yield the jobs, cells of one id and link after the other.
+
+        Raises:
+            PolicyError: a policy's file can't be read any more.
+        """
+        policies = {each: _sent(each) for each in self.agents}
         for env_id, condition, link in product(self.ids, self.conditions, self.links):
             for some, count in self.sets(env_id):
                 used = min(count, self.port_count) if link == PORT else count
@@ -105,17 +110,21 @@ class Plan:
                         cell = Cell(
                             each.name, each.training_seed, env_id, link, condition, some.name
                         )
-                        yield from _cut(cell, each, some, used)
+                        yield from _cut(cell, policies[each], some, used)
 
 
-def _cut(cell: Cell, one: Agent, some: SceneSet, count: int) -> Iterator[Job]:
+def _sent(one: Agent) -> Sent:
+    """Read an agent's policy."""
+    return Sent.of(runs.load(one.policy, trust=False, env=f"acsar_gym/{one.id}"))
+
+
+def _cut(cell: Cell, policy: Sent, some: SceneSet, count: int) -> Iterator[Job]:
     """Yield the jobs of a cell."""
     chunk = CHUNKS[cell.link]
-    env = f"acsar_gym/{one.id}"
     for first in range(0, count, chunk):
-        yield Job(cell, one.policy, env, some, first, min(chunk, count - first))
+        yield Job(cell, policy, some, first, min(chunk, count - first))
 
 
-def _plain(condition: Any) -> dict[str, Any]:
-    """Return the fields of a condition for JSON."""
+def plain(condition: Condition) -> dict[str, Any]:
+    """Return the fields of a condition for JSON, without empty ones."""
     return {name: value for name, value in asdict(condition).items() if value}

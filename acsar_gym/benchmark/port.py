@@ -49,10 +49,10 @@ def results(job: Job, env: Any, policy: FilePolicy) -> Iterator[EpisodeResult]:
 
     Raises:
         LinkError: the emulator didn't start, or its port can't be opened.
-        ConfigError: the port can't have this condition.
     """
     config = env.unwrapped.robot.config
-    options = CONDITIONS[job.cell.condition].options(config) | {"worlds": job.scenes.worlds}
+    options = CONDITIONS[job.cell.condition].options(config, job.scenes.source)
+    options["worlds"] = job.scenes.worlds
     for place in range(job.first, job.first + job.count):
         with tempfile.TemporaryDirectory() as folder:
             yield _driven(policy, config, options, job.scenes.reset(place), Path(folder))
@@ -67,7 +67,7 @@ def _driven(
 ) -> EpisodeResult:
     """Drive one scene; `scene` is the seed and the options of its reset."""
     seed, reset = scene
-    world, log = _world(config, options["worlds"], reset.get("world")), folder / "log.jsonl"
+    world, log = _world(config, options, reset.get("world")), folder / "log.jsonl"
     with _emulated(config, world, log) as devices:
         sees = {"lidar": f"rplidar://{devices.lidar}"} if devices.lidar else {}
         env = runs.made(policy, devices.robot, config, {**options, **sees})
@@ -80,11 +80,12 @@ def _driven(
     return with_truth(result, assignment, config, log)
 
 
-def _world(config: RobotConfig, source: str | None, number: int | None) -> World | None:
+def _world(config: RobotConfig, options: Mapping[str, Any], number: int | None) -> World | None:
     """Return the obstacles around the robot; None where there are none."""
+    source = options["worlds"]
     if source is None or number is None:
         return None
-    world = Pool.of(source, None, footprint_radius(config))[number]
+    world = Pool.of(source, options.get("difficulty"), footprint_radius(config))[number]
     return world if world.obstacles else None
 
 

@@ -28,11 +28,19 @@ def result(plan: Mapping[str, Any], parts: Sequence[Part]) -> dict[str, Any]:
         parts: finished parts of its cells.
     """
     kinds = {name: seeds[0]["kind"] for name, seeds in plan["agents"].items()}
+    return {"schema": SCHEMA, "header": header(plan), **figures(parts, kinds)}
+
+
+def figures(parts: Sequence[Part], kinds: Mapping[str, str]) -> dict[str, Any]:
+    """Compute everything but the header.
+
+    Args:
+        parts: finished parts of cells.
+        kinds: "learned" or "baseline" by agent.
+    """
     cells = rows.cells(parts)
     grouped = rows.rows(cells, kinds)
     told = {
-        "schema": SCHEMA,
-        "header": header(plan),
         "cells": [_cell(each) for each in cells],
         "rows": [row.as_dict() for row in grouped],
         "improvements": comparing.improvements(grouped),
@@ -65,14 +73,15 @@ def header(plan: Mapping[str, Any]) -> dict[str, Any]:
         "scenes": plan["scenes"],
         "conditions": plan["conditions"],
         "links": plan["links"],
+        "port_scenes": plan["port_scenes"],
     }
 
 
 def _cell(each: rows.CellResult) -> dict[str, Any]:
     """Return a cell with its episodes."""
     told = asdict(each.cell) | {"refused": each.refused, "seconds": round(each.seconds, 3)}
-    figures = summary(each.episodes) if each.episodes else {}
-    return told | {"summary": figures, "episodes": columns(each.episodes)}
+    means = summary(each.episodes) if each.episodes else {}
+    return told | {"summary": means, "episodes": columns(each.episodes)}
 
 
 def combined(folders: Sequence[Path]) -> tuple[dict[str, Any], list[Part]]:
@@ -122,7 +131,7 @@ def _joined(one: dict[str, Any], other: dict[str, Any], folder: Path) -> dict[st
                     "folder"
                 )
     scenes = {
-        env_id: one["scenes"].get(env_id, {}) | other["scenes"].get(env_id, {})
+        env_id: _sets(one["scenes"].get(env_id, {}), other["scenes"].get(env_id, {}))
         for env_id in [*one["scenes"], *other["scenes"]]
     }
     agents = {
@@ -134,6 +143,16 @@ def _joined(one: dict[str, Any], other: dict[str, Any], folder: Path) -> dict[st
         "agents": agents,
         "conditions": one["conditions"] | other["conditions"],
         "links": [*dict.fromkeys([*one["links"], *other["links"]])],
+        "port_scenes": max(one["port_scenes"], other["port_scenes"]),
+    }
+
+
+def _sets(one: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
+    """Join the sets of an id; of the same set, the larger number of scenes counts."""
+    return one | {
+        name: about
+        for name, about in other.items()
+        if name not in one or about["count"] > one[name]["count"]
     }
 
 

@@ -16,16 +16,17 @@ A benchmark's folder holds
 | `schema` | `SCHEMA` |
 | `header` | `versions`; `scenes`, by id and set (`version`, `sha256`, `count`, ...); `agents`, by |
 | | name (`kind` "learned" or "baseline", and `policies` with file and sha256); `conditions`, by |
-| | name, in words |
+| | name; `links`; `port_scenes`, how many scenes are driven over the port |
 | `cells` | a list: the fields of `Cell`, `refused` (why it couldn't be run, else ""), `seconds`, |
 | | `summary` (figures of this cell, see `figures.FIGURES`), `episodes`: for each field of |
 | | `Episode` a list with an entry for each episode, null for NaN |
 | `rows` | figures over all training seeds of an agent, for each id, link and condition, with |
-| | `intervals`; see `rows.Row` |
+| | `intervals` and `profile`, the share of runs whose score is above each of `taus`; see |
+| | `rows.Row` |
 | `improvements` | probability of improvement between pairs of agents on one id and link |
-| `best` | best learned agent and best baseline of each id and link, and whether their |
-| | intervals lie apart |
-| `profiles` | performance profiles: share of runs whose score is above each of `taus` |
+| `best` | best learned agent and best baseline of each id and link, by success and by score, and |
+| | whether their intervals lie apart |
+| `taus` | thresholds of the performance profiles |
 """
 
 from __future__ import annotations

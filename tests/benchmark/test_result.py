@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from benchmark_tools import ENV_ID, cell, episode, part, plan
 
-from acsar_gym.benchmark import result, statistics, submission
+from acsar_gym.benchmark import result, statistics
 from acsar_gym.benchmark.cards import weaknesses
 from acsar_gym.benchmark.figures import Scoring, episode_of, score, summary
 from acsar_gym.benchmark.store import Part, Store
@@ -62,12 +62,33 @@ def test_a_refused_agent_has_no_figures(told: dict[str, Any]) -> None:
 
 
 def test_the_best_are_compared(told: dict[str, Any]) -> None:
-    (best,) = told["best"]
-    assert (best["learned"], best["baseline"]) == ("ours", "floor")
-    assert best["score_iqm"]["better"]
-    assert not best["score_iqm"]["apart"]
+    success, score = told["best"]
+    assert (success["figure"], score["figure"]) == ("success_rate", "score_iqm")
+    assert (score["learned"], score["baseline"]) == ("ours", "floor")
+    assert score["better"]
+    assert not score["apart"]
     (improved,) = told["improvements"]
     assert improved["probability"] == pytest.approx(7 / 8)
+
+
+def test_each_figure_has_its_own_best_baseline() -> None:
+    """One succeeds always but slowly, one is fast but fails once."""
+    parts = [
+        part(cell("ours"), (0.8, 0.8, 0.8, 0.0)),
+        part(cell("slow"), (0.2, 0.2, 0.2, 0.2)),
+        part(cell("fast"), (0.7, 0.7, 0.7, 0.0)),
+    ]
+    told = result.result(plan(ours="learned", slow="baseline", fast="baseline"), parts)
+    success, score = told["best"]
+    assert (success["baseline"], success["baseline_value"]) == ("slow", 1.0)
+    assert not success["better"]
+    assert (score["baseline"], score["better"]) == ("fast", True)
+    page = markdown(told)
+    assert "| test | planar | success | ours | slow | 75.0% : 100.0% | no |" in page
+    packaged = [row | {"agent": "packaged"} for row in told["rows"] if row["agent"] == "ours"]
+    said = list(weaknesses(packaged, told))
+    assert "planar, test scenes: slow has no lower success" in said
+    assert not any("score" in line for line in said)
 
 
 def test_figures_are_those_of_an_evaluation() -> None:
@@ -103,7 +124,7 @@ def test_the_page_says_it_all(told: dict[str, Any]) -> None:
         "| **ours** | planar | 2 | 8 | 87.5% (52.9 to 97.8), worst seed 75.0%, median 87.5% |"
         in page
     )
-    assert "| PointGoal-v0 | test | planar | ours | floor | 87.5% : 50.0% | yes |" in page
+    assert "| PointGoal-v0 | test | planar | success | ours | floor | 87.5% : 50.0% | yes |" in page
     assert "| 5 % of the lines lost | 50.0% (0.571) |" in page
     assert "Without a row:\n\n- other: needs a LiDAR" in page
     assert "BARN" not in page.partition("## ")[2]
@@ -132,6 +153,16 @@ def test_folders_are_combined(tmp_path: Path) -> None:
     assert result.result(found, parts)["best"][0]["baseline"] == "floor"
 
 
+def test_the_largest_number_of_scenes_counts(tmp_path: Path) -> None:
+    for name, count in (("many", 4), ("few", 2)):
+        (tmp_path / name).mkdir()
+        told = plan()
+        told["scenes"][ENV_ID]["test"]["count"] = count
+        Store(tmp_path / name).open(told)
+    found, _ = result.combined([tmp_path / "many", tmp_path / "few"])
+    assert found["scenes"][ENV_ID]["test"]["count"] == 4
+
+
 def test_scenes_of_another_version_are_not_combined(tmp_path: Path) -> None:
     for name, sha in (("one", None), ("two", "0" * 64)):
         (tmp_path / name).mkdir()
@@ -153,55 +184,6 @@ def test_two_policies_are_not_taken_for_one(tmp_path: Path) -> None:
         Store(tmp_path / name).open(told)
     with pytest.raises(ConfigError, match="packaged on PointGoal-v0 was another policy file"):
         result.combined([tmp_path / "one", tmp_path / "two"])
-
-
-def submitted(folder: Path) -> Path:
-    return submission.write(result.result(plan(), [part()]), "mine", folder)
-
-
-def test_a_submission_is_sound(tmp_path: Path) -> None:
-    path = submitted(tmp_path)
-    assert path.name == "mine.row.json"
-    assert "sound: packaged" in submission.check(path)
-    assert "2 episodes" in submission.check(path)
-
-
-def changed(path: Path, *, signed: bool, **what: Any) -> None:
-    told = json.loads(path.read_text())
-    told["cells"][0]["summary"] |= what
-    if signed:
-        told["sha256"] = submission.signature(told)
-    path.write_text(json.dumps(told))
-
-
-def test_a_changed_submission_is_refused(tmp_path: Path) -> None:
-    path = submitted(tmp_path)
-    changed(path, signed=False, spl=1.0)
-    with pytest.raises(ConfigError, match="was changed after it was written"):
-        submission.check(path)
-    changed(path, signed=True, spl=1.0)
-    with pytest.raises(ConfigError, match=r"spl = 1\.0 isn't that of its episodes, 0\.85"):
-        submission.check(path)
-
-
-def test_a_submission_in_other_scenes_is_refused(tmp_path: Path) -> None:
-    path = submitted(tmp_path)
-    told = json.loads(path.read_text())
-    told["header"]["scenes"][ENV_ID]["test"]["sha256"] = "0" * 64
-    told["sha256"] = submission.signature(told)
-    path.write_text(json.dumps(told))
-    with pytest.raises(ConfigError, match="scene set of another version"):
-        submission.check(path)
-
-
-@pytest.mark.parametrize("text", ["", "[]", "{}", '{"schema": 1, "sha256": 3}', "null"])
-def test_what_is_no_submission(tmp_path: Path, text: str) -> None:
-    path = tmp_path / "row.json"
-    path.write_text(text)
-    with pytest.raises(ConfigError) as caught:
-        submission.check(path)
-    assert str(path) in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 def test_an_episode_without_success_scores_nothing() -> None:

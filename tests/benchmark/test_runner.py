@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import pickle
+import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +17,12 @@ from acsar_gym.benchmark.plan import CHUNKS, Job, Plan
 from acsar_gym.benchmark.rows import cells
 from acsar_gym.benchmark.scenes import SCENES
 from acsar_gym.benchmark.store import Part, Store
-from acsar_gym.errors import CancelledError, ConfigError, PolicyError
+from acsar_gym.errors import CancelledError, ConfigError, PolicyError, WorldError
 from acsar_gym.evaluation import runs
 from acsar_gym.evaluation.episodes import episodes
 from acsar_gym.resources import AGENTS
+from acsar_gym.worlds.pool import Pool
+from acsar_gym.worlds.search import footprint_radius, shortest_path
 
 ID = "PointGoal-v0"
 BASELINES = {each.name: each for each in agents.baselines([ID])}
@@ -26,7 +31,7 @@ BASELINES = {each.name: each for each in agents.baselines([ID])}
 @pytest.fixture(autouse=True)
 def _no_env_is_kept() -> Iterator[None]:
     yield
-    worker._prepared.cache_clear()
+    worker._made.cache_clear()
 
 
 def plan(*names: str, **changes: Any) -> Plan:
@@ -94,8 +99,8 @@ def test_an_agent_that_cannot_drive_there_is_refused(tmp_path: Path) -> None:
 def test_a_refusal_names_no_folder_of_this_machine() -> None:
     own = next(iter(agents.packaged()))
     job = next(Plan((own,), (own.id,), ("planar",), count=1).jobs())
-    broken = Job(job.cell, job.policy, "acsar_gym/PathFollow-v0", job.scenes, 0, 1)
-    part = worker.run(broken)
+    elsewhere = replace(job.policy, env="acsar_gym/PathFollow-v0")
+    part = worker.run(replace(job, policy=elsewhere))
     assert part.refused.startswith("barn.onnx: ")
     assert str(AGENTS) not in part.refused
 
@@ -111,11 +116,90 @@ def test_every_condition_can_be_driven(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["husky", "jackal"])
 def test_other_robots_drive(name: str) -> None:
-    """A Husky is too wide for the gaps of any BARN world."""
     env_id = "ObstacleGoal-v1"
     own = Plan(tuple(agents.baselines([env_id])), (env_id,), ("bullet",), (name,), 1)
-    job = next(job for job in own.jobs() if job.policy == "dwa")
+    job = next(job for job in own.jobs() if job.cell.agent == "dwa")
     assert worker.run(job).episodes
+
+
+@pytest.mark.slow
+def test_a_husky_drives_through_easy_barn_worlds() -> None:
+    """It is too wide for the gaps of most."""
+    (own,) = (each for each in agents.baselines(["Barn-v1"]) if each.name == "dwa")
+    job = next(Plan((own,), ("Barn-v1",), ("planar",), ("husky",), 2).jobs())
+    assert len(worker.run(job).episodes) == 2
+
+
+def test_worlds_of_a_husky_can_be_made() -> None:
+    condition = conditions.CONDITIONS["husky"]
+    options = condition.options(condition.config, "barn")
+    radius = footprint_radius(condition.config)
+    world = Pool.of("barn:100000-100001", options["difficulty"], radius)[100_000]
+    assert len(shortest_path(world, radius)) >= 2
+    assert "difficulty" not in condition.options(condition.config, "clutter")
+
+
+@pytest.mark.parametrize(
+    ("condition", "how", "said"),
+    [
+        ("husky", {"simulated": True, "published": True}, "this one has 0.598 m"),
+        ("jackal", {"simulated": True, "published": True}, ""),
+        ("husky", {"simulated": True, "published": False}, ""),
+        ("randomization-1", {"simulated": False, "published": False}, "physics don't vary"),
+        ("dropped-2", {"simulated": False, "published": False}, ""),
+    ],
+)
+def test_conditions_that_nobody_can_drive_under(
+    condition: str, how: dict[str, bool], said: str
+) -> None:
+    found = conditions.CONDITIONS[condition].impossible(**how)
+    assert said in found
+    assert bool(said) == bool(found)
+
+
+def test_randomization_is_refused_behind_the_port() -> None:
+    job = next(plan(links=("port",), conditions=("randomization-1",), count=1).jobs())
+    assert "physics don't vary" in worker.run(job).refused
+
+
+@pytest.mark.parametrize("error", [ConfigError("disk full"), WorldError("no such folder")])
+def test_a_fault_of_this_machine_is_no_refusal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: ConfigError
+) -> None:
+    """The same command tries again, and drives once it is mended."""
+
+    def fails(*args: Any, **options: Any) -> Any:
+        raise error
+
+    with monkeypatch.context() as patched:
+        patched.setattr(runs, "made", fails)
+        with pytest.raises(ConfigError, match=str(error)):
+            runner.run(plan(), Store(tmp_path))
+    (part,) = runner.run(plan(), Store(tmp_path))
+    assert not part.refused
+    assert len(part.episodes) == 2
+
+
+def test_an_error_while_it_drives_is_no_refusal(tmp_path: Path) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text("ENV_ID = 'acsar_gym/PointGoal-v0'\ndef act(seen):\n    return open('none')\n")
+    own = Plan((agents.submitted(f"{file}:act"),), (ID,), ("planar",), count=1)
+    store = Store(_made(tmp_path / "out"))
+    with pytest.raises(PolicyError, match="act failed"):
+        runner.run(own, store)
+    assert store.open(own.as_dict()) == []
+
+
+def test_a_job_brings_its_policy_along(tmp_path: Path) -> None:
+    """Another machine has no such file."""
+    file = tmp_path / "mine.onnx"
+    shutil.copy(AGENTS / "policies" / "point_goal.onnx", file)
+    own = Plan((agents.submitted(str(file)),), (ID,), ("planar",), count=1)
+    job = pickle.loads(pickle.dumps(next(own.jobs())))  # noqa: S301 - our own
+    file.unlink()
+    part = worker.run(job)
+    assert not part.refused
+    assert len(part.episodes) == 1
 
 
 def test_the_conditions_change_what_they_say() -> None:

@@ -11,7 +11,7 @@ from acsar_gym.benchmark.agents import Agent
 from acsar_gym.benchmark.conditions import NOMINAL
 from acsar_gym.benchmark.page import plots, worst
 from acsar_gym.benchmark.page.plots import Told
-from acsar_gym.benchmark.table import COLUMNS, LINKS
+from acsar_gym.benchmark.table import COLUMNS, LINKS, best_by_score
 from acsar_gym.evaluation.page.document import Film, Gallery, Grid, Page, Plot, Section, Tile
 
 WORST = 10
@@ -83,11 +83,10 @@ def _tiles(results: Told) -> list[Tile]:
     """Make a tile for the best learned agent of each id, behind the last of the links."""
     found: dict[str, Tile] = {}
     for best in results["best"]:
-        rate = best["success_rate"]
-        label = f"{best['id']}, success, {best['learned']} : {best['baseline']}"
-        told = f"{rate['learned']:.1%}", f"{rate['baseline']:.1%}"
-        if best["scenes"] == "test":
-            found[best["id"]] = Tile(label, f"{told[0]} : {told[1]}")
+        if (best["figure"], best["scenes"]) == ("success_rate", "test"):
+            label = f"{best['id']}, success, {best['learned']} : {best['baseline']}"
+            value = f"{best['learned_value']:.1%} : {best['baseline_value']:.1%}"
+            found[best["id"]] = Tile(label, value)
     return list(found.values())
 
 
@@ -145,7 +144,7 @@ def _plain(text: str) -> str:
 
 def _comparisons(results: Told) -> list[Section]:
     """Make the section of the probability of improvement."""
-    own = {(best["id"], best["scenes"], best["link"], best["learned"]) for best in results["best"]}
+    own = best_by_score(results["best"])
     some = [
         each
         for each in results["improvements"]

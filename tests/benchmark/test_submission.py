@@ -1,0 +1,134 @@
+"""Submissions: what `--check` computes anew, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from benchmark_tools import ENV_ID, cell, part, plan
+
+from acsar_gym.benchmark import result, submission
+from acsar_gym.benchmark.store import Part
+from acsar_gym.errors import ConfigError
+
+Told = dict[str, Any]
+CONDITIONS = ("nominal", "dropped-5", "husky")
+PARTS = [
+    part(),
+    part(cell(condition="dropped-5"), (0.5, 0.0)),
+    Part(cell(condition="husky"), 0, refused="mine: made for another robot"),
+]
+
+
+@pytest.fixture
+def row(tmp_path: Path) -> Path:
+    """A sound row."""
+    return submission.write(result.result(plan(*CONDITIONS), PARTS), "mine", tmp_path)
+
+
+def change(row: Path, how: Callable[[Told], object], *, signed: bool = True) -> None:
+    """Change a row, and sign it again."""
+    told = json.loads(row.read_text())
+    how(told)
+    if signed:
+        told["sha256"] = submission.signature(told)
+    row.write_text(json.dumps(told))
+
+
+def test_a_submission_is_sound(row: Path) -> None:
+    assert row.name == "mine.row.json"
+    assert "sound: packaged" in submission.check(row)
+    assert "4 episodes" in submission.check(row)
+
+
+def test_a_submission_over_the_port_has_fewer_scenes(tmp_path: Path) -> None:
+    told = plan("nominal") | {"links": ["planar", "port"], "port_scenes": 1}
+    parts = [part(), part(cell(link="port"), (0.9,))]
+    row = submission.write(result.result(told, parts), "mine", tmp_path)
+    assert "3 episodes" in submission.check(row)
+
+
+def test_a_changed_submission_is_refused(row: Path) -> None:
+    change(row, lambda told: told["cells"][0]["summary"].update(spl=1.0), signed=False)
+    with pytest.raises(ConfigError, match="was changed after it was written"):
+        submission.check(row)
+
+
+@pytest.mark.parametrize(
+    ("how", "said"),
+    [
+        (
+            lambda told: told["cells"][0]["summary"].update(spl=1.0),
+            r"cells\[0\]\.summary\.spl = 1\.0 isn't that of its episodes, 0\.85",
+        ),
+        (lambda told: told["rows"][0].update(success_rate=0.5), r"rows\[0\]\.success_rate = 0\.5"),
+        (lambda told: told["rows"][1]["profile"].reverse(), r"rows\[1\]\.profile\[0\]"),
+        (lambda told: told["rows"][0].update(refused="no"), r"rows\[0\]\.refused = 'no'"),
+        (lambda told: told["rows"].pop(), "rows = "),
+        (lambda told: told["best"].append({"learned": "mine"}), "best = "),
+        (lambda told: told["improvements"].append({"over": "dwa"}), "improvements = "),
+        (lambda told: told.update(award="gold"), "award = 'gold' isn't that of its episodes"),
+        (lambda told: told.pop("taus"), "taus = 'nothing'"),
+        (lambda told: told["header"].update(scenes={}), "its header names no scenes"),
+        (lambda told: told["header"].update(conditions={}), "its header names no scenes"),
+        (
+            lambda told: told["header"]["scenes"][ENV_ID]["test"].update(sha256="0" * 64),
+            "scene set of another version",
+        ),
+        (
+            lambda told: told["header"]["scenes"][ENV_ID]["test"].update(first=7),
+            "scene set of another version",
+        ),
+        (
+            lambda told: told["header"]["scenes"][ENV_ID].update(mine={"count": 2, "first": 0}),
+            "others than the benchmark's",
+        ),
+        (
+            lambda told: told["header"]["conditions"]["dropped-5"].update(faults={}),
+            "condition 'dropped-5': of another version",
+        ),
+        (lambda told: told["cells"][0].update(id="Barn-v1"), "isn't a cell of its header"),
+        (lambda told: told["cells"][0].update(link="bullet"), "isn't a cell of its header"),
+        (lambda told: told["cells"].append(told["cells"][0]), "isn't a cell of its header"),
+        (lambda told: told["cells"].pop(1), "test, planar, dropped-5: is missing"),
+        (
+            lambda told: told["cells"][0]["episodes"].update(scene=[8589934593, 8589934592]),
+            "aren't those of the first 2 scenes",
+        ),
+        (
+            lambda told: [each.pop() for each in told["cells"][0]["episodes"].values()],
+            "aren't those of the first 2 scenes",
+        ),
+        (
+            lambda told: told["header"]["scenes"][ENV_ID]["test"].update(count=3),
+            "aren't those of the first 3 scenes",
+        ),
+        (lambda told: told["cells"][0].update(refused="no"), "aren't those of the first 0 scenes"),
+        (
+            lambda told: told["cells"][0]["episodes"]["score"].__setitem__(0, "gold"),
+            "isn't a row of",
+        ),
+    ],
+)
+def test_what_is_not_so_is_refused_though_it_is_signed(
+    row: Path, how: Callable[[Told], object], said: str
+) -> None:
+    change(row, how)
+    with pytest.raises(ConfigError, match=said) as caught:
+        submission.check(row)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{}", '{"schema": 1, "sha256": 3}', "null", "[" * 100_000]
+)
+def test_what_is_no_submission(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "row.json"
+    path.write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        submission.check(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
