@@ -1,12 +1,18 @@
-"""docs/extending.md: its code, as a user would save it, in all modes."""
+"""docs/your-own-*.md: their code, as a user would save it, in all modes."""
 
 from __future__ import annotations
 
 import importlib
+import math
+import os
+import pty
 import re
 import sys
+import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import gymnasium
@@ -15,11 +21,13 @@ import pytest
 from tapes import playing, recorded
 
 from acsar_gym import RobotConfig, open_link
+from acsar_gym.errors import LinkError
 from acsar_gym.lidars.base import Scan
 from acsar_gym.links.replay import ReplayLink
-from acsar_gym.worlds import registry
+from acsar_gym.worlds import Scene, registry
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "extending.md"
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+PAGES = {name: DOCS / f"your-own-{name}.md" for name in ("task", "sensor", "robot", "world")}
 TASK = "mine.clearance:mine/Clearance-v0"
 FENCE = {"min_x": -0.6, "max_x": 4.0, "min_y": -3.0, "max_y": 3.0}
 ROBOT: dict[str, Any] = {
@@ -32,19 +40,20 @@ STEPS = 1000
 
 @pytest.fixture(scope="module")
 def mine(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A user's package with the files of the page."""
+    """A user's package with the files of the pages."""
     folder = tmp_path_factory.mktemp("users")
     package = folder / "mine"
     package.mkdir()
     (package / "__init__.py").touch()
-    text = PAGE.read_text(encoding="utf-8")
+    text = "".join(page.read_text(encoding="utf-8") for page in PAGES.values())
     for name, code in re.findall(r"^```python\n# mine/(\w+\.py)\n(.*?)^```", text, re.M | re.S):
         (package / name).write_text(code, encoding="utf-8")
     sys.path.insert(0, str(folder))
     importlib.invalidate_caches()
     yield package
     sys.path.remove(str(folder))
-    gymnasium.registry.pop("mine/Clearance-v0", None)
+    for one in ("Clearance", "Park", "Feeling"):
+        gymnasium.registry.pop(f"mine/{one}-v0", None)
     registry._OWN.pop("corridors", None)
     for name in [name for name in sys.modules if name.split(".")[0] == "mine"]:
         del sys.modules[name]
@@ -57,8 +66,10 @@ def actions(robots: int, steps: int) -> np.ndarray[Any, np.dtype[np.float32]]:
     return np.repeat(pushes, 4, axis=0)[:steps].astype(np.float32)
 
 
-def test_the_task_has_forty_lines(mine: Path) -> None:
-    lines = (mine / "clearance.py").read_text(encoding="utf-8").split("class Clearance", 1)[1]
+@pytest.mark.parametrize("name", ["Park", "Clearance"])
+def test_a_task_has_forty_lines(mine: Path, name: str) -> None:
+    file = mine / f"{name.lower()}.py"
+    lines = file.read_text(encoding="utf-8").split(f"class {name}", 1)[1]
     assert len([line for line in lines.splitlines() if line.strip()]) <= 40
 
 
@@ -169,9 +180,60 @@ def test_worlds_of_ones_own(mine: Path) -> None:
 
 
 def test_a_robot_of_ones_own(tmp_path: Path) -> None:
-    text = PAGE.read_text(encoding="utf-8")
     file = tmp_path / "robot.yaml"
+    text = PAGES["robot"].read_text(encoding="utf-8")
     file.write_text(re.findall(r"^```yaml\n(.*?)^```", text, re.M | re.S)[0], encoding="utf-8")
+    assert RobotConfig.load(file).wheel_separation_multiplier == pytest.approx(
+        1.0 + (0.22 / 0.3) ** 2, abs=0.005
+    )
     env = gymnasium.make("acsar_gym/ObstacleGoal-v1", link="planar", robot=str(file))
     env.reset(seed=0)
     env.close()
+
+
+def test_the_simple_task_ends_well_where_the_robot_stands_at_the_goal(mine: Path) -> None:
+    """A few lines of a policy do it, so that it can be learnt."""
+    env = gymnasium.make("mine.park:mine/Park-v0", link="planar")
+    seen, _ = env.reset(seed=0, options={"goal": (0.8, 0.3)})
+    total, over, info = 0.0, False, {}
+    while not over:
+        ahead, left = seen[:2]
+        push = (min(ahead, 0.4), 2.0 * math.atan2(left, ahead)) if ahead > 0.05 else (0.0, 0.0)
+        seen, reward, terminated, truncated, info = env.step(np.clip(push, -1, 1))
+        total, over = total + float(reward), terminated or truncated
+    env.close()
+    assert info["is_success"]
+    assert total > 1.0
+
+
+@pytest.mark.xdist_group("serial")
+def test_on_hardware_the_sensor_reads_its_device(mine: Path) -> None:
+    """Its link knows no truth; the newest whole line counts, and silence is a fault."""
+    finder, rays = (importlib.import_module(f"mine.{name}") for name in ("finder", "rays"))
+    link, config = SimpleNamespace(truth=None), RobotConfig()
+    sensor = finder.three_rays(link, config)
+    assert type(finder.three_rays(open_link("planar", config), config)) is rays.ThreeRays
+    board, device = pty.openpty()
+    sensor.device = os.ttyname(device)
+    talking = threading.Timer(0.1, os.write, (board, b"9 9\n1.5 0.3 6.0\n"))
+    talking.start()
+    sensor.reset(Scene(), np.random.default_rng(0))
+    sensor.poll(None, 1.0)
+    np.testing.assert_allclose(sensor.read(None, 1.0), [0.5, 0.1, 1.0])
+    os.write(board, b"3.0 0.6 0.6\n0.")
+    polled(sensor, 1.2)
+    np.testing.assert_allclose(sensor.read(None, 1.2), [1.0, 0.2, 0.2])
+    with pytest.raises(LinkError, match="silent"):
+        sensor.read(None, 1.9)
+    sensor.close()
+    os.close(board)
+    os.close(device)
+
+
+def polled(sensor: Any, now: float) -> None:
+    """Poll until the terminal has passed on a line."""
+    for _ in range(500):
+        sensor.poll(None, now)
+        if sensor.fresh == now:
+            return
+        time.sleep(0.01)
