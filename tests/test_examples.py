@@ -27,7 +27,7 @@ def main_of(name: str) -> Any:
     return runpy.run_path(str(EXAMPLES / f"{name}.py"))["main"]
 
 
-@pytest.mark.parametrize("script", EXAMPLES.glob("*.py"), ids=lambda path: path.stem)
+@pytest.mark.parametrize("script", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.stem)
 def test_a_script_is_short(script: Path) -> None:
     assert len(script.read_text(encoding="utf-8").splitlines()) < LONGEST
 
