@@ -2,15 +2,34 @@
 
 from __future__ import annotations
 
+import os
 import runpy
 from pathlib import Path
+from typing import Any
 
+import gymnasium
+import numpy as np
 import pytest
+from serial_tools import Emulated, RobotFile, wait_until
 
+from acsar_gym import RobotConfig
 from acsar_gym.evaluation import runs
 from acsar_gym.policies import OnnxPolicy
 
+os.environ.setdefault("MPLBACKEND", "Agg")
 EXAMPLES = Path(__file__).resolve().parents[1] / "agents" / "examples"
+LONGEST = 60
+"""Every script has fewer lines."""
+
+
+def main_of(name: str) -> Any:
+    """The `main` of an example, which its command line calls."""
+    return runpy.run_path(str(EXAMPLES / f"{name}.py"))["main"]
+
+
+@pytest.mark.parametrize("script", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.stem)
+def test_a_script_is_short(script: Path) -> None:
+    assert len(script.read_text(encoding="utf-8").splitlines()) < LONGEST
 
 
 @pytest.mark.parametrize(("env", "least"), [("point_goal", 5), ("obstacle_goal", 0)])
@@ -25,6 +44,81 @@ def test_heading_for_the_goal_reaches_it_where_nothing_stands_in_the_way(
 @pytest.mark.xdist_group("torch")
 def test_the_export_of_stable_baselines3_drives(tmp_path: Path) -> None:
     out = tmp_path / "policy.onnx"
-    script = runpy.run_path(str(EXAMPLES / "sb3_ppo.py"))
-    script["main"](["--steps", "16", "--robots", "4", "--rollout", "4", "--out", str(out)])
+    main_of("sb3_ppo")(steps=16, robots=4, rollout=4, out=str(out))
     assert OnnxPolicy(out).env_id == "acsar_gym/PointGoal-v0"
+    assert out.with_suffix(".zip").exists()
+
+
+@pytest.mark.xdist_group("torch")
+def test_a_loop_of_ones_own_learns_from_a_rollout(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    main_of("own_loop")(steps=1)
+    assert "16,384 steps, mean reward of a step " in capsys.readouterr().out
+    assert OnnxPolicy(tmp_path / "own.onnx").env_id == "acsar_gym/PointGoal-v0"
+
+
+@pytest.mark.xdist_group("torch")
+def test_a_task_of_ones_own_is_trained_and_driven(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    try:
+        main_of("own_task")(steps=1, count=1)
+    finally:
+        gymnasium.registry.pop("mine/Parking-v0", None)
+    assert capsys.readouterr().out.startswith("planar: parked in ")
+    assert OnnxPolicy(tmp_path / "parking.onnx").env_id == "mine/Parking-v0"
+
+
+@pytest.mark.xdist_group("serial")
+def test_stable_baselines3_on_a_board_is_slow_and_stops(
+    emulator: Emulated,
+    robot_file: RobotFile,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """A policy that wants full speed."""
+    zipped = full_speed(tmp_path / "model.zip")
+    main_of("sb3_on_hardware")(
+        zipped, emulator.device, robot=str(robot_file()), seconds=1.0, yes=True
+    )
+    wait_until(emulator.is_stopped, "the command to stop")
+    speeds = [abs(speed or 0.0) for command in emulator.commands() for speed in command]
+    assert max(speeds) == pytest.approx(0.2 / RobotConfig.preset("acsar").wheel_radius, abs=0.01)
+    said = capsys.readouterr().out
+    assert "reached: False" in said
+    assert "LIMITS" in said
+    assert said.endswith("no fault\n")
+
+
+def full_speed(path: Path) -> Path:
+    """A zip of a network that always drives straight ahead."""
+    import torch
+    from stable_baselines3 import PPO
+
+    env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar")
+    model = PPO("MlpPolicy", env, n_steps=2, batch_size=2, device="cpu")
+    with torch.no_grad():
+        model.policy.action_net.weight.zero_()
+        model.policy.action_net.bias.copy_(torch.tensor([5.0, 0.0]))
+    model.save(path)
+    return path
+
+
+def test_a_recorded_run_in_pandas(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    tape, plot = tmp_path / "tape.mcap", tmp_path / "run.png"
+    env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar", record=tape)
+    for seed in range(2):
+        env.reset(seed=seed)
+        for step in range(20):
+            env.step(np.array([np.sin(step / 3.0), 0.1], np.float32))
+    env.close()
+    found = main_of("recorded_run")(tape, plot)
+    assert list(found.columns) == [0, 1]
+    assert 0.0 < found.loc["measured after sent", 0] < 0.3
+    assert 0.1 < found.loc["path by odometry", 1] < 1.0
+    assert found.loc["late, median"].isna().all()
+    assert "limited ticks" in capsys.readouterr().out
+    assert plot.stat().st_size > 10_000

@@ -16,6 +16,7 @@ from acsar_gym.evaluation import runs
 from acsar_gym.policies import OnnxPolicy, save
 
 pytestmark = pytest.mark.xdist_group("torch")
+ID = "acsar_gym/PointGoal-v0"
 SEEN = np.random.default_rng(0).uniform(-3.0, 3.0, (20, 7)).astype(np.float32)
 
 
@@ -45,6 +46,21 @@ def test_a_module_decides_the_same_from_its_file(tmp_path: Path) -> None:
             expected = module(torch.from_numpy(normalized)[None])[0].clamp(-1.0, 1.0)
         assert policy(seen) == pytest.approx(expected.numpy(), abs=1e-6)
     runs.made(policy, "planar", None, {}).close()
+
+
+def test_a_network_that_is_called_in_its_own_way_decides_the_same(tmp_path: Path) -> None:
+    import torch
+
+    class Foreign(torch.nn.Linear):
+        def decide(self, batch: dict[str, torch.Tensor]) -> tuple[torch.Tensor, torch.Tensor]:
+            action, deviation = self(batch["seen"]).split(2, dim=1)
+            return action, deviation
+
+    foreign, path = Foreign(7, 4), tmp_path / "policy.onnx"
+    save(policies.actor(foreign, lambda net, seen: net.decide({"seen": seen})[0].tanh()), ID, path)
+    with torch.no_grad():
+        expected = foreign.decide({"seen": torch.from_numpy(SEEN[:1])})[0].tanh()[0]
+    assert OnnxPolicy(path)(SEEN[0]) == pytest.approx(expected.numpy(), abs=1e-6)
 
 
 def test_a_normalizer_needs_no_clip(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import runpy
 import signal
 import subprocess
 import sys
@@ -19,6 +20,7 @@ from job_tools import Job, broken, missing, square
 from acsar_gym.errors import JobError, MissingExtraError
 from acsar_gym.evaluation import runs
 from acsar_gym.evaluation.episodes import EpisodeResult
+from acsar_gym.resources import AGENTS
 from acsar_gym.scaling import completed, shards
 
 PATIENCE = 120.0
@@ -207,10 +209,8 @@ def test_trainings_of_seeds_run_on_a_cluster_and_their_files_come_back(tmp_path:
 def test_a_sweep_with_ray_tune_prints_its_table(
     cluster: Nodes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from acsar_gym.resources import agent
-
-    asked = "--env point_goal --levels 0 3 --seeds 0-1 --steps 1 --episodes 2"
-    sweep = agent("examples/tune_randomization")
-    sweep.main([*asked.split(), "--out", str(tmp_path), "--address", cluster.address])
+    sweep = runpy.run_path(str(AGENTS / "examples" / "tune_randomization.py"))["main"]
+    few = {"env": "point_goal", "levels": (0, 3), "seeds": "0-1", "steps": 1, "episodes": 2}
+    sweep(**few, address=cluster.address, out=tmp_path)
     rows = [line.split() for line in capsys.readouterr().out.splitlines() if "%" in line]
     assert [row[:2] for row in rows] == [["0", "2"], ["3", "2"]]
