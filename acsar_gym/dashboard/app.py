@@ -94,7 +94,10 @@ def made(session: Session) -> dash.Dash:
         enable_mcp=False,
     )
     app.layout = lambda: layout.page(session)
-    app.callback(OUTPUTS, INPUTS)(Shown(session))
+    asking = [
+        (Output("pulse", "disabled"), True, False)
+    ]  # never a second question before an answer
+    app.callback(OUTPUTS, INPUTS, running=asking)(Shown(session))
     app.callback(
         Output("stop-said", "children"),
         Input("stop", "n_clicks"),

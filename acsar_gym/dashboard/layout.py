@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 from dash import dcc, html
@@ -9,7 +10,7 @@ from dash import dcc, html
 from acsar_gym.dashboard.readings import NONE
 from acsar_gym.dashboard.session import Session
 
-RATES = {rate: f"{rate} x" for rate in ("0.5", "1", "4", "16")}
+RATES = [{"label": f"{rate} x", "value": rate} for rate in ("0.5", "1", "4", "16")]
 """How fast a recording is played."""
 QUICK, SLOW = 200, 1000
 """Time between two updates while something moves, and while nothing does [ms]."""
@@ -35,7 +36,7 @@ def page(session: Session) -> Any:
             _transport(session),
             dcc.Store(id="playing", data=session.is_live),
             dcc.Store(id="clock", data=0.0),
-            dcc.Interval(id="pulse", interval=QUICK),
+            dcc.Interval(id="pulse", interval=QUICK if session.is_live else SLOW),
         ]
     )
 
@@ -48,7 +49,7 @@ def _header(session: Session) -> Any:
         session.tail.config.name,
         about.get("command"),
         about.get("link"),
-        policy.get("file") if isinstance(policy, dict) else None,
+        Path(str(policy.get("file", ""))).name if isinstance(policy, dict) else None,
     )
     words = " · ".join(str(each)[:80] for each in told if each)
     return html.Header(
@@ -82,7 +83,7 @@ def _tiles() -> Any:
             _tile(
                 "Lateness",
                 [_value("late"), " ms"],
-                ["worst ", _value("worst"), " · feedback ", _value("age"), " ms old"],
+                ["worst ", _value("worst"), ", feedback ", _value("age"), " ms old"],
             ),
             _tile("Safety layer", [_value("reason")], [_value("said")], id="safety"),
         ],
@@ -115,7 +116,7 @@ def _value(name: str) -> Any:
 def _card(title: str, key: Any, graph: str, config: dict[str, Any], kind: str) -> Any:
     """A figure with title and key."""
     heading = html.Div([html.H2(title), key], className="heading")
-    plot = dcc.Graph(id=graph, figure={}, config=config, responsive=True, className="graph")
+    plot = dcc.Graph(id=graph, figure={}, config=config, responsive=True)
     return html.Section([heading, plot], className=f"card {kind}")
 
 

@@ -1,0 +1,77 @@
+"""Measures the time from a click on the dashboard's stop button until the board has zero.
+
+The board is emulated, and notes when it reads each byte; the browser is headless Chromium.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from browser_tools import browser
+from serial_tools import Emulated, program, start, wait_until
+from test_dashboard import DRAWN, DRIVING
+
+from acsar_gym.dashboard.server import served
+from acsar_gym.protocol import ZERO, Decoder
+
+
+def zero_after(emulated: Emulated, moment: float) -> float:
+    """When the board got its first zero command after a moment of the monotonic clock [s]."""
+    decoder = Decoder()
+    for event in emulated.events():
+        for reading in decoder.feed(event.get("rx", "").encode("latin-1")):
+            if reading.speeds == ZERO and event["t"] > moment:
+                return float(event["t"])
+    raise AssertionError("no zero")
+
+
+def trial(folder: Path) -> float:
+    """One run that is stopped by a click; time from the click to zero [s]."""
+    emulated = start(folder / "board.jsonl")
+    path = folder / "live.mcap"
+    options = ("--link", emulated.device, "--linear", "0.2", "--record", str(path))
+    try:
+        with program(DRIVING, "drive", *options) as process:
+            wait_until(emulated.is_driven, "a command that turns the wheels")
+            clicked = clicked_on(path, folder)
+            process.wait(30.0)
+            return zero_after(emulated, clicked) - clicked
+    finally:
+        emulated.end()
+
+
+def clicked_on(path: Path, folder: Path) -> float:
+    """Open the page of a live run and click; the moment just before, of the monotonic clock [s]."""
+    with served(path, 0) as server, browser(folder) as tab:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        tab.open(f"http://127.0.0.1:{server.port}", 1280, 940)
+        tab.wait(DRAWN, "a page that is drawn")
+        clicked = time.monotonic()
+        tab.run("document.querySelector('#stop').click()")
+        tab.wait("document.querySelector('#stop-said').innerText", "an answer")
+        server.shutdown()
+        return clicked
+
+
+def main() -> None:
+    """Print the times of some trials."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--trials", type=int, default=10)
+    times = []
+    for _ in range(parser.parse_args().trials):
+        with tempfile.TemporaryDirectory() as folder:
+            times.append(trial(Path(folder)) * 1e3)
+    print(f"{len(times)} clicks: median {np.median(times):.0f} ms, worst {max(times):.0f} ms")
+
+
+if __name__ == "__main__":
+    main()

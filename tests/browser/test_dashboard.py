@@ -1,0 +1,102 @@
+"""The dashboard in headless Chromium: a recording, and a robot that is stopped by its button.
+
+`make test-browser` runs these. Set ACSAR_GYM_SHOTS to a folder to keep the pictures.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from browser_tools import CHROMIUM, Tab, browser
+from recording_tools import drive
+from serial_tools import Emulated, RobotFile, program, wait_until
+
+from acsar_gym import RobotConfig
+from acsar_gym.dashboard.server import served
+from acsar_gym.dashboard.source import recording_of
+
+pytestmark = [
+    pytest.mark.xdist_group("serial"),
+    pytest.mark.skipif(CHROMIUM is None, reason="chromium isn't installed: apt install chromium"),
+]
+DRIVING = """
+import sys
+from acsar_gym.cli import main
+sys.argv = ["acsar-gym", *sys.argv[1:]]
+main()
+"""
+DRAWN = """['top', 'wheels', 'late'].every(name => {
+  const graph = document.querySelector(`#${name} .js-plotly-plot`);
+  return graph && graph.data && graph.data.length > 2;
+}) && document.querySelector('#value-time').innerText != '\\u2013'"""
+WIDE, NARROW = (1280, 940), (420, 1750)
+
+
+@contextmanager
+def opened(path: Path, folder: Path, size: tuple[int, int] = WIDE) -> Iterator[Tab]:
+    """The page of a recording, once it is drawn."""
+    with served(path, port=0) as server:
+        thread = threading.Thread(target=server.serve_forever, daemon=True)
+        thread.start()
+        try:
+            with browser(folder) as tab:
+                tab.open(f"http://127.0.0.1:{server.port}", *size)
+                tab.wait(DRAWN, "a page that is drawn")
+                yield tab
+                assert tab.foreign == []
+                assert tab.console == []
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+def shot(tab: Tab, name: str, folder: Path) -> None:
+    tab.shot(Path(os.environ.get("ACSAR_GYM_SHOTS", folder)) / f"{name}.png")
+
+
+@pytest.mark.parametrize("size", [WIDE, NARROW])
+def test_a_recording_is_drawn_and_played(tmp_path: Path, size: tuple[int, int]) -> None:
+    path = drive(tmp_path / "tape.mcap", RobotConfig.of(None), ticks=300)
+    with opened(path, tmp_path, size) as tab:
+        assert tab.text("#state") == "recorded"
+        assert tab.run("getComputedStyle(document.querySelector('#stop')).display") == "none"
+        assert tab.run("document.documentElement.scrollWidth <= innerWidth")
+        tab.run("document.querySelector('#play').click()")
+        tab.wait("parseFloat(document.querySelector('#value-time').innerText) > 0.5", "playing")
+        tab.wait("document.querySelector('#play').innerText == 'Play'", "the end")
+        assert float(tab.text("#value-time")) > 2.9
+        shot(tab, f"dashboard_recorded_{size[0]}", tmp_path)
+
+
+def test_the_stop_button_stops_a_robot_that_another_process_drives(
+    own_emulator: Emulated, robot_file: RobotFile, tmp_path: Path
+) -> None:
+    path, device = tmp_path / "live.mcap", own_emulator.device
+    options = ("--link", device, "--linear", "0.2", "--angular", "0.3", "--record", str(path))
+    with program(DRIVING, "drive", *options, "--robot", str(robot_file())) as process:
+        wait_until(own_emulator.is_driven, "a command that turns the wheels")
+        assert recording_of(device) == path
+        with opened(path, tmp_path) as tab:
+            assert tab.text("#state") == "live"
+            assert float(tab.text("#value-linear_sent")) == pytest.approx(0.2)
+            shot(tab, "dashboard_live", tmp_path)
+            note = "new MutationObserver(() => said.push(stop.innerText)).observe(stop, {"
+            note = f"said = []; stop_ = document.querySelector('#stop'); {note}"
+            note = note.replace("stop.", "stop_.").replace("observe(stop,", "observe(stop_,")
+            tab.run(f"{note}childList: true, characterData: true, subtree: true}}); 0")
+            assert own_emulator.is_driven()
+            tab.run("document.querySelector('#stop').click()")
+            tab.wait("document.querySelector('#stop-said').innerText", "an answer")
+            assert tab.text("#stop-said").startswith("zero is on the wire")
+            assert tab.run("said")[0].startswith("Stopping")
+            assert own_emulator.is_stopped()
+            tab.wait("document.querySelector('#state').innerText == 'stopped'", "the state")
+            process.wait(30.0)
+            tab.wait("document.querySelector('#message').innerText", "what ended it")
+            shot(tab, "dashboard_stopped", tmp_path)
+    assert process.returncode == 3

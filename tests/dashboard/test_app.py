@@ -1,0 +1,187 @@
+"""The page by a test client: what it shows, and what it answers."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from acsar_gym.dashboard import app as apps
+from acsar_gym.dashboard import palette
+from acsar_gym.dashboard.app import INPUTS, OUTPUTS, Inputs, Shown
+from acsar_gym.dashboard.layout import QUICK, SLOW
+from acsar_gym.dashboard.session import Session
+from acsar_gym.errors import ConfigError
+
+BASE = "http://127.0.0.1:8050"
+OPENED = Inputs(pulse=None, at=0.0, play=0, episode=None, playing=False, clock=0.0, rate="1")
+
+
+@pytest.fixture(scope="module")
+def session(tape: Path) -> Session:
+    return Session(tape)
+
+
+@pytest.fixture(scope="module")
+def client(session: Session) -> Any:
+    return apps.made(session).server.test_client()
+
+
+def page(**changes: Any) -> Inputs:
+    return Inputs(**(vars(OPENED) | changes))
+
+
+def answered(session: Session, cause: str | None, now: float = 100.0, **changes: Any) -> Any:
+    return Shown(session).answered(page(**changes), cause, now)
+
+
+def test_everything_comes_from_this_server(client: Any) -> None:
+    answer = client.get("/", base_url=BASE)
+    html = answer.get_data(as_text=True)
+    links = re.findall(r'(?:src|href)="([^"]+)"', html)
+    assert len(links) > 5
+    assert all(link.startswith("/") for link in links)
+    assert "default-src 'self'" in answer.headers["Content-Security-Policy"]
+    css = client.get(next(link for link in links if "dashboard.css" in link), base_url=BASE)
+    assert css.status_code == 200
+    assert b"http" not in css.data
+
+
+@pytest.mark.parametrize(
+    ("base", "origin", "code"),
+    [
+        (BASE, None, 200),
+        (BASE, BASE, 200),
+        ("http://localhost:8050", None, 200),
+        ("http://example.com", None, 403),
+        ("http://127.0.0.1.example.com:8050", None, 403),
+        (BASE, "http://example.com", 403),
+    ],
+)
+def test_other_sites_get_nothing(client: Any, base: str, origin: str | None, code: int) -> None:
+    headers = {"Origin": origin} if origin else {}
+    assert client.get("/", base_url=base, headers=headers).status_code == code
+
+
+def test_the_page_is_answered_over_http(client: Any) -> None:
+    asked = client.get("/_dash-dependencies", base_url=BASE).get_json()[0]
+    values = {"time": 0.5, "episode": 1, "playing": False, "clock": 1.0, "rate": "1"}
+    body = {
+        "output": asked["output"],
+        "outputs": [
+            {"id": one.component_id, "property": one.component_property} for one in OUTPUTS.values()
+        ],
+        "inputs": [{**one, "value": values.get(one["id"])} for one in asked["inputs"]],
+        "state": [{**one, "value": values.get(one["id"])} for one in asked["state"]],
+        "changedPropIds": ["time.value"],
+    }
+    assert len(body["inputs"]) + len(body["state"]) == len(INPUTS)
+    answer = client.post("/_dash-update-component", json=body, base_url=BASE)
+    told = answer.get_json()["response"]
+    assert told["value-time"]["children"] == "0.5"
+    assert told["state"]["children"] == "recorded"
+    assert len(told["top"]["figure"]["data"]) > 6
+    assert len(answer.data) < 200_000
+
+
+def test_a_recording_is_opened_at_its_beginning_and_has_no_stop_button(session: Session) -> None:
+    told = answered(session, None)
+    assert (told["state"], told["play"], told["slider"]) == ("recorded", "Play", 0.0)
+    assert told["box"] == "stopping none"
+    assert told["longest"] == pytest.approx(session.tail.episodes[0].end)
+    assert told["pulse"] == SLOW
+    assert told["message"] == ""
+
+
+def test_playing_moves_on_by_the_time_that_has_passed(session: Session) -> None:
+    assert answered(session, "play")["playing"]
+    told = answered(session, "pulse", playing=True, clock=99.8, rate="4", at=0.1)
+    assert told["slider"] == pytest.approx(0.9)
+    assert (told["pulse"], told["play"]) == (QUICK, "Pause")
+    over = answered(session, "pulse", playing=True, clock=0.0, rate="16", at=1.0)
+    assert not over["playing"]
+    assert over["slider"] == over["longest"]
+    again = answered(session, "play", at=over["longest"])
+    assert (again["slider"], again["playing"]) == (0.0, True)
+
+
+def test_nothing_is_drawn_again_while_nothing_changes(session: Session) -> None:
+    told = answered(session, "pulse", at=0.3)
+    assert told["top"] is apps.no_update
+    assert told["state"] == "recorded"
+
+
+def test_dragging_shows_that_time(session: Session) -> None:
+    told = answered(session, "time", at=0.6)
+    assert (told["slider"], told["time"]) == (0.6, "0.6")
+    assert told["linear_asked"] == "0.30"
+    assert told["end"] == f"of {told['longest']:.1f} s"
+    assert told["late"] == "\N{EN DASH}"  # simulated
+
+
+def test_a_live_run_is_followed_until_somebody_looks_back(tape: Path, tmp_path: Path) -> None:
+    path = tmp_path / "live.mcap"
+    path.write_bytes(tape.read_bytes()[:-3000])
+    live = Session(path)
+    told = answered(live, "pulse", playing=True)
+    assert (told["state"], told["slider"]) == ("live", told["longest"])
+    past = answered(live, "time", playing=True, at=0.2)
+    assert (past["slider"], past["playing"], past["play"]) == (0.2, False, "Follow")
+    assert answered(live, "pulse", playing=False, at=0.2)["pulse"] == SLOW
+    assert answered(live, "play", playing=False, at=0.2)["slider"] == told["longest"]
+
+
+def test_unknown_episodes_show_a_known_one(session: Session) -> None:
+    for number in (None, -3, 0, 7):
+        assert answered(session, "episode", episode=number)["episode"] == 1
+
+
+def test_figures_hold_what_their_keys_name(session: Session) -> None:
+    frame = session.frame(0, session.tail.episodes[0].end)
+    names = [trace.get("name") for trace in frame.figures["top"]["data"]]
+    assert {"path", "true path", "robot", "start", "LiDAR now"} <= set(names)
+    wheels = frame.figures["wheels"]["data"]
+    assert len(wheels) == 12
+    assert {one["line"]["color"] for one in wheels} == {
+        palette.ASKED,
+        palette.SENT,
+        palette.MEASURED,
+    }
+    css = (apps.ASSETS / "dashboard.css").read_text(encoding="utf-8")
+    for name in ("ASKED", "SENT", "MEASURED", "GOAL", "SCAN", "SEEN", "TRUTH"):
+        assert f"--{name.lower()}: {getattr(palette, name)};" in css
+    json.dumps(frame.figures)
+
+
+def test_long_lines_have_few_points(session: Session) -> None:
+    long = Session(session.tail.path)
+    (episode,) = long.tail.episodes
+    rows = episode.ticks.rows
+    for turn in range(1, 200):
+        later = rows[:120].copy()
+        later[:, 1] += 2.0 * turn
+        episode.ticks.add(later)
+    frame = long.frame(0, episode.end)
+    assert len(json.dumps(frame.figures)) < 200_000
+    assert np.isfinite(float(frame.readings["time"]))
+
+
+def test_a_recording_without_an_episode_is_refused(tape: Path, tmp_path: Path) -> None:
+    path = tmp_path / "begun.mcap"
+    data = tape.read_bytes()
+    whole = Session(tape)
+    assert whole.tail.header
+    path.write_bytes(data[:60_000])
+    begun = Session(path)
+    begun.tail.episodes.clear()
+    assert begun.frame(0, 0.0).readings == {}
+    assert answered(begun, None)["message"] == "waiting for the first episode"
+
+
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="there is no such file"):
+        Session(tmp_path / "nothing.mcap")

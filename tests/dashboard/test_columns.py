@@ -1,0 +1,43 @@
+"""Tables that grow, and lines of fewer points."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from acsar_gym.dashboard.columns import FIRST, Columns, evenly, outline
+
+
+def test_rows_are_kept_while_more_are_added() -> None:
+    table, every = Columns(2), np.arange(6.0 * FIRST).reshape(-1, 2)
+    before = table.rows
+    for rows in np.array_split(every, 7):
+        table.add(rows)
+    assert len(before) == 0
+    assert len(table) == len(every)
+    assert (table.rows == every).all()
+
+
+def test_no_peak_is_lost() -> None:
+    values = np.sin(np.arange(180_000) / 500.0)
+    values[77_777], values[123_456] = 9.0, -9.0
+    chosen = outline(values, 500)
+    assert len(chosen) <= 500
+    assert {77_777, 123_456} <= set(chosen.tolist())
+    assert (np.diff(chosen) > 0).all()
+
+
+@pytest.mark.parametrize("count", [0, 1, 499, 500, 501, 1003])
+def test_gaps_and_short_lines_are_allowed(count: int) -> None:
+    values = np.full(count, np.nan)
+    values[::3] = 1.0
+    chosen = outline(values, 500)
+    assert len(chosen) <= 500
+    assert np.isin(chosen, np.arange(count)).all()
+    assert np.isnan(values[outline(np.full(count, np.nan), 500)]).sum() <= count
+
+
+def test_ends_are_among_evenly_chosen_points() -> None:
+    assert evenly(3, 10).tolist() == [0, 1, 2]
+    chosen = evenly(1000, 10)
+    assert (len(chosen), chosen[0], chosen[-1]) == (10, 0, 999)

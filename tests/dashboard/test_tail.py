@@ -1,0 +1,128 @@
+"""Recordings, read while they grow."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from acsar_gym.dashboard.session import ENDED, LIVE, RECORDED, Session
+from acsar_gym.dashboard.tail import QUIET, Tail
+from acsar_gym.errors import ConfigError
+from acsar_gym.recording import read
+
+
+def test_what_was_recorded_is_shown(tape: Path) -> None:
+    tail, (whole,) = Tail(tape), read(tape).episodes
+    (episode,) = tail.episodes
+    assert tail.is_complete
+    assert not tail.is_growing
+    assert (episode.column("stamp") == whole.stamps - whole.start).all()
+    assert (episode.column("x") == whole.poses[:, 0]).all()
+    stamps, speeds = whole.wire.commands(tail.config)
+    assert np.allclose(episode.sent.rows, np.column_stack([stamps - whole.start, speeds]))
+    assert (episode.scans.rows[:, 0] == whole.scans.stamps - whole.start).all()
+    assert episode.ranges is not None
+    assert np.allclose(episode.ranges.rows, whole.scans.ranges)
+    assert episode.is_simulated
+    assert episode.end == pytest.approx(whole.stamps[-1] - whole.start)
+
+
+def test_wheel_speeds_asked_for_are_those_sent_where_nothing_limits(tape: Path) -> None:
+    (episode,) = Tail(tape).episodes
+    calm = np.flatnonzero(episode.column("reason") == 0)[-1]
+    asked = episode.asked(slice(calm, calm + 1))[0]
+    sent = episode.sent.rows[episode.sent.rows[:, 0] <= episode.column("stamp")[calm]][-1, 1:]
+    assert np.allclose(asked, sent, atol=0.02)
+    assert np.allclose(episode.twist(asked), (0.3, episode.column("asked_angular")[calm]))
+
+
+@pytest.mark.parametrize("pieces", [3, 40])
+def test_a_file_that_grows_ends_as_if_it_was_read_at_once(
+    tape: Path, tmp_path: Path, pieces: int
+) -> None:
+    data, grown = tape.read_bytes(), tmp_path / "grown.mcap"
+    begin = 60_000
+    grown.write_bytes(data[:begin])
+    tail = Tail(grown)
+    sizes = [len(tail.episodes[0].ticks) if tail.episodes else 0]
+    for place in np.linspace(begin, len(data), pieces).astype(int):
+        grown.write_bytes(data[:place])
+        tail.poll()
+        sizes.append(len(tail.episodes[0].ticks) if tail.episodes else 0)
+    assert not tail.poll()
+    assert sizes == sorted(sizes)
+    whole = Tail(tape).episodes[0]
+    assert np.array_equal(tail.episodes[0].ticks.rows, whole.ticks.rows, equal_nan=True)
+    assert np.array_equal(tail.episodes[0].sent.rows, whole.sent.rows)
+    assert tail.is_complete
+
+
+def test_a_run_is_live_until_its_recording_ends(tape: Path, tmp_path: Path) -> None:
+    data, path = tape.read_bytes(), tmp_path / "live.mcap"
+    path.write_bytes(data[:-3000])
+    session = Session(path)
+    assert session.state == LIVE  # the header names this process, which runs
+    assert not session.can_stop  # but it drives no real robot
+    path.write_bytes(data)
+    assert session.poll()
+    assert session.state == ENDED
+
+
+def test_a_file_that_was_left_behind_is_not_live(tape: Path, tmp_path: Path) -> None:
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(tape.read_bytes()[:-3000])
+    long_ago = path.stat().st_mtime - 2.0 * QUIET
+    os.utime(path, (long_ago, long_ago))
+    assert Session(path).state == RECORDED
+
+
+def test_a_recorder_that_begins_again_is_followed(tape: Path, tmp_path: Path) -> None:
+    path = tmp_path / "again.mcap"
+    path.write_bytes(tape.read_bytes())
+    tail = Tail(path)
+    path.rename(tmp_path / "again.1.mcap")
+    path.write_bytes(tape.read_bytes()[:-3000])
+    assert tail.poll()
+    assert not tail.is_complete
+    assert len(tail.episodes) == 1
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"", "not an MCAP file"),
+        (b"%PDF-1.7 something else", "not an MCAP file"),
+        (b'{"format": 0}', "an older version"),
+        (b"\x89MCAP0\r\n", "isn't a recording of acsar_gym"),
+        (b"\x89MCAP0\r\n" + b"\xff" * 100, "is damaged"),
+    ],
+)
+def test_other_files_are_refused_in_one_line(content: bytes, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "other.mcap"
+    path.write_bytes(content)
+    with pytest.raises(ConfigError, match=said) as caught:
+        Session(path)
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)
+
+
+def test_damage_is_told_and_ends_the_reading(tape: Path, tmp_path: Path) -> None:
+    data = bytearray(tape.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    path = tmp_path / "damaged.mcap"
+    path.write_bytes(data)
+    with pytest.raises(ConfigError, match="is damaged"):
+        Session(path)
+
+
+def test_damage_of_a_live_run_is_shown_on_the_page(tape: Path, tmp_path: Path) -> None:
+    data, path = tape.read_bytes(), tmp_path / "live.mcap"
+    path.write_bytes(data[:60_000])
+    session = Session(path)
+    path.write_bytes(data[:60_000] + b"\xff" * 5000)
+    assert not session.poll()
+    assert "is damaged" in session.problem
+    assert not session.is_live
