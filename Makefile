@@ -12,7 +12,7 @@ BOARD_SUITES := tests/links/test_contract.py tests/links/test_serial.py tests/li
 REPLUG_CYCLES ?= 1000
 
 .PHONY: demo test docs test-slow test-browser test-ecosystem test-scale throughput lint firmware \
-  firmware-tested fuzz soak replug identify-check clean
+  firmware-tested fuzz soak replug identify-check licences clean
 
 demo: $(READY)  ## train a policy, drive it in PyBullet, then over a serial device
 	$(BIN)/acsar-gym demo
@@ -74,6 +74,9 @@ identify-check: $(READY)  ## find the parameters of 20 hidden robots over pseudo
 
 replug: $(READY)  ## pull the cable of a driving robot a thousand times, in twenty minutes
 	$(BIN)/python tests/fuzz/replug.py --cycles $(REPLUG_CYCLES)
+
+licences: $(READY)  ## write docs/licences.md from what is installed
+	$(BIN)/python tests/licence_tools.py >docs/licences.md
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import re
 import reprlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 
@@ -69,6 +70,23 @@ class MissingExtraError(AcsarError):
 
     def __init__(self, feature: str, extra: str) -> None:
         super().__init__(f"{feature} needs an extra: pip install 'acsar_gym[{extra}]'")
+
+
+@contextlib.contextmanager
+def optional(feature: str, extra: str) -> Iterator[None]:
+    """Name the extra where an import inside the block fails.
+
+    Args:
+        feature: what needs the import.
+        extra: name of the extra that installs it.
+
+    Raises:
+        MissingExtraError: a module isn't installed.
+    """
+    try:
+        yield
+    except ImportError:
+        raise MissingExtraError(feature, extra) from None
 
 
 class JobError(AcsarError):

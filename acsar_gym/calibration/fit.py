@@ -14,12 +14,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import optimize, stats
 
 from acsar_gym.calibration.model import Geometry, configured, differences, sigmas
 from acsar_gym.calibration.runs import Floats, Run
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError
+from acsar_gym.errors import ConfigError, optional
+
+with optional("calibration", "scipy"):
+    from scipy import optimize, stats
 
 NAMES = ("wheel_radius", "radius_ratio", "wheel_separation_multiplier")
 """The fitted parameters: those of Geometry, in its order."""

@@ -10,11 +10,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from acsar_gym.calibration.runs import Floats
 from acsar_gym.config import RobotConfig
+from acsar_gym.errors import optional
 from acsar_gym.worlds import Pose
+
+with optional("calibration", "scipy"):
+    from scipy.spatial import KDTree
 
 ITERATIONS = 40
 """Most iterations of a match."""

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from acsar_gym.errors import optional
 from acsar_gym.evaluation.episodes import EpisodeResult
 from acsar_gym.links.lateness import EpisodeTiming
 from acsar_gym.tasks.barn import SCORES
@@ -198,7 +199,8 @@ def _share(part: float, whole: float) -> float:
 
 def wilson(hits: int, count: int) -> Interval:
     """Return Wilson's 95 % interval of the rate hits / count; (0, 1) if `count` is 0."""
-    from scipy.stats import binomtest  # noqa: PLC0415 - slow to import
+    with optional("an evaluation", "scipy"):
+        from scipy.stats import binomtest  # noqa: PLC0415 - slow to import
 
     if count == 0:
         return (0.0, 1.0)
@@ -215,7 +217,8 @@ def bootstrap(values: Sequence[float]) -> Interval:
     Returns:
         Low and high end; NaN if there are fewer than two samples.
     """
-    from scipy.stats import bootstrap as resample  # noqa: PLC0415 - slow to import
+    with optional("an evaluation", "scipy"):
+        from scipy.stats import bootstrap as resample  # noqa: PLC0415 - slow to import
 
     known = [value for value in values if math.isfinite(value)]
     if len(known) < 2:

@@ -13,7 +13,7 @@ import gymnasium
 from acsar_gym.config import RobotConfig
 from acsar_gym.envs.base import RobotEnv
 from acsar_gym.envs.ids import registered, without_module
-from acsar_gym.errors import ConfigError, LinkError, PolicyError, PolicyWarning, shown
+from acsar_gym.errors import ConfigError, LinkError, PolicyError, PolicyWarning, optional, shown
 from acsar_gym.evaluation import episodes as evaluation
 from acsar_gym.evaluation import provenance
 from acsar_gym.evaluation.episodes import EpisodeResult
@@ -175,7 +175,10 @@ def drive(
 
     Raises:
         AcsarError: see `made` and `episodes.episodes`.
+        MissingExtraError: scipy isn't installed.
     """
+    with optional("an evaluation", "scipy"):  # before the first episode, not after the last
+        import scipy  # noqa: F401, PLC0415
     env, how, count = made(policy, link, robot, options), how or {}, len(seeds)
     warn(policy)
     results: list[EpisodeResult] = []

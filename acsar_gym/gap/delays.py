@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from acsar_gym.errors import optional
+
 Floats = NDArray[np.float64]
 
 HELD = 0.15
@@ -135,7 +137,8 @@ def two_sample(first: Floats, second: Floats) -> TwoSample:
     if min(counts) < FEWEST:
         nothing = (math.nan, math.nan)
         return TwoSample(counts, (means[0], means[1]), difference, nothing, math.nan, math.nan)
-    from scipy.stats import ks_2samp  # noqa: PLC0415 - slow to import
+    with optional("a gap report", "scipy"):
+        from scipy.stats import ks_2samp  # noqa: PLC0415 - slow to import
 
     tests = (
         ks_2samp(first + RESOLUTION, second, alternative="greater"),

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.errors import ConfigError
+from acsar_gym.errors import ConfigError, optional
 from acsar_gym.gap import tracks, unlike
 from acsar_gym.gap.delays import TwoSample, lag, too_few_steps, two_sample
 from acsar_gym.gap.paired import Comparison, of_means, of_rates
@@ -147,7 +147,8 @@ def distances(first: NDArray[np.float64], second: NDArray[np.float64]) -> list[f
 
     It is a size, not a test: the rows of an episode aren't independent of each other.
     """
-    from scipy.stats import ks_2samp  # noqa: PLC0415 - slow to import
+    with optional("a comparison", "scipy"):
+        from scipy.stats import ks_2samp  # noqa: PLC0415 - slow to import
 
     if not (first.size and second.size):
         return []

@@ -7,9 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
+from acsar_gym.errors import optional
 from acsar_gym.identification.tracks import Track
+
+with optional("identification", "scipy"):
+    from scipy import stats
 
 Floats = NDArray[np.float64]
 

@@ -7,14 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from acsar_gym.config import RobotConfig
+from acsar_gym.errors import optional
 from acsar_gym.identification.estimation import SMOOTH_NAMES, Estimate
 from acsar_gym.identification.finding import Finding, unknown
 from acsar_gym.identification.knowable import HANGS, Knowable
 from acsar_gym.identification.problem import HIGH, LOW, PER_WHEEL
 from acsar_gym.protocol import MOTORS
+
+with optional("identification", "scipy"):
+    from scipy import stats
 
 Floats = NDArray[np.float64]
 

@@ -10,10 +10,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize
 
+from acsar_gym.errors import optional
 from acsar_gym.identification.problem import HIGH, LOW, PER_WHEEL, Problem
 from acsar_gym.identification.response import Clock, Wheel
+
+with optional("identification", "scipy"):
+    from scipy import optimize
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

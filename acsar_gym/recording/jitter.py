@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from acsar_gym.errors import optional
 from acsar_gym.recording.wire_log import Floats
 
 WINDOW = 50
@@ -28,7 +29,8 @@ def steady(stamps: Floats, period: float) -> Floats:
     Returns:
         (k,) times [s]; those given, if the lines aren't periodic or too few.
     """
-    from scipy.ndimage import rank_filter, uniform_filter1d  # noqa: PLC0415 - slow to import
+    with optional("identification", "scipy"):
+        from scipy.ndimage import rank_filter, uniform_filter1d  # noqa: PLC0415 - slow to import
 
     if len(stamps) < WINDOW:
         return stamps

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.errors import WorldError
+from acsar_gym.errors import WorldError, optional
 from acsar_gym.worlds.grid import Grid, search
 from acsar_gym.worlds.registry import GeneratorError
 from acsar_gym.worlds.search import shortest_path
@@ -125,7 +125,8 @@ def _crossable(
     Yields the field's cells, and those in which the robot's centre may be: cells that are connected
     with the first and the last column.
     """
-    from scipy.ndimage import label  # noqa: PLC0415 - slow to import
+    with optional("a world with obstacles", "scipy"):
+        from scipy.ndimage import label  # noqa: PLC0415 - slow to import
 
     filled, free = fields[:, 1:-1].sum(axis=(1, 2)), _room(fields)
     as_published = (filled >= FILLED[0]) & (filled <= FILLED[1])

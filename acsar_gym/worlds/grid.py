@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from acsar_gym.errors import optional
 from acsar_gym.worlds.world import Floats, World
 
 RESOLUTION = 0.05
@@ -150,7 +151,8 @@ def _block(grid: Grid, ends: tuple[float, float, float, float], radius: float) -
 
 def search(grid: Grid, start: int, goal: int) -> NDArray[np.int64] | None:
     """Find the cells of a shortest path between two cells; None where there is none."""
-    from scipy.sparse.csgraph import dijkstra  # noqa: PLC0415 - slow to import
+    with optional("a world with obstacles", "scipy"):
+        from scipy.sparse.csgraph import dijkstra  # noqa: PLC0415 - slow to import
 
     search_from: Any = dijkstra  # its stubs know no single start
     _, before = search_from(_graph(grid), directed=False, indices=start, return_predecessors=True)
@@ -172,7 +174,8 @@ def _graph(grid: Grid) -> Any:
 
 def leaves(grid: Grid, start: int, goal: int) -> bool:
     """Whether a path between two cells may lead through the area outside the grid."""
-    from scipy.ndimage import label  # noqa: PLC0415 - slow to import
+    with optional("a world with obstacles", "scipy"):
+        from scipy.ndimage import label  # noqa: PLC0415 - slow to import
 
     parts = label(grid.free, np.ones((3, 3)))[0]
     edges = np.concatenate([parts[0], parts[-1], parts[:, 0], parts[:, -1]])

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from acsar_gym.errors import optional
 from acsar_gym.jit import loop
 from acsar_gym.tasks.base import Floats
 
@@ -66,7 +67,8 @@ def potential(
         goal: the goal [m].
         radii: of the circle within the footprint, and of the one around it [m].
     """
-    from scipy.ndimage import distance_transform_edt  # noqa: PLC0415 - slow to import
+    with optional("the baseline navfn", "scipy"):
+        from scipy.ndimage import distance_transform_edt  # noqa: PLC0415 - slow to import
 
     occupied = known.odds > 0.0
     part = _window(occupied, known, (robot, goal))
