@@ -104,7 +104,7 @@ def robot_file(tmp_path: Path, config: RobotConfig) -> RobotFile:
     """`robot_file(field=value, ...)` writes the patient robot with changes to a YAML file."""
 
     def write(**changes: object) -> Path:
-        path = tmp_path / "robot.yaml"
+        path = tmp_path / "patient.yaml"
         path.write_text(yaml.safe_dump(config.with_(**changes).model_dump()), encoding="utf-8")
         return path
 
