@@ -133,14 +133,15 @@ def doctor(
         host: process priority and cores.
         device: serial device to examine; without it, ports are only listed.
         robot: preset or config file.
-        baud_rate: overrides the baud rate of the robot.
+        baud_rate: overrides the baud rate of the robot; a slow one lowers its control_rate, too.
         json: also write the findings to this file.
     """
+    from acsar_gym.doctor import bauds  # noqa: PLC0415
     from acsar_gym.evaluation import report  # noqa: PLC0415
 
     config = RobotConfig.of(robot)
     if baud_rate is not None:
-        config = config.with_(baud_rate=baud_rate)
+        config = bauds.at(config, baud_rate)
     device = device or config.serial_port
     report.check_writable(json)
     host.prepare()

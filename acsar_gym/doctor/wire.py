@@ -6,11 +6,16 @@ import time
 from collections.abc import Iterator
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.doctor import feedback
+from acsar_gym.doctor import bauds, feedback
 from acsar_gym.doctor.checks import Check
 from acsar_gym.doctor.commission import Commission
 from acsar_gym.doctor.listening import Ear
-from acsar_gym.errors import BoardSilentError, EmergencyStopError, LinkError
+from acsar_gym.errors import (
+    BoardGarbledError,
+    BoardSilentError,
+    EmergencyStopError,
+    LinkError,
+)
 from acsar_gym.links.base import Link
 from acsar_gym.links.recorded import recorded
 from acsar_gym.links.serial import SerialLink
@@ -45,10 +50,11 @@ def examine(
     try:
         failed = _failure_of_opening(link, recorder)
         if failed is not None:
-            yield failed
+            yield from _not_opened(link, failed, device, config)
             return
         took = time.monotonic() - begin
-        yield Check("open", "ok", f"{device}, {config.baud_rate} baud, held exclusively")
+        wire = f"{config.baud_rate} baud, {config.control_rate:g} commands/s"
+        yield Check("open", "ok", f"{device}, {wire}, held exclusively")
         yield Check("first valid line", "ok", f"after {took:.2f} s")
         yield from examined(link, config, commission)
     except LinkError as error:
@@ -61,7 +67,7 @@ def examine(
             recorder.close()
 
 
-def _failure_of_opening(link: Link, recorder: Recorder | None) -> Check | None:
+def _failure_of_opening(link: Link, recorder: Recorder | None) -> LinkError | None:
     """Open the link; returns what failed. EmergencyStopError as it is."""
     try:
         link.open()
@@ -70,9 +76,17 @@ def _failure_of_opening(link: Link, recorder: Recorder | None) -> Check | None:
     except EmergencyStopError:
         raise
     except LinkError as error:
-        name = "first valid line" if isinstance(error, BoardSilentError) else "open"
-        return Check(name, "fail", error.found, error.fix)
+        return error
     return None
+
+
+def _not_opened(link: Link, error: LinkError, device: str, config: RobotConfig) -> Iterator[Check]:
+    """Say why a link can't be opened; look for the baud rate of a board that is garbled."""
+    name = "first valid line" if isinstance(error, BoardSilentError) else "open"
+    yield Check(name, "fail", error.found, error.fix)
+    if isinstance(error, BoardGarbledError):
+        link.close()
+        yield bauds.search(device, config)
 
 
 def examined(link: Link, config: RobotConfig, commission: Commission | None) -> Iterator[Check]:

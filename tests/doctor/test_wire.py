@@ -221,12 +221,14 @@ def test_slow_feedback_is_a_warning(
     assert "feedback_rate" in rate.fix
 
 
-def test_a_wrong_baud_rate(shared_device: str, config: RobotConfig) -> None:
+def test_a_wrong_baud_rate_and_the_right_one(shared_device: str, config: RobotConfig) -> None:
     wrong = config.with_(baud_rate=57600, connect_timeout=1.0)
-    check = only(examined(shared_device, wrong))
-    assert (check.name, check.status) == ("first valid line", "fail")
-    assert "57600" in check.found
-    assert "115200" in check.fix
+    checks = examined(shared_device, wrong)
+    assert [check.status for check in checks.values()] == ["fail", "warn"]
+    assert "57600" in checks["first valid line"].found
+    assert "115200" in checks["first valid line"].fix
+    assert checks["baud rate"].found == "valid lines at 115200 baud"
+    assert "--baud-rate 115200" in checks["baud rate"].fix
 
 
 def test_a_silent_board(config: RobotConfig, start_emulator: StartEmulator) -> None:
