@@ -8,22 +8,22 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import tyro
 
 import acsar_gym
 from acsar_gym.cli.benchmark import benchmark
-from acsar_gym.cli.bundles import policy
+from acsar_gym.cli.bundles import POLICY, policy
 from acsar_gym.cli.calibrate import calibrate
 from acsar_gym.cli.dashboard import view
 from acsar_gym.cli.devices import doctor, drive, emulate, estop
 from acsar_gym.cli.gap import compare, gap
 from acsar_gym.cli.identify import identify
 from acsar_gym.cli.policies import evaluate, export, run, train
-from acsar_gym.cli.recording import failed, record
+from acsar_gym.cli.recording import RECORD, failed, record
 from acsar_gym.cli.tools import bench, demo, warm_up
-from acsar_gym.cli.worlds import worlds
+from acsar_gym.cli.worlds import WORLDS, worlds
 from acsar_gym.errors import (
     AcsarError,
     PolicyWarning,
@@ -33,6 +33,24 @@ from acsar_gym.errors import (
 )
 
 FORMAT = warnings.formatwarning
+ABOUT = """Simulate, train, measure and drive a skid-steer robot; --version prints the version.
+
+Every command has a --help of its own."""
+
+
+def completion(shell: Annotated[Literal["bash", "zsh", "fish"], tyro.conf.Positional]) -> int:
+    """Print a script with which a shell completes commands and options at TAB.
+
+    Args:
+        shell: which shell.
+    """
+    from acsar_gym.cli.completion import script  # noqa: PLC0415
+    from acsar_gym.training.options import Options  # noqa: PLC0415
+
+    groups = {"policy": POLICY, "record": RECORD, "worlds": WORLDS}
+    script(shell, {**COMMANDS, "train": Options}, groups)
+    return 0
+
 
 COMMANDS: dict[str, Callable[..., Any]] = {
     "demo": demo,
@@ -55,6 +73,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "policy": policy,
     "worlds": worlds,
     "warm-up": warm_up,
+    "completion": completion,
 }
 GROUPS: dict[str, Callable[[], int]] = {
     "policy": policy,
@@ -91,7 +110,9 @@ def main() -> None:
         elif sys.argv[1:2] and sys.argv[1] in GROUPS:
             code = GROUPS[sys.argv[1]]()
         else:
-            code = tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="acsar-gym")
+            code = tyro.extras.subcommand_cli_from_dict(
+                COMMANDS, prog="acsar-gym", description=ABOUT
+            )
         sys.stdout.flush()
     except AcsarError as error:
         print(f"acsar-gym: {printable(str(error))}", file=sys.stderr)

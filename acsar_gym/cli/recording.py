@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -77,9 +78,7 @@ RecordArgs = Annotated[RecordOptions, tyro.conf.arg(name="")]
 def record() -> int:
     """Look into recordings, or convert them: acsar-gym record info|export FILE."""
     return int(
-        tyro.extras.subcommand_cli_from_dict(
-            {"info": info, "export": export}, prog="acsar-gym record", args=sys.argv[2:]
-        )
+        tyro.extras.subcommand_cli_from_dict(RECORD, prog="acsar-gym record", args=sys.argv[2:])
     )
 
 
@@ -118,3 +117,6 @@ def export(
     for written in exports.export(file, to, folder):
         print(printable(f"written: {written}"))
     return 0
+
+
+RECORD: dict[str, Callable[..., Any]] = {"info": info, "export": export}
