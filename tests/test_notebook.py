@@ -1,0 +1,64 @@
+"""agents/examples/first_policy.ipynb: fast checks of its code; `make test-slow` executes it."""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+NOTEBOOK = Path(__file__).resolve().parents[1] / "agents" / "examples" / "first_policy.ipynb"
+MOST_BYTES = 200_000
+PATIENCE = 1200
+"""Longest wait for a cell, as the first one of a new installation compiles [s]."""
+
+
+def code() -> list[dict[str, Any]]:
+    """The cells of code."""
+    cells = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]
+    return [cell for cell in cells if cell["cell_type"] == "code"]
+
+
+def test_its_code_can_be_read_and_imports_before_it_uses() -> None:
+    source = "\n".join("".join(cell["source"]) for cell in code())
+    compile(source, NOTEBOOK.name, "exec")
+    known = {
+        (alias.asname or alias.name).partition(".")[0]
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.Import | ast.ImportFrom)
+        for alias in node.names
+    }
+    assert {"gymnasium", "np", "plt", "PPO", "sb3", "torch", "policies", "Image"} <= known
+
+
+def test_it_is_small_and_shows_no_error_and_no_folder_of_whoever_ran_it() -> None:
+    assert NOTEBOOK.stat().st_size < MOST_BYTES
+    outputs = [output for cell in code() for output in cell["outputs"]]
+    assert {output["output_type"] for output in outputs} <= {
+        "stream",
+        "display_data",
+        "execute_result",
+    }
+    assert not re.search(r"/(home|root|work|tmp)/", json.dumps(outputs))
+
+
+@pytest.mark.slow
+@pytest.mark.xdist_group("torch")
+def test_it_trains_a_policy_that_drives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import nbformat
+    from nbclient import NotebookClient
+
+    monkeypatch.setenv("IPYTHONDIR", str(tmp_path / "ipython"))
+    notebook = nbformat.read(NOTEBOOK, as_version=4)
+    where = {"metadata": {"path": str(tmp_path)}}
+    NotebookClient(notebook, timeout=PATIENCE, resources=where).execute()
+    told = [output for cell in notebook.cells for output in cell.get("outputs", [])]
+    said = "".join(output.get("text", "") for output in told)
+    found = re.search(r"(\d+) of 50 goals reached", said)
+    assert found is not None
+    assert int(found[1]) >= 45
+    assert any("image/gif" in output.get("data", {}) for output in told)
+    assert (tmp_path / "first.onnx").exists()
