@@ -16,7 +16,7 @@ from typing import Any
 from websockets.sync.client import ClientConnection, connect
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-TIMEOUT = 120.0
+TIMEOUT = 300.0
 """Longest wait for anything [s]."""
 OWN = ("data:", "blob:", "chrome:", "about:", "http://127.0.0.1:")
 
@@ -75,7 +75,7 @@ class Tab:
         deadline = time.monotonic() + TIMEOUT
         while not self.run(f"Boolean({script})"):
             assert time.monotonic() < deadline, f"{what}: not within {TIMEOUT:g} s"
-            time.sleep(0.02)
+            time.sleep(0.1)
 
     def open(self, url: str, width: int, height: int) -> None:
         """Open a page in a window of this size [px]."""
@@ -101,7 +101,9 @@ def browser(folder: Path) -> Iterator[Tab]:
         *("--remote-debugging-port=0", f"--user-data-dir={folder / 'profile'}", "about:blank"),
     ]
     with (folder / "chromium.log").open("w") as log:
-        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=log)
+        process = subprocess.Popen(
+            command, stdout=subprocess.DEVNULL, stderr=log, start_new_session=True
+        )
         try:
             port = _port(folder / "chromium.log")
             with connect(_tab(port), max_size=None, open_timeout=TIMEOUT) as connection:

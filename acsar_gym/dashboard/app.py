@@ -40,7 +40,7 @@ STATES = {
 }
 
 
-GRAPHS = ("top", "wheels", "late")
+GRAPHS = ("top", "wheels", "lateness")
 OUTPUTS = {
     **{graph: Output(graph, "figure") for graph in GRAPHS},
     **{name: Output(f"value-{name}", "children") for name in VALUES},
@@ -222,11 +222,9 @@ def _guard(server: Any) -> None:
     from flask import abort, request  # noqa: PLC0415 - optional
 
     def check() -> None:
-        own = {f"http://{host}" for host in (request.host,)}
-        if (
-            request.host.rsplit(":", 1)[0] not in HOSTS
-            or request.headers.get("Origin", *own) not in own
-        ):
+        own = f"http://{request.host}"
+        is_own = request.headers.get("Origin", own) == own
+        if request.host.rsplit(":", 1)[0] not in HOSTS or not is_own:
             abort(403)
 
     def secured(response: Any) -> Any:

@@ -141,7 +141,7 @@ class Episode:
     def _sent(self) -> None:
         """Take the commands on the wire."""
         part = self._part
-        when = (np.array(part.sent_times, np.float64) - part.offset) / 1e9 - self._start
+        when = np.array([each - part.offset for each in part.sent_times]) / 1e9 - self._start
         log = WireLog(when, tuple(part.sent), np.zeros(0), ())
         part.sent_times, part.sent = [], []
         stamps, speeds = log.commands(self._config)

@@ -32,7 +32,9 @@ def page(session: Session) -> Any:
                 ],
                 className="pair",
             ),
-            _card("Lateness of ticks, and the safety layer", _late_key(), "late", STATIC, "late"),
+            _card(
+                "Lateness of ticks, and the safety layer", _late_key(), "lateness", STATIC, "late"
+            ),
             _transport(session),
             dcc.Store(id="playing", data=session.is_live),
             dcc.Store(id="clock", data=0.0),

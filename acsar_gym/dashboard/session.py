@@ -49,6 +49,7 @@ class Session:
         self.stopped: Stop | None = None
         self._lock = threading.Lock()
         self._worlds: dict[int, World | None] = {}
+        self._stopped_in = 0
         self._was_live = self.tail.is_growing
         if not self.tail.episodes and not self._was_live:
             raise ConfigError(f"{path}: holds no episode")
@@ -64,6 +65,8 @@ class Session:
                 return False
             if self.tail.header is not known:
                 self._worlds, self.stopped = {}, None
+            elif len(self.tail.episodes) > self._stopped_in:
+                self.stopped = None  # somebody has started again
             self._was_live = self._was_live or self.tail.is_growing
             return changed
 
@@ -90,6 +93,7 @@ class Session:
 
     def stop(self) -> Stop:
         """Stop the robot, and wait until its program says so."""
+        self._stopped_in = len(self.tail.episodes)
         self.stopped = stopping.stop(self.tail.process)
         return self.stopped
 
@@ -113,7 +117,7 @@ class Session:
                     episode, config, self._world(number, episode), time, revision
                 ),
                 "wheels": charts.wheels(episode, time, revision),
-                "late": charts.lateness(episode, time, revision),
+                "lateness": charts.lateness(episode, time, revision),
             }
             return Frame(figures, readings(episode, time))
 

@@ -48,8 +48,7 @@ def stop(process: int) -> Stop:
             "nobody", "nothing to stop: the program has ended, and stopped the wheels first"
         )
     if all(each.answered for each in found):
-        return Stop(
-            "stopped",
-            f"zero is on the wire, the control loop says; it answered after {took:.0f} ms",
-        )
+        clock = time.strftime("%H:%M:%S")
+        said = f"zero is on the wire, says the control loop (after {took:.0f} ms, at {clock})"
+        return Stop("stopped", said)
     return Stop("unanswered", "the program doesn't answer: its watchdog stops the wheels")

@@ -30,7 +30,7 @@ from acsar_gym.cli import main
 sys.argv = ["acsar-gym", *sys.argv[1:]]
 main()
 """
-DRAWN = """['top', 'wheels', 'late'].every(name => {
+DRAWN = """['top', 'wheels', 'lateness'].every(name => {
   const graph = document.querySelector(`#${name} .js-plotly-plot`);
   return graph && graph.data && graph.data.length > 2;
 }) && document.querySelector('#value-time').innerText != '\\u2013'"""

@@ -85,6 +85,8 @@ def test_the_page_is_answered_over_http(client: Any) -> None:
     assert told["value-time"]["children"] == "0.5"
     assert told["state"]["children"] == "recorded"
     assert len(told["top"]["figure"]["data"]) > 6
+    assert len(told["lateness"]["figure"]["data"]) == 3
+    assert set(told) == {one.component_id for one in OUTPUTS.values()}
     assert len(answer.data) < 200_000
 
 

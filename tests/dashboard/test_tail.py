@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acsar_gym.dashboard.session import ENDED, LIVE, RECORDED, Session
+from acsar_gym.dashboard.session import ENDED, LIVE, RECORDED, STOPPED, Session
+from acsar_gym.dashboard.stopping import Stop
 from acsar_gym.dashboard.tail import QUIET, Tail
 from acsar_gym.errors import ConfigError
 from acsar_gym.recording import read
@@ -69,6 +70,19 @@ def test_a_run_is_live_until_its_recording_ends(tape: Path, tmp_path: Path) -> N
     path.write_bytes(data)
     assert session.poll()
     assert session.state == ENDED
+
+
+def test_a_robot_that_is_started_again_is_not_called_stopped(tape: Path, tmp_path: Path) -> None:
+    path = tmp_path / "live.mcap"
+    path.write_bytes(tape.read_bytes()[:-3000])
+    session = Session(path)
+    session.stop()
+    session.stopped = Stop("stopped", "zero is on the wire")
+    session.poll()
+    assert session.state == STOPPED
+    session.tail.episodes *= 2
+    session.poll()
+    assert session.state == LIVE
 
 
 def test_a_file_that_was_left_behind_is_not_live(tape: Path, tmp_path: Path) -> None:
