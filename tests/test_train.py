@@ -15,7 +15,7 @@ import acsar_gym
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.resources import AGENTS, agent
-from acsar_gym.training import saving
+from acsar_gym.training import checkpoints
 
 pytestmark = pytest.mark.xdist_group("torch")
 
@@ -146,9 +146,9 @@ def test_a_file_is_written_whole_or_stays_as_it_was(tmp_path: Path) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        saving.replace(path, half)
+        checkpoints.replace(path, half)
     assert [(file.name, file.read_bytes()) for file in tmp_path.iterdir()] == [
         ("model.zip", b"before")
     ]
-    saving.replace(path, lambda new: new.write_bytes(b"after"))
+    checkpoints.replace(path, lambda new: new.write_bytes(b"after"))
     assert path.read_bytes() == b"after"

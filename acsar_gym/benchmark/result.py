@@ -68,7 +68,7 @@ def header(plan: Mapping[str, Any]) -> dict[str, Any]:
         for name, seeds in plan["agents"].items()
     }
     return {
-        "versions": provenance.versions(),
+        "versions": provenance.versions(*provenance.DRIVING),
         "agents": agents,
         "scenes": plan["scenes"],
         "conditions": plan["conditions"],

@@ -47,13 +47,20 @@ WHEEL_FACTORS = {"motor_gain": "gain", "motor_lag": "time_constant"}
 
 def measured_ranges(config: RobotConfig) -> dict[str, tuple[float, ...]]:
     """Return the randomization parameters that follow from a robot's measurements, with ranges."""
-    found: dict[str, tuple[float, ...]] = {}
-    for name, path in FACTORS.items():
-        if path in config.measured:
-            found[name] = _relative(config.measured[path], _value(config, path))
+    found: dict[str, tuple[float, ...]] = {
+        name: _relative(config.measured[path], _value(config, path))
+        for name, path in FACTORS.items()
+        if path in config.measured
+    }
     turning = next((path for path in TURNING if path in config.measured), None)
     if turning is not None:
         found["turn_factor"] = _turning(config.measured[turning], turn_factor(config))
+    return found | _of_wheels(config) | _of_delays(config)
+
+
+def _of_wheels(config: RobotConfig) -> dict[str, tuple[float, ...]]:
+    """Ranges of what is measured for each wheel."""
+    found: dict[str, tuple[float, ...]] = {}
     for name, field in WHEEL_FACTORS.items():
         ends = list(_wheel_ends(config, field, DEFAULT[name]))
         if ends:
@@ -61,6 +68,12 @@ def measured_ranges(config: RobotConfig) -> dict[str, tuple[float, ...]]:
     offsets = list(_deadband_ends(config))
     if offsets:
         found["deadband_offset"] = (min(offsets), max(offsets))
+    return found
+
+
+def _of_delays(config: RobotConfig) -> dict[str, tuple[float, ...]]:
+    """Ranges of delays."""
+    found: dict[str, tuple[float, ...]] = {}
     if "firmware.command_delay" in config.measured:
         delay = config.measured["firmware.command_delay"]
         found["command_delay"] = (max(delay.low, 0.0), max(delay.high, 0.0))

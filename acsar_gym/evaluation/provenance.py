@@ -47,6 +47,8 @@ from acsar_gym.worlds import World
 from acsar_gym.worlds.cache import source_hash
 from acsar_gym.worlds.pool import Pool
 
+DRIVING = ("onnxruntime", "torch", "pybullet")
+"""Libraries that the results of episodes depend on, where they are installed."""
 UNTOLD = ("link", "record")
 """Arguments of an env that say nothing about its episodes."""
 
@@ -72,7 +74,7 @@ def header(
     """
     inner: Any = env.unwrapped
     return {
-        "versions": versions(),
+        "versions": versions(*DRIVING),
         "policy": policy.about | {"differences": list(policy.differences)},
         "env": _env(env),
         "robot": {"sha256": config_sha256(inner.robot.config)},
@@ -85,15 +87,19 @@ def header(
     }
 
 
-def versions() -> dict[str, str]:
-    """Return the versions of this package, Python and the installed libraries."""
+def versions(*libraries: str) -> dict[str, str]:
+    """Return the versions of this package, of what it always needs, and of installed libraries.
+
+    Args:
+        libraries: distributions whose versions matter; those that aren't installed are left out.
+    """
     versions = {
         "acsar_gym": acsar_gym.__version__,
         "gymnasium": gymnasium.__version__,
         "numpy": np.__version__,
         "python": platform.python_version(),
     }
-    for name in ("onnxruntime", "torch", "pybullet"):
+    for name in libraries:
         with contextlib.suppress(metadata.PackageNotFoundError):
             versions[name] = metadata.version(name)
     return versions

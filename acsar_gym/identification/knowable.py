@@ -75,16 +75,21 @@ def judged(tracks: Sequence[Track]) -> Knowable:
         short = f"{duration:.1f} s of log: needs {SHORTEST:g} s or more"
         known.missing |= {(name, letter): short for name in PER_WHEEL for letter in MOTORS}
         known.missing |= {(name, ""): short for name in SHARED}
-    for name in ("motor.time_constant", "motor.acceleration"):
-        if not any(known.can(name, letter) for letter in MOTORS):  # a slow command hides a delay
-            for shared in SHARED[:2]:
-                known.missing.setdefault((shared, ""), known.missing[name, "a"])
+    _hide_delays(known)
     if not any(_active(track, k) for track in tracks for k in track.pauses):
         reason = "no pause: stop sending commands for 2 s while wheels turn"
         known.missing.setdefault(("firmware.command_timeout", ""), reason)
     if sum(len(track.stamps) for track in tracks) < FEWEST_LINES or duration < 1.0:
         known.missing["firmware.feedback_rate", ""] = "too few lines of feedback"
     return known
+
+
+def _hide_delays(known: Knowable) -> None:
+    """Note that delays can't be told where no wheel's lag or ramp can: slow answers hide them."""
+    for name in ("motor.time_constant", "motor.acceleration"):
+        if not any(known.can(name, letter) for letter in MOTORS):
+            for shared in SHARED[:2]:
+                known.missing.setdefault((shared, ""), known.missing[name, "a"])
 
 
 def _wheel(tracks: Sequence[Track], k: int, slow: float) -> dict[str, str]:

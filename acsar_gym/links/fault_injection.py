@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from acsar_gym.bodies.base import Camera, GroundTruth
 from acsar_gym.errors import ConfigError, LinkLostError, PortNotFoundError
-from acsar_gym.links.base import Link, camera_of
+from acsar_gym.links.base import Arrivals, Link
 from acsar_gym.links.faults import EPSILON, Faults, WheelEditor, WheelFaults
 from acsar_gym.links.faulty_wire import Event, FaultyWire
+from acsar_gym.links.forwarding import ForwardingLink
 from acsar_gym.links.lots import EPISODE, lot
 from acsar_gym.protocol import ZERO, Decoder, encode
 from acsar_gym.worlds import Scene
@@ -31,7 +31,7 @@ that the board may have received before."""
 Seed = int | np.integer[Any] | np.random.Generator | None
 
 
-class FaultyLink:
+class FaultyLink(ForwardingLink):
     """Passes bytes to and from another link, with faults; without faults it changes nothing.
 
     `reset` draws the faults of the episode; before the first reset there are none. The same seed,
@@ -60,7 +60,7 @@ class FaultyLink:
         seed: Seed = None,
         relink: Callable[[], Link] | None = None,
     ) -> None:
-        self.link = link
+        super().__init__(link)
         self.faults = Faults.of(faults)
         self.injected: Counter[str] = Counter()
         self.wheels = WheelFaults()
@@ -170,24 +170,10 @@ class FaultyLink:
                 "check the cable, then open the link again, or reset",
             )
 
-    def now(self) -> float:
-        """Time on the link's clock [s]."""
-        return self.link.now()
-
     @property
-    def truth(self) -> GroundTruth | None:
-        """Ground truth of the link."""
-        return self.link.truth
-
-    @property
-    def lateness(self) -> float | None:
-        """Lateness of the link's last period [s]."""
-        return self.link.lateness
-
-    @property
-    def camera(self) -> Camera | None:
-        """Camera of the link."""
-        return camera_of(self.link)
+    def arrivals(self) -> Arrivals:
+        """Nothing: faults change the bytes that arrived."""
+        return []
 
     def __reduce__(self) -> tuple[type[FaultyLink], tuple[object, ...]]:
         """Copies and pickles have a link of their own and begin with the first seed."""

@@ -6,17 +6,17 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from acsar_gym.bodies.base import Camera, GroundTruth
 from acsar_gym.config import RobotConfig
 from acsar_gym.links import shutdown
-from acsar_gym.links.base import Arrivals, Link, arrivals_of, camera_of
+from acsar_gym.links.base import Arrivals, Link, arrivals_of
+from acsar_gym.links.forwarding import ForwardingLink
 from acsar_gym.recording import recorder as recordings
 from acsar_gym.recording.events import Exchange, Written
 from acsar_gym.recording.recorder import Recorder
 from acsar_gym.worlds import Scene
 
 
-class RecordedLink:
+class RecordedLink(ForwardingLink):
     """Forwards to another link, and hands its bytes to a recorder.
 
     Its clock stands still between resets, writes and periods, so that a replay shows the same.
@@ -30,7 +30,7 @@ class RecordedLink:
     """
 
     def __init__(self, link: Link, recorder: Recorder, config: RobotConfig) -> None:
-        self.link = link
+        super().__init__(link)
         self._recorder = recorder
         self._config = config
         self._sent: Arrivals = []
@@ -82,11 +82,6 @@ class RecordedLink:
         )
         return got
 
-    @property
-    def arrivals(self) -> Arrivals:
-        """When the bytes of the newest period arrived [s]."""
-        return arrivals_of(self.link)
-
     def now(self) -> float:
         """Return the time of the newest reset, write or period, on the link's clock [s]."""
         return self._now
@@ -99,21 +94,6 @@ class RecordedLink:
     def device(self) -> str:
         """Device of the link; empty if it has none."""
         return str(getattr(self.link, "device", ""))
-
-    @property
-    def truth(self) -> GroundTruth | None:
-        """Ground truth of the link."""
-        return self.link.truth
-
-    @property
-    def lateness(self) -> float | None:
-        """Lateness of the link [s]."""
-        return self.link.lateness
-
-    @property
-    def camera(self) -> Camera | None:
-        """Camera of the link."""
-        return camera_of(self.link)
 
     def __reduce__(self) -> tuple[Callable[[Link], Link], tuple[Link]]:
         """Copies aren't recorded: two robots can't write one file."""

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import platform
 import subprocess
 import sys
 from collections.abc import Mapping
 from dataclasses import fields
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +15,7 @@ import yaml
 import acsar_gym
 from acsar_gym.envs import ids
 from acsar_gym.errors import ConfigError
+from acsar_gym.evaluation import provenance
 from acsar_gym.reading import bounded
 from acsar_gym.training import threads
 from acsar_gym.training.checkpoints import replace
@@ -26,18 +25,10 @@ from acsar_gym.training.plan import Plan
 FILE = "config.yml"
 RUN = "run"
 """Key of what isn't a recipe. The recipe is beside it, so that the file can be a --conf-file."""
-LIBRARIES = ("torch", "stable-baselines3", "sb3-contrib", "gymnasium", "numpy", "numba")
+LIBRARIES = ("torch", "stable-baselines3", "sb3-contrib", "numba")
+"""Their versions are recorded, besides those of every result."""
 PATIENCE = 5.0
 """Time limit of git [s]."""
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of this package, Python and the libraries that training uses."""
-    found = {"acsar_gym": acsar_gym.__version__, "python": platform.python_version()}
-    for name in LIBRARIES:
-        with contextlib.suppress(metadata.PackageNotFoundError):
-            found[name] = metadata.version(name)
-    return found
 
 
 def revision() -> str | None:
@@ -71,7 +62,7 @@ def begin(plan: Plan) -> dict[str, Any]:
         RUN: {
             "commands": [*_before(plan), command()],
             "options": options,
-            "versions": versions(),
+            "versions": provenance.versions(*LIBRARIES),
             "revision": revision(),
             "cores": threads.cores(),
             "machine": f"{platform.system()} {platform.machine()}",
@@ -84,11 +75,24 @@ def begin(plan: Plan) -> dict[str, Any]:
 
 
 def command() -> list[str]:
-    """The command that began this training, without the folder that it writes to."""
-    given = sys.argv[2:] if sys.argv[1:2] == ["train"] else sys.argv[1:]
-    words = iter(given)
-    kept = [word for word in words if word != "--out" or not next(words, "")]
+    """Return the command that began this training, without the folders of one machine.
+
+    Neither has it the folder that it writes to, and of files elsewhere only their names.
+    """
+    words = iter(sys.argv[2:] if sys.argv[1:2] == ["train"] else sys.argv[1:])
+    kept: list[str] = []
+    for word in words:
+        name, equals, value = word.partition("=")
+        if name == "--out":
+            _ = equals or next(words, "")
+        else:
+            kept.append(f"{name}={_file(value)}" if equals else _file(word))
     return ["acsar-gym", "train", *kept]
+
+
+def _file(word: str) -> str:
+    """Shorten an absolute path to its name."""
+    return Path(word).name if Path(word).is_absolute() else word
 
 
 def _before(plan: Plan) -> list[Any]:

@@ -76,7 +76,7 @@ class _Training:
                 scores.finish()
             else:
                 print(f"interrupted at {model.num_timesteps:,} steps: saving what there is")
-            policy = self._save(model, scores)
+            policy = self._save(model, scores, content[record.RUN]["commands"])
             if self.stop.number is None:
                 self._tell(scores, policy, reached=reached)
             self._record(content, model, scores)
@@ -152,12 +152,14 @@ class _Training:
             watching.append(callbacks.TrainingProgress(total, scores, before))
         return watching
 
-    def _save(self, model: BaseAlgorithm, scores: callbacks.HeldOut) -> Path:
+    def _save(
+        self, model: BaseAlgorithm, scores: callbacks.HeldOut, commands: list[list[str]]
+    ) -> Path:
         """Write the model and the policy; returns the path of the policy."""
         from acsar_gym.training import saving  # noqa: PLC0415
 
         plan, score = self.plan, scores.score
-        training = saving.told(model, plan.recipe.as_dict(), scores.clock())
+        training = saving.told(model, commands, plan.recipe.as_dict(), scores.clock())
         metrics = {} if score is None else {"held_out": asdict(score)}
         bundle = self._bundle(model, training=training, metrics=metrics)
         policy, zipped = saving.save(model, bundle, plan.out)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from acsar_gym.evaluation import provenance
 from acsar_gym.policies.bundle import Bundle, Training
 from acsar_gym.recording.header import plain
 from acsar_gym.training import record
@@ -15,9 +16,6 @@ from acsar_gym.training.checkpoints import replace
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
-
-
-__all__ = ["replace", "save", "told"]
 
 
 def save(model: BaseAlgorithm, bundle: Bundle, out: Path) -> tuple[Path, Path]:
@@ -43,11 +41,17 @@ def save(model: BaseAlgorithm, bundle: Bundle, out: Path) -> tuple[Path, Path]:
     return policy, zipped
 
 
-def told(model: BaseAlgorithm, hyperparameters: Mapping[str, Any], seconds: float) -> Training:
+def told(
+    model: BaseAlgorithm,
+    commands: Sequence[Sequence[str]],
+    hyperparameters: Mapping[str, Any],
+    seconds: float,
+) -> Training:
     """Describe a training that has just ended, for the bundle of its policy.
 
     Args:
         model: the trained model.
+        commands: that began the training and went on with it.
         hyperparameters: of the algorithm, by name.
         seconds: how long it took [s].
     """
@@ -56,8 +60,8 @@ def told(model: BaseAlgorithm, hyperparameters: Mapping[str, Any], seconds: floa
         hyperparameters=plain(dict(hyperparameters)),
         steps=model.num_timesteps,
         seed=model.seed,
-        command=shlex.join(record.command())[:2_000],
-        versions=record.versions(),
+        command="; ".join(map(shlex.join, commands))[:2_000],
+        versions=provenance.versions(*record.LIBRARIES),
         revision=record.revision(),
         seconds=seconds,
         finished=datetime.now(UTC).isoformat(timespec="seconds"),

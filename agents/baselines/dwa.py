@@ -21,10 +21,9 @@ from acsar_gym.policies.setting import Seen, Setting
 from acsar_gym.safety.limiter import limits
 from acsar_gym.tasks.base import Floats
 
-from .geometry import clearance
+from .around import Around, State, arrived, free_at, way_left
 from .mapped import MappedPolicy
 from .motion import Pose
-from .potential import interpolated
 
 LINEAR, ANGULAR = 9, 25
 """How many linear and angular velocities of the window are tried."""
@@ -51,12 +50,9 @@ STILL, ALIGNED = 5, 0.3
 STRONG = 3.0
 """Deceleration of a full stop, which the command limits don't slow down [m/s^2]."""
 
-
-State = tuple[float, float, float, float, float, float, float]
-"""Pose (x, y, theta), twist and last command (linear, angular)."""
 Model = tuple[float, float, float]
-Body = tuple[Floats, float]
-Field = tuple[Floats, float, float]
+"""Greatest linear [m/s^2] and angular acceleration [rad/s^2], and the share of the difference to
+the command by which the twist changes in a STEP."""
 
 
 class Dwa(MappedPolicy):
@@ -82,20 +78,17 @@ class Dwa(MappedPolicy):
         """Choose the best admissible velocity [m/s, rad/s]; stops where there is none."""
         config = self.setting.config
         window = self._window(config.max_linear, config.max_angular)
-        near = self.obstacles(pose, config.max_linear * HORIZON + self.outer + 0.3)
+        around = self.around(pose, config.max_linear * HORIZON, goal, 0.9 * self.setting.tolerance)
         state = (*pose, seen.linear, seen.angular, *self.sent)
-        field = (self.plan.values, self.plan.x, self.plan.y)
-        target = (*goal, 0.9 * self.setting.tolerance)
-        body = (self.sides, self.outer)
-        scores = scored(window, state, self._model, near, body, field, target)
+        scores = scored(window, state, self._model, around)
         best = int(scores.argmin())
         if not math.isfinite(scores[best]):
-            return self._escape(near, state)
+            return self._escape(around, state)
         linear, angular = window[best].tolist()
         idle = abs(linear) < 0.03 and abs(angular) < 0.15
         self._still = self._still + 1 if idle or self._still > STILL else 0
         if self._still > STILL:
-            return self._align(pose, goal, state, near) or (linear, angular)
+            return self._align(pose, goal, state, around) or (linear, angular)
         return linear, angular
 
     def reset(self) -> None:
@@ -104,15 +97,13 @@ class Dwa(MappedPolicy):
         self._still = 0
 
     def _align(
-        self, pose: Pose, goal: tuple[float, float], state: State, near: Floats
+        self, pose: Pose, goal: tuple[float, float], state: State, around: Around
     ) -> tuple[float, float] | None:
         """Turn towards the plan; None once it lies ahead, or where there is no room to turn."""
         x, y = self.carrot(pose, goal, 0.4)
         bearing = math.atan2(y, x)
         turn = math.copysign(0.5 * self.setting.config.max_angular, bearing)
-        if abs(bearing) < ALIGNED or not stops(
-            0.0, turn, state, self._model, near, (self.sides, self.outer)
-        ):
+        if abs(bearing) < ALIGNED or not stops(0.0, turn, state, self._model, around):
             self._still = 0
             return None
         return 0.0, turn
@@ -127,7 +118,7 @@ class Dwa(MappedPolicy):
         window: Floats = pairs.reshape(2, -1).T
         return window
 
-    def _escape(self, near: Floats, state: State) -> tuple[float, float]:
+    def _escape(self, around: Around, state: State) -> tuple[float, float]:
         """Back off slowly, or turn, to where there is more clearance; nothing is admissible."""
         x, y, theta = state[:3]
         best, chosen = -1.0, (0.0, 0.0)
@@ -136,7 +127,7 @@ class Dwa(MappedPolicy):
                 heading = theta + 0.3 * angular
                 ahead = 0.3 * linear
                 there = x + ahead * math.cos(heading), y + ahead * math.sin(heading), heading
-                free = clearance(*there, near, self.sides, self.outer, 0.2)
+                free = free_at(*there, around, 0.2)
                 if free > best + 1e-3:
                     best, chosen = free, (linear, angular)
         return chosen
@@ -151,7 +142,7 @@ def advanced(state: State, linear: float, angular: float, brake: float, model: M
         linear: command [m/s].
         angular: command [rad/s].
         brake: greatest linear acceleration [m/s^2].
-        model: as in `scored`.
+        model: of the robot.
     """
     x, y, theta, v, w, sent_v, sent_w = state
     sent_v += min(max(linear - sent_v, -brake * STEP), brake * STEP)
@@ -171,48 +162,27 @@ def advanced(state: State, linear: float, angular: float, brake: float, model: M
 
 
 @loop
-def scored(
-    window: Floats,
-    state: State,
-    model: Model,
-    near: Floats,
-    body: Body,
-    field: Field,
-    target: tuple[float, float, float],
-) -> Floats:
+def scored(window: Floats, state: State, model: Model, around: Around) -> Floats:
     """Score velocities; less is better.
 
     Args:
         window: (n, 2), linear [m/s] and angular [rad/s].
         state: now.
-        model: greatest linear [m/s^2] and angular acceleration [rad/s^2], and the share of the
-            difference to the command by which the twist changes in a STEP.
-        near: (n, 2), obstacles in the frame of the pose [m].
-        body: the footprint's sides, and the radius of the disc around it [m].
-        field: the navigation function: values, x and y of its first cell.
-        target: the goal, and its radius [m].
+        model: of the robot.
+        around: of the robot.
 
     Returns:
         (n,): the scores, in equivalent metres; infinite where a velocity isn't admissible.
     """
     scores = np.full(len(window), np.inf)
     for n in range(len(window)):
-        if stops(window[n, 0], window[n, 1], state, model, near, body):
-            scores[n] = score(window[n, 0], window[n, 1], state, model, near, body, field, target)
+        if stops(window[n, 0], window[n, 1], state, model, around):
+            scores[n] = score(window[n, 0], window[n, 1], state, model, around)
     return scores
 
 
 @loop
-def score(
-    linear: float,
-    angular: float,
-    state: State,
-    model: Model,
-    near: Floats,
-    body: Body,
-    field: Field,
-    target: tuple[float, float, float],
-) -> float:
+def score(linear: float, angular: float, state: State, model: Model, around: Around) -> float:
     """Score of one admissible velocity, see `scored`."""
     cost, steps = 0.0, int(HORIZON / STEP + 0.5)
     for step in range(steps):
@@ -220,35 +190,30 @@ def score(
         state = advanced(state, linear, turning, model[0], model)
         if step % 2 == 0:
             continue
-        x, y, theta = state[0], state[1], state[2]
-        free = clearance(x, y, theta, near, body[0], body[1], 0.25)
+        free = free_at(state[0], state[1], state[2], around, 0.25)
         cost += 2.0 * STEP * SOFT * math.exp(-free / FADES)
         left = 1.0 - step / steps
         if free < SAFE:
             cost += BLOCKED * left
             break
-        dx, dy = target[0] - x, target[1] - y
-        if dx * dx + dy * dy < target[2] * target[2]:
+        if arrived(state[0], state[1], around):
             return cost - left
-    nose_x, nose_y = state[0] + NOSE * math.cos(state[2]), state[1] + NOSE * math.sin(state[2])
-    return cost + interpolated(field[0], field[1], field[2], nose_x, nose_y)
+    return cost + way_left(state[0], state[1], state[2], NOSE, around)
 
 
 @loop
-def stops(
-    linear: float, angular: float, state: State, model: Model, near: Floats, body: Body
-) -> bool:
+def stops(linear: float, angular: float, state: State, model: Model, around: Around) -> bool:
     """Whether the robot can obey a command for a while, and then stop without touching anything.
 
     Where it is too near to something already, coming no nearer is enough.
     """
-    least = clearance(state[0], state[1], state[2], near, body[0], body[1], SAFE) - 1e-3
+    least = free_at(state[0], state[1], state[2], around, SAFE) - 1e-3
     for step in range(int(1.0 / STEP)):
         if step * STEP < HELD:
             state = advanced(state, linear, angular, model[0], model)
         else:
             state = advanced(state, 0.0, 0.0, STRONG, model)
-        if clearance(state[0], state[1], state[2], near, body[0], body[1], SAFE) < least:
+        if free_at(state[0], state[1], state[2], around, SAFE) < least:
             return False
         if step * STEP >= HELD and abs(state[3]) < 0.01 and abs(state[4]) < 0.05:
             break

@@ -13,6 +13,7 @@ from acsar_gym.policies.baselines import BaselinePolicy
 from acsar_gym.policies.setting import GOAL, Seen, Setting
 from acsar_gym.tasks.base import OBSERVATION_LIMIT, Floats
 
+from .around import Around
 from .costmap import Costmap
 from .geometry import sides_of
 from .motion import Motion, Pose
@@ -100,6 +101,18 @@ class MappedPolicy(BaselinePolicy):
         """
         near = np.abs(self._scan - pose[:2]).max(axis=1) <= reach
         return np.concatenate([self.known.points(pose[0], pose[1], reach), self._scan[near]])
+
+    def around(self, pose: Pose, reach: float, goal: tuple[float, float], radius: float) -> Around:
+        """Collect what predicted motions are scored by.
+
+        Args:
+            pose: of the robot.
+            reach: how far it may drive meanwhile [m].
+            goal: in the odometry frame [m].
+            radius: of the goal [m].
+        """
+        near, plan = self.obstacles(pose, reach + self.outer + 0.3), self.plan
+        return Around(near, self.sides, self.outer, plan.values, plan.x, plan.y, *goal, radius)
 
     def carrot(
         self, pose: Pose, goal: tuple[float, float], lookahead: float

@@ -25,10 +25,9 @@ from acsar_gym.policies.setting import Seen, Setting
 from acsar_gym.safety.limiter import limits
 from acsar_gym.tasks.base import Floats
 
-from .geometry import clearance
+from .around import Around, State, arrived, free_at, way_left
 from .mapped import MappedPolicy
 from .motion import Pose
-from .potential import interpolated
 
 ROLLOUTS = 300
 STEPS = 20
@@ -53,13 +52,8 @@ REVERSE = 0.3
 """Cost of a second of reverse driving at full speed [m/s]."""
 CHANGE = 0.004
 """Cost of changing an action by 1 [m]."""
-
-
 TIME = 0.1
 """Cost of a second until the goal is reached [m/s]."""
-
-Body = tuple[Floats, float]
-Field = tuple[Floats, float, float]
 
 
 class Model(NamedTuple):
@@ -122,17 +116,14 @@ class Mppi(MappedPolicy):
     def decide(self, pose: Pose, goal: tuple[float, float], seen: Seen) -> tuple[float, float]:
         """Return the first command of the new plan [m/s, rad/s]."""
         config = self.setting.config
-        reach = config.max_linear * STEPS * self.setting.period + self.outer + 0.3
-        near = self.obstacles(pose, reach)
+        reach = config.max_linear * STEPS * self.setting.period
+        around = self.around(pose, reach, goal, self.setting.tolerance)
         self._actions = np.vstack([self._actions[1:], self._actions[-1:]])
         tried = np.clip(self._actions + self._noise(), -1.0, 1.0)
         tried[0] = self._actions
         tried[1] = 0.0
         state = (*pose, seen.linear, seen.angular, *self.sent)
-        field = (self.plan.values, self.plan.x, self.plan.y)
-        body = (self.sides, self.outer)
-        target = (*goal, self.setting.tolerance)
-        costs = rolled(tried, state, self._model, near, body, field, target)
+        costs = rolled(tried, state, self._model, around)
         weights = np.exp(-(costs - costs.min()) / TEMPERATURE)
         self._actions = np.einsum("n,nsa->sa", weights / weights.sum(), tried)
         linear, angular = self._actions[0].tolist()
@@ -149,8 +140,6 @@ class Mppi(MappedPolicy):
 
 Drive = tuple[float, float, float, float]
 """Speeds of the right and the left wheels, and the firmware's set points of them [rad/s]."""
-Start = tuple[float, float, float, float, float, float, float]
-"""Pose (x, y, theta), twist and last command (linear, angular)."""
 
 
 @jit
@@ -187,7 +176,7 @@ def advanced(
 
 
 @loop
-def track(actions: Floats, start: Start, model: Model, poses: Floats) -> None:
+def track(actions: Floats, start: State, model: Model, poses: Floats) -> None:
     """Simulate a rollout.
 
     Args:
@@ -214,25 +203,14 @@ def track(actions: Floats, start: Start, model: Model, poses: Floats) -> None:
 
 
 @loop
-def rolled(
-    tried: Floats,
-    start: Start,
-    model: Model,
-    near: Floats,
-    body: Body,
-    field: Field,
-    target: tuple[float, float, float],
-) -> Floats:
+def rolled(tried: Floats, start: State, model: Model, around: Around) -> Floats:
     """Simulate rollouts and sum up their costs.
 
     Args:
         tried: (rollouts, steps, 2): actions in [-1, 1].
         start: the state now.
         model: of the robot.
-        near: (n, 2), obstacles in the frame of the pose [m].
-        body: the footprint's sides, and the radius of the disc around it [m].
-        field: the navigation function: values, x and y of its first cell.
-        target: the goal, and its radius [m].
+        around: of the robot.
 
     Returns:
         (rollouts,): costs in equivalent metres.
@@ -242,7 +220,7 @@ def rolled(
     sent = (start[5] / model.fastest, start[6] / model.turning)
     for n in range(len(tried)):
         track(tried[n], start, model, poses)
-        costs[n] = effort(tried[n], sent, span) + price(poses, near, body, field, target, span)
+        costs[n] = effort(tried[n], sent, span) + price(poses, around, span)
     return costs
 
 
@@ -264,25 +242,16 @@ def effort(actions: Floats, sent: tuple[float, float], span: float) -> float:
 
 
 @loop
-def price(
-    poses: Floats,
-    near: Floats,
-    body: Body,
-    field: Field,
-    target: tuple[float, float, float],
-    span: float,
-) -> float:
+def price(poses: Floats, around: Around, span: float) -> float:
     """Cost of a rollout's poses, (steps, 3), that take `span` [s] each; see `rolled`."""
     cost, count = 0.0, len(poses)
     for step in range(count):
         x, y, theta = poses[step, 0], poses[step, 1], poses[step, 2]
-        free = clearance(x, y, theta, near, body[0], body[1], 0.3)
+        free = free_at(x, y, theta, around, 0.3)
         cost += span * (TIME + SOFT * math.exp(-free / FADES))
         if free < SAFE:
             cost += CRASH * (1.0 - 0.5 * step / count)
             break
-        dx, dy = target[0] - x, target[1] - y
-        if dx * dx + dy * dy < target[2] * target[2]:
+        if arrived(x, y, around):
             return cost
-    nose_x, nose_y = x + NOSE * math.cos(theta), y + NOSE * math.sin(theta)
-    return cost + interpolated(field[0], field[1], field[2], nose_x, nose_y)
+    return cost + way_left(x, y, theta, NOSE, around)

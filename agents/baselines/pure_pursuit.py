@@ -20,12 +20,17 @@ SIDEWAYS = 0.5
 """Greatest speed times curvature, as a share of the greatest yaw rate."""
 
 
-class PurePursuit(BaselinePolicy):
+class PathPolicy(BaselinePolicy):
+    """Base class of the baselines that follow a path."""
+
+    needs = PATH
+    what = ("a path", "path_follow")
+
+
+class PurePursuit(PathPolicy):
     """Drives to a point of the path a fixed distance ahead, slower in narrow curves."""
 
     name = "pure_pursuit"
-    needs = PATH
-    what = ("a path", "path_follow")
 
     def act(self, seen: Seen) -> tuple[float, float]:
         """Return the velocity command [m/s, rad/s]."""

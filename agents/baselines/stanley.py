@@ -15,10 +15,9 @@ import math
 
 import numpy as np
 
-from acsar_gym.policies.baselines import BaselinePolicy
-from acsar_gym.policies.setting import PATH, Seen
+from acsar_gym.policies.setting import Seen
 
-from .pure_pursuit import line_ahead
+from .pure_pursuit import PathPolicy, line_ahead
 
 AXLE = 0.2
 """From the robot's base to the front axle of the bicycle [m]."""
@@ -28,12 +27,10 @@ STEERING = 1.2
 """Greatest steering angle [rad]."""
 
 
-class Stanley(BaselinePolicy):
+class Stanley(PathPolicy):
     """Steers by the path's direction and distance at a front axle."""
 
     name = "stanley"
-    needs = PATH
-    what = ("a path", "path_follow")
 
     def act(self, seen: Seen) -> tuple[float, float]:
         """Return the velocity command [m/s, rad/s]."""

@@ -10,60 +10,36 @@ import numpy as np
 import pytest
 from samples import samples
 from scipy.sparse.csgraph import dijkstra
+from search_tools import (
+    CUT,
+    PILLAR,
+    RESOLVED,
+    ROUGHLY,
+    around,
+    array,
+    between,
+    closest,
+    polar,
+    random_world,
+)
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import WorldError
 from acsar_gym.worlds import files, search
-from acsar_gym.worlds import grid as cells_of
-from acsar_gym.worlds.clearance import clearance, segment_clearance
-from acsar_gym.worlds.grid import RESOLUTION, SLACK, Grid, free_cells
+from acsar_gym.worlds.clearance import clearance
+from acsar_gym.worlds.grid import RESOLUTION, SLACK
 from acsar_gym.worlds.search import (
     check_region,
     footprint_radius,
     path_length,
     shortest_path,
-    way_left,
 )
 from acsar_gym.worlds.shapes import outline, wall
-from acsar_gym.worlds.world import Floats, Region, World
+from acsar_gym.worlds.world import Region, World
 
 BARN = Path(__file__).parents[2].parent / "shared" / "barn"
 BARN_ROBOT = 0.375
 REAL_ROBOT = footprint_radius(RobotConfig.preset("acsar"))
-CUT = 2e-3
-"""How much nearer than its radius a path may come to an obstacle [m]."""
-ROUGHLY = 1.04
-"""Times as long as by hand."""
-RESOLVED = 0.04
-"""Room on both sides of a disc in which the search finds a way, a cell's half diagonal [m]."""
-
-
-def array(*rows: Any) -> Any:
-    return np.array(rows, np.float64)
-
-
-def between(start: Any, goal: Any, circles: Any = (), segments: Any = (), name: str = "") -> World:
-    return World(
-        circles, segments, Region(*map(float, start)), Region(*map(float, goal)), name=name
-    )
-
-
-def closest(path: Floats, world: World) -> float:
-    return float(segment_clearance(path[:-1], path[1:], world).min())
-
-
-def polar(radius: float, angle: float) -> Any:
-    return radius * array(math.cos(angle), math.sin(angle))
-
-
-def around(start: Any, goal: Any, centre: Any, radius: float, *, reflex: bool = False) -> float:
-    """Tangent, arc, tangent: the shortest way round a disc on one of its sides."""
-    a, b = np.subtract(start, centre), np.subtract(goal, centre)
-    far = math.hypot(*a), math.hypot(*b)
-    angle = math.acos(max(-1.0, float(a @ b) / far[0] / far[1]))
-    angle = math.tau - angle if reflex else angle
-    tangents = [math.sqrt(d * d - radius * radius) for d in far]
-    return sum(tangents) + radius * (angle - sum(math.acos(radius / d) for d in far))
 
 
 def room(door: float, turn: float = 0.0, shift: Any = (0.0, 0.0)) -> World:
@@ -78,18 +54,6 @@ def room(door: float, turn: float = 0.0, shift: Any = (0.0, 0.0)) -> World:
     points = np.concatenate([segments.reshape(-1, 2), array([0, 0], [4, 0])])
     points = points @ array([cos, sin], [-sin, cos]) + shift
     return between(points[-2], points[-1], (), points[:-2].reshape(-1, 4))
-
-
-def random_world(seed: int, radius: float) -> World:
-    """Circles and segments, start and goal with room around them."""
-    rng = np.random.default_rng(seed)
-    circles = np.column_stack([rng.uniform(-2, 2, (8, 2)), rng.uniform(0.0, 0.4, 8)])
-    starts = rng.uniform(-2, 2, (4, 2))
-    segments = np.column_stack([starts, starts + rng.uniform(-1, 1, (4, 2))])
-    everywhere = rng.uniform(-2.6, 2.6, (400, 2))
-    free = clearance(everywhere, World(circles, segments)) > radius + RESOLVED
-    ends = everywhere[free][:2]
-    return between(ends[0], ends[1], circles, segments)
 
 
 def visibility_graph(world: World, radius: float) -> float:
@@ -263,7 +227,6 @@ def test_the_way_back_is_as_long(count: int) -> None:
         assert lengths[0] == pytest.approx(lengths[1], rel=0.05)
 
 
-PILLAR = array([0.0, 0.0, 0.5])
 NEEDS = " from an obstacle, a footprint of radius 0.25 m needs {:.2f} m"
 
 
@@ -351,138 +314,6 @@ def test_a_start_that_just_fits_has_a_way_though_its_cell_does_not(count: int) -
             assert 2.0 < path_length(path) < 3.12
 
 
-@pytest.mark.parametrize("radius", [0.05, 0.024])
-def test_no_footprint_goes_through_a_wall(radius: float) -> None:
-    path = shortest_path(between((-3, 0), (3, 0), (), array([0.0, -1.0, 0.0, 1.0])), radius)
-    assert path_length(path) >= 2.0 * math.hypot(3.0, 1.0) - 1e-9
-
-
-LARGE = array([-500.0, 0.0, -499.0, 0.0], [499.0, 0.0, 500.0, 0.0])
-"""What makes a world 1 km wide."""
-
-
-@pytest.mark.parametrize("radius", [0.0, 0.25, 5.0])
-def test_huge_worlds_are_searched_coarsely(radius: float) -> None:
-    square = np.concatenate([LARGE, LARGE[:, [1, 0, 3, 2]]])
-    for world, metres in (
-        (World(segments=square), 1e3),
-        (World(circles=array([1e4, 1e4, 1e4], [-1e4, -1e4, 1e4])), 4e4),
-    ):
-        grid = free_cells(world, radius)
-        assert 0.9 * cells_of.MOST_CELLS < grid.free.size < 1.02 * cells_of.MOST_CELLS
-        assert grid.side == pytest.approx(metres / 1000.0, rel=0.1)
-    small = free_cells(World(circles=PILLAR), 0.25)
-    assert small.side == RESOLUTION
-    assert small.free.size < 5_000
-
-
-def test_in_a_coarse_world_a_wide_footprint_finds_its_way(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cells_of, "MOST_CELLS", 40_000)  # 5 m each, as for 10 km
-    segments = np.concatenate([LARGE, LARGE[:, [1, 0, 3, 2]], array([0.0, -400.0, 0.0, 100.0])])
-    world = between((-200, 0), (200, 0), (), segments)
-    path = shortest_path(world, 20.0)
-    by_hand = around((-200, 0), (200, 0), (0.0, 100.0), 20.0, reflex=True)
-    assert 1.0 - CUT < path_length(path) / by_hand < ROUGHLY
-    assert closest(path, world) > 20.0 - 0.2
-
-
-def test_in_a_coarse_world_walls_are_walls_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cells_of, "MOST_CELLS", 40_000)
-    segments = np.concatenate([LARGE, LARGE[:, [1, 0, 3, 2]], array([0.1, -400.0, 0.1, 100.0])])
-    world = between((-200, 0), (200, 0), (), segments)
-    try:
-        path = shortest_path(world, 0.25)
-    except WorldError:
-        return
-    assert path_length(path) > 2.0 * math.hypot(200.0, 100.0) - 1.0
-
-
-@samples(3, 10)
-def test_free_cells_are_those_of_exact_distances(count: int) -> None:
-    for seed in range(count):
-        world, radius = random_world(seed, 0.2), 0.1 + 0.05 * seed
-        grid = free_cells(world, radius)
-        numbers = np.arange(grid.free.size)
-        centres = grid.centres(numbers)
-        exact = clearance(centres, world)
-        sure = np.abs(exact - radius) > SLACK
-        assert np.array_equal(grid.free.ravel()[sure], exact[sure] > radius)
-        assert [grid.cell(x, y) for x, y in centres[::97].tolist()] == numbers[::97].tolist()
-        left, low, right, high = world.bounds
-        room_left = 2.0 * radius
-        assert (centres.min(axis=0) <= (left - room_left, low - room_left)).all()
-        assert (centres.max(axis=0) >= (right + room_left, high + room_left)).all()
-
-
-def drawing(*lines: str) -> Grid:
-    free = np.array([[mark != "#" for mark in line] for line in lines])
-    return Grid(free, 0.0, 0.0, 1.0)
-
-
-@pytest.mark.parametrize(
-    ("lines", "start", "goal", "length"),
-    [
-        (("...", "...", "..."), (0, 0), (2, 2), 2.0 * math.sqrt(2.0)),
-        (("...", "...", "..."), (2, 0), (0, 2), 2.0 * math.sqrt(2.0)),
-        (("....",), (0, 3), (0, 0), 3.0),
-        ((".#", ".."), (0, 0), (1, 1), 2.0),  # no corner is cut
-        (("..", ".#"), (1, 0), (0, 1), 2.0),
-        ((".#", "#."), (0, 0), (1, 1), math.inf),
-        (("...", ".#.", "..."), (0, 0), (2, 2), 4.0),
-        (("..#..", "....."), (0, 0), (0, 4), 2.0 + 2.0 * math.sqrt(2.0)),
-        ((".", "#", "."), (0, 0), (2, 0), math.inf),
-        ((".",), (0, 0), (0, 0), 0.0),
-    ],
-)
-def test_ways_over_cells_are_those_by_hand(
-    lines: Any, start: Any, goal: Any, length: float
-) -> None:
-    grid = drawing(*lines)
-    width = grid.free.shape[1]
-    first, last = (i * width + j for i, j in (start, goal))
-    cells = cells_of.search(grid, first, last)
-    if math.isinf(length):
-        assert cells is None
-        return
-    assert cells is not None
-    assert (cells[0], cells[-1]) == (first, last)
-    assert grid.free.ravel()[cells].all()
-    assert path_length(grid.centres(cells)) == pytest.approx(length)
-
-
-def slowly(free: Any, start: int, goal: int) -> float:
-    """Dijkstra's algorithm without a heap."""
-    count, width = free.size, free.shape[1]
-    lengths = {start: 0.0}
-    done: set[int] = set()
-    while open_cells := set(lengths) - done:
-        here = min(open_cells, key=lambda cell: lengths[cell])
-        done.add(here)
-        i, j = divmod(here, width)
-        for k in range(count):
-            di, dj = k // width - i, k % width - j
-            square = free[min(i, i + di) : max(i, i + di) + 1, min(j, j + dj) : max(j, j + dj) + 1]
-            if max(abs(di), abs(dj)) == 1 and square.all():
-                length = lengths[here] + math.hypot(di, dj)
-                lengths[k] = min(lengths.get(k, math.inf), length)
-    return lengths.get(goal, math.inf)
-
-
-@samples(15, 60)
-def test_ways_over_cells_are_those_of_a_slow_search(count: int) -> None:
-    rng = np.random.default_rng(2)
-    blocked = 0
-    for _ in range(count):
-        free = rng.random((7, 8)) < 0.75
-        first, last = rng.choice(np.flatnonzero(free), 2, replace=False).tolist()
-        grid = Grid(free, 0.3, -0.7, 0.05)
-        cells = cells_of.search(grid, first, last)
-        length = math.inf if cells is None else path_length(grid.centres(cells)) / grid.side
-        assert length == pytest.approx(slowly(free, first, last))
-        blocked += cells is None
-    assert 0 < blocked < 0.8 * count
-
-
 def test_the_length_of_a_path() -> None:
     assert path_length(array([0, 0], [3, 4], [3, 5])) == 6.0
     assert path_length(array([3, 4])) == path_length(np.zeros((0, 2))) == 0.0
@@ -492,39 +323,6 @@ def test_the_footprint_of_the_real_robot() -> None:
     config = RobotConfig.preset("acsar")
     assert footprint_radius(config) == math.hypot(config.body.length, config.body.width) / 2.0
     assert 0.23 < footprint_radius(config) < 0.25
-
-
-class TestWayLeft:
-    GOAL = Region(3.0, 0.0)
-    PILLAR = between((-3, 0), (3, 0), PILLAR)
-
-    def test_it_is_the_shortest_way(self) -> None:
-        left = way_left(self.PILLAR, 0.25, Region(-3.0, 0.1), self.GOAL)
-        path = shortest_path(self.PILLAR, 0.25, Region(-3.0, 0.1))
-        assert left == path_length(path) > 6.1
-        assert way_left(World(), 0.25, Region(0.0, 4.0), self.GOAL) == 5.0
-        assert way_left(self.PILLAR, 0.25, self.GOAL, self.GOAL) == 0.0
-
-    @pytest.mark.parametrize("gap", [0.0, 0.01, 0.1, 0.24])
-    def test_a_robot_that_touches_something_still_has_a_way(self, gap: float) -> None:
-        """Its corners reach farther than its sides: the wall is nearer than the disc's radius."""
-        world = World(segments=array([-1.0, gap, 1.0, gap]))
-        left = way_left(world, 0.25, Region(0.0, 0.0), self.GOAL)
-        assert left == pytest.approx(3.0, abs=0.05)
-
-    def test_a_goal_near_a_wall_counts_as_well(self) -> None:
-        world = World(segments=array([3.1, -1.0, 3.1, 1.0]))
-        assert way_left(world, 0.25, Region(0.0, 0.0), self.GOAL) == pytest.approx(3.0, abs=0.05)
-
-    def test_inside_an_obstacle_or_walled_in_there_is_none(self) -> None:
-        assert way_left(self.PILLAR, 0.25, Region(0.0, 0.0), self.GOAL) == math.inf
-        assert way_left(self.PILLAR, 0.25, self.GOAL, Region(0.0, 0.0)) == math.inf
-        cell = between((0, 0), (3, 0), (), outline(-1.0, -1.0, 1.0, 1.0))
-        assert way_left(cell, 0.25, Region(0.0, 0.0), self.GOAL) == math.inf
-
-    def test_outside_the_world_there_is_one_too(self) -> None:
-        left = way_left(self.PILLAR, 0.25, Region(-9.0, 0.0), self.GOAL)
-        assert left == pytest.approx(12.2, abs=0.2)
 
 
 @pytest.mark.skipif(not BARN.is_dir(), reason="the published worlds aren't here")

@@ -1,0 +1,97 @@
+"""Faults of the wire in every id: what ends an episode, and what repeats."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import numpy as np
+import pytest
+from env_tools import LINKS, SEEING, inner, make
+
+from acsar_gym.errors import (
+    ConfigError,
+    LinkError,
+)
+
+FAULTS: list[tuple[dict[str, Any], float]] = [
+    ({"unplug_at": 1.0, "replug_time": 0.5}, 3.0),
+    ({"board_reset_at": 1.0}, 1.0),
+]
+
+
+@pytest.mark.parametrize(("faults", "code"), FAULTS)
+@pytest.mark.parametrize("link", LINKS)
+def test_a_fault_truncates_the_episode_and_the_next_reset_recovers(
+    link: str, faults: dict[str, Any], code: float
+) -> None:
+    env = make("acsar_gym/PointGoal-v0", link, faults=faults)
+    for _ in range(2):
+        _, info = env.reset(seed=0)
+        assert info["fault"] == 0.0
+        truncated, steps = False, 0
+        while not truncated:
+            *_, terminated, truncated, info = env.step(np.array([0.0, 0.2], np.float32))
+            assert not terminated
+            steps += 1
+        assert info["fault"] == code
+        assert steps < 20
+        assert not inner(env).robot.active
+    env.close()
+
+
+def test_what_a_caller_changes_is_not_told_again() -> None:
+    env = make(
+        "acsar_gym/PointGoal-v0",
+        faults={"unplug_at": 0.3},
+        randomization={"motor_gain": (0.9, 1.1)},
+    )
+    told: Any = env.reset(seed=0)
+    truncated = False
+    while not truncated:
+        last, info = told[0].copy(), copy.deepcopy(told[-1])
+        told[0][:] = told[-1]["drawn_motor_gain"][:] = -7.0
+        told[-1]["goal_distance"] = -7.0
+        told = env.step(np.array([0.5, 0.0], np.float32))
+        truncated = told[3]
+    assert (told[0] == last).all()
+    assert told[-1]["goal_distance"] == info["goal_distance"]
+    assert (told[-1]["drawn_motor_gain"] == info["drawn_motor_gain"]).all()
+    assert told[-1]["fault"] == 3.0
+    env.close()
+
+
+def test_faults_can_be_raised_instead() -> None:
+    env = make("acsar_gym/PointGoal-v0", faults={"unplug_at": 0.3}, on_fault="raise")
+    env.reset(seed=0)
+    with pytest.raises(LinkError):
+        for _ in range(20):
+            env.step(np.array([0.5, 0.0], np.float32))  # a fault's clock starts as wheels turn
+    env.close()
+
+
+def test_faulty_episodes_repeat_with_the_seed() -> None:
+    seen = []
+    for _ in range(2):
+        env = make(SEEING[0], faults={"dropped_lines": 0.4, "corrupted_lines": 0.2})
+        rows = [env.reset(seed=3)[0]]
+        rows += [env.step(np.array([0.5, 0.3], np.float32))[0] for _ in range(30)]
+        seen.append(np.array(rows))
+        env.close()
+    plain = make(SEEING[0])
+    plain.reset(seed=3)
+    clean = [plain.step(np.array([0.5, 0.3], np.float32))[0] for _ in range(30)]
+    assert (seen[0] == seen[1]).all()
+    assert (seen[0][1:] != np.array(clean)).any()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"faults": {"droped_lines": 0.1}}, "did you mean 'dropped_lines'"),
+        ({"on_fault": "ignore"}, "raise or truncate"),
+    ],
+)
+def test_bad_faults_are_one_clear_error(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        make(SEEING[0], **options)

@@ -1,0 +1,58 @@
+"""Specs of the ids go through JSON, and have a threshold."""
+
+from __future__ import annotations
+
+import inspect
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from env_tools import IDS, inner, make
+from gymnasium.envs.registration import EnvSpec
+
+from acsar_gym import RobotConfig
+from acsar_gym.links.faults import Faults
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_a_spec_with_a_robot_goes_through_json(env_id: str) -> None:
+    robot = RobotConfig.preset("acsar").with_(max_linear=0.7, lidar={"rays": 33})
+    env = make(env_id, robot=robot, faults=Faults(dropped_lines=0.01))
+    assert env.spec is not None
+    again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
+    assert again.spec == env.spec
+    assert inner(again).robot.config == inner(env).robot.config == robot
+    assert again.observation_space == env.observation_space
+    assert (again.reset(seed=5)[0] == env.reset(seed=5)[0]).all()
+    for one in (again, env):
+        one.close()
+
+
+def test_a_spec_with_arrays_goes_through_json() -> None:
+    distance, tolerance = np.array([0.5, 2.0]), np.float32(0.25)
+    env = make("acsar_gym/PointGoal-v0", goal_distance=distance, goal_tolerance=tolerance)
+    assert env.spec is not None
+    again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
+    assert again.spec == env.spec
+    assert inner(again).task == inner(env).task
+    for one in (again, env):
+        one.close()
+
+
+def test_a_batchs_spec_goes_through_json() -> None:
+    robot = RobotConfig.preset("acsar").with_(max_linear=0.7)
+    many: Any = gymnasium.make_vec(
+        "acsar_gym/PointGoal-v0", 2, vectorization_mode="vector_entry_point", robot=robot
+    )
+    assert EnvSpec.from_json(many.spec.to_json()).kwargs["robot"] == robot.model_dump(mode="json")
+    many.close()
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_every_id_has_a_reward_threshold(env_id: str) -> None:
+    """Below what the policy that comes along reaches; a straight drive doesn't."""
+    threshold = gymnasium.spec(env_id).reward_threshold
+    assert threshold is not None
+    manual = inspect.getdoc(type(make(env_id).unwrapped)) or ""
+    assert f"`reward_threshold` {threshold:g}" in manual

@@ -1,0 +1,45 @@
+"""What is recorded of the command that began a training."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from acsar_gym.evaluation import provenance
+from acsar_gym.training import record
+
+
+@pytest.mark.parametrize(
+    ("given", "kept"),
+    [
+        ("--env barn --out {folder}/run --seed 3", "--env barn --seed 3"),
+        ("--env barn --out={folder}/run --seed=3", "--env barn --seed=3"),
+        ("--out runs/one", ""),
+        ("--resume {folder}/cut --trust", "--resume cut --trust"),
+        ("--resume={folder}/cut", "--resume=cut"),
+        (
+            "--robot={folder}/my.yaml --conf-file {folder}/a.yml",
+            "--robot=my.yaml --conf-file a.yml",
+        ),
+        (
+            "--env my.module:my/Task-v0 --worlds clutter",
+            "--env my.module:my/Task-v0 --worlds clutter",
+        ),
+    ],
+)
+def test_the_command_names_no_folder_of_this_machine(
+    given: str, kept: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = given.format(folder=tmp_path).split()
+    for program in (["acsar-gym", "train"], ["train.py"]):
+        monkeypatch.setattr(sys, "argv", [*program, *words])
+        assert record.command() == ["acsar-gym", "train", *kept.split()]
+
+
+def test_libraries_that_are_not_installed_have_no_version() -> None:
+    told = provenance.versions("pytest", "no-such-library")
+    assert told["pytest"] == pytest.__version__
+    assert "no-such-library" not in told
+    assert {"acsar_gym", "gymnasium", "numpy", "python"} <= told.keys()
