@@ -49,6 +49,12 @@ class BatchVecEnv(VecEnv):
         self._asked: dict[str, Any] = {}
         self._started = time.monotonic()
 
+    @property
+    def robots(self) -> RobotVectorEnv:
+        """The batch, without Gymnasium's wrappers."""
+        robots: RobotVectorEnv = self._batch.unwrapped
+        return robots
+
     def reset(self) -> NDArray[np.float32]:
         """Start a new episode of every robot, with the seeds and options that were set before.
 

@@ -51,7 +51,7 @@ def made(plan: Plan, env: RobotVectorEnv) -> BaseAlgorithm:
     _tell_robot(arguments.get("policy_kwargs") or {}, arguments["policy"], plan)
     given: dict[str, Any] = {"stats_window_size": env.num_envs} | arguments | _always(plan)
     try:
-        return plan.algorithm.load()(env=sb3.BatchVecEnv(env), **given)
+        return plan.algorithm.load()(env=recipe.wrapped(sb3.BatchVecEnv(env)), **given)
     except AcsarError:
         raise
     except Exception as error:  # noqa: BLE001 - whatever a constructor makes of bad values
@@ -80,7 +80,7 @@ def loaded(
             f"{saved.path}: is of {is_of}, but with --algo {wanted.name} only "
             f"{wanted.kind}'s models can be trained on"
         )
-    batch = sb3.BatchVecEnv(env)
+    batch = plan.recipe.wrapped(sb3.BatchVecEnv(env))
     return plan.algorithm.load().load(saved.path, batch, force_reset=not go_on, **_always(plan))
 
 

@@ -5,22 +5,27 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import yaml
 
 from acsar_gym.errors import ConfigError, shown, suggestion
+from acsar_gym.policies.base import one_line
 from acsar_gym.reading import bounded
 from acsar_gym.resources import AGENTS
 from acsar_gym.training import expressions
 from acsar_gym.training.algorithms import Algorithm
 
+if TYPE_CHECKING:  # imports torch
+    from stable_baselines3.common.vec_env import VecEnv
+
 MAX_BYTES = 1_000_000
 DEFAULT = "default"
 """Key of the hyperparameters for envs that have none of their own."""
 OWN = {"n_timesteps", "n_envs", "policy", "env_kwargs", "vec_env_wrapper"}
-"""Keys of RL Zoo that `train` reads, besides the arguments of the algorithm; it makes the batch
-itself, which the wrapper does for RL Zoo."""
+"""Keys of RL Zoo that `train` reads, besides the arguments of the algorithm."""
+BATCH = "acsar_gym.training.rl_zoo.batch"
+"""The wrapper that makes a batch for RL Zoo; `train` makes it itself."""
 FOREIGN = {
     "callback",
     "env_wrapper",
@@ -48,6 +53,8 @@ class Recipe:
     """Arguments of the algorithm, as in the file."""
     env_kwargs: dict[str, Any] = field(default_factory=dict)
     """Arguments of the env, without the link."""
+    wrappers: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """Wrappers of the batch, with their arguments, in their order."""
 
     def with_(self, **changes: Any) -> Recipe:
         """Return a recipe with some hyperparameters changed; None leaves one as it is.
@@ -71,7 +78,7 @@ class Recipe:
             "n_envs": self.robots,
             "policy": self.policy,
             "env_kwargs": self.env_kwargs | {"link": "planar"},
-            "vec_env_wrapper": "acsar_gym.training.rl_zoo.batch",
+            "vec_env_wrapper": [BATCH, *({name: given} for name, given in self.wrappers.items())],
             **self.arguments,
         }
 
@@ -95,6 +102,20 @@ class Recipe:
         with self.named("policy"):
             built["policy"] = expressions.imported(self.policy)
         return built
+
+    def wrapped(self, batch: VecEnv) -> VecEnv:
+        """Return the batch in the recipe's wrappers.
+
+        Raises:
+            ConfigError: a wrapper can't be imported, or doesn't take its arguments or the batch.
+        """
+        for name, given in self.wrappers.items():
+            with self.named("vec_env_wrapper"):
+                try:
+                    batch = expressions.imported(name)(batch, **given)
+                except TypeError as error:
+                    raise ConfigError(f"{name}: {one_line(error)}") from None
+        return batch
 
     def named(self, key: str) -> expressions.Named:
         """Name file and key in every ConfigError that is raised in this context."""
@@ -138,6 +159,7 @@ def recipe(algorithm: Algorithm, env_id: str, file: Path | None = None) -> Recip
         str(given.get("policy", "MlpPolicy")),
         {name: value for name, value in given.items() if name not in known},
         _env_kwargs(path, key, given),
+        _wrappers(path, key, given),
     )
 
 
@@ -183,3 +205,21 @@ def _env_kwargs(path: Path, key: str, given: dict[Any, Any]) -> dict[str, Any]:
     with expressions.Named(f"{path}: {key}: env_kwargs"):
         found = expressions.arguments(given.get("env_kwargs") or {})
     return {name: value for name, value in found.items() if name != "link"}
+
+
+def _wrappers(path: Path, key: str, given: dict[Any, Any]) -> dict[str, dict[str, Any]]:
+    """Read the wrappers: a name, or a list of names and of `{name: arguments}`, as in RL Zoo."""
+    asked = given.get("vec_env_wrapper") or []
+    named = [
+        one if isinstance(one, dict) else {one: {}}
+        for one in (asked if isinstance(asked, list) else [asked])
+        if one != BATCH
+    ]
+    pairs = [next(iter(one.items()), (None, None)) for one in named]
+    for one, (name, arguments) in zip(named, pairs, strict=True):
+        if len(one) != 1 or not isinstance(name, str) or not isinstance(arguments, dict):
+            raise ConfigError(
+                f"{path}: {key}: vec_env_wrapper: {shown(one)}: must be module.name, or that with "
+                "its arguments"
+            )
+    return dict(pairs)

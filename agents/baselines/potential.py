@@ -1,9 +1,7 @@
 """Distance to the goal around known obstacles: the navigation function of a costmap.
 
 Each cell costs 1 a metre, and more near obstacles. The cost of the cheapest way to the goal, T,
-solves |grad T| = cost, here by fast sweeping (Zhao, "A fast sweeping method for Eikonal equations",
-2005). A graph search over eight neighbours, as scipy has it, would overrate slanting ways by 8 %;
-Nav2's NavFn planner interpolates its potential for the same reason.
+solves |grad T| = cost, see `acsar_gym.worlds.ways`. Nav2's NavFn planner interpolates it, too.
 """
 
 from __future__ import annotations
@@ -16,6 +14,7 @@ import numpy as np
 from acsar_gym.errors import optional
 from acsar_gym.jit import loop
 from acsar_gym.tasks.base import Floats
+from acsar_gym.worlds.ways import sweep
 
 from .costmap import CELL, Costmap
 
@@ -26,10 +25,6 @@ LETHAL, TIGHT = 60.0, 8.0
 below its outer radius, where it can't turn."""
 HEAVY, FADES = 4.0, 0.12
 """Additional cost at the outer radius, and the distance over which it falls to 1/e [m]."""
-SWEEPS = 40
-"""Most sweeps over the field."""
-DONE = 1e-3
-"""Sweeping ends once no cell changes by more than this [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +74,7 @@ def potential(
         distances = distance_transform_edt(~occupied, sampling=CELL)
     values = np.full(occupied.shape, 1e9)
     i, j = round((goal[0] - x) / CELL), round((goal[1] - y) / CELL)
-    sweep(values, costs_of(distances, radii), i, j)
+    sweep(values, costs_of(distances, radii) * CELL, i, j)
     return Potential(values, distances, x, y)
 
 
@@ -108,33 +103,6 @@ def _window(
         low, high = min(max(min(cells) - more, 0), size - 2), max(min(max(cells) + more, size), 2)
         parts.append(slice(low, high))
     return parts[0], parts[1]
-
-
-@loop
-def sweep(values: Floats, costs: Floats, goal_i: int, goal_j: int) -> None:
-    """Solve |grad T| = cost on a grid by Gauss-Seidel sweeps in four directions, in place."""
-    nx, ny = values.shape
-    goal_i, goal_j = min(max(goal_i, 0), nx - 1), min(max(goal_j, 0), ny - 1)
-    values[goal_i, goal_j] = 0.0
-    for number in range(SWEEPS):
-        change, forth, up = 0.0, number % 2 == 0, number % 4 < 2
-        for m in range(nx):
-            i = m if forth else nx - 1 - m
-            for n in range(ny):
-                j = n if up else ny - 1 - n
-                a = min(values[i - 1, j] if i > 0 else 1e9, values[i + 1, j] if i < nx - 1 else 1e9)
-                b = min(values[i, j - 1] if j > 0 else 1e9, values[i, j + 1] if j < ny - 1 else 1e9)
-                step, low = costs[i, j] * CELL, min(a, b)
-                if low + step >= values[i, j] and abs(a - b) >= step:
-                    continue
-                new = low + step
-                if abs(a - b) < step:
-                    new = 0.5 * (a + b + math.sqrt(2.0 * step * step - (a - b) * (a - b)))
-                if new < values[i, j]:
-                    change = max(change, values[i, j] - new)
-                    values[i, j] = new
-        if number >= 3 and change < DONE:
-            break
 
 
 @loop

@@ -1,0 +1,84 @@
+"""Rewards for coming nearer along the way around obstacles."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+pytest.importorskip("stable_baselines3")
+
+from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
+
+from acsar_gym.errors import ConfigError
+from acsar_gym.policies import sb3
+from acsar_gym.policies.sb3 import BatchVecEnv
+from acsar_gym.training.shaping import Detours, detours
+from acsar_gym.vector import snapshots
+
+ROBOTS, WORLDS = 4, "clutter:1000-1002"
+
+
+def batch() -> BatchVecEnv:
+    """A few robots among obstacles."""
+    made = sb3.make_batch("obstacle_goal", ROBOTS, worlds=WORLDS, threads=1)
+    made.seed(3)
+    return made
+
+
+def test_rewards_differ_by_the_detour_put_behind() -> None:
+    plain, shaped = batch(), Detours(batch(), weight=3.0)
+    assert_allclose(plain.reset(), shaped.reset())
+    before = shaped.detours()
+    assert (before > 0.0).any()
+    for step in range(30):
+        actions = np.full((ROBOTS, 2), [1.0, 0.3], np.float32)
+        _, rewards, dones, _ = plain.step(actions)
+        _, other, _, _ = shaped.step(actions)
+        after = shaped.detours()
+        gained = np.where(dones, 0.0, 3.0 * (before - after))
+        assert_allclose(other, rewards + gained, atol=1e-5, err_msg=f"step {step}")
+        before = after
+
+
+def test_the_detour_is_zero_where_nothing_is_in_the_way() -> None:
+    shaped = Detours(batch())
+    shaped.reset()
+    robots = shaped.venv.unwrapped.robots
+    worlds = robots.batch.info()["world"].astype(int)
+    for index, world in enumerate(worlds):
+        one = robots.pool[int(world)]
+        assert shaped.detours()[index] > 0.95 * one.length - np.hypot(
+            one.goal.x - one.start.x, one.goal.y - one.start.y
+        )
+
+
+def test_nothing_is_remembered_between_steps() -> None:
+    shaped = Detours(batch())
+    shaped.reset()
+    actions = np.full((ROBOTS, 2), [0.8, -0.2], np.float32)
+    shaped.step(actions)
+    robots = shaped.venv.unwrapped.robots
+    kept = {name: array.copy() for name, array in (snapshots.taken(robots) or {}).items()}
+    rewards = shaped.step(actions)[1]
+    other = Detours(batch())
+    other.reset()
+    snapshots.restore(other.venv.unwrapped.robots, kept)
+    assert_allclose(other.step(actions)[1], rewards)
+
+
+def test_wrappers_in_between_are_looked_through() -> None:
+    assert isinstance(detours(VecMonitor(batch())), Detours)
+
+
+def test_single_envs_stay_as_they_are() -> None:
+    import gymnasium
+
+    single = DummyVecEnv([lambda: gymnasium.make("CartPole-v1")])
+    assert detours(single) is single
+    single.close()
+
+
+def test_a_batch_without_worlds_is_refused() -> None:
+    with pytest.raises(ConfigError, match="robots in worlds"):
+        Detours(sb3.make_batch("point_goal", 2))
