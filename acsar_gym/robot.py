@@ -49,8 +49,7 @@ class Robot:
     """Drives the robot, real or simulated, behind `link`.
 
     Attributes: `link`, `config`, `odometry`; `wire`, the lines to and from the board; `safety`,
-    with the twist that was really sent and the reason where it isn't the one asked for; `sensors`,
-    the LiDAR first.
+    with the twist really sent and why it isn't the one asked for; `sensors`, the LiDAR first.
 
     As a context manager it is active inside the block, and stopped and closed on any way out of it.
 
@@ -105,8 +104,8 @@ class Robot:
             self.link.open()
             self.active = True
         if self.link.truth is None and self._listener is None:
-            device = getattr(self.link, "device", "")
-            self._listener = StopListener(device, self.config.name, self._journal.recording)
+            told = getattr(self.link, "device", ""), self.config.name, self._journal.recording
+            self._listener = StopListener(*told)
             self._listener.warn()
         self.link.reset(scene)
         self.safety.reset()
