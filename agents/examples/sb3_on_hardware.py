@@ -33,9 +33,10 @@ def main(
     yes: bool = False,
 ) -> None:
     """Drive to a goal [m], no faster than `speed` [m/s]; `yes` leaves out the countdown."""
-    reach = max(abs(goal[0]), abs(goal[1])) + 0.5
-    fence = {"min_x": -reach, "max_x": reach, "min_y": -reach, "max_y": reach}
-    config = RobotConfig.of(robot).with_(linear_limits={"max_velocity": speed}, geofence=fence)
+    config, most = RobotConfig.of(robot), max(abs(goal[0]), abs(goal[1])) + 0.5
+    slow = {"max_velocity": min(speed, config.linear_limits.max_velocity or speed)}
+    fence = config.geofence or {"min_x": -most, "max_x": most, "min_y": -most, "max_y": most}
+    config = config.with_(linear_limits=slow, geofence=fence)
     policy, steps = PPO.load(model, device="cpu"), round(10 * seconds)
     name = "acsar_gym:acsar_gym/PointGoal-v0"
     env = gymnasium.make(name, link=link, robot=config, max_episode_steps=steps)
@@ -48,8 +49,7 @@ def main(
             observation, _, ended, cut, info = env.step(action)
             over, reasons = ended or cut, reasons | {Reason(int(info["sent_reason"])).name}
     print(f"reached: {bool(info['is_success'])}, at {info['odom_x']:.2f}, {info['odom_y']:.2f} m")
-    print(f"sent as asked for, or why not: {', '.join(sorted(reasons))}")
-    print(info.get("fault_reason", "no fault"))
+    print(f"limited by {', '.join(sorted(reasons))}; {info.get('fault_reason', 'no fault')}")
 
 
 if __name__ == "__main__":
