@@ -16,9 +16,10 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
+import serial_tools
 from browser_tools import browser
 from serial_tools import Emulated, program, start, wait_until
-from test_dashboard import DRAWN, DRIVING
+from test_dashboard import DRAWN, DRIVING, PATIENCE
 
 from acsar_gym.dashboard.server import served
 from acsar_gym.protocol import ZERO, Decoder
@@ -43,7 +44,7 @@ def trial(folder: Path) -> float:
         with program(DRIVING, "drive", *options) as process:
             wait_until(emulated.is_driven, "a command that turns the wheels")
             clicked = clicked_on(path, folder)
-            process.wait(30.0)
+            process.wait(PATIENCE)
             return zero_after(emulated, clicked) - clicked
     finally:
         emulated.end()
@@ -65,6 +66,7 @@ def clicked_on(path: Path, folder: Path) -> float:
 def main() -> None:
     """Print the times of some trials."""
     parser = argparse.ArgumentParser(description=__doc__)
+    serial_tools.TIMEOUT = PATIENCE
     parser.add_argument("--trials", type=int, default=10)
     times = []
     for _ in range(parser.parse_args().trials):

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+import serial_tools
 from browser_tools import CHROMIUM, Tab, browser
 from recording_tools import drive
 from serial_tools import Emulated, RobotFile, program, wait_until
@@ -34,7 +35,14 @@ DRAWN = """['top', 'wheels', 'lateness'].every(name => {
   const graph = document.querySelector(`#${name} .js-plotly-plot`);
   return graph && graph.data && graph.data.length > 2;
 }) && document.querySelector('#value-time').innerText != '\\u2013'"""
+PATIENCE = 300.0
+"""Longest wait of this module for other programs [s]: a browser may need all of the computer."""
 WIDE, NARROW = (1280, 940), (420, 1750)
+
+
+@pytest.fixture(autouse=True)
+def _patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(serial_tools, "TIMEOUT", PATIENCE)
 
 
 @contextmanager
@@ -59,7 +67,9 @@ def shot(tab: Tab, name: str, folder: Path) -> None:
     tab.shot(Path(os.environ.get("ACSAR_GYM_SHOTS", folder)) / f"{name}.png")
 
 
-@pytest.mark.parametrize("size", [WIDE, NARROW])
+@pytest.mark.parametrize("size", [PATIENCE = 300.0
+"""Longest wait of this module for other programs [s]: a browser may need all of the computer."""
+WIDE, NARROW])
 def test_a_recording_is_drawn_and_played(tmp_path: Path, size: tuple[int, int]) -> None:
     path = drive(tmp_path / "tape.mcap", RobotConfig.of(None), ticks=300)
     with opened(path, tmp_path, size) as tab:
@@ -96,7 +106,7 @@ def test_the_stop_button_stops_a_robot_that_another_process_drives(
             assert tab.run("said")[0].startswith("Stopping")
             assert own_emulator.is_stopped()
             tab.wait("document.querySelector('#state').innerText == 'stopped'", "the state")
-            process.wait(30.0)
+            process.wait(PATIENCE)
             tab.wait("document.querySelector('#message').innerText", "what ended it")
             shot(tab, "dashboard_stopped", tmp_path)
     assert process.returncode == 3
