@@ -67,9 +67,7 @@ def shot(tab: Tab, name: str, folder: Path) -> None:
     tab.shot(Path(os.environ.get("ACSAR_GYM_SHOTS", folder)) / f"{name}.png")
 
 
-@pytest.mark.parametrize("size", [PATIENCE = 300.0
-"""Longest wait of this module for other programs [s]: a browser may need all of the computer."""
-WIDE, NARROW])
+@pytest.mark.parametrize("size", [WIDE, NARROW])
 def test_a_recording_is_drawn_and_played(tmp_path: Path, size: tuple[int, int]) -> None:
     path = drive(tmp_path / "tape.mcap", RobotConfig.of(None), ticks=300)
     with opened(path, tmp_path, size) as tab:
