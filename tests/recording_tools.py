@@ -17,3 +17,9 @@ def drive(path: Path, config: RobotConfig, ticks: int = 120, **options: Any) -> 
         for tick in range(ticks):
             robot.drive(0.3, math.sin(tick / 20.0))
     return path
+
+
+def begun(path: Path) -> bytes:
+    """The first two thirds of a recording's chunks, as while it is being written."""
+    data = path.read_bytes()
+    return data[: 2 * data.index(b"acsar_gym_end") // 3]

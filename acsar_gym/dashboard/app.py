@@ -138,7 +138,8 @@ class Shown:
         playing = _playing(page, cause, live=live)
         follows = live and playing
         count = len(session.tail.episodes)
-        number = count if follows or not page.episode else min(max(page.episode, 1), count)
+        asked = page.episode or (count if live else 1)
+        number = count if follows else min(max(asked, 1), count)
         shown = session.episode(number - 1)
         end = 0.0 if shown is None else shown.end
         step = min(max(now - page.clock, 0.0), LONGEST) * float(page.rate)

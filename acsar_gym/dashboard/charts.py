@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from acsar_gym.dashboard import palette
@@ -16,6 +18,7 @@ POINTS = 500
 """Points of a line that are drawn."""
 STRIPES = 600
 """Stretches of the episode for each of which one reason is drawn."""
+Pair = tuple[float, float]
 WHEELS = ((1, "front left"), (0, "front right"), (2, "rear left"), (3, "rear right"))
 """Place in the wheel order and name of each, as seen from above with the front up."""
 
@@ -40,8 +43,9 @@ def wheels(episode: Episode, time: float, revision: str) -> Figure:
             _line(stamps, asked[:, wheel], palette.ASKED, style) | axes,
         ]
         annotations.append(_title(name, place))
-    high = _top(np.concatenate([measured.ravel(), asked.ravel(), sent[:, 1:].ravel()]))
-    return {"data": traces, "layout": _grid(begin, time, high, revision, annotations)}
+    span = _span(np.concatenate([measured.ravel(), asked.ravel(), sent[:, 1:].ravel()]))
+    times = begin, max(time, begin + 1.0)
+    return {"data": traces, "layout": _grid(times, span, revision, annotations)}
 
 
 def _line(x: Floats, y: Floats, colour: str, style: dict[str, object]) -> Figure:
@@ -50,10 +54,11 @@ def _line(x: Floats, y: Floats, colour: str, style: dict[str, object]) -> Figure
     return palette.line(x[chosen], y[chosen], colour, line=style)
 
 
-def _top(speeds: Floats) -> float:
-    """Limit of the axes, in steps of 2 rad/s so that it seldom changes."""
-    known = speeds[np.isfinite(speeds)]
-    return max(2.0, 2.0 * float(np.ceil(np.abs(known).max() / 1.9))) if len(known) else 2.0
+def _span(speeds: Floats) -> tuple[float, float]:
+    """Limits of the axes, around zero and in steps of 2 rad/s, so that they seldom change."""
+    known = np.r_[speeds[np.isfinite(speeds)], 0.0, 2.0]
+    low, high = float(known.min()), float(known.max())
+    return 2.0 * math.floor(low / 1.9), 2.0 * math.ceil(high / 1.9)
 
 
 def _title(name: str, place: int) -> Figure:
@@ -71,23 +76,24 @@ def _title(name: str, place: int) -> Figure:
     }
 
 
-def _grid(
-    begin: float, time: float, high: float, revision: str, annotations: list[Figure]
-) -> Figure:
+def _grid(times: Pair, speeds: Pair, revision: str, annotations: list[Figure]) -> Figure:
     """The layout of the four charts."""
     columns, rows = ((0.0, 0.47), (0.53, 1.0)), ((0.55, 0.96), (0.0, 0.41))
-    span = [begin, max(time, begin + 1.0)]
     axes: Figure = {}
     for column, domain in enumerate(columns):
         axes[f"xaxis{column + 1}"] = palette.axis(
-            "time [s]", domain=list(domain), range=span, anchor=f"y{column + 3}", fixedrange=True
+            "time [s]",
+            domain=list(domain),
+            range=list(times),
+            anchor=f"y{column + 3}",
+            fixedrange=True,
         )
     for place in range(4):
         axes[f"yaxis{place + 1}"] = palette.axis(
             "" if place % 2 else "rad/s",
             domain=list(rows[place // 2]),
             anchor=f"x{place % 2 + 1}",
-            range=[-high, high],
+            range=list(speeds),
             zeroline=True,
             zerolinecolor="#d5d8dc",
             nticks=5,
@@ -125,7 +131,12 @@ def lateness(episode: Episode, time: float, revision: str) -> Figure:
 def _note(text: str) -> Figure:
     """Words instead of a line."""
     place = {"x": 0.5, "y": 0.65, "xref": "paper", "yref": "paper", "showarrow": False}
-    return {"text": text, "font": {"size": 12, "color": palette.MUTED}, **place}
+    return {
+        "text": text,
+        "font": {"size": 12, "color": palette.MUTED},
+        "bgcolor": palette.PAPER,
+        **place,
+    }
 
 
 def _reasons(episode: Episode, end: float) -> Figure:

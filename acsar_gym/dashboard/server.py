@@ -14,6 +14,7 @@ from acsar_gym.reading import bounded
 
 LOOPBACK = "127.0.0.1"
 PORT = 8050
+MOST_PORT = 65_535
 
 
 @contextlib.contextmanager
@@ -60,9 +61,11 @@ def served(path: Path, port: int = PORT) -> Iterator[Any]:
 
 def _listening(port: int) -> socket.socket:
     """Return a socket that listens; ConfigError where the port can't be used."""
+    if not 0 <= port <= MOST_PORT:
+        raise ConfigError(f"--port {port}: must be 0 to {MOST_PORT}")
     try:
         return socket.create_server((LOOPBACK, port))
-    except (OSError, OverflowError) as error:
+    except OSError as error:
         raise ConfigError(
             f"--port {port}: can't be used on {LOOPBACK}: {bounded.reason(error)}; "
             "0 takes any free one"

@@ -48,7 +48,7 @@ class Tail:
         wanted: dict[str, Take] = {topic.name: TAKERS[topic.name] for topic in READ}
         self._collector = Collector(wanted | {topics.DIAGNOSTICS.name: self._fault})
         self._faults: list[tuple[Part, int, bytes]] = []
-        self._place = self._size = 0
+        self._place, self._size = 0, -1
         self.episodes: list[Episode] = []
         self.config = RobotConfig()
         self.header: dict[str, Any] = {}

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+import serial_tools
 from browser_tools import CHROMIUM, Tab, browser
 from recording_tools import drive
 from serial_tools import Emulated, RobotFile, program, wait_until
@@ -34,7 +35,14 @@ DRAWN = """['top', 'wheels', 'lateness'].every(name => {
   const graph = document.querySelector(`#${name} .js-plotly-plot`);
   return graph && graph.data && graph.data.length > 2;
 }) && document.querySelector('#value-time').innerText != '\\u2013'"""
+PATIENCE = 300.0
+"""Longest wait of this module for other programs [s]: a browser may need all of the computer."""
 WIDE, NARROW = (1280, 940), (420, 1750)
+
+
+@pytest.fixture(autouse=True)
+def _patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(serial_tools, "TIMEOUT", PATIENCE)
 
 
 @contextmanager
@@ -96,7 +104,7 @@ def test_the_stop_button_stops_a_robot_that_another_process_drives(
             assert tab.run("said")[0].startswith("Stopping")
             assert own_emulator.is_stopped()
             tab.wait("document.querySelector('#state').innerText == 'stopped'", "the state")
-            process.wait(30.0)
+            process.wait(PATIENCE)
             tab.wait("document.querySelector('#message').innerText", "what ended it")
             shot(tab, "dashboard_stopped", tmp_path)
     assert process.returncode == 3

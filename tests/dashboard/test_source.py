@@ -113,7 +113,7 @@ def test_the_page_is_on_loopback_and_a_port_in_use_is_told(tape: Path) -> None:
         with pytest.raises(ConfigError, match=f"--port {server.port}: can't be used on 127.0.0.1"):
             served(tape, server.port).__enter__()
     for port in (-1, 70_000):
-        with pytest.raises(ConfigError, match=f"--port {port}: can't be used"):
+        with pytest.raises(ConfigError, match=f"--port {port}: must be 0 to 65535"):
             served(tape, port).__enter__()
 
 
