@@ -17,8 +17,8 @@ REPLUG_CYCLES ?= 1000
 demo: $(READY)  ## train a policy, drive it in PyBullet, then over a serial device
 	$(BIN)/acsar-gym demo
 
-test: $(READY)  ## everything that must hold; the linters run beside the tests, which often wait
-	@$(MAKE) --no-print-directory lint >$(VENV)/lint.log 2>&1 & lint=$$!; \
+test: $(READY)  ## everything that must hold; linters and docs run beside the tests, which often wait
+	@$(MAKE) --no-print-directory lint docs >$(VENV)/lint.log 2>&1 & lint=$$!; \
 	  $(BIN)/pytest -n 2; tested=$$?; \
 	  wait $$lint; linted=$$?; cat $(VENV)/lint.log; exit $$((tested || linted))
 

@@ -108,12 +108,12 @@ def limited(block: Block) -> Iterator[None]:
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """The folder of a page, from which it imports; what it registers is forgotten at the end."""
+    """A page's folder, with what it names of the checkout; what it registers is forgotten."""
     modules, ids, own = set(sys.modules), dict(gymnasium.registry), dict(registry._OWN)
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
-    for name in ("agents", "assets"):  # pages name them as from a checkout
-        (tmp_path / name).symlink_to(ROOT / name)
+    for path in (ROOT / "agents", ROOT / "assets", *(ROOT / "docs").glob("*.json")):
+        (tmp_path / path.name).symlink_to(path)
     yield tmp_path
     for name in set(sys.modules) - modules:
         if str(getattr(sys.modules[name], "__file__", None)).startswith(str(tmp_path)):
@@ -252,6 +252,12 @@ def test_blocks_are_fenced_and_name_their_language(page: Path) -> None:
         pytest.skip("being rewritten")
     assert page_tools.indented(page) == []
     assert [str(b) for b in page_tools.blocks(page) if b.language not in LANGUAGES] == []
+
+
+def test_every_number_that_is_made_smaller_is_there() -> None:
+    for name, numbers in SMALLER.items():
+        code = "".join(block.code for block in runs(ROOT / name))
+        assert [old for old in numbers if old not in code] == []
 
 
 @pytest.mark.parametrize(
