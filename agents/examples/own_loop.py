@@ -51,7 +51,7 @@ def main(env: str = "acsar_gym:acsar_gym/PointGoal-v0", steps: int = 300_000) ->
             adam.zero_grad()
             (loss + (critic(x).squeeze(-1) - value).square().mean() / 2).backward()
             adam.step()
-        print(f"{done:,} steps, mean reward of a step {reward[~none].mean():.3f}")
+        print(f"{done + 64 * 256:,} steps, mean reward of a step {reward[~none].mean():.3f}")
     policies.save(actor, env, "own.onnx")
 
 
