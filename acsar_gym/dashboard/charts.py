@@ -32,7 +32,8 @@ def wheels(episode: Episode, time: float, revision: str) -> Figure:
     asked, sent = episode.asked(ticks), episode.sent.rows
     first, last = np.searchsorted(sent[:, 0], (begin, time + 1e-9))
     sent = sent[max(first - 1, 0) : last]
-    traces, annotations = [], []
+    traces: list[Figure] = []
+    annotations: list[Figure] = []
     style = {"dash": "dot", "width": 2.2}
     steps = {"shape": "hv"}
     for place, (wheel, name) in enumerate(WHEELS):
