@@ -65,6 +65,7 @@ INPUTS = {
     "episode": Input("episode", "value"),
     "playing": State("playing", "data"),
     "clock": State("clock", "data"),
+    "longest": State("time", "max"),
     "rate": State("rate", "value"),
 }
 
@@ -79,6 +80,7 @@ class Inputs:
     episode: int | None
     playing: bool
     clock: float
+    longest: float
     rate: str
 
 
@@ -143,7 +145,9 @@ class Shown:
         shown = session.episode(number - 1)
         end = 0.0 if shown is None else shown.end
         step = min(max(now - page.clock, 0.0), LONGEST) * float(page.rate)
-        at = end if follows else _moved(page, cause, end, step if playing else 0.0)
+        at = _moved(page, cause, end, step if playing else 0.0)
+        if follows or (cause == "pulse" and self._has_followed(page)):
+            at = end
         playing = follows or (playing and at < end)
         told = self._state(live=live, playing=playing) | {"playing": playing, "clock": now}
         if cause == "pulse" and not (changed or playing or page.playing):
@@ -158,6 +162,11 @@ class Shown:
                 "episodes": f"of {count}",
             }
         )
+
+    def _has_followed(self, page: Inputs) -> bool:
+        """Whether the page was at the end of a live run, which is over now."""
+        is_last = (page.at or 0.0) >= page.longest
+        return page.playing and is_last and self._session.state != sessions.RECORDED
 
     def _state(self, *, live: bool, playing: bool) -> dict[str, Any]:
         """What the head of the page tells, and how often it asks again."""

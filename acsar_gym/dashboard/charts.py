@@ -16,6 +16,8 @@ WINDOW = 20.0
 """How much of the time before now the wheels' charts show [s]."""
 POINTS = 500
 """Points of a line that are drawn."""
+LEAST = 0.01
+"""Smallest lateness on the axis, which is logarithmic [ms]."""
 STRIPES = 600
 """Stretches of the episode for each of which one reason is drawn."""
 Pair = tuple[float, float]
@@ -32,7 +34,8 @@ def wheels(episode: Episode, time: float, revision: str) -> Figure:
     asked, sent = episode.asked(ticks), episode.sent.rows
     first, last = np.searchsorted(sent[:, 0], (begin, time + 1e-9))
     sent = sent[max(first - 1, 0) : last]
-    traces, annotations = [], []
+    traces: list[Figure] = []
+    annotations: list[Figure] = []
     style = {"dash": "dot", "width": 2.2}
     steps = {"shape": "hv"}
     for place, (wheel, name) in enumerate(WHEELS):
@@ -105,9 +108,9 @@ def _grid(times: Pair, speeds: Pair, revision: str, annotations: list[Figure]) -
 def lateness(episode: Episode, time: float, revision: str) -> Figure:
     """Draw how late ticks ended and why the safety layer stepped in, over the whole episode."""
     end = max(episode.end, 1.0)
-    late = episode.column("lateness") * 1e3
+    late = np.maximum(episode.column("lateness") * 1e3, LEAST)
     known = late[np.isfinite(late)]
-    high = max(2.0 * LATE * 1e3, 1.1 * float(known.max())) if len(known) else 2.0 * LATE * 1e3
+    high = max(10.0, 2.0 * float(known.max())) if len(known) else 10.0
     limit = np.array([0.0, end]), np.full(2, LATE * 1e3)
     traces = [
         palette.line(*limit, palette.REASONS[4], line={"dash": "dash", "width": 1}),
@@ -121,7 +124,14 @@ def lateness(episode: Episode, time: float, revision: str) -> Figure:
         annotations=notes,
         margin={"l": 48, "r": 12, "t": 8, "b": 36},
         xaxis=palette.axis("time [s]", range=[0.0, end], anchor="y2", fixedrange=True),
-        yaxis=palette.axis("ms", domain=[0.3, 1.0], range=[0.0, high], nticks=4, fixedrange=True),
+        yaxis=palette.axis(
+            "ms",
+            type="log",
+            dtick=1,
+            domain=[0.3, 1.0],
+            range=[math.log10(LEAST), math.log10(high)],
+            fixedrange=True,
+        ),
         yaxis2={"domain": [0.0, 0.18], "visible": False, "fixedrange": True},
         shapes=[cursor | {"line": {"color": palette.SENT, "width": 1.5}}],
     )

@@ -85,7 +85,7 @@ def _tiles() -> Any:
             _tile(
                 "Lateness",
                 [_value("late"), " ms"],
-                ["worst ", _value("worst"), ", feedback ", _value("age"), " ms"],
+                ["worst ", _value("worst"), " ms, feedback ", _value("age"), " ms old"],
             ),
             _tile("Safety layer", [_value("reason")], [_value("said")], id="safety"),
         ],

@@ -47,8 +47,8 @@ def readings(episode: Episode, time: float) -> dict[str, str]:
     known = late[np.isfinite(late)]
     return told | {
         "goal": _distance(episode, place),
-        "late": _number(late[-1] * 1e3, 2),
-        "worst": _number(known.max() * 1e3, 2) if len(known) else NONE,
+        "late": _milliseconds(late[-1]),
+        "worst": _milliseconds(known.max()) if len(known) else NONE,
         "age": _number(row[TICK["feedback_age"]] * 1e3, 0),
         **_reason(row[TICK["reason"]]),
     }
@@ -60,6 +60,11 @@ def _number(value: float, digits: int) -> str:
         return NONE
     text = f"{value:.{digits}f}"
     return text.replace("-", "\N{MINUS SIGN}") if float(text) else text.removeprefix("-")
+
+
+def _milliseconds(value: float) -> str:
+    """A time [s] in milliseconds, with fewer digits where it is long."""
+    return _number(value * 1e3, 2 if value < 0.01 else 1 if value < 0.1 else 0)
 
 
 def _distance(episode: Episode, place: int) -> str:

@@ -52,7 +52,6 @@ def served(path: Path, port: int = PORT) -> Iterator[Any]:
         server = make_server(
             LOOPBACK, number, app, threaded=True, request_handler=Quiet, fd=listener.fileno()
         )
-        server.daemon_threads = True
         try:
             yield server
         finally:

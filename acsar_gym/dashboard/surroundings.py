@@ -98,7 +98,8 @@ def _hits(episode: Episode, config: RobotConfig, scans: Any) -> list[Floats]:
     stamps, ticks = episode.scans.rows[scans, 0], episode.column("stamp")
     x, y = (np.interp(stamps, ticks, episode.column(name)) for name in ("x", "y"))
     heading = np.interp(stamps, ticks, np.unwrap(episode.column("theta")))
-    spec, found = ray_spec(config), []
+    spec = ray_spec(config)
+    found: list[Floats] = []
     angles = spec.angles() if spec.rays == episode.ranges.rows.shape[1] else None
     for place, row in enumerate(episode.ranges.rows[scans].astype(np.float64)):
         if angles is None:

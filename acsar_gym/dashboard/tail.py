@@ -151,6 +151,6 @@ def _told(data: bytes) -> str:
     """The error in a diagnostic message."""
     try:
         found: Any = typesystem.store().deserialize_cdr(data, topics.DIAGNOSTICS.kind)
-        return next(s.message for s in found.status if s.name == FAULT.decode())
+        return str(next(s.message for s in found.status if s.name == FAULT.decode()))
     except Exception:  # noqa: BLE001 - a damaged file can make it raise anything
         return "an error that can't be read"

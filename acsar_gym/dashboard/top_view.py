@@ -68,10 +68,10 @@ def _truth(episode: Episode, time: float) -> Figure:
     rows = episode.truth.rows
     rows = rows[: int(np.searchsorted(rows[:, 0], time + 1e-9, "right"))]
     rows = rows[evenly(len(rows), POINTS // 3)]
-    points = [to_odometry(episode.start, tuple(pose))[:2] for pose in rows[:, 1:].tolist()]
-    x, y = np.array(points, np.float64).reshape(-1, 2).T
+    points = [to_odometry(episode.start, (x, y, theta))[:2] for x, y, theta in rows[:, 1:].tolist()]
     style = {"dash": "dot", "width": 1.6}
-    return palette.line(x, y, palette.TRUTH, name="true path", line=style)
+    track = np.array(points, np.float64).reshape(-1, 2)
+    return palette.line(*track.T, palette.TRUTH, name="true path", line=style)
 
 
 def _world(world: World | None, episode: Episode) -> list[Figure]:

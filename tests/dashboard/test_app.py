@@ -15,11 +15,14 @@ from acsar_gym.dashboard import app as apps
 from acsar_gym.dashboard import palette
 from acsar_gym.dashboard.app import INPUTS, OUTPUTS, Inputs, Shown
 from acsar_gym.dashboard.layout import QUICK, SLOW
+from acsar_gym.dashboard.readings import _milliseconds
 from acsar_gym.dashboard.session import Session
 from acsar_gym.errors import ConfigError
 
 BASE = "http://127.0.0.1:8050"
-OPENED = Inputs(pulse=None, at=0.0, play=0, episode=None, playing=False, clock=0.0, rate="1")
+OPENED = Inputs(
+    pulse=None, at=0.0, play=0, episode=None, playing=False, clock=0.0, longest=1.0, rate="1"
+)
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +81,10 @@ def test_the_page_is_answered_over_http(client: Any) -> None:
             {"id": one.component_id, "property": one.component_property} for one in OUTPUTS.values()
         ],
         "inputs": [{**one, "value": values.get(one["id"])} for one in asked["inputs"]],
-        "state": [{**one, "value": values.get(one["id"])} for one in asked["state"]],
+        "state": [
+            {**one, "value": 1.0 if one["property"] == "max" else values.get(one["id"])}
+            for one in asked["state"]
+        ],
         "changedPropIds": ["time.value"],
     }
     assert len(body["inputs"]) + len(body["state"]) == len(INPUTS)
@@ -137,6 +143,23 @@ def test_a_live_run_is_followed_until_somebody_looks_back(tape: Path, tmp_path: 
     assert (past["slider"], past["playing"], past["play"]) == (0.2, False, "Follow")
     assert answered(live, "pulse", playing=False, at=0.2)["pulse"] == QUICK
     assert answered(live, "play", playing=False, at=0.2)["slider"] == told["longest"]
+
+
+def test_the_end_of_a_live_run_is_shown(tape: Path, tmp_path: Path) -> None:
+    path = tmp_path / "live.mcap"
+    path.write_bytes(begun(tape))
+    live = Session(path)
+    told = answered(live, "pulse", playing=True)
+    path.write_bytes(tape.read_bytes())
+    before = {"at": told["slider"], "longest": told["longest"], "clock": 99.9}
+    over = answered(live, "pulse", playing=True, **before)
+    assert over["slider"] == over["longest"] > told["longest"]
+    assert (over["state"], over["playing"]) == ("ended", False)
+
+
+def test_lateness_keeps_its_digits_where_it_is_short() -> None:
+    found = [_milliseconds(value) for value in (0.000_123, 0.0123, 2.30734, float("nan"))]
+    assert found == ["0.12", "12.3", "2307", "\N{EN DASH}"]
 
 
 def test_unknown_episodes_show_a_known_one(session: Session) -> None:
