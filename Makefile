@@ -4,6 +4,7 @@ VENV := .venv
 ECOSYSTEM := .venv-ecosystem
 BIN := $(VENV)/bin
 READY := $(VENV)/ready
+WORKERS ?= 2
 FUZZ_SECONDS ?= 300
 SOAK_MINUTES ?= 30
 FIRMWARE := $(CURDIR)/build/firmware
@@ -18,8 +19,8 @@ demo: $(READY)  ## train a policy, drive it in PyBullet, then over a serial devi
 	$(BIN)/acsar-gym demo
 
 test: $(READY)  ## everything that must hold; linters and docs run beside the tests, which often wait
-	@$(MAKE) --no-print-directory lint docs >$(VENV)/lint.log 2>&1 & lint=$$!; \
-	  $(BIN)/pytest -n 2; tested=$$?; \
+	@nice $(MAKE) --no-print-directory lint docs >$(VENV)/lint.log 2>&1 & lint=$$!; \
+	  $(BIN)/pytest -n $(WORKERS); tested=$$?; \
 	  wait $$lint; linted=$$?; cat $(VENV)/lint.log; exit $$((tested || linted))
 
 test-slow: $(READY)  ## the same rules on larger samples, in half an hour

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from onnx_tools import GOOD, bundle_of, changed, counting, fitting, relabelled
 
@@ -61,19 +61,16 @@ def test_a_bundle_is_read_as_it_was_written() -> None:
     assert bundle.randomization is not None
 
 
-@settings(max_examples=300, deadline=None)
 @given(st.text(max_size=200) | JSON.map(json.dumps))
 def test_rubbish_is_one_line(text: str) -> None:
     fails(text)
 
 
-@settings(max_examples=200, deadline=None)
 @given(st.integers(0, len(WHOLE) - 1))
 def test_a_cut_bundle_is_one_line(end: int) -> None:
     assert "damaged" in fails(WHOLE[:end])
 
 
-@settings(max_examples=300, deadline=None)
 @given(st.sampled_from(PLACES), JSON)
 @example(("metrics", "held_out"), {"\n": ""})
 def test_a_changed_bundle_is_a_bundle_or_one_line(path: tuple[Any, ...], value: Any) -> None:

@@ -1,4 +1,7 @@
-"""RL Zoo itself on our recipes: it trains on the compiled batch, and enjoys the single env."""
+"""RL Zoo itself on our recipes: it trains on the compiled batch, and enjoys the single env.
+
+All of it is slow: RL Zoo takes seconds to import. `make test-ecosystem` has it as well.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ import pytest
 
 from acsar_gym.resources import AGENTS
 
-pytestmark = pytest.mark.xdist_group("torch")
+pytestmark = [pytest.mark.xdist_group("torch"), pytest.mark.slow]
 
 PATIENCE = 300.0
 """For a subprocess on a busy machine [s]."""
@@ -50,7 +53,6 @@ def test_rl_zoo_trains_on_the_batch_and_enjoys(tmp_path: Path) -> None:
     assert "Episode Reward" in seen
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("algo", ["sac", "tqc", "ppo_lstm"])
 def test_rl_zoo_trains_with_the_other_recipes(algo: str, tmp_path: Path) -> None:
     recipe = AGENTS / "recipes" / f"{algo}.yml"
@@ -68,7 +70,6 @@ def test_rl_zoo_trains_with_the_other_recipes(algo: str, tmp_path: Path) -> None
     zoo("enjoy", "--algo", algo, "-f", tmp_path, "--no-render", "-n", "50")
 
 
-@pytest.mark.slow
 def test_rl_zoo_tunes(tmp_path: Path) -> None:
     recipe = AGENTS / "recipes" / "ppo.yml"
     options: list[str | Path] = [

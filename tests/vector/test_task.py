@@ -131,16 +131,16 @@ print(batch.step(np.zeros((2, 2)))[1][0], flush=True)
 
 
 @needs_numba
-def test_an_edited_task_or_helper_is_compiled_anew(tmp_path: Path) -> None:
+def test_a_task_whose_helper_was_edited_is_compiled_anew(tmp_path: Path) -> None:
     said = []
-    for own, bonus in (("0.0", "1.0"), ("10.0", "1.0"), ("10.0", "2.0")):
-        (tmp_path / "mine.py").write_text(USER.format(helper="helper", own=own))
+    (tmp_path / "mine.py").write_text(USER.format(helper="helper", own="10.0"))
+    for bonus in ("1.0", "2.0"):
         (tmp_path / "helper.py").write_text(HELPER.format(bonus=bonus))
         done = subprocess.run(
             [sys.executable, "-c", RUN], cwd=tmp_path, capture_output=True, text=True, check=True
         )
         said.append(float(done.stdout))
-    assert said == [1.0, 11.0, 12.0]
+    assert said == [11.0, 12.0]
 
 
 class Bending(Remembering):
