@@ -98,7 +98,7 @@ def _file(path: Path, uri: str, config: MkDocsConfig) -> tuple[File, str]:
     if path.suffix in PICTURES:
         return File.generated(config, uri, abs_src_path=str(path)), ""
     text = path.read_text(encoding="utf-8") if path.suffix == ".md" else shown(path)
-    level = InclusionLevel.INCLUDED if path.parent == ROOT else InclusionLevel.NOT_IN_NAV
+    level = InclusionLevel.INCLUDED if uri in TOP else InclusionLevel.NOT_IN_NAV
     return File.generated(config, uri, content=text, inclusion=level), text
 
 
