@@ -13,7 +13,7 @@ BOARD_SUITES := tests/links/test_contract.py tests/links/test_serial.py tests/li
 REPLUG_CYCLES ?= 1000
 
 .PHONY: demo test docs test-slow test-browser test-ecosystem test-scale throughput lint firmware \
-  firmware-tested fuzz soak replug identify-check licences clean
+  firmware-tested fuzz soak replug identify-check licences pictures clean
 
 demo: $(READY)  ## train a policy, drive it in PyBullet, then over a serial device
 	$(BIN)/acsar-gym demo
@@ -78,6 +78,9 @@ replug: $(READY)  ## pull the cable of a driving robot a thousand times, in twen
 
 licences: $(READY)  ## write docs/licences.md from what is installed
 	$(BIN)/python tests/licence_tools.py >docs/licences.md
+
+pictures: $(READY)  ## draw the README's moving picture: one policy behind two links, in two minutes
+	$(BIN)/python assets/pictures/three_views.py
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)

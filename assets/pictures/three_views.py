@@ -1,0 +1,234 @@
+"""Draws three_views.gif of the README: one policy file in one world, behind two links.
+
+From the left: PyBullet's camera, the same episode from above, and the emulated board on a serial
+device, of which odometry and LiDAR are all that is known. World, start, goal and seed are fixed;
+the emulated board runs in real time, so its path differs by some millimetres from run to run.
+
+`make pictures` draws it; --help of this script lists policy, world and speed.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from itertools import zip_longest
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tyro
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from acsar_gym.emulation.process import emulator
+from acsar_gym.evaluation import episodes, runs
+from acsar_gym.evaluation.tracks import Track
+from acsar_gym.lidars.base import ray_spec
+from acsar_gym.links.base import camera_of
+from acsar_gym.policies import FilePolicy
+from acsar_gym.render.backdrop import FLOOR, GOAL, GRID, INK, OBSTACLE, PLAN, SEEN
+from acsar_gym.render.top_view import ODOM, RAY, Frame, TopView
+from acsar_gym.render.vehicle import CHASSIS
+from acsar_gym.worlds import Region, World, files
+from acsar_gym.worlds.scene import point_in_world
+
+Picture = NDArray[np.uint8]
+Floats = NDArray[np.float64]
+TITLES = ("PyBullet", "PyBullet, from above", "serial port: what the robot knows")
+SIDE, GAP, BAND = 240, 8, 24
+"""Sides of a view, space between them, and height of the titles [pixels]."""
+PAPER, HALF = (255, 255, 255), (160, 163, 170)
+DRAWN = [
+    *(
+        *PAPER,
+        *FLOOR,
+        *GRID,
+        *SEEN[0],
+        *SEEN[1],
+        *INK,
+        *HALF,
+        *OBSTACLE,
+        *PLAN,
+        *GOAL,
+        194,
+        230,
+        209,
+    ),
+    *(*ODOM, 150, 185, 240, *RAY, 240, 198, 203, *CHASSIS),
+]
+"""Colours of the views from above and of titles."""
+RAYS = 2
+"""Every so many rays of the LiDAR are drawn."""
+CELL, NEAR, CALM = 0.05, 3.0, 0.04
+"""The map's resolution [m]; an echo is in it if it was nearer than this [m], and the robot turned
+by less than this in the env step [rad]: a LiDAR's turn takes as long as the step."""
+OUT = Path(__file__).with_name("three_views.gif")
+LAST = 1500
+"""How long the last picture stays [ms]."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What is driven, and how fast it is shown."""
+
+    out: Path = OUT
+    """File to write."""
+    policy: str = "obstacle_goal"
+    world: int = 10
+    """Number of the world in the test split, and seed of the episode."""
+    every: int = 2
+    """Show every so many env steps (0.1 s each)."""
+    delay: int = 80
+    """Time between pictures [ms]; GIF knows whole hundredths of a second."""
+    colours: int = 24
+    """Colours of the camera's pictures, at most 200."""
+
+
+def main(options: Options) -> None:
+    """Drive behind both links, and write the film."""
+    policy = runs.load(options.policy, trust=False)
+    camera, simulated = in_pybullet(policy, options)
+    wired = over_a_port(policy, simulated)
+    write(film(camera, simulated, wired, options.every), options)
+
+
+def in_pybullet(policy: FilePolicy, options: Options) -> tuple[list[Picture], Track]:
+    """Drive in PyBullet; returns what the camera saw, and the track in its world."""
+    env = runs.made(policy, "bullet", None, {"tracked": True})
+    inner: Any = env.unwrapped
+    pictures: list[Picture] = []
+
+    def filming(observation: Any) -> Any:
+        camera = camera_of(inner.robot.link)
+        if camera is not None and inner.episode.steps % options.every == 0:
+            large = Image.fromarray(camera.image(2 * SIDE, 2 * SIDE))
+            pictures.append(np.asarray(large.reduce(2)))
+        return policy(observation)
+
+    try:
+        (result,) = episodes.episodes(env, filming, 1, options.world, world=options.world)
+        given = inner.episode.assignment
+    finally:
+        env.close()
+    (x, y, theta), goal = given.start, point_in_world(given.start, given.goal)
+    world = replace(given.world, start=Region(x, y, 0.0, theta), goal=Region(*goal))
+    return pictures, replace(driven(result), world=world)
+
+
+def driven(result: episodes.EpisodeResult) -> Track:
+    """The track of an episode that reached its goal."""
+    if result.track is None or not result.success:
+        raise SystemExit(f"the goal wasn't reached: {result}")
+    return result.track
+
+
+def over_a_port(policy: FilePolicy, simulated: Track) -> Track:
+    """Drive from the same place in the same world, over a pseudo-terminal."""
+    world = simulated.world or World()
+    with tempfile.TemporaryDirectory() as folder:
+        files.save(world, path := Path(folder) / "world.json")
+        with emulator("--body", "bullet", "--world", str(path), "--lidar") as devices:
+            options = {"tracked": True, "lidar": f"rplidar://{devices.lidar}"}
+            env = runs.made(policy, devices.robot, None, options)
+            try:
+                (result,) = episodes.episodes(env, policy, 1, 0, world=world)
+            finally:
+                env.close()
+    return replace(driven(result), world=world)
+
+
+def film(
+    camera: list[Picture], simulated: Track, wired: Track, every: int
+) -> Iterator[tuple[Picture, ...]]:
+    """Yield the three views at a time; one that has ended shows its last picture."""
+    views = (camera, from_above(simulated, every), from_above(wired, every, known=False))
+    last: tuple[Any, ...] = (None,) * len(views)
+    for row in zip_longest(*views):
+        last = tuple(old if new is None else new for old, new in zip(last, row, strict=True))
+        yield last
+
+
+def from_above(track: Track, every: int, *, known: bool = True) -> Iterator[Picture]:
+    """Yield pictures of a track; the world is its own, or not known but for the LiDAR's echoes."""
+    view, angles = TopView(track.robot, (SIDE, SIDE)), ray_spec(track.robot).angles()
+    seen, poses = np.zeros((0, 2)), track.odometry.astype(float)
+    scans = np.zeros((len(poses), 0)) if track.scans is None else track.scans.astype(float)
+    for step in range(len(poses) - 1):
+        if step == 0 or abs(poses[step, 2] - poses[step - 1, 2]) < CALM:
+            seen = mapped(seen, poses[step], angles, scans[step])
+        if step % every == 0:
+            frame = Frame(
+                world=track.world if known else map_of(seen, track),
+                odom=tuple(poses[step].tolist()),
+                truth=None if track.truth is None else tuple(track.truth[step].tolist()),
+                goal=track.goal,
+                goal_radius=track.goal_radius,
+                odom_path=poses[: step + 1, :2].tolist(),
+                rays=(angles[::RAYS], scans[step, ::RAYS]),
+                reach=track.robot.lidar.max_range,
+                caption=f"{step * track.period:.1f} s",
+            )
+            yield view.draw(frame)
+
+
+def mapped(seen: Floats, pose: Floats, angles: Floats, ranges: Floats) -> Floats:
+    """Add a scan's near echoes to the points seen so far (N, 2), in the cells of a grid [m]."""
+    near = ranges < NEAR
+    bearing = pose[2] + angles[near]
+    echoes = pose[:2] + ranges[near, None] * np.column_stack([np.cos(bearing), np.sin(bearing)])
+    return np.unique(np.round(np.concatenate([seen, echoes]) / CELL), axis=0) * CELL
+
+
+def map_of(seen: Floats, track: Track) -> World:
+    """A world of the points seen, shown as large as the track's own one."""
+    left, low, right, high = (track.world or World()).bounds
+    middle = Region((left + right) / 2.0, (low + high) / 2.0, max(right - left, high - low) / 2.0)
+    circles = np.column_stack([seen, np.full(len(seen), CELL / 2.0)])
+    return World(circles=circles, start=middle, goal=Region(middle.x, middle.y))
+
+
+def write(film: Iterable[tuple[Picture, ...]], options: Options) -> None:
+    """Write a GIF: the camera's commonest colours, those that views from above have; no dither."""
+    rows = list(film)
+    some = Image.fromarray(np.concatenate([camera for camera, *_ in rows[:: 1 + len(rows) // 8]]))
+    seen = some.quantize(options.colours, Image.Quantize.MEDIANCUT).getpalette() or []
+    colours = seen[: 3 * options.colours]
+    palettes = [colours, DRAWN, DRAWN]
+    first, *rest = (beside(row, palettes) for row in rows)
+    times = [options.delay] * len(rest) + [LAST]
+    first.save(options.out, save_all=True, append_images=rest, duration=times, loop=0)
+
+
+def beside(views: Iterable[Picture], palettes: list[list[int]]) -> Image.Image:
+    """Views side by side with their titles above, in the colours of the first two palettes."""
+    before = len(palettes[0]) // 3
+    parts = []
+    for view, title, palette in zip(views, TITLES, palettes, strict=True):
+        indices = matched(view, palette) + (0 if palette is palettes[0] else before)
+        parts += [np.concatenate([matched(headed(title), DRAWN) + before, indices])]
+        parts += [np.full((BAND + SIDE, GAP), before, np.uint8)]
+    picture = Image.fromarray(np.hstack(parts[:-1]))
+    picture.putpalette(palettes[0] + palettes[1])
+    return picture
+
+
+def matched(picture: Picture, palette: list[int]) -> Picture:
+    """Which colour of a palette is nearest to each pixel (height, width)."""
+    full = Image.new("P", (1, 1))
+    full.putpalette(palette + palette[-3:] * (256 - len(palette) // 3))
+    none = Image.Dither.NONE
+    nearest = np.asarray(Image.fromarray(picture).quantize(palette=full, dither=none))
+    return np.minimum(nearest, len(palette) // 3 - 1)
+
+
+def headed(title: str) -> Picture:
+    """A title, as wide as a view."""
+    picture = Image.new("RGB", (SIDE, BAND), PAPER)
+    font = ImageFont.load_default(13.0)
+    ImageDraw.Draw(picture).text((SIDE / 2, BAND / 2), title, INK, font, anchor="mm")
+    return np.asarray(picture)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options))
