@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -20,6 +21,8 @@ Sources = Annotated[
     tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DEVICE | LOG [LOG ...]")
 ]
 SIMULATED = ("planar", "bullet")
+LATE = 1.1
+"""A manoeuvre that takes longer than this, as a share of its length, is worth a warning."""
 
 
 def identify(
@@ -58,6 +61,7 @@ def identify(
         found = _from_files(sources, robot)
     else:
         found = _from_device(sources[0], robot, twin, duration, recording, yes=yes)
+        _warn(lateness(found.duration, duration, sources[0]))
     return _finish(found, out, json)
 
 
@@ -101,6 +105,32 @@ def _from_device(
         what = f"{device}: the wheels will turn for {duration:g} s in both directions"
         asking.countdown(f"{what}; lift the robot, so that they turn freely", yes=yes)
     return logs.from_device(link, config, duration, recording.recorder("identify"))
+
+
+def lateness(took: float, asked: float, device: str) -> str:
+    """Say that a manoeuvre took longer than it should have, as this computer was too busy.
+
+    Args:
+        took: length of the log [s].
+        asked: length of the manoeuvre [s].
+        device: that was driven.
+
+    Returns:
+        One line; empty where it was in time.
+    """
+    if took <= LATE * asked:
+        return ""
+    return (
+        f"the manoeuvre took {took:.1f} s instead of {asked:g}: this computer was late, and the "
+        f"figures are worse for it; stop other programs, see 'acsar-gym doctor {device} --timing', "
+        "and drive again"
+    )
+
+
+def _warn(line: str) -> None:
+    """Print a warning, if there is one."""
+    if line:
+        print(f"acsar-gym: {printable(line)}", file=sys.stderr)
 
 
 def _finish(found: Identified, out: Path | None, json: Path | None) -> int:

@@ -9,6 +9,7 @@ import pytest
 from cli_tools import Call, assert_one_line
 
 from acsar_gym import RobotConfig, open_link
+from acsar_gym.cli.identify import lateness
 from acsar_gym.recording import Recorder
 from acsar_gym.robot import Robot
 
@@ -92,3 +93,10 @@ def test_a_miswired_robot_is_refused(call: Call, tmp_path: Path) -> None:
     assert code == 1
     assert_one_line(error, "front_right answers front_left's command: run 'acsar-gym doctor DEV")
     assert not out.exists()
+
+
+def test_a_computer_that_was_late_is_told() -> None:
+    assert lateness(19.6, 20.0, "/dev/ttyUSB0") == ""
+    said = lateness(41.1, 20.0, "/dev/ttyUSB0")
+    assert "took 41.1 s instead of 20" in said
+    assert "acsar-gym doctor /dev/ttyUSB0 --timing" in said
