@@ -41,6 +41,8 @@ Every command has a --help of its own."""
 def completion(shell: Annotated[Literal["bash", "zsh", "fish"], tyro.conf.Positional]) -> int:
     """Print a script with which a shell completes commands and options at TAB.
 
+    For bash: acsar-gym completion bash > ~/.local/share/bash-completion/completions/acsar-gym
+
     Args:
         shell: which shell.
     """

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import functools
+import operator
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, Union
+from typing import Annotated, Any
 
 import tyro
 
@@ -35,10 +37,10 @@ def _group(name: str, commands: Commands) -> Callable[..., Any]:
     def group(command: Any) -> None:
         pass
 
-    kinds = tuple(
+    kinds: list[Any] = [
         Annotated[Any, tyro.conf.subcommand(inner, constructor=function)]
         for inner, function in commands.items()
-    )
-    group.__annotations__["command"] = Union[kinds]  # noqa: UP007 - made here
+    ]
+    group.__annotations__["command"] = functools.reduce(operator.or_, kinds)
     group.__doc__ = f"Commands of acsar-gym {name}."
     return group

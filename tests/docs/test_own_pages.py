@@ -195,7 +195,8 @@ def test_the_simple_task_ends_well_where_the_robot_stands_at_the_goal(mine: Path
     """A few lines of a policy do it, so that it can be learnt."""
     env = gymnasium.make("mine.park:mine/Park-v0", link="planar")
     seen, _ = env.reset(seed=0, options={"goal": (0.8, 0.3)})
-    total, over, info = 0.0, False, {}
+    info: dict[str, Any] = {}
+    total, over = 0.0, False
     while not over:
         ahead, left = seen[:2]
         push = (min(ahead, 0.4), 2.0 * math.atan2(left, ahead)) if ahead > 0.05 else (0.0, 0.0)
