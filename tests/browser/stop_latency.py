@@ -13,6 +13,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import yaml
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
@@ -21,8 +22,14 @@ from browser_tools import Tab, browser
 from serial_tools import Emulated, program, start, wait_until
 from test_dashboard import DRAWN, DRIVING, PATIENCE, WIDE
 
+from acsar_gym import RobotConfig
 from acsar_gym.dashboard.server import served
 from acsar_gym.protocol import ZERO, Decoder
+
+PATIENT = RobotConfig.preset("acsar").with_(
+    connect_timeout=20.0, feedback_timeout=5.0, watchdog_timeout=2.0
+)
+"""The ACSAR robot, on a computer that also has a browser to run."""
 
 
 def zero_after(emulated: Emulated, moment: float) -> float:
@@ -39,9 +46,11 @@ def trial(tab: Tab, folder: Path) -> float:
     """One run that is stopped by a click; time from the click to zero [s]."""
     emulated = start(folder / "board.jsonl")
     path = folder / "live.mcap"
+    robot = folder / "robot.yaml"
+    robot.write_text(yaml.safe_dump(PATIENT.model_dump()), encoding="utf-8")
     options = ("--link", emulated.device, "--linear", "0.2", "--record", str(path))
     try:
-        with program(DRIVING, "drive", *options) as process:
+        with program(DRIVING, "drive", *options, "--robot", str(robot)) as process:
             wait_until(emulated.is_driven, "a command that turns the wheels")
             with served(path, 0) as server:
                 threading.Thread(target=server.serve_forever, daemon=True).start()
