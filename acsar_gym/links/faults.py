@@ -110,7 +110,7 @@ class Faults:
 
     @classmethod
     def of(cls, faults: Mapping[str, Any] | Faults | None) -> Faults:
-        """Make Faults from what users may pass as `faults=`.
+        """Return the Faults that users mean by `faults=`.
 
         Args:
             faults: a mapping, Faults, or None for no faults.

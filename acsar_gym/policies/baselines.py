@@ -71,7 +71,11 @@ class BaselinePolicy(FilePolicy):
         self.equip(setting)
 
     def equip(self, setting: Setting) -> None:
-        """Prepare for a robot and a task; subclasses derive their own numbers here."""
+        """Prepare for a robot and a task; subclasses derive their own numbers here.
+
+        Args:
+            setting: of the env.
+        """
         self.setting = setting
 
     def reset(self) -> None:
