@@ -58,27 +58,10 @@ def shown(path: Path) -> str:
     return f"{head}````{language}\n{path.read_text(encoding='utf-8')}````\n"
 
 
-def on_config(config: MkDocsConfig) -> None:
-    """Leave out pages that aren't written yet."""
-    config.nav = [_existing(item) for item in config.nav or []]
-
-
-def _existing(item: Any) -> Any:
-    if isinstance(item, dict):
-        return {name: _existing(inner) for name, inner in item.items()}
-    if isinstance(item, list):
-        return [
-            one
-            for one in map(_existing, item)
-            if one and all(one.values() if isinstance(one, dict) else [one])
-        ]
-    return item if (DOCS / item).exists() or (ROOT / item).exists() else None
-
-
 def on_files(files: Files, config: MkDocsConfig) -> None:
     """Add what pages link to, and what that links to."""
     pages = [Path(file.abs_src_path) for file in files.documentation_pages() if file.abs_src_path]
-    waiting = [path for path in (ROOT / name for name in TOP) if path.exists()]
+    waiting = [ROOT / name for name in TOP]
     for page in pages:
         waiting += targets(page.read_text(encoding="utf-8"), page.parent)
     while waiting:
