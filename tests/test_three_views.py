@@ -67,12 +67,13 @@ def test_the_map_is_what_the_lidar_said(script: ModuleType) -> None:
 
 def test_views_end_together(script: ModuleType, tmp_path: Path) -> None:
     camera = [np.full((script.SIDE, script.SIDE, 3), shade, np.uint8) for shade in (0, 255)]
-    pictures = list(script.film(camera, track(4), track(6), 2))
-    assert len(pictures) == 3
-    shades = [picture.getpixel((9, script.BAND + 9))[0] for picture in pictures]
-    assert shades == [0, 255, 255], "the last one stays"
+    rows = list(script.film(camera, track(4), track(6), 2))
+    assert [row[0][9, 9, 0] for row in rows] == [0, 255, 255], "the last one stays"
     out = tmp_path / "film.gif"
-    script.write(pictures, script.Options(out=out, colours=16))
+    script.write(rows, script.Options(out=out))
     with Pillow.open(out) as film:
         assert film.n_frames == 3
-        assert film.size == pictures[0].size
+        assert film.size == (3 * script.SIDE + 2 * script.GAP, script.BAND + script.SIDE)
+        assert film.convert("RGB").getpixel((9, film.height - 9)) == (0, 0, 0)
+        film.seek(2)
+        assert film.convert("RGB").getpixel((9, film.height - 9)) == (255, 255, 255)

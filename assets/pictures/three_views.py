@@ -36,28 +36,16 @@ from acsar_gym.worlds.scene import point_in_world
 Picture = NDArray[np.uint8]
 Floats = NDArray[np.float64]
 TITLES = ("PyBullet", "PyBullet, from above", "serial port: what the robot knows")
-SIDE, GAP, BAND = 240, 8, 24
+SIDE, GAP, BAND = 232, 8, 24
 """Sides of a view, space between them, and height of the titles [pixels]."""
 PAPER, HALF = (255, 255, 255), (160, 163, 170)
-DRAWN = [
-    *(
-        *PAPER,
-        *FLOOR,
-        *GRID,
-        *SEEN[0],
-        *SEEN[1],
-        *INK,
-        *HALF,
-        *OBSTACLE,
-        *PLAN,
-        *GOAL,
-        194,
-        230,
-        209,
-    ),
-    *(*ODOM, 150, 185, 240, *RAY, 240, 198, 203, *CHASSIS),
-]
+PALE = (194, 230, 209), (150, 185, 240), (240, 198, 203)
+DRAWN = np.array(
+    [PAPER, FLOOR, GRID, *SEEN, INK, HALF, OBSTACLE, PLAN, GOAL, ODOM, RAY, *PALE, CHASSIS]
+)
 """Colours of the views from above and of titles."""
+MARKER = (22, 110, 62)
+"""Colour of the goal in front of the camera."""
 RAYS = 2
 """Every so many rays of the LiDAR are drawn."""
 CELL, NEAR, CALM = 0.05, 3.0, 0.04
@@ -81,7 +69,7 @@ class Options:
     """Show every so many env steps (0.1 s each)."""
     delay: int = 80
     """Time between pictures [ms]; GIF knows whole hundredths of a second."""
-    colours: int = 24
+    colours: int = 20
     """Colours of the camera's pictures, at most 200."""
 
 
@@ -189,37 +177,37 @@ def map_of(seen: Floats, track: Track) -> World:
 
 
 def write(film: Iterable[tuple[Picture, ...]], options: Options) -> None:
-    """Write a GIF: the camera's commonest colours, those that views from above have; no dither."""
+    """Write a GIF: the camera's commonest colours, those of views from above, and no dithering."""
     rows = list(film)
     some = Image.fromarray(np.concatenate([camera for camera, *_ in rows[:: 1 + len(rows) // 8]]))
     seen = some.quantize(options.colours, Image.Quantize.MEDIANCUT).getpalette() or []
-    colours = seen[: 3 * options.colours]
-    palettes = [colours, DRAWN, DRAWN]
-    first, *rest = (beside(row, palettes) for row in rows)
+    colours = np.array([*seen[: 3 * options.colours], *MARKER]).reshape(-1, 3)
+    first, *rest = (beside(row, colours) for row in rows)
     times = [options.delay] * len(rest) + [LAST]
     first.save(options.out, save_all=True, append_images=rest, duration=times, loop=0)
 
 
-def beside(views: Iterable[Picture], palettes: list[list[int]]) -> Image.Image:
-    """Views side by side with their titles above, in the colours of the first two palettes."""
-    before = len(palettes[0]) // 3
-    parts = []
-    for view, title, palette in zip(views, TITLES, palettes, strict=True):
-        indices = matched(view, palette) + (0 if palette is palettes[0] else before)
-        parts += [np.concatenate([matched(headed(title), DRAWN) + before, indices])]
-        parts += [np.full((BAND + SIDE, GAP), before, np.uint8)]
+def beside(views: Iterable[Picture], colours: NDArray[np.int64]) -> Image.Image:
+    """Views side by side with their titles above; `colours` (N, 3) are those of the first one."""
+    parts: list[Picture] = []
+    for view, title in zip(views, TITLES, strict=True):
+        drawn = matched(headed(title), DRAWN) + len(colours)
+        seen = matched(view, DRAWN) + len(colours) if parts else matched(view, colours)
+        gap = np.full((BAND + SIDE, GAP), len(colours), np.uint8)
+        parts += [np.concatenate([drawn, seen]), gap]
     picture = Image.fromarray(np.hstack(parts[:-1]))
-    picture.putpalette(palettes[0] + palettes[1])
+    picture.putpalette([*colours.ravel().tolist(), *DRAWN.ravel().tolist()])
     return picture
 
 
-def matched(picture: Picture, palette: list[int]) -> Picture:
-    """Which colour of a palette is nearest to each pixel (height, width)."""
-    full = Image.new("P", (1, 1))
-    full.putpalette(palette + palette[-3:] * (256 - len(palette) // 3))
-    none = Image.Dither.NONE
-    nearest = np.asarray(Image.fromarray(picture).quantize(palette=full, dither=none))
-    return np.minimum(nearest, len(palette) // 3 - 1)
+def matched(picture: Picture, palette: NDArray[np.int64]) -> Picture:
+    """Which colour of a palette (N, 3) is nearest to each pixel (height, width)."""
+    packed = picture.reshape(-1, 3) @ np.array([1 << 16, 1 << 8, 1])
+    found, where = np.unique(packed, return_inverse=True)
+    colours = np.column_stack([found >> 16, found >> 8 & 255, found & 255])
+    nearest = ((colours[:, None] - palette) ** 2).sum(axis=2).argmin(axis=1)
+    indices: Picture = nearest[where].reshape(picture.shape[:2]).astype(np.uint8)
+    return indices
 
 
 def headed(title: str) -> Picture:

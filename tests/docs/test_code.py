@@ -27,8 +27,6 @@ from acsar_gym.cli import worlds as world_commands
 from acsar_gym.training.options import Options
 from acsar_gym.worlds import registry
 
-UNFINISHED = {"README.md"}
-"""Pages that are being rewritten."""
 LANGUAGES = {"bash", "c", "cpp", "dockerfile", "ini", "json", "python", "text", "xml", "yaml"}
 DEVICE = re.compile(r"/dev/tty(?:ACM|USB)\d")
 PATIENT = {"doctor", "drive", "evaluate", "run"}
@@ -232,7 +230,7 @@ def group(page: Path) -> str:
             page, id=str(page.relative_to(ROOT)), marks=pytest.mark.xdist_group(group(page))
         )
         for page in PAGES
-        if runs(page) and str(page.relative_to(ROOT)) not in UNFINISHED
+        if runs(page)
     ],
 )
 def test_the_code_of_a_page_runs(page: Path, folder: Path, request: pytest.FixtureRequest) -> None:
@@ -248,8 +246,6 @@ def test_the_code_of_a_page_runs(page: Path, folder: Path, request: pytest.Fixtu
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_blocks_are_fenced_and_name_their_language(page: Path) -> None:
-    if str(page.relative_to(ROOT)) in UNFINISHED:
-        pytest.skip("being rewritten")
     assert page_tools.indented(page) == []
     assert [str(b) for b in page_tools.blocks(page) if b.language not in LANGUAGES] == []
 
