@@ -39,7 +39,7 @@ TITLES = ("PyBullet", "PyBullet, from above", "serial port: what the robot knows
 SIDE, GAP, BAND = 232, 8, 24
 """Sides of a view, space between them, and height of the titles [pixels]."""
 PAPER, HALF = (255, 255, 255), (160, 163, 170)
-PALE = (194, 230, 209), (150, 185, 240), (240, 198, 203)
+PALE = (241, 242, 243), (194, 230, 209), (150, 185, 240), (240, 198, 203)
 DRAWN = np.array(
     [PAPER, FLOOR, GRID, *SEEN, INK, HALF, OBSTACLE, PLAN, GOAL, ODOM, RAY, *PALE, CHASSIS]
 )
@@ -69,7 +69,7 @@ class Options:
     """Show every so many env steps (0.1 s each)."""
     delay: int = 80
     """Time between pictures [ms]; GIF knows whole hundredths of a second."""
-    colours: int = 20
+    colours: int = 12
     """Colours of the camera's pictures, at most 200."""
 
 
