@@ -100,9 +100,10 @@ def full_speed(path: Path) -> Path:
 
     env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar")
     model = PPO("MlpPolicy", env, n_steps=2, batch_size=2, device="cpu")
+    last: Any = model.policy.action_net
     with torch.no_grad():
-        model.policy.action_net.weight.zero_()
-        model.policy.action_net.bias.copy_(torch.tensor([5.0, 0.0]))
+        last.weight.zero_()
+        last.bias.copy_(torch.tensor([5.0, 0.0]))
     model.save(path)
     return path
 

@@ -32,7 +32,7 @@ class Parking(acsar_gym.Task):
 
     def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
         before, memory.distance = memory.distance, math.dist(state.goal, state.pose[:2])
-        return 2 * (before - memory.distance) - 0.02 + 2 * (outcome == Outcome.SUCCESS)
+        return float(2 * (before - memory.distance) - 0.02 + 2 * (outcome == Outcome.SUCCESS))
 
     def observe(self, state: State, memory: Any) -> tuple[float, ...]:
         (x, y), (at_x, at_y, theta) = state.goal, state.pose

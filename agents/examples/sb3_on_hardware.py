@@ -37,19 +37,19 @@ def main(
     slow = {"max_velocity": min(speed, config.linear_limits.max_velocity or speed)}
     fence = config.geofence or {"min_x": -most, "max_x": most, "min_y": -most, "max_y": most}
     config = config.with_(linear_limits=slow, geofence=fence)
-    policy, steps = PPO.load(model, device="cpu"), round(10 * seconds)
-    name = "acsar_gym:acsar_gym/PointGoal-v0"
-    env = gymnasium.make(name, link=link, robot=config, max_episode_steps=steps)
+    policy, name = PPO.load(model, device="cpu"), "acsar_gym:acsar_gym/PointGoal-v0"
+    env = gymnasium.make(name, link=link, robot=config, max_episode_steps=round(10 * seconds))
     with contextlib.closing(env):  # which stops the wheels, whatever happens
         countdown(f"the robot on {link} will drive", yes=yes)
         observation, info = env.reset(options={"goal": goal})
-        over, reasons = False, set()
+        over, reasons = False, {"NONE"}
         while not over:
             action, _ = policy.predict(observation, deterministic=True)
             observation, _, ended, cut, info = env.step(action)
             over, reasons = ended or cut, reasons | {Reason(int(info["sent_reason"])).name}
     print(f"reached: {bool(info['is_success'])}, at {info['odom_x']:.2f}, {info['odom_y']:.2f} m")
-    print(f"limited by {', '.join(sorted(reasons))}; {info.get('fault_reason', 'no fault')}")
+    limits = ", ".join(sorted(reasons - {"NONE"})) or "nothing"
+    print(f"limited by {limits}; {info.get('fault_reason', 'no fault')}")
 
 
 if __name__ == "__main__":
