@@ -150,7 +150,8 @@ class Shown:
             at = end
         playing = follows or (playing and at < end)
         told = self._state(live=live, playing=playing) | {"playing": playing, "clock": now}
-        if cause == "pulse" and not (changed or playing or page.playing):
+        moves = changed or (not follows and (playing or page.playing))
+        if cause == "pulse" and not moves:  # a browser that draws answers the stop button later
             return dict.fromkeys(OUTPUTS, no_update) | told
         return (
             told

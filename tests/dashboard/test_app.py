@@ -137,7 +137,7 @@ def test_a_live_run_is_followed_until_somebody_looks_back(tape: Path, tmp_path: 
     path = tmp_path / "live.mcap"
     path.write_bytes(begun(tape))
     live = Session(path)
-    told = answered(live, "pulse", playing=True)
+    told = answered(live, None, playing=True)
     assert (told["state"], told["slider"]) == ("live", told["longest"])
     past = answered(live, "time", playing=True, at=0.2)
     assert (past["slider"], past["playing"], past["play"]) == (0.2, False, "Follow")
@@ -145,11 +145,21 @@ def test_a_live_run_is_followed_until_somebody_looks_back(tape: Path, tmp_path: 
     assert answered(live, "play", playing=False, at=0.2)["slider"] == told["longest"]
 
 
-def test_the_end_of_a_live_run_is_shown(tape: Path, tmp_path: Path) -> None:
+def test_a_live_run_is_drawn_only_where_there_is_something_new(tape: Path, tmp_path: Path) -> None:
     path = tmp_path / "live.mcap"
     path.write_bytes(begun(tape))
     live = Session(path)
     told = answered(live, "pulse", playing=True)
+    assert (told["top"], told["playing"]) == (apps.no_update, True)
+    path.write_bytes(tape.read_bytes())
+    assert answered(live, "pulse", playing=True)["top"] is not apps.no_update
+
+
+def test_the_end_of_a_live_run_is_shown(tape: Path, tmp_path: Path) -> None:
+    path = tmp_path / "live.mcap"
+    path.write_bytes(begun(tape))
+    live = Session(path)
+    told = answered(live, None, playing=True)
     path.write_bytes(tape.read_bytes())
     before = {"at": told["slider"], "longest": told["longest"], "clock": 99.9}
     over = answered(live, "pulse", playing=True, **before)
