@@ -90,7 +90,7 @@ def licence(name: str) -> str:
     if "License-Expression" in told:
         return told["License-Expression"]
     kinds = [kind.split(" :: ")[-1] for kind in told.get_all("Classifier") or []]
-    own = told["License"] if "License" in told else ""
+    own = str((told.get_all("License") or [""])[0])
     short = [own] if own and "\n" not in own else []
     named = [KNOWN.get(one, one) for one in short + kinds]
     known = [one for one in named if parts(one) <= PERMISSIVE | WEAK]
