@@ -89,7 +89,7 @@ def licence(name: str) -> str:
     told = metadata.metadata(name)
     if "License-Expression" in told:
         return told["License-Expression"]
-    kinds = [kind.split(" :: ")[-1] for kind in told.get_all("Classifier") or []]
+    kinds: list[str] = [kind.split(" :: ")[-1] for kind in told.get_all("Classifier") or []]
     own = str((told.get_all("License") or [""])[0])
     short = [own] if own and "\n" not in own else []
     named = [KNOWN.get(one, one) for one in short + kinds]
