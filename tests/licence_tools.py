@@ -65,15 +65,19 @@ def _holds(one: Requirement, chosen: set[str]) -> bool:
 
 
 def installed_by(extra: str) -> set[str]:
-    """What an extra installs, its own requirements' included; "" is the base."""
+    """What an extra installs, as far as it is installed here; "" is the base."""
     seen: set[tuple[str, frozenset[str]]] = set()
     todo = [("acsar-gym", frozenset({extra} - {""}))]
     while todo:
         asked = todo.pop()
         if asked in seen:
             continue
+        try:
+            lines = metadata.requires(asked[0]) or []
+        except metadata.PackageNotFoundError:
+            continue
         seen.add(asked)
-        for line in metadata.requires(asked[0]) or []:
+        for line in lines:
             one = Requirement(line)
             if _holds(one, set(asked[1])):
                 todo.append((normal(one.name), frozenset(one.extras)))
@@ -85,8 +89,8 @@ def licence(name: str) -> str:
     told = metadata.metadata(name)
     if "License-Expression" in told:
         return told["License-Expression"]
-    kinds = [kind.split(" :: ")[-1] for kind in told.get_all("Classifier") or []]
-    own = told.get("License") or ""
+    kinds: list[str] = [kind.split(" :: ")[-1] for kind in told.get_all("Classifier") or []]
+    own = str((told.get_all("License") or [""])[0])
     short = [own] if own and "\n" not in own else []
     named = [KNOWN.get(one, one) for one in short + kinds]
     known = [one for one in named if parts(one) <= PERMISSIVE | WEAK]

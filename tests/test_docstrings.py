@@ -209,7 +209,9 @@ Raises:
     ],
 )
 def test_gaps_are_found(doc: str, found: list[str]) -> None:
-    assert list(gaps("f", doubled, doc, is_property=False)) == found
+    function = function_of(doubled)
+    assert function is not None
+    assert list(gaps("f", function, doc, is_property=False)) == found
 
 
 def doubled(a: float) -> float:

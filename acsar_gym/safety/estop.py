@@ -102,9 +102,8 @@ class StopListener:
 
     def warn(self) -> None:
         """Warn (SafetyWarning) where no stop can be received."""
-        if self.unavailable:
-            said = f"'acsar-gym estop' can't stop this robot: {self.unavailable}"
-            warnings.warn(said, SafetyWarning, stacklevel=5)
+        if why := self.unavailable:
+            warnings.warn(f"'acsar-gym estop' can't stop this robot: {why}", SafetyWarning, 5)
 
     def is_requested(self) -> bool:
         """Whether a stop of this robot has been requested; doesn't block."""
@@ -220,8 +219,7 @@ def drivers() -> list[Driver]:
 
 def listens(process: int) -> bool:
     """Whether a process of this user has a socket for stops; asks nobody."""
-    names = [path.name for folder in folders()[0] for path in _drivers(folder)]
-    return any(_process(name) == process for name in names)
+    return process in (_process(path.name) for one in folders()[0] for path in _drivers(one))
 
 
 def _made_at(path: Path) -> float:
