@@ -1,7 +1,7 @@
 """CleanRL's own ppo_continuous_action.py, unchanged, on a batch of robots.
 
     pip install --no-deps --ignore-requires-python cleanrl==1.2.0
-    python agents/examples/cleanrl_ppo.py --steps 300000 --more "--learning-rate 1e-3"
+    python agents/examples/cleanrl_ppo.py --steps 300000 --more learning-rate=1e-3
 
 The script is written for Gymnasium 0.29, whose `SyncVectorEnv` reset an env in the step that ended
 its episode and listed `final_info` for each; a batch that does the same stands in its place.
@@ -40,15 +40,15 @@ def main(
     seed: int = 0,
     robots: int = 256,
     rollout: int = 64,
-    more: str = "",
+    more: tuple[str, ...] = (),
     out: str = "cleanrl.onnx",
 ) -> None:
     """Run the script, with `more` options of its own, and export its actor."""
     mode = "vector_entry_point"
     made = gymnasium.make_vec(env, robots, vectorization_mode=mode, autoreset_mode="SameStep")
     gymnasium.vector.SyncVectorEnv = lambda _: Batch(made)  # type: ignore[misc,assignment]
-    sys.argv[1:] = f"--total-timesteps {steps} --num-envs {robots} --num-steps {rollout}".split()
-    sys.argv += f"--env-id {env.replace('/', '_')} --seed {seed} {more}".split()
+    asked = f"total-timesteps={steps} num-envs={robots} num-steps={rollout} seed={seed}".split()
+    sys.argv[1:] = [f"--{each}" for each in (*asked, f"env-id={env.replace('/', '_')}", *more)]
     started = time.perf_counter()
     trained = runpy.run_module("cleanrl.ppo_continuous_action", run_name="__main__")
     print(f"{trained['global_step'] / (time.perf_counter() - started):,.0f} steps/s")

@@ -43,7 +43,7 @@ def run(name: str, folder: Path, *options: str) -> str:
 @pytest.mark.parametrize(
     ("name", "more"),
     [
-        ("cleanrl_ppo", ("--more", "--num-minibatches 4")),
+        ("cleanrl_ppo", ("--more", "num-minibatches=4")),
         ("rllib_batch", ("--runners", "1")),
         ("sb3_ppo", ()),
         ("sbx_ppo", ()),
