@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from importlib import metadata
+from typing import Any
 
 from packaging.requirements import Requirement
 
@@ -86,7 +87,7 @@ def installed_by(extra: str) -> set[str]:
 
 def licence(name: str) -> str:
     """A package's licence as an SPDX expression, as far as the package says it."""
-    told = metadata.metadata(name)
+    told: Any = metadata.metadata(name)  # a Message
     if "License-Expression" in told:
         return told["License-Expression"]
     kinds: list[str] = [kind.split(" :: ")[-1] for kind in told.get_all("Classifier") or []]

@@ -210,7 +210,7 @@ Raises:
 )
 def test_gaps_are_found(doc: str, found: list[str]) -> None:
     function = function_of(doubled)
-    assert function is not None
+    assert isinstance(function, FunctionType)
     assert list(gaps("f", function, doc, is_property=False)) == found
 
 

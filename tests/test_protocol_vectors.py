@@ -33,7 +33,7 @@ TERMINALS = {
 Vector = dict[str, Any]
 
 
-def named(section: str) -> Any:
+def named(section: str) -> pytest.MarkDecorator:
     """Run a test for each vector of a section."""
     return pytest.mark.parametrize("vector", VECTORS[section], ids=lambda each: each["name"])
 

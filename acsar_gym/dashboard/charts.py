@@ -36,8 +36,8 @@ def wheels(episode: Episode, time: float, revision: str) -> Figure:
     sent = sent[max(first - 1, 0) : last]
     traces: list[Figure] = []
     annotations: list[Figure] = []
-    style = {"dash": "dot", "width": 2.2}
-    steps = {"shape": "hv"}
+    style: dict[str, object] = {"dash": "dot", "width": 2.2}
+    steps: dict[str, object] = {"shape": "hv"}
     for place, (wheel, name) in enumerate(WHEELS):
         axes = {"xaxis": f"x{place % 2 + 1}", "yaxis": f"y{place + 1}"}
         traces += [

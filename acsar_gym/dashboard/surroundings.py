@@ -88,7 +88,7 @@ def seen(episode: Episode, config: RobotConfig, time: float) -> tuple[Floats, Fl
     chosen = evenly(count, SCANS)
     points = _hits(episode, config, chosen)
     newest, before = points[-1], np.concatenate([NO_POINTS, *points[:-1]])
-    cells = np.unique(np.round(before / CELL).astype(np.int64), axis=0)
+    cells: Floats = np.unique(np.round(before / CELL), axis=0)
     return newest, cells * CELL
 
 

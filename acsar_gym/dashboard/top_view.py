@@ -71,7 +71,7 @@ def _truth(episode: Episode, time: float) -> Figure:
     points = [to_odometry(episode.start, (x, y, theta))[:2] for x, y, theta in rows[:, 1:].tolist()]
     style = {"dash": "dot", "width": 1.6}
     track = np.array(points, np.float64).reshape(-1, 2)
-    return palette.line(*track.T, palette.TRUTH, name="true path", line=style)
+    return palette.line(track[:, 0], track[:, 1], palette.TRUTH, name="true path", line=style)
 
 
 def _world(world: World | None, episode: Episode) -> list[Figure]:
@@ -79,12 +79,15 @@ def _world(world: World | None, episode: Episode) -> list[Figure]:
     if world is None:
         return []
     circles, segments = shapes(world, episode.start)
-    fill = {"fill": "toself", "fillcolor": palette.WALL + "30"}
-    style: dict[str, Any] = {"line": {"width": 1}}
+    style: dict[str, Any] = {
+        "line": {"width": 1},
+        "fill": "toself",
+        "fillcolor": palette.WALL + "30",
+    }
     walls: dict[str, Any] = {"line": {"width": 2}, "connectgaps": False}
     return [
-        palette.line(*circles.T, palette.WALL, name="obstacles", **fill, **style),
-        palette.line(*segments.T, palette.WALL, name="walls", **walls),
+        palette.line(circles[:, 0], circles[:, 1], palette.WALL, name="obstacles", **style),
+        palette.line(segments[:, 0], segments[:, 1], palette.WALL, name="walls", **walls),
     ]
 
 
@@ -107,10 +110,10 @@ def _robot(config: RobotConfig, pose: tuple[float, ...]) -> list[Figure]:
     turn = np.array([[math.cos(theta), math.sin(theta)], [-math.sin(theta), math.cos(theta)]])
     placed = corners @ turn + (x, y)
     front = np.array([(0.0, 0.0), (ahead, 0.0)]) @ turn + (x, y)
-    fill = {"fill": "toself", "fillcolor": palette.INK + "cc"}
+    fill: dict[str, Any] = {"fill": "toself", "fillcolor": palette.INK + "cc"}
     return [
-        palette.line(*placed.T, palette.INK, name="robot", **fill),
-        palette.line(*front.T, "#ffffff", name="front", line={"width": 2.5}),
+        palette.line(placed[:, 0], placed[:, 1], palette.INK, name="robot", **fill),
+        palette.line(front[:, 0], front[:, 1], "#ffffff", name="front", line={"width": 2.5}),
     ]
 
 

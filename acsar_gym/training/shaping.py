@@ -75,8 +75,9 @@ class Detours(VecEnvWrapper):
         y = state[layout.START_Y] + sin * state[layout.X] + cos * state[layout.Y]
         worlds = state[layout.WORLD].astype(np.int64)
         goals = self._goals[worlds]
-        detours: NDArray[np.float64] = self._ways.lengths(worlds, x, y)
-        return detours - np.hypot(goals[:, 0] - x, goals[:, 1] - y)
+        straight = np.hypot(goals[:, 0] - x, goals[:, 1] - y)
+        longer: NDArray[np.float64] = self._ways.lengths(worlds, x, y) - straight
+        return longer
 
 
 def detours(env: VecEnv, weight: float = 2.0) -> VecEnv:

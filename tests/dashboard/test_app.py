@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dash import no_update
 from recording_tools import begun
 
 from acsar_gym.dashboard import app as apps
@@ -121,7 +122,7 @@ def test_playing_moves_on_by_the_time_that_has_passed(session: Session) -> None:
 
 def test_nothing_is_drawn_again_while_nothing_changes(session: Session) -> None:
     told = answered(session, "pulse", at=0.3)
-    assert told["top"] is apps.no_update
+    assert told["top"] is no_update
     assert told["state"] == "recorded"
 
 
@@ -150,9 +151,9 @@ def test_a_live_run_is_drawn_only_where_there_is_something_new(tape: Path, tmp_p
     path.write_bytes(begun(tape))
     live = Session(path)
     told = answered(live, "pulse", playing=True)
-    assert (told["top"], told["playing"]) == (apps.no_update, True)
+    assert (told["top"], told["playing"]) == (no_update, True)
     path.write_bytes(tape.read_bytes())
-    assert answered(live, "pulse", playing=True)["top"] is not apps.no_update
+    assert answered(live, "pulse", playing=True)["top"] is not no_update
 
 
 def test_the_end_of_a_live_run_is_shown(tape: Path, tmp_path: Path) -> None:

@@ -116,9 +116,10 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     for name in set(sys.modules) - modules:
         if str(getattr(sys.modules[name], "__file__", None)).startswith(str(tmp_path)):
             del sys.modules[name]
-    for kept, known in ((ids, gymnasium.registry), (own, registry._OWN)):
-        known.clear()
-        known.update(kept)
+    gymnasium.registry.clear()
+    gymnasium.registry.update(ids)
+    registry._OWN.clear()
+    registry._OWN.update(own)
 
 
 def source(block: Block) -> str:

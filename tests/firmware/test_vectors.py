@@ -22,7 +22,8 @@ def test_the_pages_two_programs_find_nothing_wrong(tmp_path: Path) -> None:
         (tmp_path / name).write_text(code)
     subprocess.run([sys.executable, "make_vectors.py"], cwd=tmp_path, check=True)
     source = protocol_tools.SOURCE
-    build = ["cc", *protocol_tools.STRICT, "-I", source.parent, "check.c", source, "-o", "check"]
+    include, board = str(source.parent), str(source)
+    build = ["cc", *protocol_tools.STRICT, "-I", include, "check.c", board, "-o", "check"]
     subprocess.run(build, cwd=tmp_path, check=True)
     ran = subprocess.run(["./check"], cwd=tmp_path, check=True, capture_output=True, text=True)
     read = json.loads(vectors)

@@ -13,8 +13,9 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 from acsar_gym.errors import ConfigError
 from acsar_gym.policies import sb3
 from acsar_gym.policies.sb3 import BatchVecEnv
-from acsar_gym.training.shaping import Detours, detours
+from acsar_gym.training.shaping import Detours, detours, robots_of
 from acsar_gym.vector import snapshots
+from acsar_gym.vector.env import RobotVectorEnv
 
 ROBOTS, WORLDS = 4, "clutter:1000-1002"
 
@@ -26,9 +27,16 @@ def batch() -> BatchVecEnv:
     return made
 
 
+def robots_in(shaped: Detours) -> RobotVectorEnv:
+    """The batch behind the wrapper."""
+    robots = robots_of(shaped)
+    assert robots is not None
+    return robots
+
+
 def test_rewards_differ_by_the_detour_put_behind() -> None:
     plain, shaped = batch(), Detours(batch(), weight=3.0)
-    assert_allclose(plain.reset(), shaped.reset())
+    assert_allclose(plain.reset(), np.asarray(shaped.reset()))
     before = shaped.detours()
     assert (before > 0.0).any()
     for step in range(30):
@@ -44,7 +52,7 @@ def test_rewards_differ_by_the_detour_put_behind() -> None:
 def test_the_detour_is_zero_where_nothing_is_in_the_way() -> None:
     shaped = Detours(batch())
     shaped.reset()
-    robots = shaped.venv.unwrapped.robots
+    robots = robots_in(shaped)
     worlds = robots.batch.info()["world"].astype(int)
     for index, world in enumerate(worlds):
         one = robots.pool[int(world)]
@@ -58,12 +66,12 @@ def test_nothing_is_remembered_between_steps() -> None:
     shaped.reset()
     actions = np.full((ROBOTS, 2), [0.8, -0.2], np.float32)
     shaped.step(actions)
-    robots = shaped.venv.unwrapped.robots
+    robots = robots_in(shaped)
     kept = {name: array.copy() for name, array in (snapshots.taken(robots) or {}).items()}
     rewards = shaped.step(actions)[1]
     other = Detours(batch())
     other.reset()
-    snapshots.restore(other.venv.unwrapped.robots, kept)
+    snapshots.restore(robots_in(other), kept)
     assert_allclose(other.step(actions)[1], rewards)
 
 
