@@ -31,7 +31,7 @@ LANGUAGES = {"bash", "c", "cpp", "dockerfile", "ini", "json", "python", "text", 
 DEVICE = re.compile(r"/dev/tty(?:ACM|USB)\d")
 PATIENT = {"doctor", "drive", "evaluate", "run"}
 """Commands that get a robot file with long time-outs, for busy machines."""
-LIMIT = 600.0
+LIMIT = 1800.0
 """After which a block counts as hanging [s]; far more than any takes."""
 SMALLER: dict[str, dict[str, str]] = {
     "docs/training.md": {
