@@ -89,7 +89,7 @@ def licence(name: str) -> str:
     """A package's licence as an SPDX expression, as far as the package says it."""
     told: Any = metadata.metadata(name)  # a Message
     if "License-Expression" in told:
-        return told["License-Expression"]
+        return str(told["License-Expression"])
     kinds: list[str] = [kind.split(" :: ")[-1] for kind in told.get_all("Classifier") or []]
     own = str((told.get_all("License") or [""])[0])
     short = [own] if own and "\n" not in own else []

@@ -18,9 +18,9 @@ import yaml
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import serial_tools
+from browser.test_dashboard import DRAWN, DRIVING, PATIENCE, WIDE
 from browser_tools import Tab, browser
 from serial_tools import Emulated, program, start, wait_until
-from test_dashboard import DRAWN, DRIVING, PATIENCE, WIDE
 
 from acsar_gym import RobotConfig
 from acsar_gym.dashboard.server import served

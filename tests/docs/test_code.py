@@ -234,6 +234,7 @@ def group(page: Path) -> str:
         if runs(page)
     ],
 )
+@pytest.mark.filterwarnings("default::acsar_gym.errors.PolicyWarning")  # pages drive other robots
 def test_the_code_of_a_page_runs(page: Path, folder: Path, request: pytest.FixtureRequest) -> None:
     names: dict[str, Any] = {"__name__": "page"}
     boards = Boards(request)

@@ -26,7 +26,8 @@ def test_every_algorithm_has_a_recipe_for_every_env(name: str, env_id: str) -> N
     assert recipe.key == ("default" if own not in recipes.content(recipe.file) else own)
     assert recipe.built()["policy"] == recipe.policy or "." in recipe.policy
     assert "link" not in recipe.env_kwargs
-    assert yaml.safe_load(yaml.safe_dump(recipe.as_dict()))["vec_env_wrapper"].endswith(".batch")
+    wrappers = yaml.safe_load(yaml.safe_dump(recipe.as_dict()))["vec_env_wrapper"]
+    assert wrappers == [recipes.BATCH, *({name: {}} for name in recipe.wrappers)]
 
 
 def test_the_files_have_no_ids_that_are_not_registered() -> None:

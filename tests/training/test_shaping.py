@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 pytest.importorskip("stable_baselines3")
 
-from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
+from stable_baselines3.common.vec_env import DummyVecEnv, VecCheckNan
 
 from acsar_gym.errors import ConfigError
 from acsar_gym.policies import sb3
@@ -53,6 +53,7 @@ def test_the_detour_is_zero_where_nothing_is_in_the_way() -> None:
     shaped = Detours(batch())
     shaped.reset()
     robots = robots_in(shaped)
+    assert robots.pool is not None
     worlds = robots.batch.info()["world"].astype(int)
     for index, world in enumerate(worlds):
         one = robots.pool[int(world)]
@@ -76,7 +77,7 @@ def test_nothing_is_remembered_between_steps() -> None:
 
 
 def test_wrappers_in_between_are_looked_through() -> None:
-    assert isinstance(detours(VecMonitor(batch())), Detours)
+    assert isinstance(detours(VecCheckNan(batch())), Detours)
 
 
 def test_single_envs_stay_as_they_are() -> None:

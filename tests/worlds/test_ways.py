@@ -34,7 +34,7 @@ def test_the_way_goes_round_a_wall() -> None:
     )
     ways = ways_of([wall], ROBOT)
     around = 2.0 * math.hypot(1.0, 2.24)
-    assert around < length(ways, 0.0, 0.0) < 1.15 * around
+    assert around < length(ways, 0.0, 0.0) < 1.2 * around  # near the wall it counts as longer
     assert length(ways, 0.0, 1.5) < length(ways, 0.0, 0.0)  # nearer to the wall's end
     assert length(ways, 1.5, 0.0) < 1.5  # behind it
 
