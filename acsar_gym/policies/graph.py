@@ -22,7 +22,7 @@ Dims = tuple[int, ...]
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """One operation; `transposed` are transA and transB of a Gemm, `axis` is that of a Concat."""
+    """One operation; `transposed` are of a Gemm (transA, transB), `axis` of a Concat or Gather."""
 
     op: str
     inputs: tuple[str, ...]

@@ -21,7 +21,7 @@ def _names(text: str) -> frozenset[str]:
 
 
 _SIMPLE = _names(
-    "Abs Celu Elu Erf Exp Gelu HardSigmoid HardSwish Identity LeakyRelu Log Mish Neg Relu Selu "
+    "Abs Cast Celu Elu Erf Exp Gelu HardSigmoid HardSwish Identity LeakyRelu Log Mish Neg Relu Selu "
     "Sigmoid Softplus Softsign Sqrt Swish Tanh ThresholdedRelu"
 )
 """Operations on one operand, element by element."""
@@ -35,7 +35,7 @@ _SIZED = _names(
 _MAKING = _names("ConstantOfShape Range")
 """Operations whose operands all determine the size of the output."""
 _OTHERS = _names(
-    "And ArgMax ArgMin Atan Attention AveragePool BatchNormalization Cast CastLike Ceil Concat "
+    "And ArgMax ArgMin Atan Attention AveragePool BatchNormalization CastLike Ceil Concat "
     "Constant Conv Cos DequantizeLinear DynamicQuantizeLinear Einsum Equal Flatten Floor GRU "
     "Gather GatherElements GatherND Gemm GlobalAveragePool GlobalMaxPool Greater GreaterOrEqual "
     "GroupNormalization InstanceNormalization IsInf IsNaN LSTM LayerNormalization Less "
@@ -73,11 +73,17 @@ def plain(graph: Graph) -> bool:
     """Return whether a network is a small chain of dense layers, safe to run without a trial.
 
     Every value in it is one row, no wider than follows from the operations. Parts of the
-    observation may be cut out, changed number by number, and put together again.
+    observation may be cut out, changed number by number, looked up in a table of which the least
+    or largest numbers are kept, and put together again.
     """
-    widths, work = {"observation": graph.width}, 0
+    widths, found, work = {"observation": graph.width}, dict[str, int](), 0
     for node in graph.nodes:
-        width = _row(node, widths, graph.weights)
+        columns = _columns(node, widths, graph.weights)
+        if columns is not None:
+            found[node.outputs[0]] = max(columns, widths[node.inputs[1]])
+            work += columns * widths[node.inputs[1]]
+            continue
+        width = _kept(node, found, graph.weights) or _row(node, widths, graph.weights)
         if width is None or len(node.outputs) != 1:
             return False
         work += width
@@ -85,6 +91,21 @@ def plain(graph: Graph) -> bool:
             work += math.prod(graph.weights[node.inputs[1]])
         widths[node.outputs[0]] = width
     return work <= MAX_WORK and "action" in widths
+
+
+def _columns(node: Node, widths: dict[str, int], weights: dict[str, Dims]) -> int | None:
+    """Return the columns of a table in which a row of indices is looked up; None for others."""
+    if node.op != "Gather" or node.axis not in (None, 0) or len(node.outputs) != 1:
+        return None
+    shape = weights.get(node.inputs[0], ())
+    return shape[1] if len(shape) == 2 and node.inputs[1] in widths else None
+
+
+def _kept(node: Node, found: dict[str, int], weights: dict[str, Dims]) -> int | None:
+    """Return the largest width of the extremes of what was looked up; None for others."""
+    if node.op not in ("ReduceMin", "ReduceMax") or not weights.keys() >= {*node.inputs[1:]}:
+        return None
+    return found.get(node.inputs[0])
 
 
 def _row(node: Node, widths: dict[str, int], weights: dict[str, Dims]) -> int | None:
