@@ -21,8 +21,8 @@ def _names(text: str) -> frozenset[str]:
 
 
 _SIMPLE = _names(
-    "Abs Cast Celu Elu Erf Exp Gelu HardSigmoid HardSwish Identity LeakyRelu Log Mish Neg Relu Selu "
-    "Sigmoid Softplus Softsign Sqrt Swish Tanh ThresholdedRelu"
+    "Abs Cast Celu Elu Erf Exp Gelu HardSigmoid HardSwish Identity LeakyRelu Log Mish Neg Relu "
+    "Selu Sigmoid Softplus Softsign Sqrt Swish Tanh ThresholdedRelu"
 )
 """Operations on one operand, element by element."""
 _ELEMENTWISE = _names("Add Clip Div Max Min Mul PRelu Pow Sub")
