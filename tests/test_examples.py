@@ -75,17 +75,18 @@ def test_a_task_of_ones_own_is_trained_and_driven(
 
 
 @pytest.mark.xdist_group("serial")
+@pytest.mark.parametrize("action", [5.0, -5.0], ids=["ahead", "back"])
 def test_stable_baselines3_on_a_board_is_slow_and_stops(
+    action: float,
     emulator: Emulated,
     robot_file: RobotFile,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """A policy that wants full speed."""
-    zipped = full_speed(tmp_path / "model.zip")
-    main_of("sb3_on_hardware")(
-        zipped, emulator.device, robot=str(robot_file()), seconds=1.0, yes=True
-    )
+    """A policy that wants full speed, and a robot whose file allows it."""
+    zipped = full_speed(tmp_path / "model.zip", action)
+    robot = robot_file(linear_limits={"min_velocity": -1.0, "max_velocity": 1.0})
+    main_of("sb3_on_hardware")(zipped, emulator.device, robot=str(robot), seconds=1.0, yes=True)
     wait_until(emulator.is_stopped, "the command to stop")
     speeds = [abs(speed or 0.0) for command in emulator.commands() for speed in command]
     assert max(speeds) == pytest.approx(0.2 / RobotConfig.preset("acsar").wheel_radius, abs=0.01)
@@ -94,8 +95,8 @@ def test_stable_baselines3_on_a_board_is_slow_and_stops(
     assert said.endswith("limited by LIMITS; no fault\n")
 
 
-def full_speed(path: Path) -> Path:
-    """A zip of a network that always drives straight ahead."""
+def full_speed(path: Path, action: float) -> Path:
+    """A zip of a network that always drives straight, ahead or back."""
     import torch
     from stable_baselines3 import PPO
 
@@ -104,7 +105,7 @@ def full_speed(path: Path) -> Path:
     last: Any = model.policy.action_net
     with torch.no_grad():
         last.weight.zero_()
-        last.bias.copy_(torch.tensor([5.0, 0.0]))
+        last.bias.copy_(torch.tensor([action, 0.0]))
     model.save(path)
     return path
 

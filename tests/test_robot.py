@@ -169,6 +169,16 @@ def test_silence_ends_with_an_error_and_a_stop() -> None:
     assert link.closed == 1
 
 
+def test_silence_ends_with_a_stop_while_nothing_is_commanded_too() -> None:
+    robot, link = standing(then=b"")
+    robot.tick((5.0, 5.0, 5.0, 5.0))
+    with pytest.raises(BoardSilentError):
+        for _ in range(100):
+            robot.listen()
+    assert link.last_command() == ZERO
+    assert link.closed == 1
+
+
 def test_garbage_is_silence_with_another_name() -> None:
     robot, _ = standing(then=b"\x80\x81,nonsense\r\n")
     with pytest.raises(BoardGarbledError, match="baud rate"):

@@ -59,6 +59,8 @@ class Plan:
         for link in self.links:
             if link not in LINKS:
                 raise ConfigError(f"--links {shown(link)}{suggestion(link[:40], LINKS)}")
+        if PORT in self.links and self.port_count < 1:
+            raise ConfigError(f"--port-scenes {self.port_count}: must be at least 1")
         if not self.agents:
             raise ConfigError("--agents: none of them drives on any of these --ids")
 

@@ -21,7 +21,7 @@ from typing import Any
 import acsar_gym
 from acsar_gym.benchmark import result
 from acsar_gym.benchmark.conditions import CONDITIONS
-from acsar_gym.benchmark.plan import PORT, plain
+from acsar_gym.benchmark.plan import LINKS, PORT, plain
 from acsar_gym.benchmark.scenes import PUBLISHED, SCENES, TEST
 from acsar_gym.benchmark.store import MOST_BYTES, SCHEMA, Cell, Part, episodes
 from acsar_gym.errors import ConfigError, printable, shortened, shown
@@ -108,12 +108,21 @@ def _check_header(path: Path, header: Told) -> None:
         about = sets[TEST]
         if env_id not in SCENES or about != SCENES[env_id].test.about | {"count": about["count"]}:
             raise ConfigError(f"{path}: {shown(env_id)}: scene set of another version")
-        if not {*sets} <= {TEST, PUBLISHED} or any(each["count"] < 1 for each in sets.values()):
+        if not {*sets} <= {TEST, PUBLISHED} or not all(map(_counted, sets.values())):
             raise ConfigError(f"{path}: {env_id}: has no scenes, or others than the benchmark's")
+    if not {*header["links"]} <= {*LINKS} or (
+        PORT in header["links"] and header["port_scenes"] < 1
+    ):
+        raise ConfigError(f"{path}: its header names other links than {', '.join(LINKS)}")
     known = {name: json.loads(json.dumps(plain(each))) for name, each in CONDITIONS.items()}
     for name, said in header["conditions"].items():
         if said != known.get(name):
             raise ConfigError(f"{path}: condition {shown(name)}: of another version")
+
+
+def _counted(about: Told) -> bool:
+    """Whether a set of scenes has at least one, and no more than there are."""
+    return bool(1 <= about["count"] <= about["last"] - about["first"] + 1)
 
 
 def _part(cell: Told) -> Part:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from acsar_gym.errors import PolicyError
 from acsar_gym.policies.protobuf import Message, ProtobufError
 
-FLOAT32 = 1
+FLOAT32, INT64 = 1, 7
 MAX_WIDTH = 100_000
 """Largest accepted size of an observation."""
 MAX_STATES = 16
@@ -22,13 +22,18 @@ Dims = tuple[int, ...]
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """One operation; `transposed` are of a Gemm (transA, transB), `axis` of a Concat or Gather."""
+    """One operation.
+
+    `transposed` are of a Gemm (transA, transB), `axis` of a Concat or Gather, `keepdims` of a
+    reduction.
+    """
 
     op: str
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     transposed: tuple[bool, bool]
     axis: int | None
+    keepdims: bool
 
 
 class State(NamedTuple):
@@ -45,6 +50,8 @@ class Graph:
 
     nodes: tuple[Node, ...]
     weights: dict[str, Dims]
+    whole: dict[str, int]
+    """The weights that are a single whole number, such as axes."""
     width: int
     states: tuple[State, ...]
     metadata: dict[str, str]
@@ -69,13 +76,15 @@ def read(data: bytes) -> Graph:
         model = Message(data)
         graph = model.message(7)
         _refuse(model, graph)
-        weights = {t.text(8): _dims(t, len(data)) for t in graph.messages(5)}
+        tensors = graph.messages(5)
+        weights = {t.text(8): _dims(t, len(data)) for t in tensors}
+        whole = {t.text(8): int.from_bytes(t.data(9), "little") for t in tensors if _is_whole(t)}
         nodes = tuple(_node(node, len(data)) for node in graph.messages(1))
         width, states = _width(graph, weights), _states(graph, weights)
         metadata = {entry.text(1): entry.text(2) for entry in model.messages(14)}
     except ProtobufError as error:
         raise PolicyError(f"not an ONNX policy: {error}") from None
-    return Graph(nodes, weights, width, states, metadata)
+    return Graph(nodes, weights, whole, width, states, metadata)
 
 
 def _refuse(model: Message, graph: Message) -> None:
@@ -96,6 +105,11 @@ def _dims(tensor: Message, size: int) -> Dims:
     return dims
 
 
+def _is_whole(tensor: Message) -> bool:
+    """Return whether a tensor is a single number of type int64."""
+    return tensor.integer(2) == INT64 and math.prod(tensor.integers(1)) == 1 and tensor.size(9) == 8
+
+
 def _node(node: Message, size: int) -> Node:
     """Parse one operation; rejects other domains and subgraph attributes."""
     if node.text(7) not in ("", "ai.onnx"):
@@ -110,7 +124,8 @@ def _node(node: Message, size: int) -> Node:
     transposed = [n in attributes and attributes[n].integer(3) != 0 for n in ("transA", "transB")]
     inputs, outputs = tuple(node.texts(1)), tuple(node.texts(2))
     axis = attributes["axis"].integer(3) if "axis" in attributes else None
-    return Node(node.text(4), inputs, outputs, (transposed[0], transposed[1]), axis)
+    keepdims = "keepdims" not in attributes or attributes["keepdims"].integer(3) != 0
+    return Node(node.text(4), inputs, outputs, (transposed[0], transposed[1]), axis, keepdims)
 
 
 def _inputs(graph: Message, weights: dict[str, Dims]) -> list[Message]:

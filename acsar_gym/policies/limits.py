@@ -80,10 +80,10 @@ def plain(graph: Graph) -> bool:
     for node in graph.nodes:
         columns = _columns(node, widths, graph.weights)
         if columns is not None:
-            found[node.outputs[0]] = max(columns, widths[node.inputs[1]])
+            found[node.outputs[0]] = columns
             work += columns * widths[node.inputs[1]]
             continue
-        width = _kept(node, found, graph.weights) or _row(node, widths, graph.weights)
+        width = _kept(node, found, graph.whole) or _row(node, widths, graph.weights)
         if width is None or len(node.outputs) != 1:
             return False
         work += width
@@ -101,11 +101,14 @@ def _columns(node: Node, widths: dict[str, int], weights: dict[str, Dims]) -> in
     return shape[1] if len(shape) == 2 and node.inputs[1] in widths else None
 
 
-def _kept(node: Node, found: dict[str, int], weights: dict[str, Dims]) -> int | None:
-    """Return the largest width of the extremes of what was looked up; None for others."""
-    if node.op not in ("ReduceMin", "ReduceMax") or not weights.keys() >= {*node.inputs[1:]}:
+def _kept(node: Node, found: dict[str, int], whole: dict[str, int]) -> int | None:
+    """Return the width of the extremes of each column of what was looked up; None for others.
+
+    That has the shape (1, indices, columns). Other axes, and kept ones, leave more than a row.
+    """
+    if node.op not in ("ReduceMin", "ReduceMax") or node.keepdims or len(node.inputs) != 2:
         return None
-    return found.get(node.inputs[0])
+    return found.get(node.inputs[0]) if whole.get(node.inputs[1]) == 1 else None
 
 
 def _row(node: Node, widths: dict[str, int], weights: dict[str, Dims]) -> int | None:

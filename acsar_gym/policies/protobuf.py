@@ -67,6 +67,10 @@ class Message:
         parts = self._parts(number)
         return Message(parts[0] if len(parts) == 1 else b"".join(parts), self._budget)
 
+    def data(self, number: int) -> bytes:
+        """Return a field of bytes; empty if it is missing."""
+        return b"".join(self._parts(number))
+
     def size(self, number: int) -> int:
         """Return the total size of all fields with this number [bytes]."""
         return sum(len(part) for part in self._parts(number))

@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.config import RobotConfig
+from acsar_gym.config import RobotConfig, footprint
 from acsar_gym.config.footprint import Outline
 from acsar_gym.lidars.base import ray_spec
 from acsar_gym.worlds.geometry import RaySpec
@@ -45,7 +45,7 @@ CELLS = 100
 
 def cell(config: RobotConfig) -> float:
     """Length of a cell of the table [m]."""
-    return CELL * _radius(config.outline)
+    return CELL * footprint.radius(config.outline)
 
 
 def free_ways(config: RobotConfig) -> Floats:
@@ -64,7 +64,7 @@ def free_ways(config: RobotConfig) -> Floats:
 @lru_cache(maxsize=16)
 def _table(outline: Outline, rays: RaySpec, x: float, y: float) -> Floats:
     """As `free_ways`."""
-    radius, angles = _radius(outline), rays.angles()
+    radius, angles = footprint.radius(outline), rays.angles()
     ranges = (np.arange(CELLS) + 0.5) * CELL * radius
     points = np.stack((np.outer(np.cos(angles), ranges) + x, np.outer(np.sin(angles), ranges) + y))
     table = np.stack([_free(outline, points, arc, radius) for arc in ARCS], axis=-1)
@@ -103,7 +103,7 @@ def _pose(arc: Arc, share: float, radius: float) -> tuple[float, float, float]:
 def _within(outline: Outline, x: Floats, y: Floats, margin: float) -> NDArray[np.bool_]:
     """Whether points in the base frame are inside of the footprint, or within a margin of it."""
     inside, near = np.zeros(x.shape, np.bool_), np.zeros(x.shape, np.bool_)
-    for (ax, ay), (bx, by) in zip(outline, (*outline[1:], outline[0]), strict=True):
+    for (ax, ay), (bx, by) in footprint.sides(outline):
         ex, ey = bx - ax, by - ay
         along = np.clip(((x - ax) * ex + (y - ay) * ey) / (ex * ex + ey * ey), 0.0, 1.0)
         near |= np.hypot(x - ax - along * ex, y - ay - along * ey) < margin
@@ -111,8 +111,3 @@ def _within(outline: Outline, x: Floats, y: Floats, margin: float) -> NDArray[np
             crossed = (ay > y) != (by > y)
             inside ^= crossed & (x < ax + (y - ay) * ex / ey)
     return inside | near
-
-
-def _radius(outline: Outline) -> float:
-    """Radius of the circle around the footprint [m]."""
-    return max(math.hypot(x, y) for x, y in outline)

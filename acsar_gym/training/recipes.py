@@ -210,16 +210,15 @@ def _env_kwargs(path: Path, key: str, given: dict[Any, Any]) -> dict[str, Any]:
 def _wrappers(path: Path, key: str, given: dict[Any, Any]) -> dict[str, dict[str, Any]]:
     """Read the wrappers: a name, or a list of names and of `{name: arguments}`, as in RL Zoo."""
     asked = given.get("vec_env_wrapper") or []
-    named = [
-        one if isinstance(one, dict) else {one: {}}
-        for one in (asked if isinstance(asked, list) else [asked])
-        if one != BATCH
-    ]
-    pairs = [next(iter(one.items()), (None, None)) for one in named]
-    for one, (name, arguments) in zip(named, pairs, strict=True):
-        if len(one) != 1 or not isinstance(name, str) or not isinstance(arguments, dict):
+    found: dict[str, dict[str, Any]] = {}
+    for one in asked if isinstance(asked, list) else [asked]:
+        pairs = list(one.items()) if isinstance(one, dict) else [(one, {})]
+        name, arguments = pairs[0] if len(pairs) == 1 else (None, None)
+        if not isinstance(name, str) or not isinstance(arguments, dict) or name in found:
             raise ConfigError(
                 f"{path}: {key}: vec_env_wrapper: {shown(one)}: must be module.name, or that with "
-                "its arguments"
+                "its arguments, and only once"
             )
-    return dict(pairs)
+        if one != BATCH:
+            found[name] = arguments
+    return found

@@ -77,17 +77,23 @@ def begin(plan: Plan) -> dict[str, Any]:
 def command() -> list[str]:
     """Return the command that began this training, without the folders of one machine.
 
-    Neither has it the folder that it writes to, and of files elsewhere only their names.
+    Neither has it the folder that it writes to, and of files elsewhere only their names. Of another
+    program than this package's own, such as a notebook's or a worker's of Ray, only its name is
+    told: its options aren't those of the training, and may hold addresses and passwords.
     """
-    words = iter(sys.argv[2:] if sys.argv[1:2] == ["train"] else sys.argv[1:])
-    kept: list[str] = []
+    program, begin = Path(sys.argv[0]), sys.argv[1:]
+    if program.name == "train.py":
+        begin = ["train", *begin]
+    elif program.name != "acsar-gym" and program.parts[-2:] != ("acsar_gym", "__main__.py"):
+        return [program.name]
+    words, kept = iter(begin), list[str]()
     for word in words:
         name, equals, value = word.partition("=")
         if name == "--out":
             _ = equals or next(words, "")
         else:
             kept.append(f"{name}={_file(value)}" if equals else _file(word))
-    return ["acsar-gym", "train", *kept]
+    return ["acsar-gym", *kept]
 
 
 def _file(word: str) -> str:

@@ -25,16 +25,28 @@ AROUND = 1.0
 """Width of the grid around all obstacles, start and goal [m]."""
 MOST_CELLS = 250_000
 """Most cells of a world's grid; larger worlds get larger cells."""
-LETHAL, TIGHT = 15.0, 3.0
-"""Cost of a metre nearer to an obstacle than the footprint's inner radius, and, beside its length,
-just outside of it; the latter falls to 0 at the outer radius, from where the robot can turn."""
-HEAVY, FADES = 0.5, 0.12
-"""Additional cost at the outer radius, and the distance over which it falls to 1/e [m]."""
+FADES = 0.12
+"""Distance over which the cost beyond the outer radius falls to 1/e [m]."""
 SWEEPS = 60
 """Most sweeps over a grid."""
 DONE = 1e-3
 """Sweeping ends once no cell changes by more than this [m]."""
 FAR = 1e9
+
+
+class Costs(NamedTuple):
+    """Costs of a metre near obstacles; far from them it costs 1."""
+
+    lethal: float
+    """Nearer than the footprint's inner radius, where it touches the obstacle."""
+    tight: float
+    """Additional cost just outside of it; it falls to 0 at the outer radius, from where the robot
+    can turn."""
+    heavy: float
+    """Additional cost up to the outer radius, which fades beyond it."""
+
+
+COSTS = Costs(lethal=15.0, tight=3.0, heavy=0.5)
 
 
 class Ways(NamedTuple):
@@ -108,17 +120,18 @@ def _field(
     return values.ravel()
 
 
-def costs_of(distances: Floats, radii: tuple[float, float]) -> Floats:
+def costs_of(distances: Floats, radii: tuple[float, float], costs: Costs = COSTS) -> Floats:
     """Cost of a metre at some distances from the nearest obstacle.
 
     Args:
         distances: of any shape [m].
         radii: of the circle within the footprint, and of the one around it [m].
+        costs: of nearness.
     """
     inner, outer = radii
-    costs = 1.0 + HEAVY * np.exp(-(np.maximum(distances, outer) - outer) / FADES)
-    costs += TIGHT * np.clip((outer - distances) / (outer - inner + 1e-3), 0.0, 1.0)
-    return np.where(distances < inner, LETHAL, costs)
+    found = 1.0 + costs.heavy * np.exp(-(np.maximum(distances, outer) - outer) / FADES)
+    found += costs.tight * np.clip((outer - distances) / (outer - inner + 1e-3), 0.0, 1.0)
+    return np.where(distances < inner, costs.lethal, found)
 
 
 @loop

@@ -7,7 +7,7 @@ from abc import abstractmethod
 
 import numpy as np
 
-from acsar_gym.config import RobotConfig, footprint
+from acsar_gym.config import footprint
 from acsar_gym.lidars.base import ray_spec
 from acsar_gym.policies.baselines import BaselinePolicy
 from acsar_gym.policies.setting import GOAL, Seen, Setting
@@ -36,7 +36,7 @@ class MappedPolicy(BaselinePolicy):
         config = setting.config
         self.sides = sides_of(config)
         self.outer = footprint.radius(config.outline)
-        self.radii = (inner_radius(config), self.outer)
+        self.radii = (footprint.border_distance(config.outline, 0.0, 0.0), self.outer)
         self._angles = ray_spec(config).angles()
         self.reset()
 
@@ -129,8 +129,3 @@ class MappedPolicy(BaselinePolicy):
         x, y = way[int(far.argmax())].tolist() if far.any() else goal
         dx, dy, cos, sin = x - pose[0], y - pose[1], math.cos(pose[2]), math.sin(pose[2])
         return dx * cos + dy * sin, dy * cos - dx * sin
-
-
-def inner_radius(config: RobotConfig) -> float:
-    """Radius of the circle around the origin within the footprint [m]."""
-    return footprint.border_distance(config.outline, 0.0, 0.0)

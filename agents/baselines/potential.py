@@ -14,17 +14,14 @@ import numpy as np
 from acsar_gym.errors import optional
 from acsar_gym.jit import loop
 from acsar_gym.tasks.base import Floats
-from acsar_gym.worlds.ways import sweep
+from acsar_gym.worlds.ways import Costs, costs_of, sweep
 
 from .costmap import CELL, Costmap
 
 AROUND = 1.5
 """How far the field reaches around start, robot, goal and all that is known [m]."""
-LETHAL, TIGHT = 60.0, 8.0
-"""Cost of a cell whose distance from an obstacle is below the footprint's inner radius, and of one
-below its outer radius, where it can't turn."""
-HEAVY, FADES = 4.0, 0.12
-"""Additional cost at the outer radius, and the distance over which it falls to 1/e [m]."""
+COSTS = Costs(lethal=60.0, tight=8.0, heavy=4.0)
+"""Costs of cells near obstacles."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,17 +71,8 @@ def potential(
         distances = distance_transform_edt(~occupied, sampling=CELL)
     values = np.full(occupied.shape, 1e9)
     i, j = round((goal[0] - x) / CELL), round((goal[1] - y) / CELL)
-    sweep(values, costs_of(distances, radii) * CELL, i, j)
+    sweep(values, costs_of(distances, radii, COSTS) * CELL, i, j)
     return Potential(values, distances, x, y)
-
-
-def costs_of(distances: Floats, radii: tuple[float, float]) -> Floats:
-    """Cost of cells by their distance from the nearest obstacle."""
-    inner, outer = radii
-    costs = 1.0 + HEAVY * np.exp(-(np.maximum(distances, outer) - outer) / FADES)
-    costs += TIGHT * np.clip((outer - distances) / (outer - inner + 1e-3), 0.0, 1.0)
-    costs[distances < inner] = LETHAL
-    return costs
 
 
 def _window(

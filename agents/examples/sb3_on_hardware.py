@@ -8,7 +8,6 @@
     python agents/examples/sb3_on_hardware.py sb3.zip --link /dev/ttyUSB0 --goal 1.0 0.3
 """
 
-import contextlib
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -20,6 +19,7 @@ from stable_baselines3 import PPO
 from acsar_gym import RobotConfig
 from acsar_gym.cli.asking import countdown
 from acsar_gym.errors import AcsarError
+from acsar_gym.safety.limiter import limits
 from acsar_gym.safety.rules import Reason
 
 
@@ -34,22 +34,22 @@ def main(
 ) -> None:
     """Drive to a goal [m], no faster than `speed` [m/s]; `yes` leaves out the countdown."""
     config, most = RobotConfig.of(robot), max(abs(goal[0]), abs(goal[1])) + 0.5
-    slow = {"max_velocity": min(speed, config.linear_limits.max_velocity or speed)}
+    back, ahead, *_ = limits(config.linear_limits)
+    slow = {"min_velocity": max(-speed, back), "max_velocity": min(speed, ahead)}
     fence = config.geofence or {"min_x": -most, "max_x": most, "min_y": -most, "max_y": most}
     config = config.with_(linear_limits=slow, geofence=fence)
     policy, name = PPO.load(model, device="cpu"), "acsar_gym:acsar_gym/PointGoal-v0"
     env = gymnasium.make(name, link=link, robot=config, max_episode_steps=round(10 * seconds))
-    with contextlib.closing(env):  # which stops the wheels, whatever happens
+    with env:  # which stops the wheels, whatever happens
         countdown(f"the robot on {link} will drive", yes=yes)
-        observation, info = env.reset(options={"goal": goal})
-        over, reasons = False, {"NONE"}
+        (observation, info), over, reasons = env.reset(options={"goal": goal}), False, {"NONE"}
         while not over:
             action, _ = policy.predict(observation, deterministic=True)
             observation, _, ended, cut, info = env.step(action)
             over, reasons = ended or cut, reasons | {Reason(int(info["sent_reason"])).name}
     print(f"reached: {bool(info['is_success'])}, at {info['odom_x']:.2f}, {info['odom_y']:.2f} m")
-    limits = ", ".join(sorted(reasons - {"NONE"})) or "nothing"
-    print(f"limited by {limits}; {info.get('fault_reason', 'no fault')}")
+    found = ", ".join(sorted(reasons - {"NONE"})) or "nothing"
+    print(f"limited by {found}; {info.get('fault_reason', 'no fault')}")
 
 
 if __name__ == "__main__":

@@ -255,6 +255,7 @@ def test_trained_seeds_are_found_in_a_folder(tmp_path: Path) -> None:
         (lambda: plan(links=("bulet",)), "did you mean 'bullet'"),
         (lambda: Plan((), (ID,)), "none of them drives"),
         (lambda: plan(count=0).check(), "0 were asked for"),
+        (lambda: plan(links=("port",), port_count=0), "--port-scenes 0: must be at least 1"),
     ],
 )
 def test_what_cannot_be_asked_for(call: Any, said: str) -> None:

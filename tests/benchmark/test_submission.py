@@ -87,6 +87,12 @@ def test_a_changed_submission_is_refused(row: Path) -> None:
             "others than the benchmark's",
         ),
         (
+            lambda told: told["header"]["scenes"][ENV_ID]["test"].update(count=1001),
+            "has no scenes, or others than the benchmark's",
+        ),
+        (lambda told: told["header"]["links"].append("warp"), "other links than planar, bullet"),
+        (lambda told: told["header"]["links"].append("port"), "other links than planar, bullet"),
+        (
             lambda told: told["header"]["conditions"]["dropped-5"].update(faults={}),
             "condition 'dropped-5': of another version",
         ),

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import socket
 import stat
-import tempfile
 import threading
 import time
 from collections.abc import Iterator
@@ -22,16 +21,7 @@ from acsar_gym.recording import Recorder
 from acsar_gym.safety import estop, estop_folders
 from acsar_gym.safety.rules import Reason
 
-pytestmark = [pytest.mark.xdist_group("serial"), pytest.mark.usefixtures("deadline")]
-
-
-@pytest.fixture(autouse=True)
-def place(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A folder of this test alone, with time to answer; paths of sockets must be short."""
-    monkeypatch.setattr(estop, "ANSWER", TIMEOUT)
-    with tempfile.TemporaryDirectory(prefix="acsar-", dir="/tmp") as base:
-        monkeypatch.setenv("ACSAR_GYM_RUNTIME_DIR", base)
-        yield Path(base)
+pytestmark = [pytest.mark.xdist_group("serial"), pytest.mark.usefixtures("deadline", "place")]
 
 
 def folder() -> Path:

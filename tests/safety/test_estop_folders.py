@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-import tempfile
 import warnings
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -19,16 +17,7 @@ from acsar_gym.errors import LinkError, SafetyWarning
 from acsar_gym.links import open_link
 from acsar_gym.safety import estop, estop_folders
 
-pytestmark = [pytest.mark.xdist_group("serial"), pytest.mark.usefixtures("deadline")]
-
-
-@pytest.fixture(autouse=True)
-def place(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A folder of this test alone, with time to answer; paths of sockets must be short."""
-    monkeypatch.setattr(estop, "ANSWER", TIMEOUT)
-    with tempfile.TemporaryDirectory(prefix="acsar-", dir="/tmp") as base:
-        monkeypatch.setenv("ACSAR_GYM_RUNTIME_DIR", base)
-        yield Path(base)
+pytestmark = [pytest.mark.xdist_group("serial"), pytest.mark.usefixtures("deadline", "place")]
 
 
 BAD = {

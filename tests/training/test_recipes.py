@@ -47,6 +47,8 @@ def test_the_files_have_no_ids_that_are_not_registered() -> None:
         (GOOD.replace("1e3", "many"), "n_timesteps: 'many': must be a number"),
         (GOOD.replace("n_envs: 4, ", ""), "n_envs: None: must be a number"),
         (GOOD.replace("n_steps: 8", "env_kwargs: 3"), "env_kwargs: 3: must be arguments by name"),
+        (GOOD.replace("n_steps: 8", "vec_env_wrapper: [[a.b]]"), "['a.b']: must be module.name"),
+        (GOOD.replace("n_steps: 8", "vec_env_wrapper: [a.b, a.b]"), "'a.b': must be module.name"),
     ],
 )
 def test_a_bad_recipe_is_refused_in_one_line(text: str, said: str, tmp_path: Path) -> None:

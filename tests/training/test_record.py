@@ -33,9 +33,18 @@ def test_the_command_names_no_folder_of_this_machine(
     given: str, kept: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     words = given.format(folder=tmp_path).split()
-    for program in (["acsar-gym", "train"], ["train.py"]):
-        monkeypatch.setattr(sys, "argv", [*program, *words])
+    for program in ("bin/acsar-gym train", "acsar_gym/__main__.py train", "agents/train.py"):
+        monkeypatch.setattr(sys, "argv", [*program.split(), *words])
         assert record.command() == ["acsar-gym", "train", *kept.split()]
+
+
+def test_of_another_program_only_the_name_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A worker of Ray is given its cluster's address and password."""
+    flags = ["--node-ip-address=10.0.0.3", "--redis-password=secret"]
+    monkeypatch.setattr(sys, "argv", ["/opt/ray/default_worker.py", *flags])
+    assert record.command() == ["default_worker.py"]
+    monkeypatch.setattr(sys, "argv", ["bin/acsar-gym", "demo", "--steps", "9"])
+    assert record.command() == ["acsar-gym", "demo", "--steps", "9"]
 
 
 def test_libraries_that_are_not_installed_have_no_version() -> None:

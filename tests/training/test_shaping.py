@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -10,12 +12,16 @@ pytest.importorskip("stable_baselines3")
 
 from stable_baselines3.common.vec_env import DummyVecEnv, VecCheckNan
 
+from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.policies import sb3
 from acsar_gym.policies.sb3 import BatchVecEnv
+from acsar_gym.training import shaping
 from acsar_gym.training.shaping import Detours, detours, robots_of
 from acsar_gym.vector import snapshots
 from acsar_gym.vector.env import RobotVectorEnv
+from acsar_gym.worlds.ways import Ways, ways_of
+from acsar_gym.worlds.world import World
 
 ROBOTS, WORLDS = 4, "clutter:1000-1002"
 
@@ -49,17 +55,31 @@ def test_rewards_differ_by_the_detour_put_behind() -> None:
         before = after
 
 
-def test_the_detour_is_zero_where_nothing_is_in_the_way() -> None:
+def test_the_way_at_first_is_about_the_shortest_path_of_the_robots_own_world() -> None:
     shaped = Detours(batch())
     shaped.reset()
     robots = robots_in(shaped)
     assert robots.pool is not None
-    worlds = robots.batch.info()["world"].astype(int)
-    for index, world in enumerate(worlds):
-        one = robots.pool[int(world)]
-        assert shaped.detours()[index] > 0.95 * one.length - np.hypot(
-            one.goal.x - one.start.x, one.goal.y - one.start.y
-        )
+    worlds = [robots.pool[int(number)] for number in robots.batch.info()["world"]]
+    straight = [np.hypot(one.goal.x - one.start.x, one.goal.y - one.start.y) for one in worlds]
+    ways = (shaped.detours() + straight) / [one.length for one in worlds]
+    assert ((ways > 0.95) & (ways < 1.5)).all()
+
+
+def test_places_are_those_where_the_robots_really_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without ways, what is left is the straight line from there."""
+
+    def none(worlds: Sequence[World], config: RobotConfig) -> Ways:
+        found = ways_of(worlds, config)
+        return found._replace(values=np.zeros_like(found.values))
+
+    monkeypatch.setattr(shaping, "ways_of", none)
+    shaped = Detours(batch())
+    shaped.reset()
+    for _ in range(15):
+        shaped.step(np.array([[1.0, 1.0], [1.0, -1.0], [1.0, 0.0], [-1.0, 0.5]], np.float32))
+        far = robots_in(shaped).batch.info()["true_goal_distance"]
+        assert_allclose(-shaped.detours(), far, atol=1e-6)
 
 
 def test_nothing_is_remembered_between_steps() -> None:

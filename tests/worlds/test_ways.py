@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.worlds.pool import Pool
-from acsar_gym.worlds.ways import LETHAL, Ways, costs_of, ways_of
+from acsar_gym.worlds.ways import COSTS, Ways, costs_of, ways_of
 from acsar_gym.worlds.world import Region, World
 
 ROBOT = RobotConfig.of(None)
@@ -65,6 +65,6 @@ def test_outside_the_grid_the_edge_counts() -> None:
 
 def test_costs_fall_with_the_distance_to_1() -> None:
     costs = costs_of(np.linspace(0.0, 3.0, 200), (0.17, 0.24))
-    assert costs[0] == LETHAL
+    assert costs[0] == COSTS.lethal
     assert (np.diff(costs) <= 0.0).all()
     assert costs[-1] == pytest.approx(1.0, abs=1e-6)
