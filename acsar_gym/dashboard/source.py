@@ -26,6 +26,8 @@ def recording_of(source: str) -> Path:
         raise ConfigError(
             f"{source} is simulated by the program that drives it: {RECORD}, and view that file"
         )
+    if source == "serial":
+        raise ConfigError("serial: name the device, which 'acsar-gym estop --list' tells")
     if is_device(source):
         return _driven(source)
     return Path(source.removeprefix("replay:"))
@@ -34,16 +36,21 @@ def recording_of(source: str) -> Path:
 def _driven(device: str) -> Path:
     """Return the file that the driver of a device records to."""
     real = os.path.realpath(device)
-    drivers = [
-        driver
-        for driver in estop.drivers()
-        if driver.device in (device, real) or os.path.realpath(driver.device) == real
-    ]
-    if not drivers:
+    known = estop.drivers()
+    for driver in known:
+        if driver.device and os.path.realpath(driver.device) == real:
+            break
+    else:
+        silent = [str(driver.process) for driver in known if not driver.device]
+        if silent:
+            raise LinkError(
+                f"{shortened(device)}: process {', '.join(silent)} drives a robot, but doesn't "
+                "answer",
+                "name the file that it records to",
+            )
         raise LinkError(
             f"{shortened(device)}: no program of yours on this computer drives it", RECORD
         )
-    driver = drivers[0]
     if not driver.recording:
         raise LinkError(
             f"{shortened(device)}: process {driver.process} drives it without a recording", RECORD
