@@ -28,31 +28,27 @@ def recording_of(source: str) -> Path:
         )
     if source == "serial":
         raise ConfigError("serial: name the device, which 'acsar-gym estop --list' tells")
-    if is_device(source):
-        return _driven(source)
-    return Path(source.removeprefix("replay:"))
+    path = Path(source.removeprefix("replay:"))
+    is_file = path.suffix == ".mcap" or path.is_file() or path.is_dir()
+    return _driven(source) if is_device(source) and not is_file else path
 
 
 def _driven(device: str) -> Path:
     """Return the file that the driver of a device records to."""
     real = os.path.realpath(device)
     known = estop.drivers()
-    for driver in known:
-        if driver.device and os.path.realpath(driver.device) == real:
-            break
-    else:
-        silent = [str(driver.process) for driver in known if not driver.device]
-        if silent:
-            raise LinkError(
-                f"{shortened(device)}: process {', '.join(silent)} drives a robot, but doesn't "
-                "answer",
-                "name the file that it records to",
-            )
+    found = [one for one in known if one.device and os.path.realpath(one.device) == real]
+    silent = [str(one.process) for one in known if not one.device]
+    where = shortened(device)
+    if found and found[0].recording:
+        return Path(found[0].recording)
+    if found:
         raise LinkError(
-            f"{shortened(device)}: no program of yours on this computer drives it", RECORD
+            f"{where}: process {found[0].process} drives it without a recording", RECORD
         )
-    if not driver.recording:
+    if silent:
         raise LinkError(
-            f"{shortened(device)}: process {driver.process} drives it without a recording", RECORD
+            f"{where}: process {silent[0]} drives a robot, but doesn't answer",
+            "name the file that it records to",
         )
-    return Path(driver.recording)
+    raise LinkError(f"{where}: no program of yours on this computer drives it", RECORD)

@@ -81,6 +81,9 @@ def test_a_driver_that_records_nothing_is_named() -> None:
 def test_files_are_themselves_and_simulations_need_one() -> None:
     assert recording_of("drive.mcap") == Path("drive.mcap")
     assert recording_of("replay:drive.mcap") == Path("drive.mcap")
+    assert recording_of("./drive.mcap") == Path("drive.mcap")
+    assert recording_of("/data/drive.mcap") == Path("/data/drive.mcap")
+    assert recording_of(__file__) == Path(__file__)
     with pytest.raises(ConfigError, match="planar is simulated by the program that drives it"):
         recording_of("planar")
     with pytest.raises(ConfigError, match="serial: name the device"):
