@@ -70,6 +70,16 @@ class Tab:
         found = self.run(f"(document.querySelector({selector!r}) || {{}}).innerText || ''")
         return str(found)
 
+    def press(self, selector: str) -> float:
+        """Press the mouse on an element; the moment just before, of the monotonic clock [s]."""
+        box = f"document.querySelector({selector!r}).getBoundingClientRect()"
+        x, y = self.run(f"(b => [b.x + b.width / 2, b.y + b.height / 2])({box})")
+        where = {"x": x, "y": y, "button": "left", "clickCount": 1}
+        moment = time.monotonic()
+        for kind in ("mousePressed", "mouseReleased"):
+            self.call("Input.dispatchMouseEvent", type=kind, **where)
+        return moment
+
     def wait(self, script: str, what: str) -> None:
         """Wait until JavaScript is true."""
         deadline = time.monotonic() + TIMEOUT

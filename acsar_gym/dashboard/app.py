@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import html
+import secrets
 import time
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from dash import Input, Output, State, ctx, no_update
 
 from acsar_gym.dashboard import layout
 from acsar_gym.dashboard import session as sessions
+from acsar_gym.dashboard.episodes import Episode
 from acsar_gym.dashboard.session import Session
 from acsar_gym.errors import printable
 
@@ -38,8 +40,6 @@ STATES = {
     sessions.RECORDED: "recorded",
     sessions.BROKEN: "can't be read",
 }
-
-
 GRAPHS = ("top", "wheels", "lateness")
 OUTPUTS = {
     **{graph: Output(graph, "figure") for graph in GRAPHS},
@@ -48,12 +48,14 @@ OUTPUTS = {
     "longest": Output("time", "max"),
     "playing": Output("playing", "data"),
     "clock": Output("clock", "data"),
+    "seen": Output("seen", "data"),
     "pulse": Output("pulse", "interval"),
     "play": Output("play", "children"),
     "state": Output("state", "children"),
     "look": Output("state", "className"),
     "box": Output("stop-box", "className"),
     "message": Output("message", "children"),
+    "about": Output("about", "children"),
     "episode": Output("episode", "value"),
     "episodes": Output("episodes", "children"),
     "safety": Output("safety", "className"),
@@ -65,6 +67,7 @@ INPUTS = {
     "episode": Input("episode", "value"),
     "playing": State("playing", "data"),
     "clock": State("clock", "data"),
+    "seen": State("seen", "data"),
     "longest": State("time", "max"),
     "rate": State("rate", "value"),
 }
@@ -77,9 +80,10 @@ class Inputs:
     pulse: int | None
     at: float | None
     play: int | None
-    episode: int | None
+    episode: float | None
     playing: bool
     clock: float
+    seen: int
     longest: float
     rate: str
 
@@ -89,7 +93,7 @@ def made(session: Session) -> dash.Dash:
     app = dash.Dash(
         "acsar_gym",
         assets_folder=str(ASSETS),
-        title=f"{session.tail.path.name} - acsar-gym",
+        title=html.escape(f"{printable(session.tail.path.name)} - acsar-gym"),
         update_title="",
         serve_locally=True,
         add_log_handler=False,
@@ -100,15 +104,7 @@ def made(session: Session) -> dash.Dash:
         (Output("pulse", "disabled"), True, False)
     ]  # never a second question before an answer
     app.callback(OUTPUTS, INPUTS, running=asking)(Shown(session))
-    app.callback(
-        Output("stop-said", "children"),
-        Input("stop", "n_clicks"),
-        running=[
-            (Output("stop", "children"), "Stopping …", "Stop robot"),
-            (Output("stop", "className"), "stop busy", "stop"),
-        ],
-        prevent_initial_call=True,
-    )(partial(_stop, session))
+    _serve(app.server, session)
     _guard(app.server)
     return app
 
@@ -136,11 +132,11 @@ class Shown:
             now: of a steady clock [s].
         """
         session = self._session
-        changed, live = session.poll(), session.is_live
+        revision, live = session.poll(), session.is_live
         playing = _playing(page, cause, live=live)
         follows = live and playing
         count = len(session.tail.episodes)
-        asked = page.episode or (count if live else 1)
+        asked = int(page.episode or (count if live else 1))
         number = count if follows else min(max(asked, 1), count)
         shown = session.episode(number - 1)
         end = 0.0 if shown is None else shown.end
@@ -148,9 +144,10 @@ class Shown:
         at = _moved(page, cause, end, step if playing else 0.0)
         if follows or (cause == "pulse" and self._has_followed(page)):
             at = end
-        playing = follows or (playing and at < end)
-        told = self._state(live=live, playing=playing) | {"playing": playing, "clock": now}
-        moves = changed or (not follows and (playing or page.playing))
+        playing = follows or (playing and (at < end or bool(session.problem)))
+        told = self._state(shown, live=live, playing=playing)
+        told |= {"playing": playing, "clock": now, "seen": revision}
+        moves = revision != page.seen or (not follows and (playing or page.playing))
         if cause == "pulse" and not moves:  # a browser that draws answers the stop button later
             return dict.fromkeys(OUTPUTS, no_update) | told
         return (
@@ -169,7 +166,7 @@ class Shown:
         is_last = (page.at or 0.0) >= page.longest
         return page.playing and is_last and self._session.state != sessions.RECORDED
 
-    def _state(self, *, live: bool, playing: bool) -> dict[str, Any]:
+    def _state(self, shown: Episode | None, *, live: bool, playing: bool) -> dict[str, Any]:
         """What the head of the page tells, and how often it asks again."""
         session = self._session
         state = session.state
@@ -177,7 +174,8 @@ class Shown:
             "state": STATES[state],
             "look": f"state {state}",
             "box": "stopping" if session.can_stop else "stopping none",
-            "message": _message(session),
+            "message": _message(session, shown),
+            "about": layout.about(session),
             "pulse": layout.QUICK if live or playing else layout.SLOW,
             "play": "Pause" if playing else "Follow" if live else "Play",
         }
@@ -210,22 +208,33 @@ def _moved(page: Inputs, cause: str | None, end: float, step: float) -> float:
     return min(at, end)
 
 
-def _message(session: Session) -> str:
+def _message(session: Session, shown: Episode | None) -> str:
     """What goes wrong, in one line; empty where nothing does."""
     if session.problem:
         return printable(session.problem)
-    episodes = session.tail.episodes
-    if not episodes:
+    if shown is None:
         return "waiting for the first episode"
-    if episodes[-1].faults:
-        return printable(episodes[-1].faults[-1][1])
+    if shown.faults:
+        return printable(shown.faults[-1][1])
     age = session.tail.age
     return f"nothing new for {age:.0f} s" if session.is_live and age > SILENT else ""
 
 
-def _stop(session: Session, clicks: int) -> str:
-    """Stop the robot; returns what came of it."""
-    return printable(session.stop().said)
+def _serve(server: Any, session: Session) -> None:
+    """Answer what assets/stop.js asks, on ways that no drawing and no lock is in."""
+    own = secrets.token_hex(8)
+
+    def plain(text: str) -> Any:
+        return text, {"Content-Type": "text/plain; charset=utf-8"}
+
+    def stop() -> Any:
+        return plain(printable(session.stop().said))
+
+    def alive() -> Any:
+        return plain(own)
+
+    server.add_url_rule("/stop", "stop", stop, methods=["POST"])
+    server.add_url_rule("/alive", "alive", alive)
 
 
 def _guard(server: Any) -> None:

@@ -14,8 +14,8 @@ from acsar_gym.recording.diagnostics import LATE
 
 WINDOW = 20.0
 """How much of the time before now the wheels' charts show [s]."""
-POINTS = 500
-"""Points of a line that are drawn."""
+POINTS = 300
+"""Points of a line that are drawn; a chart is about as many pixels wide."""
 LEAST = 0.01
 """Smallest lateness on the axis, which is logarithmic [ms]."""
 STRIPES = 600

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from acsar_gym import kinematics
 from acsar_gym.config import RobotConfig
 from acsar_gym.dashboard.columns import Columns, Floats
 from acsar_gym.errors import ConfigError
@@ -16,6 +15,8 @@ from acsar_gym.recording.wire_log import WireLog
 
 TICK = {name: place for place, name in enumerate(topics.TICK_COLUMNS)}
 """Columns of `Episode.ticks` by name; times are since the reset."""
+MOST = 1e6
+"""Largest coordinate of goal and start, either sign [m]."""
 
 
 class Episode:
@@ -73,21 +74,13 @@ class Episode:
     @property
     def goal(self) -> tuple[float, float] | None:
         """Goal in the odometry frame [m]; None where none is known."""
-        found = self.info.get("goal")
-        try:
-            x, y = map(float, found)  # type: ignore[arg-type]
-        except (TypeError, ValueError):
-            return None
-        return (x, y) if max(abs(x), abs(y)) < 1e6 else None
+        found = _numbers(self.info.get("goal"), 2)
+        return None if found is None else (found[0], found[1])
 
     @property
     def start(self) -> tuple[float, float, float]:
         """Start in the frame of the world [m, m, rad]."""
-        found = self.info.get("start")
-        try:
-            x, y, theta = map(float, found)  # type: ignore[arg-type]
-        except (TypeError, ValueError):
-            return 0.0, 0.0, 0.0
+        x, y, theta = _numbers(self.info.get("start"), 3) or (0.0, 0.0, 0.0)
         return x, y, theta
 
     def column(self, name: str) -> Floats:
@@ -107,12 +100,6 @@ class Episode:
         turn = angular * self._config.effective_separation / 2.0
         right, left = (linear + turn) / right_radius, (linear - turn) / left_radius
         return np.stack([right, left, left, right], axis=1)
-
-    def twist(self, speeds: Floats) -> tuple[float, float]:
-        """Twist [m/s, rad/s] of four wheel speeds."""
-        a, b, c, d = speeds.tolist()
-        separation = self._config.effective_separation
-        return kinematics.twist(a, b, c, d, *self._config.wheel_radii, separation)
 
     def _clocks(self) -> tuple[tuple[Columns, int], ...]:
         return (self.ticks, TICK["stamp"]), (self.sent, 0)
@@ -161,6 +148,15 @@ class Episode:
             _check(self.scans, stamp, 0)
             self.scans.add(stamp[:, None])
             self.ranges.add(row[None, 2:].astype(np.float32))
+
+
+def _numbers(told: Any, count: int) -> tuple[float, ...] | None:
+    """So many numbers of moderate size; None for anything else that a file may say."""
+    try:
+        found = tuple(map(float, told))
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return found if len(found) == count and all(abs(one) < MOST for one in found) else None
 
 
 def _check(known: Columns, stamps: Floats, place: int) -> None:

@@ -9,6 +9,7 @@ from dash import dcc, html
 
 from acsar_gym.dashboard.readings import NONE
 from acsar_gym.dashboard.session import Session
+from acsar_gym.errors import printable
 
 RATES = [{"label": f"{rate} x", "value": rate} for rate in ("0.5", "1", "4", "16")]
 """How fast a recording is played."""
@@ -38,34 +39,40 @@ def page(session: Session) -> Any:
             _transport(session),
             dcc.Store(id="playing", data=session.is_live),
             dcc.Store(id="clock", data=0.0),
+            dcc.Store(id="seen", data=0),
             dcc.Interval(id="pulse", interval=QUICK if session.is_live else SLOW),
         ]
     )
 
 
-def _header(session: Session) -> Any:
-    """Name, state and stop button."""
-    about = session.tail.header.get("about", {})
-    policy = about.get("policy")
-    told = (
+def about(session: Session) -> str:
+    """What was recorded: robot, command, link and policy."""
+    told = session.tail.header.get("about", {})
+    policy = told.get("policy")
+    words = (
         session.tail.config.name,
-        about.get("command"),
-        about.get("link"),
+        told.get("command"),
+        told.get("link"),
         Path(str(policy.get("file", ""))).name if isinstance(policy, dict) else None,
     )
-    words = " · ".join(str(each)[:80] for each in told if each)
+    return " · ".join(printable(str(each)[:80]) for each in words if each)
+
+
+def _header(session: Session) -> Any:
+    """Name, state and stop button."""
+    name = printable(session.tail.path.name)
     return html.Header(
         [
             html.Div(
                 [
-                    html.H1([session.tail.path.name, html.Span("", id="state", className="state")]),
-                    html.P(words, className="muted"),
+                    html.H1([name, html.Span("", id="state", className="state")]),
+                    html.P("", id="about", className="muted"),
                 ]
             ),
             html.Div(
                 [
                     html.P("", id="stop-said", className="muted", role="alert"),
-                    html.Button("Stop robot", id="stop", className="stop", n_clicks=0),
+                    html.Button("Stop robot", id="stop", className="stop"),
                 ],
                 className="stopping",
                 id="stop-box",

@@ -12,7 +12,7 @@ from acsar_gym.dashboard.episodes import Episode
 from acsar_gym.dashboard.readings import readings
 from acsar_gym.dashboard.stopping import Stop
 from acsar_gym.dashboard.surroundings import world_of
-from acsar_gym.dashboard.tail import Tail
+from acsar_gym.dashboard.tail import QUIET, Tail
 from acsar_gym.errors import ConfigError
 from acsar_gym.worlds import World
 
@@ -23,7 +23,7 @@ LIVE, STOPPED, ENDED, RECORDED, BROKEN = "live", "stopped", "ended", "recorded",
 class Frame:
     """What the page shows at one time.
 
-    Attributes: `figures`, of plotly: top, wheels, late; `readings`, see `readings.readings`.
+    Attributes: `figures`, of plotly: top, wheels, lateness; `readings`, see `readings.readings`.
     """
 
     figures: dict[str, Any]
@@ -34,7 +34,7 @@ class Session:
     """A recording, whether it is live, and the stop button.
 
     Attributes: `problem`, why it can't be read any further, empty where it can; `stopped`, what
-    came of the last stop, None before.
+    came of the last stop, None before; `revision`, how often there was something new.
 
     Args:
         path: of the recording.
@@ -47,28 +47,33 @@ class Session:
         self.tail = Tail(path)
         self.problem = ""
         self.stopped: Stop | None = None
-        self._lock = threading.Lock()
+        self.revision = 1
+        self._lock, self._stopping = threading.Lock(), threading.Lock()
         self._worlds: dict[int, World | None] = {}
         self._stopped_in = 0
-        self._was_live = self.tail.is_growing
+        self._was_live = self._has_grown()
         if not self.tail.episodes and not self._was_live:
             raise ConfigError(f"{path}: holds no episode")
 
-    def poll(self) -> bool:
-        """Read what was added; returns whether there is anything new."""
+    def poll(self) -> int:
+        """Read what was added; returns `revision`: each page knows which one it shows."""
         with self._lock:
             known = self.tail.header
             try:
-                changed = self.tail.poll()
+                self.revision += self.tail.poll()
+                self.problem = ""
             except ConfigError as error:
                 self.problem = str(error)
-                return False
             if self.tail.header is not known:
-                self._worlds, self.stopped = {}, None
+                self._worlds, self.stopped, self._was_live = {}, None, False
             elif len(self.tail.episodes) > self._stopped_in:
                 self.stopped = None  # somebody has started again
-            self._was_live = self._was_live or self.tail.is_growing
-            return changed
+            self._was_live = self._was_live or self._has_grown()
+            return self.revision
+
+    def _has_grown(self) -> bool:
+        """Whether a process on this computer is writing it."""
+        return self.tail.is_open and self.tail.age < QUIET
 
     @property
     def state(self) -> str:
@@ -77,14 +82,14 @@ class Session:
             return BROKEN
         if self.stopped is not None and self.stopped.state == "stopped":
             return STOPPED
-        if self.tail.is_growing:
+        if self.is_live:
             return LIVE
         return ENDED if self._was_live else RECORDED
 
     @property
     def is_live(self) -> bool:
-        """Whether the run goes on, stopped or not."""
-        return not self.problem and self.tail.is_growing
+        """Whether the run goes on, stopped or not, and whether or not its recording does."""
+        return self._was_live and self.tail.is_open
 
     @property
     def can_stop(self) -> bool:
@@ -92,10 +97,14 @@ class Session:
         return self.is_live and stopping.can_stop(self.tail.process)
 
     def stop(self) -> Stop:
-        """Stop the robot, and wait until its program says so."""
-        self._stopped_in = len(self.tail.episodes)
-        self.stopped = stopping.stop(self.tail.process)
-        return self.stopped
+        """Stop the robot, and wait until its program says so; several at once have to queue."""
+        with self._stopping:
+            before, newest = self.stopped, len(self.tail.episodes)
+            found = stopping.stop(self.tail.process)
+            if found.state == "nobody" and before is not None and before.state == "stopped":
+                return before  # a second click, while the program that was stopped ends
+            self._stopped_in, self.stopped = newest, found
+            return found
 
     def episode(self, number: int) -> Episode | None:
         """Return an episode; the newest one for a number that there isn't."""
@@ -110,7 +119,7 @@ class Session:
             episode = self.episode(number)
             if episode is None:
                 return Frame({}, {})
-            revision = f"{self.tail.path} {number}"
+            revision = str(number)
             config = self.tail.config
             figures = {
                 "top": top_view.figure(

@@ -26,26 +26,29 @@ def recording_of(source: str) -> Path:
         raise ConfigError(
             f"{source} is simulated by the program that drives it: {RECORD}, and view that file"
         )
-    if is_device(source):
-        return _driven(source)
-    return Path(source.removeprefix("replay:"))
+    if source == "serial":
+        raise ConfigError("serial: name the device, which 'acsar-gym estop --list' tells")
+    path = Path(source.removeprefix("replay:"))
+    is_file = path.suffix == ".mcap" or path.is_file() or path.is_dir()
+    return _driven(source) if is_device(source) and not is_file else path
 
 
 def _driven(device: str) -> Path:
     """Return the file that the driver of a device records to."""
     real = os.path.realpath(device)
-    drivers = [
-        driver
-        for driver in estop.drivers()
-        if driver.device in (device, real) or os.path.realpath(driver.device) == real
-    ]
-    if not drivers:
+    known = estop.drivers()
+    found = [one for one in known if one.device and os.path.realpath(one.device) == real]
+    silent = [str(one.process) for one in known if not one.device]
+    where = shortened(device)
+    if found and found[0].recording:
+        return Path(found[0].recording)
+    if found:
         raise LinkError(
-            f"{shortened(device)}: no program of yours on this computer drives it", RECORD
+            f"{where}: process {found[0].process} drives it without a recording", RECORD
         )
-    driver = drivers[0]
-    if not driver.recording:
+    if silent:
         raise LinkError(
-            f"{shortened(device)}: process {driver.process} drives it without a recording", RECORD
+            f"{where}: process {silent[0]} drives a robot, but doesn't answer",
+            "name the file that it records to",
         )
-    return Path(driver.recording)
+    raise LinkError(f"{where}: no program of yours on this computer drives it", RECORD)

@@ -32,22 +32,25 @@ def stop(process: int) -> Stop:
     """Ask the process that drives to stop the robot, and wait until it says that it has.
 
     Its control loop answers once zero was written to the wire, and goes on commanding zero. Where
-    it doesn't answer, its watchdog process commands zero on its own.
+    it doesn't answer, its watchdog process commands zero on its own. Nobody else is asked, so that
+    nobody else's silence counts.
 
     Args:
         process: its id.
     """
     began = time.monotonic()
     try:
-        found = estop.stop_all(str(process)) if process else []
+        found = estop.stop_all(process=process) if process else []
     except LinkError as error:
         return Stop("unanswered", str(error))
     took = (time.monotonic() - began) * 1e3
-    if not found:
+    answered = bool(found) and all(each.answered for each in found)
+    if not (answered or can_stop(process)):
         return Stop(
-            "nobody", "nothing to stop: the program has ended, and stopped the wheels first"
+            "nobody",
+            "nothing to stop: the program has ended, and it or its watchdog stops the wheels",
         )
-    if all(each.answered for each in found):
+    if answered:
         clock = time.strftime("%H:%M:%S")
         said = f"zero is on the wire, says the control loop (after {took:.0f} ms, at {clock})"
         return Stop("stopped", said)

@@ -35,8 +35,10 @@ def world_of(header: dict[str, Any], config: RobotConfig, episode: Episode) -> W
         config: of the robot.
         episode: with the world's number.
     """
-    env = header.get("about", {}).get("env", {})
-    options = env.get("kwargs", {}) if isinstance(env, dict) else {}
+    env = header.get("about", {}).get("env")
+    options = env.get("kwargs") if isinstance(env, dict) else None
+    if not isinstance(options, dict):
+        return None
     source, number = options.get("worlds"), episode.info.get("world")
     name = names.parsed(source) if isinstance(source, str) else None
     if not (episode.is_simulated and name and not name.module and isinstance(number, int)):

@@ -17,7 +17,7 @@ from acsar_gym.recording.reader import MOST_BYTES, Collector, records_of
 from acsar_gym.recording.records import Cut
 
 QUIET = 10.0
-"""A file that hasn't grown for so long isn't being written [s]."""
+"""A file that hasn't grown for so long when it is opened isn't being written [s]."""
 READ = topics.EPISODE, topics.TICKS, topics.EXCHANGES, topics.SCANS, topics.WIRE_SENT
 FAULT = b"acsar: fault"
 """Name of the status that tells what ended an episode."""
@@ -48,13 +48,16 @@ class Tail:
         wanted: dict[str, Take] = {topic.name: TAKERS[topic.name] for topic in READ}
         self._collector = Collector(wanted | {topics.DIAGNOSTICS.name: self._fault})
         self._faults: list[tuple[Part, int, bytes]] = []
-        self._place, self._size = 0, -1
+        self._place, self._size, self._damage = 0, -1, ""
         self.episodes: list[Episode] = []
         self.config = RobotConfig()
         self.header: dict[str, Any] = {}
 
     def poll(self) -> bool:
         """Read what was added; returns whether there is anything new.
+
+        A file that isn't there, or whose beginning isn't written yet, may come: then the next call
+        reads it. Damage stays until another file takes its place.
 
         Raises:
             ConfigError: as for the constructor.
@@ -64,11 +67,17 @@ class Tail:
             is_other = self._began not in (None, (status.st_dev, status.st_ino))
             if is_other or status.st_size < self._size:
                 self._begin()
-            elif status.st_size == self._size:
+            elif self._damage:
+                raise ConfigError(self._damage)
+            elif status.st_size == self._size and self.header:
                 return False
             self._began, self._size = (status.st_dev, status.st_ino), status.st_size
-            self._read(file)
-            return self._drained() or is_other
+            try:
+                self._read(file)
+                return self._drained() or is_other
+            except ConfigError as error:
+                self._damage = str(error) if self.header else ""
+                raise
 
     def _read(self, file: IO[bytes]) -> None:
         """Read complete records from the place where the last call has ended."""
@@ -86,8 +95,8 @@ class Tail:
         if collector.header is None:
             raise ConfigError("isn't a recording of acsar_gym")
         if not self.header:
+            self.config = RobotConfig.model_validate(collector.header["config"])
             self.header = collector.header
-            self.config = RobotConfig.model_validate(self.header["config"])
 
     def _drained(self) -> bool:
         """Pass on to the episodes what was read; returns whether there was anything."""
@@ -118,9 +127,9 @@ class Tail:
             return float("inf")
 
     @property
-    def is_growing(self) -> bool:
-        """Whether a process on this computer still writes it."""
-        return not self.is_complete and self.age < QUIET and _runs(self.process)
+    def is_open(self) -> bool:
+        """Whether it wasn't ended, and the process that records runs on this computer."""
+        return not self.is_complete and _runs(self.process)
 
     @property
     def process(self) -> int:

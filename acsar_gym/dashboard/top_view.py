@@ -28,7 +28,7 @@ def figure(
     """Draw an episode at a time since its reset [s]."""
     place, poses = episode.place(time), _poses(episode)
     now, before = seen(episode, config, time)
-    traces = [palette.dots(before, palette.SEEN, 3, name="seen before")]
+    traces = [palette.specks(before, palette.SEEN, 3, name="seen before")]
     traces += _world(world, episode)
     if episode.is_simulated:
         traces.append(_truth(episode, time))
@@ -38,7 +38,7 @@ def figure(
     traces.append(
         _path(poses[np.r_[done, place]] if place >= 0 else poses[:0], palette.SENT, "path")
     )
-    traces.append(palette.dots(now, palette.SCAN, 4, name="LiDAR now"))
+    traces.append(palette.specks(now, palette.SCAN, 4, name="LiDAR now"))
     traces += _goal(episode)
     traces += _robot(config, tuple(poses[place]) if place >= 0 else (0.0, 0.0, 0.0))
     (left, right), (low, high) = _limits(episode, poses)

@@ -34,8 +34,6 @@ LONGEST_REQUEST = 8192
 """Most bytes of a request or an answer."""
 MOST_REQUESTS = 8
 """Requests that are read in one tick."""
-DRIVER = re.compile(r"[0-9]+-[0-9]+")
-"""Name of a listener's socket: process id and a number."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,12 +181,13 @@ def _bound(path: Path) -> socket.socket:
     return ours
 
 
-def stop_all(name: str = "") -> list[Stopped]:
+def stop_all(name: str = "", process: int = 0) -> list[Stopped]:
     """Ask processes of this user that drive a robot to stop, and wait for the answers.
 
     Args:
         name: Of one robot: its device, the last part of that, the name in its configuration, or
             the id of the process. Empty for all robots.
+        process: Id of the only process that is asked; 0 for all of them.
 
     Returns:
         One result for each process, by process id, without those that drive another robot.
@@ -198,7 +197,7 @@ def stop_all(name: str = "") -> list[Stopped]:
     """
     real = os.path.realpath(name) if "/" in name else name
     request = STOP + (b" " + os.fsencode(name) + b"\0" + os.fsencode(real) if name else b"")
-    found = _asked(request)
+    found = _asked(request, process)
     meant = {path: answer for path, answer in found.items() if not answer.startswith(OTHER)}
     return [Stopped(_process(path), meant[path] == STOP) for path in sorted(meant, key=_process)]
 
@@ -219,7 +218,7 @@ def drivers() -> list[Driver]:
 
 def listens(process: int) -> bool:
     """Whether a process of this user has a socket for stops; asks nobody."""
-    return process in (_process(path.name) for one in folders()[0] for path in _drivers(one))
+    return any(_drivers(folder, process) for folder in folders()[0])
 
 
 def _made_at(path: Path) -> float:
@@ -230,8 +229,8 @@ def _made_at(path: Path) -> float:
         return 0.0
 
 
-def _asked(request: bytes) -> dict[str, bytes]:
-    """Send a request to all listeners; returns the answers by name of the socket, b"" for none."""
+def _asked(request: bytes, process: int = 0) -> dict[str, bytes]:
+    """Send a request to `_drivers`; returns the answers by name of the socket, b"" for none."""
     usable, wrong = folders()
     if not usable:
         raise wrong[0]
@@ -239,7 +238,7 @@ def _asked(request: bytes) -> dict[str, bytes]:
     with contextlib.ExitStack() as stack:
         askers = [stack.enter_context(_asker(folder)) for folder in usable]
         for folder, asker in zip(usable, askers, strict=True):
-            asked |= {path.name for path in _drivers(folder) if _ask(asker, path, request)}
+            asked |= {path.name for path in _drivers(folder, process) if _ask(asker, path, request)}
         return dict.fromkeys(asked, b"") | _answers(askers, asked)
 
 
@@ -263,10 +262,11 @@ def _asker(folder: Path) -> Iterator[socket.socket]:
         path.unlink()
 
 
-def _drivers(folder: Path) -> list[Path]:
-    """Addresses of all listeners in a folder."""
+def _drivers(folder: Path, process: int = 0) -> list[Path]:
+    """Addresses of all listeners in a folder, or of one process's; named by its id and a number."""
+    name = re.compile(f"{process or '[0-9]+'}-[0-9]+")
     try:
-        return [path for path in folder.iterdir() if DRIVER.fullmatch(path.name)]
+        return [path for path in folder.iterdir() if name.fullmatch(path.name)]
     except OSError:  # the folder was removed meanwhile
         return []
 

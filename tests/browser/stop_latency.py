@@ -9,7 +9,6 @@ import argparse
 import sys
 import tempfile
 import threading
-import time
 from pathlib import Path
 
 import numpy as np
@@ -63,11 +62,10 @@ def trial(tab: Tab, folder: Path) -> float:
 
 
 def clicked_on(tab: Tab, url: str) -> float:
-    """Open the page of a live run and click; the moment just before, of the monotonic clock [s]."""
+    """Open the page of a live run and press; the moment just before, of the monotonic clock [s]."""
     tab.open(url, *WIDE)
     tab.wait(DRAWN, "a page that is drawn")
-    clicked = time.monotonic()
-    tab.run("document.querySelector('#stop').click()")
+    clicked = tab.press("#stop")
     tab.wait("document.querySelector('#stop-said').innerText", "an answer")
     said = tab.text("#stop-said")
     assert said.startswith("zero is on the wire"), said

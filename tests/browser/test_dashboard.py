@@ -46,21 +46,27 @@ def _patient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @contextmanager
-def opened(path: Path, folder: Path, size: tuple[int, int] = WIDE) -> Iterator[Tab]:
-    """The page of a recording, once it is drawn."""
-    with served(path, port=0) as server:
+def serving(path: Path, port: int) -> Iterator[int]:
+    """The server of a page; yields its port."""
+    with served(path, port) as server:
         thread = threading.Thread(target=server.serve_forever, daemon=True)
         thread.start()
         try:
-            with browser(folder) as tab:
-                tab.open(f"http://127.0.0.1:{server.port}", *size)
-                tab.wait(DRAWN, "a page that is drawn")
-                yield tab
-                assert tab.foreign == []
-                assert tab.console == []
+            yield server.port
         finally:
             server.shutdown()
             thread.join()
+
+
+@contextmanager
+def opened(path: Path, folder: Path, size: tuple[int, int] = WIDE) -> Iterator[Tab]:
+    """The page of a recording, once it is drawn."""
+    with serving(path, 0) as port, browser(folder) as tab:
+        tab.open(f"http://127.0.0.1:{port}", *size)
+        tab.wait(DRAWN, "a page that is drawn")
+        yield tab
+        assert tab.foreign == []
+        assert tab.console == []
 
 
 def shot(tab: Tab, name: str, folder: Path) -> None:
@@ -98,7 +104,7 @@ def test_the_stop_button_stops_a_robot_that_another_process_drives(
             note = note.replace("stop.", "stop_.").replace("observe(stop,", "observe(stop_,")
             tab.run(f"{note}childList: true, characterData: true, subtree: true}}); 0")
             assert own_emulator.is_driven()
-            tab.run("document.querySelector('#stop').click()")
+            tab.press("#stop")
             tab.wait("document.querySelector('#stop-said').innerText", "an answer")
             assert tab.text("#stop-said").startswith("zero is on the wire")
             assert tab.run("said")[0].startswith("Stopping")
@@ -108,3 +114,19 @@ def test_the_stop_button_stops_a_robot_that_another_process_drives(
             tab.wait("document.querySelector('#message').innerText", "what ended it")
             shot(tab, "dashboard_stopped", tmp_path)
     assert process.returncode == 3
+
+
+def test_a_page_whose_server_is_gone_says_so_and_comes_back(tmp_path: Path) -> None:
+    path = drive(tmp_path / "tape.mcap", RobotConfig.of(None))
+    with browser(tmp_path) as tab:
+        with serving(path, 0) as port:
+            tab.open(f"http://127.0.0.1:{port}", *WIDE)
+            tab.wait(DRAWN, "a page that is drawn")
+            tab.wait("performance.getEntriesByName(location + 'alive').length", "a first question")
+        tab.wait("document.body.classList.contains('lost')", "what is wrong")
+        tab.run("document.querySelector('#stop').click()")
+        tab.wait("document.querySelector('#stop-said').innerText", "an answer")
+        assert "run acsar-gym estop" in tab.text("#stop-said")
+        with serving(path, port):
+            tab.wait(f"!document.querySelector('.lost') && {DRAWN}", "the page again")
+            assert tab.text("#stop-said") == ""

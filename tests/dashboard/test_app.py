@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -18,11 +19,20 @@ from acsar_gym.dashboard.app import INPUTS, OUTPUTS, Inputs, Shown
 from acsar_gym.dashboard.layout import QUICK, SLOW
 from acsar_gym.dashboard.readings import _milliseconds
 from acsar_gym.dashboard.session import Session
+from acsar_gym.dashboard.surroundings import world_of
 from acsar_gym.errors import ConfigError
 
 BASE = "http://127.0.0.1:8050"
 OPENED = Inputs(
-    pulse=None, at=0.0, play=0, episode=None, playing=False, clock=0.0, longest=1.0, rate="1"
+    pulse=None,
+    at=0.0,
+    play=0,
+    episode=None,
+    playing=False,
+    clock=0.0,
+    seen=1,
+    longest=1.0,
+    rate="1",
 )
 
 
@@ -75,7 +85,7 @@ def test_other_sites_get_nothing(client: Any, base: str, origin: str | None, cod
 
 def test_the_page_is_answered_over_http(client: Any) -> None:
     asked = client.get("/_dash-dependencies", base_url=BASE).get_json()[0]
-    values = {"time": 0.5, "episode": 1, "playing": False, "clock": 1.0, "rate": "1"}
+    values = {"time": 0.5, "episode": 1, "playing": False, "clock": 1.0, "seen": 0, "rate": "1"}
     body = {
         "output": asked["output"],
         "outputs": [
@@ -153,7 +163,9 @@ def test_a_live_run_is_drawn_only_where_there_is_something_new(tape: Path, tmp_p
     told = answered(live, "pulse", playing=True)
     assert (told["top"], told["playing"]) == (no_update, True)
     path.write_bytes(tape.read_bytes())
-    assert answered(live, "pulse", playing=True)["top"] is not no_update
+    for _ in range(2):  # two tabs
+        assert answered(live, "pulse", playing=True)["top"] is not no_update
+    assert answered(live, "pulse", seen=live.revision)["top"] is no_update
 
 
 def test_the_end_of_a_live_run_is_shown(tape: Path, tmp_path: Path) -> None:
@@ -176,6 +188,46 @@ def test_lateness_keeps_its_digits_where_it_is_short() -> None:
 def test_unknown_episodes_show_a_known_one(session: Session) -> None:
     for number in (None, -3, 0, 7):
         assert answered(session, "episode", episode=number)["episode"] == 1
+
+
+def test_half_an_episode_is_a_whole_one(tape: Path) -> None:
+    several = Session(tape)
+    several.tail.episodes *= 3
+    assert answered(several, "episode", episode=2.5)["episode"] == 2
+
+
+def test_what_went_wrong_is_told_of_the_episode_that_is_shown(tape: Path) -> None:
+    several = Session(tape)
+    several.tail.episodes += Session(tape).tail.episodes
+    several.tail.episodes[1].faults.append((1.0, "the board is silent"))
+    assert answered(several, "episode", episode=1)["message"] == ""
+    assert answered(several, "episode", episode=2)["message"] == "the board is silent"
+
+
+def test_the_stop_button_asks_past_dash(client: Any) -> None:
+    answer = client.post("/stop", base_url=BASE, headers={"Origin": BASE})
+    assert answer.get_data(as_text=True).startswith("nothing to stop")
+    elsewhere = {"Origin": "http://example.com"}
+    assert client.post("/stop", base_url=BASE, headers=elsewhere).status_code == 403
+    one, two = (client.get("/alive", base_url=BASE).data for _ in range(2))
+    assert one == two != b""
+
+
+@pytest.mark.parametrize("name", ["<img src=x onerror=alert(1)>.mcap", os.fsdecode(b"\xff.mcap")])
+def test_any_file_name_is_only_text(tape: Path, tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    path.write_bytes(tape.read_bytes())
+    odd = apps.made(Session(path)).server.test_client()
+    html = odd.get("/", base_url=BASE).get_data(as_text=True)
+    assert "<img" not in html
+    assert odd.get("/_dash-layout", base_url=BASE).status_code == 200
+
+
+@pytest.mark.parametrize("env", [3, {"kwargs": 3}, {"kwargs": {"worlds": "clutter"}}])
+def test_headers_of_strangers_have_no_world(session: Session, env: object) -> None:
+    (episode,) = session.tail.episodes
+    header = {"about": {"env": env}}
+    assert world_of(header, session.tail.config, episode) is None
 
 
 def test_figures_hold_what_their_keys_name(session: Session) -> None:

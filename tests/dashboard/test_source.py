@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import os
+import socket
 import tempfile
 import threading
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from recording_tools import begun
 
 from acsar_gym.cli import app
 from acsar_gym.dashboard import stopping
 from acsar_gym.dashboard.server import served
+from acsar_gym.dashboard.session import BROKEN, STOPPED, Session
 from acsar_gym.dashboard.source import recording_of
+from acsar_gym.dashboard.stopping import Stop
 from acsar_gym.errors import ConfigError, LinkError
 from acsar_gym.safety.estop import StopListener
 
@@ -77,8 +81,13 @@ def test_a_driver_that_records_nothing_is_named() -> None:
 def test_files_are_themselves_and_simulations_need_one() -> None:
     assert recording_of("drive.mcap") == Path("drive.mcap")
     assert recording_of("replay:drive.mcap") == Path("drive.mcap")
+    assert recording_of("./drive.mcap") == Path("drive.mcap")
+    assert recording_of("/data/drive.mcap") == Path("/data/drive.mcap")
+    assert recording_of(__file__) == Path(__file__)
     with pytest.raises(ConfigError, match="planar is simulated by the program that drives it"):
         recording_of("planar")
+    with pytest.raises(ConfigError, match="serial: name the device"):
+        recording_of("serial")
 
 
 def test_stopped_means_that_the_control_loop_said_so(driving: list[str]) -> None:
@@ -105,6 +114,56 @@ def test_a_driver_that_hangs_is_not_called_stopped(monkeypatch: pytest.MonkeyPat
         listener.close()
     assert found.state == "unanswered"
     assert "watchdog" in found.said
+
+
+def silent(place: Path, process: int) -> socket.socket:
+    """The socket of a process that hangs."""
+    found = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    found.bind(str(place / f"acsar_gym-{os.getuid()}" / f"{process}-1"))
+    return found
+
+
+def test_others_that_hang_are_not_waited_for(
+    driving: list[str], place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with silent(place, 1):
+        found = stopping.stop(os.getpid())
+        assert (found.state, driving) == ("stopped", ["zero"])
+        monkeypatch.setattr("acsar_gym.safety.estop.ANSWER", 0.5)
+        with pytest.raises(LinkError, match="process 1 drives a robot, but doesn't answer"):
+            recording_of("/dev/ttyY")
+
+
+def test_a_driver_that_ends_without_an_answer_has_nothing_to_stop(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("acsar_gym.safety.estop.ANSWER", 0.3)
+    listener = StopListener("/dev/ttyX")
+    ending = threading.Timer(0.05, listener.close)
+    ending.start()
+    assert stopping.stop(os.getpid()).state == "nobody"
+    ending.join()
+
+
+def test_a_second_click_does_not_take_back_what_was_confirmed(tape: Path) -> None:
+    session = Session(tape)
+    session.stopped = Stop("stopped", "zero is on the wire")
+    assert session.stop().state == "stopped"  # this process drives nothing any more
+    assert session.state == STOPPED
+
+
+def test_a_robot_whose_recording_is_gone_can_be_stopped(
+    tape: Path, tmp_path: Path, driving: list[str]
+) -> None:
+    path = tmp_path / "live.mcap"
+    path.write_bytes(begun(tape))
+    session = Session(path)
+    path.unlink()
+    session.poll()
+    assert session.state == BROKEN
+    assert session.can_stop
+    assert session.stop().state == "stopped"
+    assert driving == ["zero"]
 
 
 def test_the_page_is_on_loopback_and_a_port_in_use_is_told(tape: Path) -> None:

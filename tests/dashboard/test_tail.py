@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from recording_tools import begun
 
-from acsar_gym.dashboard.session import ENDED, LIVE, RECORDED, STOPPED, Session
+from acsar_gym import kinematics
+from acsar_gym.dashboard.session import BROKEN, ENDED, LIVE, RECORDED, STOPPED, Session
 from acsar_gym.dashboard.stopping import Stop
 from acsar_gym.dashboard.tail import QUIET, Tail
 from acsar_gym.errors import ConfigError
@@ -23,7 +24,7 @@ def test_what_was_recorded_is_shown(tape: Path) -> None:
     tail, (whole,) = Tail(tape), read(tape).episodes
     (episode,) = tail.episodes
     assert tail.is_complete
-    assert not tail.is_growing
+    assert not tail.is_open
     assert (episode.column("stamp") == whole.stamps - whole.start).all()
     assert (episode.column("x") == whole.poses[:, 0]).all()
     stamps, speeds = whole.wire.commands(tail.config)
@@ -36,13 +37,15 @@ def test_what_was_recorded_is_shown(tape: Path) -> None:
 
 
 def test_wheel_speeds_asked_for_are_those_sent_where_nothing_limits(tape: Path) -> None:
-    (episode,) = Tail(tape).episodes
+    tail = Tail(tape)
+    (episode,) = tail.episodes
     calm = np.flatnonzero(episode.column("reason") == 0)[-1]
     asked = episode.asked(slice(calm, calm + 1))[0]
     before = episode.sent.rows[:, 0] < episode.column("stamp")[calm] - 1e-6
     sent = episode.sent.rows[before][-1, 1:]
     assert np.allclose(asked, sent, atol=0.02)
-    assert np.allclose(episode.twist(asked), (0.3, episode.column("asked_angular")[calm]))
+    twist = kinematics.forward(asked, tail.config.wheel_radius, tail.config.effective_separation)
+    assert np.allclose(twist, (0.3, episode.column("asked_angular")[calm]))
 
 
 @pytest.mark.parametrize("pieces", [3, 40])
@@ -73,7 +76,7 @@ def test_a_run_is_live_until_its_recording_ends(tape: Path, tmp_path: Path) -> N
     assert session.state == LIVE  # the header names this process, which runs
     assert not session.can_stop  # but it drives no real robot
     path.write_bytes(data)
-    assert session.poll()
+    assert session.poll() == 2
     assert session.state == ENDED
 
 
@@ -142,6 +145,56 @@ def test_damage_of_a_live_run_is_shown_on_the_page(tape: Path, tmp_path: Path) -
     path.write_bytes(data[:60_000])
     session = Session(path)
     path.write_bytes(data[:60_000] + b"\xff" * 5000)
-    assert not session.poll()
-    assert "is damaged" in session.problem
-    assert not session.is_live
+    for _ in range(2):
+        assert session.poll() == 1
+        assert "is damaged" in session.problem
+        assert session.state == BROKEN
+    assert session.is_live  # the robot drives on: it can be stopped
+
+
+def test_a_live_run_whose_file_does_not_grow_goes_on(tape: Path, tmp_path: Path) -> None:
+    path = tmp_path / "full.mcap"
+    path.write_bytes(begun(tape))
+    session = Session(path)
+    os.utime(path, (1.0, 1.0))
+    session.poll()
+    assert session.state == LIVE
+
+
+def test_a_file_that_was_away_is_shown_again(tape: Path, tmp_path: Path) -> None:
+    path, away = tmp_path / "drive.mcap", tmp_path / "drive.1.mcap"
+    path.write_bytes(begun(tape))
+    session = Session(path)
+    path.rename(away)
+    session.poll()
+    assert "no such file" in session.problem
+    assert session.is_live
+    away.rename(path)
+    session.poll()
+    assert session.state == LIVE
+
+
+def test_a_recording_that_begins_again_is_shown_once_its_header_is_there(
+    tape: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "drive.mcap"
+    path.write_bytes(tape.read_bytes())
+    session = Session(path)
+    assert session.state == RECORDED
+    path.rename(tmp_path / "drive.1.mcap")
+    for size in (0, 8, 300):
+        path.write_bytes(tape.read_bytes()[:size])
+        session.poll()
+        assert session.state == BROKEN
+    path.write_bytes(begun(tape))
+    session.poll()
+    assert session.state == LIVE
+    assert len(session.tail.episodes) == 1
+
+
+@pytest.mark.parametrize("told", [None, 1, "abc", [1, 2], [1e300, 0, 0], [0, 0, float("inf")]])
+def test_a_start_that_is_none_is_zero(tape: Path, told: object) -> None:
+    (episode,) = Tail(tape).episodes
+    episode.info = {"start": told, "goal": told}
+    assert episode.start == (0.0, 0.0, 0.0)
+    assert episode.goal == ((1.0, 2.0) if told == [1, 2] else None)
