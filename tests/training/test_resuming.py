@@ -165,6 +165,25 @@ def test_a_full_disk_leaves_the_last_checkpoint_and_policy(tmp_path: Path) -> No
     assert checkpoints.read(folder / "rl_model_256_steps.zip").steps == 256
 
 
+def test_a_policy_for_which_there_was_no_room_is_written_by_resume(tmp_path: Path) -> None:
+    """The policy's temporary file is a device that is always full; all steps are done."""
+    policy = tmp_path / "policy.onnx"
+    policy.write_bytes(b"before")
+    (tmp_path / ".policy.onnx").symlink_to("/dev/full")
+    with pytest.raises(AcsarError, match=f"go on with --resume {tmp_path} --trust"):
+        agent("train").main([*TINY, "--steps", "256", "--out", str(tmp_path)])
+    before = curve(tmp_path)
+    assert agent("train").main(["--resume", str(tmp_path), "--trust"]) == 0
+    assert len(policy.read_bytes()) > 1000
+    assert curve(tmp_path) == before
+    again = ["--resume", str(tmp_path), "--trust"]
+    with pytest.raises(AcsarError, match="its 256 steps are done"):
+        agent("train").main(again)
+    policy.unlink()
+    assert agent("train").main(again) == 0
+    assert policy.exists()
+
+
 def test_old_checkpoints_are_removed(tmp_path: Path) -> None:
     import zipfile
 
