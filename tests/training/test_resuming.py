@@ -149,22 +149,6 @@ def test_more_steps_go_on_in_the_same_folder(
     assert (finished / "learning_curve.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_full_disk_leaves_the_last_checkpoint_and_policy(tmp_path: Path) -> None:
-    """The next checkpoint's temporary file is a device that is always full."""
-    (tmp_path / "policy.onnx").write_bytes(b"before")
-    folder = tmp_path / "checkpoints"
-    folder.mkdir()
-    (folder / ".rl_model_512_steps.zip").symlink_to("/dev/full")
-    with pytest.raises(AcsarError) as error:
-        agent("train").main([*TINY, "--steps", "768", "--out", str(tmp_path)])
-    said = str(error.value)
-    assert said.startswith(f"--out {tmp_path}: can't be written: No space left on device; ")
-    assert f"{folder / 'rl_model_256_steps.zip'} is whole" in said
-    assert "\n" not in said
-    assert (tmp_path / "policy.onnx").read_bytes() == b"before"
-    assert checkpoints.read(folder / "rl_model_256_steps.zip").steps == 256
-
-
 def test_a_policy_for_which_there_was_no_room_is_written_by_resume(tmp_path: Path) -> None:
     """The policy's temporary file is a device that is always full; all steps are done."""
     policy = tmp_path / "policy.onnx"
@@ -182,6 +166,22 @@ def test_a_policy_for_which_there_was_no_room_is_written_by_resume(tmp_path: Pat
     policy.unlink()
     assert agent("train").main(again) == 0
     assert policy.exists()
+
+
+def test_a_full_disk_leaves_the_last_checkpoint_and_policy(tmp_path: Path) -> None:
+    """The next checkpoint's temporary file is a device that is always full."""
+    (tmp_path / "policy.onnx").write_bytes(b"before")
+    folder = tmp_path / "checkpoints"
+    folder.mkdir()
+    (folder / ".rl_model_512_steps.zip").symlink_to("/dev/full")
+    with pytest.raises(AcsarError) as error:
+        agent("train").main([*TINY, "--steps", "768", "--out", str(tmp_path)])
+    said = str(error.value)
+    assert said.startswith(f"--out {tmp_path}: can't be written: No space left on device; ")
+    assert f"{folder / 'rl_model_256_steps.zip'} is whole" in said
+    assert "\n" not in said
+    assert (tmp_path / "policy.onnx").read_bytes() == b"before"
+    assert checkpoints.read(folder / "rl_model_256_steps.zip").steps == 256
 
 
 def test_old_checkpoints_are_removed(tmp_path: Path) -> None:
