@@ -9,6 +9,9 @@ import reprlib
 from collections.abc import Iterable, Iterator
 from typing import Any
 
+AHEAD = "stop other programs, or put the control loop ahead of them with --realtime 10"
+"""What to do on a busy computer."""
+
 
 class AcsarError(Exception):
     """Base class of the exceptions that this package raises on purpose.
@@ -182,6 +185,20 @@ class EmergencyStopError(LinkError):
 
     def __init__(self) -> None:
         super().__init__("emergency stop", "look after the robot, then start again")
+
+
+class LateTicksError(AcsarError):
+    """Episodes whose figures tell about the computer: too many of their ticks were late.
+
+    Args:
+        invalid: number of such episodes.
+        episodes: number of all.
+    """
+
+    exit_code = 4
+
+    def __init__(self, invalid: int, episodes: int) -> None:
+        super().__init__(f"too many late ticks in {invalid} of {episodes} episodes: {AHEAD}")
 
 
 class SensorError(AcsarError):

@@ -105,9 +105,11 @@ def _first(worlds: str | None, config: RobotConfig) -> World | None:
 def _handle_signals(emulator: Emulator) -> list[int]:
     """Install the signal handlers of `emulate`; the list receives SIGTERM's number.
 
-    A list, because an exception raised in a signal handler can be lost.
+    A list, because an exception raised in a signal handler can be lost. Shells let background
+    programs of a script ignore SIGINT; an emulator obeys it there, too.
     """
     ended: list[int] = []
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, lambda number, _: ended.append(number))
     for number, plugged in ((signal.SIGUSR1, False), (signal.SIGUSR2, True)):
         signal.signal(number, lambda *_, to=plugged: setattr(emulator, "plugged", to))

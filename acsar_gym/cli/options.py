@@ -153,8 +153,10 @@ class SpinOptions(RecordOptions):
     yes: bool = False
     """Turn them without a countdown, and don't ask which one turned."""
     saw: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="A B C D")] = None
-    """Wheels that were seen to turn when a, b, c, d were commanded forward, such as b a d c; with
-    an n behind one that turned backward, none if none did."""
+    """The wheel that was seen to turn (a front right, b front left, c rear left, d rear right) when
+    the board's wheel letters a, b, c, d were commanded forward, such as b a d c; with an n behind
+    one that turned backward, none if none did. It counts where the robot's file says otherwise:
+    --out writes it."""
     out: File = None
     """Write a robot file with what was found to differ."""
 

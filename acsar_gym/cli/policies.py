@@ -22,7 +22,7 @@ from acsar_gym.cli.options import (
     VideoArgs,
     WorldArgs,
 )
-from acsar_gym.errors import LinkError, printable
+from acsar_gym.errors import LateTicksError, LinkError, printable
 
 if TYPE_CHECKING:
     from acsar_gym.evaluation.results import Run
@@ -72,7 +72,7 @@ def evaluate(
     done = shards.drive(loaded, robot.link, robot.robot, seeds, how=how, **spread, **options)
     title = f"{policy.policy}, seeds {seeds[0]} to {seeds[-1]}, worlds: {done.worlds}"
     try:
-        return _report(title, robot.link, done, json, intervals=True)
+        return _report(title, robot.link, done, json)
     finally:
         video.write(done.results)
 
@@ -114,27 +114,34 @@ def run(
     options = {"lidar": robot.lidar, "record": recorder, "goal_distance": goal_distance}
     done = runs.to_goal(loaded, robot.link, robot.robot, goal, ready, **options)
     title = f"{policy.policy} to ({goal[0]:g}, {goal[1]:g}), worlds: {done.worlds}"
-    code = _report(title, robot.link, done, json, intervals=False)
-    return code or (0 if done.results[0].success else 1)
+    return _report(title, robot.link, done, json, to_goal=True)
 
 
-def _report(title: str, link: str, done: Run, json: Path | None, *, intervals: bool) -> int:
+def _report(title: str, link: str, done: Run, json: Path | None, *, to_goal: bool = False) -> int:
     """Print and write what there is of an evaluation, then raise what ended it early.
 
     Returns:
-        The exit code: 3 where a fault ended an episode.
+        The exit code: 1 where a drive `to_goal` didn't reach it.
+
+    Raises:
+        LinkError: a fault ended an episode.
+        LateTicksError: episodes are invalid, which a script has to know.
     """
     from acsar_gym.evaluation import report  # noqa: PLC0415
 
     if done.results:
         report.show(report.summary_table(title, [(link, done.summary)], done.notes))
-    if done.results and intervals:
+    if done.results and not to_goal:
         report.show(report.interval_table(title, done.summary))
     report.write_json(json, done.as_dict())
     if done.ended is not None:
         raise done.ended
     if done.faults:
         raise LinkError(done.faults[0])
+    if to_goal and not done.results[0].success:
+        return 1
+    if done.late:
+        raise LateTicksError(done.late, len(done.results))
     return 0
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from acsar_gym.config import BITS_PER_BYTE, LINE_BYTES, RobotConfig
 from acsar_gym.doctor.checks import Check
-from acsar_gym.errors import ConfigError
+from acsar_gym.errors import AHEAD, ConfigError
 
 WITHOUT = "or run without --realtime"
 LIMITS = "/etc/security/limits.d/99-realtime.conf"
@@ -120,7 +120,7 @@ def _processor(root: Path) -> Iterator[Check]:
         "cores",
         "ok" if cores > 1 else "warn",
         f"{cores}",
-        "" if cores > 1 else "stop other programs, or put the loop ahead of them with --realtime",
+        "" if cores > 1 else AHEAD,
     )
     load = _read(root / "proc/loadavg").split(" ")[0]
     busy = bool(load) and float(load) > BUSY * cores
@@ -128,7 +128,7 @@ def _processor(root: Path) -> Iterator[Check]:
         "load",
         "warn" if busy else "ok" if load else "skip",
         f"{load} of {cores}" if load else "not told here",
-        "stop other programs, or put the loop ahead of them with --realtime" if busy else "",
+        AHEAD if busy else "",
     )
     files = sorted(root.glob("sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_governor"))
     governors = sorted({_read(file) for file in files} - {""})

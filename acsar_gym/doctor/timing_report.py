@@ -9,6 +9,7 @@ from typing import Any
 from rich.table import Table
 
 from acsar_gym.doctor.checks import MARKS, Check
+from acsar_gym.errors import AHEAD
 from acsar_gym.links.lateness import Spread, Timing
 
 EDGES = (2e-5, 5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1)
@@ -24,7 +25,6 @@ MOST_CPU = 0.05
 """Share of a core above which it warns."""
 FEWEST_LINES = 0.99
 """Share of the expected feedback lines below which it warns."""
-AHEAD = "see the computer below; --realtime and --cores put the loop ahead of other programs"
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +89,7 @@ class Report:
             "warn" if bad else "ok",
             f"{late.late_ticks} of {late.ticks} over 1 ms ({late.late_share:.2%}), "
             f"{late.missed_ticks} missed",
-            AHEAD if bad else "",
+            f"{AHEAD}; see the computer below" if bad else "",
         )
 
     def _against_bare(self) -> Check:

@@ -83,8 +83,9 @@ def _failure_of_opening(link: Link, recorder: Recorder | None) -> LinkError | No
 def _not_opened(link: Link, error: LinkError, device: str, config: RobotConfig) -> Iterator[Check]:
     """Say why a link can't be opened; look for the baud rate of a board that is garbled."""
     name = "first valid line" if isinstance(error, BoardSilentError) else "open"
-    yield Check(name, "fail", error.found, error.fix)
-    if isinstance(error, BoardGarbledError):
+    garbled = isinstance(error, BoardGarbledError)
+    yield Check(name, "fail", error.found, "see the next row" if garbled else error.fix)
+    if garbled:
         link.close()
         yield bauds.search(device, config)
 

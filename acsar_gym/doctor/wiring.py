@@ -16,6 +16,7 @@ Seen = tuple[int, int] | None
 MIRRORED = (1, 0, 3, 2)
 """Indices of the wheels on the other side."""
 WATCH = "watch: a turns front right, b front left, c rear left, d rear right, forward"
+AS_FILE = "as the robot's file says"
 UNLESS = " (or its motor, if the wheel turned backward)"
 
 
@@ -169,8 +170,12 @@ def _different(found: WheelConfig, wheel: int, file: WheelsConfig, *, looked: bo
         parts.append(f"its encoder is swapped with that of {WHEELS[other]}")
     if found.sign != own.sign:
         parts.append("its encoder is reversed" + ("" if looked else UNLESS))
-    mapped = "" if file == WheelsConfig() else ", unlike in the robot's file"
-    return " and ".join(parts) + mapped
+    return " and ".join(parts) + _unlike(file)
+
+
+def _unlike(file: WheelsConfig) -> str:
+    """Say that a wiring differs from that in the robot's file, if it has one."""
+    return "" if file == WheelsConfig() else ", unlike in the robot's file"
 
 
 def _mapping(wheel: int, found: WheelConfig) -> str:
@@ -220,7 +225,7 @@ def _sides(
     """Say whether the sides are swapped, and what only eyes can tell."""
     same = found == config.wheels
     if eyes is not None:
-        return Check("wiring", "ok" if same else "warn", _as_seen(answers, eyes))
+        return _seen(_as_seen(answers, eyes), config.wheels, same=same)
     own = config.wheels.each
     heard = [wheel for wheel in range(4) if _answered(answers, found.each[wheel])]
     if heard and all(found.each[w].encoder == own[MIRRORED[w]].encoder for w in heard):
@@ -239,13 +244,21 @@ def _sides(
             f"{WATCH}; otherwise say what turned, such as --saw b a d c",
         )
     if config.wheels != WheelsConfig():
-        return Check("wiring", "ok", "as in the robot's file")
+        return Check("wiring", "ok", AS_FILE)
     return Check(
         "wiring",
         "ok",
         "only eyes see a motor and an encoder that are swapped or reversed together",
         f"{WATCH}; otherwise say what turned, such as --saw b a d c",
     )
+
+
+def _seen(text: str, file: WheelsConfig, *, same: bool) -> Check:
+    """Say whether what was seen is what the robot's file says, and that it counts."""
+    if not same:
+        fix = "what was seen counts: write it into a robot's file with --out FILE"
+        return Check("wiring", "warn", f"{text}{_unlike(file)}", fix)
+    return Check("wiring", "ok", text if file == WheelsConfig() else f"{text}, {AS_FILE}")
 
 
 def _answered(answers: Sequence[Answer], found: WheelConfig) -> bool:

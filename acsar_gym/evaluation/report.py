@@ -51,9 +51,9 @@ def _lines(text: str) -> str:
 
 
 def show(*tables: Table) -> None:
-    """Print tables; piped output is wide enough for all columns."""
+    """Print tables; piped output is wide enough for all columns, unless COLUMNS says otherwise."""
     console = SafeConsole()
-    if not console.is_terminal:
+    if not console.is_terminal and not os.environ.get("COLUMNS", "").strip("0").isdecimal():
         console = SafeConsole(width=160)
     for table in tables:
         console.print(table)

@@ -32,6 +32,11 @@ class Run:
         return [result.fault for result in self.results if result.fault]
 
     @property
+    def late(self) -> int:
+        """Number of episodes with too many late ticks."""
+        return sum(not result.valid and not result.fault for result in self.results)
+
+    @property
     def notes(self) -> list[str]:
         """Faults, and an end before the last episode, as lines for people."""
         notes = []

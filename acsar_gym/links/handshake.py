@@ -50,7 +50,7 @@ def _no_board(device: str, config: RobotConfig, heard: int, decoder: Decoder) ->
             f"{device}: {heard} bytes in {waited:g} s at {baud} baud, but no valid line, such as "
             f"{shown_bytes(decoder.sample or decoder.rest)}",
             "if that isn't what its program sends, the board probably uses another baud_rate "
-            f"({others})",
+            f"({others}): 'acsar-gym doctor {device}' tries them",
         )
     if heard:
         return BoardSilentError(

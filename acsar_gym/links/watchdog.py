@@ -33,7 +33,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from acsar_gym.errors import LinkError
+from acsar_gym.errors import AHEAD, LinkError
 from acsar_gym.links.ports import MORE_FILES
 
 AVAILABLE = os.name == "posix"
@@ -197,7 +197,7 @@ class Watchdog:
         silent = max(self._page[TRIPPED], time.monotonic() - self._page[BEAT])
         return LinkError(
             f"the watchdog stopped the robot: nothing was commanded for {silent * 1000.0:.0f} ms",
-            "find what held the program up, then reset",
+            f"find what held the program up, then reset; on a busy computer {AHEAD}",
         )
 
     def search(self, name: str) -> None:

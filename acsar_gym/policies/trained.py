@@ -29,12 +29,18 @@ class Varied:
     """Whether less than in the training is worse, too."""
     most: bool = True
     """Whether more than in the training is worse."""
+    source: str = ""
+    """Where a robot's number comes from, if its name doesn't say that."""
 
 
+TURNING = (
+    "body.turn_factor of the robot's file, measured by 'acsar-gym calibrate DEVICE turn'; "
+    "without it 1 + (wheelbase / wheel_separation)^2"
+)
 VARIED: Mapping[str, Varied] = {
     "body.mass": Varied("mass"),
     "body.friction": Varied("friction"),
-    "turn_factor": Varied("turn_factor"),
+    "turn_factor": Varied("turn_factor", source=TURNING),
     "wheel_separation_multiplier": Varied("turn_factor", inverse=True),
     "motor.gain": Varied("motor_gain"),
     "motor.time_constant": Varied("motor_lag"),
@@ -65,7 +71,9 @@ def outside(bundle: Bundle, own: Mapping[str, Value]) -> Iterator[str]:
             under = varied.least and min(values) < low - slack
             if under or (varied.most and max(values) > high + slack):
                 was = f"{low:.4g} to {high:.4g}" if high > low else f"{low:.4g}"
-                yield f"{name} was {was} in the training and is {shown(own[name])} on this robot"
+                source = f" ({varied.source})" if varied.source else ""
+                now = f"{shown(own[name])} on this robot{source}"
+                yield f"{name} was {was} in the training and is {now}"
 
 
 def trained_range(

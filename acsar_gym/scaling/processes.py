@@ -7,6 +7,7 @@ process was running.
 from __future__ import annotations
 
 import contextlib
+import logging
 import multiprocessing
 import os
 import pickle
@@ -39,7 +40,7 @@ def completed(
     crew: list[Worker] = []
     try:
         for _ in range(min(workers, len(jobs))):
-            crew.append(Worker(function))
+            crew.append(Worker(function, quiet=bool(crew)))
             crew[-1].give(waiting.popleft(), jobs)
         while busy := _busy(crew):
             for worker in [busy[each] for each in wait(list(busy))]:
@@ -55,14 +56,15 @@ class Worker:
 
     Args:
         function: runs a job.
+        quiet: whether it doesn't say that it compiles: another process says so already.
 
     Attributes:
         number: of the job that it runs; None between two jobs.
         connection: can be read when a job is done, or the process is dead.
     """
 
-    def __init__(self, function: Callable[[Any], Any]) -> None:
-        self._function = function
+    def __init__(self, function: Callable[[Any], Any], *, quiet: bool = False) -> None:
+        self._function, self._quiet = function, quiet
         self.number: int | None = None
         self._start()
 
@@ -71,7 +73,10 @@ class Worker:
         context = multiprocessing.get_context("spawn")
         self.connection, theirs = context.Pipe()
         self.process = context.Process(
-            target=_serve, args=(theirs, self._function), name="acsar-gym worker", daemon=True
+            target=_serve,
+            args=(theirs, self._function, self._quiet),
+            name="acsar-gym worker",
+            daemon=True,
         )
         with _environment(ONE_THREAD):
             self.process.start()
@@ -165,8 +170,10 @@ def _environment(changes: dict[str, str]) -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _serve(connection: Connection, function: Callable[[Any], Any]) -> None:
+def _serve(connection: Connection, function: Callable[[Any], Any], quiet: bool) -> None:
     """Run jobs until the pipe is closed: the body of a process."""
+    if quiet:
+        logging.getLogger("acsar_gym.jit").setLevel(logging.ERROR)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the first process, too
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     with contextlib.suppress(EOFError, OSError):

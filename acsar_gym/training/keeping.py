@@ -94,11 +94,12 @@ def on_disk(out: Path) -> Iterator[None]:
     """
     try:
         yield
-    except OSError as error:
-        if error.errno not in UNWRITABLE:
+    except (OSError, AcsarError) as error:
+        full = error if isinstance(error, OSError) else error.__context__  # of the policy's file
+        if not isinstance(full, OSError) or full.errno not in UNWRITABLE:
             raise
         found = checkpoints.found(out / "checkpoints")
         kept = f"{found[-1]} is whole" if found else "there is no checkpoint yet"
         go_on = f", then go on with --resume {out} --trust" if found else ""
-        said = f"{os.strerror(error.errno)}; {kept}: make room{go_on}"
+        said = f"{os.strerror(full.errno)}; {kept}: make room{go_on}"
         raise AcsarError(f"--out {out}: can't be written: {said}") from None

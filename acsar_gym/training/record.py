@@ -115,6 +115,12 @@ def finish(plan: Plan, content: dict[str, Any], **facts: Any) -> None:
     _write(plan.out, content)
 
 
+def finished(folder: Path) -> bool:
+    """Return whether a training wrote all that it leaves; `options` has read its folder."""
+    found = yaml.safe_load((folder / FILE).read_text("utf-8"))
+    return bool(found[RUN].get("finished"))
+
+
 def options(folder: Path) -> Options:
     """Read the options of a training from its folder.
 

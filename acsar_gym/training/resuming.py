@@ -8,7 +8,7 @@ from typing import Any
 
 from acsar_gym.errors import ConfigError
 from acsar_gym.policies import ZipPolicy
-from acsar_gym.training import checkpoints, record
+from acsar_gym.training import checkpoints, record, saving
 from acsar_gym.training.checkpoints import State
 from acsar_gym.training.options import Options
 
@@ -32,6 +32,9 @@ class Start:
 def start(options: Options) -> Start:
     """Find out what a training begins with.
 
+    One whose steps are done, but whose policy couldn't be written, as on a full disk, goes on with
+    no more steps.
+
     Args:
         options: the user's options.
 
@@ -51,7 +54,8 @@ def start(options: Options) -> Start:
     if not found:
         raise ConfigError(f"{folder}: has no checkpoint yet: train anew, without --resume")
     saved, state = _read(found, trust=options.trust)
-    if merged.steps is not None and state.steps >= merged.steps:
+    done = merged.steps is not None and state.steps >= merged.steps
+    if done and record.finished(folder) and all((folder / name).exists() for name in saving.FILES):
         raise ConfigError(
             f"{folder}: its {merged.steps:,} steps are done: ask for more with --steps"
         )

@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
 
 
+FILES = ("policy.onnx", "model.zip")
+"""What a training leaves: the policy to drive with, and the model to train on."""
+
+
 def save(model: BaseAlgorithm, bundle: Bundle, out: Path) -> tuple[Path, Path]:
     """Write policy.onnx and model.zip into a folder.
 
@@ -35,7 +39,7 @@ def save(model: BaseAlgorithm, bundle: Bundle, out: Path) -> tuple[Path, Path]:
     from acsar_gym.policies import sb3, sb3_export  # noqa: PLC0415 - imports torch
 
     sb3.label(model, bundle)
-    zipped, policy = out / "model.zip", out / "policy.onnx"
+    policy, zipped = (out / name for name in FILES)
     replace(zipped, model.save)
     replace(policy, lambda path: sb3_export.export(model.policy, path, bundle))
     return policy, zipped

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -103,6 +104,36 @@ def test_a_fault_is_a_column_and_no_time_out(call: Call, monkeypatch: pytest.Mon
     assert "fault" in output
     assert "time-out" not in output
     assert "Faults: " in output
+
+
+@pytest.mark.parametrize(
+    ("command", "success", "code", "said"),
+    [
+        (EVALUATE, True, 4, "too many late ticks in 5 of 5 episodes: stop other programs"),
+        (("run", "1", "0", "--link", "planar"), True, 4, "in 1 of 1 episodes"),
+        (("run", "1", "0", "--link", "planar"), False, 1, ""),
+    ],
+    ids=["evaluate", "run", "not there"],
+)
+def test_invalid_episodes_have_an_exit_code(
+    command: tuple[str, ...],
+    success: bool,
+    code: int,
+    said: str,
+    call: Call,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    whole = evaluation.episodes
+
+    def episodes(*arguments: Any, **options: Any) -> Iterator[EpisodeResult]:
+        for result in whole(*arguments, **options):
+            yield dataclasses.replace(result, valid=False, success=success)
+
+    monkeypatch.setattr(evaluation, "episodes", episodes)
+    status, output, message = call(*command)
+    assert status == code
+    assert said in message
+    assert "invalid" in output
 
 
 @pytest.mark.parametrize("goal", [("6.5", "-1"), ("0.3", "0")], ids=["far", "near"])

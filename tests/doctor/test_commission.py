@@ -99,6 +99,19 @@ def test_swapped_sides_that_were_seen(quirks: tuple[str, ...], swapped: str) -> 
     assert f"left and right {swapped} swapped" in found["wiring"]
 
 
+def test_what_was_seen_is_compared_with_the_robots_file() -> None:
+    commission = Commission(eyes=eyes_of(SWAPPED))
+    checks = commissioned(board("swapped-motors"), commission)
+    assert "--out" in checks["wiring"].fix
+    known = RobotConfig(**commission.changes)
+    again = commissioned(board("swapped-motors"), Commission(eyes=eyes_of(SWAPPED)), known)
+    said = "left and right motors are swapped, as the robot's file says"
+    assert (again["wiring"].status, again["wiring"].found) == ("ok", said)
+    mended = commissioned(board(), Commission(eyes=eyes_of("abcd")), known)
+    assert mended["wiring"].status == "warn"
+    assert mended["wiring"].found == "as seen, unlike in the robot's file"
+
+
 def test_a_robot_that_is_swapped_twice_needs_eyes() -> None:
     assert findings(*MIRRORED) == {}
 
@@ -264,7 +277,7 @@ def test_a_wiring_that_was_seen_is_kept_where_nobody_looks(
     checks = commissioned(board(*quirks), again, RobotConfig.load(file))
     assert (again.changes, again.assumed) == ({}, False)
     assert {checks[name].status for name in WHEELS} == {"ok"}
-    assert (checks["wiring"].status, checks["wiring"].found) == ("ok", "as in the robot's file")
+    assert (checks["wiring"].status, checks["wiring"].found) == ("ok", "as the robot's file says")
 
 
 def test_a_dead_wheel_is_named_as_the_robots_file_says() -> None:

@@ -96,7 +96,7 @@ def test_a_computer_without_a_fault(device: str, found: Callable[..., dict[str, 
 @pytest.mark.parametrize(
     ("file", "text", "name", "said", "fix"),
     [
-        ("proc/loadavg", "1.90 1 1 2/9 7", "load", "1.90 of 2", "--realtime"),
+        ("proc/loadavg", "1.90 1 1 2/9 7", "load", "1.90 of 2", "--realtime 10"),
         (
             "sys/devices/system/cpu/cpu1/cpufreq/scaling_governor",
             "powersave",

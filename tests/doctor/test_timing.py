@@ -224,6 +224,12 @@ def test_what_a_report_warns_of(
     assert warning.fix
 
 
+def test_late_ticks_come_with_what_to_do(report: Report) -> None:
+    late = judged(dataclasses.replace(report, lateness=LATE))["late ticks"]
+    assert late.fix.startswith("stop other programs, or put the control loop ahead of them")
+    assert "--realtime 10" in late.fix
+
+
 def test_the_tables_say_it_all(report: Report) -> None:
     text = drawn(report)
     for said in ("0.05 ms", "2 ms", "900", "█", "1 of 1000", "stop other programs", "--spin"):

@@ -226,7 +226,7 @@ def test_a_wrong_baud_rate_and_the_right_one(shared_device: str, config: RobotCo
     checks = examined(shared_device, wrong)
     assert [check.status for check in checks.values()] == ["fail", "warn"]
     assert "57600" in checks["first valid line"].found
-    assert "115200" in checks["first valid line"].fix
+    assert checks["first valid line"].fix == "see the next row"
     assert checks["baud rate"].found == "valid lines at 115200 baud"
     assert "--baud-rate 115200" in checks["baud rate"].fix
 

@@ -6,6 +6,7 @@ import contextlib
 import errno
 import os
 import select
+import signal
 import stat
 import termios
 import tty
@@ -13,7 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from serial_tools import TIMEOUT, StartEmulator, cli, no_leak, wait_until
+from serial_tools import TIMEOUT, StartEmulator, cli, no_leak, program, wait_until
 
 from acsar_gym import RobotConfig
 from acsar_gym.emulation.board import Emulator
@@ -236,6 +237,27 @@ def test_signals_move_the_cable_and_the_log_tells(start_emulator: StartEmulator)
     with client(emulator.device) as port:
         tty.setraw(port, termios.TCSANOW)
         assert heard(port)
+
+
+IGNORING = """
+import signal
+from acsar_gym.cli import main
+signal.signal(signal.SIGINT, signal.SIG_IGN)  # as shells do for `acsar-gym emulate &` in a script
+main()
+"""
+
+
+@pytest.mark.usefixtures("deadline")
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 0)])
+def test_a_signal_ends_an_emulator_in_the_background(
+    number: signal.Signals, code: int, name: Path
+) -> None:
+    with program(IGNORING, "emulate", "--name", str(name)) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline().startswith("serving a robot on ")
+        process.send_signal(number)
+        assert process.wait(TIMEOUT) == code
+    assert not name.is_symlink()
 
 
 def test_the_command_line_refuses_a_name_that_is_taken(tmp_path: Path) -> None:

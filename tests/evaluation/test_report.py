@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+import pytest
 from rich.console import Console
 
 from acsar_gym.envs import PointGoalEnv
@@ -38,3 +39,18 @@ def test_the_table_of_a_simulated_barn_run_fits_in_160_columns() -> None:
     table = report.summary_table("test", [("planar", summary)])
     assert "clearance" in {column.header for column in table.columns}
     assert Console(width=1000).measure(table).maximum <= 160
+
+
+@pytest.mark.parametrize(("columns", "width"), [(None, 160), ("90", 90), ("0", 160), ("x", 160)])
+def test_a_pipe_is_as_wide_as_columns_says(
+    columns: str | None,
+    width: int,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    if columns is None:
+        monkeypatch.delenv("COLUMNS", raising=False)
+    else:
+        monkeypatch.setenv("COLUMNS", columns)
+    report.show(report.fact_table("facts", [("long", "word " * 100)]))
+    assert max(map(len, capsys.readouterr().out.splitlines())) == width

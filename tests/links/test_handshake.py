@@ -44,6 +44,7 @@ def test_a_garbled_board_is_shown(chunk: bytes, shown: str) -> None:
     assert type(error) is BoardGarbledError
     assert shown in error.found
     assert "9600" in error.fix
+    assert "'acsar-gym doctor /dev/ttyX'" in error.fix
     assert "\n" not in str(error)
 
 

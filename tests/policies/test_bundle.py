@@ -222,6 +222,12 @@ def test_where_a_lidar_looks_from_is_told_of_policies_that_use_one(tmp_path: Pat
     assert "footprint.radius was 0.2404" in footprint
 
 
+def test_a_turn_factor_says_which_field_it_is_and_what_measures_it() -> None:
+    (line,) = differences(body={"turn_factor": 2.0})
+    assert "is 2 on this robot (body.turn_factor of the robot's file, measured by" in line
+    assert "'acsar-gym calibrate DEVICE turn'" in line
+
+
 def test_ranges_of_a_training_follow_from_the_randomization() -> None:
     ranges: dict[str, tuple[float, ...]] = {
         "latency": (0.0, 0.02),

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from job_tools import Job, broken, missing, square, threads
+from job_tools import Job, broken, compiling, missing, square, threads
 
 from acsar_gym.errors import ConfigError, JobError, MissingExtraError
 from acsar_gym.scaling import completed
@@ -49,6 +49,12 @@ def test_results_come_in_order_of_completion_and_a_dead_process_costs_none(tmp_p
 def test_a_job_that_ends_every_process_is_named(tmp_path: Path) -> None:
     with pytest.raises(JobError, match=r"Job\(number=7.*ended 4 processes.*SIGKILL"):
         list(completed(square, [Job(7, tmp_path, deaths=99), Job(1, tmp_path)], workers=2))
+
+
+def test_one_process_says_that_it_compiles(capfd: pytest.CaptureFixture[str]) -> None:
+    """Each of them has a job."""
+    assert sorted(completed(compiling, [1, 2], workers=2)) == [(0, 1), (1, 2)]
+    assert capfd.readouterr().err == "compiling\n"
 
 
 @pytest.mark.parametrize("workers", [1, 2])
