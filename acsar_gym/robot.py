@@ -70,8 +70,8 @@ class Robot:
     ) -> None:
         self.config = RobotConfig.of(config)
         self.link = link = recorded(link, recorder, self.config)
-        self.sensors = Sensors(factories(sensors), link, self.config)
         self.odometry = Odometry.of(self.config)
+        self.sensors = Sensors(factories(sensors), link, self.config, self.odometry)
         self.wire = Wire(link, self.config)
         self.active = False
         self.safety = Safety(self.config)

@@ -14,6 +14,7 @@ from acsar_gym.bodies.base import GroundTruth
 from acsar_gym.config import RobotConfig
 from acsar_gym.config.footprint import Outline, reach
 from acsar_gym.errors import LidarError
+from acsar_gym.odometry import Odometry
 from acsar_gym.sensors import LIDAR, Sensor
 from acsar_gym.worlds import Scene
 from acsar_gym.worlds.geometry import RaySpec
@@ -79,6 +80,11 @@ class LidarSensor(Sensor):
         if self._scan is None:
             raise LidarError("the LiDAR has no scan yet", "call reset() first")
         return self._scan
+
+    def follow(self, odometry: Odometry) -> None:
+        """Tell a LiDAR that has a method `follow` how the robot moves."""
+        if callable(follow := getattr(self.lidar, "follow", None)):
+            follow(odometry)
 
     def reset(self, scene: Scene, rng: np.random.Generator) -> None:
         """Begin an episode; opens a device that is closed. LidarError where that fails."""

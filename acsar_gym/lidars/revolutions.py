@@ -103,7 +103,7 @@ def _even(angles: Floats, measured: NDArray[np.bool_]) -> bool:
     return bool(np.abs(off).max() <= UNEVEN)
 
 
-def binned(bearings: Floats, distances: Floats, lidar: LidarConfig) -> Floats:
+def binned(bearings: Floats, distances: Floats, lidar: LidarConfig, gap: float = 0.0) -> Floats:
     """Compute the ranges of a scan from one revolution.
 
     Each ray takes the measurement whose bearing is next to it, while a simulated ray has exactly
@@ -114,6 +114,8 @@ def binned(bearings: Floats, distances: Floats, lidar: LidarConfig) -> Floats:
         bearings: counter-clockwise [rad].
         distances: of the same shape [m]; 0 where nothing was measured.
         lidar: configuration of the rays.
+        gap: width of the gaps that a moving robot leaves between bearings [rad]. A ray in a gap
+            takes what is next to it; that may be a bearing where nothing was measured.
 
     Returns:
         (rays,) [m], within min_range to max_range.
@@ -123,8 +125,11 @@ def binned(bearings: Floats, distances: Floats, lidar: LidarConfig) -> Floats:
     measured = distances > 0.0
     ranges = np.full(spec.rays, np.inf)
     if measured.any():
-        seen, found = _wrapped(bearings[measured]), distances[measured]
-        ranges = _next_to(spec.angles(), seen, found, NEIGHBOUR * spacing)
+        seen, rays = _wrapped(bearings), spec.angles()
+        ranges = _next_to(rays, seen[measured], distances[measured], NEIGHBOUR * spacing)
+        if gap:
+            around = _next_to(rays, seen, np.where(measured, distances, np.inf), gap)
+            ranges = np.where(np.isfinite(ranges), ranges, around)
     clamped: Floats = np.clip(ranges, lidar.min_range, lidar.max_range)
     return clamped
 

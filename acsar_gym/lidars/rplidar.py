@@ -17,10 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from acsar_gym.config import LidarConfig, RobotConfig
+from acsar_gym.config import RobotConfig
 from acsar_gym.errors import LidarError, LinkError
 from acsar_gym.lidars.base import Scan
-from acsar_gym.lidars.revolutions import Turn, Turns, binned
+from acsar_gym.lidars.moving import scanned
+from acsar_gym.lidars.revolutions import Turn, Turns
 from acsar_gym.lidars.rplidar_device import (
     CHUNK,
     MOTOR_OFF,
@@ -32,6 +33,7 @@ from acsar_gym.lidars.rplidar_device import (
 )
 from acsar_gym.links.ports import PORT_ERRORS, Location, put
 from acsar_gym.links.shutdown import close_at_exit, forget, install
+from acsar_gym.odometry import Odometry
 from acsar_gym.worlds import Scene
 
 STALL = 0.1
@@ -62,7 +64,16 @@ class RplidarLidar:
         self._port: Any = None
         self._driver: Any = None
         self._reader: _Reader | None = None
+        self._odometry = Odometry.of(config)
         install()
+
+    def follow(self, odometry: Odometry) -> None:
+        """Allow for the motion that this odometry tells, from the next opening on.
+
+        Args:
+            odometry: of the robot that carries the LiDAR; without one it stands still.
+        """
+        self._odometry = odometry
 
     def reset(self, scene: Scene, rng: np.random.Generator) -> None:
         """Open the device if it is closed or doesn't deliver, and wait for a complete revolution.
@@ -97,7 +108,7 @@ class RplidarLidar:
             check_health(self._port, self.device)
             self._driver.start()
         decoder = Turns(models)
-        self._reader = _Reader(self._port, decoder, self._config.lidar, self._now)
+        self._reader = _Reader(self._port, decoder, self._config, self._now, self._odometry)
         self._reader.start()
         self._wait_for_a_turn(self._reader)
 
@@ -210,7 +221,12 @@ class _Reader(threading.Thread):
     """
 
     def __init__(
-        self, port: Any, turns: Turns, lidar: LidarConfig, now: Callable[[], float]
+        self,
+        port: Any,
+        turns: Turns,
+        config: RobotConfig,
+        now: Callable[[], float],
+        odometry: Odometry,
     ) -> None:
         super().__init__(name="rplidar", daemon=True)
         self.newest: Scan | None = None
@@ -219,8 +235,9 @@ class _Reader(threading.Thread):
         self.running = True
         self._port = port
         self._turns = turns
-        self._lidar = lidar
+        self._config = config
         self._now = now
+        self._odometry = odometry
 
     def run(self) -> None:
         """Read until told to end, or until the device is gone."""
@@ -242,9 +259,15 @@ class _Reader(threading.Thread):
     def _keep(self, turns: list[Turn]) -> None:
         """Keep the newest of these revolutions as a scan."""
         if turns:
-            stamp = self._now()
-            bearings, distances = turns[-1]
-            self.newest = Scan(binned(bearings, distances, self._lidar), stamp)
+            stamp, twist = self._now(), self._odometry.twist
+            ranges = scanned(turns[-1], self._duration(stamp), twist, self._config)
+            self.newest = Scan(ranges, stamp)
+
+    def _duration(self, stamp: float) -> float:
+        """Time of the revolution that ends now [s]: since the last one, if that's likely."""
+        usual = 1.0 / self._config.lidar.rate
+        since = usual if self.newest is None else stamp - self.newest.stamp
+        return since if since < 2.0 * usual else usual
 
 
 @contextlib.contextmanager

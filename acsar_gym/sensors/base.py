@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from acsar_gym.bodies.base import GroundTruth
 from acsar_gym.config import RobotConfig
 from acsar_gym.links.base import Link
+from acsar_gym.odometry import Odometry
 from acsar_gym.worlds import Scene
 
 Floats = NDArray[np.float64]
@@ -66,6 +67,15 @@ class Sensor(ABC):
     def __init__(self, link: Link, config: RobotConfig) -> None:
         self.link = link
         self.config = config
+
+    def follow(self, odometry: Odometry) -> None:  # noqa: B027 - few sensors need it
+        """Take over a robot's odometry, whose `pose` and `twist` change as it drives.
+
+        Called once, when the robot is made; a batch doesn't call it.
+
+        Args:
+            odometry: of the robot.
+        """
 
     def reset(self, scene: Scene, rng: np.random.Generator) -> None:
         """Begin an episode; a sensor with a device opens it here, if it isn't open.

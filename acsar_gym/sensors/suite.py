@@ -12,6 +12,7 @@ from acsar_gym.bodies.base import GroundTruth
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, SensorError, shown
 from acsar_gym.links.base import Link
+from acsar_gym.odometry import Odometry
 from acsar_gym.sensors.base import LIDAR, Factory, Floats, Sensor
 from acsar_gym.worlds import Scene
 
@@ -23,14 +24,23 @@ class Sensors(Sequence[Sensor]):
         wanted: factories, or ready sensors.
         link: of the robot.
         config: of the robot.
+        odometry: of the robot.
 
     Raises:
         ConfigError: for something that isn't a sensor, or a name, size or bounds that can't be
             used.
     """
 
-    def __init__(self, wanted: Iterable[Sensor | Factory], link: Link, config: RobotConfig) -> None:
+    def __init__(
+        self,
+        wanted: Iterable[Sensor | Factory],
+        link: Link,
+        config: RobotConfig,
+        odometry: Odometry,
+    ) -> None:
         made = [made_by(factory, link, config) for factory in wanted]
+        for sensor in made:
+            sensor.follow(odometry)
         self._link = link
         self._sensors = sorted(made, key=lambda sensor: sensor.name != LIDAR)
         self._polled = [one for one in self._sensors if type(one).poll is not Sensor.poll]
