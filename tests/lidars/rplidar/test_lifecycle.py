@@ -23,13 +23,13 @@ from rplidar_tools import (
 from serial_tools import TIMEOUT, Emulated, first_line, no_leak, program, wait_until
 
 from acsar_gym import RobotConfig
-from acsar_gym.config import LidarConfig
 from acsar_gym.emulation.rplidar import RplidarTwin
 from acsar_gym.errors import LidarError
 from acsar_gym.lidars import rplidar
 from acsar_gym.lidars.revolutions import Turns
 from acsar_gym.lidars.rplidar import RplidarLidar
 from acsar_gym.links import shutdown
+from acsar_gym.odometry import Odometry
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
@@ -174,7 +174,8 @@ class SlowPort:
 
 def test_what_was_missed_is_dropped_not_stamped_as_new() -> None:
     port = SlowPort()
-    reader = rplidar._Reader(port, Turns(library), LidarConfig(), time.monotonic)
+    config = RobotConfig()
+    reader = rplidar._Reader(port, Turns(library), config, time.monotonic, Odometry.of(config))
     reader.start()
     wait_until(lambda: reader.newest is not None, "a turn")
     port.pause = 0.2
