@@ -36,7 +36,7 @@ def markdown(told: Told) -> str:
         parts.append(_heading(env_id, scenes, about))
         parts += [main_table(own)] if own else []
         parts += _refused(own)
-    parts += _best(told["best"]) + _improvements(told) + _links(nominal)
+    parts += _best(told["best"]) + _improvements(told) + _links(told)
     parts += _profiles(told["rows"], told["header"]["conditions"])
     return "\n".join(part.strip() + "\n" for part in parts if part)
 
@@ -192,23 +192,36 @@ def _improvements(told: Told) -> list[str]:
     return [f"{text}\n\n{_table(['id', 'scenes', 'link', 'agent', 'over', 'probability'], rows)}"]
 
 
-def _links(nominal: Sequence[Told]) -> list[str]:
-    """Success of the same agents behind different links."""
-    names = [link for link in LINKS if any(row["link"] == link for row in nominal)]
-    found: dict[tuple[str, str, str], dict[str, float]] = {}
-    for row in nominal:
-        if not row["refused"]:
-            place = row["id"], row["scenes"], row["agent"]
-            found.setdefault(place, {})[row["link"]] = row["success_rate"]
+def _links(told: Told) -> list[str]:
+    """Success of the same agents behind different links, in the scenes that all these drove."""
+    drives: dict[tuple[str, str, str], dict[str, dict[Any, bool]]] = {}
+    for cell in told["cells"]:
+        if cell["condition"] == NOMINAL and not cell["refused"]:
+            place = cell["id"], cell["scenes"], cell["agent"]
+            own = drives.setdefault(place, {}).setdefault(cell["link"], {})
+            driven = cell["episodes"]
+            for scene, success in zip(driven["scene"], driven["success"], strict=True):
+                own[cell["training_seed"], scene] = success
+    names = [link for link in LINKS if any(link in own for own in drives.values())]
     rows = [
-        [*map(_plain, place), *(f"{rates[n]:.1%}" if n in rates else "-" for n in names)]
-        for place, rates in found.items()
-        if len(rates) > 1
+        [*map(_plain, place), *_common(own, names)] for place, own in drives.items() if len(own) > 1
     ]
     if not rows:
         return []
-    head = ["id", "scenes", "agent", *(LINKS[name] for name in names)]
-    return [f"## The same agents behind other links\n\nSuccess.\n\n{_table(head, rows)}"]
+    head = ["id", "scenes", "agent", "episodes", *(LINKS[name] for name in names)]
+    text = "## The same agents behind other links\n\nSuccess in the scenes that all of them drove."
+    return [f"{text}\n\n{_table(head, rows)}"]
+
+
+def _common(drives: Mapping[str, Mapping[Any, bool]], names: Sequence[str]) -> list[str]:
+    """Number of the scenes that all links drove, and the share of successes behind each link."""
+    shared = set.intersection(*map(set, drives.values()))
+    rates = {
+        link: f"{sum(own[each] for each in shared) / len(shared):.1%}"
+        for link, own in drives.items()
+        if shared
+    }
+    return [str(len(shared)), *(rates.get(name, "-") for name in names)]
 
 
 def _profiles(rows: Sequence[Told], conditions: Told) -> list[str]:

@@ -188,3 +188,15 @@ def test_two_policies_are_not_taken_for_one(tmp_path: Path) -> None:
 
 def test_an_episode_without_success_scores_nothing() -> None:
     assert summary([episode(0, 0.0)])["time_to_goal"] is None
+
+
+def test_links_are_compared_in_the_scenes_that_all_drove() -> None:
+    parts = [
+        part(cell("ours"), (0.9, 0.0, 0.0, 0.9)),
+        part(cell("ours", link="port"), (0.9, 0.8)),
+        part(cell("floor"), (0.5, 0.5)),
+    ]
+    page = markdown(result.result(plan(ours="learned", floor="baseline"), parts))
+    _, _, compared = page.partition("## The same agents behind other links")
+    assert "| PointGoal-v0 | test | ours | 2 | 50.0% | 100.0% |" in compared
+    assert "floor" not in compared
