@@ -13,7 +13,7 @@ MOST_COUNT = 10**9
 
 
 def demo(
-    steps: int = 600_000,
+    steps: int = 150_000,
     episodes: int = 100,
     serial_episodes: int = 16,
     out: Path = Path("runs/demo"),
