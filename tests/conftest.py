@@ -26,10 +26,11 @@ from acsar_gym.links import watchdog
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as under nohup: tests of Ctrl-C need it
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# Examples aren't timed: the first one may compile. Where CI is set, they are the same every time.
 for name in ("COLUMNS", "LINES"):  # readline, which pytest loads, sets them: tables would be narrow
     os.environ.pop(name, None)
     os.unsetenv(name)
+
+# Examples aren't timed: the first one may compile. Where CI is set, they are the same every time.
 settings.register_profile("ours", max_examples=30, deadline=None, derandomize="CI" in os.environ)
 settings.register_profile("thorough", settings.get_profile("ours"), max_examples=400)
 settings.load_profile("ours")
