@@ -22,6 +22,8 @@ def test_a_video_has_every_picture(tmp_path: Path) -> None:
     with VideoFileClip(str(path)) as clip:
         assert tuple(clip.size) == (96, 64)
         shades = [int(frame.mean()) for frame in clip.iter_frames()]
+        for pipe in (clip.reader.proc.stdout, clip.reader.proc.stderr):
+            pipe.close()  # moviepy leaves them open where ffmpeg has ended by itself
     assert shades == pytest.approx([0, 80, 160, 240], abs=4)
 
 
