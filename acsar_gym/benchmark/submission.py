@@ -113,7 +113,9 @@ def _check_header(path: Path, header: Told) -> None:
     if not {*header["links"]} <= {*LINKS} or (
         PORT in header["links"] and header["port_scenes"] < 1
     ):
-        raise ConfigError(f"{path}: its header names other links than {', '.join(LINKS)}")
+        raise ConfigError(
+            f"{path}: its header names other links than {', '.join(LINKS)}, or no port scenes"
+        )
     known = {name: json.loads(json.dumps(plain(each))) for name, each in CONDITIONS.items()}
     for name, said in header["conditions"].items():
         if said != known.get(name):
