@@ -1,36 +1,17 @@
-"""The shape of the code: which file imports which, and how long files and functions are."""
+"""The shape of the code: no files import each other in a circle."""
 
 from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
-from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
 
 import acsar_gym
-from acsar_gym.resources import AGENTS
 
 PACKAGE = Path(acsar_gym.__file__).parent
-MOST_MODULES = 16
-"""Files directly in acsar_gym/."""
-LONGEST_FUNCTION = 40
-MOST_PARAMETERS = 8
-"""Of a function, `self` not counted."""
-LONGEST_FILE = 300
-LONG_FUNCTIONS = {"dynamics/trigonometry.py sincos"}
-"""One formula, in a form that a compiler vectorizes; there are no others."""
-
-Function = ast.FunctionDef | ast.AsyncFunctionDef
-
-
-def sources() -> dict[str, Path]:
-    """The files of the package and its scripts, by a short name."""
-    package = {str(path.relative_to(PACKAGE)): path for path in PACKAGE.rglob("*.py")}
-    scripts = {f"agents/{path.relative_to(AGENTS)}": path for path in AGENTS.rglob("*.py")}
-    return {n: path for n, path in package.items() if not n.startswith("agents/")} | scripts
 
 
 def module_of(path: Path) -> str:
@@ -74,33 +55,8 @@ def circle(arrows: dict[str, set[str]]) -> list[str]:
     return []
 
 
-@cache
-def functions() -> list[tuple[str, Function]]:
-    return [
-        (f"{name} {node.name}", node)
-        for name, path in sources().items()
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(node, Function)
-    ]
-
-
-def parameters(function: Function) -> int:
-    given = function.args
-    named = [*given.posonlyargs, *given.args, *given.kwonlyargs]
-    stars = (given.vararg is not None) + (given.kwarg is not None)
-    return sum(one.arg not in ("self", "cls") for one in named) + stars
-
-
-def lines(function: Function) -> int:
-    return (function.end_lineno or function.lineno) - function.lineno + 1
-
-
 def test_no_file_imports_itself_by_way_of_others() -> None:
-    files = {
-        module_of(path): path.read_text(encoding="utf-8")
-        for name, path in sources().items()
-        if not name.startswith("agents/")
-    }
+    files = {module_of(path): path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py")}
     assert len(files) > 100
     assert circle(graph(files)) == []
 
@@ -119,20 +75,3 @@ def test_no_file_imports_itself_by_way_of_others() -> None:
 def test_circles_are_found(b: str, *, found: bool) -> None:
     arrows = graph({"a": "import b", "b": b, "c": "", "c.d": "from c import d"})
     assert bool(circle(arrows)) == found
-
-
-def test_few_modules_lie_directly_in_the_package() -> None:
-    assert len(list(PACKAGE.glob("*.py"))) <= MOST_MODULES
-
-
-def test_files_are_short() -> None:
-    sizes = {n: len(p.read_text(encoding="utf-8").splitlines()) for n, p in sources().items()}
-    assert [name for name, size in sizes.items() if size > LONGEST_FILE] == []
-
-
-def test_functions_are_short() -> None:
-    assert {name for name, f in functions() if lines(f) > LONGEST_FUNCTION} == LONG_FUNCTIONS
-
-
-def test_functions_have_few_parameters() -> None:
-    assert [name for name, f in functions() if parameters(f) > MOST_PARAMETERS] == []
