@@ -4,7 +4,7 @@ Compiled code is cached on disk: beside its source, or where numba keeps it othe
 recompiles when a function's own file has changed, but not when another file has changed whose
 functions were compiled into it. So this module stamps cached code with a fingerprint of all source
 files of the package; code with another stamp is compiled anew. Functions of another package, such
-as agents/baselines, are stamped with that package's sources, too.
+as a task of one, are stamped with that package's sources, too.
 
 A batch's first reset in a new installation compiles for up to a minute. The logger
 "acsar_gym.jit" says so before, as a warning: Python prints it to stderr by default.

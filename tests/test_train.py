@@ -14,8 +14,8 @@ from serial_tools import CLI, TIMEOUT
 import acsar_gym
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
-from acsar_gym.resources import AGENTS, agent
-from acsar_gym.training import checkpoints
+from acsar_gym.resources import AGENTS
+from acsar_gym.training import checkpoints, command
 
 pytestmark = pytest.mark.xdist_group("torch")
 
@@ -55,26 +55,24 @@ def test_bad_options_are_refused_before_anything_starts(
     arguments: str, said: str, tmp_path: Path
 ) -> None:
     with pytest.raises(ConfigError, match=said):
-        agent("train").main(arguments.replace("OUT", str(tmp_path)).split())
+        command.main(arguments.replace("OUT", str(tmp_path)).split())
 
 
 @pytest.mark.parametrize("arguments", ["--steps nan", "--robots 1e3", "--seed inf"])
 def test_what_is_no_number_is_refused(arguments: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match="2"):
-        agent("train").main(arguments.split())
+        command.main(arguments.split())
     assert arguments.split(maxsplit=1)[0] in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     ("module", "program"),
-    [("torch", "acsar-gym"), ("onnxscript", "acsar-gym"), ("torch", "acsar-gym train")],
+    [("torch", f"{MAIN} train"), ("onnxscript", f"{MAIN} train"), ("torch", f"{AGENTS}/train.py")],
 )
 def test_a_missing_extra_is_named(module: str, program: str) -> None:
-    script = AGENTS / "train.py" if program == "acsar-gym train" else MAIN
-    arguments = [] if program == "acsar-gym train" else ["train"]
-    command = [sys.executable, "-c", WITHOUT, module, str(script), *arguments]
+    command = [sys.executable, "-c", WITHOUT, module, *program.split()]
     done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT, check=False)
-    wanted = f"{program}: training needs an extra: pip install 'acsar_gym[train]'\n"
+    wanted = "acsar-gym: training needs an extra: pip install 'acsar_gym[train]'\n"
     assert (done.returncode, done.stderr) == (2, wanted)
 
 
@@ -105,7 +103,7 @@ def test_a_training_says_how_good_it_is_and_what_comes_next(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     options = ["--steps", "1", "--robots", "4", "--no-progress", "--out", str(tmp_path)]
-    assert agent("train").main([*options, "--threads", "1", "--seed", "3"]) == 0
+    assert command.main([*options, "--threads", "1", "--seed", "3"]) == 0
     begin, written, score, following = capsys.readouterr().out.splitlines()
     assert begin == "training on an open floor, held out: other seeds; 1 thread, seed 3"
     assert written.startswith(f"written: {tmp_path / 'policy.onnx'}")
@@ -129,11 +127,11 @@ def test_a_training_says_which_ranges_were_measured(
     robot.save(tmp_path / "robot.yaml")
     options = ["--steps", "1", "--robots", "4", "--no-progress", "--out", str(tmp_path)]
     options += ["--threads", "1", "--robot", str(tmp_path / "robot.yaml")]
-    assert agent("train").main(options) == 0
+    assert command.main(options) == 0
     told = capsys.readouterr().out.splitlines()[0]
     found = "motor_lag 0.909 to 1.09, delay_samples (2 delays up to 0.004 s)"
     assert f"seed 0; randomized as measured: {found}; by default widths: friction" in told
-    assert agent("train").main([*options, "--no-randomize"]) == 0
+    assert command.main([*options, "--no-randomize"]) == 0
     assert "randomized" not in capsys.readouterr().out
 
 

@@ -22,7 +22,7 @@ import acsar_gym
 from acsar_gym.policies import resolve
 from acsar_gym.resources import AGENTS
 assert (AGENTS / "train.py").exists()
-from acsar_gym.policies import baselines
+from acsar_gym import baselines
 law = sys.modules[type(baselines.load("navfn", "acsar_gym/Barn-v1")).__module__]
 print(acsar_gym.__file__, resolve("point_goal"), law.__file__, sep="\\n")
 """

@@ -10,6 +10,7 @@ from typing import Any
 
 import gymnasium
 
+from acsar_gym import baselines
 from acsar_gym.config import RobotConfig
 from acsar_gym.envs.base import RobotEnv
 from acsar_gym.envs.ids import registered, without_module
@@ -25,7 +26,6 @@ from acsar_gym.policies import (
     FilePolicy,
     OnnxPolicy,
     ZipPolicy,
-    baselines,
     is_callable,
     resolve,
     statistics_beside,
@@ -59,7 +59,7 @@ def load(policy: str, *, trust: bool, env: str = "") -> FilePolicy:
         return CallablePolicy(policy, env_id)
     if baselines.is_baseline(policy):
         return baselines.load(policy, env_id)
-    path = resolve(policy)
+    path = resolve(policy, baselines.BASELINES)
     if path.suffix == ".zip":
         loaded = ZipPolicy(path, trust=trust, env_id=env_id)
         _statistics(path, None)

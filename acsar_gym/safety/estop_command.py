@@ -1,4 +1,4 @@
-"""The command `acsar-gym estop`; imports the standard library only, so that it acts at once."""
+"""The command `acsar-gym estop`; imports nothing slow, so that it acts soon."""
 
 from __future__ import annotations
 

@@ -82,9 +82,7 @@ def command() -> list[str]:
     told: its options aren't those of the training, and may hold addresses and passwords.
     """
     program, begin = Path(sys.argv[0]), sys.argv[1:]
-    if program.name == "train.py":
-        begin = ["train", *begin]
-    elif program.name != "acsar-gym" and program.parts[-2:] != ("acsar_gym", "__main__.py"):
+    if program.name != "acsar-gym" and program.parts[-2:] != ("acsar_gym", "__main__.py"):
         return [program.name]
     words, kept = iter(begin), list[str]()
     for word in words:
