@@ -4,7 +4,8 @@ Compiled code is cached on disk: beside its source, or where numba keeps it othe
 recompiles when a function's own file has changed, but not when another file has changed whose
 functions were compiled into it. So this module stamps cached code with a fingerprint of all source
 files of the package; code with another stamp is compiled anew. Functions of another package, such
-as agents/baselines, are stamped with that package's sources, too.
+as agents/baselines, are stamped with that package's sources, too. agents/ counts as another package
+in a wheel, too, where it lies in this one: a wheel and its checkout have the same stamps.
 
 A batch's first reset in a new installation compiles for up to a minute. The logger
 "acsar_gym.jit" says so before, as a warning: Python prints it to stderr by default.
@@ -24,6 +25,8 @@ P = ParamSpec("P")
 R = TypeVar("R")
 LOG = logging.getLogger(__name__)
 PACKAGE = Path(__file__).parent
+AGENTS = PACKAGE / "agents"
+"""Where a wheel has agents/."""
 BATCHES = "acsar_gym.vector.kernel."
 """Modules whose functions take long to compile."""
 TASKS = "acsar_gym.vector.kernel.task"
@@ -42,6 +45,8 @@ def fingerprint(package: Path) -> str:
     """
     digest = hashlib.sha256()
     for source in sorted(package.rglob("*.py")):
+        if package == PACKAGE and AGENTS in source.parents:
+            continue
         content = source.read_bytes()
         digest.update(f"{source.relative_to(package)} {len(content)}\n".encode() + content)
     return digest.hexdigest()
@@ -54,7 +59,7 @@ def fingerprint_beside(folder: Path) -> str:
     Args:
         folder: of the source file whose functions are compiled.
     """
-    own = folder == PACKAGE or PACKAGE in folder.parents
+    own = PACKAGE in (folder, *folder.parents) and AGENTS not in folder.parents
     return "" if own or not (folder / "__init__.py").is_file() else fingerprint(folder)
 
 

@@ -66,7 +66,7 @@ def told(
         seed=model.seed,
         command="; ".join(map(shlex.join, commands))[:2_000],
         versions=provenance.versions(*record.LIBRARIES),
-        revision=record.revision(),
+        revision=record.revision() or "",
         seconds=seconds,
         finished=datetime.now(UTC).isoformat(timespec="seconds"),
     )
