@@ -4,7 +4,8 @@ Compiled code is cached on disk: beside its source, or where numba keeps it othe
 recompiles when a function's own file has changed, but not when another file has changed whose
 functions were compiled into it. So this module stamps cached code with a fingerprint of all source
 files of the package; code with another stamp is compiled anew. Functions of another package, such
-as a task of one, are stamped with that package's sources, too.
+as a user's task, are stamped with that package's sources, too. agents/, which a wheel has inside of
+the package, doesn't count: a wheel and its checkout have the same stamps.
 
 A batch's first reset in a new installation compiles for up to a minute. The logger
 "acsar_gym.jit" says so before, as a warning: Python prints it to stderr by default.
@@ -15,6 +16,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 import logging
+import pickle
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -24,14 +26,16 @@ P = ParamSpec("P")
 R = TypeVar("R")
 LOG = logging.getLogger(__name__)
 PACKAGE = Path(__file__).parent
+AGENTS = PACKAGE / "agents"
+"""Where a wheel has agents/."""
 BATCHES = "acsar_gym.vector.kernel."
 """Modules whose functions take long to compile."""
 TASKS = "acsar_gym.vector.kernel.task"
 """One of them that is compiled anew, and soon, for every task."""
 NEW: list[str] = []
 """Names of functions that this process has compiled because the cache didn't have them."""
-NOT_CACHED: list[str] = []
-"""Why numba can't cache, once a function couldn't be cached."""
+TOLD: set[str] = set()
+"""Warnings that this process has given: each once."""
 
 
 def fingerprint(package: Path) -> str:
@@ -42,6 +46,8 @@ def fingerprint(package: Path) -> str:
     """
     digest = hashlib.sha256()
     for source in sorted(package.rglob("*.py")):
+        if package == PACKAGE and AGENTS in source.parents:
+            continue
         content = source.read_bytes()
         digest.update(f"{source.relative_to(package)} {len(content)}\n".encode() + content)
     return digest.hexdigest()
@@ -54,7 +60,7 @@ def fingerprint_beside(folder: Path) -> str:
     Args:
         folder: of the source file whose functions are compiled.
     """
-    own = folder == PACKAGE or PACKAGE in folder.parents
+    own = PACKAGE in (folder, *folder.parents)
     return "" if own or not (folder / "__init__.py").is_file() else fingerprint(folder)
 
 
@@ -62,6 +68,7 @@ try:
     import numba
     import numba.extending
     from numba.core import errors, event
+    from numba.core.caching import IndexDataCacheFile
     from numba.np.unsafe.ndarray import to_fixed_tuple
 except ImportError:
     COMPILED = False
@@ -93,6 +100,12 @@ else:
     NumbaError = errors.NumbaError
     leading = to_fixed_tuple
     FINGERPRINT = fingerprint(PACKAGE)
+    DIGEST_SIZE = hashlib.sha256().digest_size
+    CANNOT_CACHE = (
+        "acsar_gym: numba can't keep compiled code, so every process compiles anew: "
+        "set NUMBA_CACHE_DIR to a folder that can be written (%s)"
+    )
+    DAMAGED = "acsar_gym: compiled code on disk is damaged, so it is compiled anew (%s)"
 
     def jit(function: Callable[P, R]) -> Callable[P, R]:
         """Compile a scalar function and inline it into callers, so that loops vectorize."""
@@ -116,24 +129,64 @@ else:
         if keep and not numba.config.DISABLE_JIT:
             try:
                 compiled = numba.njit(cache=True, **options)(function)
-                file = compiled._cache._cache_file  # noqa: SLF001 - numba has no other way
+                cache = compiled._cache  # noqa: SLF001 - numba has no other way
                 beside = fingerprint_beside(Path(inspect.getfile(function)).parent)
-                file._source_stamp = (file._source_stamp, FINGERPRINT + beside)  # noqa: SLF001
+                cache._cache_file = _CacheFile(cache, FINGERPRINT + beside)  # noqa: SLF001
             except (RuntimeError, AttributeError) as error:
-                _uncached(str(error))
+                _tell(CANNOT_CACHE, error)
                 compiled = None
         plain: Callable[P, R] = compiled or numba.njit(**options)(function)
         return plain
 
-    def _uncached(why: str) -> None:
-        """Warn, once, that numba can't cache."""
-        if not NOT_CACHED:
-            NOT_CACHED.append(why)
-            LOG.warning(
-                "acsar_gym: numba can't keep compiled code, so every process compiles anew: "
-                "set NUMBA_CACHE_DIR to a folder that can be written (%s)",
-                why,
-            )
+    def _tell(message: str, why: object) -> None:
+        """Warn, once in this process."""
+        if message not in TOLD:
+            TOLD.add(message)
+            LOG.warning(message, why)
+
+    class _CacheFile(IndexDataCacheFile):  # type: ignore[misc]
+        """Compiled code on disk, stamped, and with a checksum.
+
+        What a power failure has damaged is compiled anew: numba would raise whatever pickle
+        raises, or run damaged code. A full disk keeps nothing, and stops nobody.
+
+        Args:
+            cache: numba's own, of one function.
+            stamp: of the sources.
+        """
+
+        def __init__(self, cache: Any, stamp: str) -> None:
+            stamps = (cache._cache_file._source_stamp, stamp)  # noqa: SLF001
+            super().__init__(cache.cache_path, cache._impl.filename_base, stamps)  # noqa: SLF001
+
+        def load(self, key: Any) -> Any:
+            found = super().load(key)
+            return found[1] if found and found[0] == self._source_stamp else None
+
+        def save(self, key: Any, data: Any) -> None:
+            try:
+                super().save(key, (self._source_stamp, data))
+            except OSError as error:
+                _tell(CANNOT_CACHE, error)
+
+        def _load_index(self) -> Any:
+            try:
+                return super()._load_index()
+            except Exception as error:  # noqa: BLE001 - garbage makes pickle raise anything
+                _tell(DAMAGED, f"{self._index_path}: {error!r}")
+                return {}
+
+        def _load_data(self, name: str) -> Any:
+            path = Path(self._data_path(name))
+            data = path.read_bytes()
+            if hashlib.sha256(data[:-DIGEST_SIZE]).digest() != data[-DIGEST_SIZE:]:
+                _tell(DAMAGED, path)
+                raise FileNotFoundError(path)  # which numba takes for code that isn't there
+            return pickle.loads(data)  # noqa: S301 - as numba does; what follows is ignored
+
+        def _dump(self, obj: Any) -> bytes:
+            data: bytes = super()._dump(obj)
+            return data + hashlib.sha256(data).digest()
 
     def compilable(function: Callable[P, R]) -> Callable[P, R]:
         """Leave a function as it is for Python, but let compiled functions call it, too."""

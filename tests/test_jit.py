@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from disk_tools import full_disk
 
 from acsar_gym import cli
 from acsar_gym import jit as compiled
@@ -48,6 +51,21 @@ def test_a_package_beside_this_one_has_a_fingerprint_of_its_own(tmp_path: Path) 
     assert compiled.fingerprint_beside(package) == compiled.fingerprint(package)
 
 
+def test_the_agents_in_a_wheel_are_stamped_apart(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So the compiled code of a checkout can be used by the wheel that was built from it."""
+    (tmp_path / "robot.py").touch()
+    checkout = compiled.fingerprint(tmp_path)
+    laws = tmp_path / "agents" / "baselines"
+    laws.mkdir(parents=True)
+    (laws / "__init__.py").touch()
+    monkeypatch.setattr(compiled, "PACKAGE", tmp_path)
+    monkeypatch.setattr(compiled, "AGENTS", tmp_path / "agents")
+    assert compiled.fingerprint(tmp_path) == checkout
+    assert compiled.fingerprint_beside(laws) == compiled.fingerprint(laws) != ""
+
+
 def plus_one(x: float) -> float:
     return x + 1.0
 
@@ -70,12 +88,62 @@ def test_cached_code_is_used_until_any_source_changes_wherever_numba_keeps_it(
     assert [hits(), hits()] == [0, 1]
 
 
+DAMAGES: dict[str, Callable[[bytes], bytes]] = {
+    "empty": lambda content: b"",
+    "cut": lambda content: content[: len(content) // 2],
+    "zeros": lambda content: bytes(len(content)),
+    "garbage": lambda content: bytes(range(256)) * (len(content) // 256 + 1),
+    "one byte": lambda content: content[:-200] + bytes([content[-200] ^ 1]) + content[-199:],
+}
+TOTAL = ("empty", "cut", "zeros", "garbage")
+"""Damages that an index without a checksum shows, too."""
+
+
+@needs_numba
+@pytest.mark.parametrize(
+    ("damage", "kind"), [*itertools.product(DAMAGES, [".nbc"]), *itertools.product(TOTAL, [".nbi"])]
+)
+def test_damaged_code_is_compiled_anew(
+    damage: str,
+    kind: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(compiled, "TOLD", set())
+
+    def hits() -> int:
+        function = compiled.loop(plus_one)
+        assert function(1.0) == 2.0
+        return sum(function.stats.cache_hits.values())
+
+    assert [hits(), hits()] == [0, 1]
+    (path,) = tmp_path.rglob(f"*{kind}")
+    path.write_bytes(DAMAGES[damage](path.read_bytes()))
+    assert [hits(), hits()] == [0, 1]
+    (told,) = caplog.messages
+    assert "is damaged, so it is compiled anew" in told
+    assert path.name in told
+
+
+@needs_numba
+def test_a_full_disk_stops_nobody(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(compiled, "TOLD", set())
+    with full_disk(100):
+        assert compiled.loop(plus_one)(1.0) == 2.0
+    assert "File too large" in caplog.text
+
+
 @needs_numba
 def test_where_no_cache_can_be_written_functions_are_compiled_without(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr("numba.core.caching.CacheImpl._locator_classes", [])
-    monkeypatch.setattr(compiled, "NOT_CACHED", [])
+    monkeypatch.setattr(compiled, "TOLD", set())
     assert compiled.jit(plus_one)(1.0) == 2.0
     assert compiled.loop(plus_one)(1.0) == 2.0
     assert callable(kernel.bound(kernel.start, PointGoal()))

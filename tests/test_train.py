@@ -15,7 +15,7 @@ import acsar_gym
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.resources import AGENTS
-from acsar_gym.training import checkpoints, command
+from acsar_gym.training import command
 
 pytestmark = pytest.mark.xdist_group("torch")
 
@@ -133,20 +133,3 @@ def test_a_training_says_which_ranges_were_measured(
     assert f"seed 0; randomized as measured: {found}; by default widths: friction" in told
     assert command.main([*options, "--no-randomize"]) == 0
     assert "randomized" not in capsys.readouterr().out
-
-
-def test_a_file_is_written_whole_or_stays_as_it_was(tmp_path: Path) -> None:
-    path = tmp_path / "model.zip"
-    path.write_bytes(b"before")
-
-    def half(new: Path) -> None:
-        new.write_bytes(b"aft")
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        checkpoints.replace(path, half)
-    assert [(file.name, file.read_bytes()) for file in tmp_path.iterdir()] == [
-        ("model.zip", b"before")
-    ]
-    checkpoints.replace(path, lambda new: new.write_bytes(b"after"))
-    assert path.read_bytes() == b"after"

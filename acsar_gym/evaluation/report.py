@@ -116,7 +116,7 @@ def write_json(path: Path | None, data: Mapping[str, Any]) -> None:
     """
     if path is None:
         return
-    bounded.write(path, (json.dumps(data, indent=2, allow_nan=False) + "\n").encode())
+    bounded.write_atomically(path, (json.dumps(data, indent=2, allow_nan=False) + "\n").encode())
 
 
 def summary_table(

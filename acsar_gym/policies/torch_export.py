@@ -161,7 +161,7 @@ def write(
     except PolicyError as error:
         raise PolicyError(f"{path}: can't be written: it {error}") from None
     path.parent.mkdir(parents=True, exist_ok=True)
-    bounded.write(path, data, PolicyError)
+    bounded.write_atomically(path, data, PolicyError)
 
 
 def _exported(whole: torch.nn.Module, example: tuple[torch.Tensor, ...], bundle: Bundle) -> Any:

@@ -18,7 +18,6 @@ from acsar_gym.errors import ConfigError
 from acsar_gym.evaluation import provenance
 from acsar_gym.reading import bounded
 from acsar_gym.training import threads
-from acsar_gym.training.checkpoints import replace
 from acsar_gym.training.options import Options
 from acsar_gym.training.plan import Plan
 
@@ -140,7 +139,8 @@ def options(folder: Path) -> Options:
 def _write(out: Path, content: Mapping[str, Any]) -> None:
     """Write config.yml, whole or not at all."""
     text = yaml.safe_dump(content, sort_keys=False)
-    replace(out / FILE, lambda new: new.write_text(text, encoding="utf-8"))
+    with bounded.replacing(out / FILE) as new:
+        new.write_text(text, encoding="utf-8")
 
 
 def _plain(value: Any) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import gc
 import shutil
@@ -9,10 +10,12 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import yaml
+from disk_tools import full_disk
 
 from acsar_gym.errors import AcsarError
 from acsar_gym.resources import AGENTS
@@ -151,13 +154,13 @@ def test_more_steps_go_on_in_the_same_folder(
 
 
 def test_a_policy_for_which_there_was_no_room_is_written_by_resume(tmp_path: Path) -> None:
-    """The policy's temporary file is a device that is always full; all steps are done."""
+    """The policy is a device that is always full; all steps are done."""
     policy = tmp_path / "policy.onnx"
-    policy.write_bytes(b"before")
-    (tmp_path / ".policy.onnx").symlink_to("/dev/full")
+    policy.symlink_to("/dev/full")
     with pytest.raises(AcsarError, match=f"go on with --resume {tmp_path} --trust"):
         command.main([*TINY, "--steps", "256", "--out", str(tmp_path)])
     before = curve(tmp_path)
+    policy.unlink()
     assert command.main(["--resume", str(tmp_path), "--trust"]) == 0
     assert len(policy.read_bytes()) > 1000
     assert curve(tmp_path) == before
@@ -170,20 +173,26 @@ def test_a_policy_for_which_there_was_no_room_is_written_by_resume(tmp_path: Pat
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-def test_a_full_disk_leaves_the_last_checkpoint_and_policy(tmp_path: Path) -> None:
-    """The next checkpoint's temporary file is a device that is always full."""
+def test_a_full_disk_leaves_the_last_checkpoint_and_policy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write, folder = checkpoints.write, tmp_path / "checkpoints"
+
+    def write_until_full(to: Path, save: Callable[[Path], object], state: State) -> Path:
+        with full_disk(1000) if state.steps == 512 else contextlib.nullcontext():
+            return write(to, save, state)
+
+    monkeypatch.setattr(checkpoints, "write", write_until_full)
     (tmp_path / "policy.onnx").write_bytes(b"before")
-    folder = tmp_path / "checkpoints"
-    folder.mkdir()
-    (folder / ".rl_model_512_steps.zip").symlink_to("/dev/full")
     with pytest.raises(AcsarError) as error:
         command.main([*TINY, "--steps", "768", "--out", str(tmp_path)])
     said = str(error.value)
     del error
     gc.collect()  # the file that stable-baselines3 leaves open: here, not in a later test
-    assert said.startswith(f"--out {tmp_path}: can't be written: No space left on device; ")
+    assert said.startswith(f"--out {tmp_path}: can't be written: File too large; ")
     assert f"{folder / 'rl_model_256_steps.zip'} is whole" in said
     assert "\n" not in said
+    assert [path.name for path in folder.iterdir()] == ["rl_model_256_steps.zip"]
     assert (tmp_path / "policy.onnx").read_bytes() == b"before"
     assert checkpoints.read(folder / "rl_model_256_steps.zip").steps == 256
 
