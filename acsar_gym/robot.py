@@ -109,20 +109,12 @@ class Robot:
             self._listener.warn()
         asked = WHILE_WAITING.set(self._check_released)
         try:
-            self._connect(scene)
+            self._begin(scene, np.random.default_rng(0) if rng is None else rng)
         finally:
             WHILE_WAITING.reset(asked)
-        self.odometry.reset()
-        if self.link.lateness is not None:
-            gc.collect()  # takes 60 ms, so it is done before the wheels turn
-            self._stopwatch = Stopwatch(self._period)
-            if self.link.truth is None and self.config.wheel_check:
-                self._watch = WheelWatch(self.config, getattr(self.link, "device", "DEVICE"))
-        self.sensors.reset(scene, np.random.default_rng(0) if rng is None else rng)
-        self._journal.began()
 
-    def _connect(self, scene: Scene) -> None:
-        """Open the link, and wait until the wheels stand; not after an emergency stop."""
+    def _begin(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Open the link, and begin an episode; not after an emergency stop."""
         self._check_released()
         if not self.active:
             self.link.open()
@@ -132,6 +124,14 @@ class Robot:
         self.wire.reset()
         self._stopwatch = self._watch = None
         self.wire.settle()
+        self.odometry.reset()
+        if self.link.lateness is not None:
+            gc.collect()  # takes 60 ms, so it is done before the wheels turn
+            self._stopwatch = Stopwatch(self._period)
+            if self.link.truth is None and self.config.wheel_check:
+                self._watch = WheelWatch(self.config, getattr(self.link, "device", "DEVICE"))
+        self.sensors.reset(scene, rng)
+        self._journal.began()
 
     @_deactivating
     def read(self) -> NDArray[np.float64]:

@@ -205,6 +205,10 @@ def hold(screen: Screen, key: str, emulator: Emulated, command: Command) -> None
     wait_until(obeyed, f"what {key!r} commands")
 
 
+def wait_for_commands(emulator: Emulated, count: int) -> None:
+    wait_until(lambda: len(emulator.commands()) >= count, f"{count} commands")
+
+
 def test_driving_with_the_keyboard(screen: Screen, emulator: Emulated, config: RobotConfig) -> None:
     wait_until(lambda: "feedback" in screen.look(), "the status line")
     assert "q quits" in screen.look()
@@ -230,7 +234,7 @@ def test_hands_off_the_keyboard_stops_and_a_key_drives_on(
         hold(screen, "w", emulator, forward)
         wait_until(emulator.is_stopped, "zero as the newest command")
         stood = len(emulator.commands())
-        wait_until(lambda n=stood + 100: len(emulator.commands()) > n, "a second more")
+        wait_for_commands(emulator, stood + 100)
         assert set(emulator.commands()[stood:]) == {ZERO}
         assert screen.process.poll() is None
     assert "EMERGENCY" not in screen.look()
@@ -248,7 +252,7 @@ def test_after_an_emergency_stop_the_person_at_the_keyboard_releases_it(
         wait_until(lambda: "EMERGENCY_STOP: r releases it" in screen.look(), "why it stands")
         stood = len(emulator.commands())
         screen.press("w")
-        wait_until(lambda n=stood + 20: len(emulator.commands()) > n, "more commands")
+        wait_for_commands(emulator, stood + 20)
         assert set(emulator.commands()[stood:]) == {ZERO}
         screen.press("r")
     hold(screen, "w", emulator, forward)

@@ -46,6 +46,7 @@ REPLUGGED = ("unplug", "reset")
 CONTAINED = ("pid1-term", "pid1-hup")
 """Kinds that need a new PID namespace."""
 ESTOPPED = ("estop-out", "estop-resets")
+"""Kinds that another process causes by an emergency stop."""
 THREADED = ("thread-term", "thread-hup", "thread-end")
 SIGNALS = {
     "kill": signal.SIGKILL,

@@ -13,7 +13,7 @@ from acsar_gym.bodies.base import Camera, GroundTruth
 from acsar_gym.worlds import Scene
 
 WHILE_WAITING: ContextVar[Callable[[], None]] = ContextVar("while_waiting", default=lambda: None)
-"""Called again and again while a link waits for its port, its board or standing wheels; what it
+"""Called again and again while a reset waits for a port, board, standing wheels or LiDAR; what it
 raises ends the wait."""
 
 

@@ -89,8 +89,9 @@ class StopListener:
 
     After a stop it stays open until the release, even where its robot is closed meanwhile.
 
-    Attributes: `paths`, the addresses; `faults`, the errors of folders that can't be used; `held`,
-    all listeners of this process that were stopped and aren't released.
+    Attributes: `paths`, the addresses; `faults`, the errors of folders that can't be used;
+    `closed`, whether its robot is; `held`, all listeners of this process that were stopped and
+    aren't released.
 
     Args:
         device: Of the robot that is stopped.
@@ -109,7 +110,7 @@ class StopListener:
         self.paths: list[Path] = []
         self._process = os.getpid()
         self._askers: list[tuple[socket.socket, str]] = []
-        self._closing = False
+        self.closed = False
         usable, self.faults = folders()
         own = _free_name(usable)
         for folder in usable:
@@ -176,7 +177,7 @@ class StopListener:
         # What a fork has inherited can't be reached by name, so that it goes along.
         own = os.getpid()
         self.held[:] = [one for one in self.held if one is not self and one._process == own]  # noqa: SLF001
-        if self._closing:
+        if self.closed:
             self._close()
 
     def close(self) -> None:
@@ -184,7 +185,7 @@ class StopListener:
 
         A forked child doesn't remove its parent's sockets.
         """
-        self._closing = True
+        self.closed = True
         if self.is_requested():
             self.confirm(connected=False)
         if self not in self.held:
@@ -214,8 +215,8 @@ def check_released() -> None:
     Raises:
         EmergencyStopError: one does; a person has to release it.
     """
-    for each in StopListener.held.copy():  # nobody else reads those of robots that are closed
-        if each.is_requested():
+    for each in StopListener.held.copy():
+        if each.is_requested() and each.closed:  # else its robot answers, once it has stopped
             each.confirm(connected=False)
     if StopListener.held:
         raise EmergencyStopError

@@ -435,6 +435,24 @@ def test_a_stop_of_one_robot_holds_its_process_until_that_one_is_released(
     estop.check_released()
 
 
+def test_a_forked_child_is_held_until_its_own_robot_is_released() -> None:
+    listener = estop.StopListener()
+    listener.hold()
+    child = os.fork()
+    if child == 0:
+        with contextlib.suppress(BaseException):
+            with pytest.raises(EmergencyStopError):
+                estop.check_released()
+            estop.StopListener().release()
+            estop.check_released()
+            os._exit(17)
+        os._exit(1)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 17
+    with pytest.raises(EmergencyStopError):
+        estop.check_released()
+    listener.close()
+
+
 def test_a_stop_that_was_not_read_holds_after_the_robot_is_closed(
     config: RobotConfig, shared_device: str
 ) -> None:
