@@ -181,10 +181,13 @@ class WheelError(LinkError):
 
 
 class EmergencyStopError(LinkError):
-    """An emergency stop from another terminal ended what the program was doing."""
+    """An emergency stop ended what the program was doing, or holds until it is released."""
 
     def __init__(self) -> None:
-        super().__init__("emergency stop", "look after the robot, then start again")
+        super().__init__(
+            "emergency stop",
+            "look after the robot, then start again, or run 'acsar-gym estop --release'",
+        )
 
 
 class LateTicksError(AcsarError):

@@ -20,6 +20,7 @@ from acsar_gym.errors import AcsarError
 from acsar_gym.links import open_link
 from acsar_gym.links.serial import SerialLink
 from acsar_gym.robot import Robot
+from acsar_gym.worlds import Scene
 
 KINDS = {
     "kill": "SIGKILL",
@@ -38,10 +39,14 @@ KINDS = {
     "thread-hup": "SIGHUP while a thread drives",
     "thread-end": "the program ends while a thread drives",
     "watchdog": "the watchdog is suspended",
+    "estop-out": "acsar-gym estop while the cable is out",
+    "estop-resets": "acsar-gym estop; the program resets",
 }
 REPLUGGED = ("unplug", "reset")
 CONTAINED = ("pid1-term", "pid1-hup")
 """Kinds that need a new PID namespace."""
+ESTOPPED = ("estop-out", "estop-resets")
+"""Kinds that another process causes by an emergency stop."""
 THREADED = ("thread-term", "thread-hup", "thread-end")
 SIGNALS = {
     "kill": signal.SIGKILL,
@@ -58,6 +63,10 @@ TICKS = 30
 JITTER = 0.02
 """Range of the random delay before a fault [s]; two ticks."""
 HANG = 5.0
+EPISODE = 40
+"""Ticks between two resets."""
+RETRY = 0.01
+"""Pause between two resets, which may fail at once [s]."""
 LIFE = 30.0
 """Lifetime of a forked child [s]."""
 CLONE_NEWUSER, CLONE_NEWPID, PR_SET_PDEATHSIG = 0x10000000, 0x20000000, 1
@@ -191,6 +200,8 @@ def _drive_until_harmed(robot: Robot, kind: str, report: IO[str]) -> None:
         FAULTS[kind](robot)
     if kind in CONTAINED:
         _insist(robot)
+    if kind in ESTOPPED:
+        _begin_episodes(robot)
     while True:
         _go(robot, 1)
 
@@ -226,6 +237,16 @@ def _insist(robot: Robot) -> None:
         with contextlib.suppress(AcsarError):
             robot.activate()
             _go(robot, 1)
+
+
+def _begin_episodes(robot: Robot) -> None:
+    """Reset and drive in turns, whatever goes wrong, as a training loop that nobody watches."""
+    while True:
+        with contextlib.suppress(AcsarError):
+            _go(robot, EPISODE)
+        with contextlib.suppress(AcsarError):
+            robot.reset(Scene())
+        time.sleep(RETRY)
 
 
 def _go(robot: Robot, ticks: int) -> None:

@@ -28,6 +28,7 @@ from acsar_gym.errors import (
     PortNotFoundError,
     PortPermissionError,
 )
+from acsar_gym.links.base import WHILE_WAITING
 
 Port = Any
 """An open port of pyserial, which has no type annotations."""
@@ -162,6 +163,7 @@ class Location:
             except LinkError as error:
                 if time.monotonic() + pause > start + self._patience(error, config):
                     raise
+            WHILE_WAITING.get()()
             time.sleep(pause)
             pause = min(2.0 * pause, longest)
 

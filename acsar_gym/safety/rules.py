@@ -38,7 +38,7 @@ class Reason(IntEnum):
     STALE_FEEDBACK = 3
     """The feedback is too old; holds until a new line comes."""
     EMERGENCY_STOP = 4
-    """An emergency stop; holds until the next reset."""
+    """An emergency stop; holds until it is released and the robot is reset."""
 
 
 _LIMITS, _GEOFENCE, _STALE = 1.0, 2.0, 3.0
