@@ -157,6 +157,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
 
         Raises:
             ConfigError, WorldError: for unknown options, or values that are malformed.
+            TaskError, SensorError: where a task or sensor fails, or gives NaN; names it.
         """
         mask, asked = self._asked(options)
         if not (mask.all() or (self.batch.seeded and self._whole)):
@@ -207,6 +208,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         Raises:
             CommandError: for another shape, NaN or infinity; names the first bad env.
             ConfigError: before a reset, after an interrupted call, or for an env that has ended.
+            TaskError, SensorError: where a task or sensor fails, or gives NaN; names it.
         """
         actions = self._checked(actions)
         if not self.batch.seeded:

@@ -41,7 +41,19 @@ class Ahead(Task):
         return state.goal[0] - state.pose[0], state.goal[1] - state.pose[1]
 
 
+class Unsound(Ahead):
+    def reward(self, state, memory, outcome):
+        return float("nan") if state.time > 0.1 else 0.0
+
+
+class Failing(Ahead):
+    def reward(self, state, memory, outcome):
+        return state.twist[0] if state.time < 0.3 else 1 / (outcome * 0)
+
+
 acsar_gym.register("mine/Ahead-v0", task=Ahead, max_episode_steps=20)
+acsar_gym.register("mine/Unsound-v0", task=Unsound, max_episode_steps=20)
+acsar_gym.register("mine/Failing-v0", task=Failing, max_episode_steps=20)
 acsar_gym.register("mine/Endless-v0", task=Ahead)
 gymnasium.register(
     "mine/Single-v0", "acsar_gym.envs.base:RobotEnv", kwargs={"task": Ahead}, max_episode_steps=20
@@ -112,6 +124,22 @@ def test_an_env_that_cannot_be_trained_in_is_one_line(env: str, said: str, call:
     code, _, error = call("train", "--env", env)
     assert code == 2
     assert_one_line(error, said)
+
+
+@pytest.mark.parametrize(
+    ("task", "said"),
+    [
+        ("Unsound", "mine/Unsound-v0.reward returned nan: must be a finite number"),
+        ("Failing", "mine/Failing-v0: reward() raised ZeroDivisionError: division by zero ("),
+    ],
+)
+def test_a_task_that_fails_in_a_training_is_one_line(task: str, said: str, call: Call) -> None:
+    small = ("--steps", "64", "--robots", "4", "--threads", "1", "--net", "8", "--no-progress")
+    code, _, error = call("train", "--env", f"mine_of_tests.tasks:mine/{task}-v0", *small)
+    assert code == 2
+    assert_one_line(error, said)
+    if task == "Failing":
+        assert f"{Path('mine_of_tests/tasks.py').absolute()}:" in error
 
 
 @pytest.mark.parametrize(
