@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.errors import TaskError, translate_errors
+from acsar_gym.errors import ConfigError, TaskError, translate_errors
 from acsar_gym.jit import COMPILED, NumbaError
 from acsar_gym.tasks.base import Memory, Outcome, State, Task, is_compiled, remembered, told
 from acsar_gym.tasks.episode import outcome_of, reward_of
@@ -87,6 +87,12 @@ class CompiledLoops:
         try:
             loop(self._numbers, self.memory, self._tables, *share, self._setup, self._spawns)
         except (NumbaError, KeyError, NotImplementedError, TypeError) as error:
+            if isinstance(error, KeyError) and error.args[0] not in self._task.memory:
+                name = error.args[0]
+                raise ConfigError(
+                    f"{named(self._task)}: memory.{name} isn't declared: give it a first value in "
+                    f'the class, such as memory = {{"{name}": 0.0}}'
+                ) from None
             raise kernel.explained(self._task, error) from None
         except Exception as error:
             raise TaskError(
