@@ -12,10 +12,13 @@ from numpy.typing import NDArray
 from acsar_gym.config import RobotConfig
 from acsar_gym.dynamics import Randomization, physics
 from acsar_gym.dynamics.drawing import places
+from acsar_gym.errors import TaskError
 from acsar_gym.lidars.base import LidarSensor, edges
 from acsar_gym.lidars.simulated import SimulatedLidar
 from acsar_gym.sensors import Factory, Sensor
 from acsar_gym.tasks.base import Task
+from acsar_gym.tasks.episode import check_observation
+from acsar_gym.tasks.made import named
 from acsar_gym.tasks.spawn import Spawn
 from acsar_gym.vector import pcg
 from acsar_gym.vector.kernel import episode, layout
@@ -60,7 +63,7 @@ class Batch:
         setup: layout.Setup,
         randomization: Randomization,
     ) -> None:
-        self.robots, self._config, self._setup = robots, config, setup
+        self.robots, self._config, self._task, self._setup = robots, config, task, setup
         sees = setup.lidar_rate > 0.0
         self._pool, worlds = spawn.pool, worlds_of(spawn.pool, follow=task.follows)
         self._spawns = spawns(task, spawn.pool, worlds)
@@ -157,6 +160,7 @@ class Batch:
         if not self._together:
             self._sense(mask, driven=False)
             self._apart(lambda first, last: self._loops.start(mask, first, last), share)
+        self._check_observations()
 
     def _begin(self, mask: Mask, first: int, last: int) -> None:
         """Begin new episodes of those robots first to last that are in the mask."""
@@ -174,6 +178,17 @@ class Batch:
             self._sense(self.tables.over, driven=True)
             self._apart(self._loops.step, share)
         self._move_on()
+        self._check_observations()
+        if not np.isfinite(self.tables.rewards).all():
+            robot = int(np.isfinite(self.tables.rewards).argmin())
+            raise TaskError(
+                f"{named(self._task)}.reward returned {self.tables.rewards[robot]} for robot "
+                f"{robot}: must be a finite number"
+            )
+
+    def _check_observations(self) -> None:
+        """Raise TaskError where the task observed NaN or infinity."""
+        check_observation(self._task, self.tables.observations[:, : self._setup.numbers])
 
     def _drive(self, first: int, last: int) -> None:
         """Run the physics of robots first to last, and their task where `_together`."""

@@ -131,7 +131,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         task, config, steps = self.task, self.config, asked.max_episode_steps
         sensors = (*task.sensors, *asked.sensors)
         faults, numbers = checked(asked.faults, config), len(task.observation)
-        varied = Randomization.of(asked.randomization)
+        varied = Randomization.of(asked.randomization, config)
         ticks, sees = self.ticks_per_step, LIDAR in sensors
         setup = setup_of(config, ticks, steps, numbers, faults, sees=sees, varied=varied)
         batch = Batch(self.num_envs, config, task, self._spawn, sensors, setup, varied)
@@ -157,6 +157,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
 
         Raises:
             ConfigError, WorldError: for unknown options, or values that are malformed.
+            TaskError, SensorError: where a task or sensor fails, or gives NaN; names it.
         """
         mask, asked = self._asked(options)
         if not (mask.all() or (self.batch.seeded and self._whole)):
@@ -207,6 +208,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         Raises:
             CommandError: for another shape, NaN or infinity; names the first bad env.
             ConfigError: before a reset, after an interrupted call, or for an env that has ended.
+            TaskError, SensorError: where a task or sensor fails, or gives NaN; names it.
         """
         actions = self._checked(actions)
         if not self.batch.seeded:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from acsar_gym.bodies.base import GroundTruth
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, SensorError, shown
+from acsar_gym.errors import ConfigError, SensorError, shown, translate_errors
 from acsar_gym.lidars.base import LidarSensor
 from acsar_gym.lidars.factory import factories
 from acsar_gym.sensors import LIDAR, Factory, Sensor
@@ -23,6 +23,7 @@ from acsar_gym.sensors.suite import (
     check_names,
     checked,
     made_by,
+    named,
     two_named,
     unused,
 )
@@ -161,7 +162,7 @@ class _Each:
 
     def reset(self, moment: Moment) -> None:
         """Reset them; those with a clock of their own take a first measurement."""
-        with _named(self.kind) as at:
+        with self._named() as at:
             for place, (robot, truth, now) in enumerate(moment.each()):
                 at[0] = robot
                 self._sensors[robot].reset(moment.scenes[place], moment.rngs[place])
@@ -172,7 +173,7 @@ class _Each:
         """Poll those with a clock of their own."""
         if self._polled:
             self._lend(moment)
-            with _named(self.kind) as at:
+            with self._named() as at:
                 for robot, truth, now in moment.each():
                     at[0] = robot
                     self._sensors[robot].poll(truth, now)
@@ -180,11 +181,18 @@ class _Each:
     def read(self, moment: Moment, out: Floats) -> None:
         """Read them into `out`, (robots, size)."""
         self._lend(moment)
-        with _named(self.kind) as at:
+        with self._named() as at:
             for row, (robot, truth, now) in zip(out, moment.each(), strict=True):
                 at[0] = robot
                 sensor = self._sensors[robot]
                 row[:] = checked(sensor, sensor.read(truth, now))
+
+    @contextlib.contextmanager
+    def _named(self) -> Iterator[list[int]]:
+        """Name the sensor and the robot (the list's number) in errors inside the block."""
+        at = [0]
+        with translate_errors(SensorError, lambda: f"sensor {self.kind.name!r} of robot {at[0]}"):
+            yield at
 
     def _lend(self, moment: Moment) -> None:
         """Set the generators that sensors keep to the batch's current states."""
@@ -195,9 +203,11 @@ class _Each:
         """Add their info, one number for each robot. ConfigError for a key that is there."""
         if self._tells:
             rows: list[dict[str, float]] = []
-            for robot, now in zip(moment.robots, moment.now.tolist(), strict=True):
-                rows.append({})
-                add_info(rows[-1], self._sensors[robot], now)
+            with self._named() as at:
+                for robot, now in zip(moment.robots, moment.now.tolist(), strict=True):
+                    at[0] = robot
+                    rows.append({})
+                    add_info(rows[-1], self._sensors[robot], now)
             self.keys = list(rows[0]) if rows else self.keys
             for key in self.keys if rows else ():
                 unused(told, self.kind, key)
@@ -220,7 +230,8 @@ class _Whole:
 
     def read(self, moment: Moment, out: Floats) -> None:
         """Read all robots into `out`, (robots, size). SensorError where it isn't finite."""
-        self.kind.read_batch(moment.truths, moment.scenes, moment.now, moment.rngs, out)
+        with named(self.kind):
+            self.kind.read_batch(moment.truths, moment.scenes, moment.now, moment.rngs, out)
         sound = np.isfinite(out).all(axis=1)
         if not sound.all():
             place = int(sound.argmin())
@@ -270,14 +281,3 @@ def _group(factory: Any, config: RobotConfig, robots: int, view: View) -> _Each 
 def overrides(sensor: Sensor, method: str) -> bool:
     """Whether the sensor's class overrides a method of `Sensor`."""
     return getattr(type(sensor), method) is not getattr(Sensor, method)
-
-
-@contextlib.contextmanager
-def _named(kind: Sensor) -> Iterator[list[int]]:
-    """Add the sensor and the robot (the list's number) to errors inside the block."""
-    at = [0]
-    try:
-        yield at
-    except Exception as error:
-        error.add_note(f"sensor {kind.name!r} of robot {at[0]}")
-        raise

@@ -5,12 +5,13 @@ from __future__ import annotations
 import threading
 from collections import namedtuple
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.errors import ConfigError
+from acsar_gym.errors import ConfigError, TaskError, translate_errors
 from acsar_gym.jit import COMPILED, NumbaError
 from acsar_gym.tasks.base import Memory, Outcome, State, Task, is_compiled, remembered, told
 from acsar_gym.tasks.episode import outcome_of, reward_of
@@ -86,9 +87,18 @@ class CompiledLoops:
         try:
             loop(self._numbers, self.memory, self._tables, *share, self._setup, self._spawns)
         except (NumbaError, KeyError, NotImplementedError, TypeError) as error:
+            if isinstance(error, KeyError) and error.args[0] not in self._task.memory:
+                name = error.args[0]
+                raise ConfigError(
+                    f"{named(self._task)}: memory.{name} isn't declared: give it a first value in "
+                    f'the class, such as memory = {{"{name}": 0.0}}'
+                ) from None
             raise kernel.explained(self._task, error) from None
-        except (IndexError, ValueError, ZeroDivisionError) as error:
-            raise ConfigError(f"{named(self._task)}: {error}, in a compiled method") from None
+        except Exception as error:
+            raise TaskError(
+                f"{named(self._task)}: {type(error).__name__}: {error}, in a compiled method; "
+                "with compiled = False, the line is told"
+            ) from error
 
     def info(self) -> Info:
         """The task's part of info: what it remembers."""
@@ -148,10 +158,11 @@ class PythonLoops:
         """Begin the episodes of robots in the mask and write their first observations."""
         robots = np.flatnonzero(mask[first:last]) + first
         rows = []
-        for robot, state in zip(robots.tolist(), self._states(robots), strict=True):
-            self._memory[robot] = memory = remembered(self._task)
-            self._task.begin(state, memory)
-            rows.append(self._task.observe(state, memory))
+        with self._named():
+            for robot, state in zip(robots.tolist(), self._states(robots), strict=True):
+                self._memory[robot] = memory = remembered(self._task)
+                self._task.begin(state, memory)
+                rows.append(self._task.observe(state, memory))
         self._observed(robots, rows)
         report(self._tables.state, first, last, self._setup)
 
@@ -167,12 +178,13 @@ class PythonLoops:
         """Call outcome, reward and observe for robots that have driven, and write the results."""
         task, memories = self._task, self._memory
         rewards, outcomes, rows = [], [], []
-        for robot, state in zip(robots.tolist(), self._states(robots), strict=True):
-            memory = memories[robot]
-            outcome = outcome_of(task, state, memory)
-            rewards.append(reward_of(task, state, memory, outcome))
-            outcomes.append(outcome)
-            rows.append(task.observe(state, memory))
+        with self._named():
+            for robot, state in zip(robots.tolist(), self._states(robots), strict=True):
+                memory = memories[robot]
+                outcome = outcome_of(task, state, memory)
+                rewards.append(reward_of(task, state, memory, outcome))
+                outcomes.append(outcome)
+                rows.append(task.observe(state, memory))
         self._observed(robots, rows)
         tables, values = self._tables, np.array(rewards, np.float64)
         tables.rewards[robots] = values
@@ -181,13 +193,17 @@ class PythonLoops:
         tables.ends[0, robots] = np.array(outcomes, np.int64) != Outcome.GOING
         tables.ends[1, robots] = tables.state[layout.STEPS, robots] >= self._setup.max_steps
 
+    def _named(self) -> AbstractContextManager[None]:
+        """Turn errors that the task raises inside a block into a TaskError with its name."""
+        return translate_errors(TaskError, lambda: named(self._task))
+
     def _observed(self, robots: NDArray[np.int64], rows: list[tuple[float, ...]]) -> None:
-        """Write the observations of these robots; ConfigError where their number doesn't fit."""
+        """Write the observations of these robots; TaskError where their number doesn't fit."""
         if rows and self._numbers:
             try:
                 self._tables.observations[robots, : self._numbers] = rows
-            except ValueError as error:
-                raise ConfigError(f"{type(self._task).__qualname__}.observe: {error}") from None
+            except (TypeError, ValueError) as error:
+                raise TaskError(f"{named(self._task)}.observe: {error}") from None
 
     def _states(self, robots: NDArray[np.int64]) -> list[State]:
         """The State of each of these robots."""
