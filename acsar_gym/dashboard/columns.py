@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
-FIRST = 1024
+FIRST = 16
 """Rows for which there is room at first."""
 
 

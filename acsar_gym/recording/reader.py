@@ -33,6 +33,10 @@ MOST_KEPT = 300_000_000
 """Most bytes of a recording that are kept in memory."""
 COST = 100
 """What each message costs beside its content [bytes]; rows of tables cost nothing."""
+MOST_EPISODES = 5_000
+"""Most episodes; an empty one takes 7 kB of memory."""
+MOST_OPENINGS = 10_000_000
+"""Most bytes of what begins the episodes; of JSON, which takes 25 times the memory."""
 HEADER = {"config_sha256": str, "versions": dict, "created": dict, "about": dict}
 """What a header must have besides format and config, and its kind."""
 _MESSAGE = struct.Struct("<HIQQ")
@@ -57,6 +61,7 @@ class Collector:
         self.end: dict[str, Any] | None = None
         self.parts: list[Part] = []
         self.kept = 0
+        self._openings = 0
         self._tables: set[int] = set()
         self.takers: dict[int, Take] = {}
 
@@ -64,19 +69,18 @@ class Collector:
         """Take a record."""
         if opcode == records.MESSAGE:
             self._message(content)
-        elif opcode == records.CHANNEL:
-            self._channel(content)
-        elif opcode == records.METADATA:
-            name, told = records.metadata(content)
-            if name == NAME and self.header is None:
-                self.header = mapping(told.get("header", ""))
+        elif opcode in records.DESCRIPTIONS:
+            found = records.described(opcode, content)
+            if opcode == records.CHANNEL:
+                self._channel(found.id, found.topic, found.metadata)
+            elif found.name == NAME and self.header is None:
+                self.header = mapping(found.metadata.get("header", ""))
                 _check_format(self.header)
-            elif name == END:
-                self.end = mapping(told.get("end", ""))
+            elif found.name == END and self.end is None:
+                self.end = mapping(found.metadata.get("end", ""))
 
-    def _channel(self, content: bytes) -> None:
+    def _channel(self, number: int, name: str, told: Mapping[str, str]) -> None:
         """Take note of a channel, if its topic is one that is read back."""
-        number, name, told = records.channel(content)
         columns = {topic.name: topic.columns for topic in TABLES}
         if name in columns and told.get("columns", "").split(",") != list(columns[name]):
             raise ConfigError(f"{name} has other columns: it was recorded by another version")
@@ -96,9 +100,12 @@ class Collector:
             return
         self.kept += len(content) + (0 if number in self._tables else COST)
         if self.kept > MOST_KEPT:
-            raise ConfigError("holds too much: cut out a part of it")
+            raise ConfigError(records.TOO_MUCH)
         data = content[_MESSAGE.size :]
         if taker is begin:
+            self._openings += len(data)
+            if len(self.parts) >= MOST_EPISODES or self._openings > MOST_OPENINGS:
+                raise ConfigError(records.TOO_MUCH)
             self.parts.append(Part(opening(data)))
         elif self.parts:
             taker(self.parts[-1], time, data)

@@ -1,11 +1,12 @@
 """Reads the records of an MCAP file one after the other, in bounded time and memory.
 
-The library mcap reads files as well, but trusts the sizes that they name, and refuses files whose
-end is missing.
+The library mcap reads channels and metadata. Its stream reader could read the rest, too, but makes
+objects of all messages of a chunk at once, wanted or not, and takes six times as long.
 """
 
 from __future__ import annotations
 
+import io
 import struct
 import zlib
 from collections.abc import Container, Iterator
@@ -16,12 +17,20 @@ from acsar_gym.errors import ConfigError, MissingExtraError
 MAGIC = b"\x89MCAP0\r\n"
 CHANNEL, MESSAGE, CHUNK, METADATA, DATA_END = 4, 5, 6, 12, 15
 KNOWN = range(1, 16)
-MOST_RECORD = 64_000_000
+DESCRIPTIONS = CHANNEL, METADATA
+READ = MESSAGE, *DESCRIPTIONS
+"""What is read of a chunk."""
+MOST_RECORD = 8_000_000
 """Longest accepted record, and chunk once it is unpacked [bytes]."""
 MOST_UNPACKED = 2_000_000_000
 """Most bytes of all chunks once they are unpacked; two hours at 100 Hz."""
+MOST_RATIO = 32
+"""Most unpacked bytes for each byte of the file, beyond MOST_RECORD; a robot that stands has 10."""
+MOST_DESCRIBED = 4_000_000
+"""Most bytes of channels and metadata, which are slow to read; a recording's are 30,000."""
 MOST_RECORDS = 4_500_000
 """Most records; an hour at 100 Hz has 4 million."""
+TOO_MUCH = "holds too much: cut out a part of it"
 _RECORD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQII")
 
@@ -44,7 +53,9 @@ class Records:
         self._file = file
         self._digest = digest
         self.wanted: Container[int] | None = None
+        self._packed = 0
         self._unpacked = 0
+        self._described = 0
         self._count = 0
         if self._read(len(MAGIC)) != MAGIC:
             raise ConfigError("isn't a recording: not an MCAP file")
@@ -61,6 +72,7 @@ class Records:
             if opcode == CHUNK:
                 yield from self._chunk(content)
             else:
+                self._weigh(opcode, len(content))
                 yield opcode, content
             if opcode == DATA_END:
                 self._rest()
@@ -85,9 +97,11 @@ class Records:
             data = content[_CHUNK.size + length + 8 :]
         except (struct.error, UnicodeDecodeError):
             raise ConfigError("is damaged: a broken chunk") from None
+        self._packed += len(content)
         self._unpacked += size
-        if size > MOST_RECORD or self._unpacked > MOST_UNPACKED:
-            raise ConfigError("holds too much: cut out a part of it")
+        most = min(MOST_UNPACKED, MOST_RECORD + MOST_RATIO * self._packed)
+        if size > MOST_RECORD or self._unpacked > most:
+            raise ConfigError(TOO_MUCH)
         unpacked = _unpacked(kind, data, size)
         if len(unpacked) != size or (crc and zlib.crc32(unpacked) != crc):
             raise ConfigError("is damaged: a chunk with a wrong checksum")
@@ -108,14 +122,23 @@ class Records:
                 continue
             if place > len(data) or opcode not in KNOWN:
                 raise ConfigError("is damaged: a broken record in a chunk")
-            yield opcode, data[first:place]
+            if opcode in READ:
+                self._weigh(opcode, length)
+                yield opcode, data[first:place]
         self._counted(before)
+
+    def _weigh(self, opcode: int, length: int) -> None:
+        """Count the bytes of descriptions; ConfigError for too many."""
+        if opcode in DESCRIPTIONS:
+            self._described += _RECORD.size + length
+            if self._described > MOST_DESCRIBED:
+                raise ConfigError(TOO_MUCH)
 
     def _counted(self, records: int = 1) -> None:
         """Count records; ConfigError for too many."""
         self._count += records
         if self._count >= MOST_RECORDS:
-            raise ConfigError("holds too much: cut out a part of it")
+            raise ConfigError(TOO_MUCH)
 
     def _rest(self) -> None:
         """Read what follows the data, an index; Cut where it isn't whole."""
@@ -158,36 +181,16 @@ def _unpacked(kind: str, data: bytes, size: int) -> bytes:
     raise ConfigError(f"has chunks packed as {kind[:20]!r}, which isn't known")
 
 
-def metadata(content: bytes) -> tuple[str, dict[str, str]]:
-    """Parse a metadata record: its name, and its texts by key."""
+def described(opcode: int, content: bytes) -> Any:
+    """Parse the record of a channel or of metadata, as the library has it."""
     try:
-        name, place = _text(content, 0)
-        (size,) = struct.unpack_from("<I", content, place)
-        place, end, found = place + 4, place + 4 + size, {}
-        while place < end:
-            key, place = _text(content, place)
-            found[key], place = _text(content, place)
-    except (struct.error, UnicodeDecodeError):
-        raise ConfigError("is damaged: broken metadata") from None
-    return name, found
-
-
-def channel(content: bytes) -> tuple[int, str, dict[str, str]]:
-    """Parse a channel record: its number, topic, and metadata."""
+        from mcap.data_stream import ReadDataStream  # noqa: PLC0415 - optional
+        from mcap.exceptions import McapError  # noqa: PLC0415
+        from mcap.records import Channel, Metadata  # noqa: PLC0415
+    except ImportError:
+        raise MissingExtraError("reading a recording", "record") from None
+    kind = Channel if opcode == CHANNEL else Metadata
     try:
-        (number,) = struct.unpack_from("<H", content)
-        topic, place = _text(content, 4)
-        _, place = _text(content, place)
-        _, told = metadata(b"\0\0\0\0" + content[place:])
-    except (struct.error, UnicodeDecodeError):
-        raise ConfigError("is damaged: a broken channel") from None
-    return number, topic, told
-
-
-def _text(data: bytes, place: int) -> tuple[str, int]:
-    """Read a text with its length; returns the place behind it."""
-    (size,) = struct.unpack_from("<I", data, place)
-    text = data[place + 4 : place + 4 + size]
-    if len(text) < size:
-        raise struct.error
-    return text.decode(), place + 4 + size
+        return kind.read(ReadDataStream(io.BytesIO(content)))
+    except (McapError, struct.error, UnicodeDecodeError):
+        raise ConfigError(f"is damaged: broken {kind.__name__.lower()}") from None

@@ -108,8 +108,8 @@ def _topics(path: Path) -> dict[str, int]:
         try:
             for opcode, content in Records(file, hashlib.sha256()):
                 if opcode == records.CHANNEL:
-                    number, name, _ = records.channel(content)
-                    names[number] = name
+                    channel = records.described(opcode, content)
+                    names[channel.id] = channel.topic
                 elif opcode == records.MESSAGE and len(content) > 1:
                     counts[struct.unpack_from("<H", content)[0]] += 1
         except Cut:

@@ -17,6 +17,7 @@ from stable_baselines3.common.type_aliases import Schedule
 from acsar_gym.config import RobotConfig, RobotSource
 from acsar_gym.errors import ConfigError
 from acsar_gym.lidars.base import ray_spec
+from acsar_gym.training.classes import find_classes
 
 GAIN = 2.0**0.5
 """Of the first weights, for rectified units."""
@@ -39,7 +40,8 @@ class MirrorPolicy(ActorCriticPolicy):
             those of `RayClearance`, with the rays at the end.
         odd: indices of the numbers before the rays that change their sign in the mirror.
         robot: whose LiDAR it is; see `RobotConfig.of`.
-        **kwargs: as of ActorCriticPolicy; `net_arch` has the pairs of units of each layer.
+        **kwargs: as of ActorCriticPolicy; `net_arch` has the pairs of units of each layer. Classes
+            may be given by the names in `classes`, as RL Zoo does with a recipe's.
 
     Raises:
         ConfigError: the features are fewer than the rays, or `odd` names none of them.
@@ -49,7 +51,7 @@ class MirrorPolicy(ActorCriticPolicy):
         self, *args: Any, odd: Sequence[int] = (), robot: RobotSource = None, **kwargs: Any
     ) -> None:
         self._odd, self._robot = tuple(odd), robot
-        super().__init__(*args, **kwargs)
+        super().__init__(*args, **find_classes(kwargs))
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
         return super()._get_constructor_parameters() | {"odd": self._odd, "robot": self._robot}

@@ -32,6 +32,9 @@ class Options:
     conf_file: Path | None = None
     """Recipe file in RL Zoo's format, or the config.yml of an earlier training; default:
     agents/recipes/ALGO.yml."""
+    modules: tuple[str, ...] = ()
+    """Modules of your own whose classes the recipe names, such as mine.networks; they are imported,
+    which a recipe alone can't do. The module of --env is one of them."""
     steps: int | None = None
     """Env steps to train, at most 10 billion; default: the recipe's."""
     target: float | None = None

@@ -63,7 +63,8 @@ class Plan:
         count = threads.chosen(options.threads)
         robot = RobotConfig.of(options.robot)
         out, kind = _folder(options, own), algorithm(options.algo)
-        recipe = recipes.recipe(kind, own, options.conf_file).with_(
+        modules = [*options.modules, *filter(None, [env_id.rpartition(":")[0]])]
+        recipe = recipes.recipe(kind, own, options.conf_file, modules).with_(
             steps=options.steps,
             robots=options.robots,
             gamma=options.gamma,

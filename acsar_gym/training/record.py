@@ -10,13 +10,11 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 import acsar_gym
 from acsar_gym.envs import ids
 from acsar_gym.errors import ConfigError
 from acsar_gym.evaluation import provenance
-from acsar_gym.reading import bounded
+from acsar_gym.reading import bounded, structured
 from acsar_gym.training import threads
 from acsar_gym.training.options import Options
 from acsar_gym.training.plan import Plan
@@ -26,6 +24,8 @@ RUN = "run"
 """Key of what isn't a recipe. The recipe is beside it, so that the file can be a --conf-file."""
 LIBRARIES = ("torch", "stable-baselines3", "sb3-contrib", "numba")
 """Their versions are recorded, besides those of every result."""
+MOST_BYTES = 1_000_000
+"""Largest accepted config.yml [bytes]."""
 PATIENCE = 5.0
 """Time limit of git [s]."""
 
@@ -102,7 +102,7 @@ def _before(plan: Plan) -> list[Any]:
     """Return the commands of a training that goes on."""
     if plan.options.resume != plan.out:
         return []
-    commands: list[Any] = yaml.safe_load((plan.out / FILE).read_text("utf-8"))[RUN]["commands"]
+    commands: list[Any] = read(plan.out)["commands"]
     return commands
 
 
@@ -114,8 +114,22 @@ def finish(plan: Plan, content: dict[str, Any], **facts: Any) -> None:
 
 def finished(folder: Path) -> bool:
     """Return whether a training wrote all that it leaves; `options` has read its folder."""
-    found = yaml.safe_load((folder / FILE).read_text("utf-8"))
-    return bool(found[RUN].get("finished"))
+    return bool(read(folder).get("finished"))
+
+
+def read(folder: Path) -> dict[str, Any]:
+    """Read what a training has recorded of itself, besides its recipe.
+
+    Raises:
+        ConfigError: the folder has no config.yml of a training.
+    """
+    path = folder / FILE
+    data = bounded.read(path, MOST_BYTES)
+    try:
+        found: dict[str, Any] = dict(structured.from_yaml(structured.decoded(data))[RUN])
+    except (ConfigError, KeyError, TypeError, ValueError) as error:
+        raise ConfigError(f"{path}: not of 'acsar-gym train': {bounded.reason(error)}") from None
+    return found
 
 
 def options(folder: Path) -> Options:
@@ -126,19 +140,18 @@ def options(folder: Path) -> Options:
     """
     path = folder / FILE
     try:
-        found = yaml.safe_load(bounded.read(path, 1_000_000, ConfigError))
-        given = found[RUN]["options"]
-        net, paths = given["net"], ("conf_file", "out", "resume")
+        given = read(folder)["options"]
+        paths = ("conf_file", "out", "resume")
         given |= {name: Path(given[name]) for name in paths if given[name] is not None}
-        return Options(**(given | {"net": None if net is None else tuple(net)}))
-    except (yaml.YAMLError, KeyError, TypeError, ValueError) as error:
-        said = " ".join(str(error).split())
-        raise ConfigError(f"{path}: not of 'acsar-gym train': {said}") from None
+        given |= {name: tuple(each) for name, each in given.items() if isinstance(each, list)}
+        return Options(**given)
+    except (KeyError, TypeError, ValueError) as error:
+        raise ConfigError(f"{path}: not of 'acsar-gym train': {bounded.reason(error)}") from None
 
 
 def _write(out: Path, content: Mapping[str, Any]) -> None:
     """Write config.yml, whole or not at all."""
-    text = yaml.safe_dump(content, sort_keys=False)
+    text = structured.to_yaml(content)
     with bounded.replacing(out / FILE) as new:
         new.write_text(text, encoding="utf-8")
 

@@ -23,7 +23,6 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import yaml
 from rich.table import Table
 
 from acsar_gym.errors import ConfigError, printable, shown
@@ -206,7 +205,7 @@ def _after(path: Path, begun: float) -> bool:
 
 def _result(out: Path, seed: int) -> Trained:
     """Read the result of a training from its folder."""
-    told = yaml.safe_load((out / record.FILE).read_text(encoding="utf-8"))[record.RUN]
+    told = record.read(out)
     last = told.get("held_out") or {}
     success, collision = (
         float(last.get(name, math.nan)) for name in ("success_rate", "collision_rate")

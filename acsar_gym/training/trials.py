@@ -7,13 +7,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from acsar_gym.config import RobotConfig
 from acsar_gym.dynamics.levels import WIDTHS, level
 from acsar_gym.envs import ids
 from acsar_gym.evaluation import episodes as evaluation
 from acsar_gym.evaluation import metrics, runs
+from acsar_gym.reading import structured
 from acsar_gym.training import recipes, run
 from acsar_gym.training.algorithms import algorithm
 from acsar_gym.training.options import Options
@@ -44,7 +43,7 @@ def trial(env: str, number: int, seed: int, steps: int | None = None, count: int
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder)
         file = out / "recipe.yml"
-        file.write_text(yaml.safe_dump(randomized(env, number)), encoding="utf-8")
+        file.write_text(structured.to_yaml(randomized(env, number)), encoding="utf-8")
         asked: dict[str, Any] = {"steps": steps, "conf_file": file, "randomize": number > 0}
         run.train(Options(env=env, seed=seed, out=out, threads=1, progress=False, **asked))
         return success(out / "policy.onnx", count)

@@ -41,6 +41,8 @@ MOST_BYTES = 64_000_000
 """Most bytes of an SDF file or a picture."""
 MOST_TEXT = 5_000_000
 """Most bytes of a JSON or YAML; 20,000 segments and a path of 20,000 points are 3 MB."""
+MOST_EVENTS = 210_000
+"""Most parser events of a YAML; 20,000 segments and a path of 20,000 points are 200,000."""
 MOST_FILES = 10_000
 """Most worlds of a folder."""
 MOST_TOGETHER = 1_000_000
@@ -175,7 +177,7 @@ def _from_json(path: Path) -> World:
 
 
 def _from_yaml(path: Path) -> World:
-    return _from_data(structured.from_yaml(_text(path), WorldError), path)
+    return _from_data(structured.from_yaml(_text(path), WorldError, MOST_EVENTS), path)
 
 
 def _from_data(data: object, path: Path) -> World:

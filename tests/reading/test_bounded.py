@@ -174,9 +174,12 @@ MERGES = "a0: &a0 {x: 1}\n" + "".join(
 DIGITS = "9" * 400
 ROBOTS = {
     "merges.yaml": (MERGES, "has an alias"),
-    "merge.yaml": ("motor: {<<: {max_speed: 1}}", "merges (<<) are refused"),
-    "digits.yaml": (f"encoder: {{counts_per_revolution: {DIGITS}}}", "number of 400 characters"),
-    "sixty.yaml": ("wheel_radius: 1" + ":1" * 4_000, "number of 8,001 characters"),
+    "merge.yaml": ("motor: {<<: {max_speed: 1}}", "(<< is refused: write the values out)"),
+    "digits.yaml": (
+        f"encoder: {{counts_per_revolution: {DIGITS}}}",
+        "counts_per_revolution = 9999",
+    ),
+    "sixty.yaml": ("wheel_radius: 1" + ":1" * 4_000, "wheel_radius = a very long number"),
     "keys.yaml": (f"{{{', '.join(f'{i}: 1' for i in range(9))}}}", "a key must be text"),
     "text.yaml": (f"odom_frame: {'x' * 20_000}", "a text of 20,000 characters"),
     "many.yaml": ("[" + "[]," * 200_000 + "]", "too many values"),
