@@ -114,7 +114,7 @@ def test_damaged_code_is_compiled_anew(
     monkeypatch.setattr(compiled, "TOLD", set())
 
     def hits() -> int:
-        function = compiled.loop(plus_one)
+        function: Any = compiled.loop(plus_one)
         assert function(1.0) == 2.0
         return sum(function.stats.cache_hits.values())
 

@@ -135,11 +135,11 @@ def replacing(path: Path) -> Iterator[Path]:
     os.close(os.open(new, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
     try:
         if before:
-            with contextlib.suppress(PermissionError):
+            with contextlib.suppress(PermissionError, AttributeError):  # Windows has no owners
                 shutil.chown(new, before.st_uid, before.st_gid)
             new.chmod(stat.S_IMODE(before.st_mode))
         yield new
-        with new.open("rb+") as file:
+        with new.open("ab") as file:
             os.fsync(file.fileno())
         new.replace(place)
     finally:
