@@ -86,13 +86,13 @@ class CompiledLoops:
         """Call a compiled loop; ConfigError where numba can't compile the task."""
         try:
             loop(self._numbers, self.memory, self._tables, *share, self._setup, self._spawns)
-        except (NumbaError, KeyError, NotImplementedError, TypeError) as error:
-            if isinstance(error, KeyError) and error.args[0] not in self._task.memory:
-                name = error.args[0]
-                raise ConfigError(
-                    f"{named(self._task)}: memory.{name} isn't declared: give it a first value in "
-                    f'the class, such as memory = {{"{name}": 0.0}}'
-                ) from None
+        except KeyError as error:  # of numba, for a field that the record doesn't have
+            name = error.args[0]
+            raise ConfigError(
+                f"{named(self._task)}: memory.{name} isn't declared: give it a first value in the "
+                f'class, such as memory = {{"{name}": 0.0}}'
+            ) from None
+        except (NumbaError, NotImplementedError, TypeError) as error:
             raise kernel.explained(self._task, error) from None
         except Exception as error:
             raise TaskError(
