@@ -14,14 +14,15 @@ C code. But the interpreter at once writes the signal's number to `signal.set_wa
 pipe, which `check_may_drive` reads.
 
 Event loops set that descriptor, too (asyncio's `add_signal_handler`, trio). So ours stays, and
-`signal.set_wakeup_fd` is replaced by a function that has the numbers forwarded. The other ways don't
-last: a handler of `faulthandler.register` goes with the next `signal.signal`, such as asyncio.run's,
+`signal.set_wakeup_fd` is replaced by a function that has the numbers forwarded. Other ways don't
+last: a handler of `faulthandler.register` goes with the next `signal.signal`, as in `asyncio.run`,
 and `sigwait` needs signals that all threads block, those of libraries included.
 """
 
 from __future__ import annotations
 
 import atexit
+import concurrent.futures.thread  # noqa: F401 - see `_close_with_main_thread`
 import contextlib
 import os
 import select
@@ -72,19 +73,33 @@ def check_may_drive() -> None:
     has run before, and the program goes on all the same. From then on, other threads may again.
 
     Raises:
-        LinkError: the program is ending, or was asked to and this isn't its main thread.
+        LinkError: the program is ending; or this isn't its main thread, and the program was asked
+            to end, or the coroutine that `asyncio.run` runs has ended.
     """
     if _ending[0]:
         raise LinkError("the program is about to end", "nothing drives any more: start it again")
     asked = _signals.read()
     if threading.current_thread() is threading.main_thread():
         asked.clear()
+        return
     for number, deadline in list(asked.items()):
         if time.monotonic() >= deadline:
             raise LinkError(
                 f"{signal.Signals(number).name} asked the program to end, and a thread drove on",
                 "to go on, call activate() or env.reset() in the main thread",
             )
+    if _asyncio_is_ending():
+        raise LinkError("asyncio.run is about to end", "await the thread that drives")
+
+
+def _asyncio_is_ending() -> bool:
+    """Return whether the main thread ends an `asyncio.run`, where it waits for threads."""
+    if (runners := sys.modules.get("asyncio.runners")) is None:
+        return False
+    frame = sys._current_frames().get(threading.main_thread().ident or 0)  # noqa: SLF001
+    while frame is not None and frame.f_code is not runners.Runner.close.__code__:
+        frame = frame.f_back
+    return frame is not None
 
 
 def install() -> None:
@@ -151,15 +166,13 @@ def _close_with_main_thread() -> None:
 
     `atexit` is too late: threads that drive are joined before it, and other handlers may run first.
     The interpreter has no public way; this one is what `concurrent.futures` uses to join its
-    threads. Its function is called after ours if it was registered before.
+    threads: imported first, it is called last.
     """
     if _hooked[0]:
         return
-    import concurrent.futures.thread  # noqa: F401
-
     _hooked[0] = True
     try:
-        threading._register_atexit(_close_links)  # type: ignore[attr-defined]
+        threading._register_atexit(_close_links)  # type: ignore[attr-defined]  # noqa: SLF001
     except RuntimeError:  # the main thread has ended
         _ending[0] = True
 
@@ -227,9 +240,9 @@ class _Signals:
             for end in self._pipe:
                 os.set_blocking(end, False)
             signal.set_wakeup_fd = self._share
-        theirs = _set_wakeup_fd(self._pipe[1], warn_on_full_buffer=False)
-        if theirs not in (-1, self._pipe[1]):
-            self._forward_to(theirs)
+        before = _set_wakeup_fd(self._pipe[1], warn_on_full_buffer=False)
+        if before not in (-1, self._pipe[1]):
+            self._forward_to(before)
 
     def read(self) -> dict[int, float]:
         """Return which signals asked the program to end, and from when on threads must heed them.
@@ -268,25 +281,30 @@ class _Signals:
 
     def _forward_to(self, fd: int) -> int:
         """Forward all numbers to this descriptor; returns the one before."""
+        assert self._pipe is not None  # noqa: S101 - for the type checker
         with self._lock:
             before, self._theirs = self._theirs, fd
             if fd != -1 and not self._forwards:
                 self._forwards = True
-                threading.Thread(target=self._forward, daemon=True).start()
+                threading.Thread(target=self._forward, args=self._pipe[:1], daemon=True).start()
         return before
 
-    def _forward(self) -> None:
-        """Read, which forwards numbers, while nobody drives, too."""
-        while self._pipe is not None:
-            select.select([self._pipe[0]], [], [])
+    def _forward(self, pipe: int) -> None:
+        """Read, which forwards, while nobody drives, too."""
+        while True:
+            select.select([pipe], [], [])
             self.read()
 
     def abandon(self) -> None:
         """Leave the parent's pipe alone in a forked child."""
-        if self._pipe is not None:
+        if self._pipe is None:
+            return
+        try:
             _set_wakeup_fd(self._theirs)
-            for end in self._pipe:
-                os.close(end)
+        except (ValueError, OSError):  # it was closed
+            _set_wakeup_fd(-1)
+        for end in self._pipe:
+            os.close(end)
         self.__init__()  # type: ignore[misc]
 
 

@@ -24,6 +24,7 @@ from acsar_gym.links.watchdog_child import (
     PAGE,
     REPEATS,
     STANDS,
+    clock,
 )
 from acsar_gym.protocol import ZERO, encode
 
@@ -134,7 +135,7 @@ def test_a_gap_that_the_program_finds_first_trips(
 ) -> None:
     """As where both were suspended, and the program goes on before the watchdog."""
     dog.drive()
-    later = watchdog.clock() + 3.0
+    later = clock() + 3.0
     monkeypatch.setattr(watchdog, "clock", lambda: later)
     dog.beat()
     assert dog.tripped
