@@ -22,7 +22,7 @@ and `sigwait` needs signals that all threads block, those of libraries included.
 from __future__ import annotations
 
 import atexit
-import concurrent.futures.thread  # noqa: F401 - see `_close_with_main_thread`
+import concurrent.futures.thread
 import contextlib
 import os
 import select
@@ -74,7 +74,7 @@ def check_may_drive() -> None:
 
     Raises:
         LinkError: the program is ending; or this isn't its main thread, and the program was asked
-            to end, or the coroutine that `asyncio.run` runs has ended.
+            to end, or its main thread has ended but for threads that it waits for.
     """
     if _ending[0]:
         raise LinkError("the program is about to end", "nothing drives any more: start it again")
@@ -88,18 +88,26 @@ def check_may_drive() -> None:
                 f"{signal.Signals(number).name} asked the program to end, and a thread drove on",
                 "to go on, call activate() or env.reset() in the main thread",
             )
-    if _asyncio_is_ending():
-        raise LinkError("asyncio.run is about to end", "await the thread that drives")
+    if _is_main_thread_done():
+        raise LinkError(
+            "the main thread has ended but for this thread", "let the main thread wait for it"
+        )
 
 
-def _asyncio_is_ending() -> bool:
-    """Return whether the main thread ends an `asyncio.run`, where it waits for threads."""
-    if (runners := sys.modules.get("asyncio.runners")) is None:
-        return False
+def _is_main_thread_done() -> bool:
+    """Return whether the main thread only waits for threads before it ends.
+
+    `asyncio.run` does so at its end, and the block of an executor that an exception leaves.
+    """
+    runners = sys.modules.get("asyncio.runners")
     frame = sys._current_frames().get(threading.main_thread().ident or 0)  # noqa: SLF001
-    while frame is not None and frame.f_code is not runners.Runner.close.__code__:
+    while frame is not None:
+        if runners is not None and frame.f_code is runners.Runner.close.__code__:
+            return True
+        if frame.f_code is concurrent.futures.Executor.__exit__.__code__:
+            return frame.f_locals["exc_type"] is not None
         frame = frame.f_back
-    return frame is not None
+    return False
 
 
 def install() -> None:

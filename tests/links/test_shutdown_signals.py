@@ -97,6 +97,28 @@ asyncio.run(main())
     assert_stopped(emulator)
 
 
+def test_an_executor_s_thread_is_stopped_when_its_block_fails(emulator: Emulated) -> None:
+    """Not while the main thread waits at the block's end as planned."""
+    code = """
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+robot.activate()
+with ThreadPoolExecutor() as pool:
+    planned = pool.submit(drive, 30)
+planned.result()
+with ThreadPoolExecutor() as pool:
+    pool.submit(drive, 10**9)
+    time.sleep(0.1)
+    raise RuntimeError
+"""
+    with program(DRIVER + code, emulator.device) as process:
+        status, error = ended(process)
+    assert status == 1
+    assert error.endswith("RuntimeError\n")
+    assert_stopped(emulator)
+
+
 def test_the_main_thread_drives_on_after_a_handler_of_its_own(emulator: Emulated) -> None:
     code = """
 signal.signal(signal.SIGTERM, lambda *_: None)
