@@ -9,7 +9,7 @@ import pytest
 
 from acsar_gym.errors import ConfigError
 from acsar_gym.training import threads
-from acsar_gym.vector.settings import threads_for
+from acsar_gym.vector.settings import cores, threads_for
 
 
 def batch(asked: int) -> int:
@@ -34,7 +34,7 @@ def test_threads_that_would_share_a_core_are_left_out(cores: int, share: float, 
 
 
 def test_the_measurement_is_within_what_there_is() -> None:
-    assert 1 <= threads.free_cores() <= threads.cores()
+    assert 1 <= threads.free_cores() <= cores()
 
 
 def test_a_number_that_is_given_is_taken() -> None:

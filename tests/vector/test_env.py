@@ -364,7 +364,7 @@ def test_randomization_true_is_that_of_a_training(kind: Any) -> None:
         told.append({k: v for k, v in env.reset(seed=0)[1].items() if k.startswith("drawn_")})
         env.close()
     assert told[0]
-    np.testing.assert_equal(*told)
+    np.testing.assert_equal(told[0], told[1])
     env = kind(PointGoal, randomization=False)
     assert not [name for name in env.reset(seed=0)[1] if name.startswith("drawn_")]
     env.close()

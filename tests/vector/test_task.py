@@ -253,7 +253,9 @@ class CompiledObservation(UnsoundObservation):
 )
 @pytest.mark.parametrize("mode", ["single", "batch", "batch that resets in the same step"])
 def test_numbers_that_are_not_finite_are_named(task: type[Task], said: str, mode: str) -> None:
-    same = {"autoreset_mode": "SameStep", "max_episode_steps": 2} if "same" in mode else {}
+    same: dict[str, Any] = (
+        {"autoreset_mode": "SameStep", "max_episode_steps": 2} if "same" in mode else {}
+    )
     env: Any = RobotEnv(task, "planar") if mode == "single" else RobotVectorEnv(task, 3, **same)
     action = ACTIONS[0, 0] if mode == "single" else ACTIONS[0]
     env.reset(seed=0)
