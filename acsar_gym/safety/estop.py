@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import atexit
 import contextlib
-import itertools
 import os
 import re
 import select
@@ -42,6 +41,8 @@ OTHER = b"other"
 """Beginning of the answer of a robot that wasn't meant, or was asked for its names."""
 LONGEST_REQUEST = 8192
 """Most bytes of a request or an answer."""
+MOST_LISTENERS = 1000
+"""Listeners of processes with one id."""
 MOST_REQUESTS = 8
 """Requests that are read in one tick."""
 
@@ -113,7 +114,9 @@ class StopListener:
         self.closed = False
         usable, self.faults = folders()
         own = _free_name(usable)
-        for folder in usable:
+        if not own:
+            self.faults += [LinkError(f"{one}: no socket", "make it yours") for one in usable]
+        for folder in usable if own else ():
             path = folder / own
             try:
                 self._sockets.append(_bound(path))
@@ -238,10 +241,11 @@ def _leave() -> None:
 def _free_name(usable: list[Path]) -> str:
     """A name with this process's id at which nobody listens in any of the folders.
 
-    Processes in containers that share a folder can have the same id.
+    Processes in containers that share a folder can have the same id. Empty where there is none, as
+    in a folder of the real user after a change of the effective one.
     """
-    names = (f"{os.getpid()}-{number}" for number in itertools.count(1))
-    return next(name for name in names if not any(_is_taken(path / name) for path in usable))
+    names = (f"{os.getpid()}-{number}" for number in range(1, MOST_LISTENERS + 1))
+    return next((name for name in names if not any(_is_taken(path / name) for path in usable)), "")
 
 
 def _is_taken(path: Path) -> bool:

@@ -55,8 +55,10 @@ def assert_clear(error: LinkError, device: str) -> None:
 def refusal(device: str, config: RobotConfig) -> LinkError:
     """The error of activating a robot on a bad device, which leaves nothing open behind it."""
     robot = Robot(open_link(device, config), config)
-    with no_leak(), pytest.raises(LinkError) as caught:
-        robot.activate()
+    with no_leak():
+        with pytest.raises(LinkError) as caught:
+            robot.activate()
+        robot.close()
     assert not robot.active
     with pytest.raises(LinkError, match="closed"):
         robot.link.write(b"")
@@ -177,8 +179,9 @@ def test_unplugged_while_driving(config: RobotConfig, own_emulator: Emulated) ->
         own_emulator.kill()
         with pytest.raises(LinkLostError) as caught:
             drive_until_error(robot)
+        assert not robot.active
+        robot.close()
     assert_clear(caught.value, own_emulator.device)
-    assert not robot.active
     with pytest.raises(LinkError, match="closed"):
         robot.link.advance(0.01)
     with pytest.raises(LinkError, match="activate"):
@@ -220,7 +223,8 @@ def test_a_command_that_must_not_be_sent_stops_the_robot(
             robot.drive(0.2, 0.0)
         with pytest.raises(CommandError):
             robot.tick(speeds)
-    assert not robot.active
+        assert not robot.active
+        robot.close()
     wait_until(emulator.is_stopped, "zero command after a bad one")
     assert b"n" not in emulator.received()  # neither nan nor backward
 

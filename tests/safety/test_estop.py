@@ -161,6 +161,15 @@ def test_processes_of_one_number_in_two_containers_hear_both() -> None:
     other.close()
 
 
+def test_where_no_address_is_free_a_robot_drives_without(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(estop, "MOST_LISTENERS", 2)
+    with socket_at(f"{os.getpid()}-1"), socket_at(f"{os.getpid()}-2"):
+        listener = estop.StopListener()
+        assert f"{folder()}: no socket" in listener.unavailable
+        assert not listener.is_requested()
+        listener.close()
+
+
 def test_a_suspended_process_with_a_full_queue_is_listed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(estop, "ANSWER", 0.01)
     with socket_at("1-1") as full, socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other:
