@@ -13,9 +13,9 @@ from acsar_gym.benchmark.figures import summary
 from acsar_gym.benchmark.store import PLAN, SCHEMA, Part, Store, columns
 from acsar_gym.errors import ConfigError
 from acsar_gym.evaluation import metrics, provenance
-from acsar_gym.reading import bounded
+from acsar_gym.reading import bounded, structured
 
-MOST_PLAN = 100_000_000
+MOST_PLAN = 10_000_000
 """Largest accepted plan [bytes]."""
 FILE, TABLE = "benchmark.json", "benchmark.md"
 
@@ -111,9 +111,9 @@ def combined(folders: Sequence[Path]) -> tuple[dict[str, Any], list[Part]]:
 def _plan(folder: Path) -> dict[str, Any]:
     """Read the plan of a folder."""
     try:
-        plan: dict[str, Any] = json.loads(bounded.read(folder / PLAN, MOST_PLAN))
+        plan: dict[str, Any] = structured.from_json(bounded.read(folder / PLAN, MOST_PLAN))
         sound = plan["schema"] == SCHEMA
-    except (ValueError, TypeError, LookupError):
+    except (ConfigError, TypeError, LookupError):
         sound = False
     if not sound:
         raise ConfigError(f"{folder / PLAN}: isn't a benchmark's plan of this version")

@@ -40,11 +40,11 @@ from pathlib import Path
 from typing import Any
 
 from acsar_gym.errors import ConfigError
-from acsar_gym.reading import bounded
+from acsar_gym.reading import bounded, structured
 
 SCHEMA = 1
 """Version of these files."""
-MOST_BYTES = 2_000_000_000
+MOST_BYTES = 200_000_000
 """Largest accepted file [bytes]."""
 PLAN, RESULTS = "plan.json", "results.jsonl"
 
@@ -212,8 +212,8 @@ class Store:
         """Parse lines; ConfigError names the one that is broken."""
         for number, line in enumerate(data.splitlines(), start=1):
             try:
-                yield Part.of(json.loads(line))
-            except (ValueError, TypeError, LookupError, AttributeError):
+                yield Part.of(structured.from_json(line))
+            except (ConfigError, ValueError, TypeError, LookupError, AttributeError):
                 raise ConfigError(
                     f"{self.file}: line {number} isn't a benchmark's: use another folder"
                 ) from None
@@ -243,9 +243,9 @@ class Store:
 def _same(noted: Path, plan: Mapping[str, Any]) -> None:
     """Check that a plan is the noted one; ConfigError names the first key that differs."""
     try:
-        before = json.loads(bounded.read(noted, MOST_BYTES))
+        before = structured.from_json(bounded.read(noted, MOST_BYTES))
         keys = sorted({*before, *plan})
-    except (ValueError, TypeError):
+    except (ConfigError, TypeError):
         raise ConfigError(f"{noted}: isn't a benchmark's plan: use another folder") from None
     now = json.loads(json.dumps(plan))
     differing = next((key for key in keys if before.get(key) != now.get(key)), None)

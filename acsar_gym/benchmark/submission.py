@@ -23,12 +23,15 @@ from acsar_gym.benchmark import result
 from acsar_gym.benchmark.conditions import CONDITIONS
 from acsar_gym.benchmark.plan import LINKS, PORT, plain
 from acsar_gym.benchmark.scenes import PUBLISHED, SCENES, TEST
-from acsar_gym.benchmark.store import MOST_BYTES, SCHEMA, Cell, Part, episodes
+from acsar_gym.benchmark.store import SCHEMA, Cell, Part, episodes
 from acsar_gym.errors import ConfigError, printable, shortened, shown
-from acsar_gym.reading import bounded
+from acsar_gym.reading import bounded, structured
 
 Told = Mapping[str, Any]
 SUFFIX = ".row.json"
+MOST_BYTES = 30_000_000
+"""Largest accepted row [bytes]; 40,000 episodes have 10 MB."""
+FOREIGN = "isn't a row of 'acsar-gym benchmark --policy'"
 CLOSE = 1e-6
 """Largest relative difference of a figure that is computed anew from rounded episodes."""
 MISSING = "nothing"
@@ -72,7 +75,10 @@ def check(path: Path) -> str:
     """
     data = bounded.read(path, MOST_BYTES)
     try:
-        told = json.loads(data)
+        told = structured.from_json(data)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {FOREIGN}: {error}") from None
+    try:
         if told["schema"] != SCHEMA:
             raise ConfigError(f"{path}: a row of another version of the benchmark")
         if told["sha256"] != signature(told):
@@ -83,7 +89,7 @@ def check(path: Path) -> str:
         _check_figures(path, told, parts)
         return _sound(path, told["header"], sum(len(part.episodes) for part in parts))
     except (ValueError, TypeError, LookupError, AttributeError, ArithmeticError, RecursionError):
-        raise ConfigError(f"{path}: isn't a row of 'acsar-gym benchmark --policy'") from None
+        raise ConfigError(f"{path}: {FOREIGN}") from None
 
 
 def _sound(path: Path, header: Told, count: int) -> str:

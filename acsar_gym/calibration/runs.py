@@ -18,7 +18,7 @@ from acsar_gym.errors import ConfigError, shown
 from acsar_gym.reading import bounded, structured
 
 Floats = NDArray[np.float64]
-MOST_BYTES = 100_000_000
+MOST_BYTES = 20_000_000
 """Largest file of runs that is read [bytes]; a turn of one minute takes 150 kB."""
 MOST_ANGLE = 1e6
 """Largest wheel angle of a run [rad]."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import warnings
+import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from stable_baselines3.common.policies import BasePolicy
 
 MAX_BYTES = 500_000_000
+MOST_UNPACKED = 50_000_000
+"""Most bytes of a zip that was packed, once it is unpacked."""
 ALGORITHMS = "PPO, A2C, SAC, TD3, DDPG, TQC or RecurrentPPO"
 FAMILIES = {"ActorCriticPolicy", "SACPolicy", "TD3Policy", "TQCPolicy"}
 """Base classes of their policies."""
@@ -59,6 +62,7 @@ class ZipPolicy(FilePolicy):
             )
         try:
             content = bounded.read(self.path, MAX_BYTES, PolicyError)
+            _check_size(self.path, content)
             data, self.network = _load(self.path, content)
         except AcsarError:
             raise
@@ -124,6 +128,14 @@ def statistics_beside(path: Path) -> Path | None:
     """
     patterns = ("*vecnormalize*.pkl", "*/vecnormalize.pkl")
     return next((f for p in patterns for f in sorted(path.parent.glob(p))), None)
+
+
+def _check_size(path: Path, content: bytes) -> None:
+    """Refuse a zip that unpacks to far more than it is; stable-baselines3 doesn't pack anything."""
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        size = sum(entry.file_size for entry in archive.infolist())
+    if size > max(MOST_UNPACKED, len(content)):
+        raise PolicyError(f"{path}: unpacks to {size / 1e6:,.0f} MB, too much for what it is")
 
 
 def _load(path: Path, content: bytes) -> tuple[dict[str, Any], BasePolicy]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import difflib
 import io
 import math
+import re
 import struct
 import warnings
 from collections.abc import Mapping
@@ -28,10 +29,18 @@ FORMATS = ("PPM", "PNG", "BMP", "JPEG")
 """Formats that Pillow may try; PGM is a PPM for it."""
 MOST_KEYS = 100
 MOST_PIXELS = 4096 * 4096
+UNSOUND = "isn't a sound PGM, PNG, BMP or JPEG picture: save it again"
 PLAIN = (b"P1", b"P2", b"P3")
 """First bytes of pictures whose pixels are decimal numbers."""
 MOST_PLAIN = 1_000_000
 """Most pixels of such pictures, which are slow to read."""
+MOST_PACKED = 5_000_000
+"""Most bytes of a PNG or JPEG; each of their parts may be empty, and takes a while to skip."""
+HEADER = re.compile(
+    rb"P(?:[14](?:(?:\s|#[^\r\n]*[\r\n])+\d+){2}|[2356](?:(?:\s|#[^\r\n]*[\r\n])+\d+){3})\s"
+)
+"""How a PBM, PGM or PPM begins. Pillow reads comments and spaces byte by byte, for minutes."""
+LONGEST_HEADER = 10_000
 PICTURE_ERRORS = (
     *(OSError, ValueError, TypeError, LookupError, ArithmeticError, SyntaxError, EOFError),
     *(struct.error, MemoryError, NotImplementedError),
@@ -174,6 +183,12 @@ def _levels(picture: bytes) -> tuple[NDArray[Any], Floats, Mask | None]:
         from PIL import Image  # noqa: PLC0415
     except ImportError:
         raise MissingExtraError("reading a map's picture", "pictures") from None
+    if picture[:1] == b"P":
+        header = HEADER.match(picture[:LONGEST_HEADER])
+        if not header or (picture[:2] in PLAIN and picture.find(b"#", header.end()) >= 0):
+            raise WorldError(UNSOUND)
+    if picture[:2] in (b"\x89P", b"\xff\xd8") and len(picture) > MOST_PACKED:
+        raise WorldError(f"has more than {MOST_PACKED / 1e6:g} MB: save it as PGM")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -184,7 +199,7 @@ def _levels(picture: bytes) -> tuple[NDArray[Any], Floats, Mask | None]:
     except Image.DecompressionBombError:
         raise WorldError(f"has more than {MOST_PIXELS:,} pixels: crop or shrink it") from None
     except PICTURE_ERRORS:
-        raise WorldError("isn't a sound PGM, PNG, BMP or JPEG picture: save it again") from None
+        raise WorldError(UNSOUND) from None
 
 
 def _check_size(width: int, height: int, most: int) -> None:

@@ -138,3 +138,10 @@ def test_what_is_no_submission(tmp_path: Path, text: str) -> None:
         submission.check(path)
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_submission_of_too_many_values_is_refused_before_they_are_made(tmp_path: Path) -> None:
+    path = tmp_path / "row.json"
+    path.write_text("[" + "[]," * 1_000_000 + "[]]")
+    with pytest.raises(ConfigError, match=r"isn't a row .*: has more than 1,000,000 values"):
+        submission.check(path)

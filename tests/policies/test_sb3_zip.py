@@ -8,6 +8,7 @@ import pickle
 import runpy
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -123,6 +124,14 @@ def test_a_broken_zip_says_so_in_one_line(content: bytes, tmp_path: Path) -> Non
     with pytest.raises(PolicyError, match=r"model\.zip: not a stable-baselines3 model") as raised:
         ZipPolicy(path, trust=True)
     assert "\n" not in str(raised.value)
+
+
+def test_a_zip_that_unpacks_to_too_much_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "model.zip"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("data", bytes(51_000_000))
+    with pytest.raises(PolicyError, match=r"model\.zip: unpacks to 51 MB, too much"):
+        ZipPolicy(path, trust=True)
 
 
 def test_a_cut_zip_and_a_folder_say_so(good: Path, tmp_path: Path) -> None:

@@ -46,6 +46,7 @@ def test_the_files_have_no_ids_that_are_not_registered() -> None:
     ("text", "said"),
     [
         ("[", "not valid YAML"),
+        ("[" + "0, " * 100_000 + "]", "has too many values"),
         ("- 1", "must be hyperparameters by env id"),
         ("mine/Other-v0: {}", "no recipe for mine/Task-v0, and no 'default'"),
         ("mine/Task-v0: 3", "mine/Task-v0: must be hyperparameters by name"),

@@ -289,3 +289,28 @@ def test_without_pillow_it_says_what_to_install(
     monkeypatch.setitem(sys.modules, "PIL", None)
     with pytest.raises(MissingExtraError, match=r"acsar_gym\[pictures\]"):
         loaded(tmp_path, pgm([[BLACK]]))
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (b"P5\n#" + b"x" * 10_000 + b"\n1 1 255\n\0", "isn't a sound PGM"),
+        (b"P5\n1 1\n#" + b"x" * 10_000 + b"\n255\n\0", "isn't a sound PGM"),
+        (b"P5" + b" " * 10_000 + b"1 1 255\n\0", "isn't a sound PGM"),
+        (b"P2\n1 1 255\n" + b"#\n" * 10 + b"0\n", "isn't a sound PGM"),
+        (b"\xff\xd8" + b"\xff\xfe\0\2" * 1_250_000, "has more than 5 MB"),
+        (b"\x89PNG\r\n\x1a\n" + bytes(5_000_000), "has more than 5 MB"),
+    ],
+    ids=["comment", "late comment", "spaces", "comments", "jpeg", "png"],
+)
+def test_pictures_that_take_long_to_skip_are_refused(
+    data: bytes, said: str, tmp_path: Path
+) -> None:
+    """Pillow reads comments byte by byte, and every empty part of a PNG or JPEG."""
+    with pytest.raises(WorldError, match=said):
+        loaded(tmp_path, data)
+
+
+def test_a_comment_as_map_server_writes_it_is_read(tmp_path: Path) -> None:
+    data = b"P5\n# CREATOR: map_saver.cpp 0.050 m/pix\n1 1\n255\n\0"
+    assert len(loaded(tmp_path, data).segments) == 4
