@@ -219,10 +219,11 @@ def _asked(ask: Ask, letter: int, config: RobotConfig) -> str:
 
 
 def _said(notes: Sequence[str]) -> Check:
-    """Show what the board says in text, such as that it cuts a motor."""
+    """Show what the board says in text; that it cuts a motor is a failure."""
+    cut = any(note[1:].startswith(" cut:") for note in notes)
     return Check(
         "the board says",
-        "warn",
+        "fail" if cut else "warn",
         printable("; ".join(notes)),
         "a wheel that turns against its motor: set ENCODER_REVERSED or MOTOR_REVERSED in the "
         "board's program; a stalled one: look what blocks it, and at its encoder's plug",

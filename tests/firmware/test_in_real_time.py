@@ -69,12 +69,13 @@ def test_doctor_shows_that_a_motor_is_cut(reversed_board: Emulated, tmp_path: Pa
 
 
 def test_a_drive_ends_with_what_the_board_says(reversed_board: Emulated) -> None:
-    config = RobotConfig.preset("acsar_avr")
+    patient = {"connect_timeout": 20.0, "feedback_timeout": 5.0, "watchdog_timeout": 2.0}
+    config = RobotConfig.preset("acsar_avr").with_(**patient)
     with (
-        pytest.raises(WheelError, match="the board says a cut: turns against its motor"),
         Robot(open_link(reversed_board.device, config), config) as robot,
+        pytest.raises(WheelError, match="the board says a cut: turns against its motor"),
     ):
-        for _ in range(500):
+        for _ in range(3000):
             robot.drive(0.05, 0.0)
     fastest = max(abs(event["speeds"][0]) for event in reversed_board.events() if "speeds" in event)
     assert fastest < 8.0
