@@ -31,7 +31,7 @@
 #define STALL_MS 1000        /* a motor that pulls that hard without an edge for so long is cut [ms] */
 
 /* The chip's watchdog resets it if the loop hangs. 0 turns it off, for old Mega 2560 boot loaders
- * that never come back from such a reset. */
+ * and old Nanos that never come back from such a reset. */
 #define WATCHDOG 1
 
 #endif
