@@ -58,7 +58,7 @@ static void judge_direction(struct guard *guard, int16_t duty, int32_t reference
 static void judge_stall(struct guard *guard, int16_t turned, int16_t duty)
 {
     guard->moved += turned;
-    if (abs(duty) < HARD || abs(guard->moved) > 1)
+    if (abs(duty) <= HARD || abs(guard->moved) > 1)
         guard->still = guard->moved = 0;
     else if (++guard->still >= STALL_LOOPS)
         guard->cut = CUT_STALLED;
