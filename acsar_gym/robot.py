@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import EmergencyStopError, LinkError
+from acsar_gym.errors import EmergencyStopError, LinkError, WheelError, printable
 from acsar_gym.journal import Journal
 from acsar_gym.lidars.factory import factories
 from acsar_gym.links.base import WHILE_WAITING, Link, arrivals_of
@@ -337,7 +337,13 @@ class Robot:
             if self._stopwatch.commanded(wire.written, fastest, drives=any(speeds or ZERO)):
                 self._stopwatch.heard(arrivals_of(self.link), wire.stamp)
         if self._watch is not None and speeds is not None:
-            self._watch.tick(speeds, wire.speeds, dt, fresh=bool(heard))
+            try:
+                self._watch.tick(speeds, wire.speeds, dt, fresh=bool(heard))
+            except WheelError as error:
+                if not wire.decoder.notes:
+                    raise
+                found = f"{error.found}; the board says {printable(wire.decoder.notes[-1])}"
+                raise WheelError(found, error.fix, error.wheel) from None
         elif self._watch is not None:
             self._watch.reset()  # the board may stop the wheels by itself
 

@@ -16,7 +16,7 @@ from acsar_gym.doctor.feedback import resets, rounded
 from acsar_gym.doctor.listening import Ear
 from acsar_gym.doctor.response import Delays, TimeOut, Together
 from acsar_gym.doctor.spinning import Answer, spun, stand, takes_last_value
-from acsar_gym.errors import ConfigError
+from acsar_gym.errors import ConfigError, printable
 from acsar_gym.protocol import MOTORS, WHEELS
 from acsar_gym.safety.layer import Safety
 
@@ -75,6 +75,8 @@ class Commission:
         if ear.gaps:
             yield resets(ear.gaps)
             return
+        if ear.decoder.notes:
+            yield _said(ear.decoder.notes)
         found = wiring.wiring(answers, self.eyes, config)
         yield from wiring.checks(answers, self.eyes, config, found)
         heard = [answer for answer in answers if answer.encoder is not None]
@@ -214,6 +216,18 @@ def _asked(ask: Ask, letter: int, config: RobotConfig) -> str:
             wiring.seen(said, letter)
             return said
     raise ConfigError("no answer makes sense: start again, or add --yes")
+
+
+def _said(notes: Sequence[str]) -> Check:
+    """Show what the board says in text; that it cuts a motor is a failure."""
+    cut = any(note[1:].startswith(" cut:") for note in notes)
+    return Check(
+        "the board says",
+        "fail" if cut else "warn",
+        printable("; ".join(notes)),
+        "a wheel that turns against its motor: set ENCODER_REVERSED or MOTOR_REVERSED in the "
+        "board's program; a stalled one: look what blocks it, and at its encoder's plug",
+    )
 
 
 def _delay(found: Delays | None) -> Check:
