@@ -56,4 +56,4 @@ class Overshooting(LikeABoard):
             pull = self.FREQUENCY**2 * (self._wanted - self._speeds)
             self._rates += self.SUBSTEP * (pull - 2.0 * self.DAMPING * self.FREQUENCY * self._rates)
             self._speeds += self.SUBSTEP * self._rates
-        return encode(self._speeds) if heard else b""
+        return encode(self._speeds.tolist()) if heard else b""

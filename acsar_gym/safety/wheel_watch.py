@@ -69,7 +69,8 @@ class WheelWatch:
 
     def reset(self) -> None:
         """Begin anew, with wheels that stand."""
-        self._last, still = ZERO, (*ZERO, 0.0)
+        still: tuple[float, ...] = *ZERO, 0.0  # of the wheels, and the turn
+        self._last = ZERO
         self._most = self._least = still
         self._asked = deque([(still, still)] * self._looks, self._looks)
         self._since_look = self._since_line = 0.0

@@ -206,7 +206,7 @@ def test_feedback_that_is_half_too_high_is_stopped(
     assert "turns too fast" in str(error)
 
 
-ROBOTS = {
+ROBOTS: dict[str, tuple[RobotConfig, dict[str, Any], type[LikeABoard]]] = {
     "acsar": (ACSAR, {}, LikeABoard),
     "jackal": (RobotConfig.preset("jackal"), {}, LikeABoard),
     "husky": (RobotConfig.preset("husky"), {}, LikeABoard),
