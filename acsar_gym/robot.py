@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import gc
+import warnings
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Self, TypeVar
 
@@ -12,7 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import EmergencyStopError, LinkError, WheelError, printable
+from acsar_gym.errors import (
+    EmergencyStopError,
+    LinkError,
+    SafetyWarning,
+    WheelError,
+    printable,
+)
 from acsar_gym.journal import Journal
 from acsar_gym.lidars.factory import factories
 from acsar_gym.links.base import WHILE_WAITING, Link, arrivals_of
@@ -28,6 +35,10 @@ from acsar_gym.sensors import Factory, Sensor, Sensors
 from acsar_gym.wire import Wire
 from acsar_gym.worlds import Scene
 
+NO_TIMEOUT = (
+    "this robot's board doesn't stop by itself (firmware.command_timeout: null): its wheels keep "
+    "turning where the cable falls out or this computer fails; add a time-out to its program"
+)
 Method = TypeVar("Method", bound=Callable[..., Any])
 
 
@@ -92,7 +103,8 @@ class Robot:
     def reset(self, scene: Scene, rng: np.random.Generator | None = None) -> None:
         """Open the link, stop, wait for standstill, and reset odometry and sensors.
 
-        Warns (SafetyWarning) where `acsar-gym estop` can't reach a real robot.
+        Warns (SafetyWarning) where `acsar-gym estop` can't reach a real robot, and where its board
+        has no command time-out.
 
         Args:
             scene: start, goal, world and physics; only simulated links use it.
@@ -107,6 +119,8 @@ class Robot:
             told = getattr(self.link, "device", ""), self.config.name, self._journal.recording
             self._listener = StopListener(*told)
             self._listener.warn()
+            if self.config.firmware.command_timeout is None:
+                warnings.warn(NO_TIMEOUT, SafetyWarning, 3)
         asked = WHILE_WAITING.set(self._check_released)
         try:
             self._begin(scene, np.random.default_rng(0) if rng is None else rng)

@@ -166,8 +166,14 @@ def _checks(
     if device is not None:
         recorder = spinning.recorder("doctor", link=device)
         stop = _extend(found, wire.examine(device, config, commission, recorder))
-    if commission is not None and commission.finished and spinning.out is not None:
-        found.append(commission.save(config, spinning.out))
+    if commission is not None and spinning.out is not None:
+        if commission.finished:
+            found.append(commission.save(config, spinning.out))
+        else:
+            said = f"{spinning.out} isn't written: not all was found"
+            found.append(
+                checks.Check("robot file", "skip", said, "mend what failed, and start again")
+            )
     report.show(checks.table(found))
     report.write_json(json, checks.as_json(found))
     if stop is not None:
