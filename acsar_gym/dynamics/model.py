@@ -17,7 +17,7 @@ import math
 from acsar_gym.config import RobotConfig
 from acsar_gym.dynamics.numbers import Numbers, Physics, physics_of
 from acsar_gym.dynamics.timing import substep
-from acsar_gym.jit import jit
+from acsar_gym.jit import jit, loop
 from acsar_gym.protocol import Speeds
 
 GRAVITY = 9.81
@@ -128,7 +128,7 @@ def tyre_step(
     return nx, ny, nw
 
 
-@jit
+@loop
 def robot_step(
     cos: float,
     sin: float,

@@ -6,11 +6,11 @@ import math
 
 from acsar_gym.dynamics.model import Velocity
 from acsar_gym.dynamics.numbers import Numbers, physics_of
-from acsar_gym.jit import jit
+from acsar_gym.jit import loop
 from acsar_gym.protocol import Speeds
 
 
-@jit
+@loop
 def motor_power(
     cos: float, sin: float, velocity: Velocity, wheels: Speeds, numbers: Numbers
 ) -> float:

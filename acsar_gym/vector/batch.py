@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from acsar_gym.config import RobotConfig
 from acsar_gym.dynamics import Randomization, physics
 from acsar_gym.dynamics.drawing import places
+from acsar_gym.jit import compiled_beside
 from acsar_gym.lidars.base import LidarSensor, edges
 from acsar_gym.lidars.simulated import SimulatedLidar
 from acsar_gym.sensors import Factory, Sensor
@@ -80,6 +82,8 @@ class Batch:
         self._rows |= layout.SCAN_INFO if sees else {}
         self._rows |= layout.FAULT_INFO if setup.faults.possible else {}
         self.seeded = False
+        self._new = True
+        """Whether there was no reset yet."""
 
     @property
     def _first_python(self) -> int:
@@ -153,10 +157,16 @@ class Batch:
 
     def reset(self, mask: Mask, share: Share) -> None:
         """Begin new episodes of the robots in the mask."""
-        share(lambda first, last: self._begin(mask, first, last), self.robots)
+        with self._compiled_beside() if self._new else contextlib.nullcontext():
+            share(lambda first, last: self._begin(mask, first, last), self.robots)
+        self._new = False
         if not self._together:
             self._sense(mask, driven=False)
             self._apart(lambda first, last: self._loops.start(mask, first, last), share)
+
+    def _compiled_beside(self) -> contextlib.AbstractContextManager[None]:
+        """Compile `episode.step`, if it must be, while the block compiles the rest."""
+        return compiled_beside(episode.step, self.tables, 0, 1, self._setup, self._around)
 
     def _begin(self, mask: Mask, first: int, last: int) -> None:
         """Begin new episodes of those robots first to last that are in the mask."""
@@ -177,7 +187,10 @@ class Batch:
 
     def _drive(self, first: int, last: int) -> None:
         """Run the physics of robots first to last, and their task where `_together`."""
-        episode.step(self.tables, first, last, self._setup, self._spawns, self._around)
+        tables, setup = self.tables, self._setup
+        episode.step(tables, first, last, setup, self._around)
+        if tables.ring[3] == setup.ticks and tables.over[first:last].any():
+            episode.reset(tables, tables.over, first, last, setup, self._spawns, self._around)
         if self._together:
             self._loops.step(first, last)
 

@@ -10,7 +10,7 @@ from acsar_gym.dynamics.numbers import physics_at
 from acsar_gym.dynamics.trigonometry import sincos
 from acsar_gym.jit import jit
 from acsar_gym.protocol import MAX_SPEED
-from acsar_gym.safety.rules import Memory, told, wheels
+from acsar_gym.safety.rules import told, wheels
 from acsar_gym.vector.kernel.layout import (
     ANGLE,
     BLEND,
@@ -68,7 +68,7 @@ def command(state: Floats, first: int, last: int, setup: Setup) -> None:
     reasons = row(state, REASON, first, last)
     for i in range(last - first):
         linear, angular = asks[i] * setup.max_linear, turns[i] * setup.max_angular
-        right, left = wheels(Memory(0.0, 0.0, linear, angular, 0.0, 0.0), setup.rules)
+        right, left = wheels(linear, angular, setup.rules)
         sent[i], bent[i], reasons[i] = told(linear, angular, right, left, 0.0, setup.rules)
         old_right[i] = new_right[i]
         old_left[i] = new_left[i]

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from acsar_gym.dynamics.drawing import draw
 from acsar_gym.dynamics.timing import whole_loops
-from acsar_gym.jit import jit, loop
+from acsar_gym.jit import jit, loop, subroutine
 from acsar_gym.tasks.base import relative, within
 from acsar_gym.tasks.spawn import goal_at
 from acsar_gym.vector.kernel.dynamics import ask, command
-from acsar_gym.vector.kernel.fault_injection import draw_key, prepare, put_back, rays, settle_late
+from acsar_gym.vector.kernel.fault_injection import draw_key, prepare, put_back, settle_late
 from acsar_gym.vector.kernel.layout import (
     BLOCK,
     COMMAND_LOOPS,
@@ -80,7 +80,7 @@ def settle_ticks(delay: float, every: float, loops: float) -> float:
     return max(one + 1.0, two)
 
 
-@loop
+@subroutine
 def equip(tables: Tables, i: int, setup: Setup) -> None:
     """Draw robot i's physics for the episode that begins."""
     state, low, high = tables.state, tables.low, tables.high
@@ -144,7 +144,7 @@ def settle(state: Floats, random: NDArray[np.uint64], i: int, spawns: Spawns) ->
     state[GOAL_GIVEN, i] = given
 
 
-@loop
+@subroutine
 def begin(tables: Tables, i: int, setup: Setup, spawns: Spawns) -> None:
     """Begin a new episode of robot i: at rest, with new start, goal and physics."""
     state, random = tables.state, tables.random
@@ -163,8 +163,8 @@ def begin(tables: Tables, i: int, setup: Setup, spawns: Spawns) -> None:
     if setup.faults.possible:
         settle_late(state, i, setup)
         if state[SILENT, i] > 0.0:
-            tables.ranges[i, :] = 0.0
-            rays(tables, i, setup)[:] = 0.0
+            for k in range(tables.ranges.shape[1]):
+                tables.ranges[i, k] = tables.observations[i, setup.numbers + k] = 0.0
         return
     settled = settle_ticks(state[DELAY_LOOPS, i], state[FEEDBACK_LOOPS, i], setup.loops)
     state[LOOPS, i] = settled * setup.loops
@@ -193,13 +193,11 @@ def reset(
 
 
 @loop
-def step(
-    tables: Tables, first: int, last: int, setup: Setup, spawns: Spawns, around: Surroundings
-) -> None:
+def step(tables: Tables, first: int, last: int, setup: Setup, around: Surroundings) -> None:
     """Run physics and driver of the robots over the ticks that `tables.ring` says.
 
-    The step ends with its last tick: robots in `tables.over` then begin anew. The task's loops are
-    called after this.
+    The step ends with its last tick. `reset` of the robots in `tables.over` comes after this, then
+    the task's loops.
     """
     state = tables.state
     for low in range(first, last, BLOCK):
@@ -217,7 +215,6 @@ def step(
         steps = row(state, STEPS, low, high)
         for i in range(high - low):
             steps[i] += 1.0
-        reset(tables, tables.over, low, high, setup, spawns, around)
 
 
 @loop
@@ -247,7 +244,7 @@ def report(state: Floats, first: int, last: int, setup: TaskSetup) -> None:
         scan_ages(state, first, last, setup)
 
 
-@loop
+@subroutine
 def scan_ages(state: Floats, first: int, last: int, setup: TaskSetup) -> None:
     """Compute the age of every robot's newest scan [s]."""
     for i in range(first, last):

@@ -10,13 +10,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acsar_gym.dynamics.timing import whole_loops
 from acsar_gym.jit import jit
 from acsar_gym.links.faults import DROPPED, EPSILON, LATE
 from acsar_gym.links.lots import COMMANDS, EPISODE, FEEDBACK, lot
-from acsar_gym.safety import rules
+from acsar_gym.safety.rules import silent
 from acsar_gym.vector.kernel.layout import (
     AGE,
     BOARD_FREE,
@@ -47,7 +46,6 @@ from acsar_gym.vector.kernel.layout import (
 from acsar_gym.vector.kernel.safety import approach
 from acsar_gym.vector.pcg import uniform
 
-silent = jit(rules.silent)
 SILENCE = 1.0
 """The code of BoardSilentError in info's `fault`, see `envs.told.fault_code`."""
 
@@ -204,16 +202,13 @@ def prepare(tables: Tables, first: int, last: int, setup: Setup) -> None:
     for i in range(first, last):
         tables.idle[i] = tables.over[i]
     if setup.falls_silent:
-        tables.kept[:, first:last] = tables.state[:COMMAND_LOOPS, first:last]
+        for number in range(COMMAND_LOOPS):
+            for i in range(first, last):
+                tables.kept[number, i] = tables.state[number, i]
         for i in range(first, last):
             tables.idle[i] |= tables.state[SILENT, i] > 0.0
-            tables.kept_rays[i] = rays(tables, i, setup)
-
-
-@jit
-def rays(tables: Tables, i: int, setup: Setup) -> NDArray[np.float32]:
-    """View of the LiDAR ranges in robot i's observation."""
-    return tables.observations[i, setup.numbers : setup.numbers + tables.ranges.shape[1]]
+            for k in range(tables.ranges.shape[1]):
+                tables.kept_rays[i, k] = tables.observations[i, setup.numbers + k]
 
 
 @jit
@@ -234,4 +229,5 @@ def put_back(tables: Tables, first: int, last: int, setup: Setup) -> None:
                 state[number, i] = tables.kept[number, i]
             state[SCAN_TICK, i] += setup.ticks  # so that the scan's age stays, too
             state[FAULT, i] = SILENCE
-            rays(tables, i, setup)[:] = tables.kept_rays[i]
+            for k in range(tables.ranges.shape[1]):
+                tables.observations[i, setup.numbers + k] = tables.kept_rays[i, k]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.dynamics.trigonometry import sincos
-from acsar_gym.jit import jit, loop
+from acsar_gym.jit import jit, subroutine
 from acsar_gym.lidars import simulated as lidar
 from acsar_gym.vector.kernel.layout import (
     CONTACT,
@@ -41,7 +41,7 @@ def true_pose(state: Floats, i: int) -> tuple[float, float, float, float]:
     return x, y, cos * c - sin * s, sin * c + cos * s
 
 
-@loop
+@subroutine
 def touch(state: Floats, first: int, last: int, around: Surroundings) -> None:
     """Set CONTACT of robots that touch an obstacle now."""
     for i in range(first, last):
@@ -51,7 +51,7 @@ def touch(state: Floats, first: int, last: int, around: Surroundings) -> None:
                 state[CONTACT, i] = 1.0
 
 
-@loop
+@subroutine
 def scan(
     tables: Tables, i: int, tick: int, uniforms: Floats, setup: Setup, around: Surroundings
 ) -> None:
@@ -82,7 +82,7 @@ def is_due(state: Floats, i: int, tick: int, setup: Setup) -> bool:
     return due
 
 
-@loop
+@subroutine
 def look(
     tables: Tables,
     mask: NDArray[np.bool_],

@@ -7,7 +7,7 @@ import numpy as np
 from acsar_gym import kinematics, odometry
 from acsar_gym.dynamics.board import printed
 from acsar_gym.dynamics.trigonometry import sincos
-from acsar_gym.jit import jit, loop
+from acsar_gym.jit import jit, subroutine
 from acsar_gym.vector.kernel.dynamics import motors, on_the_wire, ramp, tyres
 from acsar_gym.vector.kernel.fault_injection import dispatch, listen, obey, watch
 from acsar_gym.vector.kernel.layout import (
@@ -141,7 +141,7 @@ def turn_wheels(
         tyres(state, first, last, setup)
 
 
-@loop
+@subroutine
 def drive(tables: Tables, first: int, last: int, setup: Setup, around: Surroundings) -> None:
     """Run the ticks of an env step that `tables.ring` says, with all that happens in them."""
     state, counts, slots = tables.state, tables.counts, tables.counts.shape[0]

@@ -50,7 +50,7 @@ def guard(state: Floats, first: int, last: int, setup: Setup) -> None:
     ages, rules = row(state, AGE, first, last), setup.rules
     for i in range(last - first):
         linear, angular = asks[i] * setup.max_linear, turns[i] * setup.max_angular
-        before = Memory(latched[i], 0.0, new[i], bent[i], past[i], past_bent[i])
+        before = Memory(latched[i], 0.0, new[i], bent[i], past[i], past_bent[i], 0.0, 0.0)
         after = allowed(linear, angular, xs[i], ys[i], ages[i], before, rules)
         latched[i] = after.latched
         reasons[i] = after.reason
@@ -66,7 +66,7 @@ def lines(state: Floats, commands: Floats, first: int, last: int, slot: int, set
     new, bent = row(state, NEW_LINEAR, first, last), row(state, NEW_ANGULAR, first, last)
     rights, lefts = commands[slot, 0, first:last], commands[slot, 1, first:last]
     for i in range(last - first):
-        right, left = wheels(Memory(0.0, 0.0, new[i], bent[i], 0.0, 0.0), setup.rules)
+        right, left = wheels(new[i], bent[i], setup.rules)
         rights[i] = min(max(on_the_wire(right), -setup.top), setup.top)
         lefts[i] = min(max(on_the_wire(left), -setup.top), setup.top)
 
@@ -77,8 +77,7 @@ def explain(state: Floats, first: int, last: int, setup: Setup) -> None:
     for i in range(first, last):
         linear = state[LAST_LINEAR, i] * setup.max_linear
         angular = state[LAST_ANGULAR, i] * setup.max_angular
-        newest = Memory(0.0, 0.0, state[NEW_LINEAR, i], state[NEW_ANGULAR, i], 0.0, 0.0)
-        right, left = wheels(newest, setup.rules)
+        right, left = wheels(state[NEW_LINEAR, i], state[NEW_ANGULAR, i], setup.rules)
         ahead, turn, why = told(linear, angular, right, left, state[REASON, i], setup.rules)
         state[SENT_LINEAR, i] = ahead
         state[SENT_ANGULAR, i] = turn

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.errors import ConfigError
-from acsar_gym.jit import COMPILED, jit
+from acsar_gym.jit import COMPILED, WITHIN, jit
 from acsar_gym.jit import loop as compiled
 from acsar_gym.tasks.base import METHODS, Outcome, State, Task
 from acsar_gym.tasks.made import named
@@ -213,7 +213,7 @@ def bound(loop: Callable[..., None], task: Task) -> Callable[..., None]:
         task: whose class has the methods.
     """
     kind, name = type(task), _cached_as(type(task), loop)
-    options: dict[str, Any] = {"forceinline": True, "boundscheck": True, "nogil": True}
+    options = WITHIN | {"error_model": "python", "boundscheck": True, "forceinline": True}
     names = {f"task_{one}": numba.njit(**options)(getattr(kind, one)) for one in METHODS}
     template: Any = loop
     file = getattr(sys.modules[kind.__module__], "__file__", None) or __file__
