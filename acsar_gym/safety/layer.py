@@ -27,7 +27,7 @@ class Safety:
     def __init__(self, config: RobotConfig) -> None:
         self._rules = rules.of(config)
         self._numbers = record_of(self._rules)
-        self._memory = record_of(Memory())
+        self._memory = record_of(Memory(), changes=True)
         self._speeds: Speeds = ZERO
         self.reset()
 

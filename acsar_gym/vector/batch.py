@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.dynamics import Randomization, physics
-from acsar_gym.dynamics.drawing import places
-from acsar_gym.jit import compiled_beside
+from acsar_gym.dynamics.randomization import places
+from acsar_gym.jit import compiled_beside, record_of
 from acsar_gym.lidars.base import LidarSensor, edges
 from acsar_gym.lidars.simulated import SimulatedLidar
 from acsar_gym.sensors import Factory, Sensor
@@ -110,7 +110,7 @@ class Batch:
             commands=np.zeros((lines, 2, columns if setup.guarded else 0)),
             arrivals=np.zeros((lines, 3, columns if setup.faults.possible else 0)),
             random=np.zeros((robots, 4), np.uint64),
-            nominal=np.array(physics(self._config)),
+            nominal=record_of(physics(self._config)),
             low=np.array(ranges.low),
             high=np.array(ranges.high),
             delays=np.array(ranges.delays),

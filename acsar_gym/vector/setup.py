@@ -11,8 +11,7 @@ import math
 from typing import Any
 
 from acsar_gym.config import RobotConfig, whole_ratio
-from acsar_gym.dynamics.drawing import Ranges
-from acsar_gym.dynamics.randomization import Randomization, longest_delay
+from acsar_gym.dynamics.randomization import Randomization, Ranges, longest_delay
 from acsar_gym.dynamics.timing import substep, wire_loops, wire_time
 from acsar_gym.errors import ConfigError
 from acsar_gym.lidars.base import stale_after

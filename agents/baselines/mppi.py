@@ -18,8 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.dynamics.model import physics, tyre_step, wheel_speed
-from acsar_gym.dynamics.numbers import Physics
+from acsar_gym.dynamics.model import Physics, physics, tyre_step, wheel_speed
 from acsar_gym.jit import jit, loop
 from acsar_gym.policies.setting import Seen, Setting
 from acsar_gym.safety.limiter import limits

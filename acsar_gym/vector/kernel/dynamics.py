@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from acsar_gym.dynamics.board import towards
 from acsar_gym.dynamics.model import tyre_step, wheel_speed
-from acsar_gym.dynamics.numbers import physics_at
 from acsar_gym.dynamics.trigonometry import sincos
 from acsar_gym.jit import jit
 from acsar_gym.protocol import MAX_SPEED
@@ -17,29 +18,50 @@ from acsar_gym.vector.kernel.layout import (
     COMMAND_LOOPS,
     DEADBAND,
     GAIN,
+    GRIP,
+    HALF_TRACK,
+    HALF_WHEELBASE,
     HEARD,
+    KAPPA,
     LAST_ANGULAR,
     LAST_LINEAR,
+    LEFT_RADIUS,
+    MASS,
     NEW_LEFT,
     NEW_RIGHT,
     OLD_LEFT,
     OLD_RIGHT,
-    PHYSICS,
     POINT,
     RATE,
     REASON,
+    RIGHT_RADIUS,
     SENT_ANGULAR,
     SENT_LINEAR,
+    SLIP_SPEED,
     THETA,
     VX,
     VY,
     WHEEL,
+    YAW_INERTIA,
     Floats,
     Setup,
     X,
     Y,
     row,
 )
+
+
+class Chassis(NamedTuple):
+    """The numbers of a `Physics` that `tyre_step` needs."""
+
+    left_radius: float
+    right_radius: float
+    half_wheelbase: float
+    half_track: float
+    mass: float
+    yaw_inertia: float
+    grip: float
+    slip_speed: float
 
 
 @jit
@@ -138,12 +160,28 @@ def slide(state: Floats, first: int, last: int, isotropic: bool, dt: float) -> N
     )
     a, b = row(state, WHEEL, first, last), row(state, WHEEL + 1, first, last)
     c, d = row(state, WHEEL + 2, first, last), row(state, WHEEL + 3, first, last)
-    physics = state[PHYSICS:]
+    left_radii, right_radii = (
+        row(state, LEFT_RADIUS, first, last),
+        row(state, RIGHT_RADIUS, first, last),
+    )
+    lengths, widths = row(state, HALF_WHEELBASE, first, last), row(state, HALF_TRACK, first, last)
+    masses, inertias = row(state, MASS, first, last), row(state, YAW_INERTIA, first, last)
+    grips, slips = row(state, GRIP, first, last), row(state, SLIP_SPEED, first, last)
+    kappas = row(state, KAPPA, first, last)
     for i in range(last - first):
         sin, cos = sincos(thetas[i])
         vx, vy = vxs[i], vys[i]
-        own, speeds = physics_at(physics, first + i), (a[i], b[i], c[i], d[i])
-        kappa = 1.0 if isotropic else own.kappa
+        own = Chassis(
+            left_radii[i],
+            right_radii[i],
+            lengths[i],
+            widths[i],
+            masses[i],
+            inertias[i],
+            grips[i],
+            slips[i],
+        )
+        kappa, speeds = 1.0 if isotropic else kappas[i], (a[i], b[i], c[i], d[i])
         ahead, left, rate = tyre_step(
             cos * vx + sin * vy, cos * vy - sin * vx, rates[i], speeds, own, kappa, dt
         )

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.dynamics.drawing import draw
+from acsar_gym.dynamics.randomization import draw
 from acsar_gym.dynamics.timing import whole_loops
 from acsar_gym.jit import jit, loop, subroutine
 from acsar_gym.tasks.base import relative, within

@@ -7,7 +7,7 @@ run over contiguous memory and can be vectorized.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +52,15 @@ WISHED_WORLD, WISHED_GOAL, WISHED_X, WISHED_Y, FIRST_RANK, LAST_RANK = range(77,
 PHYSICS = 83
 """The first of the rows with the numbers of the robot's `Physics`, drawn for the episode."""
 BLEND = PHYSICS + Physics._fields.index("blend_a")  # four each
+LEFT_RADIUS = PHYSICS + Physics._fields.index("left_radius")
+RIGHT_RADIUS = PHYSICS + Physics._fields.index("right_radius")
+HALF_WHEELBASE = PHYSICS + Physics._fields.index("half_wheelbase")
+HALF_TRACK = PHYSICS + Physics._fields.index("half_track")
+MASS = PHYSICS + Physics._fields.index("mass")
+YAW_INERTIA = PHYSICS + Physics._fields.index("yaw_inertia")
+GRIP = PHYSICS + Physics._fields.index("grip")
+KAPPA = PHYSICS + Physics._fields.index("kappa")
+SLIP_SPEED = PHYSICS + Physics._fields.index("slip_speed")
 GAIN = PHYSICS + Physics._fields.index("gain_a")
 DEADBAND = PHYSICS + Physics._fields.index("deadband_a")
 LATENCY_LOOPS = PHYSICS + Physics._fields.index("latency_loops")
@@ -216,8 +225,8 @@ class Tables(NamedTuple):
     a tick, and its two wheel speeds; no columns where no lines are lost or late."""
     random: NDArray[np.uint64]
     """(R, 4): generators, see `pcg`."""
-    nominal: Floats
-    """The configured robot's `Physics`, as an array."""
+    nominal: NDArray[Any]
+    """The configured robot's, a record of `Physics`."""
     low: Floats
     """Least value of each randomized number: `randomization.Drawn`."""
     high: Floats
