@@ -74,8 +74,6 @@ try:
 except ImportError:
     COMPILED = False
     """Whether numba is installed."""
-    INTERPRETED = True
-    """Whether everything runs in plain Python."""
 
     def jit(function: Callable[P, R]) -> Callable[P, R]:
         """Return the function unchanged: numba isn't installed."""
@@ -106,7 +104,6 @@ except ImportError:
 
 else:
     COMPILED = True
-    INTERPRETED = bool(numba.config.DISABLE_JIT)
     NumbaError = errors.NumbaError
     leading = to_fixed_tuple
     FINGERPRINT = fingerprint(PACKAGE)
@@ -167,10 +164,10 @@ else:
             arguments: as it will be called; only their types matter.
         """
         kept: Any = getattr(function, "_cache", None)
-        types = tuple(numba.typeof(argument) for argument in arguments)
-        if not hasattr(kept, "_cache_file") or (os.cpu_count() or 1) < 2:
+        if not (hasattr(kept, "_cache_file") and sys.executable and (os.cpu_count() or 1) > 1):
             yield
             return
+        types = tuple(numba.typeof(argument) for argument in arguments)
         key = kept._index_key(types, function.targetctx.codegen())  # noqa: SLF001
         if types in function.overloads or kept._cache_file.load(key) is not None:  # noqa: SLF001
             yield
@@ -230,7 +227,7 @@ else:
             if not self.said and module.startswith(BATCHES) and module != TASKS:
                 self.said = True
                 LOG.warning(
-                    "acsar_gym: compiling the loops of batches, about a minute, once after each "
+                    "acsar_gym: compiling the loops of batches, half a minute, once after each "
                     "installation; 'acsar-gym warm-up' does it ahead of time"
                 )
 
@@ -249,12 +246,12 @@ def record_of(values: Any, *, changes: bool = False) -> Any:
 
     Args:
         values: the named tuple.
-        changes: whether the record is written to.
+        changes: whether the record is written to, or must be an array.
     """
-    if INTERPRETED and not changes:
+    if not COMPILED and not changes:
         return [values]
     record = np.array([values], _record_type(type(values)))
-    return record.view(np.recarray) if INTERPRETED else record
+    return record if COMPILED else record.view(np.recarray)
 
 
 @cache

@@ -76,7 +76,7 @@ def test_where_no_cache_can_be_written_functions_are_compiled_without(
     monkeypatch.setattr("numba.core.caching.CacheImpl._locator_classes", [])
     monkeypatch.setattr(compiled, "NOT_CACHED", [])
     assert compiled.loop(plus_one)(1.0) == 2.0
-    assert callable(kernel.bound(kernel.start, PointGoal()))
+    assert callable(kernel.bind_task(kernel.start, PointGoal()))
     assert len(caplog.messages) == 1
     assert "set NUMBA_CACHE_DIR to a folder that can be written" in caplog.messages[0]
 
@@ -108,6 +108,26 @@ def test_compiling_a_batch_is_announced_before_and_only_where_the_cache_has_none
     assert small == "small"
     assert said.startswith("acsar_gym: compiling the loops of batches")
     assert again == "again acsar_gym.kinematics.twist acsar_gym.vector.kernel.layout.to_world"
+
+
+BESIDE = """
+from acsar_gym import jit
+from acsar_gym.dynamics.board import ramped
+speeds = (1.0, 2.0, 3.0, 4.0)
+with jit.compiled_beside(ramped, speeds, speeds, speeds):
+    print("meanwhile")
+print(ramped(speeds, speeds, speeds), sum(ramped.stats.cache_hits.values()), jit.NEW)
+"""
+
+
+@needs_numba
+@pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="there is one core")
+def test_what_another_process_compiles_comes_back_through_the_cache(tmp_path: Path) -> None:
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    for _ in range(2):  # where it is in the cache already, there is no other process
+        command = [sys.executable, "-c", BESIDE]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        assert done.stdout.splitlines() == ["meanwhile", "(1.0, 2.0, 3.0, 4.0) 1 []"]
 
 
 @needs_numba

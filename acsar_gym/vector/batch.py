@@ -21,9 +21,8 @@ from acsar_gym.tasks.base import Task
 from acsar_gym.tasks.spawn import Spawn
 from acsar_gym.vector import pcg
 from acsar_gym.vector.kernel import episode, layout
-from acsar_gym.vector.links import RobotLink, View
 from acsar_gym.vector.options import Wishes
-from acsar_gym.vector.sensors import BatchSensors, in_python
+from acsar_gym.vector.sensors import BatchSensors, RobotLink, View, in_python
 from acsar_gym.vector.setup import counts_kept, lines_kept
 from acsar_gym.vector.tables import spawns, surroundings, worlds_of
 from acsar_gym.vector.task import Loops, loops_of
@@ -110,7 +109,7 @@ class Batch:
             commands=np.zeros((lines, 2, columns if setup.guarded else 0)),
             arrivals=np.zeros((lines, 3, columns if setup.faults.possible else 0)),
             random=np.zeros((robots, 4), np.uint64),
-            nominal=record_of(physics(self._config)),
+            nominal=record_of(physics(self._config), changes=True),
             low=np.array(ranges.low),
             high=np.array(ranges.high),
             delays=np.array(ranges.delays),

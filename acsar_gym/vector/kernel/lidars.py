@@ -42,7 +42,7 @@ def true_pose(state: Floats, i: int) -> tuple[float, float, float, float]:
 
 
 @subroutine
-def touch(state: Floats, first: int, last: int, around: Surroundings) -> None:
+def check_contacts(state: Floats, first: int, last: int, around: Surroundings) -> None:
     """Set CONTACT of robots that touch an obstacle now."""
     for i in range(first, last):
         if state[CONTACT, i] == 0.0:
@@ -52,7 +52,7 @@ def touch(state: Floats, first: int, last: int, around: Surroundings) -> None:
 
 
 @subroutine
-def scan(
+def take_scan(
     tables: Tables, i: int, tick: int, uniforms: Floats, setup: Setup, around: Surroundings
 ) -> None:
     """Take robot i's scan at the end of a tick of its step; -1 is the reset.
@@ -75,7 +75,7 @@ def scan(
 
 
 @jit
-def is_due(state: Floats, i: int, tick: int, setup: Setup) -> bool:
+def is_scan_due(state: Floats, i: int, tick: int, setup: Setup) -> bool:
     """Whether a scan of robot i is due in this tick; inlined, as it is asked in every tick."""
     ticks = state[STEPS, i] * setup.ticks + tick + 1
     due: bool = ticks * setup.period > state[SCANS, i] / setup.lidar_rate - 1e-9
@@ -83,7 +83,7 @@ def is_due(state: Floats, i: int, tick: int, setup: Setup) -> bool:
 
 
 @subroutine
-def look(
+def take_scans(
     tables: Tables,
     mask: NDArray[np.bool_],
     wanted: bool,
@@ -101,5 +101,5 @@ def look(
     uniforms = np.empty(setup.draws)
     for i in range(first, last):
         hears = tick >= 0 or tables.state[SILENT, i] == 0.0
-        if mask[i] == wanted and hears and is_due(tables.state, i, tick, setup):
-            scan(tables, i, tick, uniforms, setup, around)
+        if mask[i] == wanted and hears and is_scan_due(tables.state, i, tick, setup):
+            take_scan(tables, i, tick, uniforms, setup, around)
