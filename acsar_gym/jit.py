@@ -108,7 +108,7 @@ else:
     leading = to_fixed_tuple
     FINGERPRINT = fingerprint(PACKAGE)
 
-    WITHIN: dict[str, Any] = {
+    WITHIN = {
         "error_model": "numpy",
         "no_cpython_wrapper": True,
         "no_cfunc_wrapper": True,
@@ -255,7 +255,7 @@ def record_of(values: Any, *, changes: bool = False) -> Any:
 
 
 @cache
-def _record_type(kind: type) -> np.dtype[Any]:
+def _record_type(kind: Any) -> np.dtype[Any]:
     """Record type with the fields of a named tuple's class."""
     kinds = get_type_hints(kind).items()
     fields = [

@@ -62,11 +62,8 @@ class Safety:
         """
         if not self.stopped:
             return
-        why = (
-            "an emergency stop"
-            if self._memory["latched"][0] == Reason.EMERGENCY_STOP
-            else "the geofence"
-        )
+        stopped = self._memory["latched"][0] == Reason.EMERGENCY_STOP
+        why = "an emergency stop" if stopped else "the geofence"
         fix = "start again when it is safe"
         if why == "the geofence":
             fix = "start farther inside, or change geofence in the robot's file"
@@ -91,9 +88,14 @@ class Safety:
         Returns:
             Four wheel speeds of zero.
         """
-        self._memory[0] = Memory(self._memory["latched"][0], reason)
+        self._remember(Memory(reason=reason))
         self._speeds = ZERO
         return ZERO
+
+    def _remember(self, memory: Memory) -> None:
+        """Set all but `latched`, which an emergency stop may set at any time."""
+        for name, value in zip(Memory._fields[1:], memory[1:], strict=True):
+            self._memory[name] = value
 
     def allowed(self, linear: float, angular: float, pose: Pose, feedback_age: float) -> Speeds:
         """Compute the wheel speeds that may be sent in this tick for a wanted twist.
@@ -151,7 +153,7 @@ class Safety:
         limited = 0.0 if share * top == 1.0 else float(Reason.LIMITS)
         twist = [share * linear, share * angular]
         sent = kinematics.twist(a, b, c, d, *radii, own.separation)
-        self._memory[0] = Memory(self._memory["latched"][0], limited, *twist, *twist, *sent)
+        self._remember(Memory(0.0, limited, *twist, *twist, *sent))
         self._speeds = ZERO
         return a, b, c, d
 

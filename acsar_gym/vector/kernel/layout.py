@@ -23,8 +23,8 @@ _NUMBERS = itertools.count()
 
 
 def _rows(count: int, width: int = 1) -> list[int]:
-    """The next rows of the state for so many names, each with `width` rows; the first of each."""
-    return [next(itertools.islice(_NUMBERS, width - 1, None)) - width + 1 for _ in range(count)]
+    """The next rows of the state for `count` names, each with `width` rows; the first of each."""
+    return list(itertools.islice(_NUMBERS, count * width))[::width]
 
 
 # Rows of the state. The body, in the odometry frame:
