@@ -257,7 +257,7 @@ def record_of(values: Any, *, changes: bool = False) -> Any:
 @cache
 def _record_type(kind: Any) -> np.dtype[Any]:
     """Record type with the fields of a named tuple's class."""
-    kinds = get_type_hints(kind).items()
+    kinds: Any = get_type_hints(kind).items()
     fields = [
         (name, own if own in (bool, int, float) else _record_type(own)) for name, own in kinds
     ]

@@ -41,8 +41,9 @@ class Safety:
     def fence(self, area: Geofence | None) -> None:
         """Replace the geofence, before an episode; None for no limit."""
         at = area or Geofence()
-        limits = {"min_x": at.min_x, "max_x": at.max_x, "min_y": at.min_y, "max_y": at.max_y}
-        self._rules = self._rules._replace(**limits)
+        self._rules = self._rules._replace(
+            min_x=at.min_x, max_x=at.max_x, min_y=at.min_y, max_y=at.max_y
+        )
         self._numbers = record_of(self._rules)
 
     def estop(self) -> None:
@@ -151,7 +152,7 @@ class Safety:
         )
         a, b, c, d = share * a, share * b, share * c, share * d
         limited = 0.0 if share * top == 1.0 else float(Reason.LIMITS)
-        twist = [share * linear, share * angular]
+        twist = share * linear, share * angular
         sent = kinematics.twist(a, b, c, d, *radii, own.separation)
         self._remember(Memory(0.0, limited, *twist, *twist, *sent))
         self._speeds = ZERO
