@@ -7,20 +7,27 @@ files of the package; code with another stamp is compiled anew. Functions of ano
 as a user's task, are stamped with that package's sources, too. agents/, which a wheel has inside of
 the package, doesn't count: a wheel and its checkout have the same stamps.
 
-A batch's first reset in a new installation compiles for up to a minute. The logger
+A batch's first reset in a new installation compiles for half a minute. The logger
 "acsar_gym.jit" says so before, as a warning: Python prints it to stderr by default.
 """
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import importlib
 import inspect
 import logging
+import os
 import pickle
-from collections.abc import Callable
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar, get_type_hints
+
+import numpy as np
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -78,7 +85,8 @@ except ImportError:
         """Return the function unchanged: numba isn't installed."""
         return function
 
-    compilable = jit
+    compilable = subroutine = jit
+    WITHIN: dict[str, Any] = {}
 
     def loop(function: Callable[P, R], *, keep: bool = True) -> Callable[P, R]:
         """Return the function unchanged: numba isn't installed."""
@@ -87,6 +95,11 @@ except ImportError:
     def overloads(function: Callable[..., Any]) -> Callable[[Callable[P, R]], Callable[P, R]]:
         """Decorator that changes nothing: numba isn't installed."""
         return lambda other: other
+
+    @contextlib.contextmanager
+    def compiled_beside(function: Callable[..., Any], *arguments: Any) -> Iterator[None]:
+        """Do nothing: numba isn't installed."""
+        yield
 
     NumbaError: type[Exception] = type("NumbaError", (Exception,), {})
     """Never raised: numba isn't installed."""
@@ -107,24 +120,37 @@ else:
     )
     DAMAGED = "acsar_gym: compiled code on disk is damaged, so it is compiled anew (%s)"
 
+    WITHIN = {
+        "error_model": "numpy",
+        "no_cpython_wrapper": True,
+        "no_cfunc_wrapper": True,
+    }
+    """Options of what only compiled code calls: code for calls from Python takes most of the time
+    that compiling a small function takes."""
+
     def jit(function: Callable[P, R]) -> Callable[P, R]:
-        """Compile a scalar function and inline it into callers, so that loops vectorize."""
-        return _compiled(function, forceinline=True)
+        """Let compiled functions call a function, inlined so that loops vectorize.
+
+        In Python it stays as it is.
+        """
+        same: Callable[P, R] = numba.extending.register_jitable(forceinline=True, **WITHIN)(
+            function
+        )
+        return same
+
+    def subroutine(function: Callable[P, R]) -> Callable[P, R]:
+        """As `jit`, but not inlined: for what is long, and called in several places."""
+        same: Callable[P, R] = numba.extending.register_jitable(**WITHIN)(function)
+        return same
 
     def loop(function: Callable[P, R], *, keep: bool = True) -> Callable[P, R]:
-        """Compile a function that loops over scalar functions. It releases the GIL.
+        """Compile a function that Python calls, and all that it calls. It releases the GIL.
 
         Args:
             function: the loop.
             keep: whether to cache the compiled code on disk.
         """
-        return _compiled(function, keep=keep)
-
-    def _compiled(
-        function: Callable[P, R], *, keep: bool = True, forceinline: bool = False
-    ) -> Callable[P, R]:
-        """Compile a function; without a cache where numba can't write one."""
-        options = {"forceinline": forceinline, "error_model": "numpy", "nogil": True}
+        options = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
         compiled: Any = None
         if keep and not numba.config.DISABLE_JIT:
             try:
@@ -188,6 +214,47 @@ else:
             data: bytes = super()._dump(obj)
             return data + hashlib.sha256(data).digest()
 
+    @contextlib.contextmanager
+    def compiled_beside(function: Any, *arguments: Any) -> Iterator[None]:
+        """Compile a loop in another process, on another core, while the block runs.
+
+        It comes back through the cache, so this does nothing where there is none, or where the loop
+        is in it. If the other process fails, the loop is compiled at its first call.
+
+        Args:
+            function: decorated by `loop`, of this package.
+            arguments: as it will be called; only their types matter.
+        """
+        kept: Any = getattr(function, "_cache", None)
+        if not (hasattr(kept, "_cache_file") and sys.executable and (os.cpu_count() or 1) > 1):
+            yield
+            return
+        types = tuple(numba.typeof(argument) for argument in arguments)
+        key = kept._index_key(types, function.targetctx.codegen())  # noqa: SLF001
+        if types in function.overloads or kept._cache_file.load(key) is not None:  # noqa: SLF001
+            yield
+            return
+        code = f"import sys; sys.path.insert(0, {str(PACKAGE.parent)!r}); from {__name__} import "
+        command = [sys.executable, "-c", code + "compile_asked; compile_asked()"]
+        asked = pickle.dumps((function.__module__, function.__qualname__, types))
+        quiet = subprocess.DEVNULL
+        with subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=quiet, stderr=quiet
+        ) as process:
+            try:
+                with contextlib.suppress(OSError):  # it has ended already
+                    process.stdin.write(asked)  # type: ignore[union-attr]
+                    process.stdin.close()  # type: ignore[union-attr]
+                yield
+            except BaseException:
+                process.kill()
+                raise
+
+    def compile_asked() -> None:
+        """Compile the loop that `compiled_beside` names on stdin; the body of its process."""
+        module, name, types = pickle.loads(sys.stdin.buffer.read())  # noqa: S301 - our own
+        getattr(importlib.import_module(module), name).compile(types)
+
     def compilable(function: Callable[P, R]) -> Callable[P, R]:
         """Leave a function as it is for Python, but let compiled functions call it, too."""
         same: Callable[P, R] = numba.extending.register_jitable(function)
@@ -212,7 +279,7 @@ else:
             if not self.said and module.startswith(BATCHES) and module != TASKS:
                 self.said = True
                 LOG.warning(
-                    "acsar_gym: compiling the loops of batches, about a minute, once after each "
+                    "acsar_gym: compiling the loops of batches, half a minute, once after each "
                     "installation; 'acsar-gym warm-up' does it ahead of time"
                 )
 
@@ -221,3 +288,30 @@ else:
 
     announcer = _Announcer()
     event.register("numba:compile", announcer)
+
+
+def record_of(values: Any, *, changes: bool = False) -> Any:
+    """Make a record, an array of one item, of a named tuple of numbers and of such tuples.
+
+    Compiled functions read and write `record[0].name`. Passing a record to them takes a fifth of
+    the time of a named tuple. In plain Python a list of the tuple itself is fastest.
+
+    Args:
+        values: the named tuple.
+        changes: whether the record is written to, or must be an array.
+    """
+    if not COMPILED and not changes:
+        return [values]
+    kind: Any = type(values)
+    record = np.array([values], _record_type(kind))
+    return record if COMPILED else record.view(np.recarray)
+
+
+@cache
+def _record_type(kind: Any) -> np.dtype[Any]:
+    """Record type with the fields of a named tuple's class."""
+    kinds: Any = get_type_hints(kind).items()
+    fields = [
+        (name, own if own in (bool, int, float) else _record_type(own)) for name, own in kinds
+    ]
+    return np.dtype(fields, align=True)

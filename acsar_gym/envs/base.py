@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from acsar_gym.bodies import display
 from acsar_gym.bodies.base import GroundTruth, Image
 from acsar_gym.config import RobotConfig, RobotSource, whole_ratio
-from acsar_gym.dynamics.randomizer import Randomizer
+from acsar_gym.dynamics.randomization import Randomizer
 from acsar_gym.envs.actions import checked
 from acsar_gym.envs.options import RENDER_MODES, EnvOptions
 from acsar_gym.envs.recording import EnvRecord

@@ -20,11 +20,10 @@ from acsar_gym.tasks.options import known
 from acsar_gym.tasks.spaces import task_spaces
 from acsar_gym.tasks.spawn import Spawn
 from acsar_gym.vector.batch import Batch
-from acsar_gym.vector.faults import checked
 from acsar_gym.vector.kernel import layout
 from acsar_gym.vector.options import Wishes, wishes
 from acsar_gym.vector.settings import MOST_ROBOTS, BatchOptions, count, threads_for
-from acsar_gym.vector.setup import setup_of
+from acsar_gym.vector.setup import check_faults, setup_of
 from acsar_gym.vector.specs import PlainSpec
 from acsar_gym.vector.threads import Threads
 
@@ -130,7 +129,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         """Make the robots and check the task with their sensors."""
         task, config, steps = self.task, self.config, asked.max_episode_steps
         sensors = (*task.sensors, *asked.sensors)
-        faults, numbers = checked(asked.faults, config), len(task.observation)
+        faults, numbers = check_faults(asked.faults, config), len(task.observation)
         varied = Randomization.of(asked.randomization, config)
         ticks, sees = self.ticks_per_step, LIDAR in sensors
         setup = setup_of(config, ticks, steps, numbers, faults, sees=sees, varied=varied)

@@ -18,7 +18,7 @@ from acsar_gym.tasks.episode import outcome_of, reward_of
 from acsar_gym.tasks.made import named
 from acsar_gym.vector.kernel import layout
 from acsar_gym.vector.kernel import task as kernel
-from acsar_gym.vector.kernel.episode import report
+from acsar_gym.vector.kernel.episode import update_info
 from acsar_gym.vector.kernel.layout import Setup, Spawns, Tables, TaskSetup, TaskTables
 
 Mask = NDArray[np.bool_]
@@ -68,8 +68,8 @@ class CompiledLoops:
         self.memory: NDArray[Any] = np.zeros(len(tables.rewards) + 1, kinds)
         for name, value in task.memory.items():
             self.memory[name][-1] = value
-        self._start = kernel.bound(kernel.start, task)
-        self._step = kernel.bound(kernel.step, task)
+        self._start = kernel.bind_task(kernel.start, task)
+        self._step = kernel.bind_task(kernel.step, task)
 
     def start(self, mask: Mask, first: int, last: int) -> None:
         """Begin the episodes of robots in the mask.
@@ -93,7 +93,7 @@ class CompiledLoops:
                 f'class, such as memory = {{"{name}": 0.0}}'
             ) from None
         except (NumbaError, NotImplementedError, TypeError) as error:
-            raise kernel.explained(self._task, error) from None
+            raise kernel.explain_error(self._task, error) from None
         except Exception as error:
             raise TaskError(
                 f"{named(self._task)}: {type(error).__name__}: {error}, in a compiled method; "
@@ -164,7 +164,7 @@ class PythonLoops:
                 self._task.begin(state, memory)
                 rows.append(self._task.observe(state, memory))
         self._observed(robots, rows)
-        report(self._tables.state, first, last, self._setup)
+        update_info(self._tables.state, first, last, self._setup)
 
     def step(self, first: int, last: int) -> None:
         """Write rewards, ends and observations of robots first to last."""

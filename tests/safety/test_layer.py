@@ -282,7 +282,9 @@ def test_info_says_what_was_sent_and_why(link: str) -> None:
 
 @pytest.mark.skipif(not compiled.COMPILED, reason="nothing is compiled")
 def test_after_a_reset_nothing_is_left_to_compile(monkeypatch: pytest.MonkeyPatch) -> None:
-    functions: list[Any] = [compiled.jit(getattr(rules, name).py_func) for name in ("tick", "hold")]
+    functions: list[Any] = [
+        compiled.loop(getattr(rules, name).py_func) for name in ("tick", "hold")
+    ]
     for function in functions:
         monkeypatch.setattr(rules, function.__name__, function)
     safety = Safety(ACSAR)

@@ -17,7 +17,7 @@ import pytest
 from board_like import LikeABoard, Overshooting
 
 from acsar_gym import Robot, RobotConfig, open_link
-from acsar_gym.dynamics.randomizer import Randomizer
+from acsar_gym.dynamics.randomization import Randomizer
 from acsar_gym.errors import SafetyWarning, WheelError
 from acsar_gym.links.fault_injection import FaultyLink
 from acsar_gym.protocol import MOTORS, WHEELS
