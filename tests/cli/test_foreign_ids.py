@@ -29,8 +29,11 @@ from acsar_gym import Outcome, Task
 class Ahead(Task):
     observation = {"ahead": (-2.0, 2.0), "aside": (-2.0, 2.0)}
     goal_distance = (0.5, 1.0)
+    memory = {"fastest": 0.0, "own": 0.0}
+    told = ("fastest",)
 
     def outcome(self, state, memory):
+        memory.fastest = max(memory.fastest, state.twist[0])
         gap = (state.goal[0] - state.pose[0], state.goal[1] - state.pose[1])
         return Outcome.SUCCESS if gap[0] ** 2 + gap[1] ** 2 < 0.04 else Outcome.GOING
 
@@ -174,9 +177,15 @@ def test_a_policy_for_it_is_trained_evaluated_driven_and_exported(
 
     figures = tmp_path / "figures.json"
     quick = ("--link", "planar", "--episodes", "2", "--json", str(figures))
-    assert call(*following, *quick)[::2] == (0, "")
-    told = json.loads(figures.read_text())["header"]
+    code, out, error = call(*following, *quick)
+    assert (code, error) == (0, "")
+    assert "told.fastest" in out
+    found = json.loads(figures.read_text())
+    told = found["header"]
     assert (told["policy"]["env"], told["env"]["id"]) == (ENV, "mine/Ahead-v0")
+    fastest = [episode["told"]["fastest"] for episode in found["per_episode"]]
+    assert [list(episode["told"]) for episode in found["per_episode"]] == [["fastest"]] * 2
+    assert found["told"]["fastest"] == pytest.approx(sum(fastest) / 2)
 
     code, _, error = call("run", "0.8", "0", "--link", "planar", *following[1:])
     assert code in (0, 1)
