@@ -74,20 +74,28 @@ class Randomization:
             object.__setattr__(self, name, check(name, getattr(self, name)))
 
     @classmethod
-    def of(cls, ranges: Mapping[str, Range] | Self | None) -> Randomization:
+    def of(
+        cls, ranges: Mapping[str, Range] | Self | bool | None, config: RobotConfig | None = None
+    ) -> Randomization:
         """Return a Randomization from a mapping of names to ranges.
 
         Args:
-            ranges: a mapping, a Randomization, or None for nothing.
+            ranges: a mapping, a Randomization, True for what `acsar-gym train` randomizes
+                (`measured`), or None or False for nothing.
+            config: the robot, for True.
 
         Raises:
             ConfigError: a name is unknown, or a range is malformed.
         """
         if isinstance(ranges, Randomization):
             return ranges
+        if ranges is True and config is not None:
+            return cls.measured(config)
+        ranges = None if ranges is False else ranges
         if not isinstance(ranges, Mapping | None):
             raise ConfigError(
-                f"randomization = {shown(ranges)}: must be a mapping of names to (low, high)"
+                f"randomization = {shown(ranges)}: must be a mapping of names to (low, high), such "
+                'as {"friction": (0.7, 1.2)}, or True for what acsar-gym train randomizes'
             )
         known = {field.name for field in fields(cls)}
         for name in ranges or ():

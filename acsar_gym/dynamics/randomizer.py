@@ -34,7 +34,7 @@ class Randomizer:
             ConfigError: Physics can't vary on this link, or as `Randomization.of` and
                 `Randomization.ranges`.
         """
-        randomization = Randomization.of(given)
+        randomization = Randomization.of(given, config)
         self._names = randomization.names
         if self._names and not simulated:
             raise ConfigError(

@@ -131,7 +131,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         task, config, steps = self.task, self.config, asked.max_episode_steps
         sensors = (*task.sensors, *asked.sensors)
         faults, numbers = checked(asked.faults, config), len(task.observation)
-        varied = Randomization.of(asked.randomization)
+        varied = Randomization.of(asked.randomization, config)
         ticks, sees = self.ticks_per_step, LIDAR in sensors
         setup = setup_of(config, ticks, steps, numbers, faults, sees=sees, varied=varied)
         batch = Batch(self.num_envs, config, task, self._spawn, sensors, setup, varied)
