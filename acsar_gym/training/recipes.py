@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 import yaml
 
@@ -175,10 +175,22 @@ def content(path: Path) -> dict[Any, Any]:
     return found
 
 
+PLAIN: dict[Any, str] = {
+    float: "a number",
+    int: "a whole number",
+    bool: "true or false",
+    str: "a word",
+    type(None): "null",
+}
+"""Types of hyperparameters that are checked, in the words of messages; algorithms that get another
+one fail only in the middle of a training."""
+
+
 def _check_keys(path: Path, key: str, given: dict[Any, Any], algorithm: Algorithm) -> None:
-    """Refuse hyperparameters that the algorithm doesn't have."""
-    known = OWN | algorithm.arguments()
-    for name in given:
+    """Refuse hyperparameters that the algorithm doesn't have, and those of a wrong type."""
+    types = algorithm.types()
+    known = OWN | set(types)
+    for name, value in given.items():
         if name in FOREIGN:
             raise ConfigError(f"{path}: {key}: {name}: only rl_zoo3 knows it; remove it to train")
         if name not in known:
@@ -186,6 +198,15 @@ def _check_keys(path: Path, key: str, given: dict[Any, Any], algorithm: Algorith
             raise ConfigError(
                 f"{path}: {key}: {shown(name)}: not a hyperparameter of {algorithm.name}{hint}"
             )
+        kinds = get_args(types.get(name)) or (types.get(name),)
+        if set(kinds) <= set(PLAIN) and not _fits(value, kinds):
+            wanted = " or ".join(PLAIN[kind] for kind in kinds)
+            raise ConfigError(f"{path}: {key}: {name}: {shown(value)}: must be {wanted}")
+
+
+def _fits(value: Any, kinds: Sequence[type]) -> bool:
+    """Whether a value is of one of these types; a whole number is a number, true is none."""
+    return any(type(value) is kind or (kind is float and type(value) is int) for kind in kinds)
 
 
 def _count(path: Path, key: str, given: dict[Any, Any], name: str) -> int:
