@@ -44,7 +44,7 @@ runpy.run_path(sys.argv.pop(1), run_name="__main__")
         ("--robots 2000000", "--robots 2000000: must be 1 to 16,384"),
         ("--steps 0", "--steps 0: must be 1 to"),
         (f"--steps {10**18}", "must be 1 to 10,000,000,000"),
-        ("--threads 0", "--threads 0: must be 1 to"),
+        ("--threads 0", "--threads 0: must be 1"),
         ("--worlds clutter", "point_goal has none"),
         ("--env barn --worlds brn", "brn"),
         ("--env barn --worlds clutter:1000000 --threads 1 --out OUT", "1,000,000 of clutter"),

@@ -17,10 +17,10 @@ from acsar_gym.envs import ids
 from acsar_gym.errors import ConfigError
 from acsar_gym.evaluation import provenance
 from acsar_gym.reading import bounded
-from acsar_gym.training import threads
 from acsar_gym.training.checkpoints import replace
 from acsar_gym.training.options import Options
 from acsar_gym.training.plan import Plan
+from acsar_gym.vector.settings import cores
 
 FILE = "config.yml"
 RUN = "run"
@@ -64,7 +64,7 @@ def begin(plan: Plan) -> dict[str, Any]:
             "options": options,
             "versions": provenance.versions(*LIBRARIES),
             "revision": revision(),
-            "cores": threads.cores(),
+            "cores": cores(),
             "machine": f"{platform.system()} {platform.machine()}",
             "steps": 0,
             "seconds": 0.0,
