@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.errors import TaskError, translate_errors
+from acsar_gym.errors import ConfigError, TaskError, translate_errors
 from acsar_gym.jit import COMPILED, NumbaError
 from acsar_gym.tasks.base import Memory, Outcome, State, Task, is_compiled, remembered, told
 from acsar_gym.tasks.episode import outcome_of, reward_of
@@ -86,7 +86,13 @@ class CompiledLoops:
         """Call a compiled loop; ConfigError where numba can't compile the task."""
         try:
             loop(self._numbers, self.memory, self._tables, *share, self._setup, self._spawns)
-        except (NumbaError, KeyError, NotImplementedError, TypeError) as error:
+        except KeyError as error:  # of numba, for a field that the record doesn't have
+            name = error.args[0]
+            raise ConfigError(
+                f"{named(self._task)}: memory.{name} isn't declared: give it a first value in the "
+                f'class, such as memory = {{"{name}": 0.0}}'
+            ) from None
+        except (NumbaError, NotImplementedError, TypeError) as error:
             raise kernel.explained(self._task, error) from None
         except Exception as error:
             raise TaskError(

@@ -253,7 +253,9 @@ class CompiledObservation(UnsoundObservation):
 )
 @pytest.mark.parametrize("mode", ["single", "batch", "batch that resets in the same step"])
 def test_numbers_that_are_not_finite_are_named(task: type[Task], said: str, mode: str) -> None:
-    same = {"autoreset_mode": "SameStep", "max_episode_steps": 2} if "same" in mode else {}
+    same: dict[str, Any] = (
+        {"autoreset_mode": "SameStep", "max_episode_steps": 2} if "same" in mode else {}
+    )
     env: Any = RobotEnv(task, "planar") if mode == "single" else RobotVectorEnv(task, 3, **same)
     action = ACTIONS[0, 0] if mode == "single" else ACTIONS[0]
     env.reset(seed=0)
@@ -319,3 +321,36 @@ def test_errors_where_a_task_is_tried_name_it() -> None:
 
     with pytest.raises(TaskError, match=r"Hasty: begin\(\) raised ZeroDivisionError: .*\.py:\d+"):
         RobotEnv(Hasty, "planar")
+
+
+class Undeclared(Unsound):
+    """Remembers what its memory hasn't."""
+
+    compiled = True
+
+    def begin(self, state: State, memory: Any) -> None:
+        memory.turns = 0.0
+
+
+class UndeclaredRead(Undeclared):
+    compiled = True
+
+    def begin(self, state: State, memory: Any) -> None:
+        """Nothing to note."""
+
+    def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
+        return float(memory.turns) if state.time > 0.15 else 0.0
+
+
+@needs_numba
+@pytest.mark.parametrize("task", [Undeclared, UndeclaredRead])
+def test_what_a_memory_does_not_declare_is_named(task: type[Task]) -> None:
+    batch = RobotVectorEnv(task)
+    with pytest.raises(ConfigError) as error:
+        batch.reset(seed=0)
+        batch.step(ACTIONS[0, :1])
+    assert str(error.value) == (
+        f"{task.__name__}: memory.turns isn't declared: give it a first value in the class, such "
+        'as memory = {"turns": 0.0}'
+    )
+    batch.close()
