@@ -96,13 +96,21 @@ QUICK = {
     "demo": "--steps 4096 --episodes 2 --serial-episodes 1 --out demo",
 }
 """Options with which commands take less time."""
+LAST = {
+    "train": "next: acsar-gym evaluate",
+    "evaluate": "95 % intervals: point_goal",
+    "benchmark": "report: bench.html",
+    "demo": "serial device (emulator)",
+}
+"""What commands print when they have done all; their exit code also tells of a busy machine's late
+ticks, and that a policy of so few steps misses its goals."""
 
 
 @pytest.mark.parametrize("name", QUICK)
 def test_a_command_connects_to_nobody(name: str, trace: Path, home: Path) -> None:
     traced = [*TRACE, "-o", str(trace), *command(name, *QUICK[name].split())]
     done = subprocess.run(traced, check=False, capture_output=True, text=True, timeout=TIMEOUT)
-    assert done.returncode in (0, 4), done.stderr  # 4: late ticks, on a busy machine
+    assert LAST[name] in done.stdout, done.stderr
     assert_silent(trace, home)
 
 
