@@ -140,7 +140,8 @@ class BoardOptions:
     quirk: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")] = ()
     """How it differs: at-comma, no-comma, unpadded, padded-space, reversed-encoder=WHEEL,
     reversed-motor=WHEEL, swapped-encoders, swapped-motors, dead-wheel=WHEEL, dead-encoder=WHEEL,
-    frozen, resets, command-timeout=SECONDS, no-timeout, feedback-rate=HZ."""
+    runaway=WHEEL, feedback-factor=NUMBER, frozen, resets, command-timeout=SECONDS, no-timeout,
+    feedback-rate=HZ."""
 
 
 @dataclass(frozen=True)
