@@ -1,7 +1,7 @@
 """A Gymnasium environment for the ACSAR skid-steer robot, simulated or real behind one wire.
 
-The names below are imported when they are used first: `import acsar_gym` takes some milliseconds,
-and so does `acsar-gym estop`. See `registration` for how Gymnasium learns of the environments.
+The import registers the environments' ids with Gymnasium. The names below are imported when they
+are used first, as some bring numba and pydantic, for which `acsar-gym estop` must not wait.
 """
 
 from __future__ import annotations
@@ -78,4 +78,4 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
 
-registration.when_gymnasium_is_imported()
+registration.register_all()

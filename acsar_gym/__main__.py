@@ -1,7 +1,6 @@
 """`acsar-gym` and `python -m acsar_gym`.
 
-An emergency stop doesn't wait until the rest of the package is imported: it needs the standard
-library alone.
+An emergency stop doesn't wait until the rest of the package is imported.
 """
 
 from __future__ import annotations

@@ -15,7 +15,6 @@ from acsar_gym.evaluation import report, runs
 from acsar_gym.evaluation.episodes import EpisodeResult
 from acsar_gym.evaluation.results import Run
 from acsar_gym.policies import OnnxPolicy
-from acsar_gym.resources import agent
 
 
 def run(steps: int, episodes: int, serial_episodes: int, out: Path) -> list[tuple[str, Run]]:
@@ -50,7 +49,7 @@ def run(steps: int, episodes: int, serial_episodes: int, out: Path) -> list[tupl
 
 
 def train(steps: int, out: Path) -> Path:
-    """Run agents/train.py in this process.
+    """Train in this process.
 
     Args:
         steps: env steps of the training.
@@ -62,8 +61,10 @@ def train(steps: int, out: Path) -> Path:
     Raises:
         SystemExit: a signal ended the training.
     """
-    script = agent("train")
-    code = script.train(script.Options(steps=steps, out=out))
+    from acsar_gym.training import run as training  # noqa: PLC0415 - imports torch
+    from acsar_gym.training.options import Options  # noqa: PLC0415
+
+    code = training.train(Options(steps=steps, out=out))
     if code != 0:
         raise SystemExit(code)
     return out / "policy.onnx"

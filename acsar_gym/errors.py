@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import difflib
+import os
 import re
 import reprlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
 from typing import Any
 
 AHEAD = "stop other programs, or put the control loop ahead of them with --realtime 10"
@@ -43,6 +45,10 @@ class ConfigError(AcsarError):
 
 class WorldError(ConfigError):
     """A world is broken, can't be crossed, or has its start inside an obstacle."""
+
+
+class TaskError(ConfigError):
+    """A task's method raised an error, or returned what can't be used, such as NaN."""
 
 
 class CommandError(AcsarError):
@@ -181,10 +187,13 @@ class WheelError(LinkError):
 
 
 class EmergencyStopError(LinkError):
-    """An emergency stop from another terminal ended what the program was doing."""
+    """An emergency stop ended what the program was doing, or holds until it is released."""
 
     def __init__(self) -> None:
-        super().__init__("emergency stop", "look after the robot, then start again")
+        super().__init__(
+            "emergency stop",
+            "look after the robot, then start again, or run 'acsar-gym estop --release'",
+        )
 
 
 class LateTicksError(AcsarError):
@@ -202,7 +211,41 @@ class LateTicksError(AcsarError):
 
 
 class SensorError(AcsarError):
-    """A sensor's reading can't be used in an observation: wrong size, or NaN."""
+    """A sensor raised an error, or its reading can't be used: wrong size, or NaN."""
+
+
+_PACKAGE = f"{Path(__file__).parent}{os.sep}"
+
+
+@contextlib.contextmanager
+def translate_errors(kind: type[AcsarError], source: Callable[[], str]) -> Iterator[None]:
+    """Name the task or sensor whose code raises inside the block, and the line that raised.
+
+    Errors of this package pass, with the name as a note.
+
+    Args:
+        kind: what is raised instead, from the original error.
+        source: returns the task's or sensor's name.
+
+    Raises:
+        AcsarError: of that kind.
+    """
+    try:
+        yield
+    except AcsarError as error:
+        error.add_note(source())
+        raise
+    except Exception as error:
+        calls, trace = [], error.__traceback__
+        while trace is not None:
+            calls.append((trace.tb_frame.f_code, trace.tb_lineno))
+            trace = trace.tb_next
+        theirs = [call for call in calls if not call[0].co_filename.startswith(_PACKAGE)] or calls
+        # The last line in the user's own file, not the one in a library that it calls.
+        method, file = theirs[0][0].co_name, theirs[0][0].co_filename
+        line = [line for code, line in theirs if code.co_filename == file][-1]
+        said = shortened(" ".join(f"{type(error).__name__}: {error}".split()), 300)
+        raise kind(f"{source()}: {method}() raised {said} ({file}:{line})") from error
 
 
 class LidarError(LinkError):

@@ -4,34 +4,45 @@ Compiled code is cached on disk: beside its source, or where numba keeps it othe
 recompiles when a function's own file has changed, but not when another file has changed whose
 functions were compiled into it. So this module stamps cached code with a fingerprint of all source
 files of the package; code with another stamp is compiled anew. Functions of another package, such
-as agents/baselines, are stamped with that package's sources, too.
+as a user's task, are stamped with that package's sources, too. agents/, which a wheel has inside of
+the package, doesn't count: a wheel and its checkout have the same stamps.
 
-A batch's first reset in a new installation compiles for up to a minute. The logger
+A batch's first reset in a new installation compiles for half a minute. The logger
 "acsar_gym.jit" says so before, as a warning: Python prints it to stderr by default.
 """
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import importlib
 import inspect
 import logging
-from collections.abc import Callable
+import os
+import pickle
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar, get_type_hints
+
+import numpy as np
 
 P = ParamSpec("P")
 R = TypeVar("R")
 LOG = logging.getLogger(__name__)
 PACKAGE = Path(__file__).parent
+AGENTS = PACKAGE / "agents"
+"""Where a wheel has agents/."""
 BATCHES = "acsar_gym.vector.kernel."
 """Modules whose functions take long to compile."""
 TASKS = "acsar_gym.vector.kernel.task"
 """One of them that is compiled anew, and soon, for every task."""
 NEW: list[str] = []
 """Names of functions that this process has compiled because the cache didn't have them."""
-NOT_CACHED: list[str] = []
-"""Why numba can't cache, once a function couldn't be cached."""
+TOLD: set[str] = set()
+"""Warnings that this process has given: each once."""
 
 
 def fingerprint(package: Path) -> str:
@@ -42,6 +53,8 @@ def fingerprint(package: Path) -> str:
     """
     digest = hashlib.sha256()
     for source in sorted(package.rglob("*.py")):
+        if package == PACKAGE and AGENTS in source.parents:
+            continue
         content = source.read_bytes()
         digest.update(f"{source.relative_to(package)} {len(content)}\n".encode() + content)
     return digest.hexdigest()
@@ -54,7 +67,7 @@ def fingerprint_beside(folder: Path) -> str:
     Args:
         folder: of the source file whose functions are compiled.
     """
-    own = folder == PACKAGE or PACKAGE in folder.parents
+    own = PACKAGE in (folder, *folder.parents)
     return "" if own or not (folder / "__init__.py").is_file() else fingerprint(folder)
 
 
@@ -62,6 +75,7 @@ try:
     import numba
     import numba.extending
     from numba.core import errors, event
+    from numba.core.caching import IndexDataCacheFile
     from numba.np.unsafe.ndarray import to_fixed_tuple
 except ImportError:
     COMPILED = False
@@ -71,7 +85,8 @@ except ImportError:
         """Return the function unchanged: numba isn't installed."""
         return function
 
-    compilable = jit
+    compilable = subroutine = jit
+    WITHIN: dict[str, Any] = {}
 
     def loop(function: Callable[P, R], *, keep: bool = True) -> Callable[P, R]:
         """Return the function unchanged: numba isn't installed."""
@@ -80,6 +95,11 @@ except ImportError:
     def overloads(function: Callable[..., Any]) -> Callable[[Callable[P, R]], Callable[P, R]]:
         """Decorator that changes nothing: numba isn't installed."""
         return lambda other: other
+
+    @contextlib.contextmanager
+    def compiled_beside(function: Callable[..., Any], *arguments: Any) -> Iterator[None]:
+        """Do nothing: numba isn't installed."""
+        yield
 
     NumbaError: type[Exception] = type("NumbaError", (Exception,), {})
     """Never raised: numba isn't installed."""
@@ -93,47 +113,147 @@ else:
     NumbaError = errors.NumbaError
     leading = to_fixed_tuple
     FINGERPRINT = fingerprint(PACKAGE)
+    DIGEST_SIZE = hashlib.sha256().digest_size
+    CANNOT_CACHE = (
+        "acsar_gym: numba can't keep compiled code, so every process compiles anew: "
+        "set NUMBA_CACHE_DIR to a folder that can be written (%s)"
+    )
+    DAMAGED = "acsar_gym: compiled code on disk is damaged, so it is compiled anew (%s)"
+
+    WITHIN = {
+        "error_model": "numpy",
+        "no_cpython_wrapper": True,
+        "no_cfunc_wrapper": True,
+    }
+    """Options of what only compiled code calls: code for calls from Python takes most of the time
+    that compiling a small function takes."""
 
     def jit(function: Callable[P, R]) -> Callable[P, R]:
-        """Compile a scalar function and inline it into callers, so that loops vectorize."""
-        return _compiled(function, forceinline=True)
+        """Let compiled functions call a function, inlined so that loops vectorize.
+
+        In Python it stays as it is.
+        """
+        same: Callable[P, R] = numba.extending.register_jitable(forceinline=True, **WITHIN)(
+            function
+        )
+        return same
+
+    def subroutine(function: Callable[P, R]) -> Callable[P, R]:
+        """As `jit`, but not inlined: for what is long, and called in several places."""
+        same: Callable[P, R] = numba.extending.register_jitable(**WITHIN)(function)
+        return same
 
     def loop(function: Callable[P, R], *, keep: bool = True) -> Callable[P, R]:
-        """Compile a function that loops over scalar functions. It releases the GIL.
+        """Compile a function that Python calls, and all that it calls. It releases the GIL.
 
         Args:
             function: the loop.
             keep: whether to cache the compiled code on disk.
         """
-        return _compiled(function, keep=keep)
-
-    def _compiled(
-        function: Callable[P, R], *, keep: bool = True, forceinline: bool = False
-    ) -> Callable[P, R]:
-        """Compile a function; without a cache where numba can't write one."""
-        options = {"forceinline": forceinline, "error_model": "numpy", "nogil": True}
+        options = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
         compiled: Any = None
         if keep and not numba.config.DISABLE_JIT:
             try:
                 compiled = numba.njit(cache=True, **options)(function)
-                file = compiled._cache._cache_file  # noqa: SLF001 - numba has no other way
+                cache = compiled._cache  # noqa: SLF001 - numba has no other way
                 beside = fingerprint_beside(Path(inspect.getfile(function)).parent)
-                file._source_stamp = (file._source_stamp, FINGERPRINT + beside)  # noqa: SLF001
+                cache._cache_file = _CacheFile(cache, FINGERPRINT + beside)  # noqa: SLF001
             except (RuntimeError, AttributeError) as error:
-                _uncached(str(error))
+                _tell(CANNOT_CACHE, error)
                 compiled = None
         plain: Callable[P, R] = compiled or numba.njit(**options)(function)
         return plain
 
-    def _uncached(why: str) -> None:
-        """Warn, once, that numba can't cache."""
-        if not NOT_CACHED:
-            NOT_CACHED.append(why)
-            LOG.warning(
-                "acsar_gym: numba can't keep compiled code, so every process compiles anew: "
-                "set NUMBA_CACHE_DIR to a folder that can be written (%s)",
-                why,
-            )
+    def _tell(message: str, why: object) -> None:
+        """Warn, once in this process."""
+        if message not in TOLD:
+            TOLD.add(message)
+            LOG.warning(message, why)
+
+    class _CacheFile(IndexDataCacheFile):  # type: ignore[misc]
+        """Compiled code on disk, stamped, and with a checksum.
+
+        What a power failure has damaged is compiled anew: numba would raise whatever pickle
+        raises, or run damaged code. A full disk keeps nothing, and stops nobody.
+
+        Args:
+            cache: numba's own, of one function.
+            stamp: of the sources.
+        """
+
+        def __init__(self, cache: Any, stamp: str) -> None:
+            stamps = (cache._cache_file._source_stamp, stamp)  # noqa: SLF001
+            super().__init__(cache.cache_path, cache._impl.filename_base, stamps)  # noqa: SLF001
+
+        def load(self, key: Any) -> Any:
+            found = super().load(key)
+            return found[1] if found and found[0] == self._source_stamp else None
+
+        def save(self, key: Any, data: Any) -> None:
+            try:
+                super().save(key, (self._source_stamp, data))
+            except OSError as error:
+                _tell(CANNOT_CACHE, error)
+
+        def _load_index(self) -> Any:
+            try:
+                return super()._load_index()
+            except Exception as error:  # noqa: BLE001 - garbage makes pickle raise anything
+                _tell(DAMAGED, f"{self._index_path}: {error!r}")
+                return {}
+
+        def _load_data(self, name: str) -> Any:
+            path = Path(self._data_path(name))
+            data = path.read_bytes()
+            if hashlib.sha256(data[:-DIGEST_SIZE]).digest() != data[-DIGEST_SIZE:]:
+                _tell(DAMAGED, path)
+                raise FileNotFoundError(path)  # which numba takes for code that isn't there
+            return pickle.loads(data)  # noqa: S301 - as numba does; what follows is ignored
+
+        def _dump(self, obj: Any) -> bytes:
+            data: bytes = super()._dump(obj)
+            return data + hashlib.sha256(data).digest()
+
+    @contextlib.contextmanager
+    def compiled_beside(function: Any, *arguments: Any) -> Iterator[None]:
+        """Compile a loop in another process, on another core, while the block runs.
+
+        It comes back through the cache, so this does nothing where there is none, or where the loop
+        is in it. If the other process fails, the loop is compiled at its first call.
+
+        Args:
+            function: decorated by `loop`, of this package.
+            arguments: as it will be called; only their types matter.
+        """
+        kept: Any = getattr(function, "_cache", None)
+        if not (hasattr(kept, "_cache_file") and sys.executable and (os.cpu_count() or 1) > 1):
+            yield
+            return
+        types = tuple(numba.typeof(argument) for argument in arguments)
+        key = kept._index_key(types, function.targetctx.codegen())  # noqa: SLF001
+        if types in function.overloads or kept._cache_file.load(key) is not None:  # noqa: SLF001
+            yield
+            return
+        code = f"import sys; sys.path.insert(0, {str(PACKAGE.parent)!r}); from {__name__} import "
+        command = [sys.executable, "-c", code + "compile_asked; compile_asked()"]
+        asked = pickle.dumps((function.__module__, function.__qualname__, types))
+        quiet = subprocess.DEVNULL
+        with subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=quiet, stderr=quiet
+        ) as process:
+            try:
+                with contextlib.suppress(OSError):  # it has ended already
+                    process.stdin.write(asked)  # type: ignore[union-attr]
+                    process.stdin.close()  # type: ignore[union-attr]
+                yield
+            except BaseException:
+                process.kill()
+                raise
+
+    def compile_asked() -> None:
+        """Compile the loop that `compiled_beside` names on stdin; the body of its process."""
+        module, name, types = pickle.loads(sys.stdin.buffer.read())  # noqa: S301 - our own
+        getattr(importlib.import_module(module), name).compile(types)
 
     def compilable(function: Callable[P, R]) -> Callable[P, R]:
         """Leave a function as it is for Python, but let compiled functions call it, too."""
@@ -159,7 +279,7 @@ else:
             if not self.said and module.startswith(BATCHES) and module != TASKS:
                 self.said = True
                 LOG.warning(
-                    "acsar_gym: compiling the loops of batches, about a minute, once after each "
+                    "acsar_gym: compiling the loops of batches, half a minute, once after each "
                     "installation; 'acsar-gym warm-up' does it ahead of time"
                 )
 
@@ -168,3 +288,30 @@ else:
 
     announcer = _Announcer()
     event.register("numba:compile", announcer)
+
+
+def record_of(values: Any, *, changes: bool = False) -> Any:
+    """Make a record, an array of one item, of a named tuple of numbers and of such tuples.
+
+    Compiled functions read and write `record[0].name`. Passing a record to them takes a fifth of
+    the time of a named tuple. In plain Python a list of the tuple itself is fastest.
+
+    Args:
+        values: the named tuple.
+        changes: whether the record is written to, or must be an array.
+    """
+    if not COMPILED and not changes:
+        return [values]
+    kind: Any = type(values)
+    record = np.array([values], _record_type(kind))
+    return record if COMPILED else record.view(np.recarray)
+
+
+@cache
+def _record_type(kind: Any) -> np.dtype[Any]:
+    """Record type with the fields of a named tuple's class."""
+    kinds: Any = get_type_hints(kind).items()
+    fields = [
+        (name, own if own in (bool, int, float) else _record_type(own)) for name, own in kinds
+    ]
+    return np.dtype(fields, align=True)

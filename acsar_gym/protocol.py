@@ -44,7 +44,9 @@ _WHOLE = re.compile(rb"(?:[abcd][pn][ +-]*[0-9]{1,3}\.[0-9]{2,6},?){4}")
 _ENDED = re.compile(rb"[pn]?[ +-]*[0-9.]{0,9}")
 """The end of a part."""
 SAMPLE = 60
-"""How much of a damaged line is kept for messages [bytes]."""
+"""How much of a damaged line, or of text, is kept for messages [bytes]."""
+MAX_NOTES = 8
+"""How many different texts are kept."""
 _KNOWN: tuple[dict[bytes, float], ...] = ({}, {}, {}, {})
 """Cache of parsed parts, such as b"ap12.50" -> 12.5, for each motor."""
 _MOST_KNOWN = 5000
@@ -125,7 +127,7 @@ class Decoder:
     Lines end with CR, LF or CRLF. Invalid parts are refused and counted; the other motors of the
     line are still used. If a motor occurs twice, the last one counts. A line isn't damaged but cut
     where the port was opened in mid-line, or where a reset of the board began a new line. Memory is
-    bounded by `MAX_LINE`.
+    bounded by `MAX_LINE`. A line of text, which begins with # and has no valid part, isn't damaged.
 
     Attributes:
         lines: number of lines with at least one valid part.
@@ -133,6 +135,7 @@ class Decoder:
         tolerated: number of parts whose number isn't two digits and two decimals.
         cut: number of cut lines.
         sample: beginning of the newest line with a refused part, for messages.
+        notes: what lines of text have said, each once, the newest last; at most `MAX_NOTES`.
     """
 
     def __init__(self) -> None:
@@ -146,6 +149,7 @@ class Decoder:
         self.tolerated = 0
         self.cut = 0
         self.sample = b""
+        self.notes: list[str] = []
 
     def reset(self) -> None:
         """Discard the partial line and all counters."""
@@ -209,6 +213,10 @@ class Decoder:
             self._refuse(line, ("line too long",))
             return None
         parsed = _parse_parts(parts)
+        if parsed.reading is None and line.startswith(b"#"):
+            note = line[1:SAMPLE].decode("ascii", "backslashreplace").strip()
+            self.notes = [*(one for one in self.notes if one != note), note][-MAX_NOTES:]
+            return None
         if parsed.refused:
             parsed = self._without_cut(line, parts, parsed, first=first)
         self.tolerated += parsed.tolerated

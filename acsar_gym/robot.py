@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import gc
+import warnings
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Self, TypeVar
 
@@ -12,22 +13,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import LinkError
+from acsar_gym.errors import (
+    EmergencyStopError,
+    LinkError,
+    SafetyWarning,
+    WheelError,
+    printable,
+)
 from acsar_gym.journal import Journal
 from acsar_gym.lidars.factory import factories
-from acsar_gym.links.base import Link, arrivals_of
+from acsar_gym.links.base import WHILE_WAITING, Link, arrivals_of
 from acsar_gym.links.lateness import EpisodeTiming, Stopwatch
 from acsar_gym.links.recorded import recorded
 from acsar_gym.odometry import Odometry
 from acsar_gym.protocol import ZERO, Decoder, Speeds
 from acsar_gym.recording import Recorder
-from acsar_gym.safety.estop import StopListener
+from acsar_gym.safety.estop import StopListener, check_released, release_process
 from acsar_gym.safety.layer import Safety
 from acsar_gym.safety.wheel_watch import WheelWatch
 from acsar_gym.sensors import Factory, Sensor, Sensors
 from acsar_gym.wire import Wire
 from acsar_gym.worlds import Scene
 
+NO_TIMEOUT = (
+    "this robot's board doesn't stop by itself (firmware.command_timeout: null): its wheels keep "
+    "turning where the cable falls out or this computer fails; add a time-out to its program"
+)
 Method = TypeVar("Method", bound=Callable[..., Any])
 
 
@@ -77,6 +88,7 @@ class Robot:
         self.safety = Safety(self.config)
         self._journal = Journal(recorder, link, self.config, self.wire, self.safety, self.sensors)
         self._listener: StopListener | None = None
+        self._held = False
         self._stopwatch: Stopwatch | None = None
         self._watch: WheelWatch | None = None
         self._period = self.config.period
@@ -91,7 +103,8 @@ class Robot:
     def reset(self, scene: Scene, rng: np.random.Generator | None = None) -> None:
         """Open the link, stop, wait for standstill, and reset odometry and sensors.
 
-        Warns (SafetyWarning) where `acsar-gym estop` can't reach a real robot.
+        Warns (SafetyWarning) where `acsar-gym estop` can't reach a real robot, and where its board
+        has no command time-out.
 
         Args:
             scene: start, goal, world and physics; only simulated links use it.
@@ -99,14 +112,27 @@ class Robot:
 
         Raises:
             LinkError: link or sensors don't work, the board is silent, or the wheels keep turning.
+            EmergencyStopError: nobody has released an emergency stop, of any robot of this process.
         """
-        if not self.active:
-            self.link.open()
-            self.active = True
         if self.link.truth is None and self._listener is None:
+            check_released()
             told = getattr(self.link, "device", ""), self.config.name, self._journal.recording
             self._listener = StopListener(*told)
             self._listener.warn()
+            if self.config.firmware.command_timeout is None:
+                warnings.warn(NO_TIMEOUT, SafetyWarning, 3)
+        asked = WHILE_WAITING.set(self._check_released)
+        try:
+            self._begin(scene, np.random.default_rng(0) if rng is None else rng)
+        finally:
+            WHILE_WAITING.reset(asked)
+
+    def _begin(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Open the link, and begin an episode; not after an emergency stop."""
+        self._check_released()
+        if not self.active:
+            self.link.open()
+            self.active = True
         self.link.reset(scene)
         self.safety.reset()
         self.wire.reset()
@@ -118,7 +144,7 @@ class Robot:
             self._stopwatch = Stopwatch(self._period)
             if self.link.truth is None and self.config.wheel_check:
                 self._watch = WheelWatch(self.config, getattr(self.link, "device", "DEVICE"))
-        self.sensors.reset(scene, np.random.default_rng(0) if rng is None else rng)
+        self.sensors.reset(scene, rng)
         self._journal.began()
 
     @_deactivating
@@ -213,8 +239,30 @@ class Robot:
         if not self.active:
             raise LinkError("the robot isn't active", "call activate() or env.reset() first")
         if self._listener is not None and self._listener.is_requested():
-            self.estop()
-            self._listener.confirm()
+            self._obey(self._listener)
+
+    def _obey(self, listener: StopListener) -> None:
+        """Stop, and answer whether that has reached the board."""
+        reached = False
+        try:
+            self.safety.estop()
+            self.stop()
+            reached = self.active
+        finally:
+            listener.confirm(connected=reached)
+
+    def _check_released(self) -> None:
+        """Hear requests; raise EmergencyStopError where a stop holds."""
+        if self._listener is None:
+            if self._held:
+                raise EmergencyStopError
+            return
+        if self._held:
+            self._listener.hold()
+            self._held = False
+        if self._listener.is_requested():
+            self._obey(self._listener)
+        check_released()
 
     @property
     def timing(self) -> EpisodeTiming | None:
@@ -231,9 +279,28 @@ class Robot:
         return self.safety.wheels(linear, angular)
 
     def estop(self) -> None:
-        """Emergency stop: command zero now, and hold zero until the next reset."""
+        """Emergency stop: command zero now, and hold zero.
+
+        `reset` and `activate` fail until somebody releases the stop: `release_estop`, `acsar-gym
+        estop --release`, or `r` in `acsar-gym drive`. With real wheels this holds for all robots of
+        this process.
+        """
+        if self._listener is None:
+            self._held = True
+        else:
+            self._listener.hold()
         self.safety.estop()
         self.stop()
+
+    def release_estop(self) -> None:
+        """Release emergency stops; the next reset lets the robot drive again.
+
+        For a person to call, who has looked after the robot, and not for a program on its own. With
+        real wheels it releases all robots of this process.
+        """
+        self._held = False
+        if self.link.truth is None:
+            release_process()
 
     def stop(self) -> None:
         """Send a zero command; no time passes."""
@@ -250,6 +317,9 @@ class Robot:
         try:
             self.deactivate(error)
         finally:
+            if self._listener is not None:
+                self._listener.close()
+                self._listener = None
             self.sensors.close()
             self._journal.close()
 
@@ -266,9 +336,6 @@ class Robot:
                 self.stop()
         finally:
             self.active = False
-            if self._listener is not None:
-                self._listener.close()
-                self._listener = None
             self.link.close()
         self._journal.ended(error)
 
@@ -284,7 +351,13 @@ class Robot:
             if self._stopwatch.commanded(wire.written, fastest, drives=any(speeds or ZERO)):
                 self._stopwatch.heard(arrivals_of(self.link), wire.stamp)
         if self._watch is not None and speeds is not None:
-            self._watch.tick(speeds, wire.speeds, dt, fresh=bool(heard))
+            try:
+                self._watch.tick(speeds, wire.speeds, dt, fresh=bool(heard))
+            except WheelError as error:
+                if not wire.decoder.notes:
+                    raise
+                found = f"{error.found}; the board says {printable(wire.decoder.notes[-1])}"
+                raise WheelError(found, error.fix, error.wheel) from None
         elif self._watch is not None:
             self._watch.reset()  # the board may stop the wheels by itself
 

@@ -10,26 +10,29 @@ from blessed import Terminal
 
 from acsar_gym.errors import CommandError
 from acsar_gym.robot import Robot
+from acsar_gym.safety.rules import Reason
 from acsar_gym.worlds import Scene
 
-STEP = 0.1
-"""Change of the speed by one key press, as a share of the full speed."""
+KEY_TIMEOUT = 0.5
+"""How long a key drives; a key that is held comes again, by the terminal's repetition [s]."""
+SHARE = 0.2
+"""Speed at the start, as a share of the full speed."""
 SHOW_EVERY = 10
 """Ticks between two updates of the status line."""
 HELP = (
-    "w/s faster/slower, a/d turn left/right, space stops, q quits (arrows work too),\n"
-    "e or Esc emergency stop, r re-arms after it and sets the odometry to zero"
+    "hold w/s to drive forward/back, a/d to turn left/right (arrows work too): "
+    f"{KEY_TIMEOUT:g} s without them stops,\n"
+    "1 to 9 and 0 set the speed, 10 % to 100 % (now "
+    f"{SHARE:.0%}), space stops, q quits,\n"
+    "e or Esc emergency stop; after one, here or by acsar-gym estop, r releases it "
+    "and sets the odometry to zero"
 )
-KEYS = {
-    "w": (1, 0),
-    "KEY_UP": (1, 0),
-    "s": (-1, 0),
-    "KEY_DOWN": (-1, 0),
-    "a": (0, 1),
-    "KEY_LEFT": (0, 1),
-    "d": (0, -1),
-    "KEY_RIGHT": (0, -1),
-}
+AHEAD = {"w": 1.0, "KEY_UP": 1.0, "s": -1.0, "KEY_DOWN": -1.0}
+"""Keys that drive, and the direction."""
+AROUND = {"a": 1.0, "KEY_LEFT": 1.0, "d": -1.0, "KEY_RIGHT": -1.0}
+"""Keys that turn, and the direction."""
+SHARES = {str(tenth % 10): tenth / 10.0 for tenth in range(1, 11)}
+"""Keys that set the speed."""
 
 
 def fixed(robot: Robot, linear: float, angular: float, duration: float | None) -> None:
@@ -72,46 +75,58 @@ def keyboard(robot: Robot) -> None:
     if not sys.stdin.isatty():
         raise CommandError("no keyboard here: give a fixed twist with --linear and --angular")
     terminal = Terminal(force_styling=None)  # only read keys; don't query the terminal
-    linear = angular = 0.0
+    config, keys = robot.config, Keys()
     print(HELP)
     with robot, terminal.cbreak():
         for tick in itertools.count():
-            key = terminal.inkey(timeout=0, esc_delay=0)  # no waiting in the control loop
-            if key == "q":
-                break
-            if key == "e" or key.name == "KEY_ESCAPE":
-                robot.estop()
-            elif key == "r" and robot.safety.stopped:
-                robot.reset(Scene())
-                linear = angular = 0.0
-            linear, angular = pressed(str(key.name or key), linear, angular)
-            config = robot.config
+            while key := terminal.inkey(timeout=0, esc_delay=0):  # no waiting in the control loop
+                if key == "q":
+                    sys.stdout.write("\n")
+                    return
+                if key == "e" or key.name == "KEY_ESCAPE":
+                    robot.estop()
+                elif key == "r" and robot.safety.stopped:
+                    robot.release_estop()
+                    robot.reset(Scene())
+                    keys.press(" ", robot.link.now())
+                keys.press(str(key.name or key), robot.link.now())
+            linear, angular = keys.twist(robot.link.now())
             robot.drive(linear * config.max_linear, angular * config.max_angular)
             if tick % SHOW_EVERY == 0:
                 _show(robot)
-    sys.stdout.write("\n")
 
 
-def pressed(key: str, linear: float, angular: float) -> tuple[float, float]:
-    """Compute the twist after a key press.
+class Keys:
+    """What the keys ask for: each drives or turns until `KEY_TIMEOUT` after it came last."""
 
-    Args:
-        key: name of the key; unknown keys change nothing.
-        linear: share of the full linear speed, -1 to 1.
-        angular: share of the full angular speed, -1 to 1.
+    def __init__(self) -> None:
+        self._share = SHARE
+        self._ahead = self._around = (0.0, -math.inf)
 
-    Returns:
-        The new shares (linear, angular).
-    """
-    if key == " ":
-        return 0.0, 0.0
-    more, turn = KEYS.get(key, (0, 0))
-    return _share(linear + more * STEP), _share(angular + turn * STEP)
+    def press(self, key: str, now: float) -> None:
+        """Take a key.
 
+        Args:
+            key: its name; unknown ones change nothing.
+            now: time [s].
+        """
+        self._share = SHARES.get(key, self._share)
+        if key in AHEAD:
+            self._ahead = AHEAD[key], now
+        elif key in AROUND:
+            self._around = AROUND[key], now
+        elif key == " ":
+            self._ahead = self._around = (0.0, now)
 
-def _share(value: float) -> float:
-    """Clip to [-1, 1], without rounding noise near zero."""
-    return round(min(max(value, -1.0), 1.0), 3)
+    def twist(self, now: float) -> tuple[float, float]:
+        """Return shares of the full linear and angular speed, -1 to 1.
+
+        Args:
+            now: time, as for `press` [s].
+        """
+        asked = (self._ahead, self._around)
+        linear, angular = (way if now - since < KEY_TIMEOUT else 0.0 for way, since in asked)
+        return linear * self._share, angular * self._share
 
 
 def _show(robot: Robot) -> None:
@@ -127,8 +142,10 @@ def _print_status(robot: Robot) -> None:
     linear, angular = robot.odometry.twist
     age = robot.feedback_age * 1000.0
     reason = robot.safety.reason.name if robot.safety.reason else ""
+    if robot.safety.reason is Reason.EMERGENCY_STOP:
+        reason += ": r releases it"
     sys.stdout.write(
         f"\rx {x:7.3f} m  y {y:7.3f} m  theta {math.degrees(theta):7.1f} deg  "
-        f"v {linear:6.3f} m/s  w {angular:6.3f} rad/s  feedback {age:4.0f} ms old  {reason:14} "
+        f"v {linear:6.3f} m/s  w {angular:6.3f} rad/s  feedback {age:4.0f} ms old  {reason:29} "
     )
     sys.stdout.flush()

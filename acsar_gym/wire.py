@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from acsar_gym.config import BITS_PER_BYTE, RobotConfig
-from acsar_gym.links.base import Link
+from acsar_gym.links.base import WHILE_WAITING, Link
 from acsar_gym.links.handshake import silence, still_turning
 from acsar_gym.links.lateness import STANDSTILL
 from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds, line_end, line_of
@@ -125,6 +125,7 @@ class Wire:
         """
         standing = 0
         for _ in range(math.ceil(STANDSTILL_TIMEOUT / self._period)):
+            WHILE_WAITING.get()()
             self.exchange(ZERO)
             if self.age == 0.0:
                 still = max(map(abs, self.speeds)) < STANDSTILL

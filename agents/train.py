@@ -1,51 +1,14 @@
-"""Train a policy on thousands of planar robots and export it as one ONNX file.
+"""`acsar-gym train` as a script; its parts are in acsar_gym, its hyperparameters in recipes/.
 
-    python agents/train.py --env obstacle_goal --out runs/obstacle_goal
-    python agents/train.py --env mine.module:mine/Clearance-v0 --steps 2000000 --algo sac
-    python agents/train.py --env obstacle_goal --seeds 0-4 --workers 2
-
-The hyperparameters are in agents/recipes/, in RL Zoo's format. Into the folder go:
-
-| file | for |
-|---|---|
-| policy.onnx | to drive with |
-| model.zip | to train on: --resume model.zip --trust begins a new training with it |
-| checkpoints/ | to go on after a kill: --resume FOLDER --trust, with the same learning curve |
-| config.yml | hyperparameters, versions, git revision, command line; also a --conf-file |
-| learning_curve.csv, .png | success, return and collisions of the held-out episodes |
-| tensorboard/ | these, and the algorithm's own figures |
-
-Ctrl-C and SIGTERM end it early, and save the model. The success rate on held-out robots, in worlds
-that aren't trained in, is logged as eval/success_rate; with --worlds FILE or FOLDER there are no
-other worlds, so it is measured in the same ones, with other seeds.
+python agents/train.py --env obstacle_goal --out runs/obstacle_goal
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 
-import tyro
-
-from acsar_gym.errors import AcsarError
-from acsar_gym.training import seeds
-from acsar_gym.training.options import Options
-from acsar_gym.training.run import train
-
-__all__ = ["Options", "main", "train"]
-
-
-def main(arguments: Sequence[str]) -> int:
-    """Train with the options of a command line; returns the exit code."""
-    options = tyro.cli(Options, prog="acsar-gym train", args=list(arguments))
-    return train(options) if options.seeds is None else seeds.train(options)
-
+from acsar_gym import cli
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main(sys.argv[1:]))
-    except AcsarError as error:
-        print(f"acsar-gym train: {error}", file=sys.stderr)
-        sys.exit(error.exit_code)
-    except KeyboardInterrupt:
-        sys.exit(130)
+    sys.argv = ["acsar-gym", "train", *sys.argv[1:]]
+    cli.main()

@@ -8,11 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from acsar_gym import RobotConfig
-from acsar_gym.policies import baselines
-from acsar_gym.policies.baselines import BaselinePolicy
+from acsar_gym import RobotConfig, baselines
+from acsar_gym.baselines.base import BaselinePolicy
 from acsar_gym.policies.setting import Seen, Setting
-from acsar_gym.resources import agent
 from acsar_gym.tasks.base import Floats
 from acsar_gym.worlds.geometry import RaySpec
 
@@ -22,8 +20,8 @@ ANGLES = RaySpec(CONFIG.lidar.rays).angles()
 
 
 def module(name: str) -> Any:
-    """A module of agents/baselines."""
-    return import_module(f"{agent('baselines').__name__}.{name}")
+    """A module of acsar_gym.baselines."""
+    return import_module(f"acsar_gym.baselines.{name}")
 
 
 def equipped(name: str) -> BaselinePolicy:

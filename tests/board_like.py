@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from acsar_gym.protocol import MOTORS, Decoder, encode
 
 
@@ -35,3 +37,23 @@ class LikeABoard:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.link, name)
+
+
+class Overshooting(LikeABoard):
+    """A board whose speed loops overshoot, by a quarter of a step."""
+
+    DAMPING, FREQUENCY, SUBSTEP = 0.4, 15.0, 0.001
+
+    def __init__(self, link: Any) -> None:
+        super().__init__(link)
+        self._wanted, self._speeds, self._rates = np.zeros((3, 4))
+
+    def advance(self, period: float) -> bytes:
+        heard = self._decoder.feed(super().advance(period))
+        if heard:
+            self._wanted = np.array(heard[-1].over(tuple(self._wanted)))
+        for _ in range(round(period / self.SUBSTEP)):
+            pull = self.FREQUENCY**2 * (self._wanted - self._speeds)
+            self._rates += self.SUBSTEP * (pull - 2.0 * self.DAMPING * self.FREQUENCY * self._rates)
+            self._speeds += self.SUBSTEP * self._rates
+        return encode(self._speeds.tolist()) if heard else b""

@@ -22,6 +22,7 @@ from serial_tools import Emulated, RobotFile, StartEmulator, start
 
 from acsar_gym import RobotConfig
 from acsar_gym.links import watchdog
+from acsar_gym.safety.estop import release_process
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as under nohup: tests of Ctrl-C need it
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -90,6 +91,13 @@ def deadline() -> Iterator[None]:
     yield
     signal.setitimer(signal.ITIMER_REAL, 0.0)
     signal.signal(signal.SIGALRM, before)
+
+
+@pytest.fixture(autouse=True)
+def _released() -> Iterator[None]:
+    """An emergency stop of one test doesn't hold the next."""
+    yield
+    release_process()
 
 
 @pytest.fixture(scope="module")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import shutil
 import subprocess
 from collections.abc import Iterable, Iterator
@@ -40,9 +41,24 @@ def build() -> None:
         )
 
 
-def command(chip: str) -> tuple[str, ...]:
-    """Command of a simulated board."""
-    return str(BUILD / "avr_board"), chip, str(BUILD / f"{chip}.elf")
+def command(chip: str, elf: Path | None = None) -> tuple[str, ...]:
+    """Command of a simulated board, with the program as it is or another one."""
+    return str(BUILD / "avr_board"), chip, str(elf or BUILD / f"{chip}.elf")
+
+
+def build_changed(folder: Path, chip: str, **changes: str) -> tuple[Path, str]:
+    """Build the program with other numbers in config.h; the ELF, and what the compiler says."""
+    source = folder / "firmware"
+    shutil.copytree(ASSETS / "firmware", source, dirs_exist_ok=True)
+    config = source / "acsar" / "config.h"
+    text = config.read_text()
+    for name, value in changes.items():
+        text, count = re.subn(rf"#define {name} .*", f"#define {name} {value}", text)
+        assert count == 1
+    config.write_text(text)
+    elf = source / "build" / f"{chip}.elf"
+    made = ["make", "-s", "-C", str(source), f"build/{chip}.elf"]
+    return elf, subprocess.run(made, check=False, capture_output=True, text=True).stderr
 
 
 @dataclass
@@ -51,6 +67,7 @@ class Script:
 
     chip: str
     options: tuple[str, ...] = ()
+    elf: Path | None = None
     _lines: list[tuple[float, str]] = field(default_factory=list)
 
     def say(self, time: float, data: bytes) -> None:
@@ -58,7 +75,7 @@ class Script:
         self._lines.append((time, f"send {data.hex()}"))
 
     def order(self, time: float, order: str) -> None:
-        """hang, hold WHEEL or free WHEEL."""
+        """Give an order of tests/firmware/board/main.c, such as hang or `turn WHEEL SPEED`."""
         self._lines.append((time, order))
 
     def command(self, start: float, end: float, speeds: Speeds, rate: float = 100.0) -> None:
@@ -77,7 +94,7 @@ class Script:
         log = folder / "log.jsonl"
         lines = [*sorted(self._lines), (end, "end")]
         subprocess.run(
-            [*command(self.chip), "--script", "--log", str(log), *self.options],
+            [*command(self.chip, self.elf), "--script", "--log", str(log), *self.options],
             input="".join(f"{time:.6f} {order}\n" for time, order in lines),
             text=True,
             check=True,
@@ -98,8 +115,15 @@ class Ran:
 
     def feedback(self) -> list[tuple[float, Speeds]]:
         """Time and speeds of each line; all lines are whole."""
-        chunks = ((e["t"], e["tx"].encode("latin-1")) for e in self.events if "tx" in e)
-        return decoded(chunks)
+        return decoded(self._sent())
+
+    def notes(self) -> list[str]:
+        """What the board has said in text."""
+        lines = b"".join(data for _, data in self._sent()).split(b"\r\n")
+        return [line.decode("ascii") for line in lines if line.startswith(b"#")]
+
+    def _sent(self) -> list[Stamped]:
+        return [(e["t"], e["tx"].encode("latin-1")) for e in self.events if "tx" in e]
 
     def states(self, name: str) -> list[tuple[float, list[float]]]:
         """Times, and true "speeds" [rad/s] or "duty" (-1 to 1) of the wheels."""

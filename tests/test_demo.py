@@ -12,7 +12,8 @@ from acsar_gym import demo
 from acsar_gym.emulation.process import emulator
 from acsar_gym.errors import LinkError
 from acsar_gym.evaluation import report
-from acsar_gym.resources import AGENTS, agent
+from acsar_gym.resources import AGENTS
+from acsar_gym.training import run as training
 
 pytestmark = pytest.mark.xdist_group("serial")
 
@@ -45,7 +46,7 @@ def test_the_demo_fills_both_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 def test_a_signal_while_training_ends_the_demo(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(agent("train"), "train", lambda _: 143)
+    monkeypatch.setattr(training, "train", lambda _: 143)
     with pytest.raises(SystemExit, match="143"):
         demo.run(1, 1, 1, tmp_path)
 

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from disk_tools import full_disk
 
 from acsar_gym import cli
 from acsar_gym import jit as compiled
@@ -48,19 +51,33 @@ def test_a_package_beside_this_one_has_a_fingerprint_of_its_own(tmp_path: Path) 
     assert compiled.fingerprint_beside(package) == compiled.fingerprint(package)
 
 
+def test_the_agents_in_a_wheel_are_stamped_apart(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So the compiled code of a checkout can be used by the wheel that was built from it."""
+    (tmp_path / "robot.py").touch()
+    checkout = compiled.fingerprint(tmp_path)
+    laws = tmp_path / "agents" / "baselines"
+    laws.mkdir(parents=True)
+    (laws / "__init__.py").touch()
+    monkeypatch.setattr(compiled, "PACKAGE", tmp_path)
+    monkeypatch.setattr(compiled, "AGENTS", tmp_path / "agents")
+    assert compiled.fingerprint(tmp_path) == checkout
+    assert compiled.fingerprint_beside(laws) == compiled.fingerprint(laws) != ""
+
+
 def plus_one(x: float) -> float:
     return x + 1.0
 
 
 @needs_numba
-@pytest.mark.parametrize("decorator", [compiled.jit, compiled.loop])
 def test_cached_code_is_used_until_any_source_changes_wherever_numba_keeps_it(
-    decorator: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path))
 
     def hits() -> int:
-        function = decorator(plus_one)
+        function: Any = compiled.loop(plus_one)
         assert function(1.0) == 2.0
         assert Path(function.stats.cache_path).parent == tmp_path
         return sum(function.stats.cache_hits.values())
@@ -70,15 +87,64 @@ def test_cached_code_is_used_until_any_source_changes_wherever_numba_keeps_it(
     assert [hits(), hits()] == [0, 1]
 
 
+DAMAGES: dict[str, Callable[[bytes], bytes]] = {
+    "empty": lambda content: b"",
+    "cut": lambda content: content[: len(content) // 2],
+    "zeros": lambda content: bytes(len(content)),
+    "garbage": lambda content: bytes(range(256)) * (len(content) // 256 + 1),
+    "one byte": lambda content: content[:-200] + bytes([content[-200] ^ 1]) + content[-199:],
+}
+TOTAL = ("empty", "cut", "zeros", "garbage")
+"""Damages that an index without a checksum shows, too."""
+
+
+@needs_numba
+@pytest.mark.parametrize(
+    ("damage", "kind"), [*itertools.product(DAMAGES, [".nbc"]), *itertools.product(TOTAL, [".nbi"])]
+)
+def test_damaged_code_is_compiled_anew(
+    damage: str,
+    kind: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(compiled, "TOLD", set())
+
+    def hits() -> int:
+        function: Any = compiled.loop(plus_one)
+        assert function(1.0) == 2.0
+        return sum(function.stats.cache_hits.values())
+
+    assert [hits(), hits()] == [0, 1]
+    (path,) = tmp_path.rglob(f"*{kind}")
+    path.write_bytes(DAMAGES[damage](path.read_bytes()))
+    assert [hits(), hits()] == [0, 1]
+    (told,) = caplog.messages
+    assert "is damaged, so it is compiled anew" in told
+    assert path.name in told
+
+
+@needs_numba
+def test_a_full_disk_stops_nobody(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(compiled, "TOLD", set())
+    with full_disk(100):
+        assert compiled.loop(plus_one)(1.0) == 2.0
+    assert "File too large" in caplog.text
+
+
 @needs_numba
 def test_where_no_cache_can_be_written_functions_are_compiled_without(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr("numba.core.caching.CacheImpl._locator_classes", [])
-    monkeypatch.setattr(compiled, "NOT_CACHED", [])
-    assert compiled.jit(plus_one)(1.0) == 2.0
+    monkeypatch.setattr(compiled, "TOLD", set())
     assert compiled.loop(plus_one)(1.0) == 2.0
-    assert callable(kernel.bound(kernel.start, PointGoal()))
+    assert callable(kernel.bind_task(kernel.start, PointGoal()))
     assert len(caplog.messages) == 1
     assert "set NUMBA_CACHE_DIR to a folder that can be written" in caplog.messages[0]
 
@@ -89,12 +155,12 @@ import numpy as np
 from acsar_gym import kinematics
 from acsar_gym import jit as compiled
 from acsar_gym.vector.kernel import layout
-compiled.jit(kinematics.twist)(*range(1, 8))
+compiled.loop(kinematics.twist)(*range(1, 8))
 print("small", file=sys.stderr)
 state = np.zeros((layout.ROWS, 1))
-layout.to_world(state, 0, 1.0, 2.0)
+compiled.loop(layout.to_world)(state, 0, 1.0, 2.0)
 compiled.announcer.said = False
-compiled.jit(layout.to_world.py_func)(state, 0, 1.0, 2.0)  # as in the next process: from the cache
+compiled.loop(layout.to_world)(state, 0, 1.0, 2.0)  # as in the next process: from the cache
 print("again", *compiled.NEW, file=sys.stderr)
 """
 
@@ -110,6 +176,26 @@ def test_compiling_a_batch_is_announced_before_and_only_where_the_cache_has_none
     assert small == "small"
     assert said.startswith("acsar_gym: compiling the loops of batches")
     assert again == "again acsar_gym.kinematics.twist acsar_gym.vector.kernel.layout.to_world"
+
+
+BESIDE = """
+from acsar_gym import jit
+from acsar_gym.dynamics.board import ramped
+speeds = (1.0, 2.0, 3.0, 4.0)
+with jit.compiled_beside(ramped, speeds, speeds, speeds):
+    print("meanwhile")
+print(ramped(speeds, speeds, speeds), sum(ramped.stats.cache_hits.values()), jit.NEW)
+"""
+
+
+@needs_numba
+@pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="there is one core")
+def test_what_another_process_compiles_comes_back_through_the_cache(tmp_path: Path) -> None:
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    for _ in range(2):  # where it is in the cache already, there is no other process
+        command = [sys.executable, "-c", BESIDE]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        assert done.stdout.splitlines() == ["meanwhile", "(1.0, 2.0, 3.0, 4.0) 1 []"]
 
 
 @needs_numba

@@ -386,3 +386,16 @@ def test_numpy_speeds_are_taken_for_what_they_are() -> None:
     huge: Any = np.array([1e308] * 4)
     assert encode(almost_zero).count(b"p00.00") == 4
     assert encode(huge).count(b"p99.99") == 4
+
+
+def test_a_note_is_kept_and_damages_nothing() -> None:
+    decoder = Decoder()
+    decoder.feed(b"# a cut: stalled\r\nap01.00\r\n# b cut\n# a cut: stalled\r\n# \xff\n")
+    assert decoder.notes == ["b cut", "a cut: stalled", "\\xff"]
+    assert (decoder.lines, decoder.refused, decoder.damaged) == (1, {}, 0)
+    assert decoder.feed(b"#,bp02.00\n")[0].speeds == (None, 2.0, None, None)
+    assert decoder.refused == {"unknown motor": 1}
+    decoder.feed(b"".join(b"# %d\n" % number for number in range(100)))
+    assert decoder.notes == [str(number) for number in range(92, 100)]
+    decoder.reset()
+    assert decoder.notes == []

@@ -1,4 +1,4 @@
-"""Importing the package is light, and Gymnasium knows its ids in every order of imports."""
+"""Importing the package registers its ids, and imports nothing slow."""
 
 from __future__ import annotations
 
@@ -32,23 +32,6 @@ ORDERS = {
         "gymnasium.make('acsar_gym:acsar_gym/PointGoal-v0', link='planar').close()"
     ),
     "a part of ours first": f"import acsar_gym.envs; import gymnasium; {KNOWN}",
-    "looked for before": (
-        "import acsar_gym, importlib.util; importlib.util.find_spec('gymnasium'); "
-        f"import gymnasium; {KNOWN}"
-    ),
-    "a part of theirs": f"import acsar_gym; import gymnasium.spaces; import gymnasium; {KNOWN}",
-    "imported anew": (
-        "import sys, acsar_gym; "
-        "del sys.modules['acsar_gym'], sys.modules['acsar_gym.registration']; "
-        f"import acsar_gym; import gymnasium; {KNOWN}; assert not any('acsar' in type(f).__module__"
-        " for f in sys.meta_path)"
-    ),
-    "in threads": (
-        "import threading, importlib as i; names = ['acsar_gym', 'gymnasium'] * 4; "
-        "threads = [threading.Thread(target=i.import_module, args=(n,)) for n in names]; "
-        "[t.start() for t in threads]; [t.join() for t in threads]; "
-        f"import gymnasium; {KNOWN}"
-    ),
 }
 LOADED = """
 import contextlib, sys
@@ -79,11 +62,13 @@ def test_gymnasium_knows_the_ids(order: str) -> None:
 
 
 @pytest.mark.parametrize("code", ["import acsar_gym", ESTOP], ids=["import", "estop"])
-def test_the_standard_library_is_all_that_is_imported(
+def test_nothing_slow_is_imported(
     code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("ACSAR_GYM_RUNTIME_DIR", str(tmp_path / "missing"))
-    assert run(LOADED.format(code=code)) == "acsar_gym"
+    loaded = set(run(LOADED.format(code=code)).split())
+    assert {"acsar_gym", "gymnasium", "numpy"} <= loaded
+    assert not loaded & {"numba", "pydantic", "rich", "scipy", "serial", "torch", "tyro"}
 
 
 def test_names_are_there_as_if_they_had_been_imported() -> None:
@@ -99,7 +84,6 @@ def test_names_are_there_as_if_they_had_been_imported() -> None:
 
 def test_a_second_registration_changes_nothing(recwarn: pytest.WarningsRecorder) -> None:
     registration.register_all()
-    registration.when_gymnasium_is_imported()
     assert not recwarn.list
 
 

@@ -10,7 +10,6 @@ import subprocess
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 
 import pytest
 from serial_tools import (
@@ -29,6 +28,7 @@ from serial_tools import (
 from acsar_gym import Robot, RobotConfig, open_link, teleop
 from acsar_gym.errors import CommandError
 from acsar_gym.protocol import ZERO, Decoder, encode
+from acsar_gym.safety.estop import stop_all
 
 pytestmark = [pytest.mark.xdist_group("serial"), pytest.mark.usefixtures("deadline")]
 
@@ -43,32 +43,49 @@ def on_the_wire(config: RobotConfig, linear: float, angular: float) -> Command:
 
 
 @pytest.mark.parametrize(
-    ("key", "before", "after"),
+    ("keys", "twist"),
     [
-        ("w", (0.0, 0.0), (0.1, 0.0)),
-        ("s", (0.0, 0.0), (-0.1, 0.0)),
-        ("a", (0.0, 0.0), (0.0, 0.1)),
-        ("d", (0.0, 0.0), (0.0, -0.1)),
-        ("KEY_UP", (0.2, 0.3), (0.3, 0.3)),
-        ("KEY_DOWN", (0.2, 0.3), (0.1, 0.3)),
-        ("KEY_LEFT", (0.2, 0.3), (0.2, 0.4)),
-        ("KEY_RIGHT", (0.2, 0.3), (0.2, 0.2)),
-        (" ", (0.7, -0.4), (0.0, 0.0)),
-        ("", (0.7, -0.4), (0.7, -0.4)),
-        ("x", (0.7, -0.4), (0.7, -0.4)),
-        ("w", (1.0, 0.0), (1.0, 0.0)),
-        ("d", (0.0, -1.0), (0.0, -1.0)),
+        ("w", (0.2, 0.0)),
+        ("s", (-0.2, 0.0)),
+        ("a", (0.0, 0.2)),
+        ("d", (0.0, -0.2)),
+        ("wwww", (0.2, 0.0)),  # as a key that is held
+        ("wa", (0.2, 0.2)),
+        ("ws", (-0.2, 0.0)),
+        ("5w", (0.5, 0.0)),
+        ("w0", (1.0, 0.0)),
+        ("w1d", (0.1, -0.1)),
+        ("wa ", (0.0, 0.0)),
+        ("w x", (0.0, 0.0)),
+        ("wx", (0.2, 0.0)),
     ],
 )
-def test_keys(key: str, before: tuple[float, float], after: tuple[float, float]) -> None:
-    assert teleop.pressed(key, *before) == after
+def test_keys(keys: str, twist: tuple[float, float]) -> None:
+    asked = teleop.Keys()
+    for key in keys:
+        asked.press(key, 3.0)
+    assert asked.twist(3.1) == twist
 
 
-def test_keys_there_and_back_end_at_zero() -> None:
-    twist = (0.0, 0.0)
-    for key in "wwwwwwwwwwwwaaas" + "s" * 9 + "ddd":
-        twist = teleop.pressed(key, *twist)
-    assert twist == (0.0, 0.0)
+def test_arrows_are_keys_too() -> None:
+    for arrow, letter in zip(("UP", "DOWN", "LEFT", "RIGHT"), "wsad", strict=True):
+        one, other = teleop.Keys(), teleop.Keys()
+        one.press(f"KEY_{arrow}", 0.0)
+        other.press(letter, 0.0)
+        assert one.twist(0.1) == other.twist(0.1) != (0.0, 0.0)
+
+
+def test_a_key_drives_until_its_time_is_over_or_it_comes_again() -> None:
+    keys = teleop.Keys()
+    assert keys.twist(0.0) == (0.0, 0.0)
+    keys.press("w", 0.0)
+    keys.press("d", 0.3)
+    assert keys.twist(0.4) == (0.2, -0.2)
+    assert keys.twist(0.5) == (0.0, -0.2)
+    keys.press("w", 0.6)
+    assert keys.twist(0.85) == (0.2, 0.0)
+    keys.press("5", 1.0)
+    assert keys.twist(1.2) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -177,22 +194,67 @@ def screen(emulator: Emulated, robot_file: RobotFile) -> Iterator[Screen]:
     os.close(slave)
 
 
-def obeyed(emulator: Emulated, command: Command) -> bool:
-    return emulator.commands()[-1] == command
+def hold(screen: Screen, key: str, emulator: Emulated, command: Command) -> None:
+    """Keep a key down, as the terminal repeats it, until the board has what it commands."""
+    before = len(emulator.commands())
+
+    def obeyed() -> bool:
+        screen.press(key)
+        return command in emulator.commands()[before:]
+
+    wait_until(obeyed, f"what {key!r} commands")
+
+
+def wait_for_commands(emulator: Emulated, count: int) -> None:
+    wait_until(lambda: len(emulator.commands()) >= count, f"{count} commands")
 
 
 def test_driving_with_the_keyboard(screen: Screen, emulator: Emulated, config: RobotConfig) -> None:
     wait_until(lambda: "feedback" in screen.look(), "the status line")
     assert "q quits" in screen.look()
     assert not emulator.is_driven()
-    forward = on_the_wire(config, 0.1 * config.max_linear, 0.0)
-    turning = on_the_wire(config, 0.1 * config.max_linear, 0.1 * config.max_angular)
-    for key, command in (("w", forward), ("a", turning), (" ", ZERO), (ARROW_UP, forward)):
-        screen.press(key)
-        wait_until(partial(obeyed, emulator, command), f"what {key!r} commands")
+    forward = on_the_wire(config, 0.2 * config.max_linear, 0.0)
+    faster = on_the_wire(config, 0.5 * config.max_linear, 0.0)
+    for key, command in (("w", forward), ("5", ZERO), (ARROW_UP, faster), (" ", ZERO)):
+        hold(screen, key, emulator, command)
     screen.press("q")
     assert screen.wait() == 0
     assert "Traceback" not in screen.look()
     wait_until(emulator.is_stopped, "zero as the last command")
-    fastest = max(filter(None, turning))
-    assert all(max(map(abs, filter(None, c)), default=0.0) <= fastest for c in emulator.commands())
+    top = max(filter(None, faster))
+    assert all(max(map(abs, filter(None, c)), default=0.0) <= top for c in emulator.commands())
+
+
+def test_hands_off_the_keyboard_stops_and_a_key_drives_on(
+    screen: Screen, emulator: Emulated, config: RobotConfig
+) -> None:
+    wait_until(lambda: "feedback" in screen.look(), "the status line")
+    forward = on_the_wire(config, 0.2 * config.max_linear, 0.0)
+    for _ in range(2):
+        hold(screen, "w", emulator, forward)
+        wait_until(emulator.is_stopped, "zero as the newest command")
+        stood = len(emulator.commands())
+        wait_for_commands(emulator, stood + 100)
+        assert set(emulator.commands()[stood:]) == {ZERO}
+        assert screen.process.poll() is None
+    assert "EMERGENCY" not in screen.look()
+
+
+def test_after_an_emergency_stop_the_person_at_the_keyboard_releases_it(
+    screen: Screen, emulator: Emulated, config: RobotConfig
+) -> None:
+    wait_until(lambda: "feedback" in screen.look(), "the status line")
+    forward = on_the_wire(config, 0.2 * config.max_linear, 0.0)
+    for stop in (lambda: screen.press("e"), lambda: stop_all(process=screen.process.pid)):
+        screen.shown = ""
+        hold(screen, "w", emulator, forward)
+        stop()
+        wait_until(lambda: "EMERGENCY_STOP: r releases it" in screen.look(), "why it stands")
+        stood = len(emulator.commands())
+        screen.press("w")
+        wait_for_commands(emulator, stood + 20)
+        assert set(emulator.commands()[stood:]) == {ZERO}
+        screen.press("r")
+    hold(screen, "w", emulator, forward)
+    screen.press("q")
+    assert screen.wait() == 0

@@ -14,8 +14,8 @@ from serial_tools import CLI, TIMEOUT
 import acsar_gym
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
-from acsar_gym.resources import AGENTS, agent
-from acsar_gym.training import checkpoints
+from acsar_gym.resources import AGENTS
+from acsar_gym.training import command
 
 pytestmark = pytest.mark.xdist_group("torch")
 
@@ -44,7 +44,7 @@ runpy.run_path(sys.argv.pop(1), run_name="__main__")
         ("--robots 2000000", "--robots 2000000: must be 1 to 16,384"),
         ("--steps 0", "--steps 0: must be 1 to"),
         (f"--steps {10**18}", "must be 1 to 10,000,000,000"),
-        ("--threads 0", "--threads 0: must be 1 to"),
+        ("--threads 0", "--threads 0: must be 1"),
         ("--worlds clutter", "point_goal has none"),
         ("--env barn --worlds brn", "brn"),
         ("--env barn --worlds clutter:1000000 --threads 1 --out OUT", "1,000,000 of clutter"),
@@ -55,26 +55,24 @@ def test_bad_options_are_refused_before_anything_starts(
     arguments: str, said: str, tmp_path: Path
 ) -> None:
     with pytest.raises(ConfigError, match=said):
-        agent("train").main(arguments.replace("OUT", str(tmp_path)).split())
+        command.main(arguments.replace("OUT", str(tmp_path)).split())
 
 
 @pytest.mark.parametrize("arguments", ["--steps nan", "--robots 1e3", "--seed inf"])
 def test_what_is_no_number_is_refused(arguments: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match="2"):
-        agent("train").main(arguments.split())
+        command.main(arguments.split())
     assert arguments.split(maxsplit=1)[0] in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     ("module", "program"),
-    [("torch", "acsar-gym"), ("onnxscript", "acsar-gym"), ("torch", "acsar-gym train")],
+    [("torch", f"{MAIN} train"), ("onnxscript", f"{MAIN} train"), ("torch", f"{AGENTS}/train.py")],
 )
 def test_a_missing_extra_is_named(module: str, program: str) -> None:
-    script = AGENTS / "train.py" if program == "acsar-gym train" else MAIN
-    arguments = [] if program == "acsar-gym train" else ["train"]
-    command = [sys.executable, "-c", WITHOUT, module, str(script), *arguments]
+    command = [sys.executable, "-c", WITHOUT, module, *program.split()]
     done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT, check=False)
-    wanted = f"{program}: training needs an extra: pip install 'acsar_gym[train]'\n"
+    wanted = "acsar-gym: training needs an extra: pip install 'acsar_gym[train]'\n"
     assert (done.returncode, done.stderr) == (2, wanted)
 
 
@@ -105,7 +103,7 @@ def test_a_training_says_how_good_it_is_and_what_comes_next(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     options = ["--steps", "1", "--robots", "4", "--no-progress", "--out", str(tmp_path)]
-    assert agent("train").main([*options, "--threads", "1", "--seed", "3"]) == 0
+    assert command.main([*options, "--threads", "1", "--seed", "3"]) == 0
     begin, written, score, following = capsys.readouterr().out.splitlines()
     assert begin == "training on an open floor, held out: other seeds; 1 thread, seed 3"
     assert written.startswith(f"written: {tmp_path / 'policy.onnx'}")
@@ -129,26 +127,9 @@ def test_a_training_says_which_ranges_were_measured(
     robot.save(tmp_path / "robot.yaml")
     options = ["--steps", "1", "--robots", "4", "--no-progress", "--out", str(tmp_path)]
     options += ["--threads", "1", "--robot", str(tmp_path / "robot.yaml")]
-    assert agent("train").main(options) == 0
+    assert command.main(options) == 0
     told = capsys.readouterr().out.splitlines()[0]
     found = "motor_lag 0.909 to 1.09, delay_samples (2 delays up to 0.004 s)"
     assert f"seed 0; randomized as measured: {found}; by default widths: friction" in told
-    assert agent("train").main([*options, "--no-randomize"]) == 0
+    assert command.main([*options, "--no-randomize"]) == 0
     assert "randomized" not in capsys.readouterr().out
-
-
-def test_a_file_is_written_whole_or_stays_as_it_was(tmp_path: Path) -> None:
-    path = tmp_path / "model.zip"
-    path.write_bytes(b"before")
-
-    def half(new: Path) -> None:
-        new.write_bytes(b"aft")
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        checkpoints.replace(path, half)
-    assert [(file.name, file.read_bytes()) for file in tmp_path.iterdir()] == [
-        ("model.zip", b"before")
-    ]
-    checkpoints.replace(path, lambda new: new.write_bytes(b"after"))
-    assert path.read_bytes() == b"after"

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from acsar_gym.baselines import BASELINES
 from acsar_gym.envs.ids import full_id
 from acsar_gym.errors import ConfigError, PolicyError, shown, suggestion
 from acsar_gym.evaluation import runs
-from acsar_gym.policies.baselines import names as baselines_by_name
 from acsar_gym.registration import IDS
 from acsar_gym.resources import AGENTS
 
@@ -62,7 +62,7 @@ def short(env_id: str) -> str:
 
 def baseline_names() -> tuple[str, ...]:
     """Names of the baselines that come with the package."""
-    return tuple(baselines_by_name())
+    return tuple(BASELINES)
 
 
 def chosen(

@@ -36,7 +36,7 @@ def write(told: Told, folder: Path) -> Iterator[Path]:
     for each in agent["policies"] if agent else ():
         file = AGENTS / "policies" / each["file"]
         path = folder / f"{file.stem}.md"
-        bounded.write(path, card(OnnxPolicy(file), each["id"], told).encode())
+        bounded.write_atomically(path, card(OnnxPolicy(file), each["id"], told).encode())
         yield path
 
 

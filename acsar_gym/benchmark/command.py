@@ -98,7 +98,7 @@ class Command:
                 result.write(path, told)
         for path in (self.out / result.TABLE, self.table):
             if path is not None:
-                bounded.write(path, page.encode())
+                bounded.write_atomically(path, page.encode())
                 print(printable(f"tables: {path}"))
         if self.cards is not None:
             report.make_folder(self.cards)

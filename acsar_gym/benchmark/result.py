@@ -58,7 +58,7 @@ def write(path: Path, told: Mapping[str, Any]) -> None:
         ConfigError: it can't be written.
     """
     text = json.dumps(told, allow_nan=False, separators=(",", ":"))
-    bounded.write(path, f"{text}\n".encode())
+    bounded.write_atomically(path, f"{text}\n".encode())
 
 
 def header(plan: Mapping[str, Any]) -> dict[str, Any]:

@@ -195,7 +195,7 @@ class Store:
         elif self.file.exists():
             raise ConfigError(f"{self.file}: has no {PLAN} beside it: use another folder")
         else:
-            _replaced(noted, said)
+            bounded.write_atomically(noted, said)
         return self._finished()
 
     def _finished(self) -> list[Part]:
@@ -254,16 +254,6 @@ def _same(noted: Path, plan: Mapping[str, Any]) -> None:
             f"{noted.parent}: holds a benchmark with another plan ({differing} differs): give it "
             "the same options, or another --out"
         )
-
-
-def _replaced(path: Path, data: bytes) -> None:
-    """Write a file so that it is whole or not there; ConfigError where it can't be written."""
-    part = path.with_name(f"{path.name}.part")
-    bounded.write(part, data)
-    try:
-        part.replace(path)
-    except OSError as error:
-        raise ConfigError(f"{path}: can't be written: {bounded.reason(error)}") from None
 
 
 def _shortened(path: Path, size: int) -> None:

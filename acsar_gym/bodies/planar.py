@@ -7,9 +7,9 @@ import math
 from acsar_gym.bodies.base import GroundTruth, wrapped
 from acsar_gym.config import RobotConfig
 from acsar_gym.dynamics import model
-from acsar_gym.dynamics.numbers import numbers_of
 from acsar_gym.dynamics.power import motor_power
 from acsar_gym.dynamics.timing import substep
+from acsar_gym.jit import record_of
 from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.worlds import Scene
 from acsar_gym.worlds.collisions import collides
@@ -27,7 +27,7 @@ class PlanarBody:
 
     def reset(self, scene: Scene) -> None:
         """Put the robot at rest at the scene's start, with the scene's obstacles and physics."""
-        self._physics = numbers_of(scene.physics or self._configured)
+        self._physics = record_of(scene.physics or self._configured)
         self.wheel_angles: Speeds = ZERO
         self.wheel_speeds: Speeds = ZERO
         self._velocity = (0.0, 0.0, 0.0)  # vx, vy in the world frame, yaw rate

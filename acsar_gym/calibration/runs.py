@@ -63,7 +63,8 @@ class Run:
 
 def write(path: Path, runs: Sequence[Run], config: RobotConfig) -> None:
     """Write runs to a JSON file; ConfigError if it can't be written."""
-    bounded.write(path, (json.dumps(as_dict(runs, config), allow_nan=False) + "\n").encode())
+    text = json.dumps(as_dict(runs, config), allow_nan=False)
+    bounded.write_atomically(path, f"{text}\n".encode())
 
 
 def as_dict(runs: Sequence[Run], config: RobotConfig) -> dict[str, Any]:

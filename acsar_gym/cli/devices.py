@@ -166,8 +166,14 @@ def _checks(
     if device is not None:
         recorder = spinning.recorder("doctor", link=device)
         stop = _extend(found, wire.examine(device, config, commission, recorder))
-    if commission is not None and commission.finished and spinning.out is not None:
-        found.append(commission.save(config, spinning.out))
+    if commission is not None and spinning.out is not None:
+        if commission.finished:
+            found.append(commission.save(config, spinning.out))
+        else:
+            said = f"{spinning.out} isn't written: not all was found"
+            found.append(
+                checks.Check("robot file", "skip", said, "mend what failed, and start again")
+            )
     report.show(checks.table(found))
     report.write_json(json, checks.as_json(found))
     if stop is not None:
@@ -266,14 +272,18 @@ def drive(
 def estop(
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[NAME]")] = "",
     list: bool = False,  # noqa: A002 - the option's name
+    release: bool = False,
 ) -> int:
     """Stop the real robots that programs of yours on this computer are driving, or one of them.
+
+    They stay stopped, whatever their programs do, until --release.
 
     Args:
         name: device (/dev/ttyUSB0 or ttyUSB0), name in the robot's file, or process id; default:
             all robots.
         list: only list who drives which robot, and since when.
+        release: let them drive again, after their programs' next reset.
     """
     from acsar_gym.safety import estop_command  # noqa: PLC0415
 
-    return estop_command.command(name, listing=list)
+    return estop_command.command(name, listing=list, release=release)

@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 
 
 def train() -> int:
-    """Train a policy and export it: agents/train.py, with its own options."""
-    from acsar_gym.resources import agent  # noqa: PLC0415
+    """Train a policy and export it, with options of its own."""
+    from acsar_gym.training.command import main  # noqa: PLC0415
 
-    return int(agent("train").main(sys.argv[2:]))
+    return main(sys.argv[2:])
 
 
 def evaluate(

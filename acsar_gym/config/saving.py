@@ -44,7 +44,7 @@ def save(robot: Section, path: Path, remarks: Mapping[str, str] | None = None) -
     for name, remark in (remarks or {}).items():
         lines = "".join(f"# {line}\n" for line in remark.splitlines())
         text = re.sub(f"(?m)^(?={name}:)", lines, text)
-    bounded.write(path, (HEAD + text).encode())
+    bounded.write_atomically(path, (HEAD + text).encode())
 
 
 def differing(section: Section, usual: Section) -> dict[str, Any]:

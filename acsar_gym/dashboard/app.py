@@ -25,6 +25,8 @@ POLICY = (
 )
 """Content security policy: a browser refuses to load anything from elsewhere."""
 HOSTS = ("127.0.0.1", "localhost")
+TOKEN = "stop-token"  # noqa: S105 - only its name
+"""Name of the page's mark that a stop has to show, new at every start, and of the header for it."""
 SILENT = 3.0
 """A live run from which nothing came for so long is told [s]."""
 LONGEST = 1.0
@@ -98,13 +100,14 @@ def made(session: Session) -> dash.Dash:
         serve_locally=True,
         add_log_handler=False,
         enable_mcp=False,
+        meta_tags=[{"name": TOKEN, "content": (token := secrets.token_urlsafe())}],
     )
     app.layout = lambda: layout.page(session)
     asking = [
         (Output("pulse", "disabled"), True, False)
     ]  # never a second question before an answer
     app.callback(OUTPUTS, INPUTS, running=asking)(Shown(session))
-    _serve(app.server, session)
+    _serve(app.server, session, token)
     _guard(app.server)
     return app
 
@@ -220,14 +223,19 @@ def _message(session: Session, shown: Episode | None) -> str:
     return f"nothing new for {age:.0f} s" if session.is_live and age > SILENT else ""
 
 
-def _serve(server: Any, session: Session) -> None:
+def _serve(server: Any, session: Session, token: str) -> None:
     """Answer what assets/stop.js asks, on ways that no drawing and no lock is in."""
+    from flask import request  # noqa: PLC0415 - optional
+
     own = secrets.token_hex(8)
 
-    def plain(text: str) -> Any:
-        return text, {"Content-Type": "text/plain; charset=utf-8"}
+    def plain(text: str, code: int = 200) -> Any:
+        return text, code, {"Content-Type": "text/plain; charset=utf-8"}
 
     def stop() -> Any:
+        shown = request.headers.get(TOKEN, "")
+        if not secrets.compare_digest(shown.encode(), token.encode()):
+            return plain("not stopped: only the page's own button may; run acsar-gym estop\n", 403)
         return plain(printable(session.stop().said))
 
     def alive() -> Any:

@@ -31,9 +31,9 @@ def can_stop(process: int) -> bool:
 def stop(process: int) -> Stop:
     """Ask the process that drives to stop the robot, and wait until it says that it has.
 
-    Its control loop answers once zero was written to the wire, and goes on commanding zero. Where
-    it doesn't answer, its watchdog process commands zero on its own. Nobody else is asked, so that
-    nobody else's silence counts.
+    Its control loop answers once zero was written to the wire, and goes on commanding zero until
+    somebody releases it, whatever the program resets. Where it doesn't answer, its watchdog process
+    commands zero on its own. Nobody else is asked, so that nobody else's silence counts.
 
     Args:
         process: its id.
@@ -50,8 +50,10 @@ def stop(process: int) -> Stop:
             "nobody",
             "nothing to stop: the program has ended, and it or its watchdog stops the wheels",
         )
-    if answered:
-        clock = time.strftime("%H:%M:%S")
-        said = f"zero is on the wire, says the control loop (after {took:.0f} ms, at {clock})"
-        return Stop("stopped", said)
-    return Stop("unanswered", "the program doesn't answer: its watchdog stops the wheels")
+    if not answered:
+        return Stop("unanswered", "the program doesn't answer: its watchdog stops the wheels")
+    if not all(each.connected for each in found):
+        return Stop("stopped", "the program isn't connected to the robot, and won't drive it")
+    clock = time.strftime("%H:%M:%S")
+    said = f"zero is on the wire, says the control loop (after {took:.0f} ms, at {clock})"
+    return Stop("stopped", f"{said}, until acsar-gym estop --release")

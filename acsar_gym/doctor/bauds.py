@@ -56,7 +56,8 @@ def search(device: str, config: RobotConfig) -> Check:
         "baud rate",
         "fail",
         "no valid line at any other baud rate either",
-        "look up in the board's program what it sends, and compare it with docs/protocol.md",
+        "look up in the board's program what it sends: it must be like ap12.50,bn08.75,cp15.00,"
+        "dn10.25 with CR LF",
     )
 
 

@@ -16,7 +16,7 @@ from acsar_gym.doctor.feedback import resets, rounded
 from acsar_gym.doctor.listening import Ear
 from acsar_gym.doctor.response import Delays, TimeOut, Together
 from acsar_gym.doctor.spinning import Answer, spun, stand, takes_last_value
-from acsar_gym.errors import ConfigError
+from acsar_gym.errors import ConfigError, printable
 from acsar_gym.protocol import MOTORS, WHEELS
 from acsar_gym.safety.layer import Safety
 
@@ -30,6 +30,8 @@ TIMEOUT_WITHIN = 0.03
 """A time-out is as configured within this [s]."""
 ATTEMPTS = 5
 """How often a question is asked again."""
+DELAY, TIMEOUT = "command to feedback", "stops when commands stop"
+"""Names of checks."""
 NAMES = ", ".join(f"{letter} {name}" for letter, name in zip(MOTORS, WHEELS, strict=True))
 
 ASSUMED = """\
@@ -75,11 +77,17 @@ class Commission:
         if ear.gaps:
             yield resets(ear.gaps)
             return
+        if ear.decoder.notes:
+            yield _said(ear.decoder.notes)
         found = wiring.wiring(answers, self.eyes, config)
         yield from wiring.checks(answers, self.eyes, config, found)
         heard = [answer for answer in answers if answer.encoder is not None]
         if not heard:
             yield _nothing_turns()
+            return
+        if not all(answer.is_right for answer in answers):
+            for name in ("line end", DELAY, TIMEOUT):
+                yield Check(name, "skip", "needs wheels that turn as commanded", "mend them first")
             return
         yield self._line_end(ear, config, heard, speed)
         if found != config.wheels:
@@ -165,19 +173,18 @@ class Commission:
 
     def _time_out(self, found: TimeOut | None, config: RobotConfig) -> Check:
         """Say how soon the board stops by itself."""
-        name = "stops when commands stop"
         configured = config.firmware.command_timeout or math.inf
         after = math.inf if found is None else round(found.after, 2)
         if after != configured and not abs(after - configured) <= TIMEOUT_WITHIN:
             self._note(config, firmware={"command_timeout": None if found is None else after})
         if found is None:
             return Check(
-                name, "fail", "the wheels keep turning", "add a command time-out to the firmware"
+                TIMEOUT, "fail", "the wheels keep turning", "add a command time-out to the firmware"
             )
         stands = (
             "" if found.standing is None else f"; the wheels stand after {found.standing:.2f} s"
         )
-        return Check(name, "ok", f"{found.after:.2f} s after the last command{stands}")
+        return Check(TIMEOUT, "ok", f"{found.after:.2f} s after the last command{stands}")
 
     def _note_rate(self, config: RobotConfig, rate: float) -> None:
         """Note the feedback rate, if it isn't the configured one."""
@@ -216,16 +223,27 @@ def _asked(ask: Ask, letter: int, config: RobotConfig) -> str:
     raise ConfigError("no answer makes sense: start again, or add --yes")
 
 
+def _said(notes: Sequence[str]) -> Check:
+    """Show what the board says in text; that it cuts a motor is a failure."""
+    cut = any(note[1:].startswith(" cut:") for note in notes)
+    return Check(
+        "the board says",
+        "fail" if cut else "warn",
+        printable("; ".join(notes)),
+        "a wheel that turns against its motor: set ENCODER_REVERSED or MOTOR_REVERSED in the "
+        "board's program; a stalled one: look what blocks it, and at its encoder's plug",
+    )
+
+
 def _delay(found: Delays | None) -> Check:
     """Say how soon a command shows."""
-    name = "command to feedback"
     if found is None:
         return Check(
-            name, "fail", "not all wheels turn", "check the motors' power and every encoder"
+            DELAY, "fail", "not all wheels turn", "check the motors' power and every encoder"
         )
     slow = found.shortest > SLOW
     return Check(
-        name,
+        DELAY,
         "warn" if slow else "ok",
         f"{found.shortest * 1000.0:.1f} ms from a command's last byte to the first that shows it; "
         f"{found.longest * 1000.0:.1f} ms with the wait for a line",
@@ -235,7 +253,7 @@ def _delay(found: Delays | None) -> Check:
 
 def _nothing_turns() -> Check:
     return Check(
-        "command to feedback",
+        DELAY,
         "fail",
         "no wheel turns",
         "check the motors' power and every encoder",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import fmean
 
 from acsar_gym.doctor.listening import Ear, Line
@@ -22,8 +22,18 @@ PATIENCE_FOR_ONE = 0.7
 """Longest wait for the effect of a single command [s]; many boards stop by themselves soon."""
 STOPPING = 3.0
 """Longest wait for wheels to stop [s]."""
-LISTEN = 0.3
-"""How long the wheel's speed is measured, once it moves [s]."""
+FAINT = 0.025
+"""A letter that reports less than this share of the commanded speed reports nothing; one in m/s has
+0.05 of it on a usual wheel."""
+LISTEN = 0.2
+"""Length of the windows in which the wheel's speed is measured, once it moves [s]."""
+STEADY = 0.03
+"""A speed is steady where it changes by less than this share of the commanded speed, or of itself,
+from one window to the next."""
+SETTLING = 1.5
+"""Longest wait for a steady speed [s]."""
+LEAST, MOST = 0.7, 1.4
+"""A wheel's measured speed is right between these shares of the commanded one."""
 
 
 @dataclass(frozen=True)
@@ -32,13 +42,18 @@ class Answer:
 
     Attributes:
         letter: index of the letter that was commanded.
+        asked: commanded speed [rad/s].
         speeds: mean speeds that the letters a, b, c, d reported [rad/s].
         moving: indices of the letters that reported a turn, the fastest first.
+        stopped: whether they stood again soon, although the command went on; `speeds` are those
+            before.
     """
 
     letter: int
+    asked: float
     speeds: Speeds
     moving: tuple[int, ...]
+    stopped: bool = False
 
     @property
     def encoder(self) -> int | None:
@@ -48,7 +63,17 @@ class Answer:
     @property
     def sign(self) -> int:
         """1 where it reported a forward turn, -1 a backward one."""
-        return -1 if self.moving and self.speeds[self.moving[0]] < 0.0 else 1
+        return -1 if self.ratio < 0.0 else 1
+
+    @property
+    def ratio(self) -> float:
+        """Measured by commanded speed, with sign; 0 where no encoder answered."""
+        return self.speeds[self.moving[0]] / self.asked if self.moving else 0.0
+
+    @property
+    def is_right(self) -> bool:
+        """Whether a wheel, if any, turned as fast as commanded, forward or backward."""
+        return not self.moving or (LEAST <= abs(self.ratio) <= MOST and not self.stopped)
 
 
 def alone(letter: int, speed: float) -> Speeds:
@@ -100,18 +125,53 @@ def spun(ear: Ear, letter: int, speed: float, order: str = MOTORS) -> Answer:
             all(abs(one.speeds[k]) > MOVES * speed for one in newest) for k in range(4)
         )
 
-    ear.hear(command, moves, PATIENCE, order=order)
-    heard = ear.hear(command, lambda _: False, LISTEN, order=order)
+    begun = ear.hear(command, moves, PATIENCE, order=order)[-IN_A_ROW:]
+    heard = ear.hear(command, _Steady(speed), SETTLING, order=order)
     stand(ear, speed)
-    return _answer(letter, heard or lines[-1:], speed)
+    answer = _answer(letter, _newest(heard, LISTEN) or lines[-1:], speed)
+    before = _answer(letter, begun, speed)
+    if not answer.moving and max(map(abs, before.speeds)) > MOVES * speed:
+        return replace(before, stopped=True)
+    return answer
 
 
-def _answer(letter: int, lines: Sequence[Line], speed: float) -> Answer:
-    """Return the answer that lines of feedback hold."""
+class _Steady:
+    """Is true of the line from which on all speeds are steady."""
+
+    def __init__(self, speed: float) -> None:
+        self._speed = speed
+        self._lines: list[Line] = []
+
+    def __call__(self, line: Line) -> bool:
+        lines = self._lines
+        lines.append(line)
+        newest = _newest(lines, LISTEN)
+        before = _newest(lines[: -len(newest)], LISTEN)
+        if not before or before[-1].stamp - lines[0].stamp < LISTEN:
+            return False
+        return all(
+            abs(now - then) < STEADY * max(self._speed, abs(now))
+            for now, then in zip(_means(newest), _means(before), strict=True)
+        )
+
+
+def _newest(lines: Sequence[Line], lasting: float) -> Sequence[Line]:
+    """Return the lines of the last moments [s], at least one if there is one."""
+    return [line for line in lines if line.stamp > lines[-1].stamp - lasting]
+
+
+def _means(lines: Sequence[Line]) -> Speeds:
+    """Return the mean speed of each letter [rad/s]."""
     a, b, c, d = (fmean(line.speeds[k] for line in lines) if lines else 0.0 for k in range(4))
-    speeds = (a, b, c, d)
-    moving = [k for k in range(4) if abs(speeds[k]) > MOVES * speed]
-    return Answer(letter, speeds, tuple(sorted(moving, key=lambda k: -abs(speeds[k]))))
+    return a, b, c, d
+
+
+def _answer(letter: int, lines: Sequence[Line], asked: float) -> Answer:
+    """Return the answer that lines of feedback hold."""
+    speeds = _means(lines)
+    least = max(FAINT * asked, MOVES * max(map(abs, speeds)))
+    moving = [k for k in range(4) if abs(speeds[k]) > least]
+    return Answer(letter, asked, speeds, tuple(sorted(moving, key=lambda k: -abs(speeds[k]))))
 
 
 def takes_last_value(ear: Ear, letter: int, speed: float, *, comma: bool) -> bool:

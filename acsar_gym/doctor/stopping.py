@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 import statistics
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -24,6 +25,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.doctor.stopping_processes import Board, Programs, emulator, programs
 from acsar_gym.doctor.stopping_programs import CONTAINED, KINDS, REPLUGGED, no_namespace
 from acsar_gym.errors import AcsarError, ConfigError, shown, suggestion
+from acsar_gym.safety.estop import stop_all
 
 MOST_TRIALS = 100_000
 """Most trials of each kind of fault."""
@@ -137,6 +139,11 @@ def _trial(kind: str, program: Programs, board: Board, progress: OnTrial | None)
     fault = _fault(kind, program)
     if kind in REPLUGGED:
         fault = board.replug()
+    elif kind == "estop-out":
+        fault = board.replug(lambda: stop_all(board.device))
+    elif kind == "estop-resets":
+        fault = time.monotonic()
+        stop_all(board.device)
     took = board.log.zero_after(fault)
     program.bury()
     if board.log.turns_wheels():

@@ -13,7 +13,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
@@ -90,10 +90,15 @@ class Board:
     device: str
     log: Log
 
-    def replug(self) -> float:
-        """Unplug the cable and plug it in again; returns the time of that [s, monotonic clock]."""
+    def replug(self, meanwhile: Callable[[], object] = lambda: None) -> float:
+        """Unplug the cable and plug it in again; returns the time of that [s, monotonic clock].
+
+        Args:
+            meanwhile: called while the cable is out.
+        """
         self.process.send_signal(signal.SIGUSR1)
         time.sleep(random.uniform(*PULLED))
+        meanwhile()
         now = time.monotonic()
         self.process.send_signal(signal.SIGUSR2)
         return now

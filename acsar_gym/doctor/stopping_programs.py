@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
+import atexit
+import concurrent.futures
 import contextlib
 import ctypes
 import errno
+import hashlib
 import os
 import pty
 import random
@@ -20,6 +24,7 @@ from acsar_gym.errors import AcsarError
 from acsar_gym.links import open_link
 from acsar_gym.links.serial import SerialLink
 from acsar_gym.robot import Robot
+from acsar_gym.worlds import Scene
 
 KINDS = {
     "kill": "SIGKILL",
@@ -38,11 +43,33 @@ KINDS = {
     "thread-hup": "SIGHUP while a thread drives",
     "thread-end": "the program ends while a thread drives",
     "watchdog": "the watchdog is suspended",
+    "estop-out": "acsar-gym estop while the cable is out",
+    "estop-resets": "acsar-gym estop; the program resets",
+    "waitpid": "the watchdog is suspended; waitpid is gevent's",
+    "pause": "SIGSTOP of program and watchdog, then SIGCONT",
+    "ctrl-z": "Ctrl-Z, then fg",
+    "call-term": "SIGTERM in a C call while a thread drives",
+    "call-hup": "SIGHUP in a C call while a thread drives",
+    "call-quit": "SIGQUIT in a C call while a thread drives",
+    "call-int": "Ctrl-C in a C call while a thread drives",
+    "call-asyncio": "SIGTERM to asyncio in a C call; a thread drives",
+    "to-thread": "Ctrl-C while asyncio.to_thread drives",
+    "main-raises": "the main thread raises; another one drives",
+    "pool": "the main thread raises; an executor's drives",
+    "atexit": "sys.exit, slow atexit handler; a thread drives",
 }
 REPLUGGED = ("unplug", "reset")
 CONTAINED = ("pid1-term", "pid1-hup")
 """Kinds that need a new PID namespace."""
-THREADED = ("thread-term", "thread-hup", "thread-end")
+ESTOPPED = ("estop-out", "estop-resets")
+"""Kinds that another process causes by an emergency stop."""
+CALLING = ("call-term", "call-hup", "call-quit", "call-int", "call-asyncio")
+"""Kinds in which the main thread is in C code, so that it runs no signal handler."""
+ENDING = ("thread-end", "main-raises", "pool", "atexit")
+"""Kinds in which the main thread ends."""
+THREADED = ("thread-term", "thread-hup", "to-thread", *CALLING, *ENDING)
+PAUSED = ("pause", "ctrl-z")
+"""Kinds in which the program is suspended and continued; the fault is that it goes on."""
 SIGNALS = {
     "kill": signal.SIGKILL,
     "fork": signal.SIGKILL,
@@ -51,6 +78,12 @@ SIGNALS = {
     "pid1-hup": signal.SIGHUP,
     "thread-term": signal.SIGTERM,
     "thread-hup": signal.SIGHUP,
+    "call-term": signal.SIGTERM,
+    "call-hup": signal.SIGHUP,
+    "call-quit": signal.SIGQUIT,
+    "call-int": signal.SIGINT,
+    "call-asyncio": signal.SIGTERM,
+    "to-thread": signal.SIGINT,
 }
 """Signals sent to the program, by kind."""
 TICKS = 30
@@ -58,8 +91,16 @@ TICKS = 30
 JITTER = 0.02
 """Range of the random delay before a fault [s]; two ticks."""
 HANG = 5.0
+EPISODE = 40
+"""Ticks between two resets."""
+RETRY = 0.01
+"""Pause between two resets, which may fail at once [s]."""
 LIFE = 30.0
 """Lifetime of a forked child [s]."""
+PAUSE = (1.0, 3.0)
+"""Range of the random time for which a program is suspended [s]."""
+SLOW_EXIT = 3.0
+"""Time that an atexit handler takes [s]."""
 CLONE_NEWUSER, CLONE_NEWPID, PR_SET_PDEATHSIG = 0x10000000, 0x20000000, 1
 """Constants of Linux that Python has since 3.12."""
 
@@ -134,17 +175,34 @@ def _harm(kind: str, program: int, terminal: int, report: IO[str]) -> str:
     first = report.readline().strip()
     if kind in CONTAINED and first.isdecimal():
         program, first = int(first), report.readline().strip()
-    if first != "drives":
+    if not first.startswith("drives"):
         return first or "it ended"
-    if kind in FAULTS or kind == "thread-end":
+    if kind in FAULTS or kind in ENDING:
         return report.readline().strip() or "it ended"
     time.sleep(random.uniform(0.0, JITTER))
+    if kind in PAUSED:
+        return repr(_pause(kind, program, int(first.removeprefix("drives "))))
     now = time.monotonic()
     if kind == "terminal":
         os.close(terminal)
     elif kind in SIGNALS:
         os.kill(program, SIGNALS[kind])
     return repr(now)
+
+
+def _pause(kind: str, program: int, watchdog: int) -> float:
+    """Suspend the program, for "pause" with its watchdog; returns the time at which they go on."""
+    paused = [program]
+    if kind == "pause":
+        paused.append(watchdog)
+        random.shuffle(paused)
+    for process in paused:
+        os.kill(process, signal.SIGSTOP if kind == "pause" else signal.SIGTSTP)
+    time.sleep(random.uniform(*PAUSE))
+    now = time.monotonic()
+    for process in paused:
+        os.kill(process, signal.SIGCONT)
+    return now
 
 
 def _end(program: int) -> None:
@@ -158,8 +216,10 @@ def _drive(device: str, config: RobotConfig, kind: str, writer: int) -> None:
     """Run the driving program, which causes its own fault for some kinds."""
     if kind != "terminal":
         os.setsid()
-    for number in (signal.SIGHUP, signal.SIGINT, signal.SIGTERM):
+    for number in (signal.SIGHUP, signal.SIGINT, signal.SIGTERM, signal.SIGQUIT, signal.SIGTSTP):
         signal.signal(number, signal.SIG_DFL)
+    if SIGNALS.get(kind) == signal.SIGINT:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     nowhere = os.open(os.devnull, os.O_RDWR)
     os.dup2(nowhere, 2)
     with open(writer, "w", buffering=1, encoding="ascii") as report:
@@ -184,19 +244,21 @@ def _drive_until_harmed(robot: Robot, kind: str, report: IO[str]) -> None:
         time.sleep(LIFE)
         os._exit(0)
     _go(robot, TICKS)
-    print("drives", file=report)
+    print("drives", _watchdog_of(robot), file=report)
     _go(robot, random.randrange(3))
     if kind in FAULTS:
         print(repr(time.monotonic()), file=report)
         FAULTS[kind](robot)
     if kind in CONTAINED:
         _insist(robot)
+    if kind in ESTOPPED:
+        _begin_episodes(robot)
     while True:
         _go(robot, 1)
 
 
 def _drive_in_a_thread(robot: Robot, kind: str, report: IO[str]) -> None:
-    """Drive in a thread, while the main thread waits or returns, which ends the program."""
+    """Drive in a thread, while the main thread waits, is in C code, or ends."""
     drives = threading.Event()
 
     def drive() -> None:
@@ -209,15 +271,48 @@ def _drive_in_a_thread(robot: Robot, kind: str, report: IO[str]) -> None:
         drives.set()
         _insist(robot)
 
-    driver = threading.Thread(target=drive, daemon=True)
-    driver.start()
-    drives.wait()
-    print("drives", file=report)
-    if kind == "thread-end":
-        time.sleep(random.uniform(0.0, JITTER))
-        print(repr(time.monotonic()), file=report)
+    def wait() -> None:
+        """Wait until the thread drives."""
+        drives.wait()
+        print("drives", file=report)
+
+    if kind == "call-asyncio":
+        asyncio.run(_call_in_a_loop(drive, wait))
+    elif kind == "to-thread":
+        asyncio.run(_await_a_thread(drive, wait))
+    elif kind == "pool":
+        concurrent.futures.ThreadPoolExecutor().submit(drive)
     else:
-        driver.join()
+        threading.Thread(target=drive, daemon=kind != "main-raises").start()
+    wait()
+    if kind in CALLING:
+        _call_c()
+    elif kind in ENDING:
+        time.sleep(random.uniform(0.0, JITTER))
+        atexit.register(time.sleep, SLOW_EXIT if kind == "atexit" else 0.0)
+        print(repr(time.monotonic()), file=report)
+        if kind != "thread-end":
+            raise SystemExit if kind == "atexit" else RuntimeError("a program's mistake")
+    else:
+        threading.Event().wait()
+
+
+async def _call_in_a_loop(drive: Callable[[], None], wait: Callable[[], None]) -> None:
+    """Call C code in an event loop that handles SIGTERM by itself, as a server does."""
+    asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, lambda: None)
+    threading.Thread(target=drive, daemon=True).start()
+    wait()
+    _call_c()
+
+
+async def _await_a_thread(drive: Callable[[], None], wait: Callable[[], None]) -> None:
+    """Wait for a thread of the event loop's executor."""
+    await asyncio.gather(asyncio.to_thread(drive), asyncio.to_thread(wait))
+
+
+def _call_c() -> None:
+    """Stay in C code that leaves other threads alone, for about a minute."""
+    hashlib.pbkdf2_hmac("sha512", b"", b"", 60_000_000)
 
 
 def _insist(robot: Robot) -> None:
@@ -226,6 +321,16 @@ def _insist(robot: Robot) -> None:
         with contextlib.suppress(AcsarError):
             robot.activate()
             _go(robot, 1)
+
+
+def _begin_episodes(robot: Robot) -> None:
+    """Reset and drive in turns, whatever goes wrong, as a training loop that nobody watches."""
+    while True:
+        with contextlib.suppress(AcsarError):
+            _go(robot, EPISODE)
+        with contextlib.suppress(AcsarError):
+            robot.reset(Scene())
+        time.sleep(RETRY)
 
 
 def _go(robot: Robot, ticks: int) -> None:
@@ -243,9 +348,21 @@ def _raise() -> None:
     raise RuntimeError("a policy's mistake")
 
 
+def _watchdog_of(robot: Robot) -> int:
+    """Return the PID of the watchdog; 0 if there is none."""
+    return (robot.link.watchdog_pid or 0) if isinstance(robot.link, SerialLink) else 0
+
+
 def _suspend_watchdog(robot: Robot) -> None:
-    if isinstance(robot.link, SerialLink) and robot.link.watchdog_pid:
-        os.kill(robot.link.watchdog_pid, signal.SIGSTOP)
+    if watchdog := _watchdog_of(robot):
+        os.kill(watchdog, signal.SIGSTOP)
+
+
+def _suspend_unseen(robot: Robot) -> None:
+    """As where gevent replaces waitpid: it doesn't tell that a process is suspended."""
+    waitpid = os.waitpid
+    os.waitpid = lambda process, options: waitpid(process, options & ~os.WUNTRACED)
+    _suspend_watchdog(robot)
 
 
 FAULTS: dict[str, Callable[[Robot], None]] = {
@@ -254,5 +371,6 @@ FAULTS: dict[str, Callable[[Robot], None]] = {
     "exception": lambda _: _raise(),
     "exit": lambda _: os._exit(1),
     "watchdog": _suspend_watchdog,
+    "waitpid": _suspend_unseen,
 }
 """Faults that a policy causes in its own program, by kind."""

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from acsar_gym.config import RobotConfig, WheelConfig, WheelsConfig
+from acsar_gym.doctor import ratios
 from acsar_gym.doctor.checks import Check
 from acsar_gym.doctor.spinning import Answer
 from acsar_gym.errors import ConfigError, shown
@@ -80,7 +81,8 @@ def wiring(
         wheel, way = saw
         motors[wheel] = answer.letter, way
         if answer.encoder is not None and answer.encoder not in {e for e, _ in encoders.values()}:
-            encoders[wheel] = answer.encoder, answer.sign * way
+            sign = answer.sign * way if answer.is_right else config.wheels.each[wheel].sign
+            encoders[wheel] = answer.encoder, sign
     heard = [(MOTORS.index(wheel.encoder), wheel.sign) for wheel in config.wheels.each]
     return _config(_filled(motors, own), _filled(encoders, heard))
 
@@ -144,10 +146,13 @@ def _wheel(
         return _dead(wheel, name, answer, eyes)
     way = "forward" if found.sign == 1 else "backward"
     turns = f"motor {found.motor}" + (" reversed" if found.motor_sign == -1 else "")
-    text = f"{turns}, encoder {heard} counts {way}"
+    text = f"{turns}, encoder {heard} counts {way}, measured/commanded {abs(answer.ratio):.2f}"
     if len(answer.moving) > 1:
         others = ", ".join(MOTORS[k] for k in answer.moving[1:])
         return Check(name, "fail", f"{text}; encoder {others} turns with it", "check its wires")
+    if not answer.is_right:
+        text = f"{turns}, encoder {heard}: {ratios.describe(answer)}"
+        return Check(name, "fail", text, ratios.explain(answer, answers, config))
     if found == config.wheels.each[wheel]:
         return Check(name, "ok", text)
     return Check(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from acsar_gym.jit import jit
+from acsar_gym.jit import jit, loop
 from acsar_gym.protocol import Speeds
 
 
@@ -14,7 +14,7 @@ def towards(value: float, target: float, step: float) -> float:
     return min(max(target, value - step), value + step)
 
 
-@jit
+@loop
 def ramped(set_points: Speeds, targets: Speeds, steps: Speeds) -> Speeds:
     """Move four set points [rad/s] towards their targets by at most their `steps`."""
     return (
@@ -25,7 +25,7 @@ def ramped(set_points: Speeds, targets: Speeds, steps: Speeds) -> Speeds:
     )
 
 
-@jit
+@loop
 def printed(speed: float, quantum: float) -> float:
     """Round a measured speed [rad/s] to a multiple of the quantum.
 

@@ -13,11 +13,11 @@ friction, a symmetric 3 x 3 system per fixed-point round. In a steady turn the e
 from __future__ import annotations
 
 import math
+from typing import Any, NamedTuple
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.dynamics.numbers import Numbers, Physics, physics_of
 from acsar_gym.dynamics.timing import substep
-from acsar_gym.jit import jit
+from acsar_gym.jit import jit, loop
 from acsar_gym.protocol import Speeds
 
 GRAVITY = 9.81
@@ -27,6 +27,57 @@ ROUNDS = 3
 
 Velocity = tuple[float, float, float]
 """vx, vy [m/s] and yaw rate [rad/s]."""
+
+
+class Physics(NamedTuple):
+    """The numbers of one robot that its physics needs; SI units, wheels a to d in wheel order.
+
+    Any of them may vary from episode to episode; see `randomization`. Compiled functions that
+    Python calls take it as a record, see `jit.record_of`.
+    """
+
+    left_radius: float
+    """Radius of the left wheels [m]."""
+    right_radius: float
+    """Radius of the right wheels [m]."""
+    half_wheelbase: float
+    """Half the distance between the front and rear axles [m]."""
+    half_track: float
+    """Half the distance between the left and right wheels [m]."""
+    mass: float
+    """Mass of the robot [kg]."""
+    yaw_inertia: float
+    """Moment of inertia about the vertical axis [kg m^2]."""
+    grip: float
+    """Greatest friction force of one tyre along its rolling direction [N]."""
+    kappa: float
+    """(mu_lateral / mu_longitudinal)^2 of the tyres; 1 for isotropic friction."""
+    slip_speed: float
+    """Below this slip speed friction grows linearly with it [m/s]."""
+    max_speed: float
+    """Top speed of a motor [rad/s]."""
+    deadband_a: float
+    """Set points below this don't turn a wheel [rad/s]."""
+    deadband_b: float
+    deadband_c: float
+    deadband_d: float
+    blend_a: float
+    """Share of the difference to its set point by which a wheel's speed changes in a firmware
+    loop."""
+    blend_b: float
+    blend_c: float
+    blend_d: float
+    gain_a: float
+    """Factor from a wheel's set point to its speed."""
+    gain_b: float
+    gain_c: float
+    gain_d: float
+    latency_loops: float
+    """Delay of commands and of feedback on top of the wire's own [firmware loops]."""
+    command_delay: float
+    """Further delay of commands [s]."""
+    feedback_loops: float
+    """Period of feedback lines [firmware loops]."""
 
 
 def turn_factor(config: RobotConfig) -> float:
@@ -90,13 +141,14 @@ def wheel_speed(
 
 @jit
 def tyre_step(
-    vx: float, vy: float, yaw_rate: float, wheels: Speeds, own: Physics, kappa: float, dt: float
+    vx: float, vy: float, yaw_rate: float, wheels: Speeds, own: Any, kappa: float, dt: float
 ) -> Velocity:
     """Velocity (body frame) one substep later, under the forces of four tyres; wheels in [rad/s].
 
     Solves m (v' - v) / dt = sum F_i(v') with F_i = -D_i (s_x, kappa s_y), D_i = grip /
     sqrt(s_x^2 + kappa s_y^2), in which (s_x, s_y)(v') is the velocity of contact patch i over the
-    ground. `kappa` is that of `own`, or the constant 1, with which compiled code is faster.
+    ground. `own` has fields of a `Physics`. `kappa` is its own, or the constant 1, with which
+    compiled code is faster.
     """
     a, b = own.half_wheelbase, own.half_track
     inertia, yaw_inertia = own.mass / dt, own.yaw_inertia / dt
@@ -128,7 +180,7 @@ def tyre_step(
     return nx, ny, nw
 
 
-@jit
+@loop
 def robot_step(
     cos: float,
     sin: float,
@@ -136,7 +188,7 @@ def robot_step(
     wheels: Speeds,
     angles: Speeds,
     set_points: Speeds,
-    numbers: Numbers,
+    physics: Any,
     dt: float,
 ) -> tuple[Velocity, Speeds, Speeds]:
     """Advance motors, then tyres, by one substep.
@@ -148,13 +200,13 @@ def robot_step(
         wheels: speeds of the four wheels [rad/s].
         angles: turned by the four wheels [rad].
         set_points: of the firmware [rad/s].
-        numbers: of the robot's `Physics`, see `numbers_of`.
+        physics: of the robot, a record of `Physics`.
         dt: substep [s].
 
     Returns:
         The new velocity, wheel speeds and wheel angles.
     """
-    own = physics_of(numbers)
+    own = physics[0]
     top = own.max_speed
     a = wheel_speed(wheels[0], set_points[0], own.gain_a, own.blend_a, own.deadband_a, top)
     b = wheel_speed(wheels[1], set_points[1], own.gain_b, own.blend_b, own.deadband_b, top)

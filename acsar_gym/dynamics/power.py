@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from acsar_gym.dynamics.model import Velocity
-from acsar_gym.dynamics.numbers import Numbers, physics_of
-from acsar_gym.jit import jit
+from acsar_gym.jit import loop
 from acsar_gym.protocol import Speeds
 
 
-@jit
-def motor_power(
-    cos: float, sin: float, velocity: Velocity, wheels: Speeds, numbers: Numbers
-) -> float:
+@loop
+def motor_power(cos: float, sin: float, velocity: Velocity, wheels: Speeds, physics: Any) -> float:
     """Compute the power that the motors give to the ground at this moment.
 
     P = sum over wheels of max(0, F_i r_i w_i), in which r_i w_i is the speed of the wheel's
@@ -26,12 +24,12 @@ def motor_power(
         sin: of the heading.
         velocity: vx, vy [m/s] in the world frame, yaw rate [rad/s].
         wheels: speeds of the four wheels [rad/s].
-        numbers: of the robot's `Physics`, see `numbers_of`.
+        physics: of the robot, a record of `Physics`.
 
     Returns:
         The power [W].
     """
-    own = physics_of(numbers)
+    own = physics[0]
     vx, vy, rate = velocity
     ahead, aside = cos * vx + sin * vy, cos * vy - sin * vx
     power = 0.0

@@ -1,11 +1,12 @@
 """Domain randomization: which parameters of a robot are drawn anew for every episode, and how.
 
-This file has the ranges; the numbers that an episode draws from them (`Drawn`), and their effect on
-a robot's physics (`varied`), are in `drawing`.
+`Randomization` has the ranges, `Drawn` the numbers that an episode draws from them, and `varied`
+their effect on a robot's physics. The single env and the batch both draw with `draw`, so that the
+same seed gives the same robot.
 
 To add a parameter: add a field to `Randomization`, one to the end of `Drawn` (so that existing
 seeds still draw the same numbers), and its effect to `varied`. If the physics has no such number,
-add a field to `numbers.Physics` and use it in `model`; batches and both bodies need no change.
+add a field to `model.Physics` and use it there; batches and both bodies need no change.
 """
 
 from __future__ import annotations
@@ -13,17 +14,62 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.config.units import of_wheel
-from acsar_gym.dynamics.drawing import Drawn, Ranges, loops_between, numbers_of
 from acsar_gym.dynamics.measured import ranges as measured_or_usual
-from acsar_gym.dynamics.model import turn_factor
+from acsar_gym.dynamics.model import Physics, physics, turn_factor
 from acsar_gym.dynamics.timing import substep, wire_loops
 from acsar_gym.errors import ConfigError, shown, suggestion
+from acsar_gym.jit import jit, leading, loop, record_of
 
 Range = tuple[float, float]
+Floats = NDArray[np.float64]
+
+
+class Drawn(NamedTuple):
+    """The numbers that an episode draws, in the order of drawing; defaults change nothing.
+
+    Names that end in _a to _d are for one wheel each.
+    """
+
+    mass: float = 1.0
+    friction: float = 1.0
+    motor_gain_a: float = 1.0
+    motor_lag_a: float = 1.0
+    motor_gain_b: float = 1.0
+    motor_lag_b: float = 1.0
+    motor_gain_c: float = 1.0
+    motor_lag_c: float = 1.0
+    motor_gain_d: float = 1.0
+    motor_lag_d: float = 1.0
+    deadband: float = math.nan
+    wheel_radius: float = 1.0
+    latency: float = 0.0
+    feedback_rate: float = math.nan
+    track_width: float = 1.0
+    left_wheel_radius: float = 1.0
+    right_wheel_radius: float = 1.0
+    turn_factor: float = 1.0
+    command_delay: float = math.nan
+    delay_samples: float = 0.0
+    deadband_offset_a: float = 0.0
+    deadband_offset_b: float = 0.0
+    deadband_offset_c: float = 0.0
+    deadband_offset_d: float = 0.0
+
+
+class Ranges(NamedTuple):
+    """Least and largest value of each number; both are the default where it doesn't vary."""
+
+    low: Drawn
+    high: Drawn
+    delays: tuple[float, ...] = (0.0,)
+    """What `delay_samples` is drawn from [s]; its low and high are the shares 0 and 1."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,20 +120,28 @@ class Randomization:
             object.__setattr__(self, name, check(name, getattr(self, name)))
 
     @classmethod
-    def of(cls, ranges: Mapping[str, Range] | Self | None) -> Randomization:
+    def of(
+        cls, ranges: Mapping[str, Range] | Self | bool | None, config: RobotConfig | None = None
+    ) -> Randomization:
         """Return a Randomization from a mapping of names to ranges.
 
         Args:
-            ranges: a mapping, a Randomization, or None for nothing.
+            ranges: a mapping, a Randomization, True for what `acsar-gym train` randomizes
+                (`measured`), or None or False for nothing.
+            config: the robot, for True.
 
         Raises:
             ConfigError: a name is unknown, or a range is malformed.
         """
         if isinstance(ranges, Randomization):
             return ranges
+        if ranges is True and config is not None:
+            return cls.measured(config)
+        ranges = None if ranges is False else ranges
         if not isinstance(ranges, Mapping | None):
             raise ConfigError(
-                f"randomization = {shown(ranges)}: must be a mapping of names to (low, high)"
+                f"randomization = {shown(ranges)}: must be a mapping of names to (low, high), such "
+                'as {"friction": (0.7, 1.2)}, or True for what acsar-gym train randomizes'
             )
         known = {field.name for field in fields(cls)}
         for name in ranges or ():
@@ -218,3 +272,177 @@ def _check_feedback(rates: Range, config: RobotConfig) -> None:
             config.with_(firmware={"feedback_rate": applied})
         except ConfigError as error:
             raise ConfigError(f"randomization feedback_rate = {rates}: {error}") from None
+
+
+SIZE = len(Drawn._fields)
+LATENCY, FEEDBACK_RATE = Drawn._fields.index("latency"), Drawn._fields.index("feedback_rate")
+DELAY_SAMPLES = Drawn._fields.index("delay_samples")
+
+
+@jit
+def loops_between(rate: float, dt: float) -> float:
+    """Whole firmware loops between lines at this rate [Hz], at least one; NaN for NaN."""
+    loops: float = np.rint(1.0 / (rate * dt))
+    return 1.0 if loops < 1.0 else loops
+
+
+@jit
+def replaced(configured: float, value: float) -> float:
+    """The value, or the configured one where the value is NaN."""
+    return configured if np.isnan(value) else value
+
+
+@jit
+def lagging(blend: float, factor: float, dt: float) -> float:
+    """A wheel's `blend` after its time constant is multiplied by a factor."""
+    if factor == 1.0 or blend >= 1.0:
+        return blend
+    return 1.0 - math.exp(math.log(1.0 - blend) / factor)
+
+
+@jit
+def deadened(configured: float, drawn: float, offset: float) -> float:
+    """A wheel's deadband [rad/s]: configured or drawn, plus an offset, at least zero."""
+    return max(replaced(configured, drawn) + offset, 0.0)
+
+
+@jit
+def turning(nominal: Physics, factor: float) -> float:
+    """The tyres' `kappa` after the robot's turn factor is multiplied by a factor."""
+    if factor == 1.0:
+        return nominal.kappa
+    ratio = (nominal.half_wheelbase / nominal.half_track) ** 2
+    return ((1.0 + nominal.kappa * ratio) * factor - 1.0) / ratio
+
+
+@jit
+def varied(nominal: Physics, drawn: Drawn, dt: float) -> Physics:
+    """Apply what was drawn to a robot's physics.
+
+    Args:
+        nominal: physics of the configured robot.
+        drawn: numbers of the episode.
+        dt: firmware loop period [s].
+    """
+    return Physics(
+        left_radius=nominal.left_radius * drawn.wheel_radius * drawn.left_wheel_radius,
+        right_radius=nominal.right_radius * drawn.wheel_radius * drawn.right_wheel_radius,
+        half_wheelbase=nominal.half_wheelbase,
+        half_track=nominal.half_track * drawn.track_width,
+        mass=nominal.mass * drawn.mass,
+        yaw_inertia=nominal.yaw_inertia * drawn.mass,
+        grip=nominal.grip * drawn.mass * drawn.friction,
+        kappa=turning(nominal, drawn.turn_factor),
+        slip_speed=nominal.slip_speed,
+        max_speed=nominal.max_speed,
+        deadband_a=deadened(nominal.deadband_a, drawn.deadband, drawn.deadband_offset_a),
+        deadband_b=deadened(nominal.deadband_b, drawn.deadband, drawn.deadband_offset_b),
+        deadband_c=deadened(nominal.deadband_c, drawn.deadband, drawn.deadband_offset_c),
+        deadband_d=deadened(nominal.deadband_d, drawn.deadband, drawn.deadband_offset_d),
+        blend_a=lagging(nominal.blend_a, drawn.motor_lag_a, dt),
+        blend_b=lagging(nominal.blend_b, drawn.motor_lag_b, dt),
+        blend_c=lagging(nominal.blend_c, drawn.motor_lag_c, dt),
+        blend_d=lagging(nominal.blend_d, drawn.motor_lag_d, dt),
+        gain_a=nominal.gain_a * drawn.motor_gain_a,
+        gain_b=nominal.gain_b * drawn.motor_gain_b,
+        gain_c=nominal.gain_c * drawn.motor_gain_c,
+        gain_d=nominal.gain_d * drawn.motor_gain_d,
+        latency_loops=nominal.latency_loops + np.rint(drawn.latency / dt),
+        command_delay=replaced(nominal.command_delay, drawn.command_delay) + drawn.delay_samples,
+        feedback_loops=replaced(nominal.feedback_loops, loops_between(drawn.feedback_rate, dt)),
+    )
+
+
+@loop
+def draw(
+    nominal: Any, low: Floats, high: Floats, delays: Floats, samples: Floats, dt: float
+) -> tuple[Physics, Drawn]:
+    """Draw a robot's physics for one episode.
+
+    Args:
+        nominal: the configured robot's, a record of `Physics`.
+        low: Least value of each number of `Drawn`.
+        high: Largest value of each.
+        delays: What `delay_samples` is drawn from [s].
+        samples: A uniform sample of [0, 1) for each; ignored where low == high.
+        dt: The firmware's loop period [s].
+
+    Returns:
+        The physics, and the numbers that were drawn, as applied.
+    """
+    numbers = np.empty(SIZE)
+    for k in range(SIZE):
+        numbers[k] = low[k] + (high[k] - low[k]) * samples[k] if high[k] > low[k] else low[k]
+    numbers[LATENCY] = np.rint(numbers[LATENCY] / dt) * dt
+    place = min(int(numbers[DELAY_SAMPLES] * len(delays)), len(delays) - 1)
+    numbers[DELAY_SAMPLES] = delays[place]
+    numbers[FEEDBACK_RATE] = 1.0 / (loops_between(numbers[FEEDBACK_RATE], dt) * dt)
+    drawn = Drawn(*leading(numbers, SIZE))
+    return varied(nominal[0], drawn, dt), drawn
+
+
+def places(name: str) -> tuple[int, ...]:
+    """Indices of a parameter's numbers in `Drawn`: one, or four in the order of the wheels."""
+    return tuple(Drawn._fields.index(number) for number in numbers_of(name))
+
+
+def numbers_of(name: str) -> tuple[str, ...]:
+    """Names of a parameter's numbers in `Drawn`."""
+    return (name,) if name in Drawn._fields else tuple(f"{name}_{wheel}" for wheel in "abcd")
+
+
+class Randomizer:
+    """Draws the physics of one robot, episode by episode."""
+
+    def __init__(self, given: Any, config: RobotConfig, step: float, *, simulated: bool) -> None:
+        """Check the ranges.
+
+        Args:
+            given: As for `Randomization.of`.
+            config: The robot.
+            step: Duration of an env step [s].
+            simulated: Whether the link is simulated, so that physics can vary.
+
+        Raises:
+            ConfigError: Physics can't vary on this link, or as `Randomization.of` and
+                `Randomization.ranges`.
+        """
+        randomization = Randomization.of(given, config)
+        self._names = randomization.names
+        if self._names and not simulated:
+            raise ConfigError(
+                f"randomization of {', '.join(self._names)}: only a simulated robot's physics can "
+                "vary, and this link is real or a recording"
+            )
+        ranges = randomization.ranges(config, step)
+        self._low, self._high = np.array(ranges.low), np.array(ranges.high)
+        self._delays = np.array(ranges.delays)
+        self._nominal, self._dt = record_of(physics(config)), substep(config)
+        self._drawn = Drawn()
+
+    def draw(self, rng: np.random.Generator) -> Physics | None:
+        """Draw the physics of an episode.
+
+        Args:
+            rng: the env's generator; one sample is taken for each number that varies.
+
+        Returns:
+            The physics; None where nothing varies.
+        """
+        if not self._names:
+            return None
+        samples, varies = np.zeros(SIZE), self._high > self._low
+        samples[varies] = rng.random(int(varies.sum()))
+        own, drawn = draw(self._nominal, self._low, self._high, self._delays, samples, self._dt)
+        self._drawn = Drawn(*map(float, drawn))
+        return Physics(*map(float, own))
+
+    def info(self) -> dict[str, Any]:
+        """What was drawn last, as applied: a float, or an array of four in the order of wheels."""
+        return {f"drawn_{name}": _told(self._drawn, name) for name in self._names}
+
+
+def _told(drawn: Drawn, name: str) -> float | Floats:
+    """One parameter's value for info."""
+    numbers = np.array([drawn[k] for k in places(name)])
+    return float(numbers[0]) if len(numbers) == 1 else numbers

@@ -19,6 +19,9 @@ from acsar_gym.worlds import Scene
 
 BOOT = 1.5
 """How long a board is silent after a reset [s]."""
+RUNAWAY = 14.4
+"""How much faster than commanded a wheel of `assets/firmware` turns where its encoder is reversed,
+so that the speed loop drives it away from its command [rad/s]."""
 NAMES: dict[str, str | None] = {
     "at-comma": None,
     "no-comma": None,
@@ -30,13 +33,16 @@ NAMES: dict[str, str | None] = {
     "swapped-motors": None,
     "dead-wheel": "",
     "dead-encoder": "",
+    "runaway": "",
+    "feedback-factor": "",
     "frozen": "1",
     "resets": "1",
     "command-timeout": "",
     "no-timeout": None,
     "feedback-rate": "",
 }
-"""Quirks and their default values; None where a quirk has no value, "" where it needs one."""
+"""Quirks and their default values; None where a quirk has no value, "" where it needs one. A
+`runaway` wheel has a reversed encoder within the board's speed loop."""
 MIRRORED = str.maketrans("abcd", "badc")
 """Letters of the wheels on the other side."""
 
@@ -64,9 +70,11 @@ def parsed(quirks: Sequence[str]) -> Parsed:
 
 def _check(quirk: str, name: str, value: str) -> None:
     """Check the value of a quirk."""
-    if name.startswith(("dead-", "reversed-")) and (len(value) != 1 or value not in MOTORS):
+    if name.startswith(("dead-", "reversed-", "runaway")) and (
+        len(value) != 1 or value not in MOTORS
+    ):
         raise ConfigError(f"quirk {shown(quirk)}: write {name}=WHEEL, one of a, b, c, d")
-    if name in ("frozen", "resets", "command-timeout", "feedback-rate"):
+    if name in ("frozen", "resets", "command-timeout", "feedback-rate", "feedback-factor"):
         try:
             number = float(value)
         except ValueError:
@@ -122,9 +130,15 @@ class QuirkyLink:
         self._quirks = quirks
         self._comma = config.trailing_comma
         self._dead_motor = _letter(quirks.get("dead-wheel"), config, "motor")
-        self._dead_encoder = _letter(quirks.get("dead-encoder"), config, "encoder")
+        self._runaway = _letter(quirks.get("runaway"), config, "motor")
+        self._top = config.motor.max_speed
+        self._factors = [float(quirks.get("feedback-factor", "1"))] * len(MOTORS)
+        for name, factor in (("runaway", -1.0), ("dead-encoder", 0.0)):
+            if (encoder := _letter(quirks.get(name), config, "encoder")) is not None:
+                self._factors[encoder] *= factor
+        self._scales = any(factor != 1.0 for factor in self._factors)
         commas = "at-comma" in quirks or "no-comma" in quirks
-        self._filters_input = commas or self._dead_motor is not None
+        self._filters_input = commas or "dead-wheel" in quirks or "runaway" in quirks
         self._style = _style(quirks)
         self._pause = float(quirks.get("frozen") or quirks.get("resets") or math.inf)
         self._begun = False
@@ -176,10 +190,14 @@ class QuirkyLink:
             line = line[: line.rfind(b",") + 1]
         if "no-comma" in self._quirks and line.rstrip().endswith(b","):
             line = b",".join(line.split(b",")[:-2])
-        if self._dead_motor is not None:
+        if self._dead_motor is not None or self._runaway is not None:
             for reading in Decoder().feed(line + b"\n"):
                 speeds = [0.0 if speed is None else speed for speed in reading.speeds]
-                speeds[self._dead_motor] = 0.0
+                if self._dead_motor is not None:
+                    speeds[self._dead_motor] = 0.0
+                if self._runaway is not None and (asked := speeds[self._runaway]):
+                    most = min(abs(asked) + RUNAWAY, self._top)
+                    speeds[self._runaway] = math.copysign(most, asked)
                 line = encode(speeds).rstrip()
         return line
 
@@ -206,13 +224,11 @@ class QuirkyLink:
 
     def _sent(self, line: bytes) -> bytes:
         """Return how the board writes a line of feedback."""
-        if self._style is None and self._dead_encoder is None:
+        if self._style is None and not self._scales:
             return line
         for reading in self._decoder.feed(line):
             self._told = reading.over(self._told)
-        speeds = list(self._told)
-        if self._dead_encoder is not None:
-            speeds[self._dead_encoder] = 0.0
+        speeds = [own * factor for own, factor in zip(self._told, self._factors, strict=True)]
         if self._style is None:
             return encode(speeds, trailing_comma=self._comma)
         return _written(speeds, self._style, comma=self._comma)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from acsar_gym.bodies import display
 from acsar_gym.bodies.base import GroundTruth, Image
 from acsar_gym.config import RobotConfig, RobotSource, whole_ratio
-from acsar_gym.dynamics.randomizer import Randomizer
+from acsar_gym.dynamics.randomization import Randomizer
 from acsar_gym.envs.actions import checked
 from acsar_gym.envs.options import RENDER_MODES, EnvOptions
 from acsar_gym.envs.recording import EnvRecord
@@ -130,6 +130,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         Raises:
             ConfigError, WorldError: for unknown options, or values out of range.
             LinkError: where the link can't be opened, or the board or a sensor doesn't answer.
+            TaskError, SensorError: where a task or sensor fails, or gives NaN.
         """
         self._halt()
         self._told_last = None
@@ -164,6 +165,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
             CommandError: for another shape, NaN or infinity; the wheels are commanded to stop.
             ConfigError: before the first reset.
             LinkError: where the link or the board fails and `on_fault` is "raise".
+            TaskError, SensorError: where a task or sensor fails, or gives NaN.
         """
         episode = self._episode
         if episode is None:

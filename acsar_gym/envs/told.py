@@ -11,17 +11,18 @@ from acsar_gym.bodies.base import GroundTruth
 from acsar_gym.errors import (
     BoardGarbledError,
     BoardSilentError,
-    ConfigError,
     LidarError,
     LinkError,
     LinkLostError,
+    TaskError,
     WheelError,
+    shown,
 )
 from acsar_gym.lidars.base import edges, newest_scan
 from acsar_gym.robot import Robot
 from acsar_gym.tasks import Observation, Outcome, State, Task
 from acsar_gym.tasks.base import NO_PATH, NO_RANGES
-from acsar_gym.tasks.episode import Episode
+from acsar_gym.tasks.episode import Episode, check_observation
 from acsar_gym.tasks.made import named
 from acsar_gym.worlds import Pose
 from acsar_gym.worlds.scene import to_odometry
@@ -95,14 +96,19 @@ def observed(episode: Episode, state: State, task: Task) -> Observation:
         task: of the episode.
 
     Raises:
-        ConfigError: the task returned another number of numbers.
+        TaskError: the task returned something else than so many finite numbers.
     """
-    numbers = np.array(episode.observe(state), np.float32)
+    given = episode.observe(state)
+    try:
+        numbers = np.array(given, np.float32)
+    except (TypeError, ValueError):
+        raise TaskError(f"{named(task)}.observe returned {shown(given)}: must be numbers") from None
     if numbers.shape != (len(task.observation),):
-        raise ConfigError(
+        raise TaskError(
             f"{named(task)}.observe returned numbers of shape {numbers.shape}: must be "
             f"({len(task.observation)},)"
         )
+    check_observation(task, numbers)
     return numbers
 
 

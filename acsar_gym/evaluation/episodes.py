@@ -6,7 +6,7 @@ import contextlib
 import json
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from acsar_gym.policies import FilePolicy, Policy
 from acsar_gym.reading import bounded
 from acsar_gym.safety.rules import Reason
 from acsar_gym.tasks.barn import SCORES
+from acsar_gym.tasks.base import told
 from acsar_gym.worlds import Pose
 
 MOST_BYTES = 1_000_000_000
@@ -85,6 +86,8 @@ class EpisodeResult:
     P of `dynamics.power`; NaN on hardware."""
     jerk: float = math.nan
     """Mean absolute jerk of the speed driven, by odometry [m/s^3]; see `driven.jerk`."""
+    told: dict[str, float] = field(default_factory=dict)
+    """What the task told in info at the end, by name: its `told`."""
     track: Track | None = None
     """Poses and scans of every step, where the env is a `tracks.TrackedEnv`."""
 
@@ -208,6 +211,7 @@ def _result(
         world=int(info["world"]) if "world" in info else None,
         episode_return=rewards,
         length=len(steps) - 1,
+        told={name: float(info[name]) for name in told(env.task)},
     )
 
 

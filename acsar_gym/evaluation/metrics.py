@@ -22,6 +22,9 @@ CONFIDENCE = 0.95
 RESAMPLES = 2000
 """Number of bootstrap samples. Their seed is fixed, so equal results give equal intervals."""
 
+TOLD = "told."
+"""Begins the names of intervals of what the task tells, which may be named like other figures."""
+
 Interval = tuple[float, float]
 
 
@@ -77,6 +80,8 @@ class Summary:
     """Episodes that ended with a fault or had too many late ticks."""
     scores: dict[str, float] = field(default_factory=dict)
     """BARN scores by name; empty for other tasks."""
+    told: dict[str, float] = field(default_factory=dict)
+    """What the task tells at an episode's end, by name; see `Task.told`."""
     intervals: dict[str, Interval] = field(default_factory=dict)
     """Confidence intervals (low, high) by name: Wilson (1927) for rates, percentile bootstrap for
     means."""
@@ -116,8 +121,10 @@ def summarise(results: Sequence[EpisodeResult]) -> Summary:
     intervals = {name: wilson(sum(hits), len(hits)) for name, hits in rates.items()}
     intervals |= {name: bootstrap(values) for name, values in samples.items()}
     names = [name for name in SCORES if name in samples]
+    told = {f"{TOLD}{name}": name for name in (results[0].told if results else ())}
     means: dict[str, Any] = {name: _mean([float(hit) for hit in rates[name]]) for name in rates}
-    means |= {name: _mean(values) for name, values in samples.items() if name not in names}
+    own = {*names, *told}
+    means |= {name: _mean(values) for name, values in samples.items() if name not in own}
     return Summary(
         episodes=len(results),
         **means,
@@ -126,6 +133,7 @@ def summarise(results: Sequence[EpisodeResult]) -> Summary:
         **_timing([result.timing for result in results if result.timing]),
         invalid=sum(not result.valid for result in results),
         scores={name: _mean(samples[name]) for name in names},
+        told={name: _mean(samples[key]) for key, name in told.items()},
         intervals=intervals,
     )
 
@@ -152,6 +160,8 @@ def _samples(results: Sequence[EpisodeResult]) -> dict[str, list[float]]:
     if results and all(result.scores for result in results):
         for number, name in enumerate(SCORES):
             samples[name] = [result.scores[number] for result in results]
+    for name in results[0].told if results else ():
+        samples[f"{TOLD}{name}"] = [result.told[name] for result in results]
     return samples
 
 

@@ -187,7 +187,7 @@ def write(results: Iterable[EpisodeResult], where: Path) -> list[Path]:
             video.write(base.with_suffix(".mp4"), film(result), rate)
             written.append(base.with_suffix(".mp4"))
         picture = base.with_suffix(".png")
-        bounded.write(picture, encode(still(result)))
+        bounded.write_atomically(picture, encode(still(result)))
         written.append(picture)
     return written
 

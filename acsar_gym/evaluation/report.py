@@ -19,7 +19,7 @@ from rich.segment import Segment
 from rich.table import Table
 
 from acsar_gym.errors import ConfigError, printable
-from acsar_gym.evaluation.metrics import Summary
+from acsar_gym.evaluation.metrics import TOLD, Summary
 from acsar_gym.reading import bounded
 
 Item = TypeVar("Item")
@@ -116,7 +116,7 @@ def write_json(path: Path | None, data: Mapping[str, Any]) -> None:
     """
     if path is None:
         return
-    bounded.write(path, (json.dumps(data, indent=2, allow_nan=False) + "\n").encode())
+    bounded.write_atomically(path, (json.dumps(data, indent=2, allow_nan=False) + "\n").encode())
 
 
 def summary_table(
@@ -159,7 +159,8 @@ def interval_table(title: str, summary: Summary) -> Table:
     table = Table(title=plain(f"95 % intervals: {title}"), title_justify="left")
     for column in ("figure", "value", "low", "high"):
         table.add_column(column, justify="left" if column == "figure" else "right")
-    values = {**asdict(summary), **summary.scores}
+    told = {f"{TOLD}{name}": value for name, value in summary.told.items()}
+    values = {**asdict(summary), **summary.scores, **told}
     for name, interval in summary.intervals.items():
         figures = (values[name], *interval)
         if math.isfinite(values[name]):

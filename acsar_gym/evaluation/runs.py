@@ -10,6 +10,7 @@ from typing import Any
 
 import gymnasium
 
+from acsar_gym import baselines
 from acsar_gym.config import RobotConfig
 from acsar_gym.envs.base import RobotEnv
 from acsar_gym.envs.ids import registered, without_module
@@ -25,7 +26,6 @@ from acsar_gym.policies import (
     FilePolicy,
     OnnxPolicy,
     ZipPolicy,
-    baselines,
     is_callable,
     resolve,
     statistics_beside,
@@ -59,10 +59,10 @@ def load(policy: str, *, trust: bool, env: str = "") -> FilePolicy:
         return CallablePolicy(policy, env_id)
     if baselines.is_baseline(policy):
         return baselines.load(policy, env_id)
-    path = resolve(policy)
+    path = resolve(policy, baselines.BASELINES)
     if path.suffix == ".zip":
         loaded = ZipPolicy(path, trust=trust, env_id=env_id)
-        _statistics(path, None)
+        _statistics(loaded, None)
         return loaded
     file = OnnxPolicy(path)
     file.env_id, file.env_named = env_id or file.env_id, bool(env_id)
@@ -271,7 +271,7 @@ def export(
         PolicyError: the zip can't be used, or a VecNormalize lies beside it but none is given.
     """
     policy = ZipPolicy(model, trust=trust, env_id=registered(env_id) if env_id else "")
-    statistics = _statistics(model, vecnormalize)
+    statistics = _statistics(policy, vecnormalize)
     env = made(policy, "planar", robot, {})
     from acsar_gym.policies import sb3_export  # noqa: PLC0415 - optional
 
@@ -286,15 +286,24 @@ def export(
         env.close()
 
 
-def _statistics(model: Path, named: str | None) -> Path | None:
-    """Return the VecNormalize file to use; PolicyError if one lies beside the zip, unnamed."""
+def _statistics(policy: ZipPolicy, named: str | None) -> Path | None:
+    """Return the VecNormalize file to use.
+
+    PolicyError if none is named, but one lies beside the zip, or the model was trained with one.
+    """
     if named is not None:
         return None if named == "none" else Path(named)
-    found = statistics_beside(model)
+    model, found = policy.path, statistics_beside(policy.path)
+    convert = f"'acsar-gym export {model} policy.onnx --trust --vecnormalize"
     if found is not None:
         raise PolicyError(
             f"{model}: {found} is beside it: if it was trained with that VecNormalize, use "
-            f"'acsar-gym export {model} policy.onnx --trust --vecnormalize {found}', otherwise "
-            "--vecnormalize none"
+            f"{convert} {found}', otherwise --vecnormalize none"
+        )
+    if policy.normalized:
+        raise PolicyError(
+            f"{model}: was trained with a VecNormalize, whose file isn't beside it: use {convert} "
+            "FILE' with the file that it was saved to, or --vecnormalize none if it changed only "
+            "rewards"
         )
     return None

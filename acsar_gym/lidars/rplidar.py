@@ -31,6 +31,7 @@ from acsar_gym.lidars.rplidar_device import (
     hold_motor,
     library,
 )
+from acsar_gym.links.base import WHILE_WAITING
 from acsar_gym.links.ports import PORT_ERRORS, Location, put
 from acsar_gym.links.shutdown import close_at_exit, forget, install
 from acsar_gym.odometry import Odometry
@@ -123,6 +124,7 @@ class RplidarLidar:
                     f"LiDAR {self.device}: no complete turn in {SPIN_UP:g} s",
                     "check that its head turns freely and that its 5 V supply is strong enough",
                 )
+            WHILE_WAITING.get()()
             time.sleep(POLL)
 
     def scan(self) -> Scan:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextvars import ContextVar
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -9,6 +11,10 @@ from numpy.typing import NDArray
 
 from acsar_gym.bodies.base import Camera, GroundTruth
 from acsar_gym.worlds import Scene
+
+WHILE_WAITING: ContextVar[Callable[[], None]] = ContextVar("while_waiting", default=lambda: None)
+"""Called again and again while a reset waits for a port, board, standing wheels or LiDAR; what it
+raises ends the wait."""
 
 
 class Link(Protocol):

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from acsar_gym.errors import ConfigError, LinkLostError, PortNotFoundError
-from acsar_gym.links.base import Arrivals, Link
+from acsar_gym.links.base import WHILE_WAITING, Arrivals, Link
 from acsar_gym.links.faults import EPSILON, Faults, WheelEditor, WheelFaults
 from acsar_gym.links.faulty_wire import Event, FaultyWire
 from acsar_gym.links.forwarding import ForwardingLink
@@ -111,6 +111,7 @@ class FaultyLink(ForwardingLink):
         try:
             self.link.open()
             for _ in range(math.ceil(wait / WAIT - EPSILON)):
+                WHILE_WAITING.get()()
                 self.link.advance(WAIT)
         except BaseException:
             self.link.close()

@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 from acsar_gym.config import BAUD_RATES, RobotConfig
 from acsar_gym.errors import BoardGarbledError, BoardSilentError, LinkError
+from acsar_gym.links.base import WHILE_WAITING
 from acsar_gym.protocol import Decoder, Speeds
 
 PROTOCOL = frozenset(b"abcdpn0123456789.,+- ")
@@ -35,6 +36,7 @@ def wait_for_board(read: Callable[[], bytes], device: str, config: RobotConfig) 
     while not decoder.lines:
         if time.monotonic() > deadline:
             raise _no_board(device, config, heard, decoder)
+        WHILE_WAITING.get()()
         time.sleep(POLL)
         data = read()
         heard += len(data)

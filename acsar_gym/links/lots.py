@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from acsar_gym.jit import COMPILED, jit
+from acsar_gym.jit import COMPILED, loop
 
 FEEDBACK, COMMANDS, EPISODE = 0, 1, 2
 """What a number is for: a line of one direction, or the whole episode."""
@@ -24,7 +24,7 @@ _BITS = 9007199254740992.0
 """2^53, which scales doubles in [0, 1) to integers."""
 
 
-@jit
+@loop
 def lot(key: float, whose: int, number: float, kind: int) -> float:
     """Return a uniform random number in [0, 1) for one line and one kind of fault.
 

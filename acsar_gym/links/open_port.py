@@ -52,7 +52,7 @@ class OpenPort:
         """Wait for bytes for a time at most [s].
 
         Returns whether some arrived, or the device is gone. Ports without a descriptor that can be
-        waited for, as on Windows or rfc2217, just wait.
+        waited for, as on Windows, just wait.
         """
         try:
             return bool(select.select([self._port], [], [], seconds)[0])
@@ -73,7 +73,7 @@ class OpenPort:
             self._port.reset_output_buffer()
 
     def fileno(self) -> int | None:
-        """Return the file descriptor; None if it can't be shared, as with rfc2217."""
+        """Return the file descriptor; None if it can't be shared, as on Windows."""
         try:
             return int(self._port.fileno())
         except OSError:

@@ -28,6 +28,7 @@ from acsar_gym.errors import (
     PortNotFoundError,
     PortPermissionError,
 )
+from acsar_gym.links.base import WHILE_WAITING
 
 Port = Any
 """An open port of pyserial, which has no type annotations."""
@@ -162,6 +163,7 @@ class Location:
             except LinkError as error:
                 if time.monotonic() + pause > start + self._patience(error, config):
                     raise
+            WHILE_WAITING.get()()
             time.sleep(pause)
             pause = min(2.0 * pause, longest)
 
@@ -254,7 +256,16 @@ def _sent(descriptor: int, data: bytes) -> int:
 
 
 def _check_url(url: str) -> None:
-    """Raise ConfigError unless the URL has a host and a port."""
+    """Raise ConfigError unless the URL is a socket's, with a host and a port.
+
+    Only a socket's descriptor can be shared with the watchdog, which stops the wheels where this
+    program is killed; pyserial's other URLs, such as rfc2217://, have none.
+    """
+    if not url.lower().startswith("socket://"):
+        raise ConfigError(
+            f"{url}: no watchdog can stop the wheels behind such a URL: have the other computer "
+            "serve the raw port (ser2net, socat, esp-link), and use socket://host:port"
+        )
     try:
         parts = urlsplit(url)
         complete = bool(parts.hostname and parts.port)

@@ -14,7 +14,7 @@ from acsar_gym.links.base import Arrivals
 from acsar_gym.links.handshake import wait_for_board
 from acsar_gym.links.open_port import OpenPort
 from acsar_gym.links.ports import Location
-from acsar_gym.links.shutdown import close_at_exit, forget, install, is_ending
+from acsar_gym.links.shutdown import check_may_drive, close_at_exit, forget, install
 from acsar_gym.links.watchdog_handle import WatchdogHandle
 from acsar_gym.protocol import ZERO, encode
 from acsar_gym.worlds import Scene
@@ -63,12 +63,12 @@ class SerialLink:
 
         Raises:
             LinkError: port or board can't be reached (see its subclasses), no watchdog can be
-                started, or the program is ending; the device is closed again.
+                started, or the program is ending, or was asked to (see
+                `shutdown.check_may_drive`); the device is closed again.
         """
         if self._port is not None:
             return
-        if is_ending():
-            raise _too_late()
+        check_may_drive()
         self._port = OpenPort(
             self._location.opened(self._config, self._watch.end_search), self.device
         )
@@ -103,6 +103,7 @@ class SerialLink:
         After the watchdog stopped the robot, this allows driving again.
         """
         self._stop_motors()
+        check_may_drive()
         try:
             self._watch_anew()
         except BaseException:  # don't drive without a watchdog
@@ -127,21 +128,27 @@ class SerialLink:
 
         Raises:
             LinkError: wheels would turn, but the watchdog stopped the robot or doesn't run, or
-                the program is ending.
+                the program is ending, or was asked to; zeros are sent instead.
         """
         with self._lock:
+            port = self._require()
             if not data:
-                self._require().put(data)
+                port.put(data)
             elif data.endswith(self._zeros):
-                self._require().put(data)
+                port.put(data)
                 self._watch.stand()
-            elif is_ending():
-                raise _too_late()
             else:
                 self._moved = True
-                self._watch.drive()
-                self._require().put(data)
-                self._watch.driven()
+                try:
+                    check_may_drive()
+                    self._watch.drive()
+                    port.put(data)
+                    self._watch.driven()
+                except LinkLostError:
+                    raise
+                except LinkError:
+                    port.says(self._stop_line)
+                    raise
 
     def advance(self, period: float) -> bytes:
         """Sleep until the absolute deadline of the period [s]; return what has arrived.
@@ -225,7 +232,8 @@ class SerialLink:
     def held(self) -> Iterator[None]:
         """Command zero, and lock out commands of other threads, as a context manager.
 
-        Errors are ignored, so that stopping goes on.
+        Errors are ignored, so that stopping goes on. For the watchdog, wheels still turn: if this
+        takes longer than its time-out, as where the program is suspended, it trips.
         """
         with self._alone():
             port = self._port
@@ -242,7 +250,6 @@ class SerialLink:
         """Command zero; returns whether it has left the port."""
         if not port.says(self._stop_line):
             return False
-        self._watch.stand()
         if not port.is_drained():
             port.says(self._stop_line)
             return False
@@ -251,7 +258,7 @@ class SerialLink:
     def stop(self) -> None:
         """Command zero and stay open; errors are ignored."""
         with self.held():
-            pass
+            self._watch.stand()
 
     def _release(self, port: OpenPort, *, lost: bool) -> None:
         """Command zero, end the watchdog, which shares the port's lock, and close the port."""
@@ -293,7 +300,3 @@ class SerialLink:
         if self._port is None:
             raise LinkLostError(f"{self.device} is closed", "call open() or env.reset() first")
         return self._port
-
-
-def _too_late() -> LinkError:
-    return LinkError("the program is about to end", "nothing drives any more: start it again")

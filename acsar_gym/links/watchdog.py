@@ -10,6 +10,9 @@ Code inside a process can't stop a robot while the process doesn't run. So `Seri
 - commands zero if the newest command turns wheels and the program gave no sign of life for the
   time-out, and again every 50 ms for a second. The link then refuses to drive until it is reset.
 
+After a suspension of both, of a container or of the computer, either may run first. So the program
+compares times likewise, and each trips if it finds such a gap.
+
 While the newest command is zero, the program may pause, as between reset and first step. A zero
 command that is the newest one for 0.1 s is repeated, as it may have been lost. Zeros begin with a
 line end, which ends a truncated command.
@@ -40,15 +43,15 @@ AVAILABLE = os.name == "posix"
 """Whether watchdogs work on this operating system."""
 PATIENCE = 5.0
 """Longest wait for its start and its end [s]; usually 20 ms and 1 ms."""
-ASLEEP = 0.5
-"""It counts as halted if it didn't run during this driving time plus the time-out [s]."""
+ASLEEP = 0.2
+"""It counts as halted if it didn't run during this driving time [s]: several times LONGEST."""
 TICK = 0.05
 """Most driving time counted between two commands [s]; a stalled machine delays both processes."""
 PROGRAM = Path(__file__).resolve().with_name("watchdog_child.py")
 STANDING = 0.0
 
 if AVAILABLE:
-    from acsar_gym.links.watchdog_child import AWAKE, BEAT, LEAVE, PAGE, STOOD, TRIPPED
+    from acsar_gym.links.watchdog_child import AWAKE, BEAT, LEAVE, PAGE, STOOD, TRIPPED, clock
 
 
 class Watchdog:
@@ -70,7 +73,7 @@ class Watchdog:
         self._halted = False
         self._resting = False
         self._awake = self._unseen = self._drove = 0.0
-        self._asleep = ASLEEP + timeout
+        self._timeout = timeout
         try:
             self._start(port, zeros, timeout, place)
         except OSError as error:
@@ -126,7 +129,7 @@ class Watchdog:
                 self._process.returncode = 0
                 return False
             if process and os.WIFSTOPPED(status):
-                self._halted = True  # permanently, as the kernel reports it only once
+                self._halted = True  # permanently, as the kernel reports it only once, if at all
             elif process:
                 self._process.returncode = os.waitstatus_to_exitcode(status)
         return self._process.returncode is None and not self._halted
@@ -137,9 +140,14 @@ class Watchdog:
         return self._open and self._page[TRIPPED] != 0.0
 
     def beat(self) -> None:
-        """Give a sign of life; takes 0.2 us and has no effect once the robot was stopped."""
-        if self._driving and not self._page[TRIPPED]:
-            self._page[BEAT] = time.monotonic()
+        """Give a sign of life while wheels turn; trips if the last one is too old."""
+        if not self._driving or self._page[TRIPPED]:
+            return
+        now = clock()
+        if (gap := now - self._page[BEAT]) > self._timeout:
+            self._page[TRIPPED] = gap
+        else:
+            self._page[BEAT] = now
 
     def drive(self) -> None:
         """Call before a command that turns wheels, and `driven` after it; LinkError if refused."""
@@ -150,21 +158,24 @@ class Watchdog:
         else:
             self._unseen += min(now - self._drove, TICK)
         self._drove = now
-        if self._unseen > self._asleep or not self.alive:
+        if self._unseen > ASLEEP or not self.alive:
+            self._halted = True  # so that it is replaced at the next reset
             raise self._absent()
 
     def driven(self) -> None:
         """Call after a command that turns wheels; LinkError if the robot was stopped meanwhile."""
+        if not self._driving and not self._page[TRIPPED]:
+            self._driving = True
+            self._page[BEAT] = clock()
+        self.beat()
         if self._page[TRIPPED]:
             raise self._stopped()
-        self._driving = True
-        self._page[BEAT] = time.monotonic()
 
     def stand(self) -> None:
         """Call after a zero command."""
         self._driving = False
         if self._resting:
-            self._page[STOOD] = time.monotonic()
+            self._page[STOOD] = clock()
         if not self._page[TRIPPED]:
             self._page[BEAT] = STANDING
 
@@ -175,16 +186,16 @@ class Watchdog:
         """
         self._driving = False
         self._resting = True
-        self._page[STOOD] = time.monotonic()
+        self._page[STOOD] = clock()
         self._page[BEAT] = STANDING  # before TRIPPED, or it would trip on the old value
         self._page[TRIPPED] = 0.0
 
     def _absent(self) -> LinkError:
         """Return the error for a watchdog that doesn't run."""
-        why = "has ended"
-        if self._halted:
-            why = "is suspended"
-        elif self._process.returncode is None:
+        why = "is suspended"
+        if self._process.returncode is not None:
+            why = "has ended"
+        elif self._unseen > ASLEEP:
             why = f"hasn't run for {self._unseen:.2f} s"
         return LinkError(
             f"the watchdog process {why} (PID {self.pid})",
@@ -194,7 +205,7 @@ class Watchdog:
     def _stopped(self) -> LinkError:
         """Return the error for a robot that the watchdog stopped."""
         # `stand` keeps BEAT after a trip: it is the time of the last sign of life.
-        silent = max(self._page[TRIPPED], time.monotonic() - self._page[BEAT])
+        silent = max(self._page[TRIPPED], clock() - self._page[BEAT])
         return LinkError(
             f"the watchdog stopped the robot: nothing was commanded for {silent * 1000.0:.0f} ms",
             f"find what held the program up, then reset; on a busy computer {AHEAD}",

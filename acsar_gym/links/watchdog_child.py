@@ -24,7 +24,7 @@ from typing import Protocol
 
 SLOTS = 5
 BEAT, TRIPPED, LEAVE, STOOD, AWAKE = range(SLOTS)
-"""Slots of the page; 8-byte doubles, which are stored atomically. Times: monotonic clock [s].
+"""Slots of the page; 8-byte doubles, which are stored atomically. Times: `clock` [s].
 
 BEAT: time of the program's last sign of life; 0 while the newest command is zero.
 TRIPPED: age of that when the robot was stopped [s]; 0 if it wasn't.
@@ -36,8 +36,8 @@ PAGE = 8 * SLOTS
 
 LOOKS = 4
 """Checks per time-out."""
-LONGEST = 0.25
-"""Longest sleep between two checks [s]."""
+LONGEST = 0.05
+"""Longest sleep between two checks [s]; the program takes it for suspended after a few of them."""
 STANDS = 0.1
 """Interval of repeating the zero command of a program that sends nothing [s]."""
 
@@ -54,11 +54,12 @@ SEARCH = 60.0
 SEARCH_EVERY = 0.02
 """Interval of the search [s]."""
 CHUNK = 4096
-LATE = 0.01
-"""If the watchdog wakes up later than this, the whole machine may have stalled [s]."""
-SURE = 0.02
-"""Time that the program then has to continue [s]."""
 IGNORED = ("SIGHUP", "SIGINT", "SIGQUIT", "SIGTERM", "SIGTSTP", "SIGTTIN", "SIGTTOU")
+
+
+def clock() -> float:
+    """Return the time [s]; unlike `time.monotonic`, it goes on while the computer is suspended."""
+    return time.clock_gettime(getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC))
 
 
 class Board(Protocol):
@@ -101,25 +102,23 @@ class Watch:
         self._timeout = timeout
         self._board = board
         self._pace = min(timeout / LOOKS, LONGEST)
-        self._due = time.monotonic() + self._pace
-        self._seen = 0.0
-        self._since = 0.0
-        self._excused = False
+        self._due = clock() + self._pace
+        self._answered = 0.0
         self._repeats = 0
         self._until = 0.0
         self._said = 0.0
-        page[AWAKE] = time.monotonic()
+        page[AWAKE] = clock()
 
     def run(self) -> None:
         """Watch until the program closes the port, or is dead and zeros have been sent."""
         pipe = select.poll()
         pipe.register(self._lifeline, select.POLLIN)
         while not self._page[LEAVE]:
-            wait = math.ceil(1000.0 * max(0.0, self._due - time.monotonic()))
+            wait = math.ceil(1000.0 * max(0.0, self._due - clock()))
             if pipe.poll(wait) or os.getppid() != self._parent:
                 self._bury()
                 return
-            now = time.monotonic()
+            now = clock()
             self._page[AWAKE] = now
             self._due = min(self._look(now), now + self._pace)
 
@@ -140,25 +139,17 @@ class Watch:
 
     def _look(self, now: float) -> float:
         """Command zero if that is due; returns the time of the next check."""
-        if self._page[TRIPPED]:
-            return self._repeat(now)
-        beat = self._page[BEAT]
-        if not beat:
-            return self._stand(now)
-        due = max(beat + self._timeout, self._watched_since(beat, now) + SURE)
-        if now < due:
-            return due
-        self._page[TRIPPED] = now - beat  # before the zeros, so that no command follows them
-        self._repeats, self._until = REPEATS, now + SEARCH
+        tripped = self._page[TRIPPED]
+        if not tripped:
+            beat = self._page[BEAT]
+            if not beat:
+                return self._stand(now)
+            if now < beat + self._timeout:
+                return beat + self._timeout
+            tripped = self._page[TRIPPED] = now - beat  # before the zeros: no command follows them
+        if tripped != self._answered:  # the program may have found it, too
+            self._answered, self._repeats, self._until = tripped, REPEATS, now + SEARCH
         return self._repeat(now)
-
-    def _watched_since(self, beat: float, now: float) -> float:
-        """Return since when this sign of life is known, restarting after a machine's stall."""
-        if beat != self._seen:
-            self._seen, self._since, self._excused = beat, now, False
-        elif now - self._due > LATE and not self._excused:
-            self._since, self._excused = now, now + SURE > beat + self._timeout
-        return self._since
 
     def _stand(self, now: float) -> float:
         """Repeat the last zero command if the program sends nothing, as it may have been lost."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
@@ -15,7 +15,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import PolicyError
 from acsar_gym.policies import matching
 from acsar_gym.policies.bundle import Bundle
-from acsar_gym.resources import AGENTS, agent
+from acsar_gym.resources import AGENTS
 from acsar_gym.sensors import Sensor
 from acsar_gym.tasks import Observation, Task
 
@@ -120,11 +120,12 @@ class FilePolicy(ABC):
         """
 
 
-def resolve(path: str | Path) -> Path:
+def resolve(path: str | Path, baselines: Iterable[str] = ()) -> Path:
     """Find a policy file.
 
     Args:
         path: a file, or the name of a policy that comes with the package, such as "point_goal".
+        baselines: names that the error tells, beside those of the packaged policies.
 
     Returns:
         Path of an existing file.
@@ -139,10 +140,8 @@ def resolve(path: str | Path) -> Path:
     if packaged.exists():
         return packaged
     known = ", ".join(sorted(p.stem for p in packaged.parent.glob("*.onnx"))) or "none"
-    raise PolicyError(
-        f"{path}: no such policy file; policies that come along: {known}; baselines: "
-        f"{', '.join(agent('baselines').BASELINES)}"
-    )
+    others = f"; baselines: {', '.join(baselines)}" if baselines else ""
+    raise PolicyError(f"{path}: no such policy file; policies that come along: {known}{others}")
 
 
 def quoted(text: str) -> str:

@@ -77,7 +77,7 @@ def save(
     before = torch_export.normalizing(normalizer)
     env, varied = _made(env_id, robot, env_kwargs), env_kwargs.get("randomization")
     try:
-        ranges = Randomization.of(varied)
+        ranges = Randomization.of(varied, env.robot.config)
         bundle = described(env, env_id, randomization=ranges, training=training, state=state)
         torch_export.write(module, Path(path), bundle, before)
     finally:

@@ -71,6 +71,8 @@ class ZipPolicy(FilePolicy):
             raise PolicyError(f"{self.path}: not a stable-baselines3 model: {said}") from None
         self.sha256 = hashlib.sha256(content).hexdigest()
         self.bundle = _bundle(self.path, data)
+        self.normalized = data.get("_last_original_obs") is not None
+        """Whether it was trained with a VecNormalize; only then are both observations saved."""
         own = "" if self.bundle is None else self.bundle.env.id
         self.env_id, self.env_named = env_id or own, bool(env_id)
         self._state: tuple[NDArray[Any], ...] | None = None

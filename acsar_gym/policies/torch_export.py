@@ -146,6 +146,7 @@ def write(
     """
     whole = (_Recurrent if bundle.state else _Whole)(network, normalizer)
     with _evaluating(whole):
+        _check_weights(whole)
         shapes = [(1, bundle.observation.width), *(state.shape for state in bundle.state)]
         example = tuple(torch.zeros(*shape, device=_device(whole)) for shape in shapes)
         _check(whole, example)
@@ -161,7 +162,7 @@ def write(
     except PolicyError as error:
         raise PolicyError(f"{path}: can't be written: it {error}") from None
     path.parent.mkdir(parents=True, exist_ok=True)
-    bounded.write(path, data, PolicyError)
+    bounded.write_atomically(path, data, PolicyError)
 
 
 def _exported(whole: torch.nn.Module, example: tuple[torch.Tensor, ...], bundle: Bundle) -> Any:
@@ -181,6 +182,16 @@ def _exported(whole: torch.nn.Module, example: tuple[torch.Tensor, ...], bundle:
     return program.model_proto
 
 
+def _check_weights(whole: torch.nn.Module) -> None:
+    """Raise PolicyError for weights that are NaN or infinite, as after a training that diverged."""
+    for name, weight in whole.named_parameters():
+        if not torch.isfinite(weight).all():
+            raise PolicyError(
+                f"the module's weights {name} hold NaN or infinity: its training diverged: train "
+                "anew, for instance with a lower learning rate, or save an earlier state"
+            )
+
+
 def _check(whole: torch.nn.Module, example: tuple[torch.Tensor, ...]) -> None:
     """Run the module once; PolicyError unless it gives an action (1, 2) and the same states."""
     try:
@@ -192,6 +203,8 @@ def _check(whole: torch.nn.Module, example: tuple[torch.Tensor, ...]) -> None:
     action, *after = given if isinstance(given, tuple) else (given,)
     if action.shape != (1, 2):
         raise PolicyError(f"the module gives shape {tuple(action.shape)}: must be (batch, 2)")
+    if not torch.isfinite(action).all():
+        raise PolicyError(f"the module gives {action[0].tolist()} for an observation of zeros")
     if [one.shape for one in after] != [one.shape for one in example[1:]]:
         shapes = [tuple(one.shape) for one in after]
         raise PolicyError(f"the module gives states of shape {shapes}: must be as they came in")

@@ -8,6 +8,7 @@ This script doesn't import acsar_gym, as that would take longer than the trial i
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -16,6 +17,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+# onnxruntime 1.29 and later look at this when they are imported. Without it they tell their maker
+# what they run, and keep an id of this computer in the user's cache folder.
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 MEMORY = 300_000_000
 """Memory limit of a network [bytes]."""

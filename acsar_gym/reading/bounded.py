@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import contextlib
 import os
+import secrets
+import shutil
 import stat
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,6 +20,8 @@ FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 """Flags for opening; non-blocking, as a pipe may replace the file after it was checked."""
 CHUNK = 1 << 20
 """Bytes read by one system call."""
+STREAMS = ("/dev/std", "/dev/fd/", "/proc/")
+"""Names of what the program has open already: the shell's "> FILE" must not be replaced."""
 
 
 def read(path: Path, limit: int, error: type[AcsarError] = ConfigError) -> bytes:
@@ -82,8 +86,8 @@ def opened(path: Path, limit: int, error: type[AcsarError] = ConfigError) -> Ite
         raise error(f"{shortened(str(path))}: can't be read: {reason(problem)}") from None
 
 
-def write(path: Path, data: bytes, error: type[AcsarError] = ConfigError) -> None:
-    """Write a file.
+def write_atomically(path: Path, data: bytes, error: type[AcsarError] = ConfigError) -> None:
+    """Write a file so that it is either whole, or what it was before; see `replacing`.
 
     Args:
         path: the file.
@@ -94,10 +98,52 @@ def write(path: Path, data: bytes, error: type[AcsarError] = ConfigError) -> Non
         AcsarError: as `error`, if it can't be written, or is a pipe that nobody reads.
     """
     try:
-        with open(path, "wb", opener=opener) as file:
+        with replacing(path) as new, open(new, "wb", opener=opener) as file:
             file.write(data)
     except (OSError, ValueError) as problem:
         raise error(f"{shortened(str(path))}: can't be written: {reason(problem)}") from None
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Replace a file atomically, as a context manager: the old one stays until the block ends.
+
+    So a full disk, a signal or a power failure leaves the old file or the new one, never half of
+    it. The new file keeps the old one's permissions and, where the system allows it, its owner.
+    Links stay links to it. Devices and pipes can't be replaced: they are written in place.
+
+    Args:
+        path: the file.
+
+    Yields:
+        The path to write to: an empty file in the same folder, of the same kind by its suffix.
+
+    Raises:
+        OSError: it can't be replaced, as it is write-protected or its folder can't be written.
+    """
+    try:
+        before = os.stat(path)  # noqa: PTH116 - follows links without resolving them
+    except FileNotFoundError:
+        before = None
+    if before and (not stat.S_ISREG(before.st_mode) or str(path).startswith(STREAMS)):
+        yield path
+        return
+    place = Path(os.path.realpath(path))
+    if before:
+        os.close(os.open(place, os.O_WRONLY))  # raises where it is write-protected
+    new = place.with_name(f".{place.stem[:32]}-{secrets.token_hex(4)}{place.suffix}")
+    os.close(os.open(new, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+    try:
+        if before:
+            with contextlib.suppress(PermissionError, AttributeError):  # Windows has no owners
+                shutil.chown(new, before.st_uid, before.st_gid)
+            new.chmod(stat.S_IMODE(before.st_mode))
+        yield new
+        with new.open("ab") as file:
+            os.fsync(file.fileno())
+        new.replace(place)
+    finally:
+        new.unlink(missing_ok=True)
 
 
 def opener(path: str, flags: int) -> int:

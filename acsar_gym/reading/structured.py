@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections.abc import Iterator
 from typing import Any
 
 import yaml
@@ -72,7 +73,8 @@ def from_yaml(text: str, error: type[AcsarError] = ConfigError, most: int = MOST
     """
     depth = 0
     try:
-        for count, event in enumerate(yaml.parse(text, Loader=_Loader)):
+        events: Iterator[Any] = yaml.parse(text, Loader=_Loader)
+        for count, event in enumerate(events):
             depth += isinstance(event, yaml.CollectionStartEvent)
             depth -= isinstance(event, yaml.CollectionEndEvent)
             where = f"line {event.start_mark.line + 1}" if event.start_mark else "end"

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.errors import ConfigError, MissingExtraError, RecordingWarning, shown
-from acsar_gym.reading.bounded import reason
+from acsar_gym.reading.bounded import reason, replacing
 from acsar_gym.recording.reader import read
 from acsar_gym.recording.types import Episode, Recording
 from acsar_gym.recording.wire_log import Floats
@@ -150,7 +150,7 @@ def _numbered(prefix: str, rows: NDArray[Any]) -> Columns:
 def _csv(path: Path, columns: Columns) -> Path:
     """Write a table as CSV."""
     path = path.with_suffix(".csv")
-    with path.open("w", newline="", encoding="utf-8") as file:
+    with replacing(path) as new, new.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(columns)
         writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
@@ -165,7 +165,8 @@ def _parquet(path: Path, columns: Columns) -> Path:
     except ImportError:
         raise MissingExtraError("export to Parquet", "export") from None
     path = path.with_suffix(".parquet")
-    parquet.write_table(pa.table(columns), path)
+    with replacing(path) as new:
+        parquet.write_table(pa.table(columns), new)
     return path
 
 

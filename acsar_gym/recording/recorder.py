@@ -154,12 +154,14 @@ class Recorder:
 
     def _has_room(self) -> bool:
         """Whether there is room; for a simulation once the writer has caught up."""
-        writer, due = self._writer, time.monotonic() + PATIENCE
-        while self._waits and writer is not None and writer.is_alive():
+        writer = self._writer
+        for _ in range(int(PATIENCE / WAIT) if self._waits else 0):
+            if writer is None or not writer.is_alive():
+                return False
             if len(self._queue) < self._capacity:
                 return True
-            self._waits = time.monotonic() < due  # a disk that doesn't answer
             time.sleep(WAIT)
+        self._waits = False  # a disk that doesn't answer
         return False
 
     @property

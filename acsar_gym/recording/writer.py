@@ -21,8 +21,10 @@ BREATH = 0.0002
 """How long it lets others run after each piece [s]."""
 FLUSH = 0.5
 """How often what was written is made safe from crashes [s]."""
-CLOSE = 10.0
-"""Longest wait for the writer at the end [s]."""
+HANG_WAIT = 1.0
+"""How often the end looks whether the writer makes progress [s]."""
+HANG_WAITS = 10
+"""A writer that has made none in so many looks hangs; a program that was stopped loses only one."""
 
 
 class Sink(Protocol):
@@ -60,6 +62,8 @@ class Writer(threading.Thread):
         self._encoder = encoder
         self._sinks = sinks
         self._error: Exception | None = None
+        self._progress = 0
+        self._hangs = False
         self._ending = threading.Event()
 
     def run(self) -> None:
@@ -76,22 +80,23 @@ class Writer(threading.Thread):
             sink.abandon()
 
     def finish(self) -> None:
-        """Write what waits, and end; a writer that hangs is left alone after a while."""
+        """Write what waits, and end, however long it takes; one that hangs is left to itself."""
         self._ending.set()
-        self.join(CLOSE)
-        if self.is_alive():
-            self._guarded(self._hung)
+        looks = 0
+        while self.is_alive() and looks < HANG_WAITS:
+            before = self._progress
+            self.join(HANG_WAIT)
+            looks = looks + 1 if self._progress == before else 0
+        self._hangs = self.is_alive()
 
     @property
     def problem(self) -> str | None:
         """Why writing has failed; None where it hasn't."""
         if self._error is None:
-            return None
+            hung = f"can't be written: writing has hung for {HANG_WAIT * HANG_WAITS:g} s"
+            return f"{hung}; what waits is lost if the program ends now" if self._hangs else None
         why = bounded.reason(self._error)
         return f"can't be written: {why}; what follows isn't recorded"
-
-    def _hung(self) -> None:
-        raise TimeoutError(f"writing has hung for {CLOSE:g} s")
 
     def _empty(self) -> None:
         """Write what waits in the queue now, piece by piece."""
@@ -105,6 +110,7 @@ class Writer(threading.Thread):
         for message in self._encoder.encode(events, self.dropped):
             for sink in self._sinks:
                 sink.add(message)
+            self._progress += 1
 
     def _flush(self) -> None:
         for sink in self._sinks:
@@ -119,5 +125,6 @@ class Writer(threading.Thread):
         if self._error is None:
             try:
                 work(*arguments)
+                self._progress += 1
             except Exception as error:  # noqa: BLE001 - told by `problem`; the robot drives on
                 self._error = error

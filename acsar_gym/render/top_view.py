@@ -253,7 +253,7 @@ def save(image: Image, path: str | Path) -> None:
     """Write a picture as PNG; ConfigError for another suffix, or if it can't be written."""
     path = Path(path)
     check_name(path)
-    bounded.write(path, encode(image))
+    bounded.write_atomically(path, encode(image))
 
 
 def check_name(path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -38,27 +38,32 @@ def write(path: Path, images: Iterable[Image], rate: float) -> None:
         rate: pictures per second.
 
     Raises:
-        ConfigError: the file can't be written, as on a full disk; nothing is left of it then.
+        ConfigError: the file can't be written, as on a full disk; what was there before stays.
         MissingExtraError: moviepy isn't installed.
     """
     writer_of, pictures = library(), iter(images)
     first = next(pictures)
-    bounded.write(path, b"")  # ffmpeg's own message would be longer
+    try:
+        with bounded.replacing(path) as new:
+            _encode(writer_of, new, first, pictures, rate)
+    except OSError as error:
+        raise _failed(path, error.strerror or str(error)) from None
+
+
+def _encode(
+    writer_of: Any, path: Path, first: Image, pictures: Iterator[Image], rate: float
+) -> None:
+    """Encode pictures; OSError where ffmpeg can't."""
     height, width = first.shape[:2]
     options = {"preset": "veryfast", "ffmpeg_params": ["-movflags", "+faststart"], "threads": 1}
-    try:
-        writer = writer_of(str(path), (width, height), rate, **options)
-        process = writer.proc
-        with contextlib.closing(writer):
-            writer.write_frame(first)
-            for image in pictures:
-                writer.write_frame(np.ascontiguousarray(image))
-    except OSError as error:
-        path.unlink(missing_ok=True)
-        raise _failed(path, str(error)) from None
+    writer = writer_of(str(path), (width, height), rate, **options)
+    process = writer.proc
+    with contextlib.closing(writer):
+        writer.write_frame(first)
+        for image in pictures:
+            writer.write_frame(np.ascontiguousarray(image))
     if process.returncode:
-        path.unlink(missing_ok=True)
-        raise _failed(path, "ffmpeg couldn't finish it")
+        raise OSError(0, "ffmpeg couldn't finish it")
 
 
 def _failed(path: Path, why: str) -> ConfigError:

@@ -1,14 +1,16 @@
 """Emergency stop from another terminal, by sockets in folders that only their owner can use.
 
 Every process that drives a real robot has such sockets, and its control loop reads them once a
-tick. A datagram stops its robots, and is answered when they have been stopped. This module imports
-the standard library only, so that `acsar-gym estop` acts at once.
+tick, and while it waits for its port and board. A datagram stops its robots, and is answered when
+they have been stopped. From then on nothing in that process drives, whatever it resets, opens or
+makes anew, until a person releases it. This module imports the standard library only, so that
+`acsar-gym estop` acts at once.
 """
 
 from __future__ import annotations
 
+import atexit
 import contextlib
-import itertools
 import os
 import re
 import select
@@ -18,20 +20,29 @@ import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
-from acsar_gym.errors import LinkError, SafetyWarning
+from acsar_gym.errors import EmergencyStopError, LinkError, SafetyWarning
 from acsar_gym.safety.estop_folders import folders
 
 ANSWER = 2.0
 """How long a stop waits for answers [s]; a control loop answers within a tick."""
 STOP = b"stop"
 """Request to stop, or to stop the robot whose name follows; also the answer that it stopped."""
+HELD = b"held"
+"""Answer to a stop: no robot is connected, and none will be driven."""
+RELEASE = b"release"
+"""Request to release stops, or that of the robot whose name follows; also the answer that it is."""
+FREE = b"free"
+"""Answer to a release: there was no stop."""
 WHO = b"who"
 """Request to tell the names of the robot."""
 OTHER = b"other"
 """Beginning of the answer of a robot that wasn't meant, or was asked for its names."""
 LONGEST_REQUEST = 8192
 """Most bytes of a request or an answer."""
+MOST_LISTENERS = 1000
+"""Listeners of processes with one id."""
 MOST_REQUESTS = 8
 """Requests that are read in one tick."""
 
@@ -42,7 +53,18 @@ class Stopped:
 
     process: int
     answered: bool
-    """Whether it confirmed that its wheels were commanded to stop."""
+    """Whether it confirmed that it stopped."""
+    connected: bool = True
+    """Whether that commanded wheels to stop; False where no robot was connected."""
+
+
+@dataclass(frozen=True, slots=True)
+class Released:
+    """The result of a release for one process that drives a robot."""
+
+    process: int
+    answered: bool
+    was_stopped: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,13 +88,19 @@ class StopListener:
     Where no socket can be opened nothing is received, and `unavailable` says why: a robot must be
     drivable on a computer without such sockets, and Ctrl-C stops it everywhere.
 
-    Attributes: `paths`, the addresses; `faults`, the errors of folders that can't be used.
+    After a stop it stays open until the release, even where its robot is closed meanwhile.
+
+    Attributes: `paths`, the addresses; `faults`, the errors of folders that can't be used;
+    `closed`, whether its robot is; `held`, all listeners of this process that were stopped and
+    aren't released.
 
     Args:
         device: Of the robot that is stopped.
         name: Of the robot.
         recording: File that it is recorded to.
     """
+
+    held: ClassVar[list[StopListener]] = []
 
     def __init__(self, device: str = "", name: str = "", recording: str = "") -> None:
         self._told = b"\t".join((OTHER, *map(os.fsencode, (device, name, recording))))
@@ -83,9 +111,12 @@ class StopListener:
         self.paths: list[Path] = []
         self._process = os.getpid()
         self._askers: list[tuple[socket.socket, str]] = []
+        self.closed = False
         usable, self.faults = folders()
         own = _free_name(usable)
-        for folder in usable:
+        if not own:
+            self.faults += [LinkError(f"{one}: no socket", "make it yours") for one in usable]
+        for folder in usable if own else ():
             path = folder / own
             try:
                 self._sockets.append(_bound(path))
@@ -105,7 +136,6 @@ class StopListener:
 
     def is_requested(self) -> bool:
         """Whether a stop of this robot has been requested; doesn't block."""
-        self._askers = []
         for each in self._sockets if self._process == os.getpid() else ():
             with contextlib.suppress(OSError):  # no datagram
                 for _ in range(MOST_REQUESTS):
@@ -115,20 +145,56 @@ class StopListener:
     def _hear(self, own: socket.socket, data: bytes, sender: str) -> None:
         """Take a request, and answer it at once where it isn't a stop of this robot."""
         request, _, names = data.partition(b" ")
-        if data == STOP or (request == STOP and self._names & set(names.split(b"\0"))):
+        is_meant = not names or not self._names.isdisjoint(names.split(b"\0"))
+        if request == STOP and is_meant:
+            self.hold()
             self._askers.append((own, sender))
-        elif request in (STOP, WHO):
-            with contextlib.suppress(OSError, TypeError):
-                own.sendto(self._told, sender)
+        elif request == RELEASE and is_meant:
+            self._answer(own, RELEASE if self in self.held else FREE, sender)
+            self.release()
+        elif request in (STOP, RELEASE, WHO):
+            self._answer(own, self._told, sender)
 
-    def confirm(self) -> None:
-        """Answer the requests: the wheels have been commanded to stop."""
-        for each, sender in self._askers:
-            with contextlib.suppress(OSError, TypeError):  # ended, or its socket has no address
-                each.sendto(STOP, sender)
+    def confirm(self, *, connected: bool = True) -> None:
+        """Answer the requests for a stop.
+
+        Args:
+            connected: whether wheels have been commanded to stop; else there is no robot.
+        """
+        for own, sender in self._askers:
+            self._answer(own, STOP if connected else HELD, sender)
+        self._askers = []
+
+    @staticmethod
+    def _answer(own: socket.socket, data: bytes, sender: str) -> None:
+        with contextlib.suppress(OSError, TypeError):  # ended, or its socket has no address
+            own.sendto(data, sender)
+
+    def hold(self) -> None:
+        """Let nothing in this process drive before the release."""
+        if self not in self.held:
+            self.held.append(self)
+
+    def release(self) -> None:
+        """Let this process drive again, after its next reset, unless another robot's stop holds."""
+        # What a fork has inherited can't be reached by name, so that it goes along.
+        own = os.getpid()
+        self.held[:] = [one for one in self.held if one is not self and one._process == own]  # noqa: SLF001
+        if self.closed:
+            self._close()
 
     def close(self) -> None:
-        """Close the sockets; idempotent. A forked child doesn't remove its parent's sockets."""
+        """Close the sockets, after a stop once it is released; idempotent.
+
+        A forked child doesn't remove its parent's sockets.
+        """
+        self.closed = True
+        if self.is_requested():
+            self.confirm(connected=False)
+        if self not in self.held:
+            self._close()
+
+    def _close(self) -> None:
         sockets, self._sockets = self._sockets, []
         for each, path in zip(sockets, self.paths, strict=True):
             each.close()
@@ -146,13 +212,40 @@ class StopListener:
             self.close()
 
 
+def check_released() -> None:
+    """Check that no stop holds this process.
+
+    Raises:
+        EmergencyStopError: one does; a person has to release it.
+    """
+    for each in StopListener.held.copy():
+        if each.is_requested() and each.closed:  # else its robot answers, once it has stopped
+            each.confirm(connected=False)
+    if StopListener.held:
+        raise EmergencyStopError
+
+
+def release_process() -> None:
+    """Release all stops of this process."""
+    for each in StopListener.held.copy():
+        each.release()
+
+
+@atexit.register
+def _leave() -> None:
+    """Remove the sockets of stopped robots; nothing is released, as threads may go on driving."""
+    for each in StopListener.held:
+        each._close()  # noqa: SLF001
+
+
 def _free_name(usable: list[Path]) -> str:
     """A name with this process's id at which nobody listens in any of the folders.
 
-    Processes in containers that share a folder can have the same id.
+    Processes in containers that share a folder can have the same id. Empty where there is none, as
+    in a folder of the real user after a change of the effective one.
     """
-    names = (f"{os.getpid()}-{number}" for number in itertools.count(1))
-    return next(name for name in names if not any(_is_taken(path / name) for path in usable))
+    names = (f"{os.getpid()}-{number}" for number in range(1, MOST_LISTENERS + 1))
+    return next((name for name in names if not any(_is_taken(path / name) for path in usable)), "")
 
 
 def _is_taken(path: Path) -> bool:
@@ -195,11 +288,37 @@ def stop_all(name: str = "", process: int = 0) -> list[Stopped]:
     Raises:
         LinkError: no folder can be used.
     """
+    return [
+        Stopped(number, answer in (STOP, HELD), answer != HELD)
+        for number, answer in _asked_by_name(STOP, name, process)
+    ]
+
+
+def release_all(name: str = "") -> list[Released]:
+    """Release the stops of processes of this user, which may drive again after their next reset.
+
+    Args:
+        name: as for `stop_all`.
+
+    Returns:
+        One result for each process, by process id, without those that drive another robot.
+
+    Raises:
+        LinkError: no folder can be used.
+    """
+    return [
+        Released(number, answer in (RELEASE, FREE), answer == RELEASE)
+        for number, answer in _asked_by_name(RELEASE, name)
+    ]
+
+
+def _asked_by_name(request: bytes, name: str, process: int = 0) -> list[tuple[int, bytes]]:
+    """Send a request; process ids and answers of those that were meant, b"" for no answer."""
     real = os.path.realpath(name) if "/" in name else name
-    request = STOP + (b" " + os.fsencode(name) + b"\0" + os.fsencode(real) if name else b"")
-    found = _asked(request, process)
+    names = b" " + os.fsencode(name) + b"\0" + os.fsencode(real) if name else b""
+    found = _asked(request + names, process)
     meant = {path: answer for path, answer in found.items() if not answer.startswith(OTHER)}
-    return [Stopped(_process(path), meant[path] == STOP) for path in sorted(meant, key=_process)]
+    return [(_process(path), meant[path]) for path in sorted(meant, key=_process)]
 
 
 def drivers() -> list[Driver]:
@@ -296,5 +415,7 @@ def _answers(askers: list[socket.socket], asked: set[str]) -> dict[str, bytes]:
         for asker in ready:
             with contextlib.suppress(OSError, TypeError):
                 answer, sender = asker.recvfrom(LONGEST_REQUEST)
-                found[Path(sender).name] = answer
+                if answer != FREE:  # of two sockets of one listener, the other was asked first
+                    found.pop(Path(sender).name, None)
+                found.setdefault(Path(sender).name, answer)
     return found

@@ -9,15 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import numpy as np
-
 from acsar_gym import kinematics
 from acsar_gym.config import Geofence, RobotConfig
 from acsar_gym.errors import CommandError, LinkError
-from acsar_gym.jit import COMPILED
+from acsar_gym.jit import record_of
 from acsar_gym.protocol import ZERO, Speeds, finite
 from acsar_gym.safety import rules
-from acsar_gym.safety.rules import Reason
+from acsar_gym.safety.rules import Memory, Reason
 from acsar_gym.worlds import Pose
 
 Twist = tuple[float, float]
@@ -28,14 +26,14 @@ class Safety:
 
     def __init__(self, config: RobotConfig) -> None:
         self._rules = rules.of(config)
-        self._numbers = block(rules.flat(self._rules))
-        self._memory = block([0.0] * rules.NUMBERS)
+        self._numbers = record_of(self._rules)
+        self._memory = record_of(Memory(), changes=True)
         self._speeds: Speeds = ZERO
         self.reset()
 
     def reset(self) -> None:
         """Begin an episode: nothing has been sent, and all stops are cleared."""
-        self._memory[0] = 0.0
+        self._memory["latched"] = 0.0
         self.halt(Reason.NONE)
         self.allowed(0.0, 0.0, (0.0, 0.0, 0.0), 0.0)  # loads compiled code before driving
         rules.hold(0.0, 0.0, 0.0, self._memory, self._numbers)  # and that of `bounded`
@@ -43,17 +41,19 @@ class Safety:
     def fence(self, area: Geofence | None) -> None:
         """Replace the geofence, before an episode; None for no limit."""
         at = area or Geofence()
-        self._rules = self._rules._replace(fence=(at.min_x, at.max_x, at.min_y, at.max_y))
-        self._numbers = block(rules.flat(self._rules))
+        self._rules = self._rules._replace(
+            min_x=at.min_x, max_x=at.max_x, min_y=at.min_y, max_y=at.max_y
+        )
+        self._numbers = record_of(self._rules)
 
     def estop(self) -> None:
         """Hold the wheels at zero from now until the reset."""
-        self._memory[0] = float(Reason.EMERGENCY_STOP)
+        self._memory["latched"] = float(Reason.EMERGENCY_STOP)
 
     @property
     def stopped(self) -> bool:
         """Whether the robot is held until the reset."""
-        return self._memory[0] > 0.0
+        return bool(self._memory["latched"][0] > 0.0)
 
     def check(self, elapsed: float) -> None:
         """Check that the robot isn't held until the reset; `elapsed` [s] since the start is told.
@@ -63,7 +63,8 @@ class Safety:
         """
         if not self.stopped:
             return
-        why = "an emergency stop" if self._memory[0] == Reason.EMERGENCY_STOP else "the geofence"
+        stopped = self._memory["latched"][0] == Reason.EMERGENCY_STOP
+        why = "an emergency stop" if stopped else "the geofence"
         fix = "start again when it is safe"
         if why == "the geofence":
             fix = "start farther inside, or change geofence in the robot's file"
@@ -72,12 +73,12 @@ class Safety:
     @property
     def sent(self) -> Twist:
         """The twist sent last: linear [m/s], angular [rad/s]."""
-        return float(self._memory[rules.SENT]), float(self._memory[rules.SENT + 1])
+        return float(self._memory["sent_linear"][0]), float(self._memory["sent_angular"][0])
 
     @property
     def reason(self) -> Reason:
         """Why `sent` differs from the twist that was asked for."""
-        return Reason(int(self._memory[1]))
+        return Reason(int(self._memory["reason"][0]))
 
     def halt(self, reason: Reason) -> Speeds:
         """Set the wheels to zero at once; acceleration limits don't apply to stops.
@@ -88,9 +89,14 @@ class Safety:
         Returns:
             Four wheel speeds of zero.
         """
-        self._memory[1:] = [float(reason)] + [0.0] * (rules.NUMBERS - 2)
+        self._remember(Memory(reason=reason))
         self._speeds = ZERO
         return ZERO
+
+    def _remember(self, memory: Memory) -> None:
+        """Set all but `latched`, which an emergency stop may set at any time."""
+        for name, value in zip(Memory._fields[1:], memory[1:], strict=True):
+            self._memory[name] = value
 
     def allowed(self, linear: float, angular: float, pose: Pose, feedback_age: float) -> Speeds:
         """Compute the wheel speeds that may be sent in this tick for a wanted twist.
@@ -146,9 +152,9 @@ class Safety:
         )
         a, b, c, d = share * a, share * b, share * c, share * d
         limited = 0.0 if share * top == 1.0 else float(Reason.LIMITS)
-        twist = [share * linear, share * angular]
+        twist = share * linear, share * angular
         sent = kinematics.twist(a, b, c, d, *radii, own.separation)
-        self._memory[1:] = [limited, *twist, *twist, *sent]
+        self._remember(Memory(0.0, limited, *twist, *twist, *sent))
         self._speeds = ZERO
         return a, b, c, d
 
@@ -164,11 +170,6 @@ class Safety:
             left_wheel_radius_multiplier=own.left_radius,
             right_wheel_radius_multiplier=own.right_radius,
         )
-
-
-def block(numbers: list[float]) -> list[float]:
-    """Numbers in the form that `rules.tick` reads fastest: an array with numba, else a list."""
-    return np.array(numbers) if COMPILED else numbers  # type: ignore[return-value]
 
 
 def _share(value: float, low: float, high: float) -> float:

@@ -6,13 +6,12 @@ everything that they need of the robot's configuration.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from acsar_gym import kinematics
 from acsar_gym.config import Geofence, RobotConfig
-from acsar_gym.jit import jit
+from acsar_gym.jit import jit, loop
 from acsar_gym.safety import limiter
 from acsar_gym.safety.limiter import Limits, limited
 
@@ -38,7 +37,7 @@ class Reason(IntEnum):
     STALE_FEEDBACK = 3
     """The feedback is too old; holds until a new line comes."""
     EMERGENCY_STOP = 4
-    """An emergency stop; holds until the next reset."""
+    """An emergency stop; holds until it is released and the robot is reset."""
 
 
 _LIMITS, _GEOFENCE, _STALE = 1.0, 2.0, 3.0
@@ -54,8 +53,11 @@ class Rules(NamedTuple):
     """Whether only the speeds of a full action limit a twist."""
     linear: Limits
     angular: Limits
-    fence: tuple[float, float, float, float]
-    """Least and largest x, least and largest y [m]; infinite where there is no geofence."""
+    min_x: float
+    """Least x within the geofence [m]; this and the next three are infinite without one."""
+    max_x: float
+    min_y: float
+    max_y: float
     stale: float
     """Feedback older than this stops the wheels [s]."""
     timeout: float
@@ -80,7 +82,10 @@ def of(config: RobotConfig) -> Rules:
         free=limiter.free(config),
         linear=linear,
         angular=angular,
-        fence=(fence.min_x, fence.max_x, fence.min_y, fence.max_y),
+        min_x=fence.min_x,
+        max_x=fence.max_x,
+        min_y=fence.min_y,
+        max_y=fence.max_y,
         stale=STALE_SHARE * config.feedback_timeout,
         timeout=config.feedback_timeout,
         left_radius=left_radius,
@@ -105,6 +110,10 @@ class Memory(NamedTuple):
     """Linear part of the twist before it [m/s]."""
     past_angular: float = 0.0
     """Angular part of the twist before it [rad/s]."""
+    sent_linear: float = 0.0
+    """Linear velocity of the wheel speeds that were sent [m/s]; kept for a single robot."""
+    sent_angular: float = 0.0
+    """Its angular velocity [rad/s]."""
 
 
 @jit
@@ -121,8 +130,7 @@ def held(memory: Memory, x: float, y: float, age: float, rules: Rules) -> tuple[
     Returns:
         The reason that holds until the reset, and the one that holds in this tick; 0 for none.
     """
-    low_x, high_x, low_y, high_y = rules.fence
-    inside = (low_x <= x) & (x <= high_x) & (low_y <= y) & (y <= high_y)
+    inside = (rules.min_x <= x) & (x <= rules.max_x) & (rules.min_y <= y) & (y <= rules.max_y)
     latched = memory.latched if inside or memory.latched > 0.0 else _GEOFENCE
     stale = _STALE if age > rules.stale + SLACK else 0.0
     return latched, (latched if latched > 0.0 else stale)
@@ -157,6 +165,8 @@ def allowed(
         0.0 if stands else turn,
         0.0 if stands else memory.linear,
         0.0 if stands else memory.angular,
+        memory.sent_linear,
+        memory.sent_angular,
     )
 
 
@@ -164,15 +174,15 @@ def allowed(
 def _within(wanted: float, last: float, before: float, axis: Limits, rules: Rules) -> float:
     """The velocity of one axis that may follow the last two."""
     if rules.free:
-        return min(max(wanted, axis[0]), axis[1])
+        return min(max(wanted, axis.min_velocity), axis.max_velocity)
     return limited(wanted, last, before, rules.period, axis)
 
 
 @jit
-def wheels(memory: Memory, rules: Rules) -> tuple[float, float]:
-    """Speeds of the right and the left wheels for the newest twist [rad/s]."""
+def wheels(linear: float, angular: float, rules: Rules) -> tuple[float, float]:
+    """Speeds of the right and the left wheels for a twist [rad/s]."""
     left, right = rules.left_radius, rules.right_radius
-    return _sides(memory.linear, memory.angular, left, right, rules.separation, rules.top)
+    return _sides(linear, angular, left, right, rules.separation, rules.top)
 
 
 @jit
@@ -198,72 +208,39 @@ def told(
     return ahead, turn, (reason if reason > 0.0 else (0.0 if same else _LIMITS))
 
 
+@jit
 def silent(age: float, rules: Rules) -> bool:
-    """Whether feedback of this age [s] ends the episode. Not compiled here; the kernel does it."""
+    """Whether feedback of this age [s] ends the episode."""
     return age > rules.timeout + SLACK
 
 
-# For a single robot: passing two arrays to numba takes a fifth of the time of named tuples.
-
-SENT = len(Memory._fields)
-"""Index of the twist that was sent in the memory of one robot; the fields of Memory are before
-it."""
-NUMBERS = SENT + 2
+# For a single robot, whose memory and rules are records; see `jit.record_of`.
 
 
-def flat(rules: Rules) -> list[float]:
-    """The rules' numbers as one list."""
-    first, last = (rules.period, float(rules.free)), rules[5:]
-    return [*first, *rules.linear, *rules.angular, *rules.fence, *last]
+@loop
+def hold(x: float, y: float, age: float, memory: Any, rules: Any) -> float:
+    """`held` for one robot, whose memory is changed; returns the reason of this tick."""
+    own = memory[0]
+    own.latched, own.reason = held(own, x, y, age, rules[0])
+    reason: float = own.reason
+    return reason
 
 
-@jit
-def _rules(n: Sequence[float]) -> Rules:
-    """The rules of a list of numbers that `flat` made."""
-    return Rules(
-        n[0],
-        n[1] > 0.0,
-        Limits(n[2], n[3], n[4], n[5], n[6], n[7], n[8], n[9]),
-        Limits(n[10], n[11], n[12], n[13], n[14], n[15], n[16], n[17]),
-        (n[18], n[19], n[20], n[21]),
-        n[22],
-        n[23],
-        n[24],
-        n[25],
-        n[26],
-        n[27],
-    )
-
-
-@jit
-def hold(x: float, y: float, age: float, memory: list[float], numbers: Sequence[float]) -> float:
-    """`held` for one robot, whose memory is changed in place; returns the reason of this tick."""
-    before = Memory(memory[0], memory[1], memory[2], memory[3], memory[4], memory[5])
-    memory[0], memory[1] = held(before, x, y, age, _rules(numbers))
-    return memory[1]
-
-
-@jit
+@loop
 def tick(
-    linear: float,
-    angular: float,
-    x: float,
-    y: float,
-    age: float,
-    memory: list[float],
-    numbers: Sequence[float],
+    linear: float, angular: float, x: float, y: float, age: float, memory: Any, rules: Any
 ) -> tuple[float, float]:
-    """`allowed` for one robot, whose memory is changed in place.
+    """`allowed` for one robot, whose memory is changed.
 
     Returns:
         Speeds of the right and the left wheels [rad/s].
     """
-    rules = _rules(numbers)
-    before = Memory(memory[0], memory[1], memory[2], memory[3], memory[4], memory[5])
-    after = allowed(linear, angular, x, y, age, before, rules)
-    right, left = wheels(after, rules)
-    ahead, turn, reason = told(linear, angular, right, left, after.reason, rules)
-    memory[0], memory[1], memory[2], memory[3] = after.latched, reason, after.linear, after.angular
-    memory[4], memory[5] = after.past_linear, after.past_angular
-    memory[6], memory[7] = ahead, turn
+    own, numbers = memory[0], rules[0]
+    after = allowed(linear, angular, x, y, age, own, numbers)
+    right, left = wheels(after.linear, after.angular, numbers)
+    ahead, turn, reason = told(linear, angular, right, left, after.reason, numbers)
+    own.latched, own.reason = after.latched, reason
+    own.linear, own.angular = after.linear, after.angular
+    own.past_linear, own.past_angular = after.past_linear, after.past_angular
+    own.sent_linear, own.sent_angular = ahead, turn
     return right, left

@@ -20,13 +20,18 @@ DELAY = 0.25
 """Longest delay of a board whose delay wasn't measured [s]; 0.2 s, and some room."""
 SHARE = 0.5
 """A wheel must reach this share of the lowest speed that is expected."""
-FASTER = 2.0
-"""A wheel may be faster than the highest expected speed by this factor."""
+FASTER, FASTER_KNOWN = 1.4, 1.25
+"""A wheel may be faster than the highest expected speed by this factor, and one whose gain was
+measured."""
 FLOOR, FINE = 0.5, 0.25
-"""Tolerance of a slow wheel [rad/s], and of one whose deadband was measured; commands up to twice
-this aren't judged."""
-DRAGGED = 2.0
-"""Tolerance of a fast wheel [rad/s], beside the speed of the fastest one, which may drag it."""
+"""Tolerance of a slow wheel [rad/s], and of one whose deadband was measured; a wheel that is too
+slow isn't found at commands up to twice this."""
+NOISE = 0.1
+"""Least excess over the highest expected speed that counts [rad/s]. From there to the tolerance it
+counts in part, so that it must last the longer."""
+DRAGGED = 0.5
+"""A wheel may be dragged from its own speed towards that of the fastest one by this share; within
+its deadband, all the way."""
 STEADY, PROOF = 0.05, 0.3
 """Share by which a steady command may vary, and how long a wheel must turn at it as a proof [s]."""
 LEAST = 0.5
@@ -53,6 +58,7 @@ class WheelBounds:
         slow = math.inf if "acceleration" in known else RAMP
         self._ramp = min(motor.acceleration / SLOWER, slow)
         self._dead = max(SLOWER * motor.deadband, 0.0 if "deadband" in known else DEADBAND)
+        self._faster = FASTER_KNOWN if "gain" in known else FASTER
         self._floor = FLOOR
         if "deadband" in known:
             self._floor = min(FLOOR, max(FINE, config.encoder.quantum or 0.0))
@@ -77,8 +83,7 @@ class WheelBounds:
         self._constant = self._constant + passed if steady else 0.0
         top, deadband, change = self._top, self._dead, self._ramp * passed
         high, low = self.gain * high, self.gain * low
-        if high > top or high < -top or low > top or low < -top:
-            high, low = min(max(high, -top), top), min(max(low, -top), top)
+        high, low = max(high, -top), min(low, top)
         if -deadband <= high < 0.0:
             high = 0.0
         if 0.0 < low <= deadband:
@@ -94,6 +99,10 @@ class WheelBounds:
     def fastest(self) -> float:
         """Highest absolute speed that the commands can explain [rad/s]."""
         return self.high if self.high > -self.low else -self.low
+
+    def slowest(self, asked: float) -> float:
+        """Return the speed of the slowest wheel on its way to a command [rad/s]."""
+        return self.low if asked - self.low > self.high - asked else self.high
 
     def forgive(self, speed: float) -> None:
         """Also expect a wheel at this speed [rad/s], or one that stands, from now on."""
@@ -121,31 +130,39 @@ class WheelBounds:
         margin = SHARE * SHARE * self.fastest + FLOOR
         return self.low - margin <= speed <= self.high + margin
 
-    def lack(self, speed: float, fastest: float) -> float:
-        """Return what a speed lacks to agree with the commands [rad/s], with sign; 0 if it does.
+    def lack(self, speed: float) -> float:
+        """Return what a speed [rad/s] lacks to agree with the commands, with sign; 0 if it does.
 
-        Args:
-            speed: Measured [rad/s].
-            fastest: Highest absolute speed that any wheel can have [rad/s].
+        That it is too fast is `excess`'s affair.
         """
         if self.low > 0.0 and speed < SHARE * self.low - self._floor:
             return self.low - speed
         if self.high < 0.0 and speed > SHARE * self.high + self._floor:
             return self.high - speed
-        own = self.fastest
         away = self.low >= 0.0 > speed or self.high <= 0.0 < speed
-        if away and own > 2.0 * FLOOR and not self.explains(speed):
-            return -speed
-        most = FASTER * own + fastest + DRAGGED
-        return -speed if fastest > 2.0 * FLOOR and not -most <= speed <= most else 0.0
+        return -speed if away and self.fastest > 2.0 * FLOOR and not self.explains(speed) else 0.0
 
-    def judge(self, lack: float | None, speed: float, passed: float) -> float:
+    def excess(self, speed: float, lowest: float, highest: float) -> float:
+        """Return how much too fast a wheel is, as a share of its tolerance; 0 to 1.
+
+        Args:
+            speed: Measured [rad/s].
+            lowest: Lowest speed that any wheel can have [rad/s].
+            highest: Highest one.
+        """
+        own, other = (self.high, highest) if speed > 0.0 else (-self.low, -lowest)
+        own += (DRAGGED if self.fastest > self._dead else 1.0) * (other - own)
+        excess = abs(speed) - self._faster * own - NOISE
+        return min(max(excess / (self._floor - NOISE), 0.0), 1.0)
+
+    def judge(self, lack: float | None, speed: float, passed: float, share: float = 1.0) -> float:
         """Note what a speed lacks; a wheel that moves towards its command isn't wrong.
 
         Args:
             lack: What it lacks [rad/s], with sign; None where that isn't known now.
             speed: Measured [rad/s].
             passed: Time since the last call [s].
+            share: Of this time that counts, 0 to 1.
 
         Returns:
             For how long the wheel has been wrong [s].
@@ -156,7 +173,7 @@ class WheelBounds:
             return self.wrong
         moved = math.copysign(moved, moved * lack)
         if lack and moved < LEAST * min(self._ramp, abs(lack) / (self._lag or passed)) * passed:
-            self.wrong += passed
+            self.wrong += share * passed
         elif self.wrong:
             self.wrong = max(0.0, self.wrong - passed)
         return self.wrong

@@ -8,19 +8,19 @@ several times as fast.
 
 Wheels are also compared, which needs no model: one that stands, or turns the other way, while
 another turns at the same command is wrong, whatever the deadband. A wheel that moves towards its
-command isn't wrong. Where a contradiction lasts, `WheelWatch.tick` raises WheelError.
+command isn't wrong. And so are the sides: a robot that turns left at commands that all turn it
+right has them swapped. Where a contradiction lasts, `WheelWatch.tick` raises WheelError.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
 
 from acsar_gym.config import BITS_PER_BYTE, LINE_BYTES, RobotConfig
 from acsar_gym.errors import WheelError
 from acsar_gym.protocol import WHEELS, ZERO, Speeds
-from acsar_gym.safety.wheel_bounds import WheelBounds, longest_delay, longest_lag
+from acsar_gym.safety.wheel_bounds import FLOOR, WheelBounds, longest_delay, longest_lag
 
 STILL = 0.2
 """A wheel slower than this stands still, for messages [rad/s]."""
@@ -36,6 +36,11 @@ GAP = 0.05
 """Longest time without a new line in which the board can't have stopped its wheels [s]."""
 SHORTEST, LONGEST = 0.16, 0.2
 """Bounds of how long a contradiction must last [s]."""
+UNEVEN = 0.125
+"""Sides that answer at different rates turn a sound robot by up to this share of the speed by which
+its wheels are still to change."""
+MIRRORED = (1, 0, 3, 2)
+"""Numbers of the wheels on the other side."""
 SLACK = 1e-9
 """Tolerance for comparing sums of periods [s]."""
 
@@ -58,17 +63,20 @@ class WheelWatch:
         delay += longest_delay(config)
         self._patience = min(max(SHORTEST, longest_lag(config) + LOOK), LONGEST)
         self._wheels = [WheelBounds(config, n) for n in range(len(WHEELS))]
+        self._turn = WheelBounds(config, 0)
         self._looks = max(2, math.ceil(delay / self._look))
         self.reset()
 
     def reset(self) -> None:
         """Begin anew, with wheels that stand."""
-        self._asked = deque([(ZERO, ZERO)] * self._looks, self._looks)
-        self._last = self._most = self._least = ZERO
+        still: tuple[float, ...] = *ZERO, 0.0  # of the wheels, and the turn
+        self._last = ZERO
+        self._most = self._least = still
+        self._asked = deque([(still, still)] * self._looks, self._looks)
         self._since_look = self._since_line = 0.0
         self._paired = self._looks
-        for wheel in self._wheels:
-            wheel.reset()
+        for bounds in (*self._wheels, self._turn):
+            bounds.reset()
 
     def tick(self, sent: Speeds, measured: Speeds, dt: float, *, fresh: bool) -> None:
         """Take command and feedback of one control period.
@@ -84,8 +92,9 @@ class WheelWatch:
         """
         if sent is not self._last:
             self._last = sent
-            self._most = _each(max, self._most, sent)
-            self._least = _each(min, self._least, sent)
+            asked = *sent, _turn_of(sent)
+            self._most = tuple(map(max, self._most, asked))
+            self._least = tuple(map(min, self._least, asked))
             if sent[0] != sent[3] or sent[1] != sent[2]:
                 self._paired = -1
         self._since_look += dt
@@ -101,26 +110,48 @@ class WheelWatch:
 
     def _forgive(self, measured: Speeds) -> None:
         """After a gap, expect what is measured, and wheels that the board stopped meanwhile."""
-        self._most, self._least = _each(max, self._most, ZERO), _each(min, self._least, ZERO)
+        self._most = tuple(max(asked, 0.0) for asked in self._most)
+        self._least = tuple(min(asked, 0.0) for asked in self._least)
         for wheel, speed in zip(self._wheels, measured, strict=True):
             wheel.forgive(speed)
+        self._turn.forgive(_turn_of(measured))
 
     def _check(self, measured: Speeds, passed: float) -> None:
         """Judge all wheels, `passed` [s] after the last time."""
         self._asked.append((self._most, self._least))
-        right, left, rear_left, rear_right = self._most = self._least = self._last
+        right, left, rear_left, rear_right = self._last
+        self._most = self._least = *self._last, _turn_of(self._last)
         self._paired = self._paired + 1 if right == rear_right and left == rear_left else 0
         highs, lows = zip(*self._asked, strict=True)
         wheels = self._wheels
-        for wheel, high, low in zip(wheels, map(max, *highs), map(min, *lows), strict=True):
-            wheel.follow(high, low, passed)
-        fastest = max(wheel.fastest for wheel in wheels)
+        each = (*wheels, self._turn)
+        for bounds, high, low in zip(each, map(max, *highs), map(min, *lows), strict=True):
+            bounds.follow(high, low, passed)
+        lowest, highest = min(wheel.low for wheel in wheels), max(wheel.high for wheel in wheels)
+        crossed = self._is_crossed(measured)
         worst = 0.0
         for number, (wheel, speed) in enumerate(zip(wheels, measured, strict=True)):
-            lack = wheel.lack(speed, fastest) or self._behind(number, measured)
-            worst = max(worst, wheel.judge(lack, speed, passed))
+            lack, share = wheel.lack(speed) or self._behind(number, measured), 1.0
+            if crossed:
+                lack = measured[MIRRORED[number]] - speed
+            elif not lack and any(self._last) and (excess := wheel.excess(speed, lowest, highest)):
+                lack, share = math.copysign(wheel.fastest, speed) - speed, excess
+            worst = max(worst, wheel.judge(lack, speed, passed, share))
         if worst + SLACK >= self._patience:
             raise self._error(measured)
+
+    def _is_crossed(self, measured: Speeds) -> bool:
+        """Return whether the robot turns the other way than commands explain."""
+        asked, turns = _turn_of(self._last), _turn_of(measured)
+        change = max(max(wheel.high - wheel.low, wheel.fastest) for wheel in self._wheels)
+        margin = 0.5 * FLOOR + UNEVEN * change
+        if asked * turns >= 0.0 or abs(asked) < margin:
+            return False
+        a, b, c, d = map(WheelBounds.slowest, self._wheels, self._last)
+        slow = _turn_of((a, b, c, d))
+        return (
+            not min(self._turn.low, slow) - margin <= turns <= max(self._turn.high, slow) + margin
+        )
 
     def _behind(self, number: int, measured: Speeds) -> float | None:
         """Return what a wheel lacks of the speed of the other one on its side [rad/s], or 0.
@@ -179,7 +210,7 @@ class WheelWatch:
         return None
 
 
-def _each(choose: Callable[[float, float], float], some: Speeds, others: Speeds) -> Speeds:
-    """Combine two sets of wheel speeds, wheel by wheel."""
-    a, b, c, d = map(choose, some, others)
-    return a, b, c, d
+def _turn_of(speeds: Speeds) -> float:
+    """Return half the difference of right and left wheel speeds [rad/s]."""
+    right, left, rear_left, rear_right = speeds
+    return 0.25 * (right + rear_right - left - rear_left)

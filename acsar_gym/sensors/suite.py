@@ -10,7 +10,7 @@ import numpy as np
 
 from acsar_gym.bodies.base import GroundTruth
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, SensorError, shown
+from acsar_gym.errors import ConfigError, SensorError, shown, translate_errors
 from acsar_gym.links.base import Link
 from acsar_gym.odometry import Odometry
 from acsar_gym.sensors.base import LIDAR, Factory, Floats, Sensor
@@ -75,15 +75,17 @@ class Sensors(Sequence[Sensor]):
             rng: the env's generator.
         """
         for sensor in self._sensors:
-            sensor.reset(scene, rng)
-            if sensor in self._polled:
-                sensor.poll(self._truth(), self._link.now())
+            with named(sensor):
+                sensor.reset(scene, rng)
+                if sensor in self._polled:
+                    sensor.poll(self._truth(), self._link.now())
 
     def poll(self) -> None:
         """Poll sensors with a clock of their own, after a tick."""
         truth, now = self._truth(), self._link.now()
         for sensor in self._polled:
-            sensor.poll(truth, now)
+            with named(sensor):
+                sensor.poll(truth, now)
 
     def read(self) -> Floats:
         """Read all of them.
@@ -92,12 +94,16 @@ class Sensors(Sequence[Sensor]):
             Their numbers, of shape (sum of sizes,).
 
         Raises:
-            SensorError: for anything else than `size` finite numbers; names the sensor.
+            SensorError: for anything else than `size` finite numbers, and where a sensor raises
+                an error; names the sensor.
         """
         if not self._sensors:
             return np.zeros(0)
         truth, now = self._truth(), self._link.now()
-        parts = [checked(sensor, sensor.read(truth, now)) for sensor in self._sensors]
+        parts = []
+        for sensor in self._sensors:
+            with named(sensor):
+                parts.append(checked(sensor, sensor.read(truth, now)))
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def _truth(self) -> GroundTruth | None:
@@ -115,13 +121,25 @@ class Sensors(Sequence[Sensor]):
         """
         now = self._link.now()
         for sensor in self._sensors:
-            add_info(told, sensor, now)
+            with named(sensor):
+                add_info(told, sensor, now)
 
     def close(self) -> None:
         """Close all of them, even where one raises; idempotent."""
         with contextlib.ExitStack() as stack:
             for sensor in reversed(self._sensors):
-                stack.callback(sensor.close)
+                stack.callback(_close, sensor)
+
+
+def _close(sensor: Sensor) -> None:
+    """Close a sensor; SensorError where it raises an error."""
+    with named(sensor):
+        sensor.close()
+
+
+def named(sensor: Sensor) -> contextlib.AbstractContextManager[None]:
+    """Turn errors that the sensor raises inside a block into a SensorError with its name."""
+    return translate_errors(SensorError, lambda: f"sensor {sensor.name!r}")
 
 
 def made_by(factory: Any, link: Link, config: RobotConfig) -> Sensor:
@@ -134,10 +152,12 @@ def made_by(factory: Any, link: Link, config: RobotConfig) -> Sensor:
 
     Raises:
         ConfigError: it isn't a sensor, or its name, size or bounds can't be used.
+        SensorError: the factory raises an error.
     """
     if not callable(factory) and not isinstance(factory, Sensor):
         raise ConfigError(f"sensors: {shown(factory)} must be a subclass of Sensor or a factory")
-    sensor = factory if isinstance(factory, Sensor) else factory(link, config)
+    with translate_errors(SensorError, lambda: f"sensors: {shown(factory)}"):
+        sensor = factory if isinstance(factory, Sensor) else factory(link, config)
     if not isinstance(sensor, Sensor):
         raise ConfigError(f"sensors: {shown(sensor)}, made by {shown(factory)}, is no Sensor")
     check_layout(sensor)

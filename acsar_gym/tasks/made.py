@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, shown, suggestion
+from acsar_gym.errors import ConfigError, TaskError, shown, suggestion, translate_errors
 from acsar_gym.lidars.base import edges
 from acsar_gym.reading.objects import imported, name_of
 from acsar_gym.sensors import LIDAR, Sensor
@@ -77,10 +77,11 @@ def _built(task: type[Task], options: Mapping[str, Any], others: Sequence[str]) 
                 f"unknown option {shown(name)} of {named(task)}"
                 f"{suggestion(str(name)[:40], [*known, *others])}"
             )
-    try:
-        return task(**{name: _tuples(value) for name, value in options.items()})
-    except TypeError as error:
-        raise ConfigError(f"{named(task)}: {error}") from None
+    with translate_errors(TaskError, lambda: named(task)):
+        try:
+            return task(**{name: _tuples(value) for name, value in options.items()})
+        except TypeError as error:
+            raise ConfigError(f"{named(task)}: {error}") from None
 
 
 def _tuples(value: Any) -> Any:
@@ -142,24 +143,30 @@ def tried(task: Task, config: RobotConfig, sensors: Sequence[Sensor]) -> None:
 
     Raises:
         ConfigError: where a method returns something of the wrong type or shape.
+        TaskError: where a method raises an error.
     """
-    state, memory = _example(task, config, sensors), remembered(task)
-    task.begin(state, memory)
-    outcome = task.outcome(state, memory)
-    if outcome not in tuple(Outcome):
-        raise ConfigError(f"{named(task)}.outcome returned {shown(outcome)}: must be an Outcome")
-    reward = task.reward(state, memory, Outcome(outcome))
-    if not isinstance(reward, float | int | np.floating | np.integer):
-        raise ConfigError(f"{named(task)}.reward returned {shown(reward)}: must be a number")
-    numbers = task.observe(state, memory)
-    if np.shape(numbers) != (len(task.observation),):
-        raise ConfigError(
-            f"{named(task)}.observe returned numbers of shape {np.shape(numbers)}: must be "
-            f"{len(task.observation)}, as `observation` has names"
-        )
-    _check_told(task, memory)
-    if is_compiled(task) and not isinstance(numbers, tuple):
-        raise ConfigError(f"{named(task)}.observe: must return a tuple where the task is compiled")
+    with translate_errors(TaskError, lambda: named(task)):
+        state, memory = _example(task, config, sensors), remembered(task)
+        task.begin(state, memory)
+        outcome = task.outcome(state, memory)
+        if outcome not in tuple(Outcome):
+            raise ConfigError(
+                f"{named(task)}.outcome returned {shown(outcome)}: must be an Outcome"
+            )
+        reward = task.reward(state, memory, Outcome(outcome))
+        if not isinstance(reward, float | int | np.floating | np.integer):
+            raise ConfigError(f"{named(task)}.reward returned {shown(reward)}: must be a number")
+        numbers = task.observe(state, memory)
+        if np.shape(numbers) != (len(task.observation),):
+            raise ConfigError(
+                f"{named(task)}.observe returned numbers of shape {np.shape(numbers)}: must be "
+                f"{len(task.observation)}, as `observation` has names"
+            )
+        _check_told(task, memory)
+        if is_compiled(task) and not isinstance(numbers, tuple):
+            raise ConfigError(
+                f"{named(task)}.observe: must return a tuple where the task is compiled"
+            )
 
 
 def _check_told(task: Task, memory: Memory) -> None:

@@ -1,1 +1,1 @@
-"""Parts of `agents/train.py` that don't depend on the algorithm: threads, signals, evaluation."""
+"""Training of policies with stable-baselines3 on batches of robots."""

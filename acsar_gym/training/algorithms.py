@@ -42,10 +42,14 @@ class Algorithm:
             raise MissingExtraError(f"training with {self.name}", "train") from None
         return found
 
-    def arguments(self) -> frozenset[str]:
-        """Names of the hyperparameters that it takes."""
+    def types(self) -> dict[str, Any]:
+        """Annotations of the hyperparameters that it takes, by name."""
         given = inspect.signature(self.load().__init__).parameters
-        return frozenset(name for name in given if name not in OURS and name[0] != "_")
+        return {
+            name: one.annotation
+            for name, one in given.items()
+            if name not in OURS and name[0] != "_"
+        }
 
 
 ALGORITHMS = {

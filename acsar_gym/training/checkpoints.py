@@ -11,7 +11,6 @@ A checkpoint is a zip of stable-baselines3 with these entries more:
 from __future__ import annotations
 
 import json
-import os
 import re
 import zipfile
 from collections.abc import Callable, Mapping
@@ -23,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.errors import ConfigError
+from acsar_gym.reading import bounded
 
 FOLDER = "acsar_gym/"
 STATE = f"{FOLDER}state.json"
@@ -61,13 +61,10 @@ def write(folder: Path, save: Callable[[Path], object], state: State) -> Path:
     """
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"rl_model_{state.steps}_steps.zip"
-
-    def both(new: Path) -> None:
+    with bounded.replacing(path) as new:
         save(new)
         with zipfile.ZipFile(new, "a") as archive:
             _append(archive, state)
-
-    replace(path, both)
     for old in found(folder)[:-KEPT]:
         old.unlink(missing_ok=True)
     return path
@@ -118,20 +115,3 @@ def part(arrays: Mapping[str, NDArray[Any]], prefix: str) -> dict[str, NDArray[A
     """Return the arrays whose name begins with "PREFIX/", without it."""
     start = f"{prefix}/"
     return {n.removeprefix(start): array for n, array in arrays.items() if n.startswith(start)}
-
-
-def replace(path: Path, write: Callable[[Path], object]) -> None:
-    """Replace a file atomically: the old content stays until the new file is complete.
-
-    Args:
-        path: file to replace.
-        write: writes the new content to the path that it is given.
-    """
-    new = path.with_name(f".{path.name}")
-    try:
-        write(new)
-        with new.open("rb") as file:
-            os.fsync(file.fileno())
-        new.replace(path)
-    finally:
-        new.unlink(missing_ok=True)

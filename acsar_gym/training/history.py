@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
-from typing import TextIO
 
-from acsar_gym.training.checkpoints import replace
+from acsar_gym.reading import bounded
 
 COLUMNS = ("steps", "seconds", "success_rate", "collision_rate", "mean_return", "mean_length")
 """`seconds` since the beginning of the training, all others of the held-out episodes."""
@@ -17,17 +16,10 @@ _AXES = {"steps": "env steps", "seconds": "time [s]"}
 
 def write(path: Path, rows: Rows) -> None:
     """Write the curve as CSV, whole or not at all."""
-
-    def table(file: TextIO) -> None:
+    with bounded.replacing(path) as new, new.open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
-
-    def save(new: Path) -> None:
-        with new.open("w", encoding="utf-8", newline="") as file:
-            table(file)
-
-    replace(path, save)
 
 
 def draw(path: Path, rows: Rows, title: str) -> None:
@@ -56,4 +48,5 @@ def draw(path: Path, rows: Rows, title: str) -> None:
                 place.set_ylabel(label)
             if line == len(_SHOWN) - 1:
                 place.set_xlabel(name)
-    replace(path, lambda new: figure.savefig(new, format="png", dpi=100))
+    with bounded.replacing(path) as new:
+        figure.savefig(new, format="png", dpi=100)

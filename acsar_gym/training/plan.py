@@ -79,7 +79,7 @@ class Plan:
         if not self.options.randomize:
             return Randomization()
         ranges = self.recipe.env_kwargs.get(RANDOMIZATION)
-        return Randomization.of(ranges) if ranges else Randomization.measured(self.robot)
+        return Randomization.of(True if ranges is None else ranges, self.robot)
 
     @property
     def evaluations(self) -> int:

@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 from acsar_gym.errors import ConfigError, shown, suggestion
 from acsar_gym.policies.base import one_line
@@ -47,7 +47,7 @@ FOREIGN = {
     "replay_buffer_class",
 }
 """Keys that only RL Zoo itself knows."""
-PLAIN = ("env_kwargs", "policy_kwargs", "replay_buffer_kwargs")
+KEYWORDS = ("env_kwargs", "policy_kwargs", "replay_buffer_kwargs")
 """Arguments by name, which RL Zoo also takes as Python code in a text."""
 SCHEDULES = ("learning_rate", "clip_range", "clip_range_vf")
 FROM_OPTIONS = ("autoreset_mode", "defaults", "env_id", "num_envs", "robot", "task", "threads")
@@ -237,9 +237,21 @@ def content(path: Path) -> dict[str, Any]:
     return found
 
 
+CHECKED_TYPES: dict[Any, str] = {
+    float: "a number",
+    int: "a whole number",
+    bool: "true or false",
+    str: "a word",
+    type(None): "null",
+}
+"""Types of hyperparameters that are checked, in the words of messages; algorithms that get another
+one fail only in the middle of a training."""
+
+
 def _check_keys(path: Path, key: str, given: dict[Any, Any], algorithm: Algorithm) -> None:
-    """Refuse hyperparameters that the algorithm doesn't have."""
-    known = OWN | algorithm.arguments()
+    """Refuse hyperparameters that the algorithm doesn't have, and those of a wrong type."""
+    types = algorithm.types()
+    known = OWN | set(types)
     for name, value in given.items():
         if name in FOREIGN:
             raise ConfigError(f"{path}: {key}: {name}: only rl_zoo3 knows it; remove it to train")
@@ -248,11 +260,20 @@ def _check_keys(path: Path, key: str, given: dict[Any, Any], algorithm: Algorith
             raise ConfigError(
                 f"{path}: {key}: {shown(name)}: not a hyperparameter of {algorithm.name}{hint}"
             )
-        if name in PLAIN and not isinstance(value or {}, dict):
+        if name in KEYWORDS and not isinstance(value or {}, dict):
             raise ConfigError(
                 f"{path}: {key}: {name}: {shown(value)}: must be arguments by name, as in "
                 "{net_arch: [64, 64]}: a text isn't evaluated"
             )
+        kinds = get_args(types.get(name)) or (types.get(name),)
+        if set(kinds) <= set(CHECKED_TYPES) and not _fits(value, kinds):
+            wanted = " or ".join(CHECKED_TYPES[kind] for kind in kinds)
+            raise ConfigError(f"{path}: {key}: {name}: {shown(value)}: must be {wanted}")
+
+
+def _fits(value: Any, kinds: Sequence[type]) -> bool:
+    """Whether a value is of one of these types; a whole number is a number, true is none."""
+    return any(type(value) is kind or (kind is float and type(value) is int) for kind in kinds)
 
 
 def _count(path: Path, key: str, given: dict[Any, Any], name: str) -> int:

@@ -15,10 +15,9 @@ from acsar_gym.envs import ids
 from acsar_gym.errors import ConfigError
 from acsar_gym.evaluation import provenance
 from acsar_gym.reading import bounded, structured
-from acsar_gym.training import threads
-from acsar_gym.training.checkpoints import replace
 from acsar_gym.training.options import Options
 from acsar_gym.training.plan import Plan
+from acsar_gym.vector.settings import cores
 
 FILE = "config.yml"
 RUN = "run"
@@ -64,7 +63,7 @@ def begin(plan: Plan) -> dict[str, Any]:
             "options": options,
             "versions": provenance.versions(*LIBRARIES),
             "revision": revision(),
-            "cores": threads.cores(),
+            "cores": cores(),
             "machine": f"{platform.system()} {platform.machine()}",
             "steps": 0,
             "seconds": 0.0,
@@ -82,9 +81,7 @@ def command() -> list[str]:
     told: its options aren't those of the training, and may hold addresses and passwords.
     """
     program, begin = Path(sys.argv[0]), sys.argv[1:]
-    if program.name == "train.py":
-        begin = ["train", *begin]
-    elif program.name != "acsar-gym" and program.parts[-2:] != ("acsar_gym", "__main__.py"):
+    if program.name != "acsar-gym" and program.parts[-2:] != ("acsar_gym", "__main__.py"):
         return [program.name]
     words, kept = iter(begin), list[str]()
     for word in words:
@@ -155,7 +152,8 @@ def options(folder: Path) -> Options:
 def _write(out: Path, content: Mapping[str, Any]) -> None:
     """Write config.yml, whole or not at all."""
     text = structured.to_yaml(content)
-    replace(out / FILE, lambda new: new.write_text(text, encoding="utf-8"))
+    with bounded.replacing(out / FILE) as new:
+        new.write_text(text, encoding="utf-8")
 
 
 def _plain(value: Any) -> Any:

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from acsar_gym.evaluation import provenance
 from acsar_gym.policies.bundle import Bundle, Training
+from acsar_gym.reading import bounded
 from acsar_gym.recording.header import plain
 from acsar_gym.training import record
-from acsar_gym.training.checkpoints import replace
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -40,8 +40,9 @@ def save(model: BaseAlgorithm, bundle: Bundle, out: Path) -> tuple[Path, Path]:
 
     sb3.label(model, bundle)
     policy, zipped = (out / name for name in FILES)
-    replace(zipped, model.save)
-    replace(policy, lambda path: sb3_export.export(model.policy, path, bundle))
+    with bounded.replacing(zipped) as new:
+        model.save(new)
+    sb3_export.export(model.policy, policy, bundle)
     return policy, zipped
 
 
@@ -66,7 +67,7 @@ def told(
         seed=model.seed,
         command="; ".join(map(shlex.join, commands))[:2_000],
         versions=provenance.versions(*record.LIBRARIES),
-        revision=record.revision(),
+        revision=record.revision() or "",
         seconds=seconds,
         finished=datetime.now(UTC).isoformat(timespec="seconds"),
     )

@@ -12,7 +12,7 @@ import os
 import threading
 import time
 
-from acsar_gym.errors import ConfigError
+from acsar_gym.vector.settings import check_threads, cores
 
 PROBE = 0.25
 """Duration of the measurement of free cores [s]."""
@@ -28,13 +28,6 @@ def wait_passively() -> None:
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 
-def cores() -> int:
-    """Return the number of cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
 def chosen(asked: int | None) -> int:
     """Return the number of threads to use.
 
@@ -44,11 +37,7 @@ def chosen(asked: int | None) -> int:
     Raises:
         ConfigError: `asked` is below 1 or above the number of cores.
     """
-    if asked is None:
-        return free_cores()
-    if not 1 <= asked <= cores():
-        raise ConfigError(f"--threads {asked}: must be 1 to {cores()}, the cores of this machine")
-    return asked
+    return free_cores() if asked is None else check_threads("--threads", asked)
 
 
 def free_cores() -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -11,17 +12,20 @@ from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.dynamics import Randomization, physics
-from acsar_gym.dynamics.drawing import places
+from acsar_gym.dynamics.randomization import places
+from acsar_gym.errors import TaskError
+from acsar_gym.jit import compiled_beside, record_of
 from acsar_gym.lidars.base import LidarSensor, edges
 from acsar_gym.lidars.simulated import SimulatedLidar
 from acsar_gym.sensors import Factory, Sensor
 from acsar_gym.tasks.base import Task
+from acsar_gym.tasks.episode import check_observation
+from acsar_gym.tasks.made import named
 from acsar_gym.tasks.spawn import Spawn
 from acsar_gym.vector import pcg
 from acsar_gym.vector.kernel import episode, layout
-from acsar_gym.vector.links import RobotLink, View
 from acsar_gym.vector.options import Wishes
-from acsar_gym.vector.sensors import BatchSensors, in_python
+from acsar_gym.vector.sensors import BatchSensors, RobotLink, View, in_python
 from acsar_gym.vector.setup import counts_kept, lines_kept
 from acsar_gym.vector.tables import spawns, surroundings, worlds_of
 from acsar_gym.vector.task import Loops, loops_of
@@ -60,7 +64,7 @@ class Batch:
         setup: layout.Setup,
         randomization: Randomization,
     ) -> None:
-        self.robots, self._config, self._setup = robots, config, setup
+        self.robots, self._config, self._task, self._setup = robots, config, task, setup
         sees = setup.lidar_rate > 0.0
         self._pool, worlds = spawn.pool, worlds_of(spawn.pool, follow=task.follows)
         self._spawns = spawns(task, spawn.pool, worlds)
@@ -80,6 +84,8 @@ class Batch:
         self._rows |= layout.SCAN_INFO if sees else {}
         self._rows |= layout.FAULT_INFO if setup.faults.possible else {}
         self.seeded = False
+        self._new = True
+        """Whether there was no reset yet."""
 
     @property
     def _first_python(self) -> int:
@@ -106,7 +112,7 @@ class Batch:
             commands=np.zeros((lines, 2, columns if setup.guarded else 0)),
             arrivals=np.zeros((lines, 3, columns if setup.faults.possible else 0)),
             random=np.zeros((robots, 4), np.uint64),
-            nominal=np.array(physics(self._config)),
+            nominal=record_of(physics(self._config), changes=True),
             low=np.array(ranges.low),
             high=np.array(ranges.high),
             delays=np.array(ranges.delays),
@@ -153,10 +159,17 @@ class Batch:
 
     def reset(self, mask: Mask, share: Share) -> None:
         """Begin new episodes of the robots in the mask."""
-        share(lambda first, last: self._begin(mask, first, last), self.robots)
+        with self._compiled_beside() if self._new else contextlib.nullcontext():
+            share(lambda first, last: self._begin(mask, first, last), self.robots)
+        self._new = False
         if not self._together:
             self._sense(mask, driven=False)
             self._apart(lambda first, last: self._loops.start(mask, first, last), share)
+        self._check_observations()
+
+    def _compiled_beside(self) -> contextlib.AbstractContextManager[None]:
+        """Compile `episode.step`, if it must be, while the block compiles the rest."""
+        return compiled_beside(episode.step, self.tables, 0, 1, self._setup, self._around)
 
     def _begin(self, mask: Mask, first: int, last: int) -> None:
         """Begin new episodes of those robots first to last that are in the mask."""
@@ -174,10 +187,24 @@ class Batch:
             self._sense(self.tables.over, driven=True)
             self._apart(self._loops.step, share)
         self._move_on()
+        self._check_observations()
+        if not np.isfinite(self.tables.rewards).all():
+            robot = int(np.isfinite(self.tables.rewards).argmin())
+            raise TaskError(
+                f"{named(self._task)}.reward returned {self.tables.rewards[robot]} for robot "
+                f"{robot}: must be a finite number"
+            )
+
+    def _check_observations(self) -> None:
+        """Raise TaskError where the task observed NaN or infinity."""
+        check_observation(self._task, self.tables.observations[:, : self._setup.numbers])
 
     def _drive(self, first: int, last: int) -> None:
         """Run the physics of robots first to last, and their task where `_together`."""
-        episode.step(self.tables, first, last, self._setup, self._spawns, self._around)
+        tables, setup = self.tables, self._setup
+        episode.step(tables, first, last, setup, self._around)
+        if tables.ring[3] == setup.ticks and tables.over[first:last].any():
+            episode.reset(tables, tables.over, first, last, setup, self._spawns, self._around)
         if self._together:
             self._loops.step(first, last)
 

@@ -20,11 +20,10 @@ from acsar_gym.tasks.options import known
 from acsar_gym.tasks.spaces import task_spaces
 from acsar_gym.tasks.spawn import Spawn
 from acsar_gym.vector.batch import Batch
-from acsar_gym.vector.faults import checked
 from acsar_gym.vector.kernel import layout
 from acsar_gym.vector.options import Wishes, wishes
 from acsar_gym.vector.settings import MOST_ROBOTS, BatchOptions, count, threads_for
-from acsar_gym.vector.setup import setup_of
+from acsar_gym.vector.setup import check_faults, setup_of
 from acsar_gym.vector.specs import PlainSpec
 from acsar_gym.vector.threads import Threads
 
@@ -130,8 +129,8 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         """Make the robots and check the task with their sensors."""
         task, config, steps = self.task, self.config, asked.max_episode_steps
         sensors = (*task.sensors, *asked.sensors)
-        faults, numbers = checked(asked.faults, config), len(task.observation)
-        varied = Randomization.of(asked.randomization)
+        faults, numbers = check_faults(asked.faults, config), len(task.observation)
+        varied = Randomization.of(asked.randomization, config)
         ticks, sees = self.ticks_per_step, LIDAR in sensors
         setup = setup_of(config, ticks, steps, numbers, faults, sees=sees, varied=varied)
         batch = Batch(self.num_envs, config, task, self._spawn, sensors, setup, varied)
@@ -157,6 +156,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
 
         Raises:
             ConfigError, WorldError: for unknown options, or values that are malformed.
+            TaskError, SensorError: where a task or sensor fails, or gives NaN; names it.
         """
         mask, asked = self._asked(options)
         if not (mask.all() or (self.batch.seeded and self._whole)):
@@ -207,6 +207,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         Raises:
             CommandError: for another shape, NaN or infinity; names the first bad env.
             ConfigError: before a reset, after an interrupted call, or for an env that has ended.
+            TaskError, SensorError: where a task or sensor fails, or gives NaN; names it.
         """
         actions = self._checked(actions)
         if not self.batch.seeded:

@@ -1,20 +1,22 @@
 """Sensors written in Python, in a batch: they run over all robots after the compiled physics.
 
-The LiDAR isn't among them: it is compiled.
+The LiDAR isn't among them: it is compiled. `View` has what a sensor can know of its robot: ground
+truth, time and scene.
 """
 
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.bodies.base import GroundTruth
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, SensorError, shown
+from acsar_gym.errors import ConfigError, LinkError, SensorError, shown, translate_errors
 from acsar_gym.lidars.base import LidarSensor
 from acsar_gym.lidars.factory import factories
 from acsar_gym.sensors import LIDAR, Factory, Sensor
@@ -23,15 +25,109 @@ from acsar_gym.sensors.suite import (
     check_names,
     checked,
     made_by,
+    named,
     two_named,
     unused,
 )
-from acsar_gym.vector.links import Floats, RobotLink, Robots, Truths, View
-from acsar_gym.vector.pcg import Lent
-from acsar_gym.worlds import Scene
+from acsar_gym.vector.kernel import layout
+from acsar_gym.vector.pcg import Generators, Lent
+from acsar_gym.worlds import Scene, World
 
+Floats = NDArray[np.float64]
 Observations = NDArray[np.float32]
 """(robots, numbers): the columns of the observations that these sensors fill."""
+Robots = NDArray[np.int64]
+"""Indices of robots in the batch."""
+
+
+class Truths(NamedTuple):
+    """The ground truth of some robots, one row each, in the frames of their worlds."""
+
+    pose: Floats
+    """(robots, 3): x [m], y [m], theta [rad]."""
+    twist: Floats
+    """(robots, 2): forward speed [m/s], yaw rate [rad/s]."""
+    contact: NDArray[np.bool_]
+    """(robots,): whether the robot has touched an obstacle since the reset."""
+
+
+class View:
+    """What sensors may know of all robots of a batch. `random` are the robots' generators."""
+
+    def __init__(
+        self, state: Floats, random: Generators, dt: float, worlds: Sequence[World]
+    ) -> None:
+        self.random = random
+        self._state, self._dt, self._worlds = state, dt, worlds
+
+    def truths(self, robots: Robots) -> Truths:
+        """Ground truth of these robots, in the frames of their worlds."""
+        s = self._state[:, robots]
+        cos, sin = s[layout.START_COS], s[layout.START_SIN]
+        x = s[layout.START_X] + cos * s[layout.X] - sin * s[layout.Y]
+        y = s[layout.START_Y] + sin * s[layout.X] + cos * s[layout.Y]
+        theta = s[layout.START_THETA] + s[layout.THETA]
+        theta -= layout.TURN * np.rint(theta / layout.TURN)
+        ahead = s[layout.VX] * np.cos(s[layout.THETA]) + s[layout.VY] * np.sin(s[layout.THETA])
+        twist = np.column_stack([ahead, s[layout.RATE]])
+        return Truths(np.column_stack([x, y, theta]), twist, s[layout.CONTACT] > 0.0)
+
+    def now(self, robots: Robots) -> Floats:
+        """Simulated time since these robots' links were reset [s], (robots,)."""
+        time: Floats = self._state[layout.LOOPS, robots] * self._dt
+        return time
+
+    def scenes(self, robots: Robots) -> list[Scene]:
+        """World, start and goal of these robots' episodes, in the frames of the worlds."""
+        s = self._state[:, robots]
+        rows = [layout.START_X, layout.START_Y, layout.START_THETA, layout.GOAL_X, layout.GOAL_Y]
+        worlds = s[layout.WORLD].astype(np.int64).tolist()
+        scenes = []
+        for number, (x, y, theta, ahead, left) in zip(worlds, s[rows].T.tolist(), strict=True):
+            cos, sin = math.cos(theta), math.sin(theta)
+            goal = (x + cos * ahead - sin * left, y + sin * ahead + cos * left)
+            world = self._worlds[number] if self._worlds else None
+            scenes.append(Scene((x, y, theta), goal, world))
+        return scenes
+
+
+class RobotLink:
+    """The link that a sensor of a batch is given: it has ground truth and time, but no wire."""
+
+    lateness: float | None = None
+
+    def __init__(self, view: View, robot: int) -> None:
+        self._view = view
+        self._robots = np.array([robot])
+
+    @property
+    def truth(self) -> GroundTruth:
+        """Ground truth of the robot, in the frame of its world."""
+        (x, y, theta), (forward, rate), contact = (
+            array[0].tolist() for array in self._view.truths(self._robots)
+        )
+        return GroundTruth((x, y, theta), (forward, rate), contact)
+
+    def now(self) -> float:
+        """Simulated time since the reset [s]."""
+        return float(self._view.now(self._robots)[0])
+
+    def open(self) -> None:
+        """Do nothing: there is no device."""
+
+    def reset(self, scene: Scene) -> None:
+        """Do nothing: the batch resets its robots."""
+
+    def close(self) -> None:
+        """Do nothing: there is no device."""
+
+    def write(self, data: bytes) -> NoReturn:
+        """Raise LinkError: robots of a batch have no wire."""
+        raise LinkError("a robot of a batch has no wire", "use the single env")
+
+    def advance(self, period: float) -> NoReturn:
+        """Raise LinkError: robots of a batch have no wire."""
+        raise LinkError("a robot of a batch has no wire", "use the single env")
 
 
 class Moment(NamedTuple):
@@ -161,7 +257,7 @@ class _Each:
 
     def reset(self, moment: Moment) -> None:
         """Reset them; those with a clock of their own take a first measurement."""
-        with _named(self.kind) as at:
+        with self._named() as at:
             for place, (robot, truth, now) in enumerate(moment.each()):
                 at[0] = robot
                 self._sensors[robot].reset(moment.scenes[place], moment.rngs[place])
@@ -172,7 +268,7 @@ class _Each:
         """Poll those with a clock of their own."""
         if self._polled:
             self._lend(moment)
-            with _named(self.kind) as at:
+            with self._named() as at:
                 for robot, truth, now in moment.each():
                     at[0] = robot
                     self._sensors[robot].poll(truth, now)
@@ -180,11 +276,18 @@ class _Each:
     def read(self, moment: Moment, out: Floats) -> None:
         """Read them into `out`, (robots, size)."""
         self._lend(moment)
-        with _named(self.kind) as at:
+        with self._named() as at:
             for row, (robot, truth, now) in zip(out, moment.each(), strict=True):
                 at[0] = robot
                 sensor = self._sensors[robot]
                 row[:] = checked(sensor, sensor.read(truth, now))
+
+    @contextlib.contextmanager
+    def _named(self) -> Iterator[list[int]]:
+        """Name the sensor and the robot (the list's number) in errors inside the block."""
+        at = [0]
+        with translate_errors(SensorError, lambda: f"sensor {self.kind.name!r} of robot {at[0]}"):
+            yield at
 
     def _lend(self, moment: Moment) -> None:
         """Set the generators that sensors keep to the batch's current states."""
@@ -195,9 +298,11 @@ class _Each:
         """Add their info, one number for each robot. ConfigError for a key that is there."""
         if self._tells:
             rows: list[dict[str, float]] = []
-            for robot, now in zip(moment.robots, moment.now.tolist(), strict=True):
-                rows.append({})
-                add_info(rows[-1], self._sensors[robot], now)
+            with self._named() as at:
+                for robot, now in zip(moment.robots, moment.now.tolist(), strict=True):
+                    at[0] = robot
+                    rows.append({})
+                    add_info(rows[-1], self._sensors[robot], now)
             self.keys = list(rows[0]) if rows else self.keys
             for key in self.keys if rows else ():
                 unused(told, self.kind, key)
@@ -220,7 +325,8 @@ class _Whole:
 
     def read(self, moment: Moment, out: Floats) -> None:
         """Read all robots into `out`, (robots, size). SensorError where it isn't finite."""
-        self.kind.read_batch(moment.truths, moment.scenes, moment.now, moment.rngs, out)
+        with named(self.kind):
+            self.kind.read_batch(moment.truths, moment.scenes, moment.now, moment.rngs, out)
         sound = np.isfinite(out).all(axis=1)
         if not sound.all():
             place = int(sound.argmin())
@@ -270,14 +376,3 @@ def _group(factory: Any, config: RobotConfig, robots: int, view: View) -> _Each 
 def overrides(sensor: Sensor, method: str) -> bool:
     """Whether the sensor's class overrides a method of `Sensor`."""
     return getattr(type(sensor), method) is not getattr(Sensor, method)
-
-
-@contextlib.contextmanager
-def _named(kind: Sensor) -> Iterator[list[int]]:
-    """Add the sensor and the robot (the list's number) to errors inside the block."""
-    at = [0]
-    try:
-        yield at
-    except Exception as error:
-        error.add_note(f"sensor {kind.name!r} of robot {at[0]}")
-        raise

@@ -76,6 +76,36 @@ def count(name: str, value: int, most: int) -> int:
     return int(value)
 
 
+def cores() -> int:
+    """Return the number of cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def check_threads(name: str, asked: int) -> int:
+    """Check a number of threads that a user asked for, and return it.
+
+    Args:
+        name: of the option, for the message.
+        asked: by the user.
+
+    Raises:
+        ConfigError: for fewer than 1, or more than the cores that this process may use.
+    """
+    usable, all_cores = cores(), os.cpu_count() or 1
+    if isinstance(asked, int | np.integer) and 1 <= asked <= usable:
+        return int(asked)
+    which = "the cores of this machine"
+    if usable < all_cores:
+        which = (
+            f"the cores that this process may use: taskset, a batch system or a container keeps "
+            f"it from the others of this machine's {all_cores}"
+        )
+    most = f"1 to {usable}" if usable > 1 else "1"
+    raise ConfigError(f"{name} {shown(asked)}: must be {most}, {which}")
+
+
 def threads_for(asked: int | None, robots: int) -> int:
     """Number of threads to use.
 
@@ -84,15 +114,8 @@ def threads_for(asked: int | None, robots: int) -> int:
         robots: of the batch.
 
     Raises:
-        ConfigError: for fewer than 1, or more than this machine's cores.
+        ConfigError: as `check_threads`.
     """
-    cores = (
-        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    )
     if asked is None:
-        return max(1, min(cores, robots // FAIR_SHARE))
-    if not isinstance(asked, int | np.integer) or not 1 <= asked <= cores:
-        raise ConfigError(
-            f"threads = {shown(asked)}: must be 1 to {cores}, the cores of this machine"
-        )
-    return min(int(asked), robots)
+        return max(1, min(cores(), robots // FAIR_SHARE))
+    return min(check_threads("threads =", asked), robots)

@@ -8,19 +8,25 @@ episode in env steps; `numbers`, how many numbers of the observation are the tas
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import fields
 from typing import Any
 
-from acsar_gym.config import RobotConfig, whole_ratio
-from acsar_gym.dynamics.drawing import Ranges
-from acsar_gym.dynamics.randomization import Randomization, longest_delay
-from acsar_gym.dynamics.timing import substep, wire_loops, wire_time
+from acsar_gym.config import LINE_BYTES, RobotConfig, whole_ratio
+from acsar_gym.dynamics.randomization import Randomization, Ranges, longest_delay
+from acsar_gym.dynamics.timing import line_time, substep, wire_loops, wire_time
 from acsar_gym.errors import ConfigError
 from acsar_gym.lidars.base import stale_after
 from acsar_gym.lidars.simulated import draws
 from acsar_gym.links.faults import Faults
+from acsar_gym.links.faulty_wire import BUFFER
 from acsar_gym.safety import limiter, rules
-from acsar_gym.vector.faults import line_faults
 from acsar_gym.vector.kernel import layout
+from acsar_gym.vector.kernel.layout import LineFaults
+from acsar_gym.wire import STANDSTILL_TIMEOUT
+
+BATCH_FAULTS = ("dropped_lines", "late_lines", "lateness", "episodes", "direction")
+"""Faults that a batch can simulate: lines that are lost or late."""
 
 
 def setup_of(
@@ -128,3 +134,49 @@ def command_loops(config: RobotConfig, ranges: Ranges) -> int:
     """The longest time until a command has effect, without faults [firmware loops]."""
     latency = ranges.high.latency / substep(config)
     return round(wire_loops(config, longest_delay(ranges, config)) + latency)
+
+
+def check_faults(faults: Mapping[str, Any] | Faults | None, config: RobotConfig) -> Faults:
+    """Check the faults of a batch.
+
+    Args:
+        faults: as users pass `faults=`; see `Faults.of`.
+        config: of the robots.
+
+    Raises:
+        ConfigError: for a fault that a batch can't simulate, or a value out of range.
+    """
+    asked, sound = Faults.of(faults), Faults()
+    for field in fields(asked):
+        if field.name not in BATCH_FAULTS and getattr(asked, field.name) != getattr(
+            sound, field.name
+        ):
+            raise ConfigError(
+                f"faults: {field.name}: a batch knows {', '.join(BATCH_FAULTS)}; for others "
+                "make_vec with vectorization_mode='sync'"
+            )
+    most = BUFFER / (max(config.control_rate, config.feedback_rate) * (LINE_BYTES + 1))
+    if asked.late_lines > 0.0 and asked.lateness > most:
+        raise ConfigError(
+            f"faults: lateness = {asked.lateness:g}: must be at most {most:.3g} s in a batch, so "
+            "that no lines are lost behind a late one"
+        )
+    return asked
+
+
+def line_faults(faults: Faults, config: RobotConfig) -> LineFaults:
+    """Convert faults to the numbers that compiled loops need."""
+    firmware = config.firmware
+    return LineFaults(
+        possible=faults.possible,
+        episodes=float(faults.episodes),
+        feedback=faults.direction != "commands",
+        commands=faults.direction != "feedback",
+        dropped=float(faults.dropped_lines),
+        late=float(faults.late_lines),
+        lateness=float(faults.lateness),
+        patience=math.ceil(STANDSTILL_TIMEOUT / config.period),
+        line_time=line_time(config),
+        processing_time=firmware.processing_time,
+        command_timeout=firmware.command_timeout or math.inf,
+    )

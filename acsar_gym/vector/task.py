@@ -5,19 +5,20 @@ from __future__ import annotations
 import threading
 from collections import namedtuple
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.errors import ConfigError
+from acsar_gym.errors import ConfigError, TaskError, translate_errors
 from acsar_gym.jit import COMPILED, NumbaError
 from acsar_gym.tasks.base import Memory, Outcome, State, Task, is_compiled, remembered, told
 from acsar_gym.tasks.episode import outcome_of, reward_of
 from acsar_gym.tasks.made import named
 from acsar_gym.vector.kernel import layout
 from acsar_gym.vector.kernel import task as kernel
-from acsar_gym.vector.kernel.episode import report
+from acsar_gym.vector.kernel.episode import update_info
 from acsar_gym.vector.kernel.layout import Setup, Spawns, Tables, TaskSetup, TaskTables
 
 Mask = NDArray[np.bool_]
@@ -67,8 +68,8 @@ class CompiledLoops:
         self.memory: NDArray[Any] = np.zeros(len(tables.rewards) + 1, kinds)
         for name, value in task.memory.items():
             self.memory[name][-1] = value
-        self._start = kernel.bound(kernel.start, task)
-        self._step = kernel.bound(kernel.step, task)
+        self._start = kernel.bind_task(kernel.start, task)
+        self._step = kernel.bind_task(kernel.step, task)
 
     def start(self, mask: Mask, first: int, last: int) -> None:
         """Begin the episodes of robots in the mask.
@@ -85,10 +86,19 @@ class CompiledLoops:
         """Call a compiled loop; ConfigError where numba can't compile the task."""
         try:
             loop(self._numbers, self.memory, self._tables, *share, self._setup, self._spawns)
-        except (NumbaError, KeyError, NotImplementedError, TypeError) as error:
-            raise kernel.explained(self._task, error) from None
-        except (IndexError, ValueError, ZeroDivisionError) as error:
-            raise ConfigError(f"{named(self._task)}: {error}, in a compiled method") from None
+        except KeyError as error:  # of numba, for a field that the record doesn't have
+            name = error.args[0]
+            raise ConfigError(
+                f"{named(self._task)}: memory.{name} isn't declared: give it a first value in the "
+                f'class, such as memory = {{"{name}": 0.0}}'
+            ) from None
+        except (NumbaError, NotImplementedError, TypeError) as error:
+            raise kernel.explain_error(self._task, error) from None
+        except Exception as error:
+            raise TaskError(
+                f"{named(self._task)}: {type(error).__name__}: {error}, in a compiled method; "
+                "with compiled = False, the line is told"
+            ) from error
 
     def info(self) -> Info:
         """The task's part of info: what it remembers."""
@@ -148,12 +158,13 @@ class PythonLoops:
         """Begin the episodes of robots in the mask and write their first observations."""
         robots = np.flatnonzero(mask[first:last]) + first
         rows = []
-        for robot, state in zip(robots.tolist(), self._states(robots), strict=True):
-            self._memory[robot] = memory = remembered(self._task)
-            self._task.begin(state, memory)
-            rows.append(self._task.observe(state, memory))
+        with self._named():
+            for robot, state in zip(robots.tolist(), self._states(robots), strict=True):
+                self._memory[robot] = memory = remembered(self._task)
+                self._task.begin(state, memory)
+                rows.append(self._task.observe(state, memory))
         self._observed(robots, rows)
-        report(self._tables.state, first, last, self._setup)
+        update_info(self._tables.state, first, last, self._setup)
 
     def step(self, first: int, last: int) -> None:
         """Write rewards, ends and observations of robots first to last."""
@@ -167,12 +178,13 @@ class PythonLoops:
         """Call outcome, reward and observe for robots that have driven, and write the results."""
         task, memories = self._task, self._memory
         rewards, outcomes, rows = [], [], []
-        for robot, state in zip(robots.tolist(), self._states(robots), strict=True):
-            memory = memories[robot]
-            outcome = outcome_of(task, state, memory)
-            rewards.append(reward_of(task, state, memory, outcome))
-            outcomes.append(outcome)
-            rows.append(task.observe(state, memory))
+        with self._named():
+            for robot, state in zip(robots.tolist(), self._states(robots), strict=True):
+                memory = memories[robot]
+                outcome = outcome_of(task, state, memory)
+                rewards.append(reward_of(task, state, memory, outcome))
+                outcomes.append(outcome)
+                rows.append(task.observe(state, memory))
         self._observed(robots, rows)
         tables, values = self._tables, np.array(rewards, np.float64)
         tables.rewards[robots] = values
@@ -181,13 +193,17 @@ class PythonLoops:
         tables.ends[0, robots] = np.array(outcomes, np.int64) != Outcome.GOING
         tables.ends[1, robots] = tables.state[layout.STEPS, robots] >= self._setup.max_steps
 
+    def _named(self) -> AbstractContextManager[None]:
+        """Turn errors that the task raises inside a block into a TaskError with its name."""
+        return translate_errors(TaskError, lambda: named(self._task))
+
     def _observed(self, robots: NDArray[np.int64], rows: list[tuple[float, ...]]) -> None:
-        """Write the observations of these robots; ConfigError where their number doesn't fit."""
+        """Write the observations of these robots; TaskError where their number doesn't fit."""
         if rows and self._numbers:
             try:
                 self._tables.observations[robots, : self._numbers] = rows
-            except ValueError as error:
-                raise ConfigError(f"{type(self._task).__qualname__}.observe: {error}") from None
+            except (TypeError, ValueError) as error:
+                raise TaskError(f"{named(self._task)}.observe: {error}") from None
 
     def _states(self, robots: NDArray[np.int64]) -> list[State]:
         """The State of each of these robots."""

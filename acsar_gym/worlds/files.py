@@ -122,7 +122,7 @@ def save(world: World, path: Path) -> None:
         data = write(_fields(world)).encode()
     except UnicodeEncodeError:
         raise WorldError(f"{path}: can't be written: the world's name isn't UTF-8 text") from None
-    bounded.write(path, data, WorldError)
+    bounded.write_atomically(path, data, WorldError)
 
 
 def _is_world(path: Path) -> bool:

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from cli_tools import assert_one_line
 
-from acsar_gym import cli
+from acsar_gym import baselines, cli
 from acsar_gym.errors import PolicyError
 from acsar_gym.evaluation import runs
-from acsar_gym.policies import baselines
 
 
 def called(
@@ -81,7 +80,7 @@ def test_random_actions_depend_on_the_episodes_seed_alone() -> None:
     assert driven(0, 3)[2] == driven(2, 1)[0]
 
 
-@pytest.mark.parametrize("name", list(baselines.names()))
+@pytest.mark.parametrize("name", list(baselines.BASELINES))
 def test_every_name_has_a_class_of_that_name(name: str) -> None:
     assert baselines.load(name, "acsar_gym/Barn-v1").name == name
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-import resource
 from pathlib import Path
 
 import pytest
 from benchmark_tools import cell, episode, part, plan
+from disk_tools import full_disk
 
 from acsar_gym.benchmark.store import RESULTS, Part, Store, columns, episodes
 from acsar_gym.errors import ConfigError
@@ -64,18 +64,13 @@ def test_results_without_a_plan_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_full_disk_loses_nothing_that_was_finished(tmp_path: Path) -> None:
-    """A limit of the file's size ends a write in the middle, as a full disk does."""
     store = Store(tmp_path)
     store.open(plan())
     store.add(part())
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (ROOM, before[1]))
-    try:
-        with pytest.raises(ConfigError, match=r"can't be written: .* is kept: make room") as caught:
-            for first in range(2, 100, 2):
-                store.add(part(first=first))
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    lost = r"can't be written: .* is kept: make room"
+    with full_disk(ROOM), pytest.raises(ConfigError, match=lost) as caught:
+        for first in range(2, 100, 2):
+            store.add(part(first=first))
     assert "\n" not in str(caught.value)
     kept = Store(tmp_path).open(plan())
     assert 1 <= len(kept) < 10

@@ -83,3 +83,24 @@ def test_an_odd_board_is_commissioned_and_driven(
     ]
     assert [wheel.sign for wheel in known.wheels.each] == [1, -1, 1, 1]
     assert driven(odd, known) == pytest.approx(simulated(config), abs=0.1)
+
+
+def test_no_file_is_written_of_a_wheel_that_its_board_drives_away(
+    config: RobotConfig,
+    start_emulator: StartEmulator,
+    call: Call,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    monkeypatch.setattr(feedback, "LISTEN", 0.5)
+    monkeypatch.setattr(spinning, "PATIENCE", TIMEOUT)
+    board = start_emulator("--quirk", "runaway=a")
+    guess, found, report = (tmp_path / name for name in ("guess.yaml", "found.yaml", "out.json"))
+    config.save(guess)
+    options = ("--robot", guess, "--out", found, "--json", report)
+    code, _, error = call("doctor", board.device, "--spin", "--yes", *options)
+    assert (code, error) == (1, "")
+    assert "set ENCODER_REVERSED in the board's program" in report.read_text()
+    assert "isn't written" in report.read_text()
+    assert not found.exists()
+    wait_until(board.is_stopped, "zero as the newest command")

@@ -29,8 +29,11 @@ from acsar_gym import Outcome, Task
 class Ahead(Task):
     observation = {"ahead": (-2.0, 2.0), "aside": (-2.0, 2.0)}
     goal_distance = (0.5, 1.0)
+    memory = {"fastest": 0.0, "own": 0.0}
+    told = ("fastest",)
 
     def outcome(self, state, memory):
+        memory.fastest = max(memory.fastest, state.twist[0])
         gap = (state.goal[0] - state.pose[0], state.goal[1] - state.pose[1])
         return Outcome.SUCCESS if gap[0] ** 2 + gap[1] ** 2 < 0.04 else Outcome.GOING
 
@@ -41,7 +44,19 @@ class Ahead(Task):
         return state.goal[0] - state.pose[0], state.goal[1] - state.pose[1]
 
 
+class Unsound(Ahead):
+    def reward(self, state, memory, outcome):
+        return float("nan") if state.time > 0.1 else 0.0
+
+
+class Failing(Ahead):
+    def reward(self, state, memory, outcome):
+        return state.twist[0] if state.time < 0.3 else 1 / (outcome * 0)
+
+
 acsar_gym.register("mine/Ahead-v0", task=Ahead, max_episode_steps=20)
+acsar_gym.register("mine/Unsound-v0", task=Unsound, max_episode_steps=20)
+acsar_gym.register("mine/Failing-v0", task=Failing, max_episode_steps=20)
 acsar_gym.register("mine/Endless-v0", task=Ahead)
 gymnasium.register(
     "mine/Single-v0", "acsar_gym.envs.base:RobotEnv", kwargs={"task": Ahead}, max_episode_steps=20
@@ -115,6 +130,22 @@ def test_an_env_that_cannot_be_trained_in_is_one_line(env: str, said: str, call:
 
 
 @pytest.mark.parametrize(
+    ("task", "said"),
+    [
+        ("Unsound", "mine/Unsound-v0.reward returned nan: must be a finite number"),
+        ("Failing", "mine/Failing-v0: reward() raised ZeroDivisionError: division by zero ("),
+    ],
+)
+def test_a_task_that_fails_in_a_training_is_one_line(task: str, said: str, call: Call) -> None:
+    small = ("--steps", "64", "--robots", "4", "--threads", "1", "--net", "8", "--no-progress")
+    code, _, error = call("train", "--env", f"mine_of_tests.tasks:mine/{task}-v0", *small)
+    assert code == 2
+    assert_one_line(error, said)
+    if task == "Failing":
+        assert f"{Path('mine_of_tests/tasks.py').absolute()}:" in error
+
+
+@pytest.mark.parametrize(
     ("options", "said"),
     [
         (("--gamma", "1.5"), "--gamma 1.5: must be 0 to 1"),
@@ -146,9 +177,15 @@ def test_a_policy_for_it_is_trained_evaluated_driven_and_exported(
 
     figures = tmp_path / "figures.json"
     quick = ("--link", "planar", "--episodes", "2", "--json", str(figures))
-    assert call(*following, *quick)[::2] == (0, "")
-    told = json.loads(figures.read_text())["header"]
+    code, out, error = call(*following, *quick)
+    assert (code, error) == (0, "")
+    assert "told.fastest" in out
+    found = json.loads(figures.read_text())
+    told = found["header"]
     assert (told["policy"]["env"], told["env"]["id"]) == (ENV, "mine/Ahead-v0")
+    fastest = [episode["told"]["fastest"] for episode in found["per_episode"]]
+    assert [list(episode["told"]) for episode in found["per_episode"]] == [["fastest"]] * 2
+    assert found["told"]["fastest"] == pytest.approx(sum(fastest) / 2)
 
     code, _, error = call("run", "0.8", "0", "--link", "planar", *following[1:])
     assert code in (0, 1)

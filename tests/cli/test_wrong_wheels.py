@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from cli_tools import Call, assert_one_line
-from serial_tools import Emulated, RobotFile, start, wait_until
+from serial_tools import Emulated, RobotFile, StartEmulator, start, wait_until
 
 pytestmark = [pytest.mark.xdist_group("serial"), pytest.mark.usefixtures("deadline")]
 
@@ -31,6 +31,30 @@ def test_drive_ends_with_the_wheels_name(lame: Emulated, robot_file: RobotFile, 
     assert code == 3
     assert_one_line(error, SAID)
     wait_until(lame.is_stopped, "zero as the newest command")
+
+
+@pytest.mark.parametrize(
+    ("quirk", "twist", "said"),
+    [
+        ("runaway=a", ("--linear", "0.05"), "front_right turns too fast"),
+        ("swapped-encoders", ("--linear", "0.4", "--angular", "1.2"), "answers"),
+        ("feedback-factor=9.55", ("--linear", "0.05"), "turns too fast"),
+    ],
+)
+def test_drive_ends_on_boards_that_a_sign_in_the_file_cannot_mend(
+    quirk: str,
+    twist: tuple[str, ...],
+    said: str,
+    start_emulator: StartEmulator,
+    robot_file: RobotFile,
+    call: Call,
+) -> None:
+    board = start_emulator("--quirk", quirk)
+    robot = robot_file(wheels={"a": {"sign": -1}} if "runaway" in quirk else {})
+    code, _, error = call("drive", "--link", board.device, *twist, "--robot", robot)
+    assert code == 3
+    assert_one_line(error, said)
+    wait_until(board.is_stopped, "zero as the newest command")
 
 
 def test_a_run_has_a_fault(

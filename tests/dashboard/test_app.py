@@ -205,12 +205,29 @@ def test_what_went_wrong_is_told_of_the_episode_that_is_shown(tape: Path) -> Non
 
 
 def test_the_stop_button_asks_past_dash(client: Any) -> None:
-    answer = client.post("/stop", base_url=BASE, headers={"Origin": BASE})
-    assert answer.get_data(as_text=True).startswith("nothing to stop")
-    elsewhere = {"Origin": "http://example.com"}
+    page = client.get("/", base_url=BASE).get_data(as_text=True)
+    mark = re.findall('<meta name="stop-token" content="([^"]{40,})">', page)[0]
+    for headers in ({"Origin": BASE}, {}):
+        asked = {"stop-token": mark, **headers}
+        answer = client.post("/stop", base_url=BASE, headers=asked)
+        assert answer.get_data(as_text=True).startswith("nothing to stop")
+    elsewhere = {"stop-token": mark, "Origin": "http://example.com"}
     assert client.post("/stop", base_url=BASE, headers=elsewhere).status_code == 403
     one, two = (client.get("/alive", base_url=BASE).data for _ in range(2))
     assert one == two != b""
+
+
+def test_a_stop_that_is_not_of_the_page_is_refused(
+    session: Session, client: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delattr(Session, "stop")
+    other = apps.made(session).server.test_client().get("/", base_url=BASE).get_data(as_text=True)
+    (of_another_start,) = re.findall('<meta name="stop-token" content="([^"]+)">', other)
+    for mark in (None, "", "x" * 43, "\xe9" * 43, of_another_start):
+        headers = {} if mark is None else {"stop-token": mark}
+        answer = client.post("/stop", base_url=BASE, headers=headers)
+        assert (answer.status_code, answer.data.count(b"\n")) == (403, 1)
+        assert answer.data.startswith(b"not stopped: ")
 
 
 @pytest.mark.parametrize("name", ["<img src=x onerror=alert(1)>.mcap", os.fsdecode(b"\xff.mcap")])

@@ -7,6 +7,7 @@ import socket
 import tempfile
 import threading
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -98,6 +99,18 @@ def test_stopped_means_that_the_control_loop_said_so(driving: list[str]) -> None
     assert driving == ["zero"]
 
 
+def test_a_program_that_waits_for_its_robot_is_called_stopped_and_zero_is_not(place: Path) -> None:
+    listener = StopListener("/dev/ttyX")
+    with ThreadPoolExecutor(1) as person:
+        found = person.submit(stopping.stop, os.getpid())
+        while not found.done():
+            if listener.is_requested():
+                listener.confirm(connected=False)
+    listener.close()
+    assert found.result().state == "stopped"
+    assert found.result().said.startswith("the program isn't connected to the robot")
+
+
 def test_without_a_driver_nothing_is_called_stopped() -> None:
     assert not stopping.can_stop(os.getpid())
     assert not stopping.can_stop(0)
@@ -135,14 +148,15 @@ def test_others_that_hang_are_not_waited_for(
 
 
 def test_a_driver_that_ends_without_an_answer_has_nothing_to_stop(
-    monkeypatch: pytest.MonkeyPatch,
+    place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("acsar_gym.safety.estop.ANSWER", 0.3)
-    listener = StopListener("/dev/ttyX")
-    ending = threading.Timer(0.05, listener.close)
-    ending.start()
-    assert stopping.stop(os.getpid()).state == "nobody"
-    ending.join()
+    StopListener("/dev/ttyX").close()  # makes the folder
+    with silent(place, os.getpid()) as killed:
+        ending = threading.Timer(0.05, os.unlink, [killed.getsockname()])
+        ending.start()
+        assert stopping.stop(os.getpid()).state == "nobody"
+        ending.join()
 
 
 def test_a_second_click_does_not_take_back_what_was_confirmed(tape: Path) -> None:

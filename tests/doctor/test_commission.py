@@ -11,11 +11,13 @@ import pytest
 from board_tools import NoTrailingComma, Sibling, board, commissioned
 
 from acsar_gym import Robot, RobotConfig
-from acsar_gym.doctor import wire
+from acsar_gym.doctor import ratios, wire
 from acsar_gym.doctor.commission import Commission
 from acsar_gym.doctor.wiring import eyes_of
+from acsar_gym.emulation import quirks
+from acsar_gym.emulation.quirks import QuirkyLink
 from acsar_gym.errors import BoardSilentError, ConfigError, LinkError
-from acsar_gym.protocol import WHEELS
+from acsar_gym.protocol import WHEELS, encode
 from acsar_gym.worlds import Pose
 
 SLOW_BOARD = {
@@ -72,6 +74,88 @@ def test_a_reversed_encoder() -> None:
     assert set(found) == {"front_left", "wiring"}
     assert "encoder b counts backward" in found["front_left"]
     assert "its encoder is reversed (or its motor" in found["front_left"]
+
+
+@pytest.mark.parametrize("saw", [None, "abcd"])
+def test_an_encoder_that_is_reversed_within_the_boards_loop(saw: Sequence[str] | None) -> None:
+    """No sign in a robot's file mends it: the wheel would run away forward."""
+    commission = Commission(eyes=None if saw is None else eyes_of(saw))
+    checks = commissioned(board("runaway=b"), commission)
+    assert checks["front_left"].status == "fail"
+    assert "measured/commanded -5." in checks["front_left"].found
+    assert checks["front_left"].fix.startswith("set ENCODER_REVERSED in the board's program")
+    assert (commission.finished, commission.changes) == (False, {})
+    assert checks["stops when commands stop"].status == "skip"
+    assert {checks[name].status for name in WHEELS if name != "front_left"} == {"ok"}
+
+
+def test_encoders_that_are_swapped_within_the_boards_loop() -> None:
+    commission = Commission()
+    check = commissioned(board("runaway=b", "swapped-encoders"), commission)["front_left"]
+    assert (check.status, check.fix) == ("fail", ratios.SWAPPED)
+    assert not commission.finished
+
+
+class Cutting(QuirkyLink):
+    """A board that stops a wheel soon which turns the other way than its motor."""
+
+    begun: float | None = None
+
+    def _taken(self, line: bytes) -> bytes:
+        line = super()._taken(line)
+        if not line.startswith((b"ap", b"an")) or line.startswith((b"ap00.00", b"an00.00")):
+            self.begun = None
+        elif self.begun is None:
+            self.begun = self.now()
+        elif self.now() > self.begun + 0.2:
+            return encode((0.0, 0.0, 0.0, 0.0)).rstrip()
+        return line
+
+
+def test_a_wheel_that_the_board_stops_as_it_turns_backward() -> None:
+    found = quirks.parsed(["runaway=a"])
+    commission = Commission()
+    check = commissioned(Cutting(board()._link, RobotConfig(), found), commission)["front_right"]
+    assert check.status == "fail"
+    assert "turned backward, and stood again" in check.found
+    assert check.fix.startswith("set ENCODER_REVERSED")
+    assert not commission.finished
+
+
+@pytest.mark.parametrize(
+    ("factor", "said"),
+    [
+        ("9.55", "rpm (x 9.55)"),
+        ("0.159", "rev/s (x 0.159)"),
+        ("57.3", "deg/s or counts"),
+        ("20", "counts per turn or gear ratio"),
+        ("0.05", "m/s (x 0.05)"),
+        ("1.5", "counts per turn or gear ratio"),
+        ("0.5", "gear ratio in the board's program, or a motor that is too weak"),
+    ],
+)
+def test_units_of_feedback_are_named(factor: str, said: str) -> None:
+    commission = Commission()
+    checks = commissioned(board(f"feedback-factor={factor}"), commission)
+    assert {checks[name].status for name in WHEELS} == {"fail"}
+    assert {said in checks[name].fix for name in WHEELS} == {True}
+    assert not commission.finished
+
+
+def test_a_reversed_encoder_in_another_unit_is_no_runaway() -> None:
+    checks = commissioned(board("feedback-factor=9.55", "reversed-encoder=b"), Commission())
+    assert "measured/commanded -9.5" in checks["front_left"].found
+    assert "rpm" in checks["front_left"].fix
+
+
+@pytest.mark.parametrize("factor", [0.75, 1.35])
+@pytest.mark.parametrize("robot", [{}, SLOW_BOARD], ids=["usual", "slow"])
+def test_a_wheel_may_be_somewhat_slower_or_faster(factor: float, robot: dict[str, Any]) -> None:
+    link = board(f"feedback-factor={factor}", robot=RobotConfig(**robot))
+    checks = commissioned(link, Commission())
+    assert {checks[name].status for name in WHEELS} == {"ok"}
+    said = checks["front_left"].found.partition("measured/commanded ")[2]
+    assert float(said) == pytest.approx(factor, abs=0.06)
 
 
 def test_a_reversed_motor_that_was_seen() -> None:
@@ -356,7 +440,8 @@ def test_a_board_that_nobody_here_wrote() -> None:
         "line end",
     }
     assert commission.changes == {"trailing_comma": True, "firmware": {"feedback_rate": 50.0}}
-    assert checks["stops when commands stop"].found.startswith("0.5")
+    after, *_ = checks["stops when commands stop"].found.split()
+    assert float(after) == pytest.approx(0.5, abs=0.03)
 
 
 def test_a_board_that_misses_the_value_before_a_trailing_comma() -> None:

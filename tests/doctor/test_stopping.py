@@ -13,7 +13,7 @@ from watchdog_tools import HASTY
 
 from acsar_gym import RobotConfig
 from acsar_gym.doctor import stopping, stopping_processes
-from acsar_gym.doctor.stopping_programs import KINDS
+from acsar_gym.doctor.stopping_programs import CALLING, KINDS, PAUSED, SLOW_EXIT
 from acsar_gym.errors import AcsarError, ConfigError
 
 pytestmark = [
@@ -26,6 +26,9 @@ pytestmark = [
     "kinds",
     [
         pytest.param(("exception", "fork", "thread-end"), id="some"),
+        pytest.param(("waitpid", *PAUSED), id="suspended"),
+        pytest.param((*CALLING, "to-thread"), id="signals in C calls"),
+        pytest.param(("main-raises", "pool", "atexit"), id="ends of the main thread"),
         pytest.param(tuple(KINDS), id="all", marks=pytest.mark.slow),
     ],
 )
@@ -42,6 +45,8 @@ def test_every_kind_of_fault_ends_in_a_zero_command(
     for one in stops:
         assert all(map(math.isfinite, one.times)), one
         assert one.times or one.skipped
+        if one.kind == "atexit":
+            assert max(one.times) < SLOW_EXIT, "before the program's own handler, not after it"
     report = json.loads(json.dumps(stopping.as_json(stops), allow_nan=False))
     assert set(report["stops"]) == set(kinds)
 

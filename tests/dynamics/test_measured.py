@@ -12,7 +12,7 @@ from acsar_gym import RobotConfig
 from acsar_gym.dynamics import Randomization
 from acsar_gym.dynamics.measured import DEFAULT, told
 from acsar_gym.dynamics.model import turn_factor
-from acsar_gym.dynamics.randomizer import Randomizer
+from acsar_gym.dynamics.randomization import Randomizer
 
 ACSAR = RobotConfig.preset("acsar")
 MOTOR = {"time_constant": [0.1, 0.1, 0.2, 0.1], "gain": 0.98, "deadband": [0.2, 0.3, 0.2, 0.2]}

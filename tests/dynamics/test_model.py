@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from acsar_gym.config import BodyConfig, MotorConfig, RobotConfig
 from acsar_gym.dynamics import GRAVITY, Physics, model, physics
 from acsar_gym.dynamics.model import Velocity, robot_step, tyre_step, wheel_speed
-from acsar_gym.dynamics.numbers import numbers_of
 from acsar_gym.dynamics.timing import substep
+from acsar_gym.jit import record_of
 from acsar_gym.protocol import ZERO, Speeds
 
 SPIN: Speeds = (4.0, -4.0, -4.0, 4.0)
@@ -182,10 +182,8 @@ def test_a_robot_step_turns_with_the_heading(
     p = physics(RobotConfig())
     c, s = math.cos(heading), math.sin(heading)
     world = (c * vx - s * vy, s * vx + c * vy, rate)
-    (wx, wy, wrate), wheels, angles = robot_step(c, s, world, SPIN, ZERO, SPIN, numbers_of(p), DT)
-    (bx, by, brate), _, _ = robot_step(
-        1.0, 0.0, (vx, vy, rate), SPIN, ZERO, SPIN, numbers_of(p), DT
-    )
+    (wx, wy, wrate), wheels, angles = robot_step(c, s, world, SPIN, ZERO, SPIN, record_of(p), DT)
+    (bx, by, brate), _, _ = robot_step(1.0, 0.0, (vx, vy, rate), SPIN, ZERO, SPIN, record_of(p), DT)
     assert (wx, wy, wrate) == pytest.approx((c * bx - s * by, s * bx + c * by, brate), abs=1e-9)
     assert angles == pytest.approx([wheel * DT for wheel in wheels])
 

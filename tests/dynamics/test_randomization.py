@@ -11,11 +11,10 @@ from varied import RANGES
 
 from acsar_gym import RobotConfig
 from acsar_gym.dynamics import Physics, Randomization, physics
-from acsar_gym.dynamics.drawing import Drawn, places, varied
-from acsar_gym.dynamics.numbers import numbers_of, physics_at, physics_of
-from acsar_gym.dynamics.randomizer import Randomizer
+from acsar_gym.dynamics.randomization import Drawn, Randomizer, places, varied
 from acsar_gym.dynamics.timing import substep
 from acsar_gym.errors import ConfigError
+from acsar_gym.jit import record_of
 
 CONFIG = RobotConfig()
 DT, STEP = substep(CONFIG), 0.1
@@ -59,10 +58,7 @@ def test_every_parameter_has_numbers_and_every_number_a_parameter() -> None:
 
 def test_numbers_keep_their_names_on_the_way_into_compiled_code() -> None:
     own = Physics(*map(float, range(len(Physics._fields))))
-    assert physics_of(numbers_of(own)) == own
-    many = np.zeros((len(own), 3))
-    many[:, 1] = own
-    assert physics_at(many, 1) == own
+    assert tuple(record_of(own)[0]) == own
 
 
 def test_the_defaults_leave_a_robot_as_configured() -> None:

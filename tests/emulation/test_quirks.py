@@ -186,6 +186,8 @@ def test_dead_parts(heard: dict[str, Heard]) -> None:
         ("swapped-motors", (1.0, 4.0, 3.0, 2.0)),
         ("dead-wheel=c", (4.0, 1.0, 0.0, 3.0)),
         ("dead-encoder=c", SPEEDS),
+        ("runaway=b", (4.0, 15.4, 2.0, 3.0)),
+        ("feedback-factor=1.5", SPEEDS),
     ],
 )
 def test_what_the_wheels_really_do(quirk: str, speeds: Speeds) -> None:
@@ -195,6 +197,20 @@ def test_what_the_wheels_really_do(quirk: str, speeds: Speeds) -> None:
         board.advance(0.005)
     assert link.body is not None
     assert link.body.wheel_speeds == pytest.approx(speeds, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("quirk", "speeds"),
+    [("runaway=b", (4.0, -15.4, 2.0, 3.0)), ("feedback-factor=1.5", (6.0, 1.5, 3.0, 4.5))],
+)
+def test_what_an_encoder_in_the_loop_and_other_units_report(quirk: str, speeds: Speeds) -> None:
+    board, _ = quirky(quirk)
+    heard = b""
+    for _ in range(200):
+        board.write(LINE)
+        heard += board.advance(0.005)
+    *_, newest = Decoder().feed(heard)
+    assert newest.speeds == pytest.approx(speeds, abs=0.15)  # of a count
 
 
 @pytest.mark.parametrize("quirk", ["frozen=0.3", "resets=0.3"])
@@ -239,6 +255,8 @@ def test_a_board_that_resets_answers_again() -> None:
         ("dead-wheel", "dead-wheel=WHEEL"),
         ("dead-wheel=ab", "one of a, b, c, d"),
         ("reversed-encoder=x", "one of a, b, c, d"),
+        ("runaway=", "one of a, b, c, d"),
+        ("feedback-factor=0", "feedback-factor=NUMBER"),
         ("command-timeout=soon", "command-timeout=NUMBER"),
         ("frozen=-1", "more than 0"),
         ("feedback-rate=nan", "more than 0"),

@@ -175,3 +175,12 @@ def test_paths_are_judged_by_the_distance_beside_them() -> None:
     assert episode.success
     assert episode.cross_track == pytest.approx(0.1, abs=0.01)
     assert math.isnan(episode.shortest)
+
+
+def test_what_a_task_tells_is_averaged_beside_figures_of_the_same_name() -> None:
+    told = [{"length": 1.0, "nearest": math.nan}, {"length": 2.0, "nearest": 0.5}]
+    summary = summarise([result(told=one) for one in told])
+    assert summary.told == {"length": 1.5, "nearest": 0.5}
+    assert summary.length == 60.0
+    assert summary.intervals["told.length"] != summary.intervals["length"]
+    assert summary.as_dict()["told"] == summary.told

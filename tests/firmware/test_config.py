@@ -2,34 +2,25 @@
 
 from __future__ import annotations
 
-import re
-import shutil
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
+import firmware_tools
 import pytest
 
-from acsar_gym.resources import ASSETS
-
 Build = Callable[..., str]
+MANY_EDGES = (
+    "COUNTS_PER_TURN: more than the 16000 edges/s of a wheel that the chip counts, at "
+    "FULL_SPEED: set what your motors reach, or count one channel, ENCODER_CHANNELS 1"
+)
 
 
 @pytest.fixture
 def build(tmp_path: Path) -> Build:
     """`build(NAME="value", ...)` compiles with these; returns what the compiler complains of."""
-    folder = tmp_path / "firmware"
-    shutil.copytree(ASSETS / "firmware", folder)
 
     def compiled(**changes: str) -> str:
-        config = folder / "acsar" / "config.h"
-        text = config.read_text()
-        for name, value in changes.items():
-            text, count = re.subn(rf"#define {name} .*", f"#define {name} {value}", text)
-            assert count == 1
-        config.write_text(text)
-        command = ["make", "-s", "-C", str(folder), "build/atmega328p.elf"]
-        return subprocess.run(command, check=False, capture_output=True, text=True).stderr
+        return firmware_tools.build_changed(tmp_path, "atmega328p", **changes)[1]
 
     return compiled
 
@@ -39,6 +30,13 @@ def build(tmp_path: Path) -> Build:
     [
         {"BAUD_RATE": "9600UL", "FEEDBACK_RATE": "25", "WINDOW_LINES": "1"},
         {"BAUD_RATE": "57600UL", "LOOP_RATE": "500", "TIME_CONSTANT": "0.2"},
+        {"COUNTS_PER_TURN": "8384", "FULL_SPEED": "10.5", "MAX_SPEED": "8.0"},
+        {
+            "COUNTS_PER_TURN": "4192",
+            "ENCODER_CHANNELS": "1",
+            "FULL_SPEED": "23.0",
+            "MAX_SPEED": "20.0",
+        },
         {"TRAILING_COMMA": "1", "WATCHDOG": "0", "MOTOR_REVERSED": "{1, 0, 1, 0}"},
     ],
 )
@@ -51,9 +49,24 @@ def test_other_numbers_compile(build: Build, changes: dict[str, str]) -> None:
     [
         ({"BAUD_RATE": "9600UL"}, "FEEDBACK_RATE: more lines than BAUD_RATE can carry"),
         ({"BAUD_RATE": "230400UL"}, "BAUD_RATE: this clock makes none within 2.5 % of it"),
-        ({"LOOP_RATE": "200"}, "LOOP_RATE: too low for these encoders and this TIME_CONSTANT"),
+        (
+            {"LOOP_RATE": "100", "COUNTS_PER_TURN": "2000"},
+            "LOOP_RATE: too low for COUNTS_PER_TURN at MAX_SPEED, at most 63 counts a loop",
+        ),
+        (
+            {"LOOP_RATE": "200"},
+            "LOOP_RATE: too low for COUNTS_PER_TURN at MAX_SPEED and this TIME_CONSTANT",
+        ),
         ({"LOOP_RATE": "1024"}, "LOOP_RATE: must be a multiple of FEEDBACK_RATE"),
-        ({"COUNTS_PER_TURN": "12000"}, "LOOP_RATE: too low for these encoders"),
+        (
+            {"COUNTS_PER_TURN": "8384"},
+            MANY_EDGES,
+        ),
+        (
+            {"ENCODER_CHANNELS": "3"},
+            "ENCODER_CHANNELS: 2 counts every edge of A and B, 1 those of A",
+        ),
+        ({"STALL_MS": "70000"}, "STALL_MS: must be less than 65536 loops"),
         ({"MAX_SPEED": "120.0"}, "MAX_SPEED: the wire carries 99.99 rad/s"),
         ({"COMMAND_TIMEOUT_MS": "70000"}, "COMMAND_TIMEOUT_MS: must be less than 65536 loops"),
     ],

@@ -14,10 +14,11 @@ import firmware_tools
 import pytest
 from serial_tools import Emulated, cli, start, wait_until
 
-from acsar_gym import RobotConfig
+from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.doctor import stopping
 from acsar_gym.doctor.stopping_processes import programs
 from acsar_gym.doctor.stopping_programs import KINDS
+from acsar_gym.errors import WheelError
 
 pytestmark = [
     pytest.mark.usefixtures("deadline", "nursery"),
@@ -45,6 +46,39 @@ def test_doctor_finds_nothing_to_warn_of(board: Emulated, tmp_path: Path) -> Non
     checks = json.loads(found.read_text())["checks"]
     here = {"serial ports", "emergency stop"}  # of this computer
     assert [one for one in checks if one["status"] != "ok" and one["name"] not in here] == []
+
+
+@pytest.fixture
+def reversed_board(chip: str, tmp_path: Path) -> Iterator[Emulated]:
+    """The encoder of wheel a counts backward."""
+    command = shlex.join((*firmware_tools.command(chip), "--way", "-1,1,1,1"))
+    emulated = start(tmp_path / "board.jsonl", board=command)
+    yield emulated
+    emulated.end()
+
+
+def test_doctor_shows_that_a_motor_is_cut(reversed_board: Emulated, tmp_path: Path) -> None:
+    found = tmp_path / "doctor.json"
+    options = ("--robot", "acsar_avr", "--spin", "--yes", "--json", found)
+    done = cli("doctor", reversed_board.device, *options)
+    assert done.returncode != 0
+    checks = {one["name"]: one for one in json.loads(found.read_text())["checks"]}
+    assert "a cut: turns against its motor" in checks["the board says"]["found"]
+    assert "ENCODER_REVERSED" in checks["the board says"]["fix"]
+    assert checks["line quality"]["status"] == "ok"
+
+
+def test_a_drive_ends_with_what_the_board_says(reversed_board: Emulated) -> None:
+    patient = {"connect_timeout": 20.0, "feedback_timeout": 5.0, "watchdog_timeout": 2.0}
+    config = RobotConfig.preset("acsar_avr").with_(**patient)
+    with (
+        Robot(open_link(reversed_board.device, config), config) as robot,
+        pytest.raises(WheelError, match="the board says a cut: turns against its motor"),
+    ):
+        for _ in range(3000):
+            robot.drive(0.05, 0.0)
+    fastest = max(abs(event["speeds"][0]) for event in reversed_board.events() if "speeds" in event)
+    assert fastest < 8.0
 
 
 def off_after(board: Emulated, fault: float) -> float:

@@ -103,7 +103,7 @@ def test_without_anybody_who_asks_bytes_wait_for_the_deadline(wire: tuple[OpenPo
 @pytest.mark.xdist_group("serial")
 def test_a_port_that_cannot_be_waited_for_sleeps(wire: tuple[OpenPort, int]) -> None:
     port, _ = wire
-    inner, port._port = port._port, object()  # as rfc2217 or Windows
+    inner, port._port = port._port, object()  # as on Windows
     assert port.wait(0.001) is False
     port._port = inner
 

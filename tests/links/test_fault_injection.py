@@ -208,6 +208,7 @@ def test_over_a_real_device_silence_is_an_error(config: RobotConfig, emulator: E
             while True:
                 robot.drive(0.3, 0.0)
         assert time.monotonic() - start > 0.6
+        robot.close()
     wait_until(emulator.is_stopped, "wheels at rest")
 
 
@@ -234,5 +235,5 @@ def test_a_real_device_comes_back_under_another_name(
         assert link.device == second.device != first.device
         while robot.odometry.pose[0] == 0.0:
             robot.drive(0.3, 0.0)
-        robot.deactivate()
+        robot.close()
     wait_until(second.is_stopped, "wheels at rest")

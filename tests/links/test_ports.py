@@ -257,3 +257,11 @@ def test_a_port_that_the_watchdog_writes_to_as_well_is_not_lost() -> None:
         writer.kill()
     os.close(ours)
     os.close(theirs)
+
+
+@pytest.mark.parametrize("url", ["rfc2217://127.0.0.1:4000", "RFC2217://robot:4000", "loop://"])
+def test_a_url_that_no_watchdog_can_share_is_refused(url: str, config: RobotConfig) -> None:
+    robot = Robot(SerialLink(url, config), config)
+    with pytest.raises(ConfigError, match=r"no watchdog can stop .* use socket://host:port$"):
+        robot.activate()
+    assert not robot.active

@@ -10,6 +10,7 @@ import pytest
 from nursery import ended, first_line, program
 from serial_tools import DRIVER, Emulated, wait_until
 from shutdown_tools import FOREVER, IN_BLOCK, assert_stopped, drives
+from watchdog_tools import HASTY
 
 from acsar_gym.protocol import ZERO
 
@@ -96,8 +97,15 @@ def test_an_ignored_signal_stays_ignored(emulator: Emulated) -> None:
     assert_stopped(emulator)
 
 
-def test_ctrl_z_stops_the_robot_until_the_program_goes_on(emulator: Emulated) -> None:
-    code = DRIVER + IN_BLOCK.format(ticks=FOREVER, end="pass")
+HASTILY = f"""
+config = config.with_(watchdog_timeout={HASTY})
+robot = Robot(open_link(sys.argv[1], config), config)
+"""
+
+
+def test_ctrl_z_stops_the_robot_until_it_is_reset(emulator: Emulated) -> None:
+    """`fg` alone doesn't make it drive on."""
+    code = DRIVER + HASTILY + IN_BLOCK.format(ticks=FOREVER, end="pass")
     with program(code, emulator.device) as process:
         drives(emulator)
         process.send_signal(signal.SIGTSTP)
@@ -107,10 +115,10 @@ def test_ctrl_z_stops_the_robot_until_the_program_goes_on(emulator: Emulated) ->
         hears_more(emulator)  # the wire may have swallowed the first zero
         assert emulator.is_stopped()
         process.send_signal(signal.SIGCONT)
-        wait_until(emulator.is_driven, "a robot that drives on")
-        process.terminate()
-        assert ended(process) == (-signal.SIGTERM, "")
-    assert_stopped(emulator)
+        status, error = ended(process)
+    assert status == 1
+    assert "the watchdog stopped the robot: nothing was commanded for" in error
+    assert_drove_once(emulator)
 
 
 CONTAINED = """

@@ -15,7 +15,7 @@ from acsar_gym import RobotConfig, open_link
 from acsar_gym.bodies.bullet import BulletBody
 from acsar_gym.bodies.bullet.engine import pybullet
 from acsar_gym.dynamics import GRAVITY, Physics
-from acsar_gym.dynamics.randomizer import Randomizer
+from acsar_gym.dynamics.randomization import Randomizer
 from acsar_gym.links.base import meter_of
 from acsar_gym.links.fault_injection import FaultyLink
 from acsar_gym.links.faults import Faults

@@ -24,6 +24,7 @@ from acsar_gym.links.watchdog_child import (
     PAGE,
     REPEATS,
     STANDS,
+    clock,
 )
 from acsar_gym.protocol import ZERO, encode
 
@@ -120,11 +121,28 @@ def test_one_that_has_not_run_for_long_is_none(
             now += step
             dog.drive()
 
-    monkeypatch.setattr(time, "monotonic", lambda: now)
-    drive_until(200.0, step=50.0)
-    with pytest.raises(LinkError, match=r"watchdog process hasn't run for 1\.0[0-9] s"):
-        drive_until(300.0, step=0.01)
+    monkeypatch.setattr(watchdog, "clock", lambda: now)
+    drive_until(100.9, step=0.3)
+    with pytest.raises(LinkError, match=r"watchdog process hasn't run for 0\.2[0-9] s"):
+        drive_until(200.0, step=0.01)
+    assert now < 101.3
+    assert not dog.alive, "it is replaced at the reset"
     monkeypatch.undo()
+
+
+def test_a_gap_that_the_program_finds_first_trips(
+    wire: tuple[int, int], dog: Watchdog, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where both were suspended, and the program goes on before the watchdog."""
+    dog.drive()
+    later = clock() + 3.0
+    monkeypatch.setattr(watchdog, "clock", lambda: later)
+    dog.beat()
+    assert dog.tripped
+    with pytest.raises(LinkError, match=r"nothing was commanded for 30[0-9]{2} ms"):
+        dog.drive()
+    monkeypatch.undo()
+    assert heard_often(wire[0], REPEATS)
 
 
 def test_it_makes_way_where_the_port_is_stuck(wire: tuple[int, int], dog: Watchdog) -> None:

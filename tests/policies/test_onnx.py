@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -131,3 +132,12 @@ def test_the_file_names_no_path_of_the_machine_that_trained(trained: Path) -> No
         content = path.read_bytes()
         assert b".py" not in content
         assert str(Path.home()).encode() not in content
+
+
+def test_onnxruntime_keeps_no_id_of_this_computer(tmp_path: Path) -> None:
+    silent = ("CI", "GITHUB_ACTIONS", "TF_BUILD", "ORT_DISABLE_TELEMETRY", "XDG_CACHE_HOME")
+    user = {name: value for name, value in os.environ.items() if name not in silent}
+    decide = "from acsar_gym.policies import OnnxPolicy; OnnxPolicy('point_goal').reset()"
+    command = [sys.executable, "-c", decide]
+    subprocess.run(command, check=True, env=user | {"HOME": str(tmp_path)}, timeout=120)
+    assert list(tmp_path.rglob("*")) == []

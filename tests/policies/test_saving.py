@@ -98,6 +98,25 @@ def test_what_does_not_fit_is_one_line(options: dict[str, Any], said: str, tmp_p
     assert not (tmp_path / "p.onnx").exists()
 
 
+@pytest.mark.parametrize("broken", [float("nan"), float("inf")])
+@pytest.mark.parametrize("number", [0, -1])
+def test_weights_that_are_not_finite_are_refused(
+    broken: float, number: int, tmp_path: Path
+) -> None:
+    module = network()
+    list(module.parameters())[number].data.flatten()[0] = broken
+    with pytest.raises(PolicyError, match=r"weights network\.\d\.(weight|bias) hold NaN") as raised:
+        save(module, "point_goal", tmp_path / "p.onnx")
+    assert "\n" not in str(raised.value)
+    assert not (tmp_path / "p.onnx").exists()
+
+
+def test_a_module_that_gives_nan_is_refused(tmp_path: Path) -> None:
+    logarithm = policies.actor(network(), lambda net, seen: (net(seen) * 0.0).log() * 0.0)
+    with pytest.raises(PolicyError, match=r"gives \[nan, nan\] for an observation of zeros"):
+        save(logarithm, "point_goal", tmp_path / "p.onnx")
+
+
 def test_a_file_keeps_what_the_envs_arguments_scale(tmp_path: Path) -> None:
     """The signatures are the same."""
     path = tmp_path / "far.onnx"

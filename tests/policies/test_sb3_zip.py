@@ -208,6 +208,22 @@ def test_statistics_of_vecnormalize_become_part_of_the_file(tmp_path: Path) -> N
             runs.export(path, out, "point_goal", None, trust=True, vecnormalize=str(file))
 
 
+def test_a_model_of_vecnormalize_without_its_file_is_refused(tmp_path: Path) -> None:
+    path, *_ = normalized(tmp_path)
+    out, beside = tmp_path / "policy.onnx", tmp_path / "vecnormalize.pkl"
+    elsewhere = beside.rename(tmp_path / "statistics")
+    for attempt in (
+        lambda: runs.export(path, out, "point_goal", None, trust=True),
+        lambda: runs.load(str(path), trust=True),
+    ):
+        with pytest.raises(PolicyError, match="was trained with a VecNormalize, whose file") as no:
+            attempt()
+        assert "\n" not in str(no.value)
+    assert not out.exists()
+    for named in (str(elsewhere), "none"):
+        runs.export(path, out, "point_goal", None, trust=True, vecnormalize=named)
+
+
 def train(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, str(AGENTS / "train.py"), *map(str, arguments), "--no-progress"]
     return subprocess.run(command, check=False, capture_output=True, text=True, timeout=120)

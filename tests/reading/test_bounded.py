@@ -14,8 +14,10 @@ from typing import Any, get_args
 import gymnasium
 import numpy as np
 import pytest
+from disk_tools import full_disk
 
 from acsar_gym import RobotConfig, demo
+from acsar_gym.calibration import runs
 from acsar_gym.cli import main
 from acsar_gym.config import (
     BodyConfig,
@@ -27,8 +29,11 @@ from acsar_gym.config import (
     SpeedLimits,
 )
 from acsar_gym.errors import AcsarError, ConfigError, PolicyError, printable
+from acsar_gym.evaluation.report import write_json
 from acsar_gym.reading import bounded
-from acsar_gym.worlds import generators
+from acsar_gym.render import top_view
+from acsar_gym.training import history
+from acsar_gym.worlds import files, generators
 
 Call = Callable[..., tuple[int, str, str]]
 SECTIONS = (MotorConfig, EncoderConfig, FirmwareConfig, BodyConfig, SpeedLimits, LidarConfig)
@@ -85,9 +90,82 @@ def test_a_pipe_that_nobody_reads_is_an_error(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path / "pipe", tmp_path, tmp_path / "no" / "file", tmp_path / "a\0b"):
         with pytest.raises(ConfigError, match="can't be written: "):
-            bounded.write(path, b"data")
-    bounded.write(tmp_path / "file", b"data")
+            bounded.write_atomically(path, b"data")
+    bounded.write_atomically(tmp_path / "file", b"data")
     assert (tmp_path / "file").read_bytes() == b"data"
+
+
+WRITERS: dict[str, Callable[[Path], object]] = {
+    "robot.yaml": lambda path: RobotConfig.preset("jackal").save(path),
+    "runs.json": lambda path: runs.write(path, [], RobotConfig()),
+    "world.yaml": lambda path: files.save(generators.generate("clutter", 1), path),
+    "report.json": lambda path: write_json(path, {"numbers": list(range(100))}),
+    "picture.png": lambda path: top_view.save(np.zeros((64, 64, 3), np.uint8), path),
+    "table.csv": lambda path: history.write(path, [dict.fromkeys(history.COLUMNS, 1.0)] * 9),
+}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_full_disk_leaves_the_file_that_was_there(name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    path.write_bytes(b"before")
+    with full_disk(50), pytest.raises((AcsarError, OSError), match="File too large"):
+        WRITERS[name](path)
+    assert [(file.name, file.read_bytes()) for file in tmp_path.iterdir()] == [(name, b"before")]
+    WRITERS[name](path)
+    assert len(path.read_bytes()) > 50
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_writer_that_is_interrupted_leaves_the_file_that_was_there(tmp_path: Path) -> None:
+    path = tmp_path / "model.zip"
+    path.write_bytes(b"before")
+    with pytest.raises(KeyboardInterrupt), bounded.replacing(path) as new:
+        new.write_bytes(b"aft")
+        assert new.suffix == ".zip"
+        raise KeyboardInterrupt
+    assert [(file.name, file.read_bytes()) for file in tmp_path.iterdir()] == [
+        ("model.zip", b"before")
+    ]
+
+
+def test_a_replaced_file_keeps_its_permissions_and_its_links(tmp_path: Path) -> None:
+    (tmp_path / "far").mkdir()
+    path, link, dangling = (tmp_path / name for name in ("far/robot.yaml", "link.yaml", "new.yaml"))
+    path.write_bytes(b"before")
+    path.chmod(0o640)
+    link.symlink_to(path)
+    dangling.symlink_to(tmp_path / "far" / "missing.yaml")
+    bounded.write_atomically(link, b"after")
+    bounded.write_atomically(dangling, b"new")
+    assert link.is_symlink()
+    assert (path.read_bytes(), path.stat().st_mode & 0o777) == (b"after", 0o640)
+    assert (tmp_path / "far" / "missing.yaml").read_bytes() == b"new"
+    assert len(list(tmp_path.rglob("*"))) == 5
+    before = os.umask(0o027)
+    try:
+        bounded.write_atomically(tmp_path / "own.yaml", b"mine")
+    finally:
+        os.umask(before)
+    assert (tmp_path / "own.yaml").stat().st_mode & 0o777 == 0o640
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="nothing is write-protected for root")
+def test_a_write_protected_file_is_not_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_bytes(b"before")
+    path.chmod(0o440)
+    with pytest.raises(ConfigError, match="can't be written: Permission denied"):
+        bounded.write_atomically(path, b"after")
+    assert path.read_bytes() == b"before"
+
+
+def test_standard_output_is_written_where_the_shell_opened_it(tmp_path: Path) -> None:
+    code = "import sys, pathlib as p; from acsar_gym.reading import bounded as b;"
+    code += "b.write_atomically(p.Path('/dev/stdout'), b'whole')"
+    with (tmp_path / "out").open("wb") as out:
+        subprocess.run([sys.executable, "-c", code], stdout=out, check=True)
+    assert (tmp_path / "out").read_bytes() == b"whole"
 
 
 MERGES = "a0: &a0 {x: 1}\n" + "".join(

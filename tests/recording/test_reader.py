@@ -247,8 +247,8 @@ def test_hostile_files_are_bounded_in_time_and_memory(tmp_path: Path) -> None:
     (tmp_path / "lists").write_bytes(start + chunk(opening))
     channel = record(CHANNEL, bytes(4) + prefixed("x") + prefixed("") + bytes(4))
     (tmp_path / "channels").write_bytes(start + 44 * chunk(100_000 * channel))
-    told = prefixed("end") + prefixed("{}")
-    end = record(METADATA, prefixed(END) + struct.pack("<I", len(told)) + told)
+    pair = prefixed("end") + prefixed("{}")
+    end = record(METADATA, prefixed(END) + struct.pack("<I", len(pair)) + pair)
     (tmp_path / "metadata").write_bytes(start + 30 * chunk(100_000 * end))
     command = [sys.executable, "-c", HUNGRY, str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)

@@ -7,8 +7,10 @@ import copy
 import math
 import os
 import pickle
+import queue
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -25,6 +27,7 @@ from acsar_gym.links.faults import Faults
 from acsar_gym.recording import Recorder, read, summary
 from acsar_gym.recording.events import Clock, Exchange
 from acsar_gym.recording.recorder import close_all
+from acsar_gym.recording.writer import Writer
 from acsar_gym.worlds import Scene
 
 CONFIG = RobotConfig.of(None)
@@ -181,15 +184,62 @@ def test_a_disk_that_is_full_is_told_once_at_the_next_reset(
     assert recorder.problem is not None
 
 
-def test_a_writer_that_hangs_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    slow = Slow()
-    recorder = Recorder(tmp_path / "tape.mcap", sinks=[slow])
+def test_a_writer_that_hangs_is_told_and_loses_nothing_if_it_goes_on(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    slow, path = Slow(), tmp_path / "tape.mcap"
+    recorder = Recorder(path, sinks=[slow])
     recorder.open(CONFIG)
     recorder.begin(0.0, simulated=False)
-    monkeypatch.setattr("acsar_gym.recording.writer.CLOSE", 0.1)
-    with pytest.warns(RecordingWarning, match="tape.mcap: can't be written: writing has hung"):
+    recorder.add(Clock(0.5, 0))
+    writer = recorder._writer
+    assert writer is not None
+    monkeypatch.setattr("acsar_gym.recording.writer.HANG_WAIT", 0.01)
+    with pytest.warns(RecordingWarning, match=r"tape.mcap: can't be written: writing has hung"):
         recorder.close()
     slow.goes = True
+    writer.join()
+    found = read(path)
+    assert (found.cut, found.dropped) == (False, 0)
+    assert slow.topics.count("/time_reference") == 2
+
+
+def test_a_slow_writer_is_waited_for_while_it_makes_progress(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Each message takes three looks of the end at the writer; all together far more than ten."""
+    looks: queue.Queue[threading.Event] = queue.Queue()
+    closed, join = threading.Event(), Writer.join
+
+    class Paced(Slow):
+        def add(self, message: Any) -> None:
+            for _ in range(3):
+                looks.get().set()
+            self.topics.append(message.topic.name)
+
+        def close(self, end: Any) -> None:
+            closed.set()
+
+    def look(self: Writer, timeout: float | None = None) -> None:
+        seen = threading.Event()
+        looks.put(seen)
+        while not (seen.wait(0.01) or closed.is_set()):
+            pass
+        if closed.is_set():
+            join(self)
+
+    monkeypatch.setattr(Writer, "join", look)
+    slow, path = Paced(), tmp_path / "tape.mcap"
+    recorder = Recorder(path, sinks=[slow])
+    recorder.open(CONFIG)
+    recorder.begin(0.0, simulated=False)
+    for stamp in range(20):
+        recorder.add(Clock(float(stamp), 0))
+    recorder.close()
+    assert recorder.problem is None
+    assert slow.topics.count("/time_reference") == 21
+    found = read(path)
+    assert (found.cut, found.dropped) == (False, 0)
 
 
 def test_a_simulation_does_not_wait_for_ever(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import socket
 import stat
@@ -13,13 +14,26 @@ from pathlib import Path
 
 import pytest
 from estop_tools import DRIVING, answering, estop_command
-from serial_tools import TIMEOUT, Emulated, RobotFile, no_leak, program, wait_until
+from serial_tools import (
+    DRIVER,
+    TIMEOUT,
+    Emulated,
+    RobotFile,
+    StartEmulator,
+    first_line,
+    no_leak,
+    program,
+    wait_until,
+)
 
 from acsar_gym import Robot, RobotConfig
+from acsar_gym.errors import EmergencyStopError
 from acsar_gym.links import open_link
+from acsar_gym.protocol import ZERO, Decoder
 from acsar_gym.recording import Recorder
 from acsar_gym.safety import estop, estop_folders
 from acsar_gym.safety.rules import Reason
+from acsar_gym.worlds import Scene
 
 pytestmark = [pytest.mark.xdist_group("serial"), pytest.mark.usefixtures("deadline", "place")]
 
@@ -55,7 +69,10 @@ def test_a_run_ends_with_one_line(emulator: Emulated, robot_file: RobotFile) -> 
         assert [each.answered for each in estop.stop_all()] == [True]
         _, error = process.communicate(timeout=TIMEOUT)
     assert process.returncode == 3
-    assert error.strip() == "acsar-gym: emergency stop: look after the robot, then start again"
+    assert error == (
+        "acsar-gym: emergency stop: look after the robot, then start again, "
+        "or run 'acsar-gym estop --release'\n"
+    )
 
 
 def test_without_a_robot_the_command_says_so(
@@ -74,7 +91,7 @@ def test_sockets_belong_to_their_owner_alone(config: RobotConfig, shared_device:
         (path,) = folder().iterdir()
         assert stat.S_IMODE(path.stat().st_mode) == 0o600
         assert stat.S_IMODE(path.parent.stat().st_mode) == 0o700
-        robot.deactivate()
+        robot.close()
         assert not list(folder().iterdir())
 
 
@@ -98,6 +115,7 @@ def test_what_an_ended_stop_has_left_is_in_nobodys_way() -> None:
     assert estop.stop_all() == [estop.Stopped(os.getpid(), answered=True)]
     thread.join()
     listener.close()
+    estop.release_process()
     assert not list(folder().iterdir())
 
 
@@ -111,6 +129,7 @@ def test_what_is_no_socket_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> Non
     assert estop.stop_all() == [estop.Stopped(os.getpid(), answered=False)]
     assert listener.is_requested()
     listener.confirm()
+    estop.release_process()
     listener.close()
     assert len(list(folder().iterdir())) == 5
 
@@ -140,6 +159,15 @@ def test_processes_of_one_number_in_two_containers_hear_both() -> None:
     listener.close()
     assert other.paths[0].is_socket()
     other.close()
+
+
+def test_where_no_address_is_free_a_robot_drives_without(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(estop, "MOST_LISTENERS", 2)
+    with socket_at(f"{os.getpid()}-1"), socket_at(f"{os.getpid()}-2"):
+        listener = estop.StopListener()
+        assert f"{folder()}: no socket" in listener.unavailable
+        assert not listener.is_requested()
+        listener.close()
 
 
 def test_a_suspended_process_with_a_full_queue_is_listed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -285,3 +313,194 @@ def test_the_doctor_heeds_it(emulator: Emulated, robot_file: RobotFile) -> None:
     assert process.returncode == 3
     assert "emergency stop" in output
     wait_until(emulator.is_stopped, "zero as the newest command")
+
+
+INSISTING = f"""
+{DRIVER}
+from acsar_gym.errors import LinkError
+
+print("begins", flush=True)
+while True:
+    try:
+        robot.activate()
+        drive(1)
+    except LinkError as error:
+        robot.deactivate()
+        print(type(error).__name__, flush=True)
+"""
+"""Drives on after whatever went wrong."""
+LEARNING = f"""
+{DRIVER}
+import gymnasium
+from acsar_gym.errors import EmergencyStopError
+
+def make():
+    return gymnasium.make(
+        "acsar_gym/PointGoal-v0", link=sys.argv[1], robot=config, max_episode_steps=3
+    )
+
+env = make()
+print("begins", flush=True)
+while True:
+    try:
+        env.reset()
+        done = False
+        while not done:
+            *_, terminated, truncated, _ = env.step((0.3, 0.0))
+            done = terminated or truncated
+    except EmergencyStopError as error:
+        print(type(error).__name__, flush=True)
+        env.close()
+        env = make()
+"""
+"""A training loop that begins episodes for ever, with a new env after each error."""
+
+
+def turning(data: bytes) -> list[object]:
+    """The commands that turn wheels."""
+    return [reading for reading in Decoder().feed(data) if reading.speeds != ZERO]
+
+
+def test_a_stop_while_the_cable_is_out_holds_when_it_is_in_again(
+    start_emulator: StartEmulator, place: Path
+) -> None:
+    emulator = start_emulator("--name", str(place / "robot"))
+    with program(INSISTING, str(place / "robot")) as process:
+        wait_until(emulator.is_driven, "a command that turns the wheels")
+        assert first_line(process) == "begins"
+        emulator.pull()
+        assert first_line(process) == "LinkLostError"
+        assert estop.stop_all() == [
+            estop.Stopped(process.pid, answered=True, connected=False)
+        ]  # by the program that waits for the device to come back
+        assert first_line(process) == "EmergencyStopError"
+        emulator.plug()
+        for _ in range(20):
+            assert first_line(process) == "EmergencyStopError"
+        assert turning(emulator.since_plugged()) == []
+        released = estop.Released(process.pid, answered=True, was_stopped=True)
+        assert estop.release_all() == [released]
+        wait_until(emulator.is_driven, "a command that turns the wheels")
+
+
+@pytest.mark.parametrize("code", [INSISTING, LEARNING], ids=["robot", "env"])
+def test_no_reset_undoes_a_stop_and_a_release_does(
+    code: str, start_emulator: StartEmulator, place: Path
+) -> None:
+    device = str(place / "robot")
+    emulator = start_emulator("--name", device)
+    with program(code, device) as process:
+        assert first_line(process) == "begins"
+        wait_until(emulator.is_driven, "a command that turns the wheels")
+        assert estop.stop_all() == [estop.Stopped(process.pid, answered=True)]
+        wait_until(emulator.is_stopped, "zero as the newest command")
+        before = len(turning(emulator.received()))
+        if code == LEARNING:
+            for _ in range(5):
+                assert first_line(process) == "EmergencyStopError"
+        emulator.pull()
+        for _ in range(5):
+            assert "Error" in first_line(process)
+        emulator.plug()
+        for _ in range(20):
+            assert first_line(process) == "EmergencyStopError"
+        assert len(turning(emulator.received())) == before
+        (released,) = estop.release_all("robot")
+        assert released == estop.Released(process.pid, answered=True, was_stopped=True)
+        wait_until(emulator.is_driven, "a command that turns the wheels")
+
+
+def test_the_command_releases(
+    two: list[estop.StopListener],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert estop.stop_all("rover")[0].answered
+    one = f"process {os.getpid()}"
+    for arguments, said in (
+        (("--release", "usb:A50285BI"), f"{one}: wasn't stopped\n"),
+        (("--release", "rover"), f"{one}: released: it drives after its next reset\n"),
+        (("rover", "--release"), f"{one}: wasn't stopped\n"),
+    ):
+        assert estop_command(capsys, monkeypatch, *arguments) == (0, said, "")
+    code, output, _ = estop_command(capsys, monkeypatch, "--release", "rob9")
+    assert (code, output.splitlines()[0]) == (
+        1,
+        "no robot rob9 is being driven from this computer; these are:",
+    )
+
+
+def test_a_stop_of_one_robot_holds_its_process_until_that_one_is_released(
+    two: list[estop.StopListener],
+) -> None:
+    estop.check_released()
+    assert estop.stop_all("rover")[0].answered
+    with pytest.raises(EmergencyStopError):
+        estop.check_released()
+    estop.release_all("usb:A50285BI")
+    with pytest.raises(EmergencyStopError):
+        estop.check_released()
+    estop.release_all("rover")
+    estop.check_released()
+
+
+def test_a_forked_child_is_held_until_its_own_robot_is_released() -> None:
+    listener = estop.StopListener()
+    listener.hold()
+    child = os.fork()
+    if child == 0:
+        with contextlib.suppress(BaseException):
+            with pytest.raises(EmergencyStopError):
+                estop.check_released()
+            estop.StopListener().release()
+            estop.check_released()
+            os._exit(17)
+        os._exit(1)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 17
+    with pytest.raises(EmergencyStopError):
+        estop.check_released()
+    listener.close()
+
+
+def test_a_stop_that_was_not_read_holds_after_the_robot_is_closed(
+    config: RobotConfig, shared_device: str
+) -> None:
+    with no_leak():
+        robot = Robot(open_link(shared_device, config), config)
+        robot.activate()
+        (path,) = folder().iterdir()
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other:
+            other.sendto(b"stop", str(path))
+        robot.close()
+        another = Robot(open_link(shared_device, config), config)
+        with pytest.raises(EmergencyStopError):
+            another.activate()
+        another.close()
+        with ThreadPoolExecutor(1) as person:
+            found = person.submit(estop.release_all)
+            while not found.done():
+                with contextlib.suppress(EmergencyStopError):
+                    estop.check_released()
+            assert [each.was_stopped for each in found.result()] == [True]
+        with another:
+            another.drive(0.0, 0.0)
+        assert not list(folder().iterdir())
+
+
+def test_a_stop_by_the_program_itself_is_released_by_name(
+    config: RobotConfig, shared_device: str
+) -> None:
+    robot = Robot(open_link(shared_device, config), config)
+    robot.estop()
+    with pytest.raises(EmergencyStopError):
+        robot.activate()
+    robot.release_estop()
+    robot.activate()
+    robot.estop()
+    robot.release_estop()
+    robot.drive(0.3, 0.0)
+    assert robot.safety.reason is Reason.EMERGENCY_STOP  # nothing turns before a reset
+    robot.reset(Scene())
+    robot.drive(0.3, 0.0)
+    assert robot.safety.reason is not Reason.EMERGENCY_STOP
+    robot.close()

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from acsar_gym import Robot, RobotConfig, kinematics
 from acsar_gym import jit as compiled
 from acsar_gym.envs.base import RobotEnv
+from acsar_gym.errors import EmergencyStopError
 from acsar_gym.links import open_link
 from acsar_gym.protocol import Decoder
 from acsar_gym.resources import ASSETS
@@ -254,6 +255,10 @@ def test_an_emergency_stop_is_latched() -> None:
     assert driver.safety.reason is Reason.EMERGENCY_STOP
     assert link.last() == (0.0,) * 4
     assert max(map(abs, driver.speeds)) < 0.1
+    for _ in range(2):
+        with pytest.raises(EmergencyStopError):
+            driver.reset(Scene())
+    driver.release_estop()
     driver.reset(Scene())
     driver.drive(0.4, 0.0)
     assert link.last()[0] == pytest.approx(8.0)
@@ -277,7 +282,9 @@ def test_info_says_what_was_sent_and_why(link: str) -> None:
 
 @pytest.mark.skipif(not compiled.COMPILED, reason="nothing is compiled")
 def test_after_a_reset_nothing_is_left_to_compile(monkeypatch: pytest.MonkeyPatch) -> None:
-    functions: list[Any] = [compiled.jit(getattr(rules, name).py_func) for name in ("tick", "hold")]
+    functions: list[Any] = [
+        compiled.loop(getattr(rules, name).py_func) for name in ("tick", "hold")
+    ]
     for function in functions:
         monkeypatch.setattr(rules, function.__name__, function)
     safety = Safety(ACSAR)

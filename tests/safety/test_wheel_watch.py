@@ -6,16 +6,19 @@ In simulated time, through the driver, on a link that looks like a board.
 from __future__ import annotations
 
 import contextlib
+import itertools
+from collections.abc import Iterator
 from typing import Any
 
+import board_tools
 import gymnasium
 import numpy as np
 import pytest
-from board_like import LikeABoard
+from board_like import LikeABoard, Overshooting
 
 from acsar_gym import Robot, RobotConfig, open_link
-from acsar_gym.dynamics.randomizer import Randomizer
-from acsar_gym.errors import WheelError
+from acsar_gym.dynamics.randomization import Randomizer
+from acsar_gym.errors import SafetyWarning, WheelError
 from acsar_gym.links.fault_injection import FaultyLink
 from acsar_gym.protocol import MOTORS, WHEELS
 from acsar_gym.safety.wheel_watch import WheelWatch
@@ -152,6 +155,112 @@ def test_a_slower_board_than_configured_is_no_fault(scale: float, change: dict[s
                     robot.drive(twist[0] * ACSAR.max_linear, twist[1] * ACSAR.max_angular)
 
 
+def identified(config: RobotConfig = ACSAR) -> RobotConfig:
+    """The robot, as if its motors and its delay had been measured."""
+    motor = ("gain", "deadband", "time_constant", "acceleration")
+    names = (*(f"motor.{name}" for name in motor), "firmware.command_delay")
+    interval = {"low": 0.05, "high": 0.1, "method": "identify"}
+    return config.with_(measured=dict.fromkeys(names, interval))
+
+
+@pytest.mark.parametrize("twist", [(0.05, 0.0), (0.5, 0.0), (0.0, 0.3), (0.3, -0.6)], ids=str)
+@pytest.mark.parametrize("sign", [1, -1], ids=["as-wired", "as-mended"])
+def test_a_wheel_that_runs_away_on_the_board_is_stopped(
+    sign: int, twist: tuple[float, float]
+) -> None:
+    """Whatever the robot's file says of its sign, and however slow the command is."""
+    link = LikeABoard(board_tools.board("runaway=a", robot=ACSAR))
+    took, error = stopped(link, twist, config=ACSAR.with_(wheels={"a": {"sign": sign}}))
+    assert took < SOON
+    assert error.wheel == "front_right"
+
+
+@pytest.mark.parametrize("turn", [1.5, 0.75, -0.75])
+@pytest.mark.parametrize("config", [ACSAR, identified()], ids=["new", "identified"])
+def test_swapped_sides_are_found_in_an_arc(config: RobotConfig, turn: float) -> None:
+    link = LikeABoard(board_tools.board("swapped-encoders", robot=ACSAR))
+    took, error = stopped(link, (0.5, turn), config=config)
+    assert took < SOON
+    assert "answers" in str(error)
+
+
+@pytest.mark.parametrize("twist", [(0.05, 0.0), (0.5, 0.0), (0.0, 0.3), (0.5, 1.5)], ids=str)
+def test_feedback_in_rpm_is_stopped(twist: tuple[float, float]) -> None:
+    link = LikeABoard(board_tools.board("feedback-factor=9.55", robot=ACSAR))
+    took, error = stopped(link, twist)
+    assert took < SOON
+    assert "turns too fast" in str(error)
+
+
+@pytest.mark.parametrize(
+    ("config", "linear", "soon"),
+    [(ACSAR, 0.1, 1.5), (ACSAR, 0.25, 0.75), (ACSAR, 0.5, 0.75), (identified(), 0.1, SOON)],
+)
+def test_feedback_that_is_half_too_high_is_stopped(
+    config: RobotConfig, linear: float, soon: float
+) -> None:
+    """Later than anything else: until it is steady it looks like a board that overshoots."""
+    link = LikeABoard(board_tools.board("feedback-factor=1.5", robot=ACSAR))
+    took, error = stopped(link, (linear, 0.0), config=config)
+    assert took < soon
+    assert "turns too fast" in str(error)
+
+
+ROBOTS: dict[str, tuple[RobotConfig, dict[str, Any], type[LikeABoard]]] = {
+    "acsar": (ACSAR, {}, LikeABoard),
+    "jackal": (RobotConfig.preset("jackal"), {}, LikeABoard),
+    "husky": (RobotConfig.preset("husky"), {}, LikeABoard),
+    "slow": (
+        ACSAR.with_(firmware={"feedback_rate": 20.0}),
+        {
+            "motor": {"time_constant": [0.3, 0.2, 0.3, 0.25], "acceleration": 10, "deadband": 1.2},
+            "firmware": {"command_delay": 0.2},
+            "encoder": {"quantum": 0.35, "window": 0.1},
+        },
+        LikeABoard,
+    ),
+    "uneven": (
+        RobotConfig.preset("jackal"),
+        {"motor": {"time_constant": [0.08, 0.2, 0.2, 0.08], "gain": [1.1, 0.9, 0.9, 1.1]}},
+        LikeABoard,
+    ),
+    "overshooting": (ACSAR, {}, Overshooting),
+}
+"""Robots as they are configured, how they differ, and the link."""
+LOST = {"dropped_lines": 0.05, "late_lines": 0.02, "corrupted_lines": 0.02}
+
+
+def random_commands(rng: np.random.Generator, ticks: int) -> Iterator[np.ndarray]:
+    """Twists as shares of the full ones: steady, ramps, reversals, slaloms, stops."""
+    for _ in range(ticks):
+        length, kind = int(rng.integers(5, 300)), rng.integers(6)
+        first, last = rng.uniform(-1.0, 1.0, (2, 2)) * rng.choice([0.25, 1.0])
+        pace = rng.uniform(0.001, 0.03)
+        for tick in range(length):
+            wave = np.sin(2.0 * np.pi * pace * tick)
+            yield (
+                first,
+                first + (last - first) * tick / length,
+                first * (-1) ** (4 * tick // length),
+                first * (1.0, wave),
+                first * (wave, 1.0),
+                np.zeros(2),
+            )[kind]
+
+
+@pytest.mark.parametrize("lost", [{}, LOST], ids=["all-lines", "lost-lines"])
+@pytest.mark.parametrize("minutes", [0.5, pytest.param(30.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ROBOTS)
+def test_sound_robots_are_never_stopped(name: str, minutes: float, lost: dict[str, float]) -> None:
+    config, changes, kind = ROBOTS[name]
+    link = kind(FaultyLink(open_link("planar", config.with_(**changes)), lost, 0))
+    ticks = round(60.0 * minutes / config.period)
+    with contextlib.closing(Robot(link, config)) as robot:
+        robot.activate()
+        for twist in itertools.islice(random_commands(np.random.default_rng(7), ticks), ticks):
+            robot.drive(twist[0] * config.max_linear, twist[1] * config.max_angular)
+
+
 def found_after(config: RobotConfig, seconds: float, commands: Any, *wheels: float) -> float:
     """Time until wheels that turn at these shares of their commands are stopped [s]."""
     watch = WheelWatch(config)
@@ -172,6 +281,16 @@ def test_a_wheel_is_judged_by_the_one_beside_it(speed: float, share: float) -> N
     assert found_after(ACSAR, 2.0, lambda _: speed, share, 1.0, 1.0, 1.0) < SOON
 
 
+@pytest.mark.parametrize("speed", [0.2, 1.0, 6.0, 20.0])
+def test_how_fast_a_wheel_may_be(speed: float) -> None:
+    """At most 40 % and a little too fast, or 25 % where its gain was measured."""
+    for config, most in ((ACSAR, 1.4), (identified(), 1.25)):
+        assert found_after(config, 5.0, lambda _: speed, most, 1.0, 1.0, 1.0) == 5.0
+        over = most + 0.6 / speed
+        assert found_after(config, 5.0, lambda _: speed, over, 1.0, 1.0, 1.0) < SOON
+        assert found_after(config, 5.0, lambda _: speed, -over, 1.0, 1.0, 1.0) < SOON
+
+
 @pytest.mark.parametrize("every", [1, 5, 15])
 def test_a_dead_wheel_is_found_while_commands_jump(every: int) -> None:
     rng = np.random.default_rng(3)
@@ -182,11 +301,8 @@ def test_a_dead_wheel_is_found_while_commands_jump(every: int) -> None:
 
 def test_with_a_measured_deadband_slow_wheels_are_judged_too() -> None:
     """Even where no wheel turns that could be compared."""
-    interval = {"low": 0.05, "high": 0.1, "method": "identify"}
-    names = "motor.deadband", "motor.time_constant", "motor.acceleration", "firmware.command_delay"
-    known = ACSAR.with_(measured=dict.fromkeys(names, interval))
     still = (0.0,) * 4
-    assert found_after(known, 2.0, lambda _: 0.8, *still) < SOON
+    assert found_after(identified(), 2.0, lambda _: 0.8, *still) < SOON
     assert found_after(ACSAR, 2.0, lambda _: 0.8, *still) == 2.0
 
 
@@ -242,6 +358,14 @@ def test_the_check_can_be_switched_off() -> None:
     with Robot(board(config, dead_wheels="a"), config) as robot:
         for _ in range(100):
             robot.drive(*AHEAD)
+
+
+def test_a_board_without_a_time_out_is_told() -> None:
+    config = ACSAR.with_(firmware={"command_timeout": None})
+    with pytest.warns(SafetyWarning, match="doesn't stop by itself"), Robot(board(config), config):
+        pass
+    with Robot(open_link("planar", config), config):
+        """A simulated one harms nobody."""
 
 
 def test_simulated_robots_are_not_judged() -> None:

@@ -8,6 +8,7 @@ import runpy
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,8 +25,6 @@ from acsar_gym.resources import AGENTS
 from acsar_gym.scaling import completed, shards
 
 PATIENCE = 120.0
-KILLED_AFTER = 30.0
-"""When a node dies in mid-training [s]."""
 
 
 @pytest.fixture(scope="module")
@@ -190,16 +189,28 @@ def test_ray_of_this_machine_alone(tmp_path: Path) -> None:
     assert (ended.stdout, ended.stderr) == ("[(0, '1')]\n", "")
 
 
-def test_trainings_of_seeds_run_on_a_cluster_and_their_files_come_back(tmp_path: Path) -> None:
+def test_trainings_of_seeds_run_on_a_cluster_and_their_files_come_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """One of the nodes dies while both train."""
+    work = tmp_path / "work"
+    work.mkdir()
+    monkeypatch.setenv("RAY_TMPDIR", tempfile.gettempdir())  # its sockets need short paths
+    monkeypatch.setenv("TMPDIR", str(work))  # where the jobs make their folders
     asked = ["--env", "point_goal", "--steps", "300000", "--robots", "64", "--seeds", "0-1"]
     with nodes(2) as cluster:
         arguments = [*asked, "--out", str(tmp_path), "--address", cluster.address]
         running = subprocess.Popen([sys.executable, "-m", "acsar_gym", "train", *arguments])
-        time.sleep(KILLED_AFTER)
-        assert running.poll() is None
-        cluster.kill(0)
-        assert running.wait(600.0) == 0
+        begun: set[Path] = set()
+        killed = False
+        while running.poll() is None:
+            begun |= set(work.glob("*/out/log.txt"))
+            if len(begun) == 2 and not killed:
+                cluster.kill(0)
+                killed = True
+            time.sleep(0.05)
+        assert running.returncode == 0
+        assert len(begun) == 3  # one of them twice
     data = json.loads((tmp_path / "seeds.json").read_text(encoding="utf-8"))
     assert [each["seed"] for each in data["seeds"]] == [0, 1]
     for seed in (0, 1):

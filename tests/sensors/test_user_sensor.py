@@ -190,7 +190,11 @@ FAILURES: list[tuple[Any, type[Exception], str]] = [
     (np.zeros(3, np.complex128), SensorError, "complex128"),
     ([0.5, np.nan, 0.5], SensorError, r"gave \[0.5, nan, 0.5\]: must be finite numbers"),
     ([0.5, np.inf, 0.5], SensorError, "must be finite numbers"),
-    (ValueError("too hot"), ValueError, "too hot"),
+    (
+        ValueError("too hot"),
+        SensorError,
+        r"^sensor 'three_rays': read\(\) raised ValueError: too hot \(.*/test_user_sensor.py:\d+\)",
+    ),
 ]
 
 

@@ -12,8 +12,7 @@ from acsar_gym import RobotConfig
 from acsar_gym.dynamics import Randomization
 from acsar_gym.envs import ids
 from acsar_gym.policies.onnx import OnnxPolicy
-from acsar_gym.resources import agent
-from acsar_gym.training import held_out
+from acsar_gym.training import command, held_out
 
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("torch")]
 
@@ -111,7 +110,7 @@ def test_a_policy_trained_with_measured_ranges_drives_fifty_robots(
     robot = fitted(rng)
     robot.save(tmp_path / "robot.yaml")
     options = ["--env", name, "--robot", str(tmp_path / "robot.yaml"), "--out", str(tmp_path)]
-    assert agent("train").main([*options, "--no-progress"]) == 0
+    assert command.main([*options, "--no-progress"]) == 0
     policy = OnnxPolicy(tmp_path / "policy.onnx")
     nominal = success(policy.env_id, policy, robot, Randomization())
     rates = [success(policy.env_id, policy, *other(robot, rng)) for _ in range(ROBOTS)]

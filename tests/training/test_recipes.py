@@ -54,6 +54,13 @@ def test_the_files_have_no_ids_that_are_not_registered() -> None:
         (GOOD.replace("n_steps: 8", "normalize: true"), "normalize: only rl_zoo3 knows it"),
         (GOOD.replace("1e3", "many"), "n_timesteps: 'many': must be a number"),
         (GOOD.replace("n_envs: 4, ", ""), "n_envs: None: must be a number"),
+        (
+            GOOD.replace("n_steps: 8", "target_kl: [0.1]"),
+            "target_kl: [0.1]: must be a number or null",
+        ),
+        (GOOD.replace("n_steps: 8", "gamma: high"), "gamma: 'high': must be a number"),
+        (GOOD.replace("n_steps: 8", "n_epochs: 2.5"), "n_epochs: 2.5: must be a whole number"),
+        (GOOD.replace("n_steps: 8", "use_sde: 1"), "use_sde: 1: must be true or false"),
         (GOOD.replace("MlpPolicy", "no.such.Policy"), "policy: 'no.such.Policy': not a class"),
         (
             GOOD.replace("n_steps: 8", "policy_kwargs: {activation_fn: torch.nn.ReLUU}"),

@@ -33,7 +33,7 @@ def test_the_command_names_no_folder_of_this_machine(
     given: str, kept: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     words = given.format(folder=tmp_path).split()
-    for program in ("bin/acsar-gym train", "acsar_gym/__main__.py train", "agents/train.py"):
+    for program in ("bin/acsar-gym train", "acsar_gym/__main__.py train"):
         monkeypatch.setattr(sys, "argv", [*program.split(), *words])
         assert record.command() == ["acsar-gym", "train", *kept.split()]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import gc
 import shutil
@@ -9,14 +10,16 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import yaml
+from disk_tools import full_disk
 
 from acsar_gym.errors import AcsarError
-from acsar_gym.resources import AGENTS, agent
-from acsar_gym.training import checkpoints
+from acsar_gym.resources import AGENTS
+from acsar_gym.training import checkpoints, command
 from acsar_gym.training.checkpoints import State
 
 pytestmark = pytest.mark.xdist_group("torch")
@@ -58,10 +61,10 @@ def test_a_killed_training_goes_on_with_the_same_curve(tmp_path: Path) -> None:
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     arguments = [*TINY, "--steps", str(STEPS), "--seed", "7", "--learning-rate", "0.003"]
     killed(arguments, cut)
-    assert agent("train").main([*arguments, "--out", str(whole)]) == 0
+    assert command.main([*arguments, "--out", str(whole)]) == 0
     before = checkpoints.read(checkpoints.found(cut / "checkpoints")[-1])
     assert 0 < before.steps < STEPS
-    assert agent("train").main(["--resume", str(cut), "--trust"]) == 0
+    assert command.main(["--resume", str(cut), "--trust"]) == 0
     assert curve(cut) == curve(whole)
     assert weights(cut) == weights(whole)
     told = yaml.safe_load((cut / "config.yml").read_text())
@@ -76,8 +79,8 @@ def test_the_other_algorithms_go_on_with_the_same_curve_too(algo: str, tmp_path:
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     arguments = [*TINY, "--steps", "3000", "--seed", "7", "--algo", algo]
     killed(arguments, cut)
-    assert agent("train").main([*arguments, "--out", str(whole)]) == 0
-    assert agent("train").main(["--resume", str(cut), "--trust"]) == 0
+    assert command.main([*arguments, "--out", str(whole)]) == 0
+    assert command.main(["--resume", str(cut), "--trust"]) == 0
     assert curve(cut) == curve(whole)
     assert weights(cut) == weights(whole)
 
@@ -86,7 +89,7 @@ def test_the_other_algorithms_go_on_with_the_same_curve_too(algo: str, tmp_path:
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a training of 256 steps."""
     out = tmp_path_factory.mktemp("finished")
-    assert agent("train").main([*TINY, "--steps", "256", "--out", str(out)]) == 0
+    assert command.main([*TINY, "--steps", "256", "--out", str(out)]) == 0
     return out
 
 
@@ -102,7 +105,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 )
 def test_a_folder_is_refused_in_one_line(finished: Path, arguments: str, said: str) -> None:
     with pytest.raises(AcsarError) as error:
-        agent("train").main(["--resume", str(finished), *arguments.split()])
+        command.main(["--resume", str(finished), *arguments.split()])
     assert said.format(finished) in str(error.value)
     assert "\n" not in str(error.value)
 
@@ -117,10 +120,10 @@ def test_a_broken_checkpoint_is_refused(tmp_path: Path, content: bytes) -> None:
 
 def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
     with pytest.raises(AcsarError, match=r"config\.yml"):
-        agent("train").main(["--resume", str(tmp_path), "--trust"])
+        command.main(["--resume", str(tmp_path), "--trust"])
     (tmp_path / "config.yml").write_text("run: 3\n")
     with pytest.raises(AcsarError, match="not of 'acsar-gym train'"):
-        agent("train").main(["--resume", str(tmp_path), "--trust"])
+        command.main(["--resume", str(tmp_path), "--trust"])
 
 
 def test_an_edited_config_and_a_cut_checkpoint_are_refused(finished: Path, tmp_path: Path) -> None:
@@ -128,17 +131,17 @@ def test_an_edited_config_and_a_cut_checkpoint_are_refused(finished: Path, tmp_p
     resumed = ["--resume", str(tmp_path / "copy"), "--trust", "--steps", "512"]
     (tmp_path / "copy/checkpoints/rl_model_300_steps.zip").write_bytes(b"PK")
     with pytest.raises(AcsarError, match=r"delete it to go on from .*rl_model_256_steps\.zip"):
-        agent("train").main(resumed)
+        command.main(resumed)
     config = tmp_path / "copy" / "config.yml"
     config.write_text(config.read_text().replace("robots: 8", "robots: many"))
     with pytest.raises(AcsarError, match="--robots 'many': must be"):
-        agent("train").main(resumed)
+        command.main(resumed)
 
 
 def test_more_steps_go_on_in_the_same_folder(
     finished: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert agent("train").main(["--resume", str(finished), "--trust", "--steps", "512"]) == 0
+    assert command.main(["--resume", str(finished), "--trust", "--steps", "512"]) == 0
     assert "going on at 256 steps\n" in capsys.readouterr().out
     assert [path.name for path in checkpoints.found(finished / "checkpoints")] == [
         "rl_model_256_steps.zip",
@@ -151,39 +154,45 @@ def test_more_steps_go_on_in_the_same_folder(
 
 
 def test_a_policy_for_which_there_was_no_room_is_written_by_resume(tmp_path: Path) -> None:
-    """The policy's temporary file is a device that is always full; all steps are done."""
+    """The policy is a device that is always full; all steps are done."""
     policy = tmp_path / "policy.onnx"
-    policy.write_bytes(b"before")
-    (tmp_path / ".policy.onnx").symlink_to("/dev/full")
+    policy.symlink_to("/dev/full")
     with pytest.raises(AcsarError, match=f"go on with --resume {tmp_path} --trust"):
-        agent("train").main([*TINY, "--steps", "256", "--out", str(tmp_path)])
+        command.main([*TINY, "--steps", "256", "--out", str(tmp_path)])
     before = curve(tmp_path)
-    assert agent("train").main(["--resume", str(tmp_path), "--trust"]) == 0
+    policy.unlink()
+    assert command.main(["--resume", str(tmp_path), "--trust"]) == 0
     assert len(policy.read_bytes()) > 1000
     assert curve(tmp_path) == before
     again = ["--resume", str(tmp_path), "--trust"]
     with pytest.raises(AcsarError, match="its 256 steps are done"):
-        agent("train").main(again)
+        command.main(again)
     policy.unlink()
-    assert agent("train").main(again) == 0
+    assert command.main(again) == 0
     assert policy.exists()
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-def test_a_full_disk_leaves_the_last_checkpoint_and_policy(tmp_path: Path) -> None:
-    """The next checkpoint's temporary file is a device that is always full."""
+def test_a_full_disk_leaves_the_last_checkpoint_and_policy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write, folder = checkpoints.write, tmp_path / "checkpoints"
+
+    def write_until_full(to: Path, save: Callable[[Path], object], state: State) -> Path:
+        with full_disk(1000) if state.steps == 512 else contextlib.nullcontext():
+            return write(to, save, state)
+
+    monkeypatch.setattr(checkpoints, "write", write_until_full)
     (tmp_path / "policy.onnx").write_bytes(b"before")
-    folder = tmp_path / "checkpoints"
-    folder.mkdir()
-    (folder / ".rl_model_512_steps.zip").symlink_to("/dev/full")
     with pytest.raises(AcsarError) as error:
-        agent("train").main([*TINY, "--steps", "768", "--out", str(tmp_path)])
+        command.main([*TINY, "--steps", "768", "--out", str(tmp_path)])
     said = str(error.value)
     del error
     gc.collect()  # the file that stable-baselines3 leaves open: here, not in a later test
-    assert said.startswith(f"--out {tmp_path}: can't be written: No space left on device; ")
+    assert said.startswith(f"--out {tmp_path}: can't be written: File too large; ")
     assert f"{folder / 'rl_model_256_steps.zip'} is whole" in said
     assert "\n" not in said
+    assert [path.name for path in folder.iterdir()] == ["rl_model_256_steps.zip"]
     assert (tmp_path / "policy.onnx").read_bytes() == b"before"
     assert checkpoints.read(folder / "rl_model_256_steps.zip").steps == 256
 

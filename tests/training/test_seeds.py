@@ -15,8 +15,8 @@ import pytest
 
 from acsar_gym.dynamics import Randomization
 from acsar_gym.errors import ConfigError
-from acsar_gym.resources import AGENTS, agent
-from acsar_gym.training import seeds
+from acsar_gym.resources import AGENTS
+from acsar_gym.training import command, seeds
 from acsar_gym.training.options import Options
 from acsar_gym.training.plan import Plan
 
@@ -53,14 +53,14 @@ def test_what_isnt_seeds_is_refused(text: str) -> None:
 )
 def test_options_that_dont_fit_are_refused(arguments: str, said: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=said):
-        agent("train").main([*arguments.split(), *SMALL, "--out", str(tmp_path)])
+        command.main([*arguments.split(), *SMALL, "--out", str(tmp_path)])
     assert not list(tmp_path.glob("seed-*"))
 
 
 def test_every_seed_has_a_folder_and_a_row(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert agent("train").main(["--seeds", "3,5", *SMALL, "--out", str(tmp_path)]) == 0
+    assert command.main(["--seeds", "3,5", *SMALL, "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
     data = json.loads((tmp_path / "seeds.json").read_text(encoding="utf-8"))
     rates = [each["success_rate"] for each in data["seeds"]]

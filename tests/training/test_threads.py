@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
+
 import pytest
 
 from acsar_gym.errors import ConfigError
 from acsar_gym.training import threads
+from acsar_gym.vector.settings import cores, threads_for
+
+
+def batch(asked: int) -> int:
+    """The threads of a batch."""
+    return threads_for(asked, 1024)
 
 
 @pytest.mark.parametrize(
@@ -25,7 +34,7 @@ def test_threads_that_would_share_a_core_are_left_out(cores: int, share: float, 
 
 
 def test_the_measurement_is_within_what_there_is() -> None:
-    assert 1 <= threads.free_cores() <= threads.cores()
+    assert 1 <= threads.free_cores() <= cores()
 
 
 def test_a_number_that_is_given_is_taken() -> None:
@@ -34,5 +43,22 @@ def test_a_number_that_is_given_is_taken() -> None:
 
 @pytest.mark.parametrize("asked", [0, -1, 4096])
 def test_impossible_numbers_are_refused(asked: int) -> None:
-    with pytest.raises(ConfigError, match=f"--threads {asked}: must be 1 to"):
+    with pytest.raises(ConfigError, match=f"--threads {asked}: must be 1"):
         threads.chosen(asked)
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="there are no affinities here")
+@pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="there is one core")
+@pytest.mark.parametrize(("name", "choose"), [("--threads", threads.chosen), ("threads =", batch)])
+def test_a_process_held_to_one_core_is_told_so(name: str, choose: Callable[[int], int]) -> None:
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(before)})
+    try:
+        with pytest.raises(ConfigError) as error:
+            choose(99)
+    finally:
+        os.sched_setaffinity(0, before)
+    assert str(error.value) == (
+        f"{name} 99: must be 1, the cores that this process may use: taskset, a batch system or a "
+        f"container keeps it from the others of this machine's {os.cpu_count()}"
+    )

@@ -17,9 +17,11 @@ import pytest
 from gymnasium.vector import AutoresetMode
 from varied import RANGES
 
-from acsar_gym.dynamics import Physics, physics
+from acsar_gym import RobotConfig, RobotEnv
+from acsar_gym.dynamics import Physics, Randomization, physics
 from acsar_gym.envs import ObstacleGoalVectorEnv, PointGoalVectorEnv
 from acsar_gym.errors import CommandError, ConfigError
+from acsar_gym.tasks import PointGoal
 from acsar_gym.vector.env import RobotVectorEnv
 from acsar_gym.vector.kernel import episode, layout
 from acsar_gym.vector.threads import Threads
@@ -274,9 +276,10 @@ def test_what_is_drawn_is_told_at_every_step(mode: AutoresetMode) -> None:
         ({"max_episode_steps": 10**400}, "max_episode_steps = 1000.*: must be .* 1 to 1,000,000"),
         ({"max_episode_steps": 0}, "max_episode_steps = 0"),
         ({"threads": 0}, "threads = 0"),
-        ({"threads": 10_000}, "the cores of this machine"),
+        ({"threads": 10_000}, "the cores (of this machine|that this process may use)"),
         ({"randomization": {"frictoin": (0.5, 1.0)}}, "did you mean 'friction'"),
         ({"randomization": {"mass": (2.0, 1.0)}}, "low <= high"),
+        ({"randomization": "friction"}, "must be a mapping .* or True for what acsar-gym train"),
         ({"randomization": {"mass": 3}}, "must be \\(low, high\\)"),
         ({"randomization": {"latency": (0.0, 0.5)}}, "shorter than a step"),
         ({"render_mode": "rgb_array"}, "no pictures"),
@@ -351,3 +354,17 @@ def test_without_numba_everything_is_the_same_with_one_warning(tmp_path: Path) -
 def test_a_step_before_the_reset_is_one_clear_error() -> None:
     with pytest.raises(ConfigError, match="call reset"):
         batch().step(np.zeros((4, 2)))
+
+
+@pytest.mark.parametrize("kind", [RobotVectorEnv, RobotEnv])
+def test_randomization_true_is_that_of_a_training(kind: Any) -> None:
+    told = []
+    for given in (True, Randomization.measured(RobotConfig.of(None))):
+        env = kind(PointGoal, randomization=given)
+        told.append({k: v for k, v in env.reset(seed=0)[1].items() if k.startswith("drawn_")})
+        env.close()
+    assert told[0]
+    np.testing.assert_equal(told[0], told[1])
+    env = kind(PointGoal, randomization=False)
+    assert not [name for name in env.reset(seed=0)[1] if name.startswith("drawn_")]
+    env.close()

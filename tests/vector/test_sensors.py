@@ -186,7 +186,11 @@ def failing(what: Any, robot: int) -> Any:
     [
         (np.zeros(2), SensorError, "sensor 'three_rays'.*shape \\(2,\\)"),
         (np.array([0.0, np.nan, 0.0]), SensorError, "sensor 'three_rays'.*nan"),
-        (ValueError("too hot"), ValueError, "too hot"),
+        (
+            ValueError("too hot"),
+            SensorError,
+            r"'three_rays' of robot 2: read\(\) raised ValueError: too hot \(.*test_sensors.py:\d+",
+        ),
     ],
 )
 def test_errors_name_the_robot_and_need_a_reset(
@@ -197,7 +201,8 @@ def test_errors_name_the_robot_and_need_a_reset(
     env.step(np.zeros((4, 2)))
     with pytest.raises(kind, match=message) as caught:
         env.step(np.zeros((4, 2)))
-    assert caught.value.__notes__ == ["sensor 'three_rays' of robot 2"]
+    notes = getattr(caught.value, "__notes__", [])
+    assert "sensor 'three_rays' of robot 2" in [*notes, str(caught.value).partition(":")[0]]
     with pytest.raises(ConfigError, match="interrupted"):
         env.step(np.zeros((4, 2)))
     assert (env.reset(seed=0)[0] == first).all()

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from acsar_gym import RobotEnv, Task
-from acsar_gym.errors import ConfigError
+from acsar_gym.errors import ConfigError, TaskError
 from acsar_gym.jit import COMPILED
 from acsar_gym.tasks import Outcome, PointGoal, State
 from acsar_gym.tasks.base import is_compiled
@@ -90,7 +90,7 @@ def test_what_is_no_outcome_is_named(make: Any) -> None:
     env.reset(seed=0)
     action = ACTIONS[0, 0] if isinstance(env, RobotEnv) else ACTIONS[0, :1]
     env.step(action)
-    with pytest.raises(ConfigError, match=r"Late.outcome returned 7: must be an Outcome"):
+    with pytest.raises(TaskError, match=r"Late.outcome returned 7: must be an Outcome"):
         env.step(action)
     env.close()
 
@@ -169,7 +169,7 @@ def test_a_path_cannot_be_changed(make: Any) -> None:
     env.reset(seed=0)
     action = ACTIONS[0, 0] if isinstance(env, RobotEnv) else ACTIONS[0, :1]
     env.step(action)
-    with pytest.raises(ValueError, match="read-only"):
+    with pytest.raises(TaskError, match=r"Bending: reward\(\) raised ValueError: .* read-only"):
         env.step(action)
     env.close()
 
@@ -207,6 +207,150 @@ def test_an_index_out_of_reach_is_an_error_compiled_too() -> None:
     batch = RobotVectorEnv(OutOfReach)
     batch.reset(seed=0)
     batch.step(ACTIONS[0, :1])
-    with pytest.raises(ConfigError, match=r"OutOfReach: index .* out of bounds"):
+    with pytest.raises(TaskError, match=r"OutOfReach: IndexError: index .* out of bounds"):
         batch.step(ACTIONS[0, :1])
+    batch.close()
+
+
+class Unsound(Task):
+    """From its second step on, its reward or what it observes is no finite number."""
+
+    gain: float = 0.0
+    bias: float = 0.0
+    observation: ClassVar[Mapping[str, tuple[float, float]]] = {"time": (0.0, 9.0), "x": (0.0, 9.0)}
+
+    def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
+        return 1.0 + (self.gain if state.time > 0.15 else 0.0)
+
+    def observe(self, state: State, memory: Any) -> tuple[float, ...]:
+        return state.time, 1.0 + (self.bias if state.time > 0.15 else 0.0)
+
+
+class UnsoundReward(Unsound):
+    gain = float("nan")
+
+
+class UnsoundObservation(Unsound):
+    bias = float("-inf")
+
+
+class CompiledReward(UnsoundReward):
+    compiled = True
+
+
+class CompiledObservation(UnsoundObservation):
+    compiled = True
+
+
+@pytest.mark.parametrize(
+    ("task", "said"),
+    [
+        (UnsoundReward, r"UnsoundReward.reward returned nan"),
+        (UnsoundObservation, r"UnsoundObservation.observe returned {'x': -inf}"),
+        pytest.param(CompiledReward, r"CompiledReward.reward returned nan", marks=needs_numba),
+        pytest.param(CompiledObservation, r"CompiledObservation.* {'x': -inf}", marks=needs_numba),
+    ],
+)
+@pytest.mark.parametrize("mode", ["single", "batch", "batch that resets in the same step"])
+def test_numbers_that_are_not_finite_are_named(task: type[Task], said: str, mode: str) -> None:
+    same: dict[str, Any] = (
+        {"autoreset_mode": "SameStep", "max_episode_steps": 2} if "same" in mode else {}
+    )
+    env: Any = RobotEnv(task, "planar") if mode == "single" else RobotVectorEnv(task, 3, **same)
+    action = ACTIONS[0, 0] if mode == "single" else ACTIONS[0]
+    env.reset(seed=0)
+    env.step(action)
+    with pytest.raises(TaskError, match=rf"^{said}.*: must be (a )?finite number") as caught:
+        env.step(action)
+    if mode != "single" and task is not UnsoundReward:
+        assert "for robot 0" in str(caught.value)
+    env.reset(seed=0)
+    env.step(action)
+    env.close()
+
+
+class Failing(Remembering):
+    """Raises in one of its methods, through a library."""
+
+    fails_in: ClassVar[str] = ""
+
+    def begin(self, state: State, memory: Any) -> None:
+        super().begin(state, memory)
+        self.fail("begin", state)
+
+    def outcome(self, state: State, memory: Any) -> Outcome:
+        self.fail("outcome", state)
+        return Outcome.GOING
+
+    def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
+        self.fail("reward", state)
+        return super().reward(state, memory, outcome)
+
+    def observe(self, state: State, memory: Any) -> tuple[float, ...]:
+        self.fail("observe", state)
+        return super().observe(state, memory)
+
+    def fail(self, method: str, state: State) -> None:
+        """Raise, but not where the env tries the task."""
+        if method == self.fails_in and state.goal != (1.0, 0.0):
+            np.concatenate([])  # this line
+
+
+@pytest.mark.parametrize("kind", [RobotEnv, RobotVectorEnv])
+@pytest.mark.parametrize("method", ["begin", "outcome", "reward", "observe"])
+def test_errors_of_a_task_name_it_and_the_line(kind: Any, method: str) -> None:
+    env = kind(type("Failing", (Failing,), {"fails_in": method}))
+    line = 1 + next(
+        number
+        for number, text in enumerate(Path(__file__).read_text().splitlines())
+        if text.endswith("  # this line")
+    )
+    with pytest.raises(TaskError) as caught:
+        env.reset(seed=0)
+        env.step(ACTIONS[0, 0] if kind is RobotEnv else ACTIONS[0, :1])
+    said = f"Failing: {method}() raised ValueError: need at least one array to concatenate"
+    assert str(caught.value) == f"{said} ({__file__}:{line})"
+    assert isinstance(caught.value.__cause__, ValueError)
+    env.close()
+
+
+def test_errors_where_a_task_is_tried_name_it() -> None:
+    class Hasty(Remembering):
+        def begin(self, state: State, memory: Any) -> None:
+            memory.rate = 1.0 / state.pose[0]
+
+    with pytest.raises(TaskError, match=r"Hasty: begin\(\) raised ZeroDivisionError: .*\.py:\d+"):
+        RobotEnv(Hasty, "planar")
+
+
+class Undeclared(Unsound):
+    """Remembers what its memory hasn't."""
+
+    compiled = True
+
+    def begin(self, state: State, memory: Any) -> None:
+        memory.turns = 0.0
+
+
+class UndeclaredRead(Undeclared):
+    compiled = True
+
+    def begin(self, state: State, memory: Any) -> None:
+        """Nothing to note."""
+
+    def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
+        return float(memory.turns) if state.time > 0.15 else 0.0
+
+
+@needs_numba
+@pytest.mark.parametrize("task", [Undeclared, UndeclaredRead])
+def test_what_a_memory_does_not_declare_is_named(task: type[Task]) -> None:
+    batch = RobotVectorEnv(task)
+    with pytest.raises(ConfigError) as error:
+        batch.reset(seed=0)
+        batch.step(ACTIONS[0, :1])
+    assert str(error.value) == (
+        f"{task.__name__}: memory.turns isn't declared: give it a first value in the class, such "
+        'as memory = {"turns": 0.0}'
+    )
     batch.close()

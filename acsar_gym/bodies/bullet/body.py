@@ -20,9 +20,9 @@ from acsar_gym.bodies.bullet.statics import Statics
 from acsar_gym.config import RobotConfig
 from acsar_gym.dynamics import GRAVITY, Physics, physics
 from acsar_gym.dynamics import model as dynamics
-from acsar_gym.dynamics.numbers import numbers_of
 from acsar_gym.dynamics.power import motor_power
 from acsar_gym.dynamics.timing import substep
+from acsar_gym.jit import record_of
 from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.worlds import Scene, World
 
@@ -93,7 +93,7 @@ class BulletBody:
     def _equip(self, own: Physics) -> None:
         """Set the robot's physics for the episode that begins."""
         model.weigh(self._robot, own, self._client)
-        self._physics = numbers_of(own)
+        self._physics = record_of(own)
         self._push, self._twist = own.mass / self._dt, own.yaw_inertia / self._dt
 
     def _mark(self, goal: tuple[float, float] | None) -> None:

@@ -4,12 +4,14 @@
   "use strict";
   const LOST = "not confirmed, the dashboard doesn't answer: run acsar-gym estop in a terminal";
   const HEARD = 1000, LONGEST = 5000; // [ms]
+  const TOKEN = "stop-token"; // by which the server knows that its own page asks
   let busy = false, lost = false, server = null;
 
   const show = (id, properties) => window.dash_clientside.set_props(id, properties);
 
   async function ask(path, method) {
-    const answer = await fetch(path, { method, signal: AbortSignal.timeout(LONGEST) });
+    const headers = { [TOKEN]: document.querySelector(`meta[name=${TOKEN}]`).content };
+    const answer = await fetch(path, { method, headers, signal: AbortSignal.timeout(LONGEST) });
     if (!answer.ok) throw new Error(answer.status);
     return answer.text();
   }

@@ -112,7 +112,7 @@ class Page:
             ConfigError: it can't be written.
             MissingExtraError: plotly isn't installed.
         """
-        bounded.write(path, self.html().encode())
+        bounded.write_atomically(path, self.html().encode())
 
     def html(self) -> str:
         """Return the whole file as text; MissingExtraError without plotly."""

@@ -7,13 +7,21 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.dynamics.drawing import draw
+from acsar_gym.dynamics.randomization import draw
 from acsar_gym.dynamics.timing import whole_loops
-from acsar_gym.jit import jit, loop
+from acsar_gym.jit import jit, loop, subroutine
 from acsar_gym.tasks.base import relative, within
 from acsar_gym.tasks.spawn import goal_at
-from acsar_gym.vector.kernel.dynamics import ask, command
-from acsar_gym.vector.kernel.fault_injection import draw_key, prepare, put_back, rays, settle_late
+from acsar_gym.vector.kernel.drive import (
+    command_once,
+    draw_fault_key,
+    drive_robots,
+    keep_before_step,
+    newest_line,
+    restore_silent,
+    settle_with_faults,
+    store_actions,
+)
 from acsar_gym.vector.kernel.layout import (
     BLOCK,
     COMMAND_LOOPS,
@@ -60,14 +68,13 @@ from acsar_gym.vector.kernel.layout import (
     Y,
     row,
 )
-from acsar_gym.vector.kernel.lidars import look
-from acsar_gym.vector.kernel.robot import drive, newest_line
+from acsar_gym.vector.kernel.lidars import take_scans
 from acsar_gym.vector.pcg import uniform
 from acsar_gym.worlds.geometry import Surroundings
 
 
 @jit
-def settle_ticks(delay: float, every: float, loops: float) -> float:
+def count_settle_ticks(delay: float, every: float, loops: float) -> float:
     """Number of ticks that a reset waits for two fresh readings, as in `Robot.reset`.
 
     Args:
@@ -80,8 +87,8 @@ def settle_ticks(delay: float, every: float, loops: float) -> float:
     return max(one + 1.0, two)
 
 
-@loop
-def equip(tables: Tables, i: int, setup: Setup) -> None:
+@subroutine
+def draw_physics(tables: Tables, i: int, setup: Setup) -> None:
     """Draw robot i's physics for the episode that begins."""
     state, low, high = tables.state, tables.low, tables.high
     samples = np.zeros(len(low))
@@ -99,7 +106,7 @@ def equip(tables: Tables, i: int, setup: Setup) -> None:
 
 
 @jit
-def aim(state: Floats, random: NDArray[np.uint64], i: int, spawns: Spawns) -> None:
+def draw_goal(state: Floats, random: NDArray[np.uint64], i: int, spawns: Spawns) -> None:
     """Set robot i's goal on an open floor: as its reset option says, or drawn in any direction."""
     state[START_COS, i] = 1.0
     if state[WISHED_GOAL, i] > 0.0:
@@ -113,7 +120,7 @@ def aim(state: Floats, random: NDArray[np.uint64], i: int, spawns: Spawns) -> No
 
 
 @jit
-def choose(state: Floats, i: int, share: float, spawns: Spawns) -> int:
+def choose_world(state: Floats, i: int, share: float, spawns: Spawns) -> int:
     """Index of robot i's world, as `tasks.spawn.chosen` for a uniform sample `share` of [0, 1)."""
     first, last = int(state[FIRST_RANK, i]), int(state[LAST_RANK, i])
     if state[WISHED_WORLD, i] > 0.0:
@@ -124,11 +131,11 @@ def choose(state: Floats, i: int, share: float, spawns: Spawns) -> int:
 
 
 @jit
-def settle(state: Floats, random: NDArray[np.uint64], i: int, spawns: Spawns) -> None:
+def draw_start(state: Floats, random: NDArray[np.uint64], i: int, spawns: Spawns) -> None:
     """Set robot i's world, start and goal, as `tasks.spawn.drawn`."""
     u0, u1, u2 = uniform(random, i), uniform(random, i), uniform(random, i)
     u3, u4, u5 = uniform(random, i), uniform(random, i), uniform(random, i)
-    world = choose(state, i, u0, spawns)
+    world = choose_world(state, i, u0, spawns)
     start, goal = spawns.starts[world], spawns.goals[world]
     x, y = within(start[0], start[1], start[2], u1, u2)
     theta = (2.0 * u3 - 1.0) * math.pi if np.isnan(start[3]) else start[3]
@@ -144,8 +151,8 @@ def settle(state: Floats, random: NDArray[np.uint64], i: int, spawns: Spawns) ->
     state[GOAL_GIVEN, i] = given
 
 
-@loop
-def begin(tables: Tables, i: int, setup: Setup, spawns: Spawns) -> None:
+@subroutine
+def begin_episode(tables: Tables, i: int, setup: Setup, spawns: Spawns) -> None:
     """Begin a new episode of robot i: at rest, with new start, goal and physics."""
     state, random = tables.state, tables.random
     for number in range(COMMAND_LOOPS):
@@ -154,19 +161,19 @@ def begin(tables: Tables, i: int, setup: Setup, spawns: Spawns) -> None:
     if setup.guarded:
         tables.commands[:, :, i] = 0.0
     if setup.faults.possible:
-        draw_key(tables, i, setup)
+        draw_fault_key(tables, i, setup)
     if len(spawns.starts) == 0:
-        aim(state, random, i, spawns)
+        draw_goal(state, random, i, spawns)
     else:
-        settle(state, random, i, spawns)
-    equip(tables, i, setup)
+        draw_start(state, random, i, spawns)
+    draw_physics(tables, i, setup)
     if setup.faults.possible:
-        settle_late(state, i, setup)
+        settle_with_faults(state, i, setup)
         if state[SILENT, i] > 0.0:
-            tables.ranges[i, :] = 0.0
-            rays(tables, i, setup)[:] = 0.0
+            for k in range(tables.ranges.shape[1]):
+                tables.ranges[i, k] = tables.observations[i, setup.numbers + k] = 0.0
         return
-    settled = settle_ticks(state[DELAY_LOOPS, i], state[FEEDBACK_LOOPS, i], setup.loops)
+    settled = count_settle_ticks(state[DELAY_LOOPS, i], state[FEEDBACK_LOOPS, i], setup.loops)
     state[LOOPS, i] = settled * setup.loops
     every = state[FEEDBACK_LOOPS, i]
     state[LAST_LINE, i] = newest_line(state[LOOPS, i], state[DELAY_LOOPS, i], every)
@@ -186,42 +193,39 @@ def reset(
     anew = False
     for i in range(first, last):
         if mask[i]:
-            begin(tables, i, setup, spawns)
+            begin_episode(tables, i, setup, spawns)
             anew = True
     if anew and setup.lidar_rate > 0.0:
-        look(tables, mask, True, first, last, -1, setup, around)
+        take_scans(tables, mask, True, first, last, -1, setup, around)
 
 
 @loop
-def step(
-    tables: Tables, first: int, last: int, setup: Setup, spawns: Spawns, around: Surroundings
-) -> None:
+def step(tables: Tables, first: int, last: int, setup: Setup, around: Surroundings) -> None:
     """Run physics and driver of the robots over the ticks that `tables.ring` says.
 
-    The step ends with its last tick: robots in `tables.over` then begin anew. The task's loops are
-    called after this.
+    The step ends with its last tick. `reset` of the robots in `tables.over` comes after this, then
+    the task's loops.
     """
     state = tables.state
     for low in range(first, last, BLOCK):
         high = min(low + BLOCK, last)
         if tables.ring[2] == 0:
-            ask(state, tables.actions, low, high)
+            store_actions(state, tables.actions, low, high)
             if not setup.guarded:
-                command(state, low, high, setup)
-            prepare(tables, low, high, setup)
-        drive(tables, low, high, setup, around)
+                command_once(state, low, high, setup)
+            keep_before_step(tables, low, high, setup)
+        drive_robots(tables, low, high, setup, around)
         if tables.ring[3] < setup.ticks:
             continue
         if setup.falls_silent:
-            put_back(tables, low, high, setup)
+            restore_silent(tables, low, high, setup)
         steps = row(state, STEPS, low, high)
         for i in range(high - low):
             steps[i] += 1.0
-        reset(tables, tables.over, low, high, setup, spawns, around)
 
 
 @loop
-def report(state: Floats, first: int, last: int, setup: TaskSetup) -> None:
+def update_info(state: Floats, first: int, last: int, setup: TaskSetup) -> None:
     """Compute the rows of the state that only info uses."""
     xs, ys, thetas = (
         row(state, X, first, last),
@@ -244,11 +248,11 @@ def report(state: Floats, first: int, last: int, setup: TaskSetup) -> None:
         errors[i] = math.sqrt(ox * ox + oy * oy)
         successes[i] = 1.0 if outcomes[i] == 1.0 else 0.0
     if setup.lidar_rate > 0.0:
-        scan_ages(state, first, last, setup)
+        update_scan_ages(state, first, last, setup)
 
 
-@loop
-def scan_ages(state: Floats, first: int, last: int, setup: TaskSetup) -> None:
+@subroutine
+def update_scan_ages(state: Floats, first: int, last: int, setup: TaskSetup) -> None:
     """Compute the age of every robot's newest scan [s]."""
     for i in range(first, last):
         age = (state[STEPS, i] * setup.ticks - state[SCAN_TICK, i]) * setup.period

@@ -6,8 +6,9 @@ run over contiguous memory and can be vectorized.
 
 from __future__ import annotations
 
+import itertools
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,46 +19,65 @@ from acsar_gym.safety.rules import Rules
 
 Floats = NDArray[np.float64]
 
+_NUMBERS = itertools.count()
+
+
+def _rows(count: int, width: int = 1) -> list[int]:
+    """The next rows of the state for `count` names, each with `width` rows; the first of each."""
+    return list(itertools.islice(_NUMBERS, count * width))[::width]
+
+
 # Rows of the state. The body, in the odometry frame:
-X, Y, THETA, VX, VY, RATE = range(6)
-WHEEL, POINT, ANGLE = 6, 10, 14  # four each: speeds, set points, angles
+X, Y, THETA, VX, VY, RATE = _rows(6)
+WHEEL, POINT, ANGLE = _rows(3, width=4)  # speeds, set points, angles
 # The commands: targets of the right and left side, before and after the newest line.
-OLD_RIGHT, OLD_LEFT, NEW_RIGHT, NEW_LEFT, HEARD = range(18, 23)
+OLD_RIGHT, OLD_LEFT, NEW_RIGHT, NEW_LEFT, HEARD = _rows(5)
 # What the driver knows:
-LOOPS, LAST_LINE, AGE, READ = 23, 24, 25, 26  # READ: four wheel speeds [rad/s]
-ODOM_X, ODOM_Y, ODOM_THETA, LINEAR, ANGULAR = range(30, 35)
+LOOPS, LAST_LINE, AGE = _rows(3)
+(READ,) = _rows(1, width=4)  # wheel speeds [rad/s]
+ODOM_X, ODOM_Y, ODOM_THETA, LINEAR, ANGULAR = _rows(5)
 # The episode:
-GOAL_X, GOAL_Y, LAST_LINEAR, LAST_ANGULAR, STEPS, RETURN, OUTCOME = range(35, 42)
-CONTACT, WORLD, START_X, START_Y, START_THETA, START_COS, START_SIN = range(42, 49)
-SCANS, SCAN_TICK = 49, 50
+GOAL_X, GOAL_Y, LAST_LINEAR, LAST_ANGULAR, STEPS, RETURN, OUTCOME = _rows(7)
+CONTACT, WORLD, START_X, START_Y, START_THETA, START_COS, START_SIN = _rows(7)
+SCANS, SCAN_TICK = _rows(2)
 # The safety layer: the last two twists sent, and why they differ from those asked for.
-SENT_LINEAR, SENT_ANGULAR, REASON, PAST_LINEAR, PAST_ANGULAR, LATCHED = range(51, 57)
-NEW_LINEAR, NEW_ANGULAR = 57, 58
+SENT_LINEAR, SENT_ANGULAR, REASON, PAST_LINEAR, PAST_ANGULAR, LATCHED = _rows(6)
+NEW_LINEAR, NEW_ANGULAR = _rows(2)
 # Numbers that only info uses:
-TRUE_THETA, TRUE_DISTANCE, ERROR, SUCCESS, SCAN_AGE, STALE = range(59, 65)
-GOAL_GIVEN = 65
+TRUE_THETA, TRUE_DISTANCE, ERROR, SUCCESS, SCAN_AGE, STALE = _rows(6)
+(GOAL_GIVEN,) = _rows(1)
 """Whether this episode's goal was given as an option, so that the world's path doesn't lead to
 it."""
 # Where lines may be lost or late: the episode's key; the newest command that the wire has passed on
 # or lost, and when [s]; when it passed on the newest feedback [s]; when the board's UART is free
 # [s]; up to which tick the board has taken over commands, and in which loop it got the last one;
 # whether the board is silent; the fault code of info.
-KEY, LAST_COMMAND, COMMAND_RELEASE, FEEDBACK_RELEASE, BOARD_FREE = range(66, 71)
-HEARD_TICK, HEARD_LOOP, SILENT, FAULT = range(71, 75)
-# How long this episode's commands and feedback are on their way, in loops of the firmware:
-COMMAND_LOOPS, DELAY_LOOPS = 75, 76
+KEY, LAST_COMMAND, COMMAND_RELEASE, FEEDBACK_RELEASE, BOARD_FREE = _rows(5)
+HEARD_TICK, HEARD_LOOP, SILENT, FAULT = _rows(4)
+# Above, an episode begins with zeros. How long this episode's commands and feedback are on their
+# way, in loops of the firmware:
+COMMAND_LOOPS, DELAY_LOOPS = _rows(2)
 # Options of a reset, for this and all later episodes; zero where there are none. WISHED_WORLD is an
 # index from 1; worlds of a range of difficulty have ranks from FIRST_RANK up to LAST_RANK.
-WISHED_WORLD, WISHED_GOAL, WISHED_X, WISHED_Y, FIRST_RANK, LAST_RANK = range(77, 83)
-PHYSICS = 83
+WISHED_WORLD, WISHED_GOAL, WISHED_X, WISHED_Y, FIRST_RANK, LAST_RANK = _rows(6)
+(PHYSICS,) = _rows(1, width=len(Physics._fields))
 """The first of the rows with the numbers of the robot's `Physics`, drawn for the episode."""
 BLEND = PHYSICS + Physics._fields.index("blend_a")  # four each
+LEFT_RADIUS = PHYSICS + Physics._fields.index("left_radius")
+RIGHT_RADIUS = PHYSICS + Physics._fields.index("right_radius")
+HALF_WHEELBASE = PHYSICS + Physics._fields.index("half_wheelbase")
+HALF_TRACK = PHYSICS + Physics._fields.index("half_track")
+MASS = PHYSICS + Physics._fields.index("mass")
+YAW_INERTIA = PHYSICS + Physics._fields.index("yaw_inertia")
+GRIP = PHYSICS + Physics._fields.index("grip")
+KAPPA = PHYSICS + Physics._fields.index("kappa")
+SLIP_SPEED = PHYSICS + Physics._fields.index("slip_speed")
 GAIN = PHYSICS + Physics._fields.index("gain_a")
 DEADBAND = PHYSICS + Physics._fields.index("deadband_a")
 LATENCY_LOOPS = PHYSICS + Physics._fields.index("latency_loops")
 COMMAND_DELAY = PHYSICS + Physics._fields.index("command_delay")
 FEEDBACK_LOOPS = PHYSICS + Physics._fields.index("feedback_loops")
-ROWS = PHYSICS + len(Physics._fields)
+ROWS = next(_NUMBERS)
 INFO = {
     "is_success": SUCCESS,
     "odom_x": ODOM_X,
@@ -216,8 +236,8 @@ class Tables(NamedTuple):
     a tick, and its two wheel speeds; no columns where no lines are lost or late."""
     random: NDArray[np.uint64]
     """(R, 4): generators, see `pcg`."""
-    nominal: Floats
-    """The configured robot's `Physics`, as an array."""
+    nominal: NDArray[Any]
+    """The configured robot's, a record of `Physics`."""
     low: Floats
     """Least value of each randomized number: `randomization.Drawn`."""
     high: Floats

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.dynamics.trigonometry import sincos
-from acsar_gym.jit import jit, loop
+from acsar_gym.jit import jit, subroutine
 from acsar_gym.lidars import simulated as lidar
 from acsar_gym.vector.kernel.layout import (
     CONTACT,
@@ -41,8 +41,8 @@ def true_pose(state: Floats, i: int) -> tuple[float, float, float, float]:
     return x, y, cos * c - sin * s, sin * c + cos * s
 
 
-@loop
-def touch(state: Floats, first: int, last: int, around: Surroundings) -> None:
+@subroutine
+def check_contacts(state: Floats, first: int, last: int, around: Surroundings) -> None:
     """Set CONTACT of robots that touch an obstacle now."""
     for i in range(first, last):
         if state[CONTACT, i] == 0.0:
@@ -51,8 +51,8 @@ def touch(state: Floats, first: int, last: int, around: Surroundings) -> None:
                 state[CONTACT, i] = 1.0
 
 
-@loop
-def scan(
+@subroutine
+def take_scan(
     tables: Tables, i: int, tick: int, uniforms: Floats, setup: Setup, around: Surroundings
 ) -> None:
     """Take robot i's scan at the end of a tick of its step; -1 is the reset.
@@ -75,15 +75,15 @@ def scan(
 
 
 @jit
-def is_due(state: Floats, i: int, tick: int, setup: Setup) -> bool:
+def is_scan_due(state: Floats, i: int, tick: int, setup: Setup) -> bool:
     """Whether a scan of robot i is due in this tick; inlined, as it is asked in every tick."""
     ticks = state[STEPS, i] * setup.ticks + tick + 1
     due: bool = ticks * setup.period > state[SCANS, i] / setup.lidar_rate - 1e-9
     return due
 
 
-@loop
-def look(
+@subroutine
+def take_scans(
     tables: Tables,
     mask: NDArray[np.bool_],
     wanted: bool,
@@ -101,5 +101,5 @@ def look(
     uniforms = np.empty(setup.draws)
     for i in range(first, last):
         hears = tick >= 0 or tables.state[SILENT, i] == 0.0
-        if mask[i] == wanted and hears and is_due(tables.state, i, tick, setup):
-            scan(tables, i, tick, uniforms, setup, around)
+        if mask[i] == wanted and hears and is_scan_due(tables.state, i, tick, setup):
+            take_scan(tables, i, tick, uniforms, setup, around)

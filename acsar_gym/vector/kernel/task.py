@@ -1,6 +1,6 @@
 """The loops that call a task's compiled methods for every robot.
 
-`bound` makes copies of the loops in which the names `task_*` are the methods of one task. numba
+`bind_task` makes copies of the loops in which the names `task_*` are the methods of one task. numba
 caches a compiled copy beside the task's own file, under the name of the task's class.
 """
 
@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.errors import ConfigError
-from acsar_gym.jit import COMPILED, jit
+from acsar_gym.jit import COMPILED, WITHIN, jit
 from acsar_gym.jit import loop as compiled
 from acsar_gym.tasks.base import METHODS, Outcome, State, Task
 from acsar_gym.tasks.made import named
-from acsar_gym.vector.kernel.episode import report
+from acsar_gym.vector.kernel.episode import update_info
 from acsar_gym.vector.kernel.layout import (
     AGE,
     ANGULAR,
@@ -70,7 +70,7 @@ STATE_ROWS = [
 ]
 """The rows that a State is made of, for tasks in Python."""
 
-# Placeholders: in the copies that `bound` makes, these names are the task's compiled methods.
+# Placeholders: in the copies that `bind_task` makes, these names are the task's compiled methods.
 OUTCOMES = len(Outcome)
 
 task_begin: Any = Task.begin
@@ -108,7 +108,7 @@ def state_of(tables: TaskTables, i: int, setup: TaskSetup, spawns: Spawns) -> St
 
 
 @jit
-def ended(tables: TaskTables, i: int, reward: float, outcome: int, setup: TaskSetup) -> None:
+def store_end(tables: TaskTables, i: int, reward: float, outcome: int, setup: TaskSetup) -> None:
     """Store the reward and the outcome of robot i's step, and whether its episode has ended."""
     state = tables.state
     state[OUTCOME, i] = outcome
@@ -119,7 +119,7 @@ def ended(tables: TaskTables, i: int, reward: float, outcome: int, setup: TaskSe
 
 
 @jit
-def cut_short(tables: TaskTables, i: int) -> None:
+def truncate_silent(tables: TaskTables, i: int) -> None:
     """Truncate robot i's episode because its board is silent; the observation stays as it was."""
     tables.rewards[i] = 0.0
     tables.ends[0, i], tables.ends[1, i] = False, True
@@ -145,7 +145,7 @@ def start(
             state = state_of(tables, i, setup, spawns)
             task_begin(task, state, memory[i])
             store(tables.observations, i, 0, task_observe(task, state, memory[i]))
-    report(tables.state, first, last, setup)
+    update_info(tables.state, first, last, setup)
 
 
 def step(
@@ -160,7 +160,7 @@ def step(
     """Write reward, end and observation of robots first to last; robots in `over` begin anew."""
     for i in range(first, last):
         if tables.idle[i] and not tables.over[i]:
-            cut_short(tables, i)
+            truncate_silent(tables, i)
             continue
         if tables.over[i]:
             memory[i] = memory[len(memory) - 1]
@@ -173,9 +173,9 @@ def step(
             outcome = 0 + task_outcome(task, state, own)  # an Outcome, or its number
             if not 0 <= outcome < OUTCOMES:
                 raise ValueError("outcome returned what is no Outcome")
-            ended(tables, i, task_reward(task, state, own, outcome), outcome, setup)
+            store_end(tables, i, task_reward(task, state, own, outcome), outcome, setup)
         store(tables.observations, i, 0, task_observe(task, state, own))
-    report(tables.state, first, last, setup)
+    update_info(tables.state, first, last, setup)
 
 
 def store(rows: NDArray[np.float32], i: int, k: int, numbers: Any) -> None:
@@ -203,17 +203,17 @@ if COMPILED:
         return unrolled
 
 
-def bound(loop: Callable[..., None], task: Task) -> Callable[..., None]:
+def bind_task(loop: Callable[..., None], task: Task) -> Callable[..., None]:
     """Make a copy of `start` or `step` that calls the methods of one task, compiled.
 
-    Compilation happens at the first call; `explained` makes a message of numba's errors.
+    Compilation happens at the first call; `explain_error` makes a message of numba's errors.
 
     Args:
         loop: `start` or `step` of this module.
         task: whose class has the methods.
     """
     kind, name = type(task), _cached_as(type(task), loop)
-    options: dict[str, Any] = {"forceinline": True, "boundscheck": True, "nogil": True}
+    options = WITHIN | {"error_model": "python", "boundscheck": True, "forceinline": True}
     names = {f"task_{one}": numba.njit(**options)(getattr(kind, one)) for one in METHODS}
     template: Any = loop
     file = getattr(sys.modules[kind.__module__], "__file__", None) or __file__
@@ -248,7 +248,7 @@ def _content(method: FunctionType) -> bytes:
     return f"{code.co_code!r} {code.co_consts!r} {used!r}".encode()
 
 
-def explained(task: Task, error: Exception) -> ConfigError:
+def explain_error(task: Task, error: Exception) -> ConfigError:
     """Make a ConfigError of one line from numba's error about a task that it can't compile."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     said = "; ".join(lines[:3])[:300]

@@ -14,6 +14,7 @@
 
 /* The wheels, in the order a, b, c, d: front right, front left, rear left, rear right. */
 #define COUNTS_PER_TURN 1320         /* of a wheel: four times pulses per turn, times the gears */
+#define ENCODER_CHANNELS 2           /* 1: count channel A alone; COUNTS_PER_TURN is then half */
 #define MOTOR_REVERSED {0, 0, 0, 0}  /* 1: this motor turns backward with its cables as they are */
 #define ENCODER_REVERSED {0, 0, 0, 0} /* 1: this encoder counts backward */
 
@@ -27,9 +28,10 @@
 #define SPEED_GAIN 1.0       /* of a speed error [rad/s per rad/s] */
 #define ANGLE_GAIN 12.5      /* of the summed up speed error [rad/s per rad] */
 #define CORRECTION_SHARE 0.4 /* the two gains above use at most this share of full PWM */
+#define STALL_MS 1000        /* a motor that pulls that hard without an edge for so long is cut [ms] */
 
 /* The chip's watchdog resets it if the loop hangs. 0 turns it off, for old Mega 2560 boot loaders
- * that never come back from such a reset. */
+ * and old Nanos that never come back from such a reset. */
 #define WATCHDOG 1
 
 #endif

@@ -5,6 +5,7 @@
  */
 #include <avr/sleep.h>
 #include <avr/wdt.h>
+#include <string.h>
 #include <util/atomic.h>
 
 #include "board.h"
@@ -70,6 +71,28 @@ static void answer(const uint16_t counts[WHEELS])
     uart_send(line, protocol_line(speeds, TRAILING_COMMA, line));
 }
 
+/* Say why a motor is cut, in a line of text: when that begins, and then once a second. */
+static void report(uint8_t wheel)
+{
+    static const char *const reasons[] = {
+        [CUT_CONTRARY] = "turns against its motor\r\n",
+        [CUT_STALLED] = "stalled, or no encoder\r\n",
+    };
+    static uint8_t said[WHEELS];
+    static uint16_t lines[WHEELS];
+    char line[40] = "# a cut: ";
+    uint8_t cut = wheels[wheel].guard.cut;
+    if (cut == said[wheel] && ++lines[wheel] < FEEDBACK_RATE)
+        return;
+    said[wheel] = cut;
+    lines[wheel] = 0;
+    if (cut == NOT_CUT)
+        return;
+    line[2] += wheel;
+    strcat(line, reasons[cut]);
+    uart_send(line, strlen(line));
+}
+
 /* Run one loop: measure, answer when it is time, and set the motors. */
 static void loop(void)
 {
@@ -79,6 +102,8 @@ static void loop(void)
     if (++loops == LOOPS_PER_LINE) {
         loops = 0;
         answer(counts);
+        for (uint8_t wheel = 0; wheel < WHEELS; wheel++)
+            report(wheel);
     }
     uint8_t silent = silence >= TIMEOUT_LOOPS;
     if (!silent)

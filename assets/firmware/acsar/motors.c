@@ -24,7 +24,13 @@ void motors_begin(void)
         *motor->direction_ddr |= motor->direction_mask;
     }
     /* Phase-correct PWM at 3.9 kHz: a duty of 0 is no pulse at all. */
+#if defined(__AVR_ATmega2560__)
+    TCCR0A = 1 << COM0B1 | 1 << WGM00;
+    TCCR3A = 1 << COM3A1 | 1 << WGM30; /* 8 bits, as the others */
+    TCCR3B = 1 << CS31;
+#else
     TCCR0A = 1 << COM0A1 | 1 << COM0B1 | 1 << WGM00;
+#endif
     TCCR0B = 1 << CS01;
     TCCR2A = 1 << COM2A1 | 1 << COM2B1 | 1 << WGM20;
     TCCR2B = 1 << CS21;

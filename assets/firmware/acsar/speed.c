@@ -6,7 +6,6 @@
 #define TURN 6.283185307179586
 #define ROUNDED(number) ((int32_t)((number) + 0.5))
 
-#define SPEED_BITS 24
 #define COUNTS_PER_LOOP(speed) ((speed) * (COUNTS_PER_TURN / TURN / LOOP_RATE)) /* of [rad/s] */
 #define SPEED(speed) ROUNDED(COUNTS_PER_LOOP(speed) * (1L << SPEED_BITS))
 
@@ -28,9 +27,10 @@
 #define PER_COUNT ROUNDED(65536 * 100 * RADIAN * FEEDBACK_RATE / WINDOW_LINES)
 
 _Static_assert(LOOP_RATE % FEEDBACK_RATE == 0, "LOOP_RATE: must be a multiple of FEEDBACK_RATE");
-_Static_assert((int32_t)COUNTS_PER_LOOP(100) < 127, "LOOP_RATE: too low for these encoders");
+_Static_assert((int32_t)COUNTS_PER_LOOP(2 * MAX_SPEED) < 127,
+               "LOOP_RATE: too low for COUNTS_PER_TURN at MAX_SPEED, at most 63 counts a loop");
 _Static_assert((int32_t)(COUNTS_PER_LOOP(2 * MAX_SPEED) * BLEND) < 65536 /* 2^31 less 15 bits */,
-               "LOOP_RATE: too low for these encoders and this TIME_CONSTANT");
+               "LOOP_RATE: too low for COUNTS_PER_TURN at MAX_SPEED and this TIME_CONSTANT");
 _Static_assert((int32_t)(MAX_SPEED * 100) < 10000, "MAX_SPEED: the wire carries 99.99 rad/s");
 
 static int32_t limited(int32_t value, int32_t most)
@@ -40,7 +40,9 @@ static int32_t limited(int32_t value, int32_t most)
 
 void speed_command(struct wheel *wheel, int16_t speed)
 {
-    wheel->target = limited(speed * SPEED(0.01), SPEED(MAX_SPEED));
+    int32_t target = limited(speed, ROUNDED(MAX_SPEED * 100)) * SPEED(0.01);
+    guard_command(&wheel->guard, wheel->target, target);
+    wheel->target = target;
 }
 
 /* Let the set point ramp, and the reference follow it. */
@@ -61,10 +63,9 @@ static int32_t correction(struct wheel *wheel)
     return limited(duty, CORRECTION);
 }
 
-int16_t speed_step(struct wheel *wheel, uint16_t count)
+/* Compute the duty of a wheel that has turned by so many counts. */
+static int16_t control(struct wheel *wheel, int16_t turned)
 {
-    int16_t turned = count - wheel->count;
-    wheel->count = count;
     wheel->error += (wheel->reference >> (SPEED_BITS - 16)) - ((int32_t)turned << 16);
     lead(wheel);
     if (wheel->target == 0 && wheel->set_point == 0) { /* stand: no current, whatever was owed */
@@ -75,6 +76,18 @@ int16_t speed_step(struct wheel *wheel, uint16_t count)
     int16_t duty = limited(forward + correction(wheel), DUTY_MOST) + wheel->rest;
     wheel->rest = duty & ((1 << DUTY_BITS) - 1);
     return duty >> DUTY_BITS;
+}
+
+int16_t speed_step(struct wheel *wheel, uint16_t count)
+{
+    int16_t turned = count - wheel->count;
+    wheel->count = count;
+    int16_t duty = wheel->guard.cut ? 0 : control(wheel, turned);
+    if (!guard_step(&wheel->guard, turned, duty, wheel->reference))
+        return duty;
+    wheel->set_point = wheel->reference = 0; /* what begins when the cut ends begins anew */
+    wheel->error = wheel->slow = wheel->rest = 0;
+    return 0;
 }
 
 int16_t speed_of(int16_t counts)

@@ -10,6 +10,10 @@
 
 #include <stdint.h>
 
+#include "guard.h"
+
+#define SPEED_BITS 24
+
 struct wheel {
     int32_t target;    /* [counts per loop, 2^-SPEED_BITS] */
     int32_t set_point;
@@ -18,6 +22,7 @@ struct wheel {
     int32_t slow;      /* `error` through a low-pass filter */
     uint16_t count;    /* of the encoder, at the last step */
     int16_t rest;      /* of the duty, less than one step of the PWM: used in the next loop */
+    struct guard guard;
 };
 
 /* Set the target [0.01 rad/s], at most MAX_SPEED. */

@@ -20,6 +20,7 @@
 /* Registers in the data space, the same on both chips. */
 enum { TCCR0A = 0x44, TCCR0B = 0x45, OCR0A = 0x47, OCR0B = 0x48 };
 enum { TCCR2A = 0xB0, TCCR2B = 0xB1, OCR2A = 0xB3, OCR2B = 0xB4, TIMSK1 = 0x6F };
+enum { TCCR3A = 0x90, TCCR3B = 0x91, OCR3AL = 0x98 }; /* of the ATmega2560 alone */
 enum { PCIFR = 0x3B, PCICR = 0x68, PCMSK2 = 0x6D };
 
 struct pin {
@@ -39,7 +40,7 @@ static const struct board boards[] = {
      {{'C', 0}, {'C', 2}, {'C', 4}, {'B', 0}},
      {{'C', 1}, {'C', 3}, {'C', 5}, {'B', 1}}},
     {"atmega2560",
-     {{'H', 6}, {'B', 4}, {'G', 5}, {'B', 7}},
+     {{'H', 6}, {'B', 4}, {'G', 5}, {'E', 3}},
      {{'A', 0}, {'A', 1}, {'A', 2}, {'A', 3}},
      {{'K', 0}, {'K', 2}, {'K', 4}, {'K', 6}},
      {{'K', 1}, {'K', 3}, {'K', 5}, {'K', 7}}},
@@ -58,6 +59,7 @@ struct chip {
     int64_t count[WHEELS];
     int resets;
     int deepest;
+    avr_cycle_count_t end; /* of the run */
     uint64_t slept;
 };
 
@@ -99,10 +101,12 @@ static void on_sleep(avr_t *avr, avr_cycle_count_t cycles)
     the_chip.slept += cycles + 1;
 }
 
-/* End a sleep at least so often; a reset of the chip forgets it, so each run begins it anew. */
+/* End a sleep at least so often, and where a run ends, so that edges come when they should; a reset
+ * of the chip forgets it, so each run begins it anew. */
 static avr_cycle_count_t wake(avr_t *avr, avr_cycle_count_t when, void *param)
 {
-    return when + LONGEST_SLEEP;
+    avr_cycle_count_t end = ((struct chip *)param)->end, next = when + LONGEST_SLEEP;
+    return when < end && next > end ? end : next;
 }
 
 static void quiet(avr_t *avr, const int level, const char *format, va_list arguments)
@@ -145,13 +149,14 @@ static void connect_uart(struct chip *chip)
 }
 
 /* Switch off what takes simavr long and isn't used: polling of external interrupts by level, and
- * timers 0 and 2, whose phase-correct PWM it doesn't know: what their pins do is computed from
- * their registers. */
+ * timers 0 and 2 (and 3), whose phase-correct PWM it doesn't know: what their pins do is computed
+ * from their registers. */
 static void be_quick(avr_t *avr)
 {
     for (int number = 0; number < 2; number++)
         avr_extint_set_strict_lvl_trig(avr, number, 0);
-    const int registers[] = {TCCR0A, TCCR0B, OCR0A, OCR0B, TCCR2A, TCCR2B, OCR2A, OCR2B};
+    const int registers[] = {TCCR0A, TCCR0B, OCR0A,  OCR0B,  TCCR2A, TCCR2B,
+                             OCR2A,  OCR2B,  TCCR3A, TCCR3B, OCR3AL};
     for (size_t i = 0; i < sizeof registers / sizeof *registers; i++)
         avr->io[AVR_DATA_TO_IO(registers[i])].w.c = NULL;
 }
@@ -197,11 +202,12 @@ static void feed(struct chip *chip)
 void chip_run(struct chip *chip, double time)
 {
     avr_t *avr = chip->avr;
-    avr_cycle_count_t end = time * CLOCK;
+    avr_cycle_count_t end = chip->end = time * CLOCK;
     feed(chip);
     if (avr->cycle >= end)
         return;
-    avr_cycle_timer_register(avr, LONGEST_SLEEP, wake, NULL);
+    avr_cycle_count_t left = end - avr->cycle;
+    avr_cycle_timer_register(avr, left < LONGEST_SLEEP ? left : LONGEST_SLEEP, wake, chip);
     while (avr->cycle < end) {
         int state = avr_run(avr);
         if (state == cpu_Done || state == cpu_Crashed)
@@ -242,7 +248,8 @@ void chip_duties(const struct chip *chip, double duty[WHEELS])
     duty[0] = duty_of(chip, TCCR2A, 4, OCR2B);
     duty[1] = duty_of(chip, TCCR2A, 6, OCR2A);
     duty[2] = duty_of(chip, TCCR0A, 4, OCR0B);
-    duty[3] = duty_of(chip, TCCR0A, 6, OCR0A);
+    duty[3] = chip->board->pwm[3].port == 'E' ? duty_of(chip, TCCR3A, 6, OCR3AL)
+                                              : duty_of(chip, TCCR0A, 6, OCR0A);
     for (int wheel = 0; wheel < WHEELS; wheel++) {
         struct pin pwm = chip->board->pwm[wheel], direction = chip->board->direction[wheel];
         if (!is_output(chip, pwm) || !is_output(chip, direction))

@@ -1,16 +1,18 @@
 /* avr_board: the board's real program on a simulated chip, with motors and encoders.
  *
  *     avr_board CHIP ELF [--log FILE] [--name LINK] [--silent] [--gain A,B,C,D] [--lag A,B,C,D]
+ *               [--way A,B,C,D] [--counts EDGES_PER_TURN] [--full SPEED]
  *     avr_board CHIP ELF --script [--log FILE] ... < SCRIPT
  *
  * The first form serves a pseudo-terminal in real time, as `acsar-gym emulate` does: it prints the
  * device, SIGUSR1 unplugs it and SIGUSR2 plugs it in again. The second runs a script as fast as it
- * can; its lines are TIME and `send HEX`, `hang`, `hold WHEEL`, `free WHEEL` or `end`, with times
- * in seconds after power-up. The log has the emulator's events, and more; its times are of the
- * monotonic clock, or of the script.
+ * can; its lines are TIME and `send HEX`, `hang`, `turn WHEEL SPEED` (0 blocks it), `free WHEEL`,
+ * `load WHEEL SPEED` or `end`, with times in seconds after power-up and speeds in rad/s. The log
+ * has the emulator's events, and more; its times are of the monotonic clock, or of the script.
  */
 #define _GNU_SOURCE
 #include <errno.h>
+#include <math.h>
 #include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -21,6 +23,7 @@
 #include "chip.h"
 
 #define SLICE 40e-6 /* of the wheels' simulation [s] */
+#define FINE 2.5e-6 /* the same where edges come fast: those of two wheels seldom share one [s] */
 #define TURN 1e-3   /* of the cable and of real time [s] */
 #define NOTE 5e-3   /* of the log [s] */
 #define STALL 0.1   /* a delay by the operating system is caught up with, unless longer [s] */
@@ -29,8 +32,12 @@ static volatile sig_atomic_t plugged = 1, ended;
 static FILE *notes;
 static int scripted, silent;
 static struct chip *chip;
-static struct wheels wheels = {.gain = {1, 1, 1, 1}, .time_constant = {.08, .08, .08, .08}};
-static double now, duty[WHEELS];
+static struct wheels wheels = {.counts_per_turn = 1320,
+                               .full_speed = 36.0,
+                               .gain = {1, 1, 1, 1},
+                               .time_constant = {.08, .08, .08, .08},
+                               .way = {1, 1, 1, 1}};
+static double now, slice = SLICE, duty[WHEELS];
 
 static void on_signal(int number)
 {
@@ -86,11 +93,11 @@ static void note_figures(double time)
 /* Let one turn of simulated time pass. */
 static void turn(void)
 {
-    for (double end = now + TURN - SLICE / 2; now < end;) {
-        now += SLICE;
+    for (double end = now + TURN - slice / 2; now < end;) {
+        now += slice;
         chip_run(chip, now);
         chip_duties(chip, duty);
-        wheels_step(&wheels, duty, SLICE);
+        wheels_step(&wheels, duty, slice);
         for (int wheel = 0; wheel < WHEELS; wheel++)
             chip_turn(chip, wheel, wheels_count(&wheels, wheel));
     }
@@ -106,10 +113,14 @@ static void obey(const char *order)
     uint8_t bytes[1024];
     size_t length = 0;
     unsigned byte, wheel;
-    if (sscanf(order, "hold %u", &wheel) == 1 && wheel < WHEELS)
+    double speed;
+    if (sscanf(order, "turn %u %lf", &wheel, &speed) == 2 && wheel < WHEELS) {
         wheels.held[wheel] = 1;
-    else if (sscanf(order, "free %u", &wheel) == 1 && wheel < WHEELS)
+        wheels.held_at[wheel] = speed;
+    } else if (sscanf(order, "free %u", &wheel) == 1 && wheel < WHEELS)
         wheels.held[wheel] = 0;
+    else if (sscanf(order, "load %u %lf", &wheel, &speed) == 2 && wheel < WHEELS)
+        wheels.load[wheel] = speed;
     else if (!strncmp(order, "hang", 4))
         chip_hang(chip);
     else if (!strncmp(order, "send ", 5)) {
@@ -130,7 +141,7 @@ static void run_script(void)
     while (!ended && fgets(line, sizeof line, stdin)) {
         if (sscanf(line, "%lf %n", &time, &used) < 1)
             continue;
-        while (now < time - SLICE) {
+        while (now < time - slice) {
             turn();
             size_t length = chip_sent(chip, bytes, sizeof bytes, &at);
             note(at, "tx", bytes, length);
@@ -209,7 +220,15 @@ int main(int argc, char **argv)
             four(value, wheels.gain);
         else if (!strcmp(argv[i], "--lag"))
             four(value, wheels.time_constant);
+        else if (!strcmp(argv[i], "--way"))
+            four(value, wheels.way);
+        else if (!strcmp(argv[i], "--counts"))
+            wheels.counts_per_turn = atof(value);
+        else if (!strcmp(argv[i], "--full"))
+            wheels.full_speed = atof(value);
     }
+    if (slice * wheels.full_speed * wheels.counts_per_turn / (2.0 * M_PI) > 0.35)
+        slice = FINE;
     for (int i = 0; i < 4; i++)
         signal((int[]){SIGTERM, SIGINT, SIGUSR1, SIGUSR2}[i], on_signal);
     chip = chip_new(argv[1], argv[2]);

@@ -10,9 +10,11 @@ void wheels_step(struct wheels *wheels, const double duty[WHEELS], double dt)
 {
     for (int i = 0; i < WHEELS; i++) {
         double before = wheels->speed[i];
-        double top = duty[i] * FULL_SPEED * wheels->gain[i];
+        double top = duty[i] * wheels->full_speed * wheels->gain[i] + wheels->load[i];
         double after = top + (before - top) * exp(-dt / wheels->time_constant[i]);
-        if (wheels->held[i] || (duty[i] == 0.0 && fabs(after) < AT_REST))
+        if (wheels->held[i])
+            after = wheels->held_at[i];
+        else if (duty[i] == 0.0 && wheels->load[i] == 0.0 && fabs(after) < AT_REST)
             after = 0.0;
         wheels->speed[i] = after;
         wheels->angle[i] += (before + after) / 2.0 * dt;
@@ -26,5 +28,6 @@ void wheels_step(struct wheels *wheels, const double duty[WHEELS], double dt)
 
 int64_t wheels_count(const struct wheels *wheels, int wheel)
 {
-    return (int64_t)floor(wheels->angle[wheel] * COUNTS_PER_TURN / (2.0 * M_PI));
+    double turns = wheels->way[wheel] * wheels->angle[wheel] / (2.0 * M_PI);
+    return (int64_t)floor(turns * wheels->counts_per_turn);
 }

@@ -5,13 +5,16 @@
 #include <stdint.h>
 
 #define WHEELS 4
-#define COUNTS_PER_TURN 1320
-#define FULL_SPEED 36.0 /* with full PWM [rad/s] */
 
 struct wheels {
-    double gain[WHEELS];          /* factor of FULL_SPEED */
+    double counts_per_turn;       /* edges of an encoder */
+    double full_speed;            /* with full PWM [rad/s] */
+    double gain[WHEELS];          /* factor of full_speed */
     double time_constant[WHEELS]; /* [s] */
-    int held[WHEELS];             /* a blocked wheel */
+    double way[WHEELS];           /* of its encoder: 1, or -1 for a reversed one */
+    double load[WHEELS];          /* speed that a slope or a hand would give it without power [rad/s] */
+    int held[WHEELS];             /* turns at `held_at`, whatever its motor does */
+    double held_at[WHEELS];       /* [rad/s]; 0 for a blocked wheel */
     double speed[WHEELS];         /* [rad/s] */
     double angle[WHEELS];         /* [rad] */
     double pose[3];               /* x [m], y [m], theta [rad] */

@@ -70,7 +70,7 @@ def test_the_same_robot_drives_on_once_the_cable_is_back(
         assert robot.odometry.pose == (0.0, 0.0, 0.0)
         while robot.odometry.pose[0] < 0.01:
             robot.drive(0.2, 0.0)
-        robot.deactivate()
+        robot.close()
     wait_until(lambda: emulator.commands()[-1] == ZERO, "zero as the last command")
 
 

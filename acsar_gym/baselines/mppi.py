@@ -17,17 +17,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from acsar_gym.baselines.around import Around, State, arrived, free_at, way_left
+from acsar_gym.baselines.mapped import MappedPolicy
+from acsar_gym.baselines.motion import Pose
 from acsar_gym.config import RobotConfig
-from acsar_gym.dynamics.model import physics, tyre_step, wheel_speed
-from acsar_gym.dynamics.numbers import Physics
+from acsar_gym.dynamics.model import Physics, physics, tyre_step, wheel_speed
 from acsar_gym.jit import jit, loop
 from acsar_gym.policies.setting import Seen, Setting
 from acsar_gym.safety.limiter import limits
 from acsar_gym.tasks.base import Floats
-
-from .around import Around, State, arrived, free_at, way_left
-from .mapped import MappedPolicy
-from .motion import Pose
 
 ROLLOUTS = 300
 STEPS = 20

@@ -15,9 +15,8 @@ import math
 
 import numpy as np
 
+from acsar_gym.baselines.pure_pursuit import PathPolicy, line_ahead
 from acsar_gym.policies.setting import Seen
-
-from .pure_pursuit import PathPolicy, line_ahead
 
 AXLE = 0.2
 """From the robot's base to the front axle of the bicycle [m]."""

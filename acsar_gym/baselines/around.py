@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from acsar_gym.baselines.geometry import clearance
+from acsar_gym.baselines.potential import interpolated
 from acsar_gym.jit import jit, loop
 from acsar_gym.tasks.base import Floats
-
-from .geometry import clearance
-from .potential import interpolated
 
 State = tuple[float, float, float, float, float, float, float]
 """Pose (x, y, theta), twist, and last command (linear, angular) [m, rad, s]."""

@@ -11,12 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from acsar_gym.baselines.costmap import CELL, Costmap
 from acsar_gym.errors import optional
 from acsar_gym.jit import loop
 from acsar_gym.tasks.base import Floats
 from acsar_gym.worlds.ways import Costs, costs_of, sweep
-
-from .costmap import CELL, Costmap
 
 AROUND = 1.5
 """How far the field reaches around start, robot, goal and all that is known [m]."""

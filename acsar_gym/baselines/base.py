@@ -1,23 +1,21 @@
-"""Policies that nobody trained: `agents/baselines`, found by their names, such as "dwa"."""
+"""The base class of policies that nobody trained."""
 
 from __future__ import annotations
 
 import hashlib
+import inspect
 import zlib
 from abc import abstractmethod
-from collections.abc import Mapping
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.errors import MissingExtraError, PolicyError
+from acsar_gym.errors import MissingExtraError
 from acsar_gym.jit import COMPILED
 from acsar_gym.policies.base import FilePolicy
 from acsar_gym.policies.setting import Seen, Setting
-from acsar_gym.resources import AGENTS, agent
 from acsar_gym.tasks import Observation
 
 if TYPE_CHECKING:
@@ -49,8 +47,8 @@ class BaselinePolicy(FilePolicy):
 
     def __init__(self, env_id: str) -> None:
         self.path, self.env_id = Path(self.name), env_id
-        source = AGENTS / "baselines" / f"{type(self).__module__.rpartition('.')[2]}.py"
-        self.sha256 = hashlib.sha256(source.read_bytes()).hexdigest()
+        source = inspect.getsourcefile(type(self)) or ""
+        self.sha256 = hashlib.sha256(Path(source).read_bytes()).hexdigest()
         self._env: RobotEnv | None = None
         self._rng: np.random.Generator | None = None
 
@@ -107,37 +105,3 @@ class BaselinePolicy(FilePolicy):
         config = self.setting.config
         action = np.array((linear / config.max_linear, angular / config.max_angular), np.float32)
         return np.clip(action, -1.0, 1.0)
-
-
-def names() -> Mapping[str, str]:
-    """Names of the baselines, and the "module:Class" of each."""
-    table: Mapping[str, str] = agent("baselines").BASELINES
-    return table
-
-
-def is_baseline(policy: str) -> bool:
-    """Whether a policy argument names a baseline; files and packaged policies come first."""
-    packaged = AGENTS / "policies" / f"{policy}.onnx"
-    return policy in names() and not Path(policy).exists() and not packaged.exists()
-
-
-def load(name: str, env_id: str) -> BaselinePolicy:
-    """Make a baseline.
-
-    Args:
-        name: one of `names`.
-        env_id: id of the env that it will drive.
-
-    Raises:
-        PolicyError: no env is named.
-    """
-    if not env_id:
-        raise PolicyError(
-            f"{name}: a baseline, which can drive more than one environment: name it, as in "
-            f"--policy {name} --env obstacle_goal"
-        )
-    module, _, kind = names()[name].partition(":")
-    made: BaselinePolicy = getattr(import_module(f"{agent('baselines').__name__}.{module}"), kind)(
-        env_id
-    )
-    return made

@@ -10,12 +10,11 @@ from __future__ import annotations
 
 import math
 
+from acsar_gym.baselines.geometry import clearance
+from acsar_gym.baselines.mapped import MappedPolicy
+from acsar_gym.baselines.motion import Pose
 from acsar_gym.policies.setting import Seen
 from acsar_gym.tasks.base import Floats
-
-from .geometry import clearance
-from .mapped import MappedPolicy
-from .motion import Pose
 
 TIME, NEAREST, FARTHEST = 0.9, 0.2, 0.45
 """The carrot is this much time ahead at the present speed, within these distances [s, m, m]."""

@@ -16,14 +16,13 @@ import math
 
 import numpy as np
 
+from acsar_gym.baselines.around import Around, State, arrived, free_at, way_left
+from acsar_gym.baselines.mapped import MappedPolicy
+from acsar_gym.baselines.motion import Pose
 from acsar_gym.jit import jit, loop
 from acsar_gym.policies.setting import Seen, Setting
 from acsar_gym.safety.limiter import limits
 from acsar_gym.tasks.base import Floats
-
-from .around import Around, State, arrived, free_at, way_left
-from .mapped import MappedPolicy
-from .motion import Pose
 
 LINEAR, ANGULAR = 9, 25
 """How many linear and angular velocities of the window are tried."""

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from acsar_gym.policies.baselines import BaselinePolicy
+from acsar_gym.baselines.base import BaselinePolicy
 from acsar_gym.policies.setting import PATH, Seen
 from acsar_gym.tasks.base import Floats
 

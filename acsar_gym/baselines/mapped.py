@@ -7,17 +7,16 @@ from abc import abstractmethod
 
 import numpy as np
 
+from acsar_gym.baselines.around import Around
+from acsar_gym.baselines.base import BaselinePolicy
+from acsar_gym.baselines.costmap import Costmap
+from acsar_gym.baselines.geometry import sides_of
+from acsar_gym.baselines.motion import Motion, Pose
+from acsar_gym.baselines.potential import Potential, potential
 from acsar_gym.config import footprint
 from acsar_gym.lidars.base import ray_spec
-from acsar_gym.policies.baselines import BaselinePolicy
 from acsar_gym.policies.setting import GOAL, Seen, Setting
 from acsar_gym.tasks.base import OBSERVATION_LIMIT, Floats
-
-from .around import Around
-from .costmap import Costmap
-from .geometry import sides_of
-from .motion import Motion, Pose
-from .potential import Potential, potential
 
 REPLAN = 3
 """Steps between two plans."""

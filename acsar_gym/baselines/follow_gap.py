@@ -20,13 +20,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from acsar_gym.baselines.base import BaselinePolicy
+from acsar_gym.baselines.geometry import scan_points
 from acsar_gym.config import footprint
 from acsar_gym.lidars.base import ray_spec
-from acsar_gym.policies.baselines import BaselinePolicy
 from acsar_gym.policies.setting import GOAL, Seen, Setting
 from acsar_gym.tasks.base import Floats
-
-from .geometry import scan_points
 
 ALPHA = 0.35
 """Weight of the gap's centre [m]."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from acsar_gym.policies.baselines import BaselinePolicy
+from acsar_gym.baselines.base import BaselinePolicy
 from acsar_gym.policies.setting import Seen
 
 

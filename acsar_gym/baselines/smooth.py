@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 
-from acsar_gym.policies.baselines import BaselinePolicy
+from acsar_gym.baselines.base import BaselinePolicy
 from acsar_gym.policies.setting import GOAL, Seen
 
 K1, K2 = 1.0, 3.0

@@ -1,0 +1,72 @@
+"""How many edges of the encoders the chip counts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import firmware_tools
+import numpy as np
+import pytest
+from firmware_tools import Script
+
+from acsar_gym.protocol import encode
+
+FULL_SPEED = 36.0
+
+
+@pytest.mark.parametrize("channels", [2, 1], ids=["every edge", "channel A"])
+def test_no_edge_is_lost_at_the_limit_that_the_compiler_allows(
+    chip: str, tmp_path: Path, channels: int
+) -> None:
+    """All four wheels at 16,000 counts/s, in both directions, and a full line to the board."""
+    counts = 2792
+    elf, said = firmware_tools.build_changed(
+        tmp_path,
+        chip,
+        COUNTS_PER_TURN=str(counts),
+        ENCODER_CHANNELS=str(channels),
+        MAX_SPEED=str(FULL_SPEED),
+    )
+    assert not said
+    edges = counts * (3 - channels)
+    options = ("--counts", str(edges), "--gain", "1.1,1.05,1.03,1.07")
+    script = Script(chip, options, elf)
+    speeds = (FULL_SPEED, -FULL_SPEED, -FULL_SPEED, FULL_SPEED)
+    for tick in range(300):
+        script.say(0.1 + tick / 100, encode(speeds) * 3)
+    ran = script.run(3.1, tmp_path)
+    board = [line for time, line in ran.feedback() if time > 2.1]
+    true = [line for time, line in ran.states("speeds") if time > 2.1]
+    assert len(board) == pytest.approx(100, abs=1)  # no loop is late
+    assert np.mean(board, axis=0) == pytest.approx(np.mean(true, axis=0), abs=0.01)
+    assert np.mean(true, axis=0) == pytest.approx(speeds, abs=0.01)
+    assert ran.figures["busy"] < 0.95
+    print(f"\n{chip}, {channels} channels: busy {ran.figures['busy']:.3f}")
+
+
+def test_a_gear_motor_with_many_edges_drives_at_its_speed(chip: str, tmp_path: Path) -> None:
+    """8384 edges a turn, a ratio of 131:1, at the 100 turns a minute of such a motor."""
+    numbers = {"COUNTS_PER_TURN": "8384", "FULL_SPEED": "10.5", "MAX_SPEED": "9.0"}
+    elf, said = firmware_tools.build_changed(tmp_path, chip, **numbers)
+    assert not said
+    script = Script(chip, ("--counts", "8384", "--full", "10.5"), elf)
+    speeds = (9.0, -9.0, 4.0, -0.05)
+    script.command(0.1, 3.0, speeds)
+    ran = script.run(3.0, tmp_path)
+    assert ran.at(2.9, "speeds") == pytest.approx(speeds, abs=0.02)
+    mean = np.mean([line for _, line in ran.feedback()[-100:]], axis=0)
+    assert mean == pytest.approx(speeds, abs=0.01)
+
+
+def test_one_channel_counts_both_directions(chip: str, tmp_path: Path) -> None:
+    elf, said = firmware_tools.build_changed(
+        tmp_path, chip, COUNTS_PER_TURN="660", ENCODER_CHANNELS="1"
+    )
+    assert not said
+    script = Script(chip, elf=elf)
+    for begin, sign in ((0.1, 1.0), (1.5, -1.0)):
+        script.command(begin, begin + 1.4, (sign * 8.0, sign * -3.0, sign * 0.5, sign * -20.0))
+    ran = script.run(2.9, tmp_path)
+    for time, sign in ((1.4, 1.0), (2.8, -1.0)):
+        wanted = [sign * 8.0, sign * -3.0, sign * 0.5, sign * -20.0]
+        assert ran.at(time, "speeds") == pytest.approx(wanted, abs=0.2)

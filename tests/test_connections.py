@@ -1,0 +1,132 @@
+"""No command of ours, and no library that it uses, connects to another computer or asks for one.
+
+Commands run under strace, which sees what C++ libraries and child processes do, too.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
+
+import pytest
+
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("serial")]
+
+TIMEOUT = 900.0
+"""Longest duration of a command, whose loops may have to be compiled on a busy machine [s]."""
+TRACE = ("strace", "-f", "--seccomp-bpf", "-e", "trace=%network")
+CALL = re.compile(r"\b(connect|sendto|sendmsg|sendmmsg)\(")
+ADDRESS = re.compile(
+    r"sin6?_port=htons\((\d+)\).*?(?:inet_addr\(|inet_pton\(AF_INET6, )\"([^\"]+)\""
+)
+QUIETING = ("CI", "GITHUB_ACTIONS", "TF_BUILD", "ORT_DISABLE_TELEMETRY", "RAY_USAGE_STATS_ENABLED")
+"""Variables by which libraries stay silent; a user's shell doesn't have them."""
+
+
+def outside(trace: Path) -> list[str]:
+    """Calls of a trace that reach out: to other addresses, or for a name to a resolver."""
+    found = []
+    for line in trace.read_text(errors="replace").splitlines():
+        if CALL.search(line) is None:
+            continue
+        if "AF_UNIX" in line and "resolve" in line:
+            found.append(line)
+        for port, address in ADDRESS.findall(line):
+            ip = ipaddress.ip_address(address)
+            ip = getattr(ip, "ipv4_mapped", None) or ip
+            if port == "53" or not ip.is_loopback:
+                found.append(line)
+    return found
+
+
+def command(*arguments: str) -> list[str]:
+    return [sys.executable, "-m", "acsar_gym", *arguments]
+
+
+@pytest.fixture
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A home of its own for a user who has silenced nothing; commands run beside it."""
+    folder = tmp_path / "home"
+    folder.mkdir()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(folder))
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    for name in QUIETING:
+        monkeypatch.delenv(name, raising=False)
+    return folder
+
+
+@pytest.fixture
+def trace(home: Path) -> Path:
+    """The file of a trace, after a proof that connections are seen."""
+    file = home.parent / "trace"
+    if shutil.which("strace") is None:
+        pytest.skip("strace isn't installed")
+    reach = (
+        "import socket as s; p = s.socket(s.AF_INET, s.SOCK_DGRAM);"
+        "p.connect(('127.0.0.1', 9)); p.connect_ex(('192.0.2.1', 9))"
+    )
+    traced = [*TRACE, "-o", str(file), sys.executable, "-c", reach]
+    done = subprocess.run(traced, check=False, capture_output=True, text=True, timeout=TIMEOUT)
+    if done.returncode != 0:
+        pytest.skip(f"strace can't trace here: {done.stderr.strip()[:200]}")
+    assert [ADDRESS.findall(line) for line in outside(file)] == [[("9", "192.0.2.1")]]
+    return file
+
+
+def assert_silent(trace: Path, home: Path) -> None:
+    """Nothing reached out, and nobody left a number for this computer."""
+    assert outside(trace) == []
+    left = [str(path.relative_to(home)) for path in home.rglob("*") if path.is_file()]
+    assert [name for name in left if not name.startswith((".cache/matplotlib/", ".config/"))] == []
+
+
+QUICK = {
+    "train": "--env point_goal --steps 1 --robots 4 --threads 1 --net 8 --no-progress --out run",
+    "evaluate": "--policy point_goal --episodes 2 --workers 2 --json figures.json",
+    "benchmark": "--ids point_goal --agents packaged turn_drive --links planar port --scenes 2 "
+    "--port-scenes 1 --out bench --html bench.html",
+    "demo": "--steps 4096 --episodes 2 --serial-episodes 1 --out demo",
+}
+"""Options with which commands take less time."""
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_a_command_connects_to_nobody(name: str, trace: Path, home: Path) -> None:
+    traced = [*TRACE, "-o", str(trace), *command(name, *QUICK[name].split())]
+    done = subprocess.run(traced, check=False, capture_output=True, text=True, timeout=TIMEOUT)
+    assert done.returncode in (0, 4), done.stderr  # 4: late ticks, on a busy machine
+    assert_silent(trace, home)
+
+
+def test_view_connects_to_nobody_nor_does_its_page(trace: Path, home: Path) -> None:
+    driven = command("evaluate", "--policy", "point_goal", "--link", "planar", "--episodes", "1")
+    subprocess.run([*driven, "--record", "a.mcap"], check=True, capture_output=True)
+    traced = [*TRACE, "-o", str(trace), *command("view", "a.mcap", "--port", "0")]
+    with subprocess.Popen(
+        traced, stdout=subprocess.PIPE, text=True, start_new_session=True
+    ) as viewer:
+        try:
+            assert viewer.stdout is not None
+            found = re.search(r"http://127\.0\.0\.1:\d+", viewer.stdout.readline())
+            assert found is not None
+            texts = [read(f"{found[0]}/{name}") for name in ("", "_dash-layout")]
+        finally:
+            os.killpg(viewer.pid, signal.SIGINT)
+    assert re.findall(r"(?:src|href)=\"(?:https?:)?//[^\"]*", texts[0]) == []
+    assert "https://" not in texts[1]
+    assert_silent(trace, home)
+
+
+def read(address: str) -> str:
+    """The text of a page of this computer."""
+    with urllib.request.urlopen(address, timeout=TIMEOUT) as answer:  # noqa: S310 - http
+        text: str = answer.read().decode()
+    return text
