@@ -77,7 +77,7 @@ def from_yaml(text: str, error: type[AcsarError] = ConfigError, most: int = MOST
         for count, event in enumerate(events):
             depth += isinstance(event, yaml.CollectionStartEvent)
             depth -= isinstance(event, yaml.CollectionEndEvent)
-            where = f"line {event.start_mark.line + 1}" if event.start_mark else "end"
+            where = f"line {event.start_mark.line + 1}"
             if isinstance(event, yaml.AliasEvent):
                 raise error(f"{where}: has an alias (*), which is refused: write the value out")
             if depth > MOST_DEPTH or count > most:
