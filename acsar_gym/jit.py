@@ -310,8 +310,10 @@ def record_of(values: Any, *, changes: bool = False) -> Any:
 @cache
 def _record_type(kind: Any) -> np.dtype[Any]:
     """Record type with the fields of a named tuple's class."""
-    kinds: Any = get_type_hints(kind).items()
+    hints: dict[str, Any] = get_type_hints(kind)
+    numbers = (bool, int, float)
     fields = [
-        (name, own if own in (bool, int, float) else _record_type(own)) for name, own in kinds
+        (name, hints[name] if hints[name] in numbers else _record_type(hints[name]))
+        for name in hints
     ]
     return np.dtype(fields, align=True)
