@@ -6,6 +6,7 @@ import gc
 import os
 import signal
 import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -63,6 +64,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def _frozen() -> None:
     """What is there when a module begins stays: collecting garbage in a test then takes 1 ms."""
     gc.freeze()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _own_stops() -> Iterator[None]:
+    """Emergency stops of these tests reach no other robots of this computer, nor theirs these."""
+    with pytest.MonkeyPatch.context() as patch, tempfile.TemporaryDirectory() as folder:
+        patch.setenv("ACSAR_GYM_RUNTIME_DIR", folder)
+        yield
 
 
 @pytest.fixture(scope="session", autouse=True)
