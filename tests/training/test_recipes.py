@@ -159,7 +159,7 @@ def test_a_hostile_recipe_is_one_line_of_train(name: str, folder: Path) -> None:
     command = [sys.executable, str(AGENTS / "train.py"), "--conf-file", str(file)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert done.returncode == 2, done.stderr
-    assert done.stderr.startswith(f"acsar-gym train: {file}: default: ")
+    assert done.stderr.startswith(f"acsar-gym: {file}: default: ")
     assert done.stderr.count("\n") == 1
     assert not (folder / "ran").exists()
 
