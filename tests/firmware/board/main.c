@@ -8,7 +8,8 @@
  * device, SIGUSR1 unplugs it and SIGUSR2 plugs it in again. The second runs a script as fast as it
  * can; its lines are TIME and `send HEX`, `hang`, `turn WHEEL SPEED` (0 blocks it), `free WHEEL`,
  * `load WHEEL SPEED` or `end`, with times in seconds after power-up and speeds in rad/s. The log
- * has the emulator's events, and more; its times are of the monotonic clock, or of the script.
+ * has the emulator's events, and more; its times are of the monotonic clock, or of the script;
+ * "own" is the chip's, which on a busy computer stands still where "lost" tells of it.
  */
 #define _GNU_SOURCE
 #include <errno.h>
@@ -72,8 +73,8 @@ static void note_state(double time)
 {
     if (!notes)
         return;
-    fprintf(notes, "{\"t\": %.6f, \"pose\": [%.6f, %.6f, %.6f], \"duty\": [", time, wheels.pose[0],
-            wheels.pose[1], wheels.pose[2]);
+    fprintf(notes, "{\"t\": %.6f, \"own\": %.6f, \"pose\": [%.6f, %.6f, %.6f], \"duty\": [", time, now,
+            wheels.pose[0], wheels.pose[1], wheels.pose[2]);
     for (int i = 0; i < WHEELS; i++)
         fprintf(notes, "%s%.4f", i ? ", " : "", duty[i]);
     fputs("], \"speeds\": [", notes);
@@ -182,9 +183,11 @@ static void run_in_real_time(void)
         exchange();
         deadline += TURN;
         double left = deadline - clock_time();
-        if (left < -STALL)
+        if (left < -STALL) {
             deadline -= left;
-        else if (left > 0.0)
+            if (notes)
+                fprintf(notes, "{\"t\": %.6f, \"lost\": %.6f}\n", clock_time(), -left);
+        } else if (left > 0.0)
             nanosleep(&(struct timespec){.tv_nsec = left * 1e9}, NULL);
     }
     cable_plug(0);
