@@ -5,7 +5,8 @@ from __future__ import annotations
 import contextlib
 import copy
 import os
-from collections.abc import Iterator, Sequence
+import sys
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Self
 
 import gymnasium
@@ -292,7 +293,9 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         """Every copy is a deep one, because two environments can't share a robot."""
         return copy.deepcopy(self)
 
-    def __del__(self) -> None:
+    def __del__(self, is_finalizing: Callable[[], bool] = sys.is_finalizing) -> None:
+        if is_finalizing():  # wheels have been stopped at exit, and modules are partly gone
+            return
         if getattr(self, "robot", None) is not None and hasattr(self, "_screen"):
             with contextlib.suppress(AcsarError):
                 self.close()
