@@ -110,8 +110,9 @@ def combined(folders: Sequence[Path]) -> tuple[dict[str, Any], list[Part]]:
 
 def _plan(folder: Path) -> dict[str, Any]:
     """Read the plan of a folder."""
+    content = bounded.read(folder / PLAN, MOST_PLAN)
     try:
-        plan: dict[str, Any] = structured.from_json(bounded.read(folder / PLAN, MOST_PLAN))
+        plan: dict[str, Any] = structured.from_json(content)
         sound = plan["schema"] == SCHEMA
     except (ConfigError, TypeError, LookupError):
         sound = False

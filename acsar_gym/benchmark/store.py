@@ -242,8 +242,9 @@ class Store:
 
 def _same(noted: Path, plan: Mapping[str, Any]) -> None:
     """Check that a plan is the noted one; ConfigError names the first key that differs."""
+    content = bounded.read(noted, MOST_BYTES)
     try:
-        before = structured.from_json(bounded.read(noted, MOST_BYTES))
+        before = structured.from_json(content)
         keys = sorted({*before, *plan})
     except (ConfigError, TypeError):
         raise ConfigError(f"{noted}: isn't a benchmark's plan: use another folder") from None

@@ -140,8 +140,8 @@ class SerialLink:
             else:
                 self._moved = True
                 try:
-                    check_may_drive()
                     self._watch.drive()
+                    check_may_drive()  # last, as a signal may come at any time
                     port.put(data)
                     self._watch.driven()
                 except LinkLostError:
