@@ -27,6 +27,8 @@ pytestmark = [
 ]
 
 TRIALS = 20
+ATTEMPTS = 3
+"""How often doctor is asked where the computer lets the simulated chip stand still."""
 LIMIT = 0.1
 """From a zero command to motors without current, on the board's clock [s]."""
 
@@ -42,13 +44,17 @@ def board(chip: str, tmp_path: Path) -> Iterator[Emulated]:
 def test_doctor_finds_nothing_to_warn_of(board: Emulated, tmp_path: Path) -> None:
     found = tmp_path / "doctor.json"
     options = ("--robot", "acsar_avr", "--spin", "--yes", "--saw", *"abcd", "--json")
-    done = cli("doctor", board.device, *options, found)
-    assert done.returncode == 0, done.stderr
+    for _ in range(ATTEMPTS):
+        board.forget()
+        done = cli("doctor", board.device, *options, found)
+        if not any("lost" in event for event in board.events()):
+            break
+    else:
+        pytest.skip("this computer is too busy for a simulated chip in real time")
     checks = json.loads(found.read_text())["checks"]
     here = {"serial ports", "emergency stop"}  # of this computer
-    if any("lost" in event for event in board.events()):
-        here |= {"feedback rate", "command to feedback"}  # it was too busy for a board in real time
     assert [one for one in checks if one["status"] != "ok" and one["name"] not in here] == []
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.fixture
