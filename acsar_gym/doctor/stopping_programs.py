@@ -201,7 +201,8 @@ def _pause(kind: str, program: int, watchdog: int) -> float:
     time.sleep(random.uniform(*PAUSE))
     now = time.monotonic()
     for process in paused:
-        os.kill(process, signal.SIGCONT)
+        with contextlib.suppress(ProcessLookupError):  # the first one has ended the second
+            os.kill(process, signal.SIGCONT)
     return now
 
 
