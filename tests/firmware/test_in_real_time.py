@@ -27,6 +27,8 @@ pytestmark = [
 ]
 
 TRIALS = 20
+PATIENT = {"connect_timeout": 20.0, "feedback_timeout": 5.0, "watchdog_timeout": 2.0}
+"""What a busy computer needs [s]; a program that was killed is noticed at once all the same."""
 ATTEMPTS = 3
 """How often doctor is asked where the computer lets the simulated chip stand still."""
 LIMIT = 0.1
@@ -42,8 +44,9 @@ def board(chip: str, tmp_path: Path) -> Iterator[Emulated]:
 
 
 def test_doctor_finds_nothing_to_warn_of(board: Emulated, tmp_path: Path) -> None:
-    found = tmp_path / "doctor.json"
-    options = ("--robot", "acsar_avr", "--spin", "--yes", "--saw", *"abcd", "--json")
+    found, robot = tmp_path / "doctor.json", tmp_path / "patient.yaml"
+    RobotConfig.preset("acsar_avr").with_(**PATIENT).save(robot)
+    options = ("--robot", robot, "--spin", "--yes", "--saw", *"abcd", "--json")
     for _ in range(ATTEMPTS):
         board.forget()
         done = cli("doctor", board.device, *options, found)
@@ -68,7 +71,9 @@ def reversed_board(chip: str, tmp_path: Path) -> Iterator[Emulated]:
 
 def test_doctor_shows_that_a_motor_is_cut(reversed_board: Emulated, tmp_path: Path) -> None:
     found = tmp_path / "doctor.json"
-    options = ("--robot", "acsar_avr", "--spin", "--yes", "--json", found)
+    robot = tmp_path / "patient.yaml"
+    RobotConfig.preset("acsar_avr").with_(**PATIENT).save(robot)
+    options = ("--robot", robot, "--spin", "--yes", "--json", found)
     done = cli("doctor", reversed_board.device, *options)
     assert done.returncode != 0
     checks = {one["name"]: one for one in json.loads(found.read_text())["checks"]}
@@ -78,8 +83,7 @@ def test_doctor_shows_that_a_motor_is_cut(reversed_board: Emulated, tmp_path: Pa
 
 
 def test_a_drive_ends_with_what_the_board_says(reversed_board: Emulated) -> None:
-    patient = {"connect_timeout": 20.0, "feedback_timeout": 5.0, "watchdog_timeout": 2.0}
-    config = RobotConfig.preset("acsar_avr").with_(**patient)
+    config = RobotConfig.preset("acsar_avr").with_(**PATIENT)
     with (
         Robot(open_link(reversed_board.device, config), config) as robot,
         pytest.raises(WheelError, match="the board says a cut: turns against its motor"),
@@ -114,7 +118,7 @@ def off_after(board: Emulated, fault: float) -> tuple[float, float]:
 
 def test_motors_have_no_current_soon_after_kill_9(board: Emulated) -> None:
     """The computer's part, from the fault to the command, is that of `doctor --stopping`."""
-    config = RobotConfig.preset("acsar_avr")
+    config = RobotConfig.preset("acsar_avr").with_(**PATIENT)
     took, own = [], []
     with programs(board.device, config) as program:
         for _ in range(TRIALS):
