@@ -83,13 +83,23 @@ def test_doctor_shows_that_a_motor_is_cut(reversed_board: Emulated, tmp_path: Pa
 
 
 def test_a_drive_ends_with_what_the_board_says(reversed_board: Emulated) -> None:
+    """The board cuts the motor after 0.14 s, and the driver gives up soon after that.
+
+    Where this computer is busy, the driver may be the first: then once more.
+    """
     config = RobotConfig.preset("acsar_avr").with_(**PATIENT)
-    with (
-        Robot(open_link(reversed_board.device, config), config) as robot,
-        pytest.raises(WheelError, match="the board says a cut: turns against its motor"),
-    ):
-        for _ in range(3000):
-            robot.drive(0.05, 0.0)
+    said = ""
+    for _ in range(10):
+        with (
+            Robot(open_link(reversed_board.device, config), config) as robot,
+            pytest.raises(WheelError, match="front_right") as caught,
+        ):
+            for _ in range(3000):
+                robot.drive(0.05, 0.0)
+        said = str(caught.value)
+        if "the board says" in said:
+            break
+    assert "the board says a cut: turns against its motor" in said
     fastest = max(abs(event["speeds"][0]) for event in reversed_board.events() if "speeds" in event)
     assert fastest < 8.0
 
