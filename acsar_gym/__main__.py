@@ -11,12 +11,12 @@ import sys
 def main() -> None:
     """Entry point of the command."""
     if sys.argv[1:2] == ["estop"]:
-        from acsar_gym.safety import estop_command  # noqa: PLC0415
+        from acsar_gym.safety import estop  # noqa: PLC0415
 
-        code = estop_command.main(sys.argv[2:])
+        code = estop.main(sys.argv[2:])
         if code is not None:
             sys.exit(code)
-    from acsar_gym import cli  # noqa: PLC0415
+    from acsar_gym.tools import cli  # noqa: PLC0415
 
     cli.main()
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-AHEAD = "stop other programs, or put the control loop ahead of them with --realtime 10"
+BUSY_HINT = "stop other programs, or put the control loop ahead of them with --realtime 10"
 """What to do on a busy computer."""
 
 
@@ -82,7 +82,7 @@ class MissingExtraError(AcsarError):
 
 
 @contextlib.contextmanager
-def optional(feature: str, extra: str) -> Iterator[None]:
+def require_extra(feature: str, extra: str) -> Iterator[None]:
     """Name the extra where an import inside the block fails.
 
     Args:
@@ -207,7 +207,7 @@ class LateTicksError(AcsarError):
     exit_code = 4
 
     def __init__(self, invalid: int, episodes: int) -> None:
-        super().__init__(f"too many late ticks in {invalid} of {episodes} episodes: {AHEAD}")
+        super().__init__(f"too many late ticks in {invalid} of {episodes} episodes: {BUSY_HINT}")
 
 
 class SensorError(AcsarError):
@@ -244,7 +244,7 @@ def translate_errors(kind: type[AcsarError], source: Callable[[], str]) -> Itera
         # The last line in the user's own file, not the one in a library that it calls.
         method, file = theirs[0][0].co_name, theirs[0][0].co_filename
         line = [line for code, line in theirs if code.co_filename == file][-1]
-        said = shortened(" ".join(f"{type(error).__name__}: {error}".split()), 300)
+        said = shorten_text(" ".join(f"{type(error).__name__}: {error}".split()), 300)
         raise kind(f"{source()}: {method}() raised {said} ({file}:{line})") from error
 
 
@@ -252,7 +252,7 @@ class LidarError(LinkError):
     """The LiDAR can't be opened, isn't a LiDAR, or stopped answering."""
 
 
-LONGEST = 1_000
+MAX_PRINTED = 1_000
 """Longest line that is printed [characters]."""
 _UNPRINTABLE = re.compile(
     "[^\\x20-\\x7e\\xa1-\U0010ffff]|[\\u200e\\u200f\\u2028-\\u202e\\u2066-\\u2069]|[\\ud800-\\udfff]"
@@ -260,7 +260,7 @@ _UNPRINTABLE = re.compile(
 """Control characters, bidirectional text controls, and unpaired surrogates."""
 
 
-def shortened(text: str, most: int = LONGEST) -> str:
+def shorten_text(text: str, most: int = MAX_PRINTED) -> str:
     """Return text, cut to `most` characters with "..." at the end.
 
     Args:
@@ -270,7 +270,7 @@ def shortened(text: str, most: int = LONGEST) -> str:
     return text if len(text) <= most else f"{text[:most]}..."
 
 
-def shown(value: object) -> str:
+def show_value(value: object) -> str:
     """Return a value's repr(), shortened and on one line.
 
     Args:
@@ -282,13 +282,13 @@ def shown(value: object) -> str:
         return "a very long number"
 
 
-def printable(text: str) -> str:
+def escape_unprintable(text: str) -> str:
     """Return untrusted text made safe for a terminal: shortened, control characters escaped.
 
     Args:
         text: of a stranger, such as a file's or board's.
     """
-    short = shortened(text)
+    short = shorten_text(text)
     return _UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode(), short)
 
 
@@ -304,7 +304,7 @@ class RecordingWarning(UserWarning):
     """A recording isn't whole: it can't be written any more, or its file was cut."""
 
 
-def suggestion(name: str, known: Iterable[str]) -> str:
+def suggest_name(name: str, known: Iterable[str]) -> str:
     """Suggest a name for an unknown one, for the end of an error message.
 
     Args:

@@ -35,17 +35,17 @@ LOG = logging.getLogger(__name__)
 PACKAGE = Path(__file__).parent
 AGENTS = PACKAGE / "agents"
 """Where a wheel has agents/."""
-BATCHES = "acsar_gym.vector.kernel."
+BATCH_MODULES = "acsar_gym.vector.kernel."
 """Modules whose functions take long to compile."""
-TASKS = "acsar_gym.vector.kernel.task"
+TASK_MODULE = "acsar_gym.vector.kernel.task"
 """One of them that is compiled anew, and soon, for every task."""
-NEW: list[str] = []
+NEWLY_COMPILED: list[str] = []
 """Names of functions that this process has compiled because the cache didn't have them."""
-TOLD: set[str] = set()
+GIVEN_WARNINGS: set[str] = set()
 """Warnings that this process has given: each once."""
 
 
-def fingerprint(package: Path) -> str:
+def hash_sources(package: Path) -> str:
     """Hash of the contents of all source files of a package.
 
     Args:
@@ -61,14 +61,14 @@ def fingerprint(package: Path) -> str:
 
 
 @cache
-def fingerprint_beside(folder: Path) -> str:
+def hash_sources_beside(folder: Path) -> str:
     """Hash of the sources of a package of its own; empty for scripts, and within this package.
 
     Args:
         folder: of the source file whose functions are compiled.
     """
     own = PACKAGE in (folder, *folder.parents)
-    return "" if own or not (folder / "__init__.py").is_file() else fingerprint(folder)
+    return "" if own or not (folder / "__init__.py").is_file() else hash_sources(folder)
 
 
 try:
@@ -104,15 +104,15 @@ except ImportError:
     NumbaError: type[Exception] = type("NumbaError", (Exception,), {})
     """Never raised: numba isn't installed."""
 
-    def leading(numbers: Any, count: int) -> tuple[Any, ...]:
+    def leading_numbers(numbers: Any, count: int) -> tuple[Any, ...]:
         """The first `count` numbers of an array as a tuple."""
         return tuple(numbers[:count])
 
 else:
     COMPILED = True
     NumbaError = errors.NumbaError
-    leading = to_fixed_tuple
-    FINGERPRINT = fingerprint(PACKAGE)
+    leading_numbers = to_fixed_tuple
+    FINGERPRINT = hash_sources(PACKAGE)
     DIGEST_SIZE = hashlib.sha256().digest_size
     CANNOT_CACHE = (
         "acsar_gym: numba can't keep compiled code, so every process compiles anew: "
@@ -156,7 +156,7 @@ else:
             try:
                 compiled = numba.njit(cache=True, **options)(function)
                 cache = compiled._cache  # noqa: SLF001 - numba has no other way
-                beside = fingerprint_beside(Path(inspect.getfile(function)).parent)
+                beside = hash_sources_beside(Path(inspect.getfile(function)).parent)
                 cache._cache_file = _CacheFile(cache, FINGERPRINT + beside)  # noqa: SLF001
             except (RuntimeError, AttributeError) as error:
                 _tell(CANNOT_CACHE, error)
@@ -166,8 +166,8 @@ else:
 
     def _tell(message: str, why: object) -> None:
         """Warn, once in this process."""
-        if message not in TOLD:
-            TOLD.add(message)
+        if message not in GIVEN_WARNINGS:
+            GIVEN_WARNINGS.add(message)
             LOG.warning(message, why)
 
     class _CacheFile(IndexDataCacheFile):  # type: ignore[misc]
@@ -274,9 +274,9 @@ else:
         def on_start(self, event: Any) -> None:
             """Note a function that is compiled next, because the cache doesn't have it."""
             function = event.data["dispatcher"].py_func
-            NEW.append(f"{function.__module__}.{function.__qualname__}")
+            NEWLY_COMPILED.append(f"{function.__module__}.{function.__qualname__}")
             module = function.__module__ or ""
-            if not self.said and module.startswith(BATCHES) and module != TASKS:
+            if not self.said and module.startswith(BATCH_MODULES) and module != TASK_MODULE:
                 self.said = True
                 LOG.warning(
                     "acsar_gym: compiling the loops of batches, half a minute, once after each "

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 
 from acsar_gym import kinematics
 from acsar_gym.config import RobotConfig
-from acsar_gym.lidars.base import newest_scan
 from acsar_gym.links.base import Link
 from acsar_gym.odometry import Odometry
-from acsar_gym.recording.events import Fault, Scanned, Tick
+from acsar_gym.recording.encoder import Fault, Scanned, Tick
 from acsar_gym.recording.recorder import Recorder
 from acsar_gym.safety.layer import Safety
 from acsar_gym.sensors import Sensor
+from acsar_gym.sensors.lidar import newest_scan
 from acsar_gym.wire import Wire
 
 
@@ -85,7 +85,7 @@ class Journal:
         """After a tick in which wheel speeds were asked for [rad/s]."""
         if self._recorder is not None:
             a, b, c, d = map(float, speeds)
-            twist = kinematics.twist(a, b, c, d, *self._radii, self._separation)
+            twist = kinematics.compute_twist(a, b, c, d, *self._radii, self._separation)
             self.ticked(odometry, *twist)
 
     def listened(self, odometry: Odometry) -> None:

@@ -38,10 +38,10 @@ def forward(
     a, b, c, d = speeds
     left_radius = wheel_radius * left_wheel_radius_multiplier
     right_radius = wheel_radius * right_wheel_radius_multiplier
-    return twist(a, b, c, d, left_radius, right_radius, wheel_separation)
+    return compute_twist(a, b, c, d, left_radius, right_radius, wheel_separation)
 
 
-def twist(
+def compute_twist(
     a: float,
     b: float,
     c: float,
@@ -92,13 +92,15 @@ def inverse(
             f"wheel_radius = {wheel_radius}, wheel_separation = {wheel_separation}, max_speed = "
             f"{max_speed}: must be positive, and so must the multipliers"
         )
-    right, left = sides(linear, angular, left_radius, right_radius, wheel_separation, max_speed)
+    right, left = compute_sides(
+        linear, angular, left_radius, right_radius, wheel_separation, max_speed
+    )
     if not math.isfinite(right + left):
         raise CommandError(f"twist = ({linear}, {angular}): must be finite m/s and rad/s")
     return right, left, left, right
 
 
-def sides(
+def compute_sides(
     linear: float,
     angular: float,
     left_radius: float,

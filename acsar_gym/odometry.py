@@ -18,7 +18,7 @@ TWIST_COVARIANCE: tuple[float, ...] = tuple(0.01 if i in (0, 35) else 0.0 for i 
 """Row-major 6 x 6 covariance of the twist, as the robot's driver publishes it."""
 
 
-def integrate(
+def integrate_twist(
     x: float,
     y: float,
     theta: float,
@@ -145,12 +145,12 @@ class Odometry:
         if len(speeds) != 4:
             raise CommandError(f"odometry needs 4 wheel speeds (a, b, c, d), got {len(speeds)}")
         a, b, c, d = speeds
-        linear, angular = kinematics.twist(
+        linear, angular = kinematics.compute_twist(
             a, b, c, d, self._left_radius, self._right_radius, self._separation
         )
         x, y, theta = self.pose
         cos, sin = math.cos(theta), math.sin(theta)
-        x, y, theta = integrate(x, y, theta, cos, sin, linear, angular, dt)
+        x, y, theta = integrate_twist(x, y, theta, cos, sin, linear, angular, dt)
         if not (math.isfinite(x + y + theta) and 0.0 <= dt < math.inf):
             raise CommandError(f"odometry can't integrate speeds {tuple(speeds)} over dt = {dt} s")
         if not -math.pi <= theta <= math.pi:

@@ -43,7 +43,7 @@ _BEGUN = re.compile(
 _WHOLE = re.compile(rb"(?:[abcd][pn][ +-]*[0-9]{1,3}\.[0-9]{2,6},?){4}")
 _ENDED = re.compile(rb"[pn]?[ +-]*[0-9.]{0,9}")
 """The end of a part."""
-SAMPLE = 60
+SAMPLE_BYTES = 60
 """How much of a damaged line, or of text, is kept for messages [bytes]."""
 MAX_NOTES = 8
 """How many different texts are kept."""
@@ -67,10 +67,10 @@ def encode(speeds: Sequence[float], *, trailing_comma: bool = True) -> bytes:
     Raises:
         CommandError: there aren't four speeds, or one isn't finite.
     """
-    return line_of(*finite(speeds), line_end(trailing_comma=trailing_comma))
+    return encode_line(*check_speeds(speeds), line_end(trailing_comma=trailing_comma))
 
 
-def finite(speeds: Sequence[float]) -> Speeds:
+def check_speeds(speeds: Sequence[float]) -> Speeds:
     """Check four wheel speeds [rad/s], order a, b, c, d.
 
     Raises:
@@ -91,7 +91,7 @@ def line_end(*, trailing_comma: bool) -> bytes:
     return b",\r\n" if trailing_comma else b"\r\n"
 
 
-def line_of(a: float, b: float, c: float, d: float, end: bytes) -> bytes:
+def encode_line(a: float, b: float, c: float, d: float, end: bytes) -> bytes:
     """Encode as `encode` does, but without checks: the speeds [rad/s] must be finite floats."""
     line = _LINE % (a, b, c, d)
     if len(line) > _LENGTH:
@@ -214,7 +214,7 @@ class Decoder:
             return None
         parsed = _parse_parts(parts)
         if parsed.reading is None and line.startswith(b"#"):
-            note = line[1:SAMPLE].decode("ascii", "backslashreplace").strip()
+            note = line[1:SAMPLE_BYTES].decode("ascii", "backslashreplace").strip()
             self.notes = [*(one for one in self.notes if one != note), note][-MAX_NOTES:]
             return None
         if parsed.refused:
@@ -246,7 +246,7 @@ class Decoder:
             self._refused_at = self.lines
             self._refused_before = sum(self.refused.values())
         self.refused.update(reasons)
-        self.sample = line[:SAMPLE]
+        self.sample = line[:SAMPLE_BYTES]
 
 
 class _Parsed(NamedTuple):

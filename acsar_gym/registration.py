@@ -42,8 +42,10 @@ def register(
     Raises:
         ConfigError: where `task` isn't a class of tasks.
     """
-    from acsar_gym.tasks.made import importable  # noqa: PLC0415 - this module is light
-    from acsar_gym.tasks.options import by_mode  # noqa: PLC0415
+    from acsar_gym.tasks.factory import (  # noqa: PLC0415
+        importable_task,
+        split_by_mode,
+    )
 
     gymnasium.register(
         id=id,
@@ -51,7 +53,7 @@ def register(
         vector_entry_point="acsar_gym.vector.env:RobotVectorEnv",
         max_episode_steps=max_episode_steps,
         reward_threshold=reward_threshold,
-        kwargs={"task": importable(task), **by_mode(options)},
+        kwargs={"task": importable_task(task), **split_by_mode(options)},
     )
 
 
@@ -60,7 +62,7 @@ def register_all() -> None:
     for name, options in IDS.items():
         if f"acsar_gym/{name}" not in gymnasium.registry:
             kind = name.partition("-")[0]
-            home = f"acsar_gym.envs.{snake(kind)}"
+            home = f"acsar_gym.envs.{snake_case(kind)}"
             gymnasium.register(
                 id=f"acsar_gym/{name}",
                 entry_point=f"{home}:{kind}Env",
@@ -69,6 +71,6 @@ def register_all() -> None:
             )
 
 
-def snake(name: str) -> str:
+def snake_case(name: str) -> str:
     """Convert "PointGoal" to "point_goal"."""
     return re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()

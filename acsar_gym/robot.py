@@ -18,13 +18,12 @@ from acsar_gym.errors import (
     LinkError,
     SafetyWarning,
     WheelError,
-    printable,
+    escape_unprintable,
 )
 from acsar_gym.journal import Journal
-from acsar_gym.lidars.factory import factories
 from acsar_gym.links.base import WHILE_WAITING, Link, arrivals_of
-from acsar_gym.links.lateness import EpisodeTiming, Stopwatch
-from acsar_gym.links.recorded import recorded
+from acsar_gym.links.lateness import EpisodeStopwatch, EpisodeTiming
+from acsar_gym.links.recorded import record_link
 from acsar_gym.odometry import Odometry
 from acsar_gym.protocol import ZERO, Decoder, Speeds
 from acsar_gym.recording import Recorder
@@ -32,6 +31,7 @@ from acsar_gym.safety.estop import StopListener, check_released, release_process
 from acsar_gym.safety.layer import Safety
 from acsar_gym.safety.wheel_watch import WheelWatch
 from acsar_gym.sensors import Factory, Sensor, Sensors
+from acsar_gym.sensors.lidar import sensor_factories
 from acsar_gym.wire import Wire
 from acsar_gym.worlds import Scene
 
@@ -80,16 +80,16 @@ class Robot:
         recorder: Recorder | None = None,
     ) -> None:
         self.config = RobotConfig.of(config)
-        self.link = link = recorded(link, recorder, self.config)
+        self.link = link = record_link(link, recorder, self.config)
         self.odometry = Odometry.of(self.config)
-        self.sensors = Sensors(factories(sensors), link, self.config, self.odometry)
+        self.sensors = Sensors(sensor_factories(sensors), link, self.config, self.odometry)
         self.wire = Wire(link, self.config)
         self.active = False
         self.safety = Safety(self.config)
         self._journal = Journal(recorder, link, self.config, self.wire, self.safety, self.sensors)
         self._listener: StopListener | None = None
         self._held = False
-        self._stopwatch: Stopwatch | None = None
+        self._stopwatch: EpisodeStopwatch | None = None
         self._watch: WheelWatch | None = None
         self._period = self.config.period
         self._clocked, self._recorded = self.sensors.clocked, recorder is not None
@@ -141,7 +141,7 @@ class Robot:
         self.odometry.reset()
         if self.link.lateness is not None:
             gc.collect()  # takes 60 ms, so it is done before the wheels turn
-            self._stopwatch = Stopwatch(self._period)
+            self._stopwatch = EpisodeStopwatch(self._period)
             if self.link.truth is None and self.config.wheel_check:
                 self._watch = WheelWatch(self.config, getattr(self.link, "device", "DEVICE"))
         self.sensors.reset(scene, rng)
@@ -356,7 +356,9 @@ class Robot:
             except WheelError as error:
                 if not wire.decoder.notes:
                     raise
-                found = f"{error.found}; the board says {printable(wire.decoder.notes[-1])}"
+                found = (
+                    f"{error.found}; the board says {escape_unprintable(wire.decoder.notes[-1])}"
+                )
                 raise WheelError(found, error.fix, error.wheel) from None
         elif self._watch is not None:
             self._watch.reset()  # the board may stop the wheels by itself

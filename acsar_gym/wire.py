@@ -6,9 +6,9 @@ import math
 
 from acsar_gym.config import BITS_PER_BYTE, RobotConfig
 from acsar_gym.links.base import WHILE_WAITING, Link
-from acsar_gym.links.handshake import silence, still_turning
+from acsar_gym.links.handshake import silence_error, still_turning_error
 from acsar_gym.links.lateness import STANDSTILL
-from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds, line_end, line_of
+from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds, encode_line, line_end
 from acsar_gym.safety import rules
 
 STANDSTILL_TIMEOUT = 5.0
@@ -35,12 +35,12 @@ class Wire:
         self.decoder = Decoder()
         self._link = link
         self._period = config.period
-        self._rules = rules.of(config)
+        self._rules = rules.make_rules(config)
         self._end = line_end(trailing_comma=config.trailing_comma)
         self._motors, self._encoders = config.wheels.motors, config.wheels.encoders
         self._feed = self.decoder.feed if self._encoders is None else self._fed
         self._encoded: Speeds = ZERO
-        self._command = line_of(*ZERO, self._end)
+        self._command = encode_line(*ZERO, self._end)
         self.speeds: Speeds = ZERO
         self.age = 0.0
         self.stamp = self.began = self.written = 0.0
@@ -60,7 +60,7 @@ class Wire:
         """Send a command line; it is encoded again only where `speeds` is another object."""
         if speeds is not self._encoded:
             wired = speeds if self._motors is None else self._motors.to_wire(speeds)
-            self._encoded, self._command = speeds, line_of(*wired, self._end)
+            self._encoded, self._command = speeds, encode_line(*wired, self._end)
         self._link.write(self._command)
 
     def exchange(self, speeds: Speeds | None) -> tuple[list[Speeds], float]:
@@ -91,8 +91,8 @@ class Wire:
         if self._settled:  # pauses between the reset and the first command don't count
             self.began, self._settled = stamp - self._period, False
         self.age = 0.0 if heard else self.age + lasted
-        if rules.silent(self.age, self._rules):
-            raise silence(self.age, self.decoder)
+        if rules.is_silent(self.age, self._rules):
+            raise silence_error(self.age, self.decoder)
         return heard, lasted
 
     def shares(self, heard: list[Speeds], lasted: float) -> list[tuple[Speeds, float]]:
@@ -134,5 +134,5 @@ class Wire:
                 self.began, self._settled = self.stamp, True
                 return
         if max(map(abs, self.speeds)) < STANDSTILL:
-            raise silence(self.age, self.decoder)
-        raise still_turning(STANDSTILL_TIMEOUT, self.speeds)
+            raise silence_error(self.age, self.decoder)
+        raise still_turning_error(STANDSTILL_TIMEOUT, self.speeds)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 
-from acsar_gym import cli
+from acsar_gym.tools import cli
 
 if __name__ == "__main__":
     sys.argv = ["acsar-gym", "train", *sys.argv[1:]]

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from acsar_gym import RobotConfig, baselines
-from acsar_gym.baselines.base import BaselinePolicy
-from acsar_gym.policies.setting import Seen, Setting
+from acsar_gym import RobotConfig
 from acsar_gym.tasks.base import Floats
+from acsar_gym.tools import baselines
+from acsar_gym.tools.baselines.base import BaselinePolicy
+from acsar_gym.tools.policies.base import DecodedObservation, PolicyContext
 from acsar_gym.worlds.geometry import RaySpec
 
 PERIOD = 0.1
@@ -20,21 +21,21 @@ ANGLES = RaySpec(CONFIG.lidar.rays).angles()
 
 
 def module(name: str) -> Any:
-    """A module of acsar_gym.baselines."""
-    return import_module(f"acsar_gym.baselines.{name}")
+    """A module of acsar_gym.tools.baselines."""
+    return import_module(f"acsar_gym.tools.baselines.{name}")
 
 
 def equipped(name: str) -> BaselinePolicy:
     """A baseline for the default robot, at 10 Hz."""
-    policy = baselines.load(name, "acsar_gym/ObstacleGoal-v1")
-    policy.equip(Setting(CONFIG, "a task", PERIOD, 0.3, {}, 10.0, slice(0, len(ANGLES))))
+    policy = baselines.load_baseline(name, "acsar_gym/ObstacleGoal-v1")
+    policy.equip(PolicyContext(CONFIG, "a task", PERIOD, 0.3, {}, 10.0, slice(0, len(ANGLES))))
     policy.reset()
     return policy
 
 
 def goal_seen(
     ahead: float, left: float, walls: tuple[tuple[float, float], ...] = (), moving: float = 0.0
-) -> Seen:
+) -> DecodedObservation:
     """What a robot sees of a goal at (ahead, left) [m] between walls.
 
     Args:
@@ -50,12 +51,16 @@ def goal_seen(
         with np.errstate(divide="ignore"):
             ranges = np.where(towards > 1e-6, np.minimum(ranges, offset / towards), ranges)
     distance, bearing = math.hypot(ahead, left), math.atan2(left, ahead)
-    return Seen(linear=moving, angular=0.0, distance=distance, bearing=bearing, ranges=ranges)
+    return DecodedObservation(
+        linear=moving, angular=0.0, distance=distance, bearing=bearing, ranges=ranges
+    )
 
 
-def path_seen(points: Floats, cross_track: float = 0.0, heading_error: float = 0.0) -> Seen:
+def path_seen(
+    points: Floats, cross_track: float = 0.0, heading_error: float = 0.0
+) -> DecodedObservation:
     """What a robot at 0.5 m/s sees of a path whose points ahead are (4, 2) [m]."""
-    return Seen(
+    return DecodedObservation(
         linear=0.5,
         angular=0.0,
         cross_track=cross_track,

@@ -6,16 +6,15 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from acsar_gym.benchmark.conditions import CONDITIONS
-from acsar_gym.benchmark.plan import plain
-from acsar_gym.benchmark.scenes import SCENES
-from acsar_gym.benchmark.store import SCHEMA, Cell, Episode, Part
+from acsar_gym.tools.benchmark.plan import CONDITIONS, condition_fields
+from acsar_gym.tools.benchmark.scenes import SCENES
+from acsar_gym.tools.benchmark.store import BENCHMARK_SCHEMA, Cell, EpisodeRecord, Part
 
 ENV_ID = "PointGoal-v0"
 FIRST = SCENES[ENV_ID].test.numbers[0]
 
 
-def episode(number: int = 0, score: float = 0.9, **changes: Any) -> Episode:
+def episode(number: int = 0, score: float = 0.9, **changes: Any) -> EpisodeRecord:
     """An episode of the open floor; it is a success where its score isn't 0."""
     values: dict[str, Any] = {
         "scene": FIRST + number,
@@ -42,7 +41,7 @@ def episode(number: int = 0, score: float = 0.9, **changes: Any) -> Episode:
         "late_ticks": 0,
         "fault": "",
     }
-    return Episode(**values | changes)
+    return EpisodeRecord(**values | changes)
 
 
 def cell(agent: str = "packaged", seed: int | None = None, **changes: str) -> Cell:
@@ -65,12 +64,14 @@ def plan(*conditions: str, **kinds: str) -> dict[str, Any]:
     }
     about = SCENES[ENV_ID].test.about | {"count": 2}
     return {
-        "schema": SCHEMA,
+        "schema": BENCHMARK_SCHEMA,
         "version": "0.1.0",
         "agents": agents,
         "ids": [ENV_ID],
         "links": ["planar"],
         "scenes": {ENV_ID: {"test": about}},
         "port_scenes": 0,
-        "conditions": {name: plain(CONDITIONS[name]) for name in conditions or CONDITIONS},
+        "conditions": {
+            name: condition_fields(CONDITIONS[name]) for name in conditions or CONDITIONS
+        },
     }

@@ -5,18 +5,18 @@ from __future__ import annotations
 from functools import partial
 
 from acsar_gym import RobotConfig
-from acsar_gym.bodies.planar import PlanarBody
-from acsar_gym.doctor import wire
-from acsar_gym.doctor.checks import Check
-from acsar_gym.doctor.commission import Commission
-from acsar_gym.emulation import quirks
 from acsar_gym.links.simulated import SimulatedLink
+from acsar_gym.physics.planar import PlanarBody
+from acsar_gym.tools.doctor import wire
+from acsar_gym.tools.doctor.checks import Check
+from acsar_gym.tools.doctor.commission import Commission
+from acsar_gym.tools.emulation import quirks
 
 
 def board(*names: str, robot: RobotConfig | None = None) -> quirks.QuirkyLink:
     """A board in simulated time that behaves so, with the robot's own parameters."""
-    found = quirks.parsed(names)
-    config = quirks.of_config(found, robot or RobotConfig())
+    found = quirks.parse_quirks(names)
+    config = quirks.apply_to_config(found, robot or RobotConfig())
     link = SimulatedLink(config, partial(PlanarBody, config))
     link.open()
     return quirks.QuirkyLink(link, config, found)
@@ -26,7 +26,7 @@ def commissioned(
     link: quirks.QuirkyLink, commission: Commission, config: RobotConfig | None = None
 ) -> dict[str, Check]:
     """The doctor's findings, by name; the robot is taken to be the usual one."""
-    found = wire.examined(link, config or RobotConfig(), commission)
+    found = wire.examine_board(link, config or RobotConfig(), commission)
     return {check.name: check for check in found}
 
 

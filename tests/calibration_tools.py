@@ -9,19 +9,16 @@ from itertools import pairwise
 import numpy as np
 
 from acsar_gym import RobotConfig
-from acsar_gym.calibration import manoeuvres
-from acsar_gym.calibration.driving import drive
-from acsar_gym.calibration.manoeuvres import Plan
-from acsar_gym.calibration.model import Geometry
-from acsar_gym.calibration.readings import Scales
-from acsar_gym.calibration.runs import Floats, Reading, Run
-from acsar_gym.calibration.truth import TruthObserver
 from acsar_gym.links import open_link
 from acsar_gym.robot import Robot
+from acsar_gym.tools.sysid import calibration_drive
+from acsar_gym.tools.sysid.calibrate import ReadingScales
+from acsar_gym.tools.sysid.calibration_drive import RunPlan, TruthObserver, drive_run
+from acsar_gym.tools.sysid.calibration_runs import CalibrationRun, Floats, Geometry, RunReading
 from acsar_gym.worlds import Scene
 
 ACSAR = RobotConfig.preset("acsar")
-SCALES = Scales()
+SCALES = ReadingScales()
 
 
 def hidden(seed: int) -> RobotConfig:
@@ -38,7 +35,7 @@ def hidden(seed: int) -> RobotConfig:
 class Person(TruthObserver):
     """Reads a tape with marks every 5 mm and a protractor with marks every degree."""
 
-    def readings(self, plan: Plan) -> list[Reading]:
+    def readings(self, plan: RunPlan) -> list[RunReading]:
         x, y, heading = (reading.value for reading in super().readings(plan))
         degrees = SCALES.degrees(float(round(math.degrees(heading))))
         if plan.manoeuvre == "straight":
@@ -53,19 +50,21 @@ def to_mark(length: float) -> float:
     return round(length / SCALES.tape) * SCALES.tape
 
 
-def usual_plans() -> list[Plan]:
+def usual_plans() -> list[RunPlan]:
     """What `straight`, `turn` and `square` drive by default."""
     return [
-        *manoeuvres.straights(2.0, 0.3, 3),
-        *manoeuvres.turns(5.0, (0.6, 1.2), (0.0,), 1),
-        *manoeuvres.squares(1.0, 0.3, 0.9, 2, 2),
+        *calibration_drive.plan_straights(2.0, 0.3, 3),
+        *calibration_drive.plan_turns(5.0, (0.6, 1.2), (0.0,), 1),
+        *calibration_drive.plan_squares(1.0, 0.3, 0.9, 2, 2),
     ]
 
 
-def driven(plans: Sequence[Plan], twin: RobotConfig, link: str = "planar") -> list[Run]:
+def driven(
+    plans: Sequence[RunPlan], twin: RobotConfig, link: str = "planar"
+) -> list[CalibrationRun]:
     """Drive a simulated robot that is thought to be an ACSAR, and measure with the tape."""
     robot = Robot(open_link(link, twin), ACSAR)
-    return [drive(robot, plan, Scene(), Person()) for plan in plans]
+    return [drive_run(robot, plan, Scene(), Person()) for plan in plans]
 
 
 def of_sides(left: Sequence[float], right: Sequence[float], parts: int = 100) -> Floats:

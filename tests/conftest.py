@@ -147,7 +147,7 @@ def start_emulator(tmp_path: Path, pytestconfig: pytest.Config) -> Iterator[Star
         return running[-1]
 
     yield begin
-    watchdog.call_back()
+    watchdog.end_searches()
     for emulated in running:
         emulated.end()
 

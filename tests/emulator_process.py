@@ -5,8 +5,9 @@ serial_tools.py has them forked from one that imports this: a second of CPU less
 
 from __future__ import annotations
 
-from acsar_gym import RobotConfig, cli, open_link
-from acsar_gym.emulation import board as emulator
+from acsar_gym import RobotConfig, open_link
+from acsar_gym.tools import cli
+from acsar_gym.tools.emulation import board as emulator
 from acsar_gym.worlds import Scene, pool
 
 __all__ = ["cli", "emulator", "pool"]

@@ -13,7 +13,7 @@ from acsar_gym.safety import estop
 
 DRIVING = """
 import sys
-from acsar_gym.cli import main
+from acsar_gym.tools.cli import main
 sys.argv = ["acsar-gym", *sys.argv[1:]]
 main()
 """

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from acsar_gym import RobotConfig, open_link
-from acsar_gym.bodies.base import Camera, GroundTruth, Image
-from acsar_gym.links.fault_injection import FaultyLink, Seed
+from acsar_gym.links.faults import FaultSeed, FaultyLink
+from acsar_gym.physics.body import Camera, GroundTruth, Image
 from acsar_gym.protocol import Decoder, encode
 from acsar_gym.worlds import Scene
 
@@ -96,12 +96,12 @@ def drive(link: FaultyLink, ticks: int = LINES, *, reset: bool = True) -> list[b
     return heard
 
 
-def on_board(seed: Seed = 0, **faults: Any) -> tuple[FaultyLink, Board]:
+def on_board(seed: FaultSeed = 0, **faults: Any) -> tuple[FaultyLink, Board]:
     board = Board()
     return FaultyLink(board, faults, seed), board
 
 
-def planar(config: RobotConfig, seed: Seed = 0, **faults: Any) -> FaultyLink:
+def planar(config: RobotConfig, seed: FaultSeed = 0, **faults: Any) -> FaultyLink:
     return FaultyLink(open_link("planar", config), faults, seed)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from serial_tools import Emulated, Forked, first_line
 
-from acsar_gym.emulation.rplidar import RplidarEmulator, RplidarTwin
+from acsar_gym.tools.emulation.rplidar import RplidarEmulator, RplidarTwin
 
 Floats = NDArray[np.float64]
 

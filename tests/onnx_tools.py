@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from acsar_gym.dynamics import Randomization
 from acsar_gym.envs.ids import full_id
-from acsar_gym.policies import graph
-from acsar_gym.policies.bundle import KEY, Bundle, parse
-from acsar_gym.policies.describing import described
+from acsar_gym.physics import Randomization
 from acsar_gym.resources import AGENTS
+from acsar_gym.tools.policies import graph
+from acsar_gym.tools.policies.bundle import BUNDLE_KEY, Bundle, parse_bundle
+from acsar_gym.tools.policies.describe import describe_policy
 
 GOOD = AGENTS / "policies" / "point_goal.onnx"
 VARIED: dict[str, Any] = {"friction": (0.7, 1.2), "motor_lag": (0.6, 1.5)}
@@ -23,7 +23,7 @@ ENV_ID = "acsar_gym/PointGoal-v0"
 
 def bundle_of(path: Path = GOOD) -> Bundle:
     """The bundle of a policy file."""
-    return parse(graph.read(path.read_bytes()).metadata[KEY])
+    return parse_bundle(graph.read(path.read_bytes()).metadata[BUNDLE_KEY])
 
 
 def changed(path: Path = GOOD, **values: Any) -> dict[str, Any]:
@@ -44,7 +44,7 @@ def relabelled(path: Path, said: str | None = None, good: Path = GOOD, **values:
 
     model = onnx.load(good)
     text = json.dumps(changed(good, **values)) if said is None else said
-    onnx.helper.set_model_props(model, {KEY: text})
+    onnx.helper.set_model_props(model, {BUNDLE_KEY: text})
     onnx.save(model, path)
     return path
 
@@ -97,7 +97,7 @@ class Maker:
         if self._width != 7:
             names, ends = [f"n{n}" for n in range(self._width)], [0.0] * self._width
             data = changed(observation__names=names, observation__low=ends, observation__high=ends)
-        helper.set_model_props(model, {KEY: json.dumps(data)})
+        helper.set_model_props(model, {BUNDLE_KEY: json.dumps(data)})
         return model
 
     def bytes(self, env_id: str = ENV_ID) -> bytes:
@@ -128,7 +128,7 @@ def fitting(path: Path, env_id: str, bias: float = 0.0, **options: Any) -> Path:
     import gymnasium
 
     env: Any = gymnasium.make(full_id(env_id), link="planar", **options)
-    bundle = described(env.unwrapped, env_id, randomization=Randomization(**VARIED))
+    bundle = describe_policy(env.unwrapped, env_id, randomization=Randomization(**VARIED))
     env.close()
     make = Maker(bundle.observation.width)
     make.add(
@@ -139,7 +139,7 @@ def fitting(path: Path, env_id: str, bias: float = 0.0, **options: Any) -> Path:
     )
     model = make.model()
     del model.metadata_props[:]
-    model.metadata_props.add(key=KEY, value=bundle.as_json())
+    model.metadata_props.add(key=BUNDLE_KEY, value=bundle.as_json())
     path.write_bytes(model.SerializeToString())
     return path
 

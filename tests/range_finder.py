@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import acsar_gym
-from acsar_gym.bodies.base import GroundTruth
-from acsar_gym.worlds.geometry import look
+from acsar_gym.physics.body import GroundTruth
+from acsar_gym.worlds.geometry import measure_ranges
 
 BEARINGS = np.radians([-30.0, 0.0, 30.0])
 REACH = 3.0
@@ -27,7 +27,7 @@ class ThreeRays(acsar_gym.Sensor):
         """Ranges / REACH, right to left."""
         assert truth is not None
         x, y, theta = truth.pose
-        ranges = look((x, y), theta + BEARINGS, self.scene.world)
+        ranges = measure_ranges((x, y), theta + BEARINGS, self.scene.world)
         return np.clip(ranges + self.rng.normal(0.0, self.noise, 3), 0.0, REACH) / REACH
 
     def info(self, now: float) -> dict[str, float]:

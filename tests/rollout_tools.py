@@ -13,8 +13,7 @@ from acsar_gym import Robot, RobotConfig
 from acsar_gym.links import open_link
 from acsar_gym.links.base import Link
 from acsar_gym.protocol import Speeds
-from acsar_gym.recording.types import Episode, Exchanges, Recording, Scans
-from acsar_gym.recording.wire_log import WireLog
+from acsar_gym.recording.types import Episode, Exchanges, Recording, Scans, WireLog
 from acsar_gym.worlds import Scene
 
 SLICES = 20

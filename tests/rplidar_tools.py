@@ -9,8 +9,8 @@ import numpy as np
 from lidar_tools import Floats, room
 from serial_tools import Emulated, wait_until
 
-from acsar_gym.lidars.base import Lidar, Scan
-from acsar_gym.lidars.rplidar import RplidarLidar
+from acsar_gym.sensors.lidar import Lidar, Scan
+from acsar_gym.sensors.rplidar import RplidarLidar
 from acsar_gym.worlds import Scene
 
 MILLIMETRES = 0.002

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from acsar_gym.worlds.clearance import clearance, segment_clearance
+from acsar_gym.worlds.geometry import point_clearance, segment_clearance
 from acsar_gym.worlds.world import Floats, Region, World
 
 CUT = 2e-3
@@ -56,6 +56,6 @@ def random_world(seed: int, radius: float) -> World:
     starts = rng.uniform(-2, 2, (4, 2))
     segments = np.column_stack([starts, starts + rng.uniform(-1, 1, (4, 2))])
     everywhere = rng.uniform(-2.6, 2.6, (400, 2))
-    free = clearance(everywhere, World(circles, segments)) > radius + RESOLVED
+    free = point_clearance(everywhere, World(circles, segments)) > radius + RESOLVED
     ends = everywhere[free][:2]
     return between(ends[0], ends[1], circles, segments)

@@ -32,7 +32,7 @@ TIMEOUT = 30.0
 CLI = (sys.executable, "-m", "acsar_gym")
 HEEDING_CTRL_C = """
 import signal
-from acsar_gym.cli import main
+from acsar_gym.tools.cli import main
 
 signal.signal(signal.SIGINT, signal.default_int_handler)
 main()
@@ -165,7 +165,7 @@ def _run(
     said: tuple[Connection, Connection],
 ) -> None:
     """Run `main`, or acsar-gym, with `said` as standard output and error."""
-    from acsar_gym import cli
+    from acsar_gym.tools import cli
 
     os.environ.clear()
     os.environ.update(environment)

@@ -9,8 +9,7 @@ import numpy as np
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.tasks import Outcome, State, Task
-from acsar_gym.tasks.episode import Episode
-from acsar_gym.tasks.spawn import Spawn
+from acsar_gym.tasks.episode import RunningEpisode, Spawn
 
 ACSAR = RobotConfig.preset("acsar")
 
@@ -21,7 +20,7 @@ class Played:
     def __init__(self, task: Task, options: Mapping[str, Any], worlds: Any = None) -> None:
         spawn = Spawn(task, worlds, None, ACSAR)
         self.assignment = spawn.draw(np.random.default_rng(0), options)
-        self.episode = Episode(task, self.assignment)
+        self.episode = RunningEpisode(task, self.assignment)
         self.episode.begin(self.state())
 
     def state(self, **known: Any) -> State:

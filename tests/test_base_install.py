@@ -33,8 +33,8 @@ env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar")
 env.reset(seed=0)
 env.step(env.action_space.sample())
 from acsar_gym import doctor, teleop
-from acsar_gym.doctor import checks, commission, timing, wire, wiring
-from acsar_gym.cli import main
+from acsar_gym.tools.doctor import checks, commission, timing, wire, wiring
+from acsar_gym.tools.cli import main
 sys.argv[1:] = sys.argv[2:]
 main()
 """

@@ -8,19 +8,19 @@ import psutil
 import pytest
 from serial_tools import first_line, program, wait_until
 
-from acsar_gym import demo
-from acsar_gym.emulation.process import emulator
 from acsar_gym.errors import LinkError
-from acsar_gym.evaluation import report
 from acsar_gym.resources import AGENTS
-from acsar_gym.training import run as training
+from acsar_gym.tools import demo
+from acsar_gym.tools.emulation.board import run_emulator
+from acsar_gym.tools.evaluation import report
+from acsar_gym.tools.training import run as training
 
 pytestmark = pytest.mark.xdist_group("serial")
 
 HOLDS_AN_EMULATOR = """
 import time
 import psutil
-from acsar_gym.emulation.process import emulator
+from acsar_gym.tools.emulation.board import emulator
 
 with emulator("--body", "planar"):
     print(*(child.pid for child in psutil.Process().children()), flush=True)
@@ -31,8 +31,8 @@ with emulator("--body", "planar"):
 def test_the_demo_fills_both_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Everything but the training is real; the policy that comes along takes its place."""
     policy = AGENTS / "policies" / "point_goal.onnx"
-    monkeypatch.setattr(demo, "train", lambda *_: policy)
-    done = demo.run(steps=0, episodes=3, serial_episodes=1, out=tmp_path)
+    monkeypatch.setattr(demo, "train_demo_policy", lambda *_: policy)
+    done = demo.run_demo(steps=0, episodes=3, serial_episodes=1, out=tmp_path)
     assert done[0][1].header["link"] == "bullet"
     rows = [(name, run.summary) for name, run in done]
     for _, summary in rows:
@@ -48,7 +48,7 @@ def test_a_signal_while_training_ends_the_demo(
 ) -> None:
     monkeypatch.setattr(training, "train", lambda _: 143)
     with pytest.raises(SystemExit, match="143"):
-        demo.run(1, 1, 1, tmp_path)
+        demo.run_demo(1, 1, 1, tmp_path)
 
 
 def test_the_emulator_ends_with_the_demo_even_if_it_is_killed() -> None:
@@ -67,5 +67,5 @@ def has_ended(pid: int) -> bool:
 
 
 def test_an_emulator_that_does_not_start_is_reported() -> None:
-    with pytest.raises(LinkError, match="didn't start"), emulator("--body", "balloon"):
+    with pytest.raises(LinkError, match="didn't start"), run_emulator("--body", "balloon"):
         pass

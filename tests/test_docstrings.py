@@ -25,25 +25,25 @@ from acsar_gym import errors
 
 ROOMS = (
     "acsar_gym",
-    "acsar_gym.benchmark",
-    "acsar_gym.bodies",
+    "acsar_gym.tools.benchmark",
+    "acsar_gym.physics.body",
     "acsar_gym.config",
-    "acsar_gym.dynamics",
+    "acsar_gym.physics",
     "acsar_gym.envs",
     "acsar_gym.errors",
     "acsar_gym.kinematics",
     "acsar_gym.links",
     "acsar_gym.odometry",
-    "acsar_gym.policies",
+    "acsar_gym.tools.policies",
     "acsar_gym.protocol",
     "acsar_gym.recording",
     "acsar_gym.registration",
-    "acsar_gym.scaling",
+    "acsar_gym.tools.jobs",
     "acsar_gym.sensors",
     "acsar_gym.tasks",
     "acsar_gym.worlds",
 )
-HEAVY = ("acsar_gym.policies.rllib", "acsar_gym.policies.sb3")
+HEAVY = ("acsar_gym.tools.policies.rllib", "acsar_gym.tools.policies.sb3")
 REFERENCE = Path(__file__).resolve().parents[1] / "docs" / "reference"
 WORDS = "Args|Attributes|Raises|Returns|Warns|Yields"
 NOTHING = {None, "None", "NoReturn", inspect.Signature.empty}

@@ -14,8 +14,8 @@ import pytest
 from serial_tools import Emulated, RobotFile, wait_until
 
 from acsar_gym import RobotConfig
-from acsar_gym.evaluation import runs
-from acsar_gym.policies import OnnxPolicy
+from acsar_gym.tools.evaluation import runs
+from acsar_gym.tools.policies import OnnxPolicy
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 EXAMPLES = Path(__file__).resolve().parents[1] / "agents" / "examples"
@@ -37,8 +37,8 @@ def test_a_script_is_short(script: Path) -> None:
 def test_heading_for_the_goal_reaches_it_where_nothing_stands_in_the_way(
     env: str, least: int
 ) -> None:
-    policy = runs.load(f"{EXAMPLES / 'head_for_goal.py'}:act", trust=False, env=env)
-    done = runs.drive(policy, "planar", None, range(5))
+    policy = runs.load_policy(f"{EXAMPLES / 'head_for_goal.py'}:act", trust=False, env=env)
+    done = runs.evaluate_policy(policy, "planar", None, range(5))
     assert least <= sum(result.success for result in done.results) < 5 + bool(least)
 
 

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from acsar_gym.bodies.planar import PlanarBody
 from acsar_gym.config import BodyConfig, EncoderConfig, FirmwareConfig, MotorConfig, RobotConfig
-from acsar_gym.firmware import Firmware
+from acsar_gym.physics.firmware import Firmware
+from acsar_gym.physics.planar import PlanarBody
 from acsar_gym.protocol import ZERO, Decoder, Speeds, encode
 
 TICK = 0.01

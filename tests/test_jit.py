@@ -14,11 +14,10 @@ from typing import Any
 import pytest
 from disk_tools import full_disk
 
-from acsar_gym import cli
 from acsar_gym import jit as compiled
-from acsar_gym.envs import warm_up
 from acsar_gym.errors import MissingExtraError
 from acsar_gym.tasks import PointGoal
+from acsar_gym.tools import cli, warm_up
 from acsar_gym.vector.kernel import task as kernel
 
 needs_numba = pytest.mark.skipif(not compiled.COMPILED, reason="nothing is compiled")
@@ -29,26 +28,26 @@ def test_the_fingerprint_is_that_of_names_and_contents_of_all_sources(tmp_path: 
     caller, called = tmp_path / "caller.py", tmp_path / "deep" / "called.py"
     caller.write_text("x = 1")
     called.write_text("y = 1")
-    before = compiled.fingerprint(tmp_path)
+    before = compiled.hash_sources(tmp_path)
     os.utime(caller, (100.0, 100.0))
     (tmp_path / "notes.txt").touch()
-    assert compiled.fingerprint(tmp_path) == before
+    assert compiled.hash_sources(tmp_path) == before
     called.write_text("y = 2")
     os.utime(called, (100.0, 100.0))  # older than any cached code
-    after = compiled.fingerprint(tmp_path)
+    after = compiled.hash_sources(tmp_path)
     called.rename(tmp_path / "deep" / "other.py")
-    assert len({before, after, compiled.fingerprint(tmp_path)}) == 3
+    assert len({before, after, compiled.hash_sources(tmp_path)}) == 3
 
 
 def test_a_package_beside_this_one_has_a_fingerprint_of_its_own(tmp_path: Path) -> None:
-    assert compiled.fingerprint_beside(compiled.PACKAGE / "tasks") == ""
+    assert compiled.hash_sources_beside(compiled.PACKAGE / "tasks") == ""
     script, package = tmp_path / "script", tmp_path / "package"
     for folder in (script, package):
         folder.mkdir()
         (folder / "loops.py").write_text("x = 1")
     (package / "__init__.py").touch()
-    assert compiled.fingerprint_beside(script) == ""
-    assert compiled.fingerprint_beside(package) == compiled.fingerprint(package)
+    assert compiled.hash_sources_beside(script) == ""
+    assert compiled.hash_sources_beside(package) == compiled.hash_sources(package)
 
 
 def test_the_agents_in_a_wheel_change_no_stamp(
@@ -56,12 +55,12 @@ def test_the_agents_in_a_wheel_change_no_stamp(
 ) -> None:
     """So the compiled code of a checkout can be used by the wheel that was built from it."""
     (tmp_path / "robot.py").touch()
-    checkout = compiled.fingerprint(tmp_path)
+    checkout = compiled.hash_sources(tmp_path)
     (tmp_path / "agents").mkdir()
     (tmp_path / "agents" / "train.py").touch()
     monkeypatch.setattr(compiled, "PACKAGE", tmp_path)
     monkeypatch.setattr(compiled, "AGENTS", tmp_path / "agents")
-    assert compiled.fingerprint(tmp_path) == checkout
+    assert compiled.hash_sources(tmp_path) == checkout
 
 
 def plus_one(x: float) -> float:
@@ -108,7 +107,7 @@ def test_damaged_code_is_compiled_anew(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(compiled, "TOLD", set())
+    monkeypatch.setattr(compiled, "GIVEN_WARNINGS", set())
 
     def hits() -> int:
         function: Any = compiled.loop(plus_one)
@@ -129,7 +128,7 @@ def test_a_full_disk_stops_nobody(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(compiled, "TOLD", set())
+    monkeypatch.setattr(compiled, "GIVEN_WARNINGS", set())
     with full_disk(100):
         assert compiled.loop(plus_one)(1.0) == 2.0
     assert "File too large" in caplog.text
@@ -140,7 +139,7 @@ def test_where_no_cache_can_be_written_functions_are_compiled_without(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr("numba.core.caching.CacheImpl._locator_classes", [])
-    monkeypatch.setattr(compiled, "TOLD", set())
+    monkeypatch.setattr(compiled, "GIVEN_WARNINGS", set())
     assert compiled.loop(plus_one)(1.0) == 2.0
     assert callable(kernel.bind_task(kernel.start, PointGoal()))
     assert len(caplog.messages) == 1
@@ -173,12 +172,14 @@ def test_compiling_a_batch_is_announced_before_and_only_where_the_cache_has_none
     small, said, again = done.stderr.splitlines()
     assert small == "small"
     assert said.startswith("acsar_gym: compiling the loops of batches")
-    assert again == "again acsar_gym.kinematics.twist acsar_gym.vector.kernel.layout.to_world"
+    assert (
+        again == "again acsar_gym.kinematics.compute_twist acsar_gym.vector.kernel.layout.to_world"
+    )
 
 
 BESIDE = """
 from acsar_gym import jit
-from acsar_gym.dynamics.board import ramped
+from acsar_gym.physics.model import ramped
 speeds = (1.0, 2.0, 3.0, 4.0)
 with jit.compiled_beside(ramped, speeds, speeds, speeds):
     print("meanwhile")
@@ -197,14 +198,14 @@ def test_what_another_process_compiles_comes_back_through_the_cache(tmp_path: Pa
 
 
 @needs_numba
-@pytest.mark.parametrize("name", warm_up.NAMES)
+@pytest.mark.parametrize("name", warm_up.ENV_NAMES)
 def test_warming_up_leaves_nothing_to_compile(name: str, caplog: pytest.LogCaptureFixture) -> None:
     worlds = {"barn": "barn:1", "obstacle_goal": "open:2", "path_follow": "smooth_path:2"}.get(name)
     options = {"worlds": worlds} if worlds else {}
-    done = warm_up.run(name, options=options)
+    done = warm_up.warm_env(name, options=options)
     assert done.worlds == {"point_goal": 0, "barn": 1}.get(name, 2)
     assert caplog.records == []
-    assert warm_up.run(name, options=options).functions == 0
+    assert warm_up.warm_env(name, options=options).functions == 0
     assert compiled.LOG.level == logging.NOTSET
 
 
@@ -212,8 +213,8 @@ def test_warming_up_leaves_nothing_to_compile(name: str, caplog: pytest.LogCaptu
 def test_the_command_says_what_it_did(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(warm_up, "NAMES", ("point_goal",))
-    warm_up.run("point_goal")
+    monkeypatch.setattr(warm_up, "ENV_NAMES", ("point_goal",))
+    warm_up.warm_env("point_goal")
     assert cli.COMMANDS["warm-up"]() == 0
     done, ready = capsys.readouterr().out.splitlines()
     assert done.startswith("point_goal: 0 functions compiled, ")
@@ -223,4 +224,4 @@ def test_the_command_says_what_it_did(
 def test_without_numba_there_is_nothing_to_warm_up(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compiled, "COMPILED", False)
     with pytest.raises(MissingExtraError, match="fast"):
-        warm_up.run("point_goal")
+        warm_up.warm_env("point_goal")

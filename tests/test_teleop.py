@@ -25,10 +25,11 @@ from serial_tools import (
     wait_until,
 )
 
-from acsar_gym import Robot, RobotConfig, open_link, teleop
+from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import CommandError
 from acsar_gym.protocol import ZERO, Decoder, encode
 from acsar_gym.safety.estop import stop_all
+from acsar_gym.tools import teleop
 
 pytestmark = [pytest.mark.xdist_group("serial"), pytest.mark.usefixtures("deadline")]
 
@@ -61,7 +62,7 @@ def on_the_wire(config: RobotConfig, linear: float, angular: float) -> Command:
     ],
 )
 def test_keys(keys: str, twist: tuple[float, float]) -> None:
-    asked = teleop.Keys()
+    asked = teleop.DriveKeys()
     for key in keys:
         asked.press(key, 3.0)
     assert asked.twist(3.1) == twist
@@ -69,14 +70,14 @@ def test_keys(keys: str, twist: tuple[float, float]) -> None:
 
 def test_arrows_are_keys_too() -> None:
     for arrow, letter in zip(("UP", "DOWN", "LEFT", "RIGHT"), "wsad", strict=True):
-        one, other = teleop.Keys(), teleop.Keys()
+        one, other = teleop.DriveKeys(), teleop.DriveKeys()
         one.press(f"KEY_{arrow}", 0.0)
         other.press(letter, 0.0)
         assert one.twist(0.1) == other.twist(0.1) != (0.0, 0.0)
 
 
 def test_a_key_drives_until_its_time_is_over_or_it_comes_again() -> None:
-    keys = teleop.Keys()
+    keys = teleop.DriveKeys()
     assert keys.twist(0.0) == (0.0, 0.0)
     keys.press("w", 0.0)
     keys.press("d", 0.3)
@@ -100,7 +101,7 @@ def test_a_fixed_twist_is_reached_within_the_limits_and_then_stopped(
 ) -> None:
     robot = Robot(open_link(emulator.device, config), config)
     with no_leak():
-        teleop.fixed(robot, *asked, duration=0.5)
+        teleop.drive_twist(robot, *asked, duration=0.5)
     assert not robot.active
     assert robot.odometry.pose[0] > 0.01
     said = capsys.readouterr().out
@@ -130,7 +131,7 @@ def test_numbers_that_are_refused_before_anything_opens(
 ) -> None:
     robot = Robot(open_link("planar", config), config)
     with pytest.raises(CommandError, match="finite"):
-        teleop.fixed(robot, linear, angular, duration)
+        teleop.drive_twist(robot, linear, angular, duration)
     assert not robot.active
 
 

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from acsar_gym import RobotConfig
-from acsar_gym.evaluation.tracks import Track
-from acsar_gym.render.backdrop import OBSTACLE
+from acsar_gym.render.top_view import OBSTACLE_COLOUR
 from acsar_gym.resources import ASSETS
+from acsar_gym.tools.evaluation.episodes import DrawnTrack
 from acsar_gym.worlds import Region, World
 
 Pillow = pytest.importorskip("PIL.Image")
@@ -34,14 +34,14 @@ def script() -> Iterator[ModuleType]:
     del sys.modules["three_views"]
 
 
-def track(steps: int) -> Track:
+def track(steps: int) -> DrawnTrack:
     """Straight ahead, past a LiDAR's echo at (2, 0)."""
     poses = np.zeros((steps + 1, 3), np.float32)
     poses[:, 0] = 0.05 * np.arange(steps + 1)
     robot = RobotConfig.of(None)
     scans = np.full((steps + 1, robot.lidar.rays), robot.lidar.max_range, np.float32)
     scans[:, robot.lidar.rays // 2] = 1.0
-    return Track(poses, poses, scans, (3.0, 2.0), 0.15, 0.1, robot, WORLD)
+    return DrawnTrack(poses, poses, scans, (3.0, 2.0), 0.15, 0.1, robot, WORLD)
 
 
 def test_the_readme_shows_it_and_it_is_small() -> None:
@@ -61,7 +61,7 @@ def test_the_map_is_what_the_lidar_said(script: ModuleType) -> None:
     driven = track(1)
     (known,), (told,) = (list(script.from_above(driven, 1, known=k)) for k in (True, False))
     assert known.shape == told.shape == (script.SIDE, script.SIDE, 3)
-    dark = [(picture == OBSTACLE).all(axis=2).sum() for picture in (known, told)]
+    dark = [(picture == OBSTACLE_COLOUR).all(axis=2).sum() for picture in (known, told)]
     assert dark[0] > 10 * dark[1] > 0, "a disc; a point"
 
 

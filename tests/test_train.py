@@ -15,7 +15,7 @@ import acsar_gym
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.resources import AGENTS
-from acsar_gym.training import command
+from acsar_gym.tools.training import seeds
 
 pytestmark = pytest.mark.xdist_group("torch")
 
@@ -55,13 +55,13 @@ def test_bad_options_are_refused_before_anything_starts(
     arguments: str, said: str, tmp_path: Path
 ) -> None:
     with pytest.raises(ConfigError, match=said):
-        command.main(arguments.replace("OUT", str(tmp_path)).split())
+        seeds.main(arguments.replace("OUT", str(tmp_path)).split())
 
 
 @pytest.mark.parametrize("arguments", ["--steps nan", "--robots 1e3", "--seed inf"])
 def test_what_is_no_number_is_refused(arguments: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match="2"):
-        command.main(arguments.split())
+        seeds.main(arguments.split())
     assert arguments.split(maxsplit=1)[0] in capsys.readouterr().err
 
 
@@ -103,7 +103,7 @@ def test_a_training_says_how_good_it_is_and_what_comes_next(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     options = ["--steps", "1", "--robots", "4", "--no-progress", "--out", str(tmp_path)]
-    assert command.main([*options, "--threads", "1", "--seed", "3"]) == 0
+    assert seeds.main([*options, "--threads", "1", "--seed", "3"]) == 0
     begin, written, score, following = capsys.readouterr().out.splitlines()
     assert begin == "training on an open floor, held out: other seeds; 1 thread, seed 3"
     assert written.startswith(f"written: {tmp_path / 'policy.onnx'}")
@@ -127,9 +127,9 @@ def test_a_training_says_which_ranges_were_measured(
     robot.save(tmp_path / "robot.yaml")
     options = ["--steps", "1", "--robots", "4", "--no-progress", "--out", str(tmp_path)]
     options += ["--threads", "1", "--robot", str(tmp_path / "robot.yaml")]
-    assert command.main(options) == 0
+    assert seeds.main(options) == 0
     told = capsys.readouterr().out.splitlines()[0]
     found = "motor_lag 0.909 to 1.09, delay_samples (2 delays up to 0.004 s)"
     assert f"seed 0; randomized as measured: {found}; by default widths: friction" in told
-    assert command.main([*options, "--no-randomize"]) == 0
+    assert seeds.main([*options, "--no-randomize"]) == 0
     assert "randomized" not in capsys.readouterr().out

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import mujoco
+import pybullet
 import pytest
 
 from acsar_gym import RobotConfig
-from acsar_gym.bodies.bullet.engine import pybullet
 from acsar_gym.resources import ASSETS
 
 URDF = ASSETS / "robots" / "acsar.urdf"

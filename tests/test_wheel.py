@@ -13,9 +13,9 @@ import pytest
 import yaml
 
 from acsar_gym import jit as compiled
-from acsar_gym.envs import warm_up
-from acsar_gym.policies import OnnxPolicy
 from acsar_gym.recording import read
+from acsar_gym.tools import warm_up
+from acsar_gym.tools.policies import OnnxPolicy
 
 pytestmark = pytest.mark.xdist_group("wheel")
 
@@ -30,7 +30,7 @@ for link in ("planar", "bullet"):
     env.step(env.action_space.sample())
     env.close()
 import acsar_gym
-from acsar_gym.policies import resolve
+from acsar_gym.tools.policies import resolve
 from acsar_gym.resources import AGENTS
 assert (AGENTS / "train.py").exists()
 from acsar_gym import baselines
@@ -68,7 +68,7 @@ def _copy_compiled_code(package: Path) -> None:
     """
     if not compiled.COMPILED:
         return
-    warm_up.run("point_goal")
+    warm_up.warm_env("point_goal")
     for kept in (ROOT / "acsar_gym").glob("**/__pycache__/*.nb[ic]"):
         place = package / kept.relative_to(ROOT / "acsar_gym")
         place.parent.mkdir(exist_ok=True)

@@ -35,16 +35,16 @@ def measured(work: Callable[[Any], int], job: Any) -> Cost:
 
 def evaluate(shard: Any) -> Cost:
     """Run the episodes of a shard."""
-    from acsar_gym.scaling import shards
+    from acsar_gym.tools.evaluation import shards
 
-    return measured(lambda job: len(shards.run(job)), shard)
+    return measured(lambda job: len(shards.run_shard(job)), shard)
 
 
 def train(options: Any) -> Cost:
     """Train with options whose folder is a temporary one."""
     from dataclasses import replace
 
-    from acsar_gym.training import run
+    from acsar_gym.tools.training import run
 
     def trained(options: Any) -> int:
         with tempfile.TemporaryDirectory() as folder:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from acsar_gym.render.top_view import (
-    Frame,
-)
+from acsar_gym.render.top_view import TopViewFrame
 from acsar_gym.worlds import Region, World
 
 COURT = World(
@@ -16,4 +14,4 @@ COURT = World(
     goal=Region(4.0, 0.25, 0.25),
     name="court",
 )
-FRAME = Frame(world=COURT, goal=(4.0, 0.25), goal_radius=0.25)
+FRAME = TopViewFrame(world=COURT, goal=(4.0, 0.25), goal_radius=0.25)

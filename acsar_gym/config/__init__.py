@@ -6,20 +6,24 @@ only. `lidar` is the range sensor, simulated or real, and `measured` has the int
 measured. Bad values raise one `ConfigError` that names field, value and allowed range.
 """
 
-from acsar_gym.config.lidar import LidarConfig
 from acsar_gym.config.limits import Geofence, SpeedLimits
-from acsar_gym.config.measured import Measured, renewed
-from acsar_gym.config.parts import (
+from acsar_gym.config.measured import Measured, update_measured
+from acsar_gym.config.robot import (
+    BAUD_RATES,
+    BITS_PER_BYTE,
+    LINE_BYTES,
     BodyConfig,
     EncoderConfig,
     FirmwareConfig,
+    LidarConfig,
     MotorConfig,
+    RobotConfig,
+    RobotSource,
+    WheelConfig,
     WheelMotor,
+    WheelsConfig,
+    whole_ratio,
 )
-from acsar_gym.config.rates import whole_ratio
-from acsar_gym.config.robot import RobotConfig, RobotSource
-from acsar_gym.config.wheels import WheelConfig, WheelsConfig
-from acsar_gym.config.wire import BAUD_RATES, BITS_PER_BYTE, LINE_BYTES
 
 __all__ = [
     "BAUD_RATES",
@@ -38,6 +42,6 @@ __all__ = [
     "WheelConfig",
     "WheelMotor",
     "WheelsConfig",
-    "renewed",
+    "update_measured",
     "whole_ratio",
 ]

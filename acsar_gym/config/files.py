@@ -1,9 +1,10 @@
-"""Reads robot parameters from YAML, or from the ros2_control block of a URDF."""
+"""Read robots from YAML, or from the ros2_control block of a URDF, and write them as YAML."""
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, ParseError
@@ -11,13 +12,14 @@ from xml.etree.ElementTree import Element, ParseError
 import defusedxml.ElementTree
 from defusedxml.common import DefusedXmlException
 
-from acsar_gym.errors import ConfigError, shown, suggestion
-from acsar_gym.reading import bounded, structured
+from acsar_gym import reading
+from acsar_gym.config.section import Section
+from acsar_gym.errors import ConfigError, show_value, suggest_name
 from acsar_gym.resources import ASSETS
 
-MOST_BYTES = 2_000_000
+MAX_ROBOT_BYTES = 2_000_000
 """Largest accepted file [bytes]; the largest URDFs, of humanoids, have half of this."""
-MOST_PARAMS = 1_000
+MAX_URDF_PARAMS = 1_000
 """Most parameters of a hardware block; each is compared with the names of all fields."""
 DRIVER_BAUD_RATE = "9600"
 """Default of the robot's own driver if the URDF has no baud_rate [bit/s]."""
@@ -25,16 +27,16 @@ DRIVER_CONTROL_RATE = "20"
 """Default control rate for that baud rate [Hz]."""
 
 
-def preset(name: str) -> Path:
+def find_preset(name: str) -> Path:
     """Return the file of a preset; ConfigError suggests a similar name."""
     known = {path.stem: path for path in (ASSETS / "robots").glob("*.yaml")}
     if not isinstance(name, str) or name not in known:
-        near = suggestion(str(name)[:40] if isinstance(name, str) else "", known)
-        raise ConfigError(f"unknown robot preset {shown(name)}{near}")
+        near = suggest_name(str(name)[:40] if isinstance(name, str) else "", known)
+        raise ConfigError(f"unknown robot preset {show_value(name)}{near}")
     return known[name]
 
 
-def fields(path: Path, params: Sequence[str]) -> dict[str, Any]:
+def read_fields(path: Path, params: Sequence[str]) -> dict[str, Any]:
     """Read the fields of a robot, without validating them.
 
     Args:
@@ -49,13 +51,13 @@ def fields(path: Path, params: Sequence[str]) -> dict[str, Any]:
     """
     if path.suffix not in (".yaml", ".yml", ".urdf"):
         raise ConfigError("a robot is read from .yaml, .yml or .urdf (expand .xacro first)")
-    text = structured.decoded(bounded.content(path, MOST_BYTES))
+    text = reading.decode_text(reading.read_content(path, MAX_ROBOT_BYTES))
     return _from_urdf(text, params) if path.suffix == ".urdf" else _from_yaml(text)
 
 
 def _from_yaml(text: str) -> dict[str, Any]:
     """Parse a YAML mapping."""
-    data = structured.from_yaml(text)
+    data = reading.parse_yaml(text)
     data = {} if data is None else data
     if not isinstance(data, dict):
         raise ConfigError("must be a mapping of parameter names to values")
@@ -81,7 +83,7 @@ def _from_urdf(text: str, names: Sequence[str]) -> dict[str, Any]:
 def _params(hardware: Element, names: Sequence[str]) -> dict[str, Any]:
     """Return the known parameters of a hardware block."""
     params = hardware.findall("param")
-    if len(params) > MOST_PARAMS:
+    if len(params) > MAX_URDF_PARAMS:
         raise ConfigError(f"has a hardware block of {len(params):,} params: remove those not used")
     found = (_param(param, names) for param in params)
     return {name: value for name, value in found if name is not None}
@@ -97,3 +99,68 @@ def _param(element: Element, names: Sequence[str]) -> tuple[str | None, str]:
     if near:
         raise ConfigError(f"unknown param {name!r}; did you mean {near[0]!r}?")
     return None, value
+
+
+GEOMETRY_FIELDS = (
+    "wheel_radius",
+    "wheel_separation",
+    "wheelbase",
+    "wheel_separation_multiplier",
+    "left_wheel_radius_multiplier",
+    "right_wheel_radius_multiplier",
+)
+"""Fields that are always written."""
+ROBOT_FILE_HEAD = (
+    "# A robot for acsar_gym: its geometry, and what differs from the defaults. SI units.\n"
+)
+
+
+def check_target(path: str | Path) -> Path:
+    """Return the path of a robot's file that is to be written; ConfigError for other names."""
+    if not isinstance(path, str | Path) or Path(path).suffix not in (".yaml", ".yml"):
+        name = str(path) if isinstance(path, Path) else path
+        raise ConfigError(f"path = {show_value(name)}: a robot is written to .yaml or .yml")
+    return Path(path)
+
+
+def save_robot(robot: Section, path: Path, remarks: Mapping[str, str] | None = None) -> None:
+    """Write a robot's geometry and what differs from the defaults; ConfigError if it can't be.
+
+    Args:
+        robot: to write.
+        path: of the file.
+        remarks: comments to write above fields, by their names.
+    """
+    fields = {name: getattr(robot, name) for name in GEOMETRY_FIELDS} | find_differences(
+        robot, type(robot)()
+    )
+    text = reading.format_yaml(fields)
+    for name, remark in (remarks or {}).items():
+        lines = "".join(f"# {line}\n" for line in remark.splitlines())
+        text = re.sub(f"(?m)^(?={name}:)", lines, text)
+    reading.write_atomically(path, (ROBOT_FILE_HEAD + text).encode())
+
+
+def find_differences(section: Section, usual: Section) -> dict[str, Any]:
+    """Return the fields of a section that differ from those of another, as plain YAML values."""
+    found: dict[str, Any] = {}
+    for name in type(section).model_fields:
+        value, default = getattr(section, name), getattr(usual, name)
+        if value == default:
+            continue
+        if isinstance(value, Section):
+            found[name] = find_differences(value, default if default is not None else type(value)())
+        else:
+            found[name] = _plain(value)
+    return found
+
+
+def _plain(value: Any) -> Any:
+    """Convert a value to lists, mappings and scalars."""
+    if isinstance(value, Section):
+        return _plain(value.model_dump())
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, tuple | list):
+        return [_plain(item) for item in value]
+    return value

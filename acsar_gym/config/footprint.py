@@ -12,26 +12,26 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator
 
-from acsar_gym.config.units import Offset
+from acsar_gym import reading
+from acsar_gym.config.section import Offset
 from acsar_gym.errors import ConfigError
-from acsar_gym.reading import structured
 
 Point = tuple[float, float]
 Outline = tuple[Point, ...]
-MOST_CORNERS = 100
-NEAREST = 1e-3
+MAX_CORNERS = 100
+MIN_BORDER_DISTANCE = 1e-3
 """Smallest allowed distance of an outline from the origin [m]."""
-THINNEST = 1e-9
+MIN_AREA = 1e-9
 """Three points are collinear if twice their area is below this [m^2]."""
 
 
-def box(length: float, width: float) -> Outline:
+def make_rectangle(length: float, width: float) -> Outline:
     """Return a rectangle around the origin, `length` along x, `width` along y [m]."""
     x, y = length / 2.0, width / 2.0
     return ((x, y), (-x, y), (-x, -y), (x, -y))
 
 
-def checked(corners: Sequence[Point]) -> Outline:
+def validate_outline(corners: Sequence[Point]) -> Outline:
     """Validate an outline.
 
     Args:
@@ -45,11 +45,14 @@ def checked(corners: Sequence[Point]) -> Outline:
             each other, or the origin isn't inside.
     """
     outline = tuple(corners[:-1] if len(corners) > 1 and corners[0] == corners[-1] else corners)
-    if not 3 <= len(outline) <= MOST_CORNERS:
-        raise ValueError(f"must be 3 to {MOST_CORNERS} corners (x, y)")
+    if not 3 <= len(outline) <= MAX_CORNERS:
+        raise ValueError(f"must be 3 to {MAX_CORNERS} corners (x, y)")
     if not _simple(outline):
         raise ValueError("must be the corners in order around it: its sides cross or touch")
-    if not contains(outline, 0.0, 0.0) or border_distance(outline, 0.0, 0.0) < NEAREST:
+    if (
+        not contains_point(outline, 0.0, 0.0)
+        or border_distance(outline, 0.0, 0.0) < MIN_BORDER_DISTANCE
+    ):
         raise ValueError("must have the origin of the base frame (0, 0) inside")
     return outline if _twice_area(outline) > 0.0 else outline[::-1]
 
@@ -57,7 +60,7 @@ def checked(corners: Sequence[Point]) -> Outline:
 def _listed(given: Any) -> Any:
     """Parse a list of pairs, or a string such as nav2's parameter; ValueError for others."""
     try:
-        listed = structured.from_json(given) if isinstance(given, str) else given
+        listed = reading.parse_json(given) if isinstance(given, str) else given
         return [(x, y) for x, y in listed]
     except (ConfigError, TypeError, ValueError):
         raise ValueError(
@@ -66,25 +69,25 @@ def _listed(given: Any) -> Any:
 
 
 Corners = Annotated[
-    tuple[tuple[Offset, Offset], ...], BeforeValidator(_listed), AfterValidator(checked)
+    tuple[tuple[Offset, Offset], ...], BeforeValidator(_listed), AfterValidator(validate_outline)
 ]
 """Type of a field that holds an outline."""
 
 
-def sides(outline: Outline) -> Iterator[tuple[Point, Point]]:
+def outline_sides(outline: Outline) -> Iterator[tuple[Point, Point]]:
     """Yield the sides as pairs of corners, the closing side last."""
     return zip(outline, (*outline[1:], outline[0]), strict=True)
 
 
-def radius(outline: Outline) -> float:
+def outline_radius(outline: Outline) -> float:
     """Return the radius of the disc around the origin that contains the outline [m]."""
     return max(math.hypot(x, y) for x, y in outline)
 
 
-def contains(outline: Outline, x: float, y: float) -> bool:
+def contains_point(outline: Outline, x: float, y: float) -> bool:
     """Return whether a point [m] is inside; on the border, either result is possible."""
     inside = False
-    for (ax, ay), (bx, by) in sides(outline):
+    for (ax, ay), (bx, by) in outline_sides(outline):
         if (ay > y) != (by > y) and x < ax + (bx - ax) * (y - ay) / (by - ay):
             inside = not inside
     return inside
@@ -92,10 +95,10 @@ def contains(outline: Outline, x: float, y: float) -> bool:
 
 def border_distance(outline: Outline, x: float, y: float) -> float:
     """Return the distance from a point [m] to the nearest side [m]."""
-    return min(_distance((x, y), a, b) for a, b in sides(outline))
+    return min(_distance((x, y), a, b) for a, b in outline_sides(outline))
 
 
-def reach(outline: Outline, place: Point, bearing: float) -> float:
+def outline_reach(outline: Outline, place: Point, bearing: float) -> float:
     """Return how far an outline reaches from a place along a bearing; 0 where it isn't met [m].
 
     Args:
@@ -105,7 +108,7 @@ def reach(outline: Outline, place: Point, bearing: float) -> float:
     """
     along, across = (math.cos(bearing), math.sin(bearing)), (-math.sin(bearing), math.cos(bearing))
     found = [0.0]
-    for a, b in sides(outline):
+    for a, b in outline_sides(outline):
         (ax, ay), (bx, by) = (
             (_dot(along, place, corner), _dot(across, place, corner)) for corner in (a, b)
         )
@@ -125,7 +128,7 @@ def convex_pieces(outline: Outline) -> list[Outline]:
         ear = next((n for n in range(len(corners)) if _is_ear(corners, n)), 0)
         pieces.append(_around(corners, ear))
         del corners[ear]
-    return [piece for piece in (*pieces, tuple(corners)) if _twice_area(piece) > THINNEST]
+    return [piece for piece in (*pieces, tuple(corners)) if _twice_area(piece) > MIN_AREA]
 
 
 def _around(corners: Sequence[Point], n: int) -> Outline:
@@ -146,7 +149,7 @@ def _is_ear(corners: Sequence[Point], n: int) -> bool:
 
 def _simple(outline: Outline) -> bool:
     """Return whether the sides don't cross or touch, except neighbours, and the area isn't 0."""
-    every = list(sides(outline))
+    every = list(outline_sides(outline))
     last = len(every) - 1
     for n, (a, b) in enumerate(every):
         c = every[n - last][1]  # the end of the next side
@@ -155,7 +158,7 @@ def _simple(outline: Outline) -> bool:
         far = every[n + 2 : last if n == 0 else None]
         if any(_meet(a, b, *other) for other in far):
             return False
-    return abs(_twice_area(outline)) > THINNEST
+    return abs(_twice_area(outline)) > MIN_AREA
 
 
 def _meet(a: Point, b: Point, c: Point, d: Point) -> bool:
@@ -176,7 +179,7 @@ def _turn(a: Point, b: Point, c: Point) -> float:
 
 def _twice_area(outline: Outline) -> float:
     """Return twice the signed area of an outline, positive if counter-clockwise [m^2]."""
-    return sum(ax * by - ay * bx for (ax, ay), (bx, by) in sides(outline))
+    return sum(ax * by - ay * bx for (ax, ay), (bx, by) in outline_sides(outline))
 
 
 def _dot(direction: Point, origin: Point, p: Point) -> float:

@@ -23,7 +23,7 @@ def _not_zero(value: float) -> float:
     return value
 
 
-Change = Annotated[float, Field(ge=-1e6, le=1e6), AfterValidator(_not_zero)]
+AccelerationLimit = Annotated[float, Field(ge=-1e6, le=1e6), AfterValidator(_not_zero)]
 """An acceleration whose sign follows from its name, so that it doesn't matter."""
 
 
@@ -47,11 +47,11 @@ class SpeedLimits(Section):
     backward."""
     min_acceleration: Annotated[float, Field(ge=-1e6, lt=0.0)] | None = None
     """Humble's; negative, and an error beside a name of Jazzy."""
-    max_deceleration: Change | None = None
+    max_deceleration: AccelerationLimit | None = None
     """Of a robot that goes forward; None: as `max_acceleration`."""
-    max_acceleration_reverse: Change | None = None
+    max_acceleration_reverse: AccelerationLimit | None = None
     """Of a robot that goes backward; None: as `max_acceleration`."""
-    max_deceleration_reverse: Change | None = None
+    max_deceleration_reverse: AccelerationLimit | None = None
     """Of a robot that goes backward; None: as `max_deceleration`."""
     max_jerk: Annotated[float, Field(gt=0.0, le=1e6)] | None = None
     """How fast the acceleration may grow [m/s^3 or rad/s^3]."""
@@ -82,7 +82,7 @@ class AngularLimits(SpeedLimits):
     section = "angular_limits"
 
 
-def accelerating(limit: float) -> BeforeValidator:
+def default_acceleration(limit: float) -> BeforeValidator:
     """Return a validator that sets a missing `max_acceleration` to this limit; null stays null."""
 
     def complete(given: Any) -> Any:

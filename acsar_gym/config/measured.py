@@ -11,12 +11,11 @@ from typing import Annotated, Any, Union, get_args, get_origin
 from pydantic import Field, StringConstraints, TypeAdapter, ValidationError, model_validator
 from pydantic.fields import FieldInfo
 
-from acsar_gym.config.section import Section
-from acsar_gym.config.units import Name, PerWheel
+from acsar_gym.config.section import Name, PerWheel, Section
 from acsar_gym.errors import ConfigError
 
 Number = Annotated[float, Field(ge=-1e6, le=1e6)]
-WHEELS = ("a", "b", "c", "d")
+WHEEL_LETTERS = ("a", "b", "c", "d")
 LogHash = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{16}$")]
 
 
@@ -41,7 +40,7 @@ class Measured(Section):
         return self
 
 
-def check(measured: Mapping[str, Measured], model: type[Section]) -> None:
+def validate_measured(measured: Mapping[str, Measured], model: type[Section]) -> None:
     """Check names and ends of intervals: numbers of a robot, such as "motor.gain.a"; ConfigError.
 
     Args:
@@ -82,7 +81,7 @@ def _fields(model: type[Section]) -> dict[str, FieldInfo]:
     return dict(_numbers(model))
 
 
-def renewed(
+def update_measured(
     known: Mapping[str, Measured], found: Mapping[str, Measured | None]
 ) -> dict[str, Measured]:
     """Return the intervals of a robot after new findings, for its field `measured`.
@@ -95,10 +94,10 @@ def renewed(
     result = dict(known)
     for name in found:
         field, _, wheel = name.rpartition(".")
-        if wheel in WHEELS and field in result:
+        if wheel in WHEEL_LETTERS and field in result:
             every = result.pop(field)
-            result = {f"{field}.{other}": every for other in WHEELS} | result
-        for old in (name, *(f"{name}.{other}" for other in WHEELS)):
+            result = {f"{field}.{other}": every for other in WHEEL_LETTERS} | result
+        for old in (name, *(f"{name}.{other}" for other in WHEEL_LETTERS)):
             result.pop(old, None)
     return result | {name: interval for name, interval in found.items() if interval is not None}
 
@@ -113,7 +112,7 @@ def _numbers(model: type[Section], prefix: str = "") -> Iterator[tuple[str, Fiel
         elif float in kinds or int in kinds:
             yield f"{prefix}{name}", field
             if field.annotation == PerWheel:
-                yield from ((f"{prefix}{name}.{wheel}", field) for wheel in WHEELS)
+                yield from ((f"{prefix}{name}.{wheel}", field) for wheel in WHEEL_LETTERS)
 
 
 def _kinds(annotation: Any) -> tuple[Any, ...]:

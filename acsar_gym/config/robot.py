@@ -1,37 +1,402 @@
-"""Configuration of a robot: geometry, serial link, limits, and its simulation."""
+"""Configuration of a robot: geometry, serial link, limits, LiDAR, and its simulation."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import hashlib
+import json
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    ModelWrapValidatorHandler,
+    model_validator,
+)
 
-from acsar_gym.config.footprint import Corners, Outline, box
-from acsar_gym.config.lidar import LidarConfig
+from acsar_gym.config.footprint import Corners, Outline, make_rectangle
 from acsar_gym.config.limits import (
     ANGULAR_ACCELERATION,
     LINEAR_ACCELERATION,
     AngularLimits,
     Geofence,
     LinearLimits,
-    accelerating,
+    default_acceleration,
 )
-from acsar_gym.config.measured import Measured, check
-from acsar_gym.config.parts import BodyConfig, EncoderConfig, FirmwareConfig, MotorConfig
-from acsar_gym.config.rates import check_feedback, check_window, whole_ratio
-from acsar_gym.config.section import Section
-from acsar_gym.config.units import Length, Name, Offset, Rate, Speed, Wait
-from acsar_gym.config.wheels import WheelsConfig
-from acsar_gym.config.wire import BAUD_RATES, BITS_PER_BYTE, LINE_BYTES, known_baud
-from acsar_gym.errors import ConfigError, shown
+from acsar_gym.config.measured import Measured, validate_measured
+from acsar_gym.config.section import (
+    Delay,
+    Length,
+    Name,
+    Offset,
+    PerWheel,
+    Rate,
+    Section,
+    Speed,
+    Wait,
+    per_wheel,
+    value_of_wheel,
+)
+from acsar_gym.errors import ConfigError, show_value
 
-FOOT = 0.01
+
+class LidarConfig(Section):
+    """The LiDAR and how its scans are used; its position is lidar_x/y/z_offset of the robot."""
+
+    section = "lidar"
+    rays: Annotated[int, Field(gt=0, le=10_000)] = 64
+    """Rays of an observation; each takes the measurement nearest in direction."""
+    field_of_view: Annotated[float, Field(gt=0.0, le=2.0 * math.pi + 1e-9)] = 2.0 * math.pi
+    """Angle covered by the rays, centred on the x axis [rad]; a full turn has no duplicate ray."""
+    min_range: Annotated[float, Field(ge=0.0, le=1e3)] = 0.1
+    """Smaller measurements are set to this range [m]."""
+    max_range: Annotated[float, Field(gt=0.0, le=1e3)] = 5.0
+    """Larger or failed measurements are set to this range [m], at most 1 km."""
+    rate: Rate = 10.0
+    """Scans per second [Hz], at most 10,000."""
+    noise: Annotated[float, Field(ge=0.0, le=1e3)] = 0.01
+    """Standard deviation of simulated ranges [m]; typical of hobby LiDARs at a few metres."""
+    dropouts: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+    """Share of simulated rays whose measurement fails."""
+    timeout: Wait = 1.0
+    """A scan older than this is an error that stops the robot [s], at most 1 h."""
+
+    @model_validator(mode="after")
+    def _ranges_and_times_fit(self) -> Self:
+        """Check the order of the ranges, and the time-out against the rate."""
+        if self.min_range >= self.max_range:
+            raise ConfigError(
+                f"lidar.min_range = {self.min_range:g}: must be less than lidar.max_range = "
+                f"{self.max_range:g} m"
+            )
+        if self.timeout < 1.5 / self.rate:
+            raise ConfigError(
+                f"lidar.timeout = {self.timeout:g} s: must be at least one and a half periods of "
+                f"lidar.rate = {self.rate:g} Hz"
+            )
+        return self
+
+
+class WheelMotor(NamedTuple):
+    """The motor values of one wheel; see `MotorConfig`."""
+
+    gain: float
+    acceleration: float
+    time_constant: float
+    deadband: float
+
+
+class MotorConfig(Section):
+    """The motors and their speed control; values of single wheels as four numbers, a to d."""
+
+    section = "motor"
+    max_speed: Speed = 30.0
+    """Largest wheel speed of the motors [rad/s], at most 1,000."""
+    gain: Annotated[PerWheel, per_wheel(Field(gt=0.0, le=100.0))] = 1.0
+    """Wheel speed for a set point of 1 rad/s, at most 100; a number, or four."""
+    acceleration: Annotated[PerWheel, per_wheel(Field(gt=0.0, le=1e6))] = 60.0
+    """Acceleration of the firmware's set point ramp [rad/s^2], at most 1e6; a number, or four."""
+    time_constant: Annotated[PerWheel, per_wheel(Field(ge=0.0, le=100.0))] = 0.08
+    """Time constant of the first-order speed loop [s], at most 100; hobby motors have 0.05-0.2. A
+    number, or four."""
+    deadband: Annotated[PerWheel, per_wheel(Field(ge=0.0, le=1e3))] = 0.0
+    """Set points times gain below this don't turn the wheel [rad/s], at most 1,000; a number, or
+    four."""
+
+    def of_wheel(self, wheel: int) -> WheelMotor:
+        """Return the values of one wheel.
+
+        Args:
+            wheel: 0 to 3 for a to d.
+        """
+        return WheelMotor(
+            *(value_of_wheel(getattr(self, name), wheel) for name in WheelMotor._fields)
+        )
+
+
+class EncoderConfig(Section):
+    """The wheel encoders, as the firmware reads them."""
+
+    section = "encoder"
+    counts_per_revolution: Annotated[int, Field(gt=0, le=10_000_000)] = 1320
+    """Counts per turn of the wheel, at most ten million."""
+    window: Annotated[float, Field(gt=0.0, le=5.0)] = 0.05
+    """Averaging time of the feedback [s], at most 5 s and 2,000 loops of the firmware."""
+    quantum: Annotated[float, Field(gt=0.0, le=100.0)] | None = None
+    """Printed speeds are rounded to multiples of this [rad/s], at most 100; None: not rounded, but
+    for the two decimals of a line."""
+
+
+class FirmwareConfig(Section):
+    """The program of the microcontroller."""
+
+    section = "firmware"
+    loop_rate: Rate = 200.0
+    """Rate of its control loop, and of the simulation's substeps [Hz], at most 10,000."""
+    feedback_rate: Rate | None = None
+    """Feedback lines per second [Hz]; None: one per tick of the control rate."""
+    processing_time: Delay = 0.00125
+    """Time from the last byte of a line to its effect, and from encoder to first byte [s], at most
+    1 s."""
+    command_delay: Delay = 0.0
+    """Further time from the last byte of a command to its effect [s], at most 1 s."""
+    delay_samples: Annotated[tuple[Delay, ...], Field(max_length=1_000)] = ()
+    """Measured delays of commands on top of `command_delay` [s], as quantiles of equal weight. Only
+    randomization uses them: each episode draws one."""
+    command_timeout: Wait | None = 0.5
+    """Motors stop after this time without a valid command [s], at most 1 h; None: never."""
+
+
+class BodyConfig(Section):
+    """Chassis and ground."""
+
+    section = "body"
+    mass: Annotated[float, Field(gt=0.0, le=1e5)] = 4.0
+    """Mass of the whole robot [kg], at most 100 t."""
+    length: Length = 0.34
+    """Length of the footprint, along x [m]."""
+    width: Length = 0.34
+    """Width of the footprint over the wheels, along y [m]."""
+    height: Length = 0.12
+    """Height of the top of the chassis above ground [m]."""
+    friction: Annotated[float, Field(gt=0.0, le=100.0)] = 1.0
+    """Coulomb friction coefficient between tyre and ground, at most 100."""
+    slip_speed: Speed = 0.005
+    """Slip speed below which friction is proportional to slip [m/s], at most 1,000."""
+    turn_factor: Annotated[float, Field(gt=1.0, le=100.0)] | None = None
+    """Factor by which the robot turns slower than the differential-drive formula says, at most 100.
+    It sets the tyres' sideways friction: (mu_lateral / mu_longitudinal)^2 =
+    (turn_factor - 1) (wheel_separation / wheelbase)^2. None: equal friction in all directions, so
+    1 + (wheelbase / wheel_separation)^2."""
+
+
+LEAST_RATE = 0.01
+"""Lowest rate of ticks and policy steps [Hz], which bounds the simulated time of a step."""
+
+MAX_ENCODER_SAMPLES = 2_000
+"""Most encoder readings that the simulated firmware stores for averaging."""
+
+
+def whole_ratio(fast_name: str, fast: float, slow_name: str, slow: float) -> int:
+    """Return the ratio of two rates.
+
+    Args:
+        fast_name: name of the faster rate, for the message.
+        fast: [Hz].
+        slow_name: name of the slower rate, for the message.
+        slow: [Hz].
+
+    Returns:
+        fast / slow as an int.
+
+    Raises:
+        ConfigError: it isn't an integer of at least 1, or `slow` is below 0.01 Hz.
+    """
+    try:
+        fast, slow = _number(fast), _number(slow)
+        ratio = fast / slow
+    except (TypeError, ValueError, ZeroDivisionError, OverflowError):
+        ratio = math.nan
+    if not ratio > 0.0:
+        raise ConfigError(f"{slow_name} = {show_value(slow)}: must be a positive number of Hz")
+    if slow < LEAST_RATE:
+        raise ConfigError(f"{slow_name} = {slow:g} Hz: must be at least {LEAST_RATE:g} Hz")
+    whole = round(min(ratio, 1e9))
+    if whole < 1 or not math.isclose(ratio, whole, rel_tol=1e-9):
+        raise ConfigError(
+            f"{fast_name} = {fast:g} Hz: must be a whole multiple of {slow_name} = {slow:g} Hz"
+        )
+    return whole
+
+
+def check_feedback(rate: float, timeout: float, loop: float) -> None:
+    """Check how often a board sends.
+
+    Args:
+        rate: lines per second [Hz].
+        timeout: longest time without a line [s].
+        loop: the firmware's loop rate [Hz].
+
+    Raises:
+        ConfigError: the rate is above `loop`, or the time-out below one and a half periods.
+    """
+    if rate > loop:
+        raise ConfigError(
+            f"firmware.feedback_rate = {rate:g} Hz: must be at most "
+            f"firmware.loop_rate = {loop:g} Hz"
+        )
+    if timeout < 1.5 / rate:
+        raise ConfigError(
+            f"feedback_timeout = {timeout:g} s: must be at least one and a half "
+            f"periods of the feedback at {rate:g} Hz"
+        )
+
+
+def check_window(window: float, loop: float) -> None:
+    """Check the averaging time of the encoders.
+
+    Args:
+        window: averaging time [s].
+        loop: the firmware's loop rate [Hz].
+
+    Raises:
+        ConfigError: it is shorter than one loop, or longer than `MOST_SAMPLES` of them.
+    """
+    if window * loop < 1.0 - 1e-9:
+        raise ConfigError(
+            f"encoder.window = {window:g} s: must be at least one period of "
+            f"firmware.loop_rate ({1.0 / loop:g} s)"
+        )
+    if window * loop > MAX_ENCODER_SAMPLES:
+        raise ConfigError(
+            f"encoder.window = {window:g} s: must be at most {MAX_ENCODER_SAMPLES:,} "
+            f"periods of firmware.loop_rate ({MAX_ENCODER_SAMPLES / loop:g} s)"
+        )
+
+
+def _number(value: float) -> float:
+    """Convert to float; TypeError for strings, which float() would accept."""
+    if isinstance(value, str | bytes):
+        raise TypeError
+    return float(value)
+
+
+BAUD_RATES = (9600, 19200, 38400, 57600, 115200)
+LINE_BYTES = 33
+"""Length of a full line with CR LF, without the optional trailing comma [bytes]."""
+BITS_PER_BYTE = 10
+"""8N1: a start bit, eight data bits, a stop bit."""
+
+
+def validate_baud_rate(value: int) -> int:
+    """Return the baud rate; ValueError for rates that boards don't use."""
+    if value not in BAUD_RATES:
+        raise ValueError(f"must be one of {', '.join(map(str, BAUD_RATES))}")
+    return value
+
+
+WIRE_LETTERS = "abcd"
+Letter = Literal["a", "b", "c", "d"]
+Sign = Literal[1, -1]
+Speeds = tuple[float, float, float, float]
+Heard = tuple[float | None, float | None, float | None, float | None]
+
+
+class WheelConfig(Section):
+    """One wheel's motor and encoder on the wire."""
+
+    section = "wheels"
+    motor: Letter
+    """Letter that commands it."""
+    motor_sign: Sign = 1
+    """-1 where a positive command turns it backward."""
+    encoder: Letter
+    """Letter that reports its speed."""
+    sign: Sign = 1
+    """-1 where its encoder reports a forward turn as negative."""
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _as_one_error(cls, data: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        """Leave errors to WheelsConfig, which knows the wheel's name."""
+        return handler(data)
+
+
+def _wheel(letter: Letter) -> BeforeValidator:
+    """Return a validator that sets missing letters of a wheel to its own."""
+    own = {"motor": letter, "encoder": letter}
+    return BeforeValidator(lambda given: {**own, **given} if isinstance(given, dict) else given)
+
+
+@dataclass(frozen=True, slots=True)
+class WheelLetters:
+    """Which letter belongs to each wheel, for one direction of the wire.
+
+    Attributes:
+        places: index of each wheel's letter, in the order of the wheels.
+        signs: 1.0 or -1.0 for each wheel.
+    """
+
+    places: tuple[int, int, int, int]
+    signs: Speeds
+
+    def to_wire(self, speeds: Sequence[float]) -> Speeds:
+        """Convert speeds of the wheels to those of the letters a, b, c, d [rad/s]."""
+        wire = [0.0, 0.0, 0.0, 0.0]
+        for place, sign, speed in zip(self.places, self.signs, speeds, strict=True):
+            wire[place] = sign * speed + 0.0  # no negative zero
+        return wire[0], wire[1], wire[2], wire[3]
+
+    def to_wheels(self, wire: Heard) -> Heard:
+        """Convert speeds of the letters to those of the wheels [rad/s]; None where one misses."""
+        a, b, c, d = (
+            None if (speed := wire[place]) is None else sign * speed + 0.0
+            for place, sign in zip(self.places, self.signs, strict=True)
+        )
+        return a, b, c, d
+
+
+class WheelsConfig(Section):
+    """The wiring: letters and signs of each wheel's motor and encoder."""
+
+    section = "wheels"
+    a: Annotated[WheelConfig, _wheel("a")] = WheelConfig(motor="a", encoder="a")
+    """The front right wheel."""
+    b: Annotated[WheelConfig, _wheel("b")] = WheelConfig(motor="b", encoder="b")
+    """The front left wheel."""
+    c: Annotated[WheelConfig, _wheel("c")] = WheelConfig(motor="c", encoder="c")
+    """The rear left wheel."""
+    d: Annotated[WheelConfig, _wheel("d")] = WheelConfig(motor="d", encoder="d")
+    """The rear right wheel."""
+
+    @model_validator(mode="after")
+    def _letters_are_used_once(self) -> Self:
+        """Check that no letter belongs to two wheels."""
+        for part in ("motor", "encoder"):
+            used = Counter(getattr(wheel, part) for wheel in self.each)
+            twice = sorted(letter for letter, count in used.items() if count > 1)
+            if twice:
+                raise ConfigError(
+                    f"wheels: {part} {twice[0]} belongs to {used[twice[0]]} wheels: each letter "
+                    "must be used once"
+                )
+        return self
+
+    @property
+    def each(self) -> tuple[WheelConfig, WheelConfig, WheelConfig, WheelConfig]:
+        """The wheels in the order a, b, c, d."""
+        return self.a, self.b, self.c, self.d
+
+    @property
+    def motors(self) -> WheelLetters | None:
+        """Letters of the commands; None where every wheel has its own, forward."""
+        return _letters([(wheel.motor, wheel.motor_sign) for wheel in self.each])
+
+    @property
+    def encoders(self) -> WheelLetters | None:
+        """Letters of the feedback; None where every wheel has its own, forward."""
+        return _letters([(wheel.encoder, wheel.sign) for wheel in self.each])
+
+
+def _letters(named: Sequence[tuple[str, int]]) -> WheelLetters | None:
+    """Return the mapping of four wheels; None for the identity."""
+    if [letter for letter, sign in named if sign == 1] == list(WIRE_LETTERS):
+        return None
+    a, b, c, d = (WIRE_LETTERS.index(letter) for letter, _ in named)
+    sa, sb, sc, sd = (float(sign) for _, sign in named)
+    return WheelLetters((a, b, c, d), (sa, sb, sc, sd))
+
+
+CONTACT_PATCH = 0.01
 """Size of the contact patch of a wheel, which the default footprint contains [m]."""
 USUAL_RATES = (200.0, 100.0, 50.0, 40.0, 25.0, 20.0, 10.0, 5.0, 2.0, 1.0)
 """Rates that error messages suggest [Hz]."""
-TWIN = ("motor", "encoder", "firmware", "body", "measured")
+SIMULATION_SECTIONS = ("motor", "encoder", "firmware", "body", "measured")
 """Sections that the robot's own driver doesn't have: for the simulation only, or about it."""
 
 
@@ -59,7 +424,7 @@ class RobotConfig(Section):
     """What `acsar-gym estop NAME` calls this robot, beside its device."""
     serial_port: Name | None = None
     """Device that `open_link("serial", config)` opens."""
-    baud_rate: Annotated[int, AfterValidator(known_baud)] = 115200
+    baud_rate: Annotated[int, AfterValidator(validate_baud_rate)] = 115200
     """Baud rate [bit/s]; 8N1, no flow control."""
     trailing_comma: bool = True
     """Send a comma after the last motor, as the robot's own driver does; some boards take a value
@@ -85,13 +450,13 @@ class RobotConfig(Section):
     """Angular speed of a full action, and limit of all commands [rad/s]."""
     max_wheel_speed: Speed = 30.0
     """Limit of wheel speeds [rad/s]; all four are scaled, which keeps the turning radius."""
-    linear_limits: Annotated[LinearLimits, accelerating(LINEAR_ACCELERATION)] = LinearLimits(
-        max_acceleration=LINEAR_ACCELERATION
+    linear_limits: Annotated[LinearLimits, default_acceleration(LINEAR_ACCELERATION)] = (
+        LinearLimits(max_acceleration=LINEAR_ACCELERATION)
     )
     """Limits of the commanded linear velocity, in simulation and on hardware; `max_acceleration` is
     2 m/s^2 by default, and null means none."""
-    angular_limits: Annotated[AngularLimits, accelerating(ANGULAR_ACCELERATION)] = AngularLimits(
-        max_acceleration=ANGULAR_ACCELERATION
+    angular_limits: Annotated[AngularLimits, default_acceleration(ANGULAR_ACCELERATION)] = (
+        AngularLimits(max_acceleration=ANGULAR_ACCELERATION)
     )
     """Limits of the commanded angular velocity; `max_acceleration` is 8 rad/s^2 by default."""
     geofence: Geofence | None = None
@@ -136,7 +501,7 @@ class RobotConfig(Section):
     @model_validator(mode="after")
     def _measured_fields_exist(self) -> Self:
         """Check the names of measured fields, and that their intervals are within their bounds."""
-        check(self.measured, type(self))
+        validate_measured(self.measured, type(self))
         return self
 
     @model_validator(mode="after")
@@ -181,9 +546,9 @@ class RobotConfig(Section):
     @property
     def outline(self) -> Outline:
         """Corners of the footprint in the base frame, counter-clockwise [m]."""
-        length = max(self.body.length, self.wheelbase + FOOT)
-        width = max(self.body.width, self.wheel_separation + FOOT)
-        return self.footprint or box(length, width)
+        length = max(self.body.length, self.wheelbase + CONTACT_PATCH)
+        width = max(self.body.width, self.wheel_separation + CONTACT_PATCH)
+        return self.footprint or make_rectangle(length, width)
 
     @property
     def wheel_radii(self) -> tuple[float, float]:
@@ -223,9 +588,9 @@ class RobotConfig(Section):
         Raises:
             ConfigError: it can't be written, or has another suffix.
         """
-        from acsar_gym.config import saving  # noqa: PLC0415 - only saving needs the YAML writer
+        from acsar_gym.config import files  # noqa: PLC0415 - only saving needs the YAML writer
 
-        saving.save(self, saving.target(path), remarks)
+        files.save_robot(self, files.check_target(path), remarks)
 
     @classmethod
     def load(cls, path: str | Path) -> RobotConfig:
@@ -241,16 +606,16 @@ class RobotConfig(Section):
         from acsar_gym.config import files  # noqa: PLC0415 - only loading needs the parsers
 
         if not isinstance(path, str | Path):
-            raise ConfigError(f"path = {shown(path)}: must be a file's name")
+            raise ConfigError(f"path = {show_value(path)}: must be a file's name")
         try:
-            return cls(**files.fields(Path(path), cls._driver_params()))
+            return cls(**files.read_fields(Path(path), cls._driver_params()))
         except ConfigError as error:
             raise ConfigError(f"{Path(path)}: {error}") from None
 
     @classmethod
     def _driver_params(cls) -> list[str]:
         """Return the parameter names that a URDF may use: all but those of the simulation."""
-        return [name for name in cls.model_fields if name not in TWIN]
+        return [name for name in cls.model_fields if name not in SIMULATION_SECTIONS]
 
     @classmethod
     def preset(cls, name: str) -> RobotConfig:
@@ -261,7 +626,7 @@ class RobotConfig(Section):
         """
         from acsar_gym.config import files  # noqa: PLC0415
 
-        return cls.load(files.preset(name))
+        return cls.load(files.find_preset(name))
 
     @classmethod
     def of(cls, robot: RobotSource) -> RobotConfig:
@@ -281,7 +646,8 @@ class RobotConfig(Section):
             return cls.preset("acsar")
         if not isinstance(robot, str | Path):
             raise ConfigError(
-                f"robot = {shown(robot)}: must be a RobotConfig, its fields, a preset or a file"
+                f"robot = {show_value(robot)}: must be a RobotConfig, its fields, a "
+                "preset or a file"
             )
         if isinstance(robot, Path) or Path(robot).suffix or "/" in robot:
             return cls.load(robot)
@@ -290,3 +656,19 @@ class RobotConfig(Section):
 
 RobotSource = RobotConfig | Mapping[str, Any] | str | Path | None
 """Type of an env's `robot` argument; see `RobotConfig.of`."""
+
+
+def hash_config(config: RobotConfig) -> str:
+    """Return the SHA-256 of a robot's whole config, in hexadecimal; the order of fields is free."""
+    return _sha256(config.model_dump(mode="json"))
+
+
+def hash_calibration(config: RobotConfig) -> str | None:
+    """Return the SHA-256 of a robot's measured intervals; None where nothing was measured."""
+    measured = config.model_dump(mode="json", include={"measured"})["measured"]
+    return _sha256(measured) if measured else None
+
+
+def _sha256(data: Any) -> str:
+    text = json.dumps(data, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()

@@ -1,20 +1,27 @@
-"""Base class of all sections: frozen, validated, one exception for bad values."""
+"""Sections of the configuration.
+
+Frozen, validated, one exception for bad values; types of fields.
+"""
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import (
     BaseModel,
     ConfigDict,
+    Field,
     ModelWrapValidatorHandler,
+    TypeAdapter,
     ValidationError,
+    WrapValidator,
     model_validator,
 )
+from pydantic_core import PydanticCustomError
 
-from acsar_gym.errors import ConfigError, shown, suggestion
+from acsar_gym.errors import ConfigError, show_value, suggest_name
 
-MOST_TOLD = 10
+MAX_PROBLEMS = 10
 """Most problems that one message lists."""
 
 
@@ -38,9 +45,9 @@ class Section(BaseModel):
 def _describe(model: type[BaseModel], section: str, error: ValidationError) -> str:
     """Format the problems of a section as one message."""
     found = error.errors(include_url=False, include_context=False)
-    parts = [_problem(model, section, item) for item in found[:MOST_TOLD]]
-    if len(found) > MOST_TOLD:
-        parts.append(f"and {len(found) - MOST_TOLD:,} more")
+    parts = [_problem(model, section, item) for item in found[:MAX_PROBLEMS]]
+    if len(found) > MAX_PROBLEMS:
+        parts.append(f"and {len(found) - MAX_PROBLEMS:,} more")
     return "; ".join(parts)
 
 
@@ -49,11 +56,50 @@ def _problem(model: type[BaseModel], section: str, item: Any) -> str:
     path = [str(part)[:40] for part in item["loc"]]
     field = ".".join([section, *path] if section else path)
     if item["type"] == "extra_forbidden":
-        near = suggestion(str(item["loc"][-1])[:40], model.model_fields)
+        near = suggest_name(str(item["loc"][-1])[:40], model.model_fields)
         return f"unknown field {field!r}{near}"
     allowed = item["msg"].removeprefix("Value error, ").removeprefix("Input should ")
-    return f"{field} = {shown(item['input'])}: {_must(allowed)}"
+    return f"{field} = {show_value(item['input'])}: {_must(allowed)}"
 
 
 def _must(allowed: str) -> str:
     return f"must {allowed}" if allowed.startswith("be") else allowed
+
+
+Length = Annotated[float, Field(gt=0.0, le=100.0)]
+"""[m]"""
+Offset = Annotated[float, Field(ge=-100.0, le=100.0)]
+"""[m]"""
+Speed = Annotated[float, Field(gt=0.0, le=1e3)]
+"""[m/s] or [rad/s]"""
+Rate = Annotated[float, Field(gt=0.0, le=1e4)]
+"""[Hz]"""
+Wait = Annotated[float, Field(gt=0.0, le=3600.0)]
+"""[s], at most 1 h."""
+Name = Annotated[str, Field(max_length=1000)]
+Delay = Annotated[float, Field(ge=0.0, le=1.0)]
+"""[s], at most 1 s."""
+PerWheel = float | tuple[float, float, float, float]
+"""A number for all wheels, or four in the order a, b, c, d."""
+
+
+def value_of_wheel(value: PerWheel, wheel: int) -> float:
+    """Return the number of one wheel, 0 to 3 for a to d."""
+    return value[wheel] if isinstance(value, tuple) else value
+
+
+def per_wheel(bounds: Any) -> WrapValidator:
+    """Return a validator of `PerWheel` fields, whose numbers have bounds: a pydantic `Field`."""
+    one: TypeAdapter[float] = TypeAdapter(Annotated[float, bounds], config={"allow_inf_nan": False})
+
+    def checked(value: Any, _: Any) -> PerWheel:
+        if not isinstance(value, list | tuple):
+            return one.validate_python(value)
+        if len(value) != 4:
+            raise PydanticCustomError(
+                "per_wheel", "must be a valid number, or four for the wheels a, b, c, d"
+            )
+        a, b, c, d = map(one.validate_python, value)
+        return a, b, c, d
+
+    return WrapValidator(checked)

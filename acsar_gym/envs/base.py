@@ -4,40 +4,240 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import math
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any, Self
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.bodies import display
-from acsar_gym.bodies.base import GroundTruth, Image
 from acsar_gym.config import RobotConfig, RobotSource, whole_ratio
-from acsar_gym.dynamics.randomization import Randomizer
-from acsar_gym.envs.actions import checked
-from acsar_gym.envs.options import RENDER_MODES, EnvOptions
 from acsar_gym.envs.recording import EnvRecord
-from acsar_gym.envs.told import Info, fault_code, info_of, observed, state_of
-from acsar_gym.errors import AcsarError, CommandError, ConfigError, LinkError, RenderError
-from acsar_gym.lidars.base import newest_scan
+from acsar_gym.errors import (
+    AcsarError,
+    BoardGarbledError,
+    BoardSilentError,
+    CommandError,
+    ConfigError,
+    LidarError,
+    LinkError,
+    LinkLostError,
+    RenderError,
+    TaskError,
+    WheelError,
+    show_value,
+)
 from acsar_gym.links import Link, open_link
-from acsar_gym.links.fault_injection import FaultyLink
-from acsar_gym.links.faults import Faults
+from acsar_gym.links.faults import Faults, FaultyLink
+from acsar_gym.physics import body
+from acsar_gym.physics.body import GroundTruth, Image
+from acsar_gym.physics.randomization import Randomizer
 from acsar_gym.render.renderer import Screen
 from acsar_gym.robot import Robot
-from acsar_gym.sensors import Sensor
+from acsar_gym.sensors import LIDAR, Factory, Sensor
+from acsar_gym.sensors.lidar import footprint_edges, newest_scan, sensor_factories
 from acsar_gym.tasks import Observation, Outcome, State, Task
-from acsar_gym.tasks.base import NOTHING_SENSED
-from acsar_gym.tasks.episode import Episode
-from acsar_gym.tasks.made import made, tried
-from acsar_gym.tasks.spaces import task_spaces
-from acsar_gym.tasks.spawn import Spawn
-from acsar_gym.vector.specs import PlainSpec
-from acsar_gym.worlds import Scene
-from acsar_gym.worlds.scene import point_in_world
+from acsar_gym.tasks.base import NO_PATH, NO_RANGES, NOTHING_SENSED
+from acsar_gym.tasks.episode import RunningEpisode, Spawn, check_observation
+from acsar_gym.tasks.factory import (
+    PlainSpec,
+    SharedOptions,
+    make_task,
+    task_name,
+    task_spaces,
+    validate_task,
+)
+from acsar_gym.worlds import Pose, Scene
+from acsar_gym.worlds.world import point_in_world, to_odometry
+
+
+def check_action(action: Any) -> tuple[float, float]:
+    """Return an action as two floats, clipped to [-1, 1].
+
+    Args:
+        action: (2,), linear and angular.
+
+    Raises:
+        CommandError: for another shape, NaN or infinity.
+    """
+    try:
+        linear, angular = np.asarray(action, np.float64).tolist()
+        sound = math.isfinite(linear + angular)
+    except (TypeError, ValueError, OverflowError):
+        sound = False
+    if not sound:
+        raise CommandError(
+            f"action = {show_value(action)}: must be two finite numbers (linear, angular) "
+            "in [-1, 1]"
+        )
+    return min(max(linear, -1.0), 1.0), min(max(angular, -1.0), 1.0)
+
+
+Info = dict[str, Any]
+FAULT_CODES = (
+    (BoardGarbledError, 2),
+    (BoardSilentError, 1),
+    (LinkLostError, 3),
+    (LidarError, 4),
+    (WheelError, 6),
+)
+"""Numbers of errors in info's `fault`; subclasses come first."""
+UNKNOWN_POSE: Pose = (math.nan, math.nan, math.nan)
+"""The true pose on links without ground truth."""
+
+
+def fault_code(error: LinkError) -> int:
+    """Number of a link's error for info's `fault`; 5 for those that aren't in `FAULT_CODES`."""
+    return next((code for kind, code in FAULT_CODES if isinstance(error, kind)), 5)
+
+
+def make_state(
+    robot: Robot,
+    episode: RunningEpisode,
+    action: tuple[float, float],
+    sensed: Observation,
+    ticks: int,
+    *,
+    contact: bool,
+) -> State:
+    """Make the State of a robot after a reset or step.
+
+    Args:
+        robot: with the odometry and the sensors.
+        episode: with the goal, the path and the number of steps.
+        action: the last one, in [-1, 1].
+        sensed: numbers of all sensors, as in the observation.
+        ticks: control periods of an env step.
+        contact: whether a simulated robot has touched an obstacle.
+    """
+    assignment, config = episode.assignment, robot.config
+    scan = newest_scan(robot.sensors)
+    return State(
+        pose=robot.odometry.pose,
+        twist=robot.odometry.twist,
+        wheel_speeds=robot.speeds,
+        action=action,
+        sent=robot.safety.sent,
+        reason=int(robot.safety.reason),
+        ranges=NO_RANGES if scan is None else scan.ranges,
+        edges=NO_RANGES if scan is None else footprint_edges(config),
+        sensed=sensed,
+        time=episode.steps * ticks * config.period,
+        feedback_age=robot.feedback_age,
+        contact=contact,
+        goal=assignment.goal,
+        path=NO_PATH if assignment.path is None else assignment.path,
+        length=assignment.length,
+        max_twist=(config.max_linear, config.max_angular),
+        period=ticks * config.period,
+    )
+
+
+def observe_task(episode: RunningEpisode, state: State, task: Task) -> Observation:
+    """The task's own part of the observation, (numbers,).
+
+    Args:
+        episode: with the memory.
+        state: after the reset or step.
+        task: of the episode.
+
+    Raises:
+        TaskError: the task returned something else than so many finite numbers.
+    """
+    given = episode.observe(state)
+    try:
+        numbers = np.array(given, np.float32)
+    except (TypeError, ValueError):
+        raise TaskError(
+            f"{task_name(task)}.observe returned {show_value(given)}: must be numbers"
+        ) from None
+    if numbers.shape != (len(task.observation),):
+        raise TaskError(
+            f"{task_name(task)}.observe returned numbers of shape {numbers.shape}: must be "
+            f"({len(task.observation)},)"
+        )
+    check_observation(task, numbers)
+    return numbers
+
+
+def make_info(episode: RunningEpisode, state: State, truth: GroundTruth | None) -> Info:
+    """Make the info that every environment has; ground truth is NaN on links without it.
+
+    Args:
+        episode: with the start of the robot, and what the task adds.
+        state: after the reset or step.
+        truth: of the robot, in the frame of its world; None on hardware.
+    """
+    x, y, theta = state.pose
+    start = episode.assignment.start
+    true_x, true_y, true_theta = to_odometry(start, truth.pose) if truth else UNKNOWN_POSE
+    goal_x, goal_y = state.goal
+    return {
+        "is_success": float(episode.outcome is Outcome.SUCCESS),
+        "odom_x": x,
+        "odom_y": y,
+        "odom_theta": theta,
+        "feedback_age": state.feedback_age,
+        "sent_linear": state.sent[0],
+        "sent_angular": state.sent[1],
+        "sent_reason": float(state.reason),
+        "true_x": true_x,
+        "true_y": true_y,
+        "true_theta": true_theta,
+        "true_contact": float(truth.contact) if truth else math.nan,
+        "true_goal_distance": math.hypot(goal_x - true_x, goal_y - true_y),
+        "odometry_error": math.hypot(true_x - x, true_y - y),
+    } | episode.info()
+
+
+RENDER_MODES = ("human", "rgb_array")
+
+
+@dataclass(frozen=True, kw_only=True)
+class EnvOptions(SharedOptions):
+    """The options of a single environment.
+
+    The manual of `acsar_gym/PointGoal-v0` describes them.
+    """
+
+    lidar: Any = None
+    view: str = "top"
+    on_fault: str = "truncate"
+    record: Any = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.render_mode not in (None, *RENDER_MODES):
+            raise ConfigError(
+                f"render_mode = {show_value(self.render_mode)}: must be None, human or rgb_array"
+            )
+        if not isinstance(self.view, str) or self.view not in ("top", "camera"):
+            raise ConfigError(f"view = {show_value(self.view)}: must be top or camera")
+        if not isinstance(self.on_fault, str) or self.on_fault not in ("raise", "truncate"):
+            raise ConfigError(f"on_fault = {show_value(self.on_fault)}: must be raise or truncate")
+
+    def factories(self, task: Task) -> list[Sensor | Factory]:
+        """Return the factories of a task's sensors and these.
+
+        Args:
+            task: of the env.
+
+        Raises:
+            ConfigError: there is a `lidar` for a task that uses none, or an unknown sensor.
+        """
+        names = (*task.sensors, *self.sensors)
+        if self.lidar is not None and LIDAR not in names:
+            raise ConfigError(f"lidar = {show_value(self.lidar)}: {task_name(task)} uses none")
+        return sensor_factories(names, self.lidar)
+
+    def check_view(self, link: Any) -> None:
+        """Raise RenderError for view="camera" where the link has no camera."""
+        if self.view == "camera" and isinstance(link, str) and link != "bullet":
+            raise RenderError(f"link {link!r} has no camera; view='camera' needs link='bullet'")
 
 
 class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
@@ -76,16 +276,16 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         self.render_mode = self._options.render_mode
         self.ticks_per_step = whole_ratio("control_rate", config.control_rate, "policy_rate", rate)
         self.metadata = {**type(self).metadata, "render_fps": rate}
-        self.task = made(task, rest, EnvOptions.names())
+        self.task = make_task(task, rest, EnvOptions.names())
         self._spawn = Spawn(self.task, self._options.worlds, self._options.difficulty, config)
         self.pool = self._spawn.pool
         self._options.check_view(link)
         self._connect(link, config)
-        tried(self.task, config, self.sensors)
+        validate_task(self.task, config, self.sensors)
         self.action_space: Any
         self.observation_space: Any
         self.action_space, self.observation_space = task_spaces(self.task, self.sensors)
-        self._episode: Episode | None = None
+        self._episode: RunningEpisode | None = None
         self._sensed: Observation = NOTHING_SENSED
         self._truth: GroundTruth | None = None
         self._told_last: tuple[Observation, Info] | None = None
@@ -114,7 +314,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def _bullets_window(self, link: Any) -> bool:
         """Whether PyBullet shows the robot in its own window."""
-        return self.render_mode == "human" and link == "bullet" and display.found()
+        return self.render_mode == "human" and link == "bullet" and body.has_display()
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -139,7 +339,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         if self._faulty is not None:
             self._faulty.seed(self.np_random)
         assignment = self._spawn.draw(self.np_random, {} if options is None else options)
-        self._episode = episode = Episode(self.task, assignment)
+        self._episode = episode = RunningEpisode(self.task, assignment)
         start, physics = assignment.start, self._randomizer.draw(self.np_random)
         scene = Scene(start, point_in_world(start, assignment.goal), assignment.world, physics)
         self._record.begin(self.spec, self.task, seed, assignment)
@@ -172,7 +372,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         if episode is None:
             raise ConfigError("step() before reset(): call reset() first")
         try:
-            linear, angular = checked(action)
+            linear, angular = check_action(action)
         except CommandError:
             self._halt()
             raise
@@ -214,7 +414,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
             self.robot.deactivate(error)
 
     def _cut_short(
-        self, error: LinkError, episode: Episode, action: NDArray[np.float32]
+        self, error: LinkError, episode: RunningEpisode, action: NDArray[np.float32]
     ) -> tuple[Observation, float, bool, bool, Info]:
         """Truncate the episode because the link failed; the observation is the last one."""
         self.robot.deactivate(error)
@@ -230,18 +430,18 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
             self.robot.drive(linear, angular)
         self._sensed = self.robot.read().astype(np.float32)
 
-    def _state(self, episode: Episode, action: tuple[float, float]) -> State:
+    def _state(self, episode: RunningEpisode, action: tuple[float, float]) -> State:
         """The State that the task is given."""
         self._truth = self.robot.link.truth
         contact = self._truth is not None and self._truth.contact
         ticks = self.ticks_per_step
-        return state_of(self.robot, episode, action, self._sensed, ticks, contact=contact)
+        return make_state(self.robot, episode, action, self._sensed, ticks, contact=contact)
 
-    def _told(self, episode: Episode, state: State) -> tuple[Observation, Info]:
+    def _told(self, episode: RunningEpisode, state: State) -> tuple[Observation, Info]:
         """Observation and info after a reset or step; also updates the screen."""
         self._screen.show(state, self._truth, newest_scan(self.robot.sensors))
-        numbers = observed(episode, state, self.task)
-        info = info_of(episode, state, self._truth) | self._randomizer.info()
+        numbers = observe_task(episode, state, self.task)
+        info = make_info(episode, state, self._truth) | self._randomizer.info()
         if self._faulty is not None or self._truth is None:
             info["fault"] = 0.0
         self.robot.tell(info)
@@ -255,7 +455,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         return self.robot.sensors
 
     @property
-    def episode(self) -> Episode:
+    def episode(self) -> RunningEpisode:
         """The current episode.
 
         Raises:

@@ -28,12 +28,12 @@ def full_id(name: str) -> str:
     return f"acsar_gym/{next((own for own in IDS if own.startswith(f'{kind}-')), kind)}"
 
 
-def without_module(env_id: str) -> str:
+def strip_module(env_id: str) -> str:
     """Remove the module from an id, so that a file which stores the id can't cause an import."""
     return env_id.rpartition(":")[2]
 
 
-def registered(name: str) -> str:
+def find_id(name: str) -> str:
     """Find the full id of a registered environment; imports its module first, where one is named.
 
     Modules are also looked for in the current folder, as Python does for a script there.
@@ -52,7 +52,7 @@ def registered(name: str) -> str:
     if module:
         _import(module, name)
     try:
-        gymnasium.spec(without_module(env_id))
+        gymnasium.spec(strip_module(env_id))
     except gymnasium.error.Error as error:
         how = f"importing {module} doesn't register it: " if module else ""
         raise ConfigError(f"env {name}: {how}{_one_line(error)}") from None

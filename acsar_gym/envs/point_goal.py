@@ -70,7 +70,7 @@ class PointGoalEnv(RobotEnv):
     - `sensors`: more sensors, such as [ThreeRays] or ["mine.rays:ThreeRays"], subclasses of
       `acsar_gym.Sensor`; their numbers follow in the observation.
     - `randomization`: what a simulated robot draws anew for every episode, such as {"friction":
-      (0.7, 1.2), "latency": (0.0, 0.02)}; see `acsar_gym.dynamics.Randomization`. True: what
+      (0.7, 1.2), "latency": (0.0, 0.02)}; see `acsar_gym.physics.Randomization`. True: what
       `acsar-gym train` randomizes.
     - `on_fault`: "truncate" ends an episode in which the link or the board fails, with a number in
       info's `fault` (0 none, 1 silent, 2 garbled, 3 link lost, 4 LiDAR, 5 other, 6 a wheel that

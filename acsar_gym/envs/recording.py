@@ -9,13 +9,13 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
-from acsar_gym.errors import ConfigError, shown
+from acsar_gym.errors import ConfigError, show_value
 from acsar_gym.recording import Recorder
-from acsar_gym.recording.events import Stepped
+from acsar_gym.recording.encoder import Stepped
 from acsar_gym.robot import Robot
 from acsar_gym.tasks import Observation, Task
-from acsar_gym.tasks.made import named
-from acsar_gym.tasks.spawn import Assignment
+from acsar_gym.tasks.episode import Assignment
+from acsar_gym.tasks.factory import task_name
 
 
 class EnvRecord:
@@ -36,7 +36,7 @@ class EnvRecord:
             and not isinstance(record, str | Recorder)
             and not hasattr(record, "__fspath__")
         ):
-            raise ConfigError(f"record = {shown(record)}: must be the name of a file")
+            raise ConfigError(f"record = {show_value(record)}: must be the name of a file")
         ready = record is None or isinstance(record, Recorder)
         self.recorder: Recorder | None = record if ready else Recorder(record)
 
@@ -48,7 +48,7 @@ class EnvRecord:
             return
         told: dict[str, Any] = {} if spec is None else {"id": spec.id, "kwargs": _own(spec)}
         self.recorder.about.setdefault("env", told)
-        self.recorder.about.setdefault("task", named(task))
+        self.recorder.about.setdefault("task", task_name(task))
         self.recorder.about.setdefault("observation", list(task.observation))
         info = {"seed": seed, "goal": list(assignment.goal), "start": list(assignment.start)}
         world = None if assignment.world is None else assignment.number

@@ -1,4 +1,4 @@
-"""The interface of links."""
+"""The contract of links, what some of them can do besides, and a link around another one."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.bodies.base import Camera, GroundTruth
+from acsar_gym.physics.body import Camera, GroundTruth
 from acsar_gym.worlds import Scene
 
 WHILE_WAITING: ContextVar[Callable[[], None]] = ContextVar("while_waiting", default=lambda: None)
@@ -106,7 +106,7 @@ class ScannedLink(Protocol):
 
 
 @runtime_checkable
-class Wrapper(Protocol):
+class LinkWrapper(Protocol):
     """A link around another one."""
 
     @property
@@ -128,7 +128,7 @@ class MeteredLink(Protocol):
 def tape_of(link: Link) -> ScannedLink | None:
     """Return the link, or the one that it wraps, that has the scans of a recording; or None."""
     while not isinstance(link, ScannedLink):
-        if not isinstance(link, Wrapper):
+        if not isinstance(link, LinkWrapper):
             return None
         link = link.link
     return link
@@ -137,7 +137,64 @@ def tape_of(link: Link) -> ScannedLink | None:
 def meter_of(link: Link) -> MeteredLink | None:
     """Return the link, or the one that it wraps, that can measure work; None on hardware."""
     while not isinstance(link, MeteredLink):
-        if not isinstance(link, Wrapper):
+        if not isinstance(link, LinkWrapper):
             return None
         link = link.link
     return link
+
+
+class ForwardingLink:
+    """Forwards everything to the link inside; subclasses override what they change.
+
+    Args:
+        link: the link inside.
+
+    Attributes: `link`, the one inside.
+    """
+
+    def __init__(self, link: Link) -> None:
+        self.link = link
+
+    def open(self) -> None:
+        """Open the link."""
+        self.link.open()
+
+    def reset(self, scene: Scene) -> None:
+        """Begin an episode."""
+        self.link.reset(scene)
+
+    def write(self, data: bytes) -> None:
+        """Send bytes to the link."""
+        self.link.write(data)
+
+    def advance(self, period: float) -> bytes:
+        """Let a period pass [s]; returns the bytes that arrived in it."""
+        return self.link.advance(period)
+
+    def now(self) -> float:
+        """Return the time on the link's clock [s]."""
+        return self.link.now()
+
+    def close(self) -> None:
+        """Close the link."""
+        self.link.close()
+
+    @property
+    def arrivals(self) -> Arrivals:
+        """When the bytes of the newest period arrived, on the link's clock [s]."""
+        return arrivals_of(self.link)
+
+    @property
+    def truth(self) -> GroundTruth | None:
+        """Ground truth of the link."""
+        return self.link.truth
+
+    @property
+    def lateness(self) -> float | None:
+        """Lateness of the link's newest period [s]; None where time is simulated."""
+        return self.link.lateness
+
+    @property
+    def camera(self) -> Camera | None:
+        """Camera of the link."""
+        return camera_of(self.link)

@@ -7,13 +7,21 @@ import re
 from functools import partial
 from pathlib import Path
 
-from acsar_gym.bodies import Body
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, shown, suggestion
+from acsar_gym.errors import ConfigError, show_value, suggest_name
 from acsar_gym.links.base import Link
-from acsar_gym.links.paced import PacedLink
+from acsar_gym.links.simulated import PacedLink
+from acsar_gym.physics.body import Body
 
-NAMES = ("bullet", "planar", "serial", "replay:FILE", "/dev/ttyUSB0", "COM3", "usb:SERIAL_NUMBER")
+LINK_NAMES = (
+    "bullet",
+    "planar",
+    "serial",
+    "replay:FILE",
+    "/dev/ttyUSB0",
+    "COM3",
+    "usb:SERIAL_NUMBER",
+)
 _DEVICE = re.compile(r"(/|\./|COM\d+$|usb:.|(socket|rfc2217)://)", re.IGNORECASE)
 
 
@@ -39,7 +47,7 @@ def open_link(
     """
     config = RobotConfig.of(config)
     if not isinstance(url, str | os.PathLike):
-        raise ConfigError(f"link = {shown(url)}: must be a name, a device or a Link")
+        raise ConfigError(f"link = {show_value(url)}: must be a name, a device or a Link")
     url = os.fspath(url)
     if window and url != "bullet":
         raise ConfigError(f"link {url!r} has no window; only 'bullet' has one")
@@ -59,10 +67,10 @@ def open_link(
 
 def _unknown(url: str) -> ConfigError:
     """Return the error for a URL that names no link."""
-    near = suggestion(url[:40], NAMES)
+    near = suggest_name(url[:40], LINK_NAMES)
     if os.path.lexists(url):
         near = ": for a device, write its full path, or ./ before it"
-    return ConfigError(f"unknown link {shown(url)}{near}")
+    return ConfigError(f"unknown link {show_value(url)}{near}")
 
 
 def is_device(url: str | os.PathLike[str]) -> bool:
@@ -91,10 +99,10 @@ def _simulated(name: str, config: RobotConfig, window: bool) -> Link:
 def _body(name: str, config: RobotConfig, window: bool) -> Body:
     """Make the physics of a simulated robot."""
     if name == "planar":
-        from acsar_gym.bodies.planar import PlanarBody  # noqa: PLC0415
+        from acsar_gym.physics.planar import PlanarBody  # noqa: PLC0415
 
         return PlanarBody(config)
-    from acsar_gym.bodies.bullet import BulletBody  # noqa: PLC0415
+    from acsar_gym.physics.bullet import BulletBody  # noqa: PLC0415
 
     return BulletBody(config, window=window)
 

@@ -1,6 +1,6 @@
-"""The configuration of faults between a driver and its board, and their effect on lines.
+"""Faults of lines, encoders, wheels, the board, its supply and the cable.
 
-`links/fault_injection.py` applies them.
+And a link that has them.
 """
 
 from __future__ import annotations
@@ -8,29 +8,73 @@ from __future__ import annotations
 import math
 import re
 import sys
+from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Literal, Self, get_args
 
 import numpy as np
 
-from acsar_gym.errors import ConfigError, shown, suggestion
-from acsar_gym.protocol import MAX_LINE, MOTORS
+from acsar_gym.errors import ConfigError, LinkLostError, PortNotFoundError, show_value, suggest_name
+from acsar_gym.jit import COMPILED, loop
+from acsar_gym.links.base import WHILE_WAITING, Arrivals, ForwardingLink, Link
+from acsar_gym.protocol import MAX_LINE, MOTORS, ZERO, Decoder, encode
+from acsar_gym.worlds import Scene
+
+FEEDBACK_LINE, COMMAND_LINE, WHOLE_EPISODE = 0, 1, 2
+"""What a number is for: a line of one direction, or the whole episode."""
+FAULT_KINDS = 8
+"""Largest number of kinds of faults per line."""
+
+_STEP = np.uint64(0x9E3779B97F4A7C15)
+_FIRST = np.uint64(0xBF58476D1CE4E5B9)
+_SECOND = np.uint64(0x94D049BB133111EB)
+_S11, _S27, _S30, _S31 = np.uint64(11), np.uint64(27), np.uint64(30), np.uint64(31)
+_BITS = 9007199254740992.0
+"""2^53, which scales doubles in [0, 1) to integers."""
+
+
+@loop
+def line_hash(key: float, whose: int, number: float, kind: int) -> float:
+    """Return a uniform random number in [0, 1) for one line and one kind of fault.
+
+    Args:
+        key: key of the episode, in [0, 1).
+        whose: FEEDBACK, COMMANDS or EPISODE.
+        number: number of the line.
+        kind: kind of fault, below KINDS.
+    """
+    count = np.uint64((int(number) * 3 + whose) * FAULT_KINDS + kind + 1)
+    word = (np.uint64(key * _BITS) << _S11) + count * _STEP
+    word = (word ^ (word >> _S30)) * _FIRST
+    word = (word ^ (word >> _S27)) * _SECOND
+    word ^= word >> _S31
+    return float(word >> _S11) * (1.0 / _BITS)
+
+
+if not COMPILED:
+    _wrapping = line_hash
+
+    def line_hash(key: float, whose: int, number: float, kind: int) -> float:
+        """Return the same number without numba, ignoring NumPy's overflow warnings."""
+        with np.errstate(over="ignore"):
+            return _wrapping(key, whose, number, kind)
+
 
 Direction = Literal["feedback", "commands", "both"]
 Wheels = str | int
 """Letters such as "ad" name motors; a number is how many, drawn anew in every episode."""
 
-HIGHEST_RATE = 1000.0
+MAX_EVENT_RATE = 1000.0
 """Highest rate of any event [1/s]."""
-LONGEST = 60.0
+LONGEST_FAULT = 60.0
 """Longest duration of any fault [s]."""
 LARGEST_BURST = 4096
 """Longest burst of garbage [bytes]."""
 
-EPSILON = 1e-9
+TIME_TOLERANCE = 1e-9
 """Tolerance for comparing times that are sums of periods [s]."""
-STOPPED = b"p00.00"
+STOPPED_PART = b"p00.00"
 
 _PART = re.compile(rb"(?<![^,\r\n])([abcd])([pn])([0-9]{2}\.[0-9]{2})(?![^,\r\n])")
 
@@ -106,7 +150,7 @@ class Faults:
         for name, (is_sound, allowed) in _RULES.items():
             value = getattr(self, name)
             if not _holds(is_sound, value):
-                raise ConfigError(f"faults: {name} = {shown(value)}: must be {allowed}")
+                raise ConfigError(f"faults: {name} = {show_value(value)}: must be {allowed}")
 
     @classmethod
     def of(cls, faults: Mapping[str, Any] | Faults | None) -> Faults:
@@ -122,13 +166,13 @@ class Faults:
             return faults
         if faults is not None and not isinstance(faults, Mapping):
             raise ConfigError(
-                f"faults = {shown(faults)}: must be a mapping such as dropped_lines: 0.01"
+                f"faults = {show_value(faults)}: must be a mapping such as dropped_lines: 0.01"
             )
         known = {field.name for field in fields(cls)}
         for key in faults or {}:
             if key not in known:
                 raise ConfigError(
-                    f"faults: unknown fault {shown(key)}{suggestion(str(key), known)}"
+                    f"faults: unknown fault {show_value(key)}{suggest_name(str(key), known)}"
                 )
         return cls(**dict(faults or {}))
 
@@ -171,7 +215,7 @@ def _drawn(wheels: Wheels, rng: np.random.Generator) -> str:
     return "".join(sorted(rng.choice(list(MOTORS), int(wheels), replace=False).tolist()))
 
 
-class Lines:
+class LineSplitter:
     """Joins a stream of bytes to lines.
 
     Keeps an incomplete line, unless it is too long to be one.
@@ -201,7 +245,7 @@ class WheelEditor:
             letters.encode() for letters in (faults.dead, faults.stuck, faults.reversed)
         )
         self._readings: dict[bytes, bytes] = {}
-        self._commands, self._feedback = Lines(), Lines()
+        self._commands, self._feedback = LineSplitter(), LineSplitter()
 
     def cut_off(self) -> None:
         """Forget incomplete lines."""
@@ -212,18 +256,18 @@ class WheelEditor:
         if not self._dead:
             return data
         lines = b"".join(self._commands.feed(data))
-        return lines if now + EPSILON < self.at else _PART.sub(self._obeyed, lines)
+        return lines if now + TIME_TOLERANCE < self.at else _PART.sub(self._obeyed, lines)
 
     def _obeyed(self, part: re.Match[bytes]) -> bytes:
         """One motor's part of a command."""
-        return part[1] + STOPPED if part[1] in self._dead else part[0]
+        return part[1] + STOPPED_PART if part[1] in self._dead else part[0]
 
     def felt(self, data: bytes, now: float) -> bytes:
         """Feedback with the readings of failed encoders."""
         if not (self._stuck or self._reversed):
             return data
         lines = b"".join(self._feedback.feed(data))
-        if now + EPSILON < self.at:
+        if now + TIME_TOLERANCE < self.at:
             self._readings.update((part[1], part[0]) for part in _PART.finditer(lines))
             return lines
         return _PART.sub(self._read, lines)
@@ -232,7 +276,7 @@ class WheelEditor:
         """One motor's part of a feedback line."""
         motor, direction, digits = part.groups()
         if motor in self._stuck:
-            return self._readings.get(motor, motor + STOPPED)
+            return self._readings.get(motor, motor + STOPPED_PART)
         if motor in self._reversed and digits != b"00.00":
             return motor + (b"n" if direction == b"p" else b"p") + digits
         return part[0]
@@ -240,7 +284,7 @@ class WheelEditor:
 
 LINE_FAULTS = ("dropped_lines", "duplicated_lines", "cut_lines", "corrupted_lines", "late_lines")
 """In the order of their kinds, see `lots.lot`."""
-DROPPED, LATE = LINE_FAULTS.index("dropped_lines"), LINE_FAULTS.index("late_lines")
+DROPPED_LINE, LATE_LINE = LINE_FAULTS.index("dropped_lines"), LINE_FAULTS.index("late_lines")
 _RATES = ("garbage_rate", "board_reset_rate", "brown_out_rate", "unplug_rate")
 _WHEELS = ("stuck_encoders", "reversed_encoders", "dead_wheels")
 _WHEN = ("board_reset_at", "brown_out_at", "unplug_at")
@@ -257,7 +301,7 @@ def _within(least: float, most: float, kind: Any = (int, float, np.number)) -> C
 
 
 _is_count = _within(0, len(MOTORS), (int, np.integer))
-_is_time = _within(0.0, LONGEST)
+_is_time = _within(0.0, LONGEST_FAULT)
 _is_finite = _within(0.0, sys.float_info.max)
 
 
@@ -279,14 +323,371 @@ def _are_wheels(value: Any) -> bool:
 _RULES: dict[str, tuple[Check, str]] = {
     "direction": (lambda value: value in get_args(Direction), "feedback, commands or both"),
     **dict.fromkeys(("episodes", *LINE_FAULTS), (_within(0.0, 1.0), "a share, 0 to 1")),
-    **dict.fromkeys(_RATES, (_within(0.0, HIGHEST_RATE), f"0 to {HIGHEST_RATE:g} per second")),
-    **dict.fromkeys(_TIMES, (_is_time, f"0 to {LONGEST:g} s")),
+    **dict.fromkeys(_RATES, (_within(0.0, MAX_EVENT_RATE), f"0 to {MAX_EVENT_RATE:g} per second")),
+    **dict.fromkeys(_TIMES, (_is_time, f"0 to {LONGEST_FAULT:g} s")),
     **dict.fromkeys(_WHEN, (lambda value: value is None or _is_finite(value), "None, or 0 s on")),
     **dict.fromkeys(_WHEELS, (_are_wheels, f"letters of {MOTORS}, each once, or how many, 0 to 4")),
     "wheel_faults_at": (_is_finite, "0 s or more"),
-    "replug_time": (lambda value: value == math.inf or _is_time(value), f"0 to {LONGEST:g} s, inf"),
+    "replug_time": (
+        lambda value: value == math.inf or _is_time(value),
+        f"0 to {LONGEST_FAULT:g} s, inf",
+    ),
     "garbage_bytes": (
         _within(1, LARGEST_BURST, (int, np.integer)),
         f"a whole number, 1 to {LARGEST_BURST}",
     ),
 }
+
+
+WIRE_BUFFER = 65536
+"""Most bytes that wait behind a late line; more are lost, as in a driver's buffer."""
+MAX_BURSTS = 16
+"""Bursts of garbage in one period, at most."""
+
+
+class FaultEvent:
+    """An event that begins at a set time or at random at a rate [1/s], and has a duration [s].
+
+    Times count from `start` on.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        lasting: float,
+        faults: Faults,
+        count: Counter[str],
+        rng: np.random.Generator,
+    ) -> None:
+        self._name, self._lasting, self._rng, self._count = name, lasting, rng, count
+        self._rate: float = getattr(faults, f"{name}_rate")
+        after: float | None = getattr(faults, f"{name}_at")
+        self._after = self._pause() if after is None else after
+        self._next = math.inf
+        self._until = -math.inf
+
+    def start(self, now: float) -> None:
+        """Start the clock; before that the event can't begin."""
+        self._next = now + self._after
+
+    def _pause(self) -> float:
+        """Draw the time until the next event [s]."""
+        return float(self._rng.exponential(1.0 / self._rate)) if self._rate else math.inf
+
+    def going(self, now: float) -> bool:
+        """Whether the event is going on now; counts it when it begins."""
+        if now + TIME_TOLERANCE >= max(self._next, self._until):
+            self._count[self._name] += 1
+            self._until = now + self._lasting
+            self._next = self._until + self._pause()
+        return now + TIME_TOLERANCE < self._until
+
+
+class FaultyWire:
+    """One direction of the cable. Lines keep their order: none overtakes a late one."""
+
+    def __init__(
+        self,
+        faults: Faults,
+        direction: str,
+        key: float,
+        rng: np.random.Generator,
+        count: Counter[str],
+    ) -> None:
+        here = faults.direction in (direction, "both")
+        self._suffers = here and faults.lines_suffer
+        shares = [(name, n, getattr(faults, name)) for n, name in enumerate(LINE_FAULTS)]
+        self._shares = [(name, kind, share) for name, kind, share in shares if share]
+        self._whose = FEEDBACK_LINE if direction == "feedback" else COMMAND_LINE
+        self._key, self._number = key, 0
+        self._lateness = faults.lateness
+        self._burst_rate = faults.garbage_rate if here else 0.0
+        self._burst = faults.garbage_bytes
+        self._rng, self._count = rng, count
+        self._lines = LineSplitter()
+        self._queue: deque[tuple[float, bytes]] = deque()
+        self._waiting = 0
+
+    def cut_off(self) -> None:
+        """Forget an incomplete line."""
+        self._lines.partial = b""
+
+    def carry(self, data: bytes, now: float) -> bytes:
+        """Put bytes in, and return those that come out at the other end now."""
+        if not self._suffers:
+            return data
+        for line in self._lines.feed(data):
+            self._send(line, now)
+        out = b""
+        while self._queue and self._queue[0][0] <= now + TIME_TOLERANCE:
+            out += self._queue.popleft()[1]
+        self._waiting -= len(out)
+        return out
+
+    def _send(self, line: bytes, now: float) -> None:
+        """Queue a complete line with its faults."""
+        hits: set[str] = set()
+        if line.strip():  # the second half of a line end that was split isn't a line
+            key, whose, number = self._key, self._whose, self._number
+            hits = {
+                name for name, n, share in self._shares if line_hash(key, whose, number, n) < share
+            }
+            self._number += 1
+        if "dropped_lines" in hits:
+            hits = {"dropped_lines"}
+        self._count.update(hits)
+        line = self._damaged(line, hits)
+        if line and (not self._queue or self._waiting + len(line) <= WIRE_BUFFER):
+            self._queue.append((now + self._lateness * ("late_lines" in hits), line))
+            self._waiting += len(line)
+
+    def _damaged(self, line: bytes, hits: set[str]) -> bytes:
+        """Apply faults to a line; empty where it is dropped."""
+        if "dropped_lines" in hits:
+            return b""
+        if "cut_lines" in hits:
+            line = line[: self._rng.integers(len(line))]
+        if "corrupted_lines" in hits and line:
+            bent = bytearray(line)
+            most = min(3, len(line))
+            places = self._rng.choice(len(line), self._rng.integers(1, most + 1), replace=False)
+            for place in places:
+                bent[place] ^= 1 << int(self._rng.integers(8))
+            line = bytes(bent)
+        return line * (1 + ("duplicated_lines" in hits))
+
+    def noisy(self, data: bytes, period: float) -> bytes:
+        """Insert garbage into the bytes of a period [s]."""
+        if not self._burst_rate:
+            return data
+        bursts = min(int(self._rng.poisson(self._burst_rate * period)), MAX_BURSTS)
+        for _ in range(bursts):
+            place = self._rng.integers(len(data) + 1)
+            data = data[:place] + self._rng.bytes(self._burst) + data[place:]
+            self._count["garbage"] += 1
+        return data
+
+
+REPLUG_POLL = 0.01
+"""Steps in which `open` waits for a cable to be plugged in again [s]."""
+STOP_COMMAND = b"\r\n" + encode(ZERO)
+"""Command that stops the motors while the board isn't running; the line end ends a half command
+that the board may have received before."""
+FaultSeed = int | np.integer[Any] | np.random.Generator | None
+
+
+class FaultyLink(ForwardingLink):
+    """Passes bytes to and from another link, with faults; without faults it changes nothing.
+
+    `reset` draws the faults of the episode; before the first reset there are none. The same seed,
+    resets and input give the same bytes. Times are those of the link's own clock, so a simulation
+    isn't slowed down.
+
+    While the cable is out, `write` and `advance` raise LinkLostError until the link is opened
+    again: `open` waits for the rest of `replug_time`, or raises PortNotFoundError where the cable
+    stays out. The device then has another name.
+
+    Args:
+        link: the link behind this one.
+        faults: a mapping, Faults, or None.
+        seed: a whole number, a generator, or None for a random one.
+        relink: makes the link for the device that appears after a replug, where it has another
+            name (two emulators, two boards).
+
+    Attributes: `faults`; `injected`, how often each fault has happened since the last reset, by
+    name; `wheels`, the wheels that fail in this episode; `device`; `link`, the link behind it.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        faults: Mapping[str, Any] | Faults | None,
+        seed: FaultSeed = None,
+        relink: Callable[[], Link] | None = None,
+    ) -> None:
+        super().__init__(link)
+        self.faults = Faults.of(faults)
+        self.injected: Counter[str] = Counter()
+        self.wheels = WheelFaults()
+        self._relink = relink
+        self._first_seed = seed
+        self._replugs = 0
+        self._back_at: float | None = None
+        self._episode: _EpisodeFaults | None = None
+        self.seed(seed)
+
+    def seed(self, seed: FaultSeed) -> None:
+        """Set what the next resets draw from.
+
+        Args:
+            seed: a whole number or None; of a generator one number is taken, and no more.
+
+        Raises:
+            ConfigError: for anything else.
+        """
+        if isinstance(seed, np.random.Generator):
+            self._key = float(seed.random())
+            self._rng = _generator(self._key)
+            return
+        if seed is not None and (not isinstance(seed, int | np.integer) or seed < 0):
+            raise ConfigError(f"seed = {seed!r}: must be a whole number, 0 or more")
+        self._rng = np.random.default_rng(seed)
+        self._key = float(self._rng.random())
+
+    @property
+    def device(self) -> str:
+        """Name of the device; links without one are called robot0, and after a replug robot1."""
+        return str(getattr(self.link, "device", f"robot{self._replugs}"))
+
+    def open(self) -> None:
+        """Open the link; where the cable was pulled, wait until it is plugged in again.
+
+        Raises:
+            PortNotFoundError: the cable stays out.
+        """
+        if self._back_at is None:
+            self.link.open()
+            return
+        wait = self._back_at - self.link.now()
+        if wait == math.inf:
+            raise PortNotFoundError(f"{self.device}: no such device", "plug the cable in again")
+        if self._relink is not None:
+            self.link = self._relink()
+        try:
+            self.link.open()
+            for _ in range(math.ceil(wait / REPLUG_POLL - TIME_TOLERANCE)):
+                WHILE_WAITING.get()()
+                self.link.advance(REPLUG_POLL)
+        except BaseException:
+            self.link.close()
+            raise
+        self._back_at = None
+        self._replugs += 1
+
+    def reset(self, scene: Scene) -> None:
+        """Reset the link, end the faults of the last episode and draw those of the new one."""
+        self._check_cable()
+        self.link.reset(scene)
+        self.injected.clear()
+        self.wheels, self._episode = WheelFaults(), None
+        key, self._key = self._key, float(self._rng.random())
+        if self.faults.possible and line_hash(key, WHOLE_EPISODE, 0.0, 0) < self.faults.episodes:
+            generators = _generator(key).spawn(3)
+            self.wheels = WheelFaults.drawn(self.faults, generators[-1])
+            self._episode = _EpisodeFaults(self, key, generators)
+
+    def write(self, data: bytes) -> None:
+        """Send bytes; faults may change or lose them."""
+        if self._episode is not None:
+            self._episode.watch(data, self.link.now())
+        self._check_cable()
+        if self._episode is not None:
+            data = self._episode.sent(data, self.link.now())
+        if data or self._episode is None:
+            self.link.write(data)
+
+    def advance(self, period: float) -> bytes:
+        """Let a period pass, and return the feedback bytes after all faults.
+
+        Args:
+            period: [s].
+        """
+        self._check_cable()
+        episode = self._episode
+        if episode is None:
+            return self.link.advance(period)
+        due = episode.due(self.link.now(), period)
+        if due:
+            self.link.write(due)
+        data = self.link.advance(period)
+        return episode.heard(data, self.link.now(), period)
+
+    def _check_cable(self) -> None:
+        """Raise LinkLostError where the cable is out.
+
+        When it is pulled, the link behind is closed.
+        """
+        if self._episode is not None and self._episode.unplugged(self.link.now()):
+            self._back_at = self.link.now() + self.faults.replug_time
+            self.close()
+        if self._back_at is not None:
+            raise LinkLostError(
+                f"{self.device}: lost while in use (unplugged)",
+                "check the cable, then open the link again, or reset",
+            )
+
+    @property
+    def arrivals(self) -> Arrivals:
+        """Nothing: faults change the bytes that arrived."""
+        return []
+
+    def __reduce__(self) -> tuple[type[FaultyLink], tuple[object, ...]]:
+        """Copies and pickles have a link of their own and begin with the first seed."""
+        return FaultyLink, (self.link, self.faults, self._first_seed, self._relink)
+
+    def close(self) -> None:
+        """Close the link. Faults end until the next reset, but a pulled cable stays out."""
+        self._episode = None
+        self.link.close()
+
+
+def _generator(key: float) -> np.random.Generator:
+    """The generator of all faults except those that `lot` draws; `key` is a number of [0, 1)."""
+    return np.random.default_rng(int(key * 2**53))
+
+
+class _EpisodeFaults:
+    """The faults between two resets; feedback, commands and events have generators of their own."""
+
+    def __init__(self, link: FaultyLink, key: float, generators: list[np.random.Generator]) -> None:
+        faults, count = link.faults, link.injected
+        feedback, commands, events = generators
+        self._feedback = FaultyWire(faults, "feedback", key, feedback, count)
+        self._commands = FaultyWire(faults, "commands", key, commands, count)
+        self._wheels = WheelEditor(link.wheels, math.inf if faults.wheel_faults_at else -math.inf)
+        self._wheels_fail_after = faults.wheel_faults_at
+        self._outages = (
+            FaultEvent("board_reset", faults.reset_time, faults, count, events),
+            FaultEvent("brown_out", faults.brown_out_time, faults, count, events),
+        )
+        self._unplug = FaultEvent("unplug", math.inf, faults, count, events)
+        self._waiting: Decoder | None = Decoder()
+
+    def watch(self, data: bytes, now: float) -> None:
+        """Start the clock of events with the first command of the driver that turns wheels."""
+        if self._waiting is None or all(r.speeds == ZERO for r in self._waiting.feed(data)):
+            return
+        self._waiting = None
+        self._wheels.at = now + self._wheels_fail_after
+        for event in (*self._outages, self._unplug):
+            event.start(now)
+
+    def unplugged(self, now: float) -> bool:
+        """Whether the cable is out now."""
+        return self._unplug.going(now)
+
+    def _down(self, now: float) -> bool:
+        """Whether the board isn't running now.
+
+        It then forgets incomplete lines in both directions.
+        """
+        reset, brown_out = (outage.going(now) for outage in self._outages)
+        if reset or brown_out:
+            for stream in (self._feedback, self._commands, self._wheels):
+                stream.cut_off()
+        return reset or brown_out
+
+    def sent(self, data: bytes, now: float) -> bytes:
+        """Bytes that reach the motors now, when the driver writes `data` now."""
+        arrived = self._commands.carry(data, now)
+        return b"" if self._down(now) else self._wheels.commanded(arrived, now)
+
+    def due(self, now: float, period: float) -> bytes:
+        """Other bytes that reach the motors in a period: late lines and garbage."""
+        arrived = self._commands.noisy(self._commands.carry(b"", now), period)
+        return STOP_COMMAND if self._down(now) else self._wheels.commanded(arrived, now)
+
+    def heard(self, data: bytes, now: float, period: float) -> bytes:
+        """Bytes that reach the driver, when the board sent `data` in the period that ends now."""
+        said = b"" if self._down(now) else self._wheels.felt(data, now)
+        return self._feedback.noisy(self._feedback.carry(said, now), period)

@@ -10,11 +10,11 @@ from acsar_gym.errors import BoardGarbledError, BoardSilentError, LinkError
 from acsar_gym.links.base import WHILE_WAITING
 from acsar_gym.protocol import Decoder, Speeds
 
-PROTOCOL = frozenset(b"abcdpn0123456789.,+- ")
+LINE_CHARACTERS = frozenset(b"abcdpn0123456789.,+- ")
 """Bytes of a line."""
-SHOWN = 40
+MAX_SHOWN_BYTES = 40
 """Most received bytes that a message shows."""
-POLL = 0.01
+BOARD_POLL = 0.01
 """Interval of polling for the first valid line [s]."""
 
 
@@ -37,7 +37,7 @@ def wait_for_board(read: Callable[[], bytes], device: str, config: RobotConfig) 
         if time.monotonic() > deadline:
             raise _no_board(device, config, heard, decoder)
         WHILE_WAITING.get()()
-        time.sleep(POLL)
+        time.sleep(BOARD_POLL)
         data = read()
         heard += len(data)
         decoder.feed(data)
@@ -66,7 +66,7 @@ def _no_board(device: str, config: RobotConfig, heard: int, decoder: Decoder) ->
     )
 
 
-def silence(age: float, decoder: Decoder) -> BoardSilentError:
+def silence_error(age: float, decoder: Decoder) -> BoardSilentError:
     """Return the error for a board in use that sends no valid feedback.
 
     Args:
@@ -90,15 +90,15 @@ def silence(age: float, decoder: Decoder) -> BoardSilentError:
 
 def _garbled(decoder: Decoder) -> bool:
     """Whether bytes that aren't those of a line have arrived since the newest valid line."""
-    return decoder.damaged > 0 or not set(decoder.rest) <= PROTOCOL
+    return decoder.damaged > 0 or not set(decoder.rest) <= LINE_CHARACTERS
 
 
 def shown_bytes(data: bytes) -> str:
     """Format received bytes for a message: printable, and at most `SHOWN` of them."""
-    return repr(data[:SHOWN])[1:] + ("..." if len(data) > SHOWN else "")
+    return repr(data[:MAX_SHOWN_BYTES])[1:] + ("..." if len(data) > MAX_SHOWN_BYTES else "")
 
 
-def still_turning(waited: float, speeds: Speeds) -> LinkError:
+def still_turning_error(waited: float, speeds: Speeds) -> LinkError:
     """Return the error for wheels that turn in spite of a stop command.
 
     Args:

@@ -12,25 +12,25 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 
-LATE = 0.001
+LATE_TICK = 0.001
 """A tick is late if it ends more than this after its deadline [s]."""
 
 STANDSTILL = 0.1
 """Wheels slower than this count as standing still [rad/s]."""
-EFFECT = 0.005
+VISIBLE_SPEED = 0.005
 """Wheels faster than this, and than twice what they showed before, show a command [rad/s]."""
 
-PER_OCTAVE = 32
-SHORTEST = 2.0**-20
+BUCKETS_PER_OCTAVE = 32
+SHORTEST_DURATION = 2.0**-20
 """Shorter durations count as zero [s]."""
-LONGEST = 64.0
+LONGEST_DURATION = 64.0
 """Durations from here on are in the last bucket [s]; `worst` stays exact."""
-_FIRST = math.frexp(SHORTEST)[1]
-_BUCKETS = (math.frexp(LONGEST)[1] - _FIRST) * PER_OCTAVE + 2
+_FIRST = math.frexp(SHORTEST_DURATION)[1]
+_BUCKETS = (math.frexp(LONGEST_DURATION)[1] - _FIRST) * BUCKETS_PER_OCTAVE + 2
 
 
 @dataclass(frozen=True, slots=True)
-class Spread:
+class DurationSpread:
     """Percentiles and maximum of durations [s]; NaN if there were none."""
 
     count: int
@@ -40,7 +40,7 @@ class Spread:
 
 
 @dataclass(frozen=True, slots=True)
-class Timing:
+class TickTiming:
     """Lateness of the ticks of an episode [s]; NaN if there were none."""
 
     ticks: int
@@ -62,16 +62,16 @@ class Timing:
 class EpisodeTiming:
     """Timing of an episode, from the end of its first tick on."""
 
-    lateness: Timing
-    feedback_age: Spread
+    lateness: TickTiming
+    feedback_age: DurationSpread
     """Age of the newest valid line after every tick [s]; 0 if it arrived during the tick."""
-    round_trip: Spread
+    round_trip: DurationSpread
     """Time from the last byte of a command to wheels that stand, as it leaves the port, to the
     first byte of the first line that shows an effect [s]; up to a tick more where the link doesn't
     tell when bytes arrive."""
 
 
-class Durations:
+class DurationHistogram:
     """Counts any number of durations [s]; negative ones count as zero."""
 
     def __init__(self) -> None:
@@ -87,11 +87,15 @@ class Durations:
         """Add a duration [s]."""
         self.count += 1
         self._worst = max(self._worst, seconds)
-        if seconds < SHORTEST:
+        if seconds < SHORTEST_DURATION:
             bucket = 0
-        elif seconds < LONGEST:
+        elif seconds < LONGEST_DURATION:
             fraction, octave = math.frexp(seconds)
-            bucket = (octave - _FIRST - 1) * PER_OCTAVE + int(2 * PER_OCTAVE * fraction) + 1
+            bucket = (
+                (octave - _FIRST - 1) * BUCKETS_PER_OCTAVE
+                + int(2 * BUCKETS_PER_OCTAVE * fraction)
+                + 1
+            )
         else:
             bucket = -1
         self._buckets[bucket] += 1
@@ -115,12 +119,12 @@ class Durations:
         bucket = bisect_left(list(accumulate(self._buckets)), wanted)
         return min(_upper_edge(bucket), self._worst)
 
-    def spread(self) -> Spread:
+    def spread(self) -> DurationSpread:
         """Return percentiles and maximum."""
-        return Spread(self.count, self.percentile(50.0), self.percentile(99.0), self.worst)
+        return DurationSpread(self.count, self.percentile(50.0), self.percentile(99.0), self.worst)
 
 
-class Lateness(Durations):
+class LatenessHistogram(DurationHistogram):
     """Counts the lateness of ticks.
 
     Args:
@@ -145,18 +149,18 @@ class Lateness(Durations):
     def add(self, seconds: float) -> None:
         """Add a tick that ended `seconds` after its deadline."""
         super().add(seconds)
-        if seconds > LATE:
+        if seconds > LATE_TICK:
             self.late += 1
             if seconds > self._period:
                 self.missed += int(seconds / self._period)
 
-    def summary(self) -> Timing:
+    def summary(self) -> TickTiming:
         """Return the statistics."""
         p50, p99 = self.percentile(50.0), self.percentile(99.0)
-        return Timing(self.count, self.late, self.missed, p50, p99, self.worst)
+        return TickTiming(self.count, self.late, self.missed, p50, p99, self.worst)
 
 
-class Stopwatch:
+class EpisodeStopwatch:
     """Measures the timing of one episode.
 
     Args:
@@ -164,8 +168,8 @@ class Stopwatch:
     """
 
     def __init__(self, period: float) -> None:
-        self._lateness = Lateness(period)
-        self._ages, self._trips = Durations(), Durations()
+        self._lateness = LatenessHistogram(period)
+        self._ages, self._trips = DurationHistogram(), DurationHistogram()
         self._begun = False
         self._asked: float | None = None
         self._fastest = self._shows = 0.0
@@ -197,7 +201,7 @@ class Stopwatch:
         if not drives:
             self._asked = None
         elif self._asked is None and self._fastest < STANDSTILL:
-            self._asked, self._shows = written, max(EFFECT, 2.0 * self._fastest)
+            self._asked, self._shows = written, max(VISIBLE_SPEED, 2.0 * self._fastest)
         self._fastest = fastest
         return self._asked is not None
 
@@ -246,5 +250,5 @@ def _upper_edge(bucket: int) -> float:
         return 0.0
     if bucket == _BUCKETS - 1:
         return math.inf
-    octave, part = divmod(bucket - 1, PER_OCTAVE)
-    return math.ldexp((PER_OCTAVE + part + 1) / (2 * PER_OCTAVE), _FIRST + octave)
+    octave, part = divmod(bucket - 1, BUCKETS_PER_OCTAVE)
+    return math.ldexp((BUCKETS_PER_OCTAVE + part + 1) / (2 * BUCKETS_PER_OCTAVE), _FIRST + octave)

@@ -1,6 +1,6 @@
-"""Serial ports: listing, persistent names, and opening.
+"""Serial ports: listing, persistent names, opening, reading and writing.
 
-This is the only module that imports pyserial.
+The only module that imports pyserial.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import select
 import socket
 import time
 from collections.abc import Callable, Iterator
@@ -30,11 +31,11 @@ from acsar_gym.errors import (
 )
 from acsar_gym.links.base import WHILE_WAITING
 
-Port = Any
+SerialPort = Any
 """An open port of pyserial, which has no type annotations."""
-BY_ID = Path("/dev/serial/by-id")
+BY_ID_FOLDER = Path("/dev/serial/by-id")
 """Folder of persistent names of USB adapters on Linux: vendor, product, serial number."""
-BY_SERIAL_NUMBER = "usb:"
+SERIAL_NUMBER_PREFIX = "usb:"
 """Prefix of a name that is the USB serial number of an adapter."""
 
 PORT_ERRORS: tuple[type[Exception], ...] = (serial.SerialException, OSError, TypeError)
@@ -45,15 +46,15 @@ with contextlib.suppress(ImportError):  # Windows has no termios
     PORT_ERRORS += (termios.error,)
 
 
-MORE_FILES = "close some, or allow more with 'ulimit -n'"
+MORE_FILES_ADVICE = "close some, or allow more with 'ulimit -n'"
 """Advice for a process that has too many open files."""
 WRITE_TIMEOUT = 0.2
 """A socket that accepts no bytes for this time is lost [s]."""
-TURNS = (0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.0)
+WRITE_PAUSES = (0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.0)
 """Pauses between attempts to write, while another process writes to the port [s]."""
-BUSY_PATIENCE = 0.7
+BUSY_TIMEOUT = 0.7
 """Longest time for which the watchdog of a killed program keeps its port [s]."""
-BACK_OFF = (0.02, 0.1)
+OPEN_PAUSES = (0.02, 0.1)
 """First and longest pause between attempts to open a port [s]; each is twice the last."""
 
 
@@ -67,7 +68,7 @@ class PortInfo:
     """Serial number of its USB adapter; None if it has none."""
 
 
-def ports() -> list[PortInfo]:
+def find_ports() -> list[PortInfo]:
     """List the serial devices of this computer."""
     return [
         PortInfo(port.device, port.description, port.serial_number)
@@ -75,7 +76,7 @@ def ports() -> list[PortInfo]:
     ]
 
 
-def located(name: str) -> str:
+def locate_port(name: str) -> str:
     """Find the device of a name.
 
     Args:
@@ -86,10 +87,10 @@ def located(name: str) -> str:
         PortNotFoundError: no adapter has this serial number.
         ConfigError: several adapters have it.
     """
-    if not name.startswith(BY_SERIAL_NUMBER):
+    if not name.startswith(SERIAL_NUMBER_PREFIX):
         return name
-    number = name.removeprefix(BY_SERIAL_NUMBER)
-    known = ports()
+    number = name.removeprefix(SERIAL_NUMBER_PREFIX)
+    known = find_ports()
     found = [port.device for port in known if port.serial_number == number]
     if len(found) > 1:
         raise ConfigError(f"{name}: {', '.join(found)} have this serial number: name one of them")
@@ -101,7 +102,7 @@ def located(name: str) -> str:
     return found[0]
 
 
-def lasting(device: str) -> str:
+def find_lasting_name(device: str) -> str:
     """Return the persistent name of a device, under which it reappears when plugged in again.
 
     /dev/ttyUSB0 may become /dev/ttyUSB1, but its name in /dev/serial/by-id stays. The device itself
@@ -111,7 +112,7 @@ def lasting(device: str) -> str:
     with contextlib.suppress(OSError):
         path = Path(device)
         if not path.is_symlink() and _has_its_own_number(path):
-            for name in sorted(BY_ID.iterdir()):
+            for name in sorted(BY_ID_FOLDER.iterdir()):
                 if name.resolve() == path.resolve():
                     return str(name)
     return device
@@ -119,12 +120,12 @@ def lasting(device: str) -> str:
 
 def _has_its_own_number(path: Path) -> bool:
     """Return whether no other adapter has the same serial number."""
-    known = [port for port in ports() if port.serial_number]
+    known = [port for port in find_ports() if port.serial_number]
     mine = [port.serial_number for port in known if Path(port.device).resolve() == path.resolve()]
     return bool(mine) and [port.serial_number for port in known].count(mine[0]) == 1
 
 
-class Location:
+class PortLocation:
     """The name of a port, and the name under which it reappears after it was lost.
 
     Args:
@@ -145,7 +146,9 @@ class Location:
         """Whether no other device can get the name `path`."""
         return self.path is not None and Path(self.path).is_symlink()
 
-    def opened(self, config: RobotConfig, make_way: Callable[[], None] = lambda: None) -> Port:
+    def opened(
+        self, config: RobotConfig, make_way: Callable[[], None] = lambda: None
+    ) -> SerialPort:
         """Open the port; a lost one has `reconnect_timeout` to reappear.
 
         Args:
@@ -156,7 +159,7 @@ class Location:
         Raises:
             LinkError: the port can't be opened.
         """
-        start, (pause, longest) = time.monotonic(), BACK_OFF
+        start, (pause, longest) = time.monotonic(), OPEN_PAUSES
         while True:
             try:
                 return self._opened_now(config, make_way)
@@ -167,24 +170,24 @@ class Location:
             time.sleep(pause)
             pause = min(2.0 * pause, longest)
 
-    def _opened_now(self, config: RobotConfig, make_way: Callable[[], None]) -> Port:
+    def _opened_now(self, config: RobotConfig, make_way: Callable[[], None]) -> SerialPort:
         """Try once to open the port."""
-        device = located(self.name)
+        device = locate_port(self.name)
         if device == self.name and self.path is not None:
             device = self.path
         try:
-            port = opened(device, config)
+            port = open_port(device, config)
         except PortBusyError:
             make_way()
             raise
         make_way()
-        self.path, self.lost = lasting(device), False
+        self.path, self.lost = find_lasting_name(device), False
         return port
 
     def _patience(self, error: LinkError, config: RobotConfig) -> float:
         """Return how long to retry after an error [s]."""
         lost = config.reconnect_timeout if self.lost else 0.0
-        return max(lost, BUSY_PATIENCE if isinstance(error, PortBusyError) else 0.0)
+        return max(lost, BUSY_TIMEOUT if isinstance(error, PortBusyError) else 0.0)
 
     def left(self, *, lost: bool) -> None:
         """Note that the port was closed; only a lost port is looked for under the same name."""
@@ -192,7 +195,7 @@ class Location:
         self.path = self.path if lost else None
 
 
-def opened(device: str, config: RobotConfig) -> Port:
+def open_port(device: str, config: RobotConfig) -> SerialPort:
     """Open a port exclusively, with non-blocking reads.
 
     Args:
@@ -227,7 +230,7 @@ def opened(device: str, config: RobotConfig) -> Port:
     return port
 
 
-def put(port: Port, data: bytes) -> None:
+def write_all(port: SerialPort, data: bytes) -> None:
     """Send bytes without blocking.
 
     pyserial's own write blocks until there is room, and may report a failure only afterwards.
@@ -248,7 +251,7 @@ def _sent(descriptor: int, data: bytes) -> int:
 
     The kernel also refuses a write while another process, such as the watchdog, is writing.
     """
-    for pause in TURNS:
+    for pause in WRITE_PAUSES:
         with contextlib.suppress(BlockingIOError):
             return os.write(descriptor, data)
         time.sleep(pause)
@@ -280,7 +283,7 @@ def _why_not_open(device: str, error: Exception) -> LinkError:
     code = getattr(error, "errno", None)
     text = str(error)
     if code in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or isinstance(error, FileNotFoundError):
-        known = ", ".join(port.device for port in ports()) or "none"
+        known = ", ".join(port.device for port in find_ports()) or "none"
         return PortNotFoundError(f"{device}: no such device", f"serial ports here: {known}")
     if code in (errno.EACCES, errno.EPERM):
         return PortPermissionError(
@@ -293,12 +296,12 @@ def _why_not_open(device: str, error: Exception) -> LinkError:
             f"{device}: in use by another process", f"close it first; find it with 'fuser {device}'"
         )
     if code in (errno.EMFILE, errno.ENFILE):
-        return LinkError(f"{device}: too many open files", MORE_FILES)
+        return LinkError(f"{device}: too many open files", MORE_FILES_ADVICE)
     return LinkError(f"{device}: can't be opened as a serial port", text)
 
 
 @contextlib.contextmanager
-def translated(device: str) -> Iterator[None]:
+def translate_port_errors(device: str) -> Iterator[None]:
     """Convert exceptions of a port in use to LinkLostError, as a context manager."""
     try:
         yield
@@ -306,3 +309,114 @@ def translated(device: str) -> Iterator[None]:
         raise LinkLostError(
             f"{device}: lost while in use ({error})", "check the cable, then start again"
         ) from None
+
+
+READ_CHUNK = 4096
+"""Bytes read from the port by one call."""
+MAX_READ_CHUNKS = 256
+"""Most chunks per read: enough to empty a driver's buffer, but not an endless stream."""
+DRAIN_TIMEOUT = 0.05
+"""Longest wait for sent bytes to leave the port when it is closed [s]."""
+
+
+class OpenPort:
+    """An open port of pyserial.
+
+    `put`, `read` and `drop_input` raise LinkLostError if the device is gone. `says`, `is_quiet` and
+    `close` raise nothing, so that stopping can't fail halfway.
+
+    Args:
+        port: pyserial's port.
+        device: its name, for messages.
+    """
+
+    def __init__(self, port: SerialPort, device: str) -> None:
+        self._port = port
+        self._device = device
+
+    def put(self, data: bytes) -> None:
+        """Send all of the bytes; LinkLostError if the device is gone."""
+        with translate_port_errors(self._device):
+            write_all(self._port, data)
+
+    def read(self) -> bytes:
+        """Return what has arrived, without waiting; LinkLostError if the device is gone."""
+        data = b""
+        with translate_port_errors(self._device):
+            for _ in range(MAX_READ_CHUNKS):
+                chunk = self._port.read(READ_CHUNK)
+                data += chunk
+                if not chunk:
+                    break
+        return data
+
+    def wait(self, seconds: float) -> bool:
+        """Wait for bytes for a time at most [s].
+
+        Returns whether some arrived, or the device is gone. Ports without a descriptor that can be
+        waited for, as on Windows, just wait.
+        """
+        try:
+            return bool(select.select([self._port], [], [], seconds)[0])
+        except ValueError:
+            time.sleep(seconds)
+        except PORT_ERRORS:
+            time.sleep(seconds)
+        return False
+
+    def drop_input(self) -> None:
+        """Discard what has arrived and wasn't read."""
+        with translate_port_errors(self._device):
+            self._port.reset_input_buffer()
+
+    def drop_output(self) -> None:
+        """Discard what hasn't left the port yet."""
+        with translate_port_errors(self._device):
+            self._port.reset_output_buffer()
+
+    def fileno(self) -> int | None:
+        """Return the file descriptor; None if it can't be shared, as on Windows."""
+        try:
+            return int(self._port.fileno())
+        except OSError:
+            return None
+
+    def says(self, data: bytes) -> bool:
+        """Send bytes; returns whether the port accepted them."""
+        with contextlib.suppress(*PORT_ERRORS):
+            write_all(self._port, data)
+            return True
+        return False
+
+    def is_drained(self) -> bool:
+        """Wait up to DRAIN; returns whether all bytes have been sent.
+
+        The rest is discarded, as it would delay the closing of the port.
+        """
+        deadline = time.monotonic() + DRAIN_TIMEOUT
+        with contextlib.suppress(*PORT_ERRORS):
+            while getattr(self._port, "out_waiting", 0):
+                if time.monotonic() > deadline:
+                    self._port.reset_output_buffer()
+                    return False
+                time.sleep(0.001)
+            return True
+        return False
+
+    def is_quiet(self) -> bool:
+        """Return whether nothing has arrived, or the device is gone."""
+        with contextlib.suppress(*PORT_ERRORS):
+            return not self._port.in_waiting
+        return True
+
+    def close(self) -> None:
+        """Close the port, in any state."""
+        with contextlib.suppress(*PORT_ERRORS):
+            self._port.close()
+
+    def detach(self) -> None:
+        """Close this process's copy of a socket, without ending the parent's connection."""
+        own = getattr(self._port, "_socket", None)
+        if own is not None:
+            os.close(own.detach())
+            self._port.is_open = False

@@ -8,10 +8,9 @@ from typing import Any
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.links import shutdown
-from acsar_gym.links.base import Arrivals, Link, arrivals_of
-from acsar_gym.links.forwarding import ForwardingLink
+from acsar_gym.links.base import Arrivals, ForwardingLink, Link, arrivals_of
 from acsar_gym.recording import recorder as recordings
-from acsar_gym.recording.events import Exchange, Written
+from acsar_gym.recording.encoder import Exchange, Written
 from acsar_gym.recording.recorder import Recorder
 from acsar_gym.worlds import Scene
 
@@ -35,7 +34,7 @@ class RecordedLink(ForwardingLink):
         self._config = config
         self._sent: Arrivals = []
         self._now = 0.0
-        shutdown.at_end(recordings.close_all)
+        shutdown.call_at_end(recordings.close_recorders)
 
     def open(self) -> None:
         """Open the link, then the recorder: a link that doesn't open costs no older recording.
@@ -97,7 +96,7 @@ class RecordedLink(ForwardingLink):
 
     def __reduce__(self) -> tuple[Callable[[Link], Link], tuple[Link]]:
         """Copies aren't recorded: two robots can't write one file."""
-        return plain, (self.link,)
+        return unwrap_link, (self.link,)
 
     def close(self) -> None:
         """Close the link; the recording goes on with the next reset."""
@@ -122,11 +121,11 @@ def _source(link: Any) -> Path | None:
     return None
 
 
-def plain(link: Link) -> Link:
+def unwrap_link(link: Link) -> Link:
     """Return the link itself."""
     return link
 
 
-def recorded(link: Link, recorder: Recorder | None, config: RobotConfig) -> Link:
+def record_link(link: Link, recorder: Recorder | None, config: RobotConfig) -> Link:
     """Return the link, recorded if there is a recorder."""
     return link if recorder is None else RecordedLink(link, recorder, config)

@@ -8,16 +8,16 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.bodies.base import GroundTruth
 from acsar_gym.errors import LinkLostError
 from acsar_gym.links.base import Arrivals
+from acsar_gym.physics.body import GroundTruth
 from acsar_gym.recording.reader import read
-from acsar_gym.recording.replayed import Tape
+from acsar_gym.recording.replay import Tape
 from acsar_gym.recording.types import Recording
 from acsar_gym.worlds import Scene
 
 
-class Port(Protocol):
+class ByteStream(Protocol):
     """A byte stream, such as an open serial port."""
 
     def write(self, data: bytes) -> object:
@@ -43,7 +43,9 @@ class ReplayLink:
     Attributes: `replays`, the path.
     """
 
-    def __init__(self, path: str | Path, port: Port | None = None, *, compare: bool = True) -> None:
+    def __init__(
+        self, path: str | Path, port: ByteStream | None = None, *, compare: bool = True
+    ) -> None:
         self.replays = Path(path)
         self._port = port
         self._compare = compare
@@ -117,7 +119,7 @@ class ReplayLink:
             )
         return got if self._port is None else self._read(self._port, len(got))
 
-    def _read(self, port: Port, size: int) -> bytes:
+    def _read(self, port: ByteStream, size: int) -> bytes:
         """Read the bytes of a period from the port."""
         got = port.read(size)
         if len(got) != size:
@@ -155,7 +157,7 @@ class ReplayLink:
         """Stamp [s] and ranges [m] of the scan that was the newest one; None without a LiDAR."""
         return self._tape.scan() if self._tape else None
 
-    def __reduce__(self) -> tuple[type[ReplayLink], tuple[Path, Port | None]]:
+    def __reduce__(self) -> tuple[type[ReplayLink], tuple[Path, ByteStream | None]]:
         """Copy with the replay at its beginning."""
         return ReplayLink, (self.replays, self._port)
 

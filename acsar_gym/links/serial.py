@@ -9,19 +9,56 @@ from collections.abc import Iterator, Sequence
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import LinkError, LinkLostError
-from acsar_gym.links.arrivals import Ear
 from acsar_gym.links.base import Arrivals
 from acsar_gym.links.handshake import wait_for_board
-from acsar_gym.links.open_port import OpenPort
-from acsar_gym.links.ports import Location
-from acsar_gym.links.shutdown import check_may_drive, close_at_exit, forget, install
-from acsar_gym.links.watchdog_handle import WatchdogHandle
+from acsar_gym.links.ports import OpenPort, PortLocation
+from acsar_gym.links.shutdown import check_may_drive, close_at_exit, forget_link, install_handlers
+from acsar_gym.links.watchdog import WatchdogHandle
 from acsar_gym.protocol import ZERO, encode
 from acsar_gym.worlds import Scene
 
+EMPTY_READ_PAUSE = 0.001
+"""Pause where a port says that there are bytes and has none [s]."""
+
+
+class ArrivalTimer:
+    """Waits for the end of a control period, and notes what arrives meanwhile.
+
+    Attributes: `wanted`, whether the next period's bytes are to be read as they arrive, and not
+    only at its end, which costs less; `pieces`, what arrived in the newest period.
+    """
+
+    def __init__(self) -> None:
+        self.wanted = False
+        self._listens = False
+        self.pieces: Arrivals = []
+
+    def begin(self) -> None:
+        """Begin a period."""
+        self.pieces = []
+        self._listens, self.wanted = self.wanted, False
+
+    def wait(self, port: OpenPort, seconds: float) -> None:
+        """Wait for bytes, or for a time [s]; LinkLostError if the device is gone."""
+        if not self._listens:
+            time.sleep(seconds)
+        elif port.wait(seconds):
+            data = port.read()
+            if data:
+                self.pieces.append((time.monotonic(), data))
+            else:
+                time.sleep(min(EMPTY_READ_PAUSE, seconds))
+
+    def heard(self, rest: bytes) -> bytes:
+        """End a period; returns all that arrived in it, `rest` being what is read just now."""
+        if rest and self._listens:
+            self.pieces.append((time.monotonic(), rest))
+        return b"".join([piece for _, piece in self.pieces]) if self.pieces else rest
+
+
 SILENT_SHARE = 0.5
 """A board silent for this share of `feedback_timeout` may not have received zero commands."""
-PATIENCE = 1.0
+WRITER_TIMEOUT = 1.0
 """Longest wait for another thread's write [s]; a socket's takes at most 0.2 s."""
 
 
@@ -45,16 +82,16 @@ class SerialLink:
         self._config = config
         self._port: OpenPort | None = None
         self._lock = threading.RLock()  # a signal handler may run while this thread holds it
-        self._location = Location(device)
+        self._location = PortLocation(device)
         self._heard = 0.0
         self._moved = False
         self._zeros = tuple(zeros) or (encode(ZERO, trailing_comma=config.trailing_comma),)
         self._stop_line = b"\r\n" + b"".join(self._zeros)  # ends a truncated command
         self._watch = WatchdogHandle(config, self._location, self._stop_line)
         self._deadline = 0.0
-        self._ear = Ear()
+        self._ear = ArrivalTimer()
         self.lateness = 0.0
-        install()
+        install_handlers()
 
     def open(self) -> None:
         """Open the device, command zero, and wait for the first valid line. Idempotent.
@@ -221,7 +258,7 @@ class SerialLink:
             port = self._port
             if port is not None:
                 port.says(self._stop_line)
-            alone = self._lock.acquire(timeout=PATIENCE)
+            alone = self._lock.acquire(timeout=WRITER_TIMEOUT)
         try:
             yield
         finally:
@@ -272,7 +309,7 @@ class SerialLink:
         """Close the port."""
         self._port = None
         self._location.left(lost=lost)
-        forget(self)
+        forget_link(self)
         port.close()
 
     def abandon(self) -> None:

@@ -51,9 +51,9 @@ class Closable(Protocol):
         """Close without sending anything."""
 
 
-ENDING = ("SIGTERM", "SIGHUP", "SIGQUIT", "SIGBREAK")
-SUSPENDING = ("SIGTSTP",)
-ASKING = ("SIGTERM", "SIGHUP", "SIGQUIT", "SIGINT")
+ENDING_SIGNALS = ("SIGTERM", "SIGHUP", "SIGQUIT", "SIGBREAK")
+SUSPENDING_SIGNALS = ("SIGTSTP",)
+ASKING_SIGNALS = ("SIGTERM", "SIGHUP", "SIGQUIT", "SIGINT")
 """Signals that ask a program to end. SIGHUP with a handler of the program's own doesn't."""
 HANDLER_TIME = 0.1
 """Time that a handler of the program's own has to end the driving of other threads [s]."""
@@ -110,7 +110,7 @@ def _is_main_thread_done() -> bool:
     return False
 
 
-def install() -> None:
+def install_handlers() -> None:
     """Watch for the end of the program.
 
     Signals are handled if this is the main thread, and where the program has no handler.
@@ -119,7 +119,7 @@ def install() -> None:
     if threading.current_thread() is not threading.main_thread():
         return
     _signals.listen()
-    for names, handler in ((ENDING, _on_end), (SUSPENDING, _on_suspend)):
+    for names, handler in ((ENDING_SIGNALS, _on_end), (SUSPENDING_SIGNALS, _on_suspend)):
         for name in names:
             number = getattr(signal, name, None)
             if number is not None and signal.getsignal(number) is signal.SIG_DFL:
@@ -129,15 +129,15 @@ def install() -> None:
 def close_at_exit(link: Closable) -> None:
     """Close `link` when the process ends."""
     _open.add(link)
-    install()
+    install_handlers()
 
 
-def at_end(work: Callable[[], None]) -> None:
+def call_at_end(work: Callable[[], None]) -> None:
     """Call `work` when the process ends, after the links were closed; once for each function."""
     _last.add(work)
 
 
-def forget(link: Closable) -> None:
+def forget_link(link: Closable) -> None:
     """Don't close `link` at exit, as it is closed."""
     _open.discard(link)
 
@@ -220,7 +220,7 @@ def _in_child() -> None:
     _signals.abandon()
     for link in _links():
         link.abandon()
-    for name in (*ENDING, *SUSPENDING):
+    for name in (*ENDING_SIGNALS, *SUSPENDING_SIGNALS):
         number = getattr(signal, name, None)
         if number is not None and signal.getsignal(number) in (_on_end, _on_suspend):
             signal.signal(number, signal.SIG_DFL)
@@ -267,7 +267,7 @@ class _Signals:
             if self._theirs != -1:
                 with contextlib.suppress(OSError):
                     os.write(self._theirs, numbers)
-            for name in ASKING:
+            for name in ASKING_SIGNALS:
                 number = getattr(signal, name)
                 handler = signal.getsignal(number)
                 if number not in numbers or handler is signal.SIG_IGN:

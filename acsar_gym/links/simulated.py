@@ -1,16 +1,42 @@
-"""A link to a simulated robot: emulated firmware on a Body."""
+"""Links to a simulated robot: emulated firmware on a Body, as fast as possible or in real time."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
-from acsar_gym.bodies import Body, GroundTruth
-from acsar_gym.bodies.base import Camera
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import LinkLostError
-from acsar_gym.firmware import Firmware
-from acsar_gym.links.base import Arrivals
+from acsar_gym.links.base import Arrivals, ForwardingLink, Link
+from acsar_gym.physics.body import Body, Camera, GroundTruth
+from acsar_gym.physics.firmware import Firmware
 from acsar_gym.worlds import Scene
+
+
+class PacedLink(ForwardingLink):
+    """Forwards to another link; `advance` doesn't return before its absolute deadline.
+
+    Clock and bytes are those of the inner link.
+
+    Args:
+        link: the inner link.
+    """
+
+    def __init__(self, link: Link) -> None:
+        super().__init__(link)
+        self._deadline = time.monotonic()
+
+    def reset(self, scene: Scene) -> None:
+        """Reset the link and restart the deadlines."""
+        super().reset(scene)
+        self._deadline = time.monotonic()
+
+    def advance(self, period: float) -> bytes:
+        """Advance the link, then wait for the deadline; missed deadlines are skipped."""
+        got = super().advance(period)
+        self._deadline = max(self._deadline + period, time.monotonic() - period)
+        time.sleep(max(0.0, self._deadline - time.monotonic()))
+        return got
 
 
 class SimulatedLink:

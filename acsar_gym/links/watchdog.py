@@ -26,6 +26,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import math
 import mmap
 import os
 import select
@@ -36,22 +37,31 @@ import tempfile
 import time
 from pathlib import Path
 
-from acsar_gym.errors import AHEAD, LinkError
-from acsar_gym.links.ports import MORE_FILES
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import BUSY_HINT, LinkError
+from acsar_gym.links.ports import MORE_FILES_ADVICE, OpenPort, PortLocation
 
-AVAILABLE = os.name == "posix"
+WATCHDOG_AVAILABLE = os.name == "posix"
 """Whether watchdogs work on this operating system."""
-PATIENCE = 5.0
+CHILD_TIMEOUT = 5.0
 """Longest wait for its start and its end [s]; usually 20 ms and 1 ms."""
-ASLEEP = 0.2
+ASLEEP_TIME = 0.2
 """It counts as halted if it didn't run during this driving time [s]: several times LONGEST."""
-TICK = 0.05
+LONGEST_TICK = 0.05
 """Most driving time counted between two commands [s]; a stalled machine delays both processes."""
-PROGRAM = Path(__file__).resolve().with_name("watchdog_child.py")
-STANDING = 0.0
+CHILD_PROGRAM = Path(__file__).resolve().with_name("watchdog_child.py")
+STANDING_BEAT = 0.0
 
-if AVAILABLE:
-    from acsar_gym.links.watchdog_child import AWAKE, BEAT, LEAVE, PAGE, STOOD, TRIPPED, clock
+if WATCHDOG_AVAILABLE:
+    from acsar_gym.links.watchdog_child import (
+        AWAKE,
+        BEAT,
+        LEAVE,
+        PAGE_SIZE,
+        STOOD,
+        TRIPPED,
+        boot_clock,
+    )
 
 
 class Watchdog:
@@ -89,7 +99,7 @@ class Watchdog:
             self._ready, ready = os.pipe()
             inherited.callback(os.close, ready)
             ours.callback(os.close, self._ready)
-            self._map = mmap.mmap(page, PAGE)
+            self._map = mmap.mmap(page, PAGE_SIZE)
             ours.callback(self._map.close)
             self._page = memoryview(self._map).cast("d")
             ours.callback(self._page.release)
@@ -101,7 +111,7 @@ class Watchdog:
         """Wait until it is ready; LinkError if that fails."""
         pipe = select.poll()
         pipe.register(self._ready, select.POLLIN)
-        if not pipe.poll(1000.0 * PATIENCE):
+        if not pipe.poll(1000.0 * CHILD_TIMEOUT):
             raise _failed("it doesn't answer")
         try:
             answer = os.read(self._ready, 1)
@@ -143,7 +153,7 @@ class Watchdog:
         """Give a sign of life while wheels turn; trips if the last one is too old."""
         if not self._driving or self._page[TRIPPED]:
             return
-        now = clock()
+        now = boot_clock()
         if (gap := now - self._page[BEAT]) > self._timeout:
             self._page[TRIPPED] = gap
         else:
@@ -156,9 +166,9 @@ class Watchdog:
         if self._page[AWAKE] != self._awake:
             self._awake, self._unseen = self._page[AWAKE], 0.0
         else:
-            self._unseen += min(now - self._drove, TICK)
+            self._unseen += min(now - self._drove, LONGEST_TICK)
         self._drove = now
-        if self._unseen > ASLEEP or not self.alive:
+        if self._unseen > ASLEEP_TIME or not self.alive:
             self._halted = True  # so that it is replaced at the next reset
             raise self._absent()
 
@@ -166,7 +176,7 @@ class Watchdog:
         """Call after a command that turns wheels; LinkError if the robot was stopped meanwhile."""
         if not self._driving and not self._page[TRIPPED]:
             self._driving = True
-            self._page[BEAT] = clock()
+            self._page[BEAT] = boot_clock()
         self.beat()
         if self._page[TRIPPED]:
             raise self._stopped()
@@ -175,9 +185,9 @@ class Watchdog:
         """Call after a zero command."""
         self._driving = False
         if self._resting:
-            self._page[STOOD] = clock()
+            self._page[STOOD] = boot_clock()
         if not self._page[TRIPPED]:
-            self._page[BEAT] = STANDING
+            self._page[BEAT] = STANDING_BEAT
 
     def rearm(self) -> None:
         """Allow driving again; from now on the last zero command is repeated.
@@ -186,8 +196,8 @@ class Watchdog:
         """
         self._driving = False
         self._resting = True
-        self._page[STOOD] = clock()
-        self._page[BEAT] = STANDING  # before TRIPPED, or it would trip on the old value
+        self._page[STOOD] = boot_clock()
+        self._page[BEAT] = STANDING_BEAT  # before TRIPPED, or it would trip on the old value
         self._page[TRIPPED] = 0.0
 
     def _absent(self) -> LinkError:
@@ -195,7 +205,7 @@ class Watchdog:
         why = "is suspended"
         if self._process.returncode is not None:
             why = "has ended"
-        elif self._unseen > ASLEEP:
+        elif self._unseen > ASLEEP_TIME:
             why = f"hasn't run for {self._unseen:.2f} s"
         return LinkError(
             f"the watchdog process {why} (PID {self.pid})",
@@ -205,10 +215,10 @@ class Watchdog:
     def _stopped(self) -> LinkError:
         """Return the error for a robot that the watchdog stopped."""
         # `stand` keeps BEAT after a trip: it is the time of the last sign of life.
-        silent = max(self._page[TRIPPED], clock() - self._page[BEAT])
+        silent = max(self._page[TRIPPED], boot_clock() - self._page[BEAT])
         return LinkError(
             f"the watchdog stopped the robot: nothing was commanded for {silent * 1000.0:.0f} ms",
-            f"find what held the program up, then reset; on a busy computer {AHEAD}",
+            f"find what held the program up, then reset; on a busy computer {BUSY_HINT}",
         )
 
     def search(self, name: str) -> None:
@@ -218,7 +228,7 @@ class Watchdog:
             if self._halted:
                 self._process.send_signal(signal.SIGCONT)
             self._process.returncode = 0  # don't wait for it: it may outlive this program
-            call_back(name)
+            end_searches(name)
             _searching[name] = self._process.pid
 
     def close(self) -> None:
@@ -227,13 +237,13 @@ class Watchdog:
             return
         self._page[LEAVE] = 1.0
         self._let_go()
-        deadline = time.monotonic() + PATIENCE
+        deadline = time.monotonic() + CHILD_TIMEOUT
         while self._runs() and time.monotonic() < deadline:
             time.sleep(0.001)
         if self._process.returncode is None:  # it would keep the port busy
             self._process.kill()
             with contextlib.suppress(subprocess.TimeoutExpired):
-                self._process.wait(PATIENCE)
+                self._process.wait(CHILD_TIMEOUT)
 
     def abandon(self) -> None:
         """Release the parent's watchdog in a forked child."""
@@ -252,7 +262,7 @@ if hasattr(os, "register_at_fork"):  # PIDs of the parent's children
     os.register_at_fork(after_in_child=_searching.clear)
 
 
-def call_back(name: str | None = None) -> None:
+def end_searches(name: str | None = None) -> None:
     """End the watchdogs that search for the port with this name, or all of them."""
     for each, process in list(_searching.items()):
         if name in (None, each):
@@ -271,7 +281,7 @@ def _memory() -> int:
     else:
         with tempfile.TemporaryFile() as file:
             page = os.dup(file.fileno())
-    os.ftruncate(page, PAGE)
+    os.ftruncate(page, PAGE_SIZE)
     return page
 
 
@@ -284,7 +294,7 @@ def _started(
     nowhere = subprocess.DEVNULL
     try:
         return subprocess.Popen(
-            [sys.executable, "-I", "-S", str(PROGRAM), *options, zeros.hex(), place],
+            [sys.executable, "-I", "-S", str(CHILD_PROGRAM), *options, zeros.hex(), place],
             stdin=nowhere,
             stdout=nowhere,
             stderr=nowhere,
@@ -299,9 +309,111 @@ def _started(
 def _failed(reason: str) -> LinkError:
     """Return the error for a watchdog that can't be started."""
     if any(os.strerror(code) in reason for code in (errno.EMFILE, errno.ENFILE)):
-        return LinkError(f"the watchdog can't be started ({reason})", MORE_FILES)
+        return LinkError(f"the watchdog can't be started ({reason})", MORE_FILES_ADVICE)
     return LinkError(
         f"the watchdog can't be started ({reason})",
-        f"check that {sys.executable or 'a Python'} can run {PROGRAM}; "
+        f"check that {sys.executable or 'a Python'} can run {CHILD_PROGRAM}; "
         "watchdog_timeout=None drives without one",
     )
+
+
+# Manages the watchdog of one link, if it has one.
+
+
+class WatchdogHandle:
+    """Starts, signals and ends the watchdog, if it is configured and the port can be shared.
+
+    Callers prevent concurrent calls from several threads, except for `wait`.
+
+    Attributes:
+        watchdog: the watchdog; None if there is none.
+        nap: longest sleep of the link between two `beat` calls [s].
+    """
+
+    def __init__(self, config: RobotConfig, location: PortLocation, zeros: bytes) -> None:
+        self._timeout = config.watchdog_timeout
+        self._location = location
+        self._zeros = zeros
+        self.watchdog: Watchdog | None = None
+        self.nap = math.inf
+
+    def start(self, port: OpenPort) -> None:
+        """Start the watchdog; LinkError if that fails."""
+        descriptor = port.fileno()
+        if self._timeout is None or not WATCHDOG_AVAILABLE or descriptor is None:
+            return
+        name = self._location.path if self._location.path and self._location.lasts else ""
+        self.watchdog = Watchdog(descriptor, self._zeros, self._timeout, name)
+        self.nap = self._timeout / 3.0
+
+    def renew(self, port: OpenPort) -> bool:
+        """Restart a watchdog that doesn't run any more; returns whether that was necessary."""
+        running = self.watchdog
+        if running is None or running.alive:
+            return False
+        self.watchdog = None
+        running.close()
+        self.start(port)
+        return True
+
+    def wait(self) -> None:
+        """Wait until the watchdog is ready; LinkError if that fails."""
+        if (running := self.watchdog) is not None:
+            running.wait()
+
+    @property
+    def alive(self) -> bool:
+        """Whether there is a watchdog and it runs."""
+        return (running := self.watchdog) is not None and running.alive
+
+    @property
+    def pid(self) -> int | None:
+        """PID of the watchdog; None if there is none."""
+        return None if (running := self.watchdog) is None else running.pid
+
+    def rearm(self) -> None:
+        """Allow driving again after the watchdog stopped the robot."""
+        if (running := self.watchdog) is not None:
+            running.rearm()
+
+    def beat(self) -> None:
+        """Signal that the program runs."""
+        if (running := self.watchdog) is not None:
+            running.beat()
+
+    def stand(self) -> None:
+        """Note that a zero command was sent."""
+        if (running := self.watchdog) is not None:
+            running.stand()
+
+    def drive(self) -> None:
+        """Call before a command that turns wheels; LinkError if the watchdog doesn't run."""
+        if (running := self.watchdog) is not None:
+            running.drive()
+
+    def driven(self) -> None:
+        """Call after a command that turns wheels; LinkError if the robot was stopped meanwhile."""
+        if (running := self.watchdog) is not None:
+            running.driven()
+
+    def end(self, *, lost: bool) -> None:
+        """End the watchdog; if the port is lost, it continues to search for it."""
+        running, self.watchdog = self.watchdog, None
+        if running is not None and lost:
+            running.search(self._name)
+        elif running is not None:
+            running.close()
+
+    def end_search(self) -> None:
+        """End a former search for the port; call once the port is there."""
+        end_searches(self._name)
+
+    def abandon(self) -> None:
+        """Release the watchdog without ending it, for a forked child."""
+        running, self.watchdog = self.watchdog, None
+        if running is not None:
+            running.abandon()
+
+    @property
+    def _name(self) -> str:
+        return self._location.path or self._location.name

@@ -32,37 +32,37 @@ LEAVE: 1 if the watchdog must end, as the program closes the port.
 STOOD: time of the program's last zero command; 0 before its first reset.
 AWAKE: time at which the watchdog last ran.
 """
-PAGE = 8 * SLOTS
+PAGE_SIZE = 8 * SLOTS
 
-LOOKS = 4
+CHECKS_PER_TIMEOUT = 4
 """Checks per time-out."""
-LONGEST = 0.05
+LONGEST_SLEEP = 0.05
 """Longest sleep between two checks [s]; the program takes it for suspended after a few of them."""
-STANDS = 0.1
+ZERO_INTERVAL = 0.1
 """Interval of repeating the zero command of a program that sends nothing [s]."""
 
-TURNS, TURN = 4, 0.0005
+WRITE_ATTEMPTS, WRITE_PAUSE = 4, 0.0005
 """Attempts to write, and the pause between them [s], while the program writes to the port."""
-REPEAT = 0.05
+REPEAT_INTERVAL = 0.05
 """Interval of repeated zero commands [s], as some may be lost."""
-REPEATS = 21
+HANG_ZEROS = 21
 """Number of zero commands while the program hangs."""
-LAST_WORDS = 7
+DEATH_ZEROS = 7
 """Smallest number of zero commands after the program died; then the port is released."""
-SEARCH = 60.0
+SEARCH_TIMEOUT = 60.0
 """Longest search for a lost port, or wait for the answer of a board [s]."""
-SEARCH_EVERY = 0.02
+SEARCH_INTERVAL = 0.02
 """Interval of the search [s]."""
-CHUNK = 4096
-IGNORED = ("SIGHUP", "SIGINT", "SIGQUIT", "SIGTERM", "SIGTSTP", "SIGTTIN", "SIGTTOU")
+ANSWER_CHUNK = 4096
+IGNORED_SIGNALS = ("SIGHUP", "SIGINT", "SIGQUIT", "SIGTERM", "SIGTSTP", "SIGTTIN", "SIGTTOU")
 
 
-def clock() -> float:
+def boot_clock() -> float:
     """Return the time [s]; unlike `time.monotonic`, it goes on while the computer is suspended."""
     return time.clock_gettime(getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC))
 
 
-class Board(Protocol):
+class ZeroReceiver(Protocol):
     """Receiver of zero commands."""
 
     def stop(self, wanted: Callable[[], bool] = ...) -> bool:
@@ -82,7 +82,7 @@ class Board(Protocol):
         """Whether another program has the port, or its name isn't known."""
 
 
-class Watch:
+class ProgramWatch:
     """Watches one program until it closes the port or dies.
 
     Args:
@@ -94,48 +94,53 @@ class Watch:
     """
 
     def __init__(
-        self, page: memoryview[float], lifeline: int, parent: int, timeout: float, board: Board
+        self,
+        page: memoryview[float],
+        lifeline: int,
+        parent: int,
+        timeout: float,
+        board: ZeroReceiver,
     ) -> None:
         self._page = page
         self._lifeline = lifeline
         self._parent = parent
         self._timeout = timeout
         self._board = board
-        self._pace = min(timeout / LOOKS, LONGEST)
-        self._due = clock() + self._pace
+        self._pace = min(timeout / CHECKS_PER_TIMEOUT, LONGEST_SLEEP)
+        self._due = boot_clock() + self._pace
         self._answered = 0.0
         self._repeats = 0
         self._until = 0.0
         self._said = 0.0
-        page[AWAKE] = clock()
+        page[AWAKE] = boot_clock()
 
     def run(self) -> None:
         """Watch until the program closes the port, or is dead and zeros have been sent."""
         pipe = select.poll()
         pipe.register(self._lifeline, select.POLLIN)
         while not self._page[LEAVE]:
-            wait = math.ceil(1000.0 * max(0.0, self._due - clock()))
+            wait = math.ceil(1000.0 * max(0.0, self._due - boot_clock()))
             if pipe.poll(wait) or os.getppid() != self._parent:
                 self._bury()
                 return
-            now = clock()
+            now = boot_clock()
             self._page[AWAKE] = now
             self._due = min(self._look(now), now + self._pace)
 
     def _bury(self) -> None:
         """Command zero for a program that is dead, or lost its port, or whose board is silent."""
-        deadline = time.monotonic() + SEARCH
+        deadline = time.monotonic() + SEARCH_TIMEOUT
         sent = 0
         while not self._page[LEAVE] and not self._board.taken and time.monotonic() < deadline:
             if self._board.stop():
                 sent += 1
-                if sent >= LAST_WORDS:
+                if sent >= DEATH_ZEROS:
                     if self._board.answers():
                         return
                     self._board.share()
-                time.sleep(REPEAT)
+                time.sleep(REPEAT_INTERVAL)
             elif not self._board.find():
-                time.sleep(SEARCH_EVERY)
+                time.sleep(SEARCH_INTERVAL)
 
     def _look(self, now: float) -> float:
         """Command zero if that is due; returns the time of the next check."""
@@ -148,17 +153,17 @@ class Watch:
                 return beat + self._timeout
             tripped = self._page[TRIPPED] = now - beat  # before the zeros: no command follows them
         if tripped != self._answered:  # the program may have found it, too
-            self._answered, self._repeats, self._until = tripped, REPEATS, now + SEARCH
+            self._answered, self._repeats, self._until = tripped, HANG_ZEROS, now + SEARCH_TIMEOUT
         return self._repeat(now)
 
     def _stand(self, now: float) -> float:
         """Repeat the last zero command if the program sends nothing, as it may have been lost."""
         stood = self._page[STOOD]
-        due = max(stood, self._said) + STANDS
+        due = max(stood, self._said) + ZERO_INTERVAL
         if stood and now >= due:
             self._said = now
             self._board.stop(lambda: not self._page[BEAT])
-        return due if now < due else now + STANDS
+        return due if now < due else now + ZERO_INTERVAL
 
     def _repeat(self, now: float) -> float:
         """Repeat zeros while the program hangs, also on a lost port once it is found."""
@@ -166,11 +171,11 @@ class Watch:
             return now + self._timeout
         if self._board.stop() or (self._board.find() and self._board.stop()):
             self._repeats -= 1
-            return now + REPEAT
-        return now + SEARCH_EVERY
+            return now + REPEAT_INTERVAL
+        return now + SEARCH_INTERVAL
 
 
-class Port:
+class SharedPort:
     """The port that the program shares, and the name under which it reappears."""
 
     taken = False
@@ -188,11 +193,11 @@ class Port:
         if not self._locked() or not wanted():
             return False
         with contextlib.suppress(OSError, termios.error):
-            for _ in range(TURNS):
+            for _ in range(WRITE_ATTEMPTS):
                 with contextlib.suppress(BlockingIOError):
                     os.write(self._descriptor, self._zeros)
                     return True
-                time.sleep(TURN)
+                time.sleep(WRITE_PAUSE)
             termios.tcflush(self._descriptor, termios.TCOFLUSH)
             os.write(self._descriptor, self._zeros)
             return True
@@ -211,7 +216,7 @@ class Port:
     def answers(self) -> bool:
         """Return whether anything has arrived."""
         with contextlib.suppress(OSError):
-            return bool(os.read(self._descriptor, CHUNK))
+            return bool(os.read(self._descriptor, ANSWER_CHUNK))
         return False
 
     def share(self) -> None:
@@ -253,13 +258,13 @@ def main() -> None:
     Arguments: port, page, lifeline, ready (descriptors), parent (PID), time-out [s], zeros (hex),
     place.
     """
-    for name in IGNORED:
+    for name in IGNORED_SIGNALS:
         signal.signal(getattr(signal, name), signal.SIG_IGN)
     port, page, lifeline, ready, parent = map(int, sys.argv[1:6])
     be_urgent()
-    memory = memoryview(mmap.mmap(page, PAGE)).cast("d")
-    board = Port(port, bytes.fromhex(sys.argv[7]), sys.argv[8])
-    watch = Watch(memory, lifeline, parent, float(sys.argv[6]), board)
+    memory = memoryview(mmap.mmap(page, PAGE_SIZE)).cast("d")
+    board = SharedPort(port, bytes.fromhex(sys.argv[7]), sys.argv[8])
+    watch = ProgramWatch(memory, lifeline, parent, float(sys.argv[6]), board)
     with contextlib.suppress(OSError):
         os.write(ready, b".")
     os.close(ready)

@@ -2,7 +2,6 @@
 
 from acsar_gym.recording.reader import read
 from acsar_gym.recording.recorder import Recorder
-from acsar_gym.recording.types import Episode, Recording
-from acsar_gym.recording.wire_log import WireLog
+from acsar_gym.recording.types import Episode, Recording, WireLog
 
 __all__ = ["Episode", "Recorder", "Recording", "WireLog", "read"]

@@ -13,20 +13,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.errors import ConfigError, MissingExtraError, RecordingWarning, shown
-from acsar_gym.reading.bounded import reason, replacing
+from acsar_gym.errors import ConfigError, MissingExtraError, RecordingWarning, show_value
+from acsar_gym.reading import explain_error, replace_file
 from acsar_gym.recording.reader import read
-from acsar_gym.recording.types import Episode, Recording
-from acsar_gym.recording.wire_log import Floats
+from acsar_gym.recording.types import Episode, Floats, Recording
 
-FORMATS = ("parquet", "csv", "minari")
-STORE = "MINARI_DATASETS_PATH"
+EXPORT_FORMATS = ("parquet", "csv", "minari")
+MINARI_FOLDER = "MINARI_DATASETS_PATH"
 """Environment variable with the folder in which Minari keeps its data sets."""
-Columns = dict[str, Any]
+TableColumns = dict[str, Any]
 """Arrays of one length by name."""
 
 
-def export(path: Path, to: str, folder: Path) -> list[Path]:
+def export_recording(path: Path, to: str, folder: Path) -> list[Path]:
     """Convert a recording.
 
     Args:
@@ -42,12 +41,12 @@ def export(path: Path, to: str, folder: Path) -> list[Path]:
             of an env for Minari.
         MissingExtraError: pyarrow or minari isn't installed.
     """
-    if to not in FORMATS:
-        raise ConfigError(f"--to {shown(to)}: must be one of {', '.join(FORMATS)}")
+    if to not in EXPORT_FORMATS:
+        raise ConfigError(f"--to {show_value(to)}: must be one of {', '.join(EXPORT_FORMATS)}")
     recording = read(path)
     if recording.cut:
         how = "is left out" if to == "minari" else "is incomplete"
-        last = f"the last episode {how}" if incomplete(recording) else "what followed is missing"
+        last = f"the last episode {how}" if is_incomplete(recording) else "what followed is missing"
         warnings.warn(f"{path}: the file is cut: {last}", RecordingWarning, stacklevel=2)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -56,21 +55,21 @@ def export(path: Path, to: str, folder: Path) -> list[Path]:
         write = _parquet if to == "parquet" else _csv
         return [
             write(folder / name, columns)
-            for name, columns in tables(recording).items()
+            for name, columns in make_tables(recording).items()
             if len(columns["episode"])
         ]
     except OSError as error:
-        raise ConfigError(f"{folder}: can't be written: {reason(error)}") from None
+        raise ConfigError(f"{folder}: can't be written: {explain_error(error)}") from None
 
 
-def tables(recording: Recording) -> dict[str, Columns]:
+def make_tables(recording: Recording) -> dict[str, TableColumns]:
     """Return the tables of a recording by name: ticks, wire, steps, scans.
 
     All have the number of the `episode`, `stamp` on the link's clock [s], and `time` on the wall
     clock of the first reset [ns since 1970], as in the file.
     """
     makers = {"ticks": _ticks, "wire": _wire, "steps": _steps, "scans": _scans}
-    found: dict[str, Columns] = {}
+    found: dict[str, TableColumns] = {}
     for name, make in makers.items():
         parts = [_timed(number, one, make(one)) for number, one in enumerate(recording.episodes)]
         parts = [part for part in parts if len(part["stamp"])] or parts[:1]
@@ -82,14 +81,14 @@ def tables(recording: Recording) -> dict[str, Columns]:
     return found
 
 
-def _timed(number: int, episode: Episode, columns: Columns) -> Columns:
+def _timed(number: int, episode: Episode, columns: TableColumns) -> TableColumns:
     """Add the columns that all tables have."""
     stamps = columns["stamp"]
     times = np.rint(stamps * 1e9).astype(np.int64) + episode.offset
     return {"episode": np.full(len(stamps), number), "time": times, **columns}
 
 
-def _ticks(episode: Episode) -> Columns:
+def _ticks(episode: Episode) -> TableColumns:
     """One row for each tick."""
     wheels = _named("speed", episode.speeds, "abcd")
     truth = _named("true", episode.truth, ("x", "y", "theta"))
@@ -106,7 +105,7 @@ def _ticks(episode: Episode) -> Columns:
     }
 
 
-def _wire(episode: Episode) -> Columns:
+def _wire(episode: Episode) -> TableColumns:
     """One row for each piece of bytes, in the order of time."""
     wire = episode.wire
     stamps = np.concatenate([wire.sent_stamps, wire.got_stamps])
@@ -116,7 +115,7 @@ def _wire(episode: Episode) -> Columns:
     return {"stamp": stamps[order], "direction": names[order], "bytes": texts[order]}
 
 
-def _steps(episode: Episode) -> Columns:
+def _steps(episode: Episode) -> TableColumns:
     """One row for each observation, with the action that led to it."""
     count = len(episode.step_stamps)
     first = np.full((min(count, 1), episode.actions.shape[1]), np.nan)
@@ -131,33 +130,33 @@ def _steps(episode: Episode) -> Columns:
     }
 
 
-def _scans(episode: Episode) -> Columns:
+def _scans(episode: Episode) -> TableColumns:
     """One row for each scan."""
     return {"stamp": episode.scans.stamps, **_numbered("range", episode.scans.ranges)}
 
 
-def _named(prefix: str, rows: Floats, names: Any) -> Columns:
+def _named(prefix: str, rows: Floats, names: Any) -> TableColumns:
     """The columns of rows by name."""
     lead = f"{prefix}_" if prefix else ""
     return {f"{lead}{name}": rows[:, number] for number, name in enumerate(names)}
 
 
-def _numbered(prefix: str, rows: NDArray[Any]) -> Columns:
+def _numbered(prefix: str, rows: NDArray[Any]) -> TableColumns:
     """The columns of rows by number."""
     return {f"{prefix}_{number}": rows[:, number] for number in range(rows.shape[1])}
 
 
-def _csv(path: Path, columns: Columns) -> Path:
+def _csv(path: Path, columns: TableColumns) -> Path:
     """Write a table as CSV."""
     path = path.with_suffix(".csv")
-    with replacing(path) as new, new.open("w", newline="", encoding="utf-8") as file:
+    with replace_file(path) as new, new.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(columns)
         writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
     return path
 
 
-def _parquet(path: Path, columns: Columns) -> Path:
+def _parquet(path: Path, columns: TableColumns) -> Path:
     """Write a table as Parquet."""
     try:
         import pyarrow as pa  # noqa: PLC0415 - optional
@@ -165,7 +164,7 @@ def _parquet(path: Path, columns: Columns) -> Path:
     except ImportError:
         raise MissingExtraError("export to Parquet", "export") from None
     path = path.with_suffix(".parquet")
-    with replacing(path) as new:
+    with replace_file(path) as new:
         parquet.write_table(pa.table(columns), new)
     return path
 
@@ -180,7 +179,7 @@ def _minari(recording: Recording, path: Path, folder: Path) -> Path:
         raise MissingExtraError("export to Minari", "export") from None
     buffers = [EpisodeBuffer(**told) for told in _episodes(recording)]
     if not buffers:
-        what = "whole episode" if incomplete(recording) else "steps"
+        what = "whole episode" if is_incomplete(recording) else "steps"
         raise ConfigError(f"{path}: holds no {what} of an env: record an env, run or evaluate")
     name = "".join(c if c.isalnum() else "-" for c in path.stem).strip("-") or "recording"
     width = recording.episodes[0].observations.shape[1]
@@ -196,33 +195,33 @@ def _minari(recording: Recording, path: Path, folder: Path) -> Path:
                 description=f"Recorded by acsar_gym {_version(recording.header)}.",
             )
     except ValueError as error:  # it is there already
-        raise ConfigError(f"{folder}: can't be written: {reason(error)}") from None
+        raise ConfigError(f"{folder}: can't be written: {explain_error(error)}") from None
     return folder / "acsar" / f"{name}-v0"
 
 
 @contextlib.contextmanager
 def _stored_in(folder: Path) -> Iterator[None]:
     """Let Minari write to a folder, without its warnings about authors, as a context manager."""
-    before = os.environ.get(STORE)
-    os.environ[STORE] = str(folder.absolute())
+    before = os.environ.get(MINARI_FOLDER)
+    os.environ[MINARI_FOLDER] = str(folder.absolute())
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             yield
     finally:
-        os.environ.pop(STORE)
+        os.environ.pop(MINARI_FOLDER)
         if before is not None:
-            os.environ[STORE] = before
+            os.environ[MINARI_FOLDER] = before
 
 
-def incomplete(recording: Recording) -> bool:
+def is_incomplete(recording: Recording) -> bool:
     """Whether the last episode is incomplete, because the file is cut."""
     return recording.cut and not recording.episodes[-1].terminated
 
 
 def _episodes(recording: Recording) -> Iterator[dict[str, Any]]:
     """The arguments of Minari's buffers, one for each episode with steps."""
-    whole = len(recording.episodes) - incomplete(recording)
+    whole = len(recording.episodes) - is_incomplete(recording)
     for number, one in enumerate(recording.episodes[:whole]):
         count = len(one.actions)
         if not count or len(one.observations) != count + 1 or len(one.rewards) != count:

@@ -4,28 +4,145 @@ from __future__ import annotations
 
 import contextlib
 import os
+import threading
 import time
 import warnings
 from collections import deque
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Protocol, Self
 
+from acsar_gym import reading
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, RecordingWarning
 from acsar_gym.recording import target
-from acsar_gym.recording.encoder import Encoder
-from acsar_gym.recording.events import Began, Clock, Event, Exchange
-from acsar_gym.recording.header import header
-from acsar_gym.recording.mcap_file import McapFile
-from acsar_gym.recording.writer import Sink, Writer
+from acsar_gym.recording.encoder import Began, Clock, Encoder, Event, Exchange, Message
+from acsar_gym.recording.messages import make_header
+from acsar_gym.recording.sinks import McapFile
 
-CAPACITY = 20_000
+WRITER_PAUSE = 0.02
+"""How often the writer looks for events [s]."""
+WRITER_BATCH = 16
+"""Events that the writer handles at once, so that the control loop never waits for it."""
+WRITER_YIELD = 0.0002
+"""How long it lets others run after each piece [s]."""
+FLUSH_PERIOD = 0.5
+"""How often what was written is made safe from crashes [s]."""
+HANG_WAIT = 1.0
+"""How often the end looks whether the writer makes progress [s]."""
+HANG_WAITS = 10
+"""A writer that has made none in so many looks hangs; a program that was stopped loses only one."""
+
+
+class Sink(Protocol):
+    """Something that takes messages: a file, or viewers."""
+
+    def add(self, message: Message) -> None:
+        """Take a message."""
+
+    def flush(self) -> None:
+        """Pass on what was added."""
+
+    def close(self, end: Mapping[str, Any]) -> None:
+        """End; `end` has the number of dropped events."""
+
+    def abandon(self) -> None:
+        """End after an error; raises nothing."""
+
+
+class WriterThread(threading.Thread):
+    """Encodes events and passes the messages on.
+
+    Attributes: `dropped`, events that were dropped; `pid`, the process that it belongs to.
+
+    Args:
+        queue: of events.
+        encoder: makes messages.
+        sinks: take them.
+    """
+
+    def __init__(self, queue: deque[Event], encoder: Encoder, sinks: Sequence[Sink]) -> None:
+        super().__init__(name="acsar_gym recorder", daemon=True)
+        self.dropped = 0
+        self.pid = os.getpid()
+        self._queue = queue
+        self._encoder = encoder
+        self._sinks = sinks
+        self._error: Exception | None = None
+        self._progress = 0
+        self._hangs = False
+        self._ending = threading.Event()
+
+    def run(self) -> None:
+        """Work until the end."""
+        due = time.monotonic() + FLUSH_PERIOD
+        while not self._ending.wait(WRITER_PAUSE):
+            self._empty()
+            if time.monotonic() >= due:
+                self._guarded(self._flush)
+                due = time.monotonic() + FLUSH_PERIOD
+        self._empty()
+        self._guarded(self._close)
+        for sink in self._sinks if self._error else ():
+            sink.abandon()
+
+    def finish(self) -> None:
+        """Write what waits, and end, however long it takes; one that hangs is left to itself."""
+        self._ending.set()
+        looks = 0
+        while self.is_alive() and looks < HANG_WAITS:
+            before = self._progress
+            self.join(HANG_WAIT)
+            looks = looks + 1 if self._progress == before else 0
+        self._hangs = self.is_alive()
+
+    @property
+    def problem(self) -> str | None:
+        """Why writing has failed; None where it hasn't."""
+        if self._error is None:
+            hung = f"can't be written: writing has hung for {HANG_WAIT * HANG_WAITS:g} s"
+            return f"{hung}; what waits is lost if the program ends now" if self._hangs else None
+        why = reading.explain_error(self._error)
+        return f"can't be written: {why}; what follows isn't recorded"
+
+    def _empty(self) -> None:
+        """Write what waits in the queue now, piece by piece."""
+        queue = self._queue
+        for _ in range(len(queue) // WRITER_BATCH + 1):
+            events = [queue.popleft() for _ in range(min(WRITER_BATCH, len(queue)))]
+            self._guarded(self._write, events)
+            time.sleep(WRITER_YIELD)
+
+    def _write(self, events: Sequence[Event]) -> None:
+        for message in self._encoder.encode(events, self.dropped):
+            for sink in self._sinks:
+                sink.add(message)
+            self._progress += 1
+
+    def _flush(self) -> None:
+        for sink in self._sinks:
+            sink.flush()
+
+    def _close(self) -> None:
+        for sink in self._sinks:
+            sink.close({"dropped": self.dropped})
+
+    def _guarded(self, work: Any, *arguments: Any) -> None:
+        """Do something; after the first error nothing is written any more."""
+        if self._error is None:
+            try:
+                work(*arguments)
+                self._progress += 1
+            except Exception as error:  # noqa: BLE001 - told by `problem`; the robot drives on
+                self._error = error
+
+
+QUEUE_CAPACITY = 20_000
 """Most events that wait for the writer: at 100 Hz more than a minute's."""
-PATIENCE = 10.0
+WRITER_TIMEOUT = 10.0
 """Longest wait of a simulation for the writer [s]; from then on it drops, too."""
-WAIT = 0.001
+ROOM_POLL = 0.001
 """How often a simulation looks whether the writer has caught up [s]."""
 
 
@@ -53,7 +170,7 @@ class Recorder:
         path: str | os.PathLike[str] | None,
         about: Mapping[str, Any] | None = None,
         sinks: Sequence[Sink] = (),
-        capacity: int = CAPACITY,
+        capacity: int = QUEUE_CAPACITY,
     ) -> None:
         self.path = None if path is None else Path(path)
         self.about = dict(about or {})
@@ -65,7 +182,7 @@ class Recorder:
         self._capacity = capacity
         self._queue: deque[Event] = deque()
         self._info: Mapping[str, Any] = {}
-        self._writer: Writer | None = None
+        self._writer: WriterThread | None = None
         self._closed = False
         self._clock_due = 0.0
         self._waits = False
@@ -82,7 +199,7 @@ class Recorder:
         if self._closed:
             raise ConfigError(f"{self._name}: this recording has ended: make another one")
         if self._writer is None and self.path is not None:
-            target.check(self.path, source)
+            target.check_target(self.path, source)
 
     def open(self, config: RobotConfig) -> None:
         """Open the file and start the writer; idempotent.
@@ -101,10 +218,10 @@ class Recorder:
             self._tell(self._writer)
             return
         if self.path is not None:
-            self._sinks.append(McapFile(self.path, header(config, self.about)))
-        self._writer = Writer(self._queue, Encoder(config), self._sinks)
+            self._sinks.append(McapFile(self.path, make_header(config, self.about)))
+        self._writer = WriterThread(self._queue, Encoder(config), self._sinks)
         self._writer.start()
-        _running.add(self)
+        _open_recorders.add(self)
 
     def describe(self, info: Mapping[str, Any]) -> None:
         """Say something about the next episode.
@@ -155,12 +272,12 @@ class Recorder:
     def _has_room(self) -> bool:
         """Whether there is room; for a simulation once the writer has caught up."""
         writer = self._writer
-        for _ in range(int(PATIENCE / WAIT) if self._waits else 0):
+        for _ in range(int(WRITER_TIMEOUT / ROOM_POLL) if self._waits else 0):
             if writer is None or not writer.is_alive():
                 return False
             if len(self._queue) < self._capacity:
                 return True
-            time.sleep(WAIT)
+            time.sleep(ROOM_POLL)
         self._waits = False  # a disk that doesn't answer
         return False
 
@@ -175,12 +292,12 @@ class Recorder:
         """
         writer, self._writer = self._writer, None
         self._closed = self._closed or writer is not None
-        _running.discard(self)
+        _open_recorders.discard(self)
         if writer is not None and writer.pid == os.getpid():
             writer.finish()
             self._tell(writer)
 
-    def _tell(self, writer: Writer) -> None:
+    def _tell(self, writer: WriterThread) -> None:
         """Warn once where writing has failed."""
         problem = writer.problem
         if problem is not None and self.problem is None:
@@ -203,11 +320,11 @@ class Recorder:
         self.close()
 
 
-_running: set[Recorder] = set()
+_open_recorders: set[Recorder] = set()
 
 
-def close_all() -> None:
+def close_recorders() -> None:
     """Finish all recordings, for the end of the program; errors are ignored."""
-    for recorder in list(_running):
+    for recorder in list(_open_recorders):
         with contextlib.suppress(Exception):
             recorder.close()

@@ -7,9 +7,9 @@ import itertools
 import os
 from pathlib import Path
 
+from acsar_gym import reading
 from acsar_gym.errors import ConfigError
-from acsar_gym.reading import bounded
-from acsar_gym.recording.records import MAGIC
+from acsar_gym.recording.reader import MCAP_MAGIC
 
 try:
     import fcntl
@@ -17,7 +17,7 @@ except ImportError:  # not on Windows
     fcntl = None  # type: ignore[assignment]
 
 
-def check(path: Path, source: Path | None = None) -> None:
+def check_target(path: Path, source: Path | None = None) -> None:
     """Check that a recording may be written here; writes nothing.
 
     Args:
@@ -35,32 +35,32 @@ def check(path: Path, source: Path | None = None) -> None:
         if path.is_file() and not _is_recording(path):
             raise ConfigError(f"{path}: isn't a recording, so it isn't replaced: name another file")
     except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: can't be written: {bounded.reason(error)}") from None
+        raise ConfigError(f"{path}: can't be written: {reading.explain_error(error)}") from None
 
 
 def _is_recording(path: Path) -> bool:
     """Whether a file is an MCAP file, or empty."""
     with path.open("rb") as file:
-        return file.read(len(MAGIC)) in (b"", MAGIC)
+        return file.read(len(MCAP_MAGIC)) in (b"", MCAP_MAGIC)
 
 
-def opener(path: str, flags: int) -> int:
+def open_exclusively(path: str, flags: int) -> int:
     """Open a file for one recorder only, for `open(opener=...)`; an older recording is kept."""
-    file = _ours(path, flags)
+    file = _open_locked(path, flags)
     if not os.fstat(file).st_size:
         return file
     try:
         Path(path).rename(_free(Path(path)))
-        return _ours(path, flags)
+        return _open_locked(path, flags)
     finally:
         os.close(file)
 
 
-def _ours(path: str, flags: int) -> int:
+def _open_locked(path: str, flags: int) -> int:
     """Open and lock a file; it isn't emptied."""
-    file = bounded.opener(path, flags & ~os.O_TRUNC)
+    file = reading.open_nonblocking(path, flags & ~os.O_TRUNC)
     try:
-        _lock(file)
+        _lock_file(file)
     except OSError:
         os.close(file)
         raise
@@ -73,7 +73,7 @@ def _free(path: Path) -> Path:
     return next(name for name in numbered if not name.exists())
 
 
-def _lock(file: int) -> None:
+def _lock_file(file: int) -> None:
     """Lock a file, where the file system can; OSError where another recorder holds it."""
     if fcntl is None:
         return
@@ -85,7 +85,7 @@ def _lock(file: int) -> None:
         return
 
 
-def release(file: int) -> None:
+def unlock_file(file: int) -> None:
     """Unlock a file before it is closed, also for processes that were forked meanwhile."""
     if fcntl is not None:
         with contextlib.suppress(OSError):

@@ -23,11 +23,11 @@ Bounds = tuple[float, float, float, float]
 """(x_min, y_min, x_max, y_max) [m]."""
 Up = Literal["x", "y"]
 """Axis that points up in the picture: x, in which a robot starts driving, or y, as on a map."""
-FINE = 2
+SUPERSAMPLING = 2
 """Supersampling factor in each direction, for antialiasing."""
-FARTHEST = 1e4
+MAX_PIXEL = 1e4
 """Coordinates are clipped to this [fine pixels], as Pillow's time grows with a line's length."""
-SMALLEST, LARGEST = 64, 4096
+MIN_SIDE, MAX_SIDE = 64, 4096
 """Smallest and largest width and height of a picture [pixels]."""
 
 
@@ -86,21 +86,21 @@ class Canvas:
         """`ground` is a colour, or the `layer` of a canvas of the same size to start from."""
         pillow = _pillow()
         width, height = view.size
-        size = (FINE * width, FINE * height)
+        size = (SUPERSAMPLING * width, SUPERSAMPLING * height)
         self.view = view
         self.layer = (
             pillow.Image.new("RGB", size, ground) if isinstance(ground, tuple) else ground.copy()
         )
         """The picture at FINE times its width and height."""
         self._draw = pillow.ImageDraw.Draw(self.layer, "RGBA")
-        self._fine = replace(view, scale=FINE * view.scale, size=size)
+        self._fine = replace(view, scale=SUPERSAMPLING * view.scale, size=size)
 
     def _places(self, points: Floats, *, apart: float = 0.0) -> list[float]:
         """Return columns and rows in turn [fine pixels]; leaves out points closer than `apart`."""
         places = self._fine.pixels(points)
         if not np.isfinite(places).all():
             places = places[np.isfinite(places).all(axis=1)]
-        places = places.clip(-FARTHEST, FARTHEST)
+        places = places.clip(-MAX_PIXEL, MAX_PIXEL)
         if apart and len(places) > 2:
             places = _spaced(places, apart)
         flat: list[float] = places.ravel().tolist()
@@ -108,9 +108,9 @@ class Canvas:
 
     def line(self, points: Floats, colour: Colour, width: float) -> None:
         """Draw a line through points (N, 2); nothing for fewer than two."""
-        places = self._places(points, apart=1.5 * FINE)
+        places = self._places(points, apart=1.5 * SUPERSAMPLING)
         if len(places) >= 4:
-            self._draw.line(places, fill=colour, width=round(FINE * width))
+            self._draw.line(places, fill=colour, width=round(SUPERSAMPLING * width))
 
     def rays(self, start: Floats, ends: Floats, colour: Colour) -> None:
         """Draw thin lines from one point (1, 2) to many (N, 2)."""
@@ -141,7 +141,7 @@ class Canvas:
         """Draw a polygon with corners (N, 2)."""
         places = self._places(points)
         if len(places) >= 6:
-            self._draw.polygon(places, fill=fill, outline=edge, width=round(FINE * width))
+            self._draw.polygon(places, fill=fill, outline=edge, width=round(SUPERSAMPLING * width))
 
     def reveal(self, layer: Picture, points: Floats) -> None:
         """Copy the inside of a polygon with corners (N, 2) from a layer of the same size."""
@@ -163,14 +163,14 @@ class Canvas:
         least: float = 0.5,
     ) -> None:
         """Draw a disc of `radius` [m], but at least `least` pixels."""
-        size = max(radius * self._fine.scale, FINE * least)
+        size = max(radius * self._fine.scale, SUPERSAMPLING * least)
         for column, row in _pairs(self._places(np.array([place]))):
             box = (column - size, row - size, column + size, row + size)
-            self._draw.ellipse(box, fill=fill, outline=edge, width=round(FINE * width))
+            self._draw.ellipse(box, fill=fill, outline=edge, width=round(SUPERSAMPLING * width))
 
     def dots(self, points: Floats, radius: float, fill: Colour) -> None:
         """Draw discs of `radius` pixels around points (N, 2)."""
-        size = FINE * radius
+        size = SUPERSAMPLING * radius
         for column, row in _pairs(self._places(points)):
             self._draw.ellipse((column - size, row - size, column + size, row + size), fill=fill)
 
@@ -185,21 +185,29 @@ class Canvas:
         box: Colour,
     ) -> None:
         """Draw a scale bar of `length` m to the right of a pixel, with a label above it."""
-        left, low, tick = FINE * column, FINE * row, FINE * 4.0
+        left, low, tick = SUPERSAMPLING * column, SUPERSAMPLING * row, SUPERSAMPLING * 4.0
         right = left + length * self._fine.scale
-        top, pad = low - FINE * (size + 6.0), FINE * 4.0
+        top, pad = low - SUPERSAMPLING * (size + 6.0), SUPERSAMPLING * 4.0
         self._draw.rounded_rectangle((left - pad, top, right + pad, low + pad), pad, fill=box)
-        self._draw.line((left, low - tick, left, low, right, low, right, low - tick), colour, FINE)
+        self._draw.line(
+            (left, low - tick, left, low, right, low, right, low - tick), colour, SUPERSAMPLING
+        )
         self.text(
-            (column + (right - left) / FINE / 2.0, row - 4.0), words, size, colour, anchor="ms"
+            (column + (right - left) / SUPERSAMPLING / 2.0, row - 4.0),
+            words,
+            size,
+            colour,
+            anchor="ms",
         )
 
     def band(self, height: float, fill: Colour, edge: Colour) -> None:
         """Draw a strip along the top, with lines below it and around the picture."""
         right, low = self.layer.width - 1, self.layer.height - 1
-        self._draw.rectangle((0, 0, right, FINE * height), fill=fill)
-        self._draw.line((0, FINE * height, right, FINE * height), edge, FINE)
-        self._draw.rectangle((0, 0, right, low), outline=edge, width=FINE)
+        self._draw.rectangle((0, 0, right, SUPERSAMPLING * height), fill=fill)
+        self._draw.line(
+            (0, SUPERSAMPLING * height, right, SUPERSAMPLING * height), edge, SUPERSAMPLING
+        )
+        self._draw.rectangle((0, 0, right, low), outline=edge, width=SUPERSAMPLING)
 
     def text(
         self,
@@ -212,25 +220,25 @@ class Canvas:
         box: Colour | None = None,
     ) -> None:
         """Draw text at a pixel, on a box if `box` is a colour; `anchor` is Pillow's text anchor."""
-        at = (FINE * place[0], FINE * place[1])
-        font = _font(FINE * size)
+        at = (SUPERSAMPLING * place[0], SUPERSAMPLING * place[1])
+        font = _font(SUPERSAMPLING * size)
         if box is not None:
             left, top, right, low = self._draw.textbbox(at, words, font, anchor)
-            pad = FINE * 4.0
+            pad = SUPERSAMPLING * 4.0
             edges = (left - pad, top - pad, right + pad, low + pad)
             self._draw.rounded_rectangle(edges, radius=pad, fill=box)
         self._draw.text(at, words, colour, font, anchor)
 
     def picture(self) -> NDArray[np.uint8]:
         """Return the picture, (height, width, 3)."""
-        return np.array(self.layer.reduce(FINE))
+        return np.array(self.layer.reduce(SUPERSAMPLING))
 
 
-def shortened(words: str, size: float, room: float) -> str:
+def shorten_text(words: str, size: float, room: float) -> str:
     """Shorten text of a height [pixels] to fit into `room` pixels, with an ellipsis."""
-    font = _font(FINE * size)
+    font = _font(SUPERSAMPLING * size)
     kept = words
-    while kept and font.getlength(kept + "…" * (kept != words)) > FINE * room:
+    while kept and font.getlength(kept + "…" * (kept != words)) > SUPERSAMPLING * room:
         kept = kept[:-1]
     return kept if kept == words else kept + "…"
 
@@ -241,25 +249,25 @@ def round_length(most: float) -> float:
     return next(step * power for step in (5.0, 2.0, 1.0) if step * power <= most * (1.0 + 1e-9))
 
 
-def encode(image: NDArray[np.uint8]) -> bytes:
+def encode_png(image: NDArray[np.uint8]) -> bytes:
     """Encode a picture (height, width, 3) as PNG."""
     file = io.BytesIO()
     _pillow().Image.fromarray(image).save(file, "PNG")
     return file.getvalue()
 
 
-def check_size(name: str, size: tuple[int, int]) -> None:
+def check_picture_size(name: str, size: tuple[int, int]) -> None:
     """Raise ConfigError unless width and height are ints from SMALLEST to LARGEST [pixels]."""
     try:
         sound = len(size) == 2 and all(
-            SMALLEST <= side <= LARGEST and side == int(side) for side in size
+            MIN_SIDE <= side <= MAX_SIDE and side == int(side) for side in size
         )
     except (TypeError, ValueError):
         sound = False
     if not sound:
         raise ConfigError(
-            f"{name} = {size!r}: must be width and height, whole numbers of {SMALLEST} to "
-            f"{LARGEST} pixels"
+            f"{name} = {size!r}: must be width and height, whole numbers of {MIN_SIDE} to "
+            f"{MAX_SIDE} pixels"
         )
 
 

@@ -15,6 +15,8 @@ import os
 import re
 import select
 import socket
+import stat
+import sys
 import time
 import warnings
 from collections.abc import Iterator
@@ -22,33 +24,105 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
-from acsar_gym.errors import EmergencyStopError, LinkError, SafetyWarning
-from acsar_gym.safety.estop_folders import folders
+from acsar_gym.errors import EmergencyStopError, LinkError, SafetyWarning, escape_unprintable
 
-ANSWER = 2.0
+# The folders in which robots listen for an emergency stop; only their owner can use them.
+
+SESSION_FOLDERS = Path("/run/user")
+"""Has a folder for each user who is logged in, in which nobody else can create files."""
+SHARED_FOLDER = Path("/tmp")  # noqa: S108 - what is found there is checked
+"""A folder in which everybody can create files; it exists on every system."""
+FOLDER_VARIABLE = "ACSAR_GYM_RUNTIME_DIR"
+"""Environment variable that names a folder to use instead of these two."""
+MAX_FOLDER_PATH = 80
+"""Most bytes of a folder's path, because the address of a socket has at most 103 on every
+system."""
+
+
+def list_candidates() -> list[Path]:
+    """List the folders for sockets. Drivers listen in all of them, and a stop asks in all of them.
+
+    A process that was started before its user logged in knows only the shared folder. Where
+    another user has made a folder of that name there, only the session's folder works. Both paths
+    are the same in every environment of a user, unlike XDG_RUNTIME_DIR and TMPDIR.
+    """
+    name = f"acsar_gym-{os.getuid()}"
+    if os.environ.get(FOLDER_VARIABLE):
+        return [Path(os.environ[FOLDER_VARIABLE]) / name]
+    session = SESSION_FOLDERS / str(os.getuid())
+    return [*([session / name] if _is_ours(session) else []), SHARED_FOLDER / name]
+
+
+def _is_ours(path: Path) -> bool:
+    """Whether this is a folder in which nobody else can create files."""
+    try:
+        found = path.lstat()
+    except OSError:
+        return False
+    return stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o22
+
+
+def make_folder(path: Path) -> Path:
+    """Make a folder that only its owner can use, if it doesn't exist, and return its path.
+
+    Raises:
+        LinkError: it can't be made, its path is too long, or others can use it.
+    """
+    if len(os.fsencode(path)) > MAX_FOLDER_PATH:
+        raise LinkError(
+            f"{path}: too long for the address of a socket",
+            f"set {FOLDER_VARIABLE} to a folder of a shorter path",
+        )
+    try:
+        path.mkdir(mode=0o700, exist_ok=True)
+        found = path.lstat()
+    except OSError as error:
+        raise LinkError(f"{path}: can't be made a folder: {error.strerror}", "make room") from None
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
+        raise LinkError(
+            f"{path}: isn't a folder of yours alone",
+            f"remove it, or set {FOLDER_VARIABLE} to a folder of yours, in every terminal the same",
+        )
+    return path
+
+
+def find_folders() -> tuple[list[Path], list[LinkError]]:
+    """The folders that can be used, and the errors of the others."""
+    if not hasattr(socket, "AF_UNIX") or not hasattr(os, "getuid"):
+        return [], [LinkError("this operating system has no local sockets", "stop with Ctrl-C")]
+    usable, wrong = [], []
+    for path in list_candidates():
+        try:
+            usable.append(make_folder(path))
+        except LinkError as error:
+            wrong.append(error)
+    return usable, wrong
+
+
+ANSWER_TIMEOUT = 2.0
 """How long a stop waits for answers [s]; a control loop answers within a tick."""
-STOP = b"stop"
+STOP_REQUEST = b"stop"
 """Request to stop, or to stop the robot whose name follows; also the answer that it stopped."""
-HELD = b"held"
+HELD_ANSWER = b"held"
 """Answer to a stop: no robot is connected, and none will be driven."""
-RELEASE = b"release"
+RELEASE_REQUEST = b"release"
 """Request to release stops, or that of the robot whose name follows; also the answer that it is."""
-FREE = b"free"
+FREE_ANSWER = b"free"
 """Answer to a release: there was no stop."""
-WHO = b"who"
+WHO_REQUEST = b"who"
 """Request to tell the names of the robot."""
-OTHER = b"other"
+OTHER_ANSWER = b"other"
 """Beginning of the answer of a robot that wasn't meant, or was asked for its names."""
-LONGEST_REQUEST = 8192
+MAX_REQUEST_BYTES = 8192
 """Most bytes of a request or an answer."""
-MOST_LISTENERS = 1000
+MAX_LISTENERS = 1000
 """Listeners of processes with one id."""
-MOST_REQUESTS = 8
+MAX_REQUESTS = 8
 """Requests that are read in one tick."""
 
 
 @dataclass(frozen=True, slots=True)
-class Stopped:
+class StopResult:
     """The result of a stop for one process that drives a robot."""
 
     process: int
@@ -59,7 +133,7 @@ class Stopped:
 
 
 @dataclass(frozen=True, slots=True)
-class Released:
+class ReleaseResult:
     """The result of a release for one process that drives a robot."""
 
     process: int
@@ -68,7 +142,7 @@ class Released:
 
 
 @dataclass(frozen=True, slots=True)
-class Driver:
+class DriverProcess:
     """A process that listens while it drives a robot."""
 
     process: int
@@ -103,7 +177,7 @@ class StopListener:
     held: ClassVar[list[StopListener]] = []
 
     def __init__(self, device: str = "", name: str = "", recording: str = "") -> None:
-        self._told = b"\t".join((OTHER, *map(os.fsencode, (device, name, recording))))
+        self._told = b"\t".join((OTHER_ANSWER, *map(os.fsencode, (device, name, recording))))
         real = os.path.realpath(device) if device.startswith("/") else device
         known = {device, os.path.basename(device), real, os.path.basename(real), name}  # noqa: PTH119
         self._names = {os.fsencode(each) for each in known if each} | {b"%d" % os.getpid()}
@@ -112,7 +186,7 @@ class StopListener:
         self._process = os.getpid()
         self._askers: list[tuple[socket.socket, str]] = []
         self.closed = False
-        usable, self.faults = folders()
+        usable, self.faults = find_folders()
         own = _free_name(usable)
         if not own:
             self.faults += [LinkError(f"{one}: no socket", "make it yours") for one in usable]
@@ -138,21 +212,21 @@ class StopListener:
         """Whether a stop of this robot has been requested; doesn't block."""
         for each in self._sockets if self._process == os.getpid() else ():
             with contextlib.suppress(OSError):  # no datagram
-                for _ in range(MOST_REQUESTS):
-                    self._hear(each, *each.recvfrom(LONGEST_REQUEST))
+                for _ in range(MAX_REQUESTS):
+                    self._hear(each, *each.recvfrom(MAX_REQUEST_BYTES))
         return bool(self._askers)
 
     def _hear(self, own: socket.socket, data: bytes, sender: str) -> None:
         """Take a request, and answer it at once where it isn't a stop of this robot."""
         request, _, names = data.partition(b" ")
         is_meant = not names or not self._names.isdisjoint(names.split(b"\0"))
-        if request == STOP and is_meant:
+        if request == STOP_REQUEST and is_meant:
             self.hold()
             self._askers.append((own, sender))
-        elif request == RELEASE and is_meant:
-            self._answer(own, RELEASE if self in self.held else FREE, sender)
+        elif request == RELEASE_REQUEST and is_meant:
+            self._answer(own, RELEASE_REQUEST if self in self.held else FREE_ANSWER, sender)
             self.release()
-        elif request in (STOP, RELEASE, WHO):
+        elif request in (STOP_REQUEST, RELEASE_REQUEST, WHO_REQUEST):
             self._answer(own, self._told, sender)
 
     def confirm(self, *, connected: bool = True) -> None:
@@ -162,7 +236,7 @@ class StopListener:
             connected: whether wheels have been commanded to stop; else there is no robot.
         """
         for own, sender in self._askers:
-            self._answer(own, STOP if connected else HELD, sender)
+            self._answer(own, STOP_REQUEST if connected else HELD_ANSWER, sender)
         self._askers = []
 
     @staticmethod
@@ -244,7 +318,7 @@ def _free_name(usable: list[Path]) -> str:
     Processes in containers that share a folder can have the same id. Empty where there is none, as
     in a folder of the real user after a change of the effective one.
     """
-    names = (f"{os.getpid()}-{number}" for number in range(1, MOST_LISTENERS + 1))
+    names = (f"{os.getpid()}-{number}" for number in range(1, MAX_LISTENERS + 1))
     return next((name for name in names if not any(_is_taken(path / name) for path in usable)), "")
 
 
@@ -274,7 +348,7 @@ def _bound(path: Path) -> socket.socket:
     return ours
 
 
-def stop_all(name: str = "", process: int = 0) -> list[Stopped]:
+def stop_all(name: str = "", process: int = 0) -> list[StopResult]:
     """Ask processes of this user that drive a robot to stop, and wait for the answers.
 
     Args:
@@ -289,12 +363,12 @@ def stop_all(name: str = "", process: int = 0) -> list[Stopped]:
         LinkError: no folder can be used.
     """
     return [
-        Stopped(number, answer in (STOP, HELD), answer != HELD)
-        for number, answer in _asked_by_name(STOP, name, process)
+        StopResult(number, answer in (STOP_REQUEST, HELD_ANSWER), answer != HELD_ANSWER)
+        for number, answer in _asked_by_name(STOP_REQUEST, name, process)
     ]
 
 
-def release_all(name: str = "") -> list[Released]:
+def release_all(name: str = "") -> list[ReleaseResult]:
     """Release the stops of processes of this user, which may drive again after their next reset.
 
     Args:
@@ -307,8 +381,8 @@ def release_all(name: str = "") -> list[Released]:
         LinkError: no folder can be used.
     """
     return [
-        Released(number, answer in (RELEASE, FREE), answer == RELEASE)
-        for number, answer in _asked_by_name(RELEASE, name)
+        ReleaseResult(number, answer in (RELEASE_REQUEST, FREE_ANSWER), answer == RELEASE_REQUEST)
+        for number, answer in _asked_by_name(RELEASE_REQUEST, name)
     ]
 
 
@@ -317,27 +391,27 @@ def _asked_by_name(request: bytes, name: str, process: int = 0) -> list[tuple[in
     real = os.path.realpath(name) if "/" in name else name
     names = b" " + os.fsencode(name) + b"\0" + os.fsencode(real) if name else b""
     found = _asked(request + names, process)
-    meant = {path: answer for path, answer in found.items() if not answer.startswith(OTHER)}
+    meant = {path: answer for path, answer in found.items() if not answer.startswith(OTHER_ANSWER)}
     return [(_process(path), meant[path]) for path in sorted(meant, key=_process)]
 
 
-def drivers() -> list[Driver]:
+def list_drivers() -> list[DriverProcess]:
     """List the processes of this user that drive a robot, by process id.
 
     Raises:
         LinkError: no folder can be used.
     """
     found = []
-    for path, answer in sorted(_asked(WHO).items(), key=lambda item: _process(item[0])):
+    for path, answer in sorted(_asked(WHO_REQUEST).items(), key=lambda item: _process(item[0])):
         _, *told = (*answer.split(b"\t", 3), b"", b"", b"")[:4]
-        since = max(map(_made_at, (folder / path for folder in folders()[0])), default=0.0)
-        found.append(Driver(_process(path), since, *map(os.fsdecode, told)))
+        since = max(map(_made_at, (folder / path for folder in find_folders()[0])), default=0.0)
+        found.append(DriverProcess(_process(path), since, *map(os.fsdecode, told)))
     return found
 
 
-def listens(process: int) -> bool:
+def is_listening(process: int) -> bool:
     """Whether a process of this user has a socket for stops; asks nobody."""
-    return any(_drivers(folder, process) for folder in folders()[0])
+    return any(_drivers(folder, process) for folder in find_folders()[0])
 
 
 def _made_at(path: Path) -> float:
@@ -350,7 +424,7 @@ def _made_at(path: Path) -> float:
 
 def _asked(request: bytes, process: int = 0) -> dict[str, bytes]:
     """Send a request to `_drivers`; returns the answers by name of the socket, b"" for none."""
-    usable, wrong = folders()
+    usable, wrong = find_folders()
     if not usable:
         raise wrong[0]
     asked: set[str] = set()
@@ -409,13 +483,105 @@ def _ask(asker: socket.socket, path: Path, request: bytes) -> bool:
 def _answers(askers: list[socket.socket], asked: set[str]) -> dict[str, bytes]:
     """Wait for answers; returns those that came in time, by name of the socket."""
     found: dict[str, bytes] = {}
-    deadline = time.monotonic() + ANSWER
+    deadline = time.monotonic() + ANSWER_TIMEOUT
     while not asked <= found.keys() and (left := deadline - time.monotonic()) > 0.0:
         ready, _, _ = select.select(askers, [], [], left)
         for asker in ready:
             with contextlib.suppress(OSError, TypeError):
-                answer, sender = asker.recvfrom(LONGEST_REQUEST)
-                if answer != FREE:  # of two sockets of one listener, the other was asked first
+                answer, sender = asker.recvfrom(MAX_REQUEST_BYTES)
+                if (
+                    answer != FREE_ANSWER
+                ):  # of two sockets of one listener, the other was asked first
                     found.pop(Path(sender).name, None)
                 found.setdefault(Path(sender).name, answer)
     return found
+
+
+# The command `acsar-gym estop`; imports nothing slow, so that it acts soon.
+
+NOBODY_DRIVES = "no robot is being driven from this computer"
+
+
+def run_command(name: str = "", *, listing: bool = False, release: bool = False) -> int:
+    """Run `acsar-gym estop`: stop robots, release them, or list who drives them.
+
+    Args:
+        name: as for `stop_all`.
+        listing: only list.
+        release: release instead of stopping.
+
+    Returns:
+        The exit code.
+    """
+    try:
+        if listing:
+            return _list()
+        return _release(name) if release else _stop(name)
+    except LinkError as error:
+        print(f"acsar-gym: {escape_unprintable(str(error))}", file=sys.stderr)
+        return error.exit_code
+
+
+def _stop(name: str) -> int:
+    """Stop robots and print the results."""
+    found = stop_all(name)
+    for each in found:
+        if not each.answered:
+            said = "doesn't answer: its watchdog stops wheels that turn, and it stops when it hears"
+        elif each.connected:
+            said = "stopped"
+        else:
+            said = "isn't connected to its robot, and won't drive it when it is"
+        print(f"process {each.process}: {said}")
+    if not found:
+        _say_nobody(name)
+    return 0 if found and all(each.answered for each in found) else 1
+
+
+def _release(name: str) -> int:
+    """Release robots and print the results."""
+    found = release_all(name)
+    for each in found:
+        said = "released: it drives after its next reset" if each.was_stopped else "wasn't stopped"
+        said = said if each.answered else "doesn't answer: it is released when it hears"
+        print(f"process {each.process}: {said}")
+    if not found:
+        _say_nobody(name)
+    return 0 if found and all(each.answered for each in found) else 1
+
+
+def _say_nobody(name: str) -> None:
+    """Print that nobody drives a robot, or nobody the one of this name."""
+    if name and list_drivers():
+        print(f"no robot {escape_unprintable(name)} is being driven from this computer; these are:")
+        _list()
+    else:
+        print(NOBODY_DRIVES)
+
+
+def _list() -> int:
+    """Print who drives a robot; exit code 1 where nobody does."""
+    found = list_drivers()
+    for each in found:
+        since = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(each.since))
+        robot = each.device or "doesn't answer"
+        called = f" ({escape_unprintable(each.name)})" if each.name else ""
+        print(f"{escape_unprintable(robot)}{called}: process {each.process}, since {since}")
+    if not found:
+        print(NOBODY_DRIVES)
+    return 0 if found else 1
+
+
+def main(arguments: list[str]) -> int | None:
+    """Run `acsar-gym estop` with a name, --list or --release; None for other arguments.
+
+    Args:
+        arguments: of the command line, without "estop".
+    """
+    options = [each for each in arguments if each.startswith("-")]
+    names = [each for each in arguments if not each.startswith("-")]
+    if len(names) > 1 or options not in ([], ["--list"], ["--release"]):
+        return None
+    if options == ["--list"] and names:
+        return None
+    return run_command(*names, listing="--list" in options, release="--release" in options)

@@ -13,9 +13,9 @@ from acsar_gym import kinematics
 from acsar_gym.config import Geofence, RobotConfig
 from acsar_gym.errors import CommandError, LinkError
 from acsar_gym.jit import record_of
-from acsar_gym.protocol import ZERO, Speeds, finite
+from acsar_gym.protocol import ZERO, Speeds, check_speeds
 from acsar_gym.safety import rules
-from acsar_gym.safety.rules import Memory, Reason
+from acsar_gym.safety.rules import Reason, SafetyMemory
 from acsar_gym.worlds import Pose
 
 Twist = tuple[float, float]
@@ -25,9 +25,9 @@ class Safety:
     """The safety layer of one robot. Every tick calls either `allowed` or `bounded` once."""
 
     def __init__(self, config: RobotConfig) -> None:
-        self._rules = rules.of(config)
+        self._rules = rules.make_rules(config)
         self._numbers = record_of(self._rules)
-        self._memory = record_of(Memory(), changes=True)
+        self._memory = record_of(SafetyMemory(), changes=True)
         self._speeds: Speeds = ZERO
         self.reset()
 
@@ -36,7 +36,7 @@ class Safety:
         self._memory["latched"] = 0.0
         self.halt(Reason.NONE)
         self.allowed(0.0, 0.0, (0.0, 0.0, 0.0), 0.0)  # loads compiled code before driving
-        rules.hold(0.0, 0.0, 0.0, self._memory, self._numbers)  # and that of `bounded`
+        rules.update_holds(0.0, 0.0, 0.0, self._memory, self._numbers)  # and that of `bounded`
 
     def fence(self, area: Geofence | None) -> None:
         """Replace the geofence, before an episode; None for no limit."""
@@ -89,13 +89,13 @@ class Safety:
         Returns:
             Four wheel speeds of zero.
         """
-        self._remember(Memory(reason=reason))
+        self._remember(SafetyMemory(reason=reason))
         self._speeds = ZERO
         return ZERO
 
-    def _remember(self, memory: Memory) -> None:
+    def _remember(self, memory: SafetyMemory) -> None:
         """Set all but `latched`, which an emergency stop may set at any time."""
-        for name, value in zip(Memory._fields[1:], memory[1:], strict=True):
+        for name, value in zip(SafetyMemory._fields[1:], memory[1:], strict=True):
             self._memory[name] = value
 
     def allowed(self, linear: float, angular: float, pose: Pose, feedback_age: float) -> Speeds:
@@ -116,7 +116,7 @@ class Safety:
         linear, angular = float(linear), float(angular)
         if not math.isfinite(linear + angular):
             raise CommandError(f"twist = ({linear}, {angular}): must be finite m/s and rad/s")
-        right, left = rules.tick(
+        right, left = rules.update_twist(
             linear, angular, pose[0], pose[1], feedback_age, self._memory, self._numbers
         )
         speeds = self._speeds
@@ -137,15 +137,15 @@ class Safety:
         Raises:
             CommandError: unless `speeds` are four finite numbers.
         """
-        a, b, c, d = finite(speeds)
-        reason = rules.hold(pose[0], pose[1], feedback_age, self._memory, self._numbers)
+        a, b, c, d = check_speeds(speeds)
+        reason = rules.update_holds(pose[0], pose[1], feedback_age, self._memory, self._numbers)
         if reason:
             return self.halt(Reason(int(reason)))
         own = self._rules
         top = _share(max(map(abs, (a, b, c, d))), -own.top, own.top)
         a, b, c, d = top * a, top * b, top * c, top * d
         radii = own.left_radius, own.right_radius
-        linear, angular = kinematics.twist(a, b, c, d, *radii, own.separation)
+        linear, angular = kinematics.compute_twist(a, b, c, d, *radii, own.separation)
         share = min(
             _share(linear, own.linear.min_velocity, own.linear.max_velocity),
             _share(angular, own.angular.min_velocity, own.angular.max_velocity),
@@ -153,8 +153,8 @@ class Safety:
         a, b, c, d = share * a, share * b, share * c, share * d
         limited = 0.0 if share * top == 1.0 else float(Reason.LIMITS)
         twist = share * linear, share * angular
-        sent = kinematics.twist(a, b, c, d, *radii, own.separation)
-        self._remember(Memory(0.0, limited, *twist, *twist, *sent))
+        sent = kinematics.compute_twist(a, b, c, d, *radii, own.separation)
+        self._remember(SafetyMemory(0.0, limited, *twist, *twist, *sent))
         self._speeds = ZERO
         return a, b, c, d
 

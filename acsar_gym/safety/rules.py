@@ -10,20 +10,110 @@ from enum import IntEnum
 from typing import Any, NamedTuple
 
 from acsar_gym import kinematics
-from acsar_gym.config import Geofence, RobotConfig
+from acsar_gym.config import Geofence, RobotConfig, SpeedLimits
 from acsar_gym.jit import jit, loop
-from acsar_gym.safety import limiter
-from acsar_gym.safety.limiter import Limits, limited
+
+# Limits on speed, acceleration and jerk, with the names and rules of ROS diff_drive_controller.
+#
+# The controller's SpeedLimiter limits a velocity by the two velocities before it: first jerk, then
+# acceleration, then velocity. In ROS 2 from Jazzy on, accelerations may differ between a robot that
+# goes forward and one that goes backward. These are pure functions, so that numba can compile them
+# for batches.
+
+NO_LIMIT = 1e18
+"""Number that stands for no limit."""
+
+
+class AxisLimits(NamedTuple):
+    """Limits of one axis; velocity, acceleration and jerk in m or rad, and s."""
+
+    min_velocity: float = -NO_LIMIT
+    max_velocity: float = NO_LIMIT
+    min_acceleration: float = -NO_LIMIT
+    """Of a robot that goes forward, with the next one."""
+    max_acceleration: float = NO_LIMIT
+    min_jerk: float = -NO_LIMIT
+    max_jerk: float = NO_LIMIT
+    min_reverse: float = -NO_LIMIT
+    """Acceleration of a robot that goes backward, with the next one."""
+    max_reverse: float = NO_LIMIT
+
+    @property
+    def free(self) -> bool:
+        """Whether nothing is limited."""
+        return self == AxisLimits()
+
+
+def read_limits(config: SpeedLimits, top: float = NO_LIMIT) -> AxisLimits:
+    """Convert the limits of one axis to numbers.
+
+    Args:
+        config: of the axis; a missing minimum is minus the maximum.
+        top: bounds the velocity in both directions [m/s or rad/s].
+    """
+    low, high = _range(config.min_velocity, config.max_velocity)
+    slower, faster = _range(config.min_acceleration, config.max_acceleration)
+    brakes = slower if config.max_deceleration is None else -abs(config.max_deceleration)
+    back, forth = config.max_acceleration_reverse, config.max_deceleration_reverse
+    if forth is None:
+        forth = faster if config.max_deceleration is None else config.max_deceleration
+    jerks = _range(config.min_jerk, config.max_jerk)
+    low, high = max(low, -top), min(high, top)
+    return AxisLimits(
+        low, high, brakes, faster, *jerks, slower if back is None else -abs(back), abs(forth)
+    )
+
+
+def _range(low: float | None, high: float | None) -> tuple[float, float]:
+    """Lower and upper limit; a missing lower one is minus the upper one."""
+    high = NO_LIMIT if high is None else high
+    return (-high if low is None else low), high
+
+
+def read_both_limits(config: RobotConfig) -> tuple[AxisLimits, AxisLimits]:
+    """Limits of a robot's linear and angular velocity, including the speeds of a full action."""
+    return (
+        read_limits(config.linear_limits, config.max_linear),
+        read_limits(config.angular_limits, config.max_angular),
+    )
+
+
+def is_unlimited(config: RobotConfig) -> bool:
+    """Whether the configuration has no limits beside the speeds of a full action."""
+    return read_limits(config.linear_limits).free and read_limits(config.angular_limits).free
+
+
+@jit
+def limit_velocity(wanted: float, last: float, before: float, dt: float, axis: AxisLimits) -> float:
+    """Compute the velocity that may follow the last two.
+
+    As in the ROS controller, jerk is the change of the change of velocity over 2 dt^2.
+
+    Args:
+        wanted: velocity of one axis [m/s or rad/s].
+        last: velocity one period ago.
+        before: velocity two periods ago.
+        dt: period [s].
+        axis: limits of the axis.
+    """
+    step, scale = last - before, 2.0 * dt * dt
+    change = min(max(wanted - last - step, axis.min_jerk * scale), axis.max_jerk * scale)
+    velocity = last + step + change
+    least = axis.min_acceleration if last > 0.0 else axis.min_reverse
+    most = axis.max_acceleration if last >= 0.0 else axis.max_reverse
+    rise = min(max(velocity - last, least * dt), most * dt)
+    return min(max(last + rise, axis.min_velocity), axis.max_velocity)
+
 
 STALE_SHARE = 0.8
 """Feedback older than this share of `feedback_timeout` stops the wheels until it is fresh again."""
-TELLABLE = 1e-9
+TWIST_TOLERANCE = 1e-9
 """A sent twist that differs by less than this counts as the one asked for [m/s, rad/s]."""
-SLACK = 1e-9
+TIME_SLACK = 1e-9
 """Tolerance for comparing ages, which are sums of periods [s]."""
 
-_sides = jit(kinematics.sides)
-_twist = jit(kinematics.twist)
+_sides = jit(kinematics.compute_sides)
+_twist = jit(kinematics.compute_twist)
 
 
 class Reason(IntEnum):
@@ -44,15 +134,15 @@ _LIMITS, _GEOFENCE, _STALE = 1.0, 2.0, 3.0
 """These reasons as floats, for compiled functions."""
 
 
-class Rules(NamedTuple):
+class SafetyRules(NamedTuple):
     """The numbers of a robot's configuration that the rules need; SI units."""
 
     period: float
     """Duration of a tick [s]."""
     free: bool
     """Whether only the speeds of a full action limit a twist."""
-    linear: Limits
-    angular: Limits
+    linear: AxisLimits
+    angular: AxisLimits
     min_x: float
     """Least x within the geofence [m]; this and the next three are infinite without one."""
     max_x: float
@@ -72,14 +162,14 @@ class Rules(NamedTuple):
     """Fastest wheel speed that may be sent [rad/s]."""
 
 
-def of(config: RobotConfig) -> Rules:
+def make_rules(config: RobotConfig) -> SafetyRules:
     """Take the rules' numbers from a robot's configuration."""
-    linear, angular = limiter.both(config)
+    linear, angular = read_both_limits(config)
     left_radius, right_radius = config.wheel_radii
     fence = config.geofence or Geofence()
-    return Rules(
+    return SafetyRules(
         period=config.period,
-        free=limiter.free(config),
+        free=is_unlimited(config),
         linear=linear,
         angular=angular,
         min_x=fence.min_x,
@@ -95,7 +185,7 @@ def of(config: RobotConfig) -> Rules:
     )
 
 
-class Memory(NamedTuple):
+class SafetyMemory(NamedTuple):
     """What the rules remember of a robot from tick to tick; all zeros at a reset."""
 
     latched: float = 0.0
@@ -117,7 +207,9 @@ class Memory(NamedTuple):
 
 
 @jit
-def held(memory: Memory, x: float, y: float, age: float, rules: Rules) -> tuple[float, float]:
+def find_holds(
+    memory: SafetyMemory, x: float, y: float, age: float, rules: SafetyRules
+) -> tuple[float, float]:
     """Reasons for which the wheels must not turn.
 
     Args:
@@ -132,14 +224,20 @@ def held(memory: Memory, x: float, y: float, age: float, rules: Rules) -> tuple[
     """
     inside = (rules.min_x <= x) & (x <= rules.max_x) & (rules.min_y <= y) & (y <= rules.max_y)
     latched = memory.latched if inside or memory.latched > 0.0 else _GEOFENCE
-    stale = _STALE if age > rules.stale + SLACK else 0.0
+    stale = _STALE if age > rules.stale + TIME_SLACK else 0.0
     return latched, (latched if latched > 0.0 else stale)
 
 
 @jit
-def allowed(
-    linear: float, angular: float, x: float, y: float, age: float, memory: Memory, rules: Rules
-) -> Memory:
+def limit_twist(
+    linear: float,
+    angular: float,
+    x: float,
+    y: float,
+    age: float,
+    memory: SafetyMemory,
+    rules: SafetyRules,
+) -> SafetyMemory:
     """Compute the twist that may be sent in this tick. A stop, (0, 0), is immediate.
 
     Args:
@@ -154,11 +252,11 @@ def allowed(
     Returns:
         The memory of this tick, with the twist.
     """
-    latched, reason = held(memory, x, y, age, rules)
+    latched, reason = find_holds(memory, x, y, age, rules)
     stands = (reason > 0.0) | ((linear == 0.0) & (angular == 0.0))
     ahead = _within(linear, memory.linear, memory.past_linear, rules.linear, rules)
     turn = _within(angular, memory.angular, memory.past_angular, rules.angular, rules)
-    return Memory(
+    return SafetyMemory(
         latched,
         reason,
         0.0 if stands else ahead,
@@ -171,23 +269,25 @@ def allowed(
 
 
 @jit
-def _within(wanted: float, last: float, before: float, axis: Limits, rules: Rules) -> float:
+def _within(
+    wanted: float, last: float, before: float, axis: AxisLimits, rules: SafetyRules
+) -> float:
     """The velocity of one axis that may follow the last two."""
     if rules.free:
         return min(max(wanted, axis.min_velocity), axis.max_velocity)
-    return limited(wanted, last, before, rules.period, axis)
+    return limit_velocity(wanted, last, before, rules.period, axis)
 
 
 @jit
-def wheels(linear: float, angular: float, rules: Rules) -> tuple[float, float]:
+def compute_wheels(linear: float, angular: float, rules: SafetyRules) -> tuple[float, float]:
     """Speeds of the right and the left wheels for a twist [rad/s]."""
     left, right = rules.left_radius, rules.right_radius
     return _sides(linear, angular, left, right, rules.separation, rules.top)
 
 
 @jit
-def told(
-    linear: float, angular: float, right: float, left: float, reason: float, rules: Rules
+def explain_sent(
+    linear: float, angular: float, right: float, left: float, reason: float, rules: SafetyRules
 ) -> tuple[float, float, float]:
     """Compute the twist of sent wheel speeds, and why it differs from the wanted one.
 
@@ -204,30 +304,30 @@ def told(
     """
     radii = rules.left_radius, rules.right_radius
     ahead, turn = _twist(right, left, left, right, radii[0], radii[1], rules.separation)
-    same = (abs(ahead - linear) < TELLABLE) & (abs(turn - angular) < TELLABLE)
+    same = (abs(ahead - linear) < TWIST_TOLERANCE) & (abs(turn - angular) < TWIST_TOLERANCE)
     return ahead, turn, (reason if reason > 0.0 else (0.0 if same else _LIMITS))
 
 
 @jit
-def silent(age: float, rules: Rules) -> bool:
+def is_silent(age: float, rules: SafetyRules) -> bool:
     """Whether feedback of this age [s] ends the episode."""
-    return age > rules.timeout + SLACK
+    return age > rules.timeout + TIME_SLACK
 
 
 # For a single robot, whose memory and rules are records; see `jit.record_of`.
 
 
 @loop
-def hold(x: float, y: float, age: float, memory: Any, rules: Any) -> float:
+def update_holds(x: float, y: float, age: float, memory: Any, rules: Any) -> float:
     """`held` for one robot, whose memory is changed; returns the reason of this tick."""
     own = memory[0]
-    own.latched, own.reason = held(own, x, y, age, rules[0])
+    own.latched, own.reason = find_holds(own, x, y, age, rules[0])
     reason: float = own.reason
     return reason
 
 
 @loop
-def tick(
+def update_twist(
     linear: float, angular: float, x: float, y: float, age: float, memory: Any, rules: Any
 ) -> tuple[float, float]:
     """`allowed` for one robot, whose memory is changed.
@@ -236,9 +336,9 @@ def tick(
         Speeds of the right and the left wheels [rad/s].
     """
     own, numbers = memory[0], rules[0]
-    after = allowed(linear, angular, x, y, age, own, numbers)
-    right, left = wheels(after.linear, after.angular, numbers)
-    ahead, turn, reason = told(linear, angular, right, left, after.reason, numbers)
+    after = limit_twist(linear, angular, x, y, age, own, numbers)
+    right, left = compute_wheels(after.linear, after.angular, numbers)
+    ahead, turn, reason = explain_sent(linear, angular, right, left, after.reason, numbers)
     own.latched, own.reason = after.latched, reason
     own.linear, own.angular = after.linear, after.angular
     own.past_linear, own.past_angular = after.past_linear, after.past_angular

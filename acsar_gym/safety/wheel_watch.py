@@ -16,32 +16,241 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterable
 
 from acsar_gym.config import BITS_PER_BYTE, LINE_BYTES, RobotConfig
 from acsar_gym.errors import WheelError
-from acsar_gym.protocol import WHEELS, ZERO, Speeds
-from acsar_gym.safety.wheel_bounds import FLOOR, WheelBounds, longest_delay, longest_lag
+from acsar_gym.protocol import MOTORS, WHEELS, ZERO, Speeds
 
-STILL = 0.2
+# Bounds of one wheel's speed: the lowest and the highest that its commands can explain.
+
+SLOWER_FACTOR = 2.0
+"""Lag, ramp and deadband may be worse than configured by this factor."""
+UNKNOWN_LAG = 0.45
+"""Longest lag of a wheel whose lag wasn't measured [s]; 0.3 s, and some room."""
+UNKNOWN_RAMP = 7.0
+"""Slowest ramp of a wheel whose ramp wasn't measured [rad/s^2]; 10 rad/s^2, and some room."""
+UNKNOWN_DEADBAND = 1.8
+"""Largest deadband of a wheel whose deadband wasn't measured [rad/s]; 1.5 rad/s, and some room."""
+UNKNOWN_DELAY = 0.25
+"""Longest delay of a board whose delay wasn't measured [s]; 0.2 s, and some room."""
+REACHED_SHARE = 0.5
+"""A wheel must reach this share of the lowest speed that is expected."""
+FASTER_FACTOR, FASTER_KNOWN = 1.4, 1.25
+"""A wheel may be faster than the highest expected speed by this factor, and one whose gain was
+measured."""
+SPEED_TOLERANCE, FINE_TOLERANCE = 0.5, 0.25
+"""Tolerance of a slow wheel [rad/s], and of one whose deadband was measured; a wheel that is too
+slow isn't found at commands up to twice this."""
+LEAST_EXCESS = 0.1
+"""Least excess over the highest expected speed that counts [rad/s]. From there to the tolerance it
+counts in part, so that it must last the longer."""
+DRAGGED_SHARE = 0.5
+"""A wheel may be dragged from its own speed towards that of the fastest one by this share; within
+its deadband, all the way."""
+STEADY_SHARE, PROOF_TIME = 0.05, 0.3
+"""Share by which a steady command may vary, and how long a wheel must turn at it as a proof [s]."""
+LEAST_PROGRESS = 0.5
+"""A wheel moves towards its command at this share of the slowest ramp and lag, at least."""
+
+
+class WheelBounds:
+    """The lowest and the highest speed [rad/s] that the commands of one wheel can explain.
+
+    Attributes: `low`, `high`; `gain` and `deadband`, as configured; `wrong`, for how long the wheel
+    has contradicted its commands [s].
+
+    Args:
+        config: Of the robot.
+        number: Of the wheel, 0 to 3.
+    """
+
+    def __init__(self, config: RobotConfig, number: int) -> None:
+        motor = config.motor.of_wheel(number)
+        known = [name for name in motor._fields if _is_measured(config, name, number)]
+        self._top = config.motor.max_speed
+        self.gain, self.deadband = motor.gain, motor.deadband
+        self._lag = max(
+            SLOWER_FACTOR * motor.time_constant, 0.0 if "time_constant" in known else UNKNOWN_LAG
+        )
+        slow = math.inf if "acceleration" in known else UNKNOWN_RAMP
+        self._ramp = min(motor.acceleration / SLOWER_FACTOR, slow)
+        self._dead = max(
+            SLOWER_FACTOR * motor.deadband, 0.0 if "deadband" in known else UNKNOWN_DEADBAND
+        )
+        self._faster = FASTER_KNOWN if "gain" in known else FASTER_FACTOR
+        self._floor = SPEED_TOLERANCE
+        if "deadband" in known:
+            self._floor = min(SPEED_TOLERANCE, max(FINE_TOLERANCE, config.encoder.quantum or 0.0))
+        self.reset()
+
+    def reset(self) -> None:
+        """Expect a wheel that stands."""
+        self._set_low = self._set_high = self.low = self.high = self.wrong = 0.0
+        self._before = self._asked = self._constant = 0.0
+        self._alive, self._proven = False, math.inf
+
+    def follow(self, high: float, low: float, passed: float) -> None:
+        """Update the bounds.
+
+        Args:
+            high: Highest command that can be in effect [rad/s].
+            low: Lowest one.
+            passed: Time since the last update [s].
+        """
+        self._asked = 0.5 * (high + low)
+        steady = high - low <= STEADY_SHARE * abs(self._asked)
+        self._constant = self._constant + passed if steady else 0.0
+        top, deadband, change = self._top, self._dead, self._ramp * passed
+        high, low = self.gain * high, self.gain * low
+        high, low = max(high, -top), min(low, top)
+        if -deadband <= high < 0.0:
+            high = 0.0
+        if 0.0 < low <= deadband:
+            low = 0.0
+        kept = math.exp(-passed / self._lag) if self._lag else 0.0
+        falls, rises = self._set_high - change, self._set_low + change
+        self._set_high = high = high if high > falls else falls
+        self._set_low = low = low if low < rises else rises
+        self.high = high if high > self.high else high + kept * (self.high - high)
+        self.low = low if low < self.low else low + kept * (self.low - low)
+
+    @property
+    def fastest(self) -> float:
+        """Highest absolute speed that the commands can explain [rad/s]."""
+        return self.high if self.high > -self.low else -self.low
+
+    def slowest(self, asked: float) -> float:
+        """Return the speed of the slowest wheel on its way to a command [rad/s]."""
+        return self.low if asked - self.low > self.high - asked else self.high
+
+    def forgive(self, speed: float) -> None:
+        """Also expect a wheel at this speed [rad/s], or one that stands, from now on."""
+        self._set_high = self.high = max(self.high, speed, 0.0)
+        self._set_low = self.low = min(self.low, speed, 0.0)
+        self.wrong, self._before = 0.0, speed
+
+    def may_stand(self, asked: float) -> bool:
+        """Return whether a wheel that has turned before may stand at a command [rad/s].
+
+        That is so within a deadband, below the weakest command that has been seen to turn it.
+        """
+        return self._alive and self.gain * asked <= self._dead and asked < self._proven
+
+    def _learn(self, speed: float) -> None:
+        """Note whether the wheel turns as commanded."""
+        asked = self._asked
+        if speed * asked > 0.0 and abs(speed) > max(
+            SPEED_TOLERANCE, REACHED_SHARE * self.gain * abs(asked)
+        ):
+            self._alive = True
+            if self._constant >= PROOF_TIME:
+                self._proven = min(self._proven, abs(asked))
+
+    def explains(self, speed: float) -> bool:
+        """Return whether the wheel's commands explain this speed [rad/s]."""
+        margin = REACHED_SHARE * REACHED_SHARE * self.fastest + SPEED_TOLERANCE
+        return self.low - margin <= speed <= self.high + margin
+
+    def lack(self, speed: float) -> float:
+        """Return what a speed [rad/s] lacks to agree with the commands, with sign; 0 if it does.
+
+        That it is too fast is `excess`'s affair.
+        """
+        if self.low > 0.0 and speed < REACHED_SHARE * self.low - self._floor:
+            return self.low - speed
+        if self.high < 0.0 and speed > REACHED_SHARE * self.high + self._floor:
+            return self.high - speed
+        away = self.low >= 0.0 > speed or self.high <= 0.0 < speed
+        return (
+            -speed
+            if away and self.fastest > 2.0 * SPEED_TOLERANCE and not self.explains(speed)
+            else 0.0
+        )
+
+    def excess(self, speed: float, lowest: float, highest: float) -> float:
+        """Return how much too fast a wheel is, as a share of its tolerance; 0 to 1.
+
+        Args:
+            speed: Measured [rad/s].
+            lowest: Lowest speed that any wheel can have [rad/s].
+            highest: Highest one.
+        """
+        own, other = (self.high, highest) if speed > 0.0 else (-self.low, -lowest)
+        own += (DRAGGED_SHARE if self.fastest > self._dead else 1.0) * (other - own)
+        excess = abs(speed) - self._faster * own - LEAST_EXCESS
+        return min(max(excess / (self._floor - LEAST_EXCESS), 0.0), 1.0)
+
+    def judge(self, lack: float | None, speed: float, passed: float, share: float = 1.0) -> float:
+        """Note what a speed lacks; a wheel that moves towards its command isn't wrong.
+
+        Args:
+            lack: What it lacks [rad/s], with sign; None where that isn't known now.
+            speed: Measured [rad/s].
+            passed: Time since the last call [s].
+            share: Of this time that counts, 0 to 1.
+
+        Returns:
+            For how long the wheel has been wrong [s].
+        """
+        self._learn(speed)
+        moved, self._before = speed - self._before, speed
+        if lack is None:
+            return self.wrong
+        moved = math.copysign(moved, moved * lack)
+        if (
+            lack
+            and moved < LEAST_PROGRESS * min(self._ramp, abs(lack) / (self._lag or passed)) * passed
+        ):
+            self.wrong += share * passed
+        elif self.wrong:
+            self.wrong = max(0.0, self.wrong - passed)
+        return self.wrong
+
+
+def longest_delay(config: RobotConfig) -> float:
+    """Return the longest time from a command to its effect that the board may add [s]."""
+    board = config.firmware
+    delay = board.command_delay + max(board.delay_samples, default=0.0)
+    return delay if "firmware.command_delay" in config.measured else max(delay, UNKNOWN_DELAY)
+
+
+def longest_lag(config: RobotConfig) -> float:
+    """Return the longest lag of the four wheels [s]."""
+    return max(_each(config, "time_constant"))
+
+
+def _each(config: RobotConfig, name: str) -> Iterable[float]:
+    """Return a motor value of all wheels."""
+    return (getattr(config.motor.of_wheel(n), name) for n in range(len(MOTORS)))
+
+
+def _is_measured(config: RobotConfig, name: str, number: int) -> bool:
+    """Return whether a value of a wheel's motor was measured."""
+    field = f"motor.{name}"
+    return field in config.measured or f"{field}.{MOTORS[number]}" in config.measured
+
+
+STILL_SPEED = 0.2
 """A wheel slower than this stands still, for messages [rad/s]."""
-MOVES = 0.4
+MOVING_SPEED = 0.4
 """A wheel that is faster than this proves that its command turns wheels [rad/s]."""
-QUARTER = 0.25
+BEHIND_SHARE = 0.25
 """A wheel is behind others where it has less than this share of their speed."""
-ADAPTER = 0.03
+ADAPTER_DELAY = 0.03
 """Longest delay of a USB adapter in both directions [s]; FTDI's is 16 ms each by default."""
-LOOK = 0.04
+CHECK_INTERVAL = 0.04
 """Interval of the checks [s]."""
-GAP = 0.05
+FEEDBACK_GAP = 0.05
 """Longest time without a new line in which the board can't have stopped its wheels [s]."""
-SHORTEST, LONGEST = 0.16, 0.2
+MIN_PATIENCE, MAX_PATIENCE = 0.16, 0.2
 """Bounds of how long a contradiction must last [s]."""
-UNEVEN = 0.125
+UNEVEN_SHARE = 0.125
 """Sides that answer at different rates turn a sound robot by up to this share of the speed by which
 its wheels are still to change."""
-MIRRORED = (1, 0, 3, 2)
+MIRRORED_WHEELS = (1, 0, 3, 2)
 """Numbers of the wheels on the other side."""
-SLACK = 1e-9
+WATCH_SLACK = 1e-9
 """Tolerance for comparing sums of periods [s]."""
 
 
@@ -57,11 +266,13 @@ class WheelWatch:
         self._device = device
         board, feedback = config.firmware, 1.0 / config.feedback_rate
         line = (LINE_BYTES + config.trailing_comma) * BITS_PER_BYTE / config.baud_rate
-        delay = 2.0 * (line + board.processing_time) + config.encoder.window + ADAPTER + feedback
-        self._look = max(LOOK, feedback)
-        self._gap = max(GAP, 2.5 * feedback)
+        delay = (
+            2.0 * (line + board.processing_time) + config.encoder.window + ADAPTER_DELAY + feedback
+        )
+        self._look = max(CHECK_INTERVAL, feedback)
+        self._gap = max(FEEDBACK_GAP, 2.5 * feedback)
         delay += longest_delay(config)
-        self._patience = min(max(SHORTEST, longest_lag(config) + LOOK), LONGEST)
+        self._patience = min(max(MIN_PATIENCE, longest_lag(config) + CHECK_INTERVAL), MAX_PATIENCE)
         self._wheels = [WheelBounds(config, n) for n in range(len(WHEELS))]
         self._turn = WheelBounds(config, 0)
         self._looks = max(2, math.ceil(delay / self._look))
@@ -101,10 +312,10 @@ class WheelWatch:
         self._since_line += dt
         if not fresh:
             return
-        if self._since_line > self._gap + SLACK:
+        if self._since_line > self._gap + WATCH_SLACK:
             self._forgive(measured)
         self._since_line = 0.0
-        if self._since_look + SLACK >= self._look:
+        if self._since_look + WATCH_SLACK >= self._look:
             self._check(measured, self._since_look)
             self._since_look = 0.0
 
@@ -133,18 +344,18 @@ class WheelWatch:
         for number, (wheel, speed) in enumerate(zip(wheels, measured, strict=True)):
             lack, share = wheel.lack(speed) or self._behind(number, measured), 1.0
             if crossed:
-                lack = measured[MIRRORED[number]] - speed
+                lack = measured[MIRRORED_WHEELS[number]] - speed
             elif not lack and any(self._last) and (excess := wheel.excess(speed, lowest, highest)):
                 lack, share = math.copysign(wheel.fastest, speed) - speed, excess
             worst = max(worst, wheel.judge(lack, speed, passed, share))
-        if worst + SLACK >= self._patience:
+        if worst + WATCH_SLACK >= self._patience:
             raise self._error(measured)
 
     def _is_crossed(self, measured: Speeds) -> bool:
         """Return whether the robot turns the other way than commands explain."""
         asked, turns = _turn_of(self._last), _turn_of(measured)
         change = max(max(wheel.high - wheel.low, wheel.fastest) for wheel in self._wheels)
-        margin = 0.5 * FLOOR + UNEVEN * change
+        margin = 0.5 * SPEED_TOLERANCE + UNEVEN_SHARE * change
         if asked * turns >= 0.0 or abs(asked) < margin:
             return False
         a, b, c, d = map(WheelBounds.slowest, self._wheels, self._last)
@@ -161,25 +372,25 @@ class WheelWatch:
         """
         other, asked = len(WHEELS) - 1 - number, self._last[number]
         own, pair = self._wheels[number], self._wheels[other]
-        if self._paired < self._looks or abs(asked) <= MOVES:
+        if self._paired < self._looks or abs(asked) <= MOVING_SPEED:
             return 0.0
         if asked * measured[other] <= 0.0:
             return None
         turns = min(abs(measured[other]) / pair.gain, abs(asked))
-        if turns <= MOVES or (own.deadband > pair.deadband and turns <= 2.0 * own.deadband):
+        if turns <= MOVING_SPEED or (own.deadband > pair.deadband and turns <= 2.0 * own.deadband):
             return 0.0
         if own.may_stand(abs(asked)):
             return 0.0
         expected = own.gain * math.copysign(turns, asked)
         ahead = measured[number] * math.copysign(1.0, asked)
-        return expected - measured[number] if ahead < QUARTER * abs(expected) else 0.0
+        return expected - measured[number] if ahead < BEHIND_SHARE * abs(expected) else 0.0
 
     def _error(self, measured: Speeds) -> WheelError:
         """Describe the wheel that has contradicted its commands for the longest time."""
         number = max(range(len(WHEELS)), key=lambda n: self._wheels[n].wrong)
         speed, asked = measured[number], self._last[number]
         which = f"{WHEELS[number]} {self._kind(number, measured)}"
-        if max(map(abs, measured)) < STILL:
+        if max(map(abs, measured)) < STILL_SPEED:
             which = "all wheels stand still"
         lasted = self._wheels[number].wrong
         return WheelError(
@@ -192,7 +403,7 @@ class WheelWatch:
     def _kind(self, number: int, measured: Speeds) -> str:
         """Say what is wrong with a wheel."""
         wheel, speed = self._wheels[number], measured[number]
-        if abs(speed) < STILL:
+        if abs(speed) < STILL_SPEED:
             return "stands still"
         if (other := self._swapped(number, measured)) is not None:
             return f"answers {WHEELS[other]}'s command"

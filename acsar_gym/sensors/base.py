@@ -9,10 +9,10 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.bodies.base import GroundTruth
 from acsar_gym.config import RobotConfig
 from acsar_gym.links.base import Link
 from acsar_gym.odometry import Odometry
+from acsar_gym.physics.body import GroundTruth
 from acsar_gym.worlds import Scene
 
 Floats = NDArray[np.float64]

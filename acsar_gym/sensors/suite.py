@@ -8,11 +8,11 @@ from typing import Any, overload
 
 import numpy as np
 
-from acsar_gym.bodies.base import GroundTruth
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, SensorError, shown, translate_errors
+from acsar_gym.errors import ConfigError, SensorError, show_value, translate_errors
 from acsar_gym.links.base import Link
 from acsar_gym.odometry import Odometry
+from acsar_gym.physics.body import GroundTruth
 from acsar_gym.sensors.base import LIDAR, Factory, Floats, Sensor
 from acsar_gym.worlds import Scene
 
@@ -38,7 +38,7 @@ class Sensors(Sequence[Sensor]):
         config: RobotConfig,
         odometry: Odometry,
     ) -> None:
-        made = [made_by(factory, link, config) for factory in wanted]
+        made = [make_sensor(factory, link, config) for factory in wanted]
         for sensor in made:
             sensor.follow(odometry)
         self._link = link
@@ -75,7 +75,7 @@ class Sensors(Sequence[Sensor]):
             rng: the env's generator.
         """
         for sensor in self._sensors:
-            with named(sensor):
+            with naming_sensor(sensor):
                 sensor.reset(scene, rng)
                 if sensor in self._polled:
                     sensor.poll(self._truth(), self._link.now())
@@ -84,7 +84,7 @@ class Sensors(Sequence[Sensor]):
         """Poll sensors with a clock of their own, after a tick."""
         truth, now = self._truth(), self._link.now()
         for sensor in self._polled:
-            with named(sensor):
+            with naming_sensor(sensor):
                 sensor.poll(truth, now)
 
     def read(self) -> Floats:
@@ -102,8 +102,8 @@ class Sensors(Sequence[Sensor]):
         truth, now = self._truth(), self._link.now()
         parts = []
         for sensor in self._sensors:
-            with named(sensor):
-                parts.append(checked(sensor, sensor.read(truth, now)))
+            with naming_sensor(sensor):
+                parts.append(check_numbers(sensor, sensor.read(truth, now)))
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def _truth(self) -> GroundTruth | None:
@@ -121,8 +121,8 @@ class Sensors(Sequence[Sensor]):
         """
         now = self._link.now()
         for sensor in self._sensors:
-            with named(sensor):
-                add_info(told, sensor, now)
+            with naming_sensor(sensor):
+                add_sensor_info(told, sensor, now)
 
     def close(self) -> None:
         """Close all of them, even where one raises; idempotent."""
@@ -133,16 +133,16 @@ class Sensors(Sequence[Sensor]):
 
 def _close(sensor: Sensor) -> None:
     """Close a sensor; SensorError where it raises an error."""
-    with named(sensor):
+    with naming_sensor(sensor):
         sensor.close()
 
 
-def named(sensor: Sensor) -> contextlib.AbstractContextManager[None]:
+def naming_sensor(sensor: Sensor) -> contextlib.AbstractContextManager[None]:
     """Turn errors that the sensor raises inside a block into a SensorError with its name."""
     return translate_errors(SensorError, lambda: f"sensor {sensor.name!r}")
 
 
-def made_by(factory: Any, link: Link, config: RobotConfig) -> Sensor:
+def make_sensor(factory: Any, link: Link, config: RobotConfig) -> Sensor:
     """Make a sensor with its factory; a ready sensor is returned.
 
     Args:
@@ -155,11 +155,15 @@ def made_by(factory: Any, link: Link, config: RobotConfig) -> Sensor:
         SensorError: the factory raises an error.
     """
     if not callable(factory) and not isinstance(factory, Sensor):
-        raise ConfigError(f"sensors: {shown(factory)} must be a subclass of Sensor or a factory")
-    with translate_errors(SensorError, lambda: f"sensors: {shown(factory)}"):
+        raise ConfigError(
+            f"sensors: {show_value(factory)} must be a subclass of Sensor or a factory"
+        )
+    with translate_errors(SensorError, lambda: f"sensors: {show_value(factory)}"):
         sensor = factory if isinstance(factory, Sensor) else factory(link, config)
     if not isinstance(sensor, Sensor):
-        raise ConfigError(f"sensors: {shown(sensor)}, made by {shown(factory)}, is no Sensor")
+        raise ConfigError(
+            f"sensors: {show_value(sensor)}, made by {show_value(factory)}, is no Sensor"
+        )
     check_layout(sensor)
     return sensor
 
@@ -169,10 +173,13 @@ def check_layout(sensor: Sensor) -> None:
     name, size = getattr(sensor, "name", None), getattr(sensor, "size", None)
     if not isinstance(name, str) or not name.isidentifier():
         raise ConfigError(
-            f"{type(sensor).__name__}.name = {shown(name)}: must be a word of letters, digits and _"
+            f"{type(sensor).__name__}.name = {show_value(name)}: must be a word of "
+            "letters, digits and _"
         )
     if not isinstance(size, int | np.integer) or isinstance(size, bool) or size < 1:
-        raise ConfigError(f"sensor {name!r}: size = {shown(size)} must be a whole number from 1")
+        raise ConfigError(
+            f"sensor {name!r}: size = {show_value(size)} must be a whole number from 1"
+        )
     try:
         low, high = sensor.bounds
         sound = bool((low <= high).all())
@@ -180,7 +187,8 @@ def check_layout(sensor: Sensor) -> None:
         sound = False
     if not sound:
         raise ConfigError(
-            f"sensor {name!r}: low = {shown(sensor.low)}, high = {shown(sensor.high)} must be "
+            f"sensor {name!r}: low = {show_value(sensor.low)}, high = "
+            f"{show_value(sensor.high)} must be "
             f"numbers or ({size},) arrays, low <= high"
         )
 
@@ -190,15 +198,15 @@ def check_names(sensors: Sequence[Sensor]) -> None:
     names = [sensor.name for sensor in sensors]
     for name in names:
         if names.count(name) > 1:
-            raise ConfigError(two_named(name))
+            raise ConfigError(duplicate_name(name))
 
 
-def two_named(name: str) -> str:
+def duplicate_name(name: str) -> str:
     """The message about two sensors with the same name."""
     return f"sensors: two are named {name!r}: give each a name of its own"
 
 
-def checked(sensor: Sensor, numbers: Any) -> Floats:
+def check_numbers(sensor: Sensor, numbers: Any) -> Floats:
     """Convert what a sensor has read to float64.
 
     Args:
@@ -219,19 +227,20 @@ def checked(sensor: Sensor, numbers: Any) -> Floats:
         )
     if not np.isfinite(array).all():
         raise SensorError(
-            f"sensor {sensor.name!r}: read() gave {shown(array.tolist())}: must be finite numbers"
+            f"sensor {sensor.name!r}: read() gave {show_value(array.tolist())}: must be "
+            "finite numbers"
         )
     return array.astype(np.float64, copy=False)
 
 
-def add_info(told: dict[str, float], sensor: Sensor, now: float) -> None:
+def add_sensor_info(told: dict[str, float], sensor: Sensor, now: float) -> None:
     """Add a sensor's info to the env's. ConfigError for a key that is there already."""
     for key, value in sensor.info(now).items():
-        unused(told, sensor, key)
+        check_info_key(told, sensor, key)
         told[key] = float(value)
 
 
-def unused(told: Mapping[str, Any], sensor: Sensor, key: str) -> None:
+def check_info_key(told: Mapping[str, Any], sensor: Sensor, key: str) -> None:
     """Raise ConfigError where info has the key already."""
     if key in told:
         raise ConfigError(

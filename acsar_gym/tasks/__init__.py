@@ -8,10 +8,10 @@ from acsar_gym.tasks.base import (
     State,
     Task,
 )
+from acsar_gym.tasks.episode import Assignment
 from acsar_gym.tasks.goal import PointGoal
 from acsar_gym.tasks.navigation import Barn, ObstacleGoal
 from acsar_gym.tasks.path import PathFollow
-from acsar_gym.tasks.spawn import Assignment
 
 __all__ = [
     "OBSERVATION_LIMIT",

@@ -173,7 +173,7 @@ class Task:
         raise NotImplementedError
 
 
-INFO = frozenset(
+RESERVED_INFO = frozenset(
     {
         "is_success",
         "odom_x",
@@ -197,7 +197,7 @@ INFO = frozenset(
     }
 )
 """Keys of info that a task's memory can't have."""
-METHODS = ("begin", "outcome", "reward", "observe")
+TASK_METHODS = ("begin", "outcome", "reward", "observe")
 """The methods of a task that a batch calls, and compiles where the task is compiled."""
 
 
@@ -206,12 +206,12 @@ def is_compiled(task: Task) -> bool:
     for one in type(task).__mro__:
         if "compiled" in vars(one):
             return bool(vars(one)["compiled"])
-        if any(name in vars(one) for name in METHODS):
+        if any(name in vars(one) for name in TASK_METHODS):
             return False
     return False
 
 
-def remembered(task: Task) -> Memory:
+def new_memory(task: Task) -> Memory:
     """Make a new episode's memory, with the first values and nothing of other episodes."""
     first = {
         name: value if isinstance(value, float | int) else copy.deepcopy(value)
@@ -220,7 +220,7 @@ def remembered(task: Task) -> Memory:
     return SimpleNamespace(**first)
 
 
-def told(task: Task) -> tuple[str, ...]:
+def info_names(task: Task) -> tuple[str, ...]:
     """Names of the memory that are keys of info."""
     return tuple(task.memory) if task.told is None else task.told
 
@@ -229,14 +229,14 @@ def told(task: Task) -> tuple[str, ...]:
 
 
 @compilable
-def within(x: float, y: float, radius: float, u: float, v: float) -> tuple[float, float]:
+def point_in_disc(x: float, y: float, radius: float, u: float, v: float) -> tuple[float, float]:
     """Map two uniform samples u, v of [0, 1) to a point of the disc around (x, y)."""
     distance, bearing = radius * math.sqrt(u), 2.0 * math.pi * v
     return x + distance * math.cos(bearing), y + distance * math.sin(bearing)
 
 
 @compilable
-def relative(
+def relative_point(
     x: float, y: float, cos: float, sin: float, other_x: float, other_y: float
 ) -> tuple[float, float]:
     """Transform a point into the frame of a pose.
@@ -257,7 +257,7 @@ def relative(
 
 
 @compilable
-def clearance(ranges: Floats, edges: Floats, most: float) -> float:
+def scan_clearance(ranges: Floats, edges: Floats, most: float) -> float:
     """Compute the least clearance of the footprint along the rays of a scan.
 
     Args:
@@ -275,6 +275,6 @@ def clearance(ranges: Floats, edges: Floats, most: float) -> float:
 
 
 @compilable
-def clipped(value: float, limit: float) -> float:
+def clip_to(value: float, limit: float) -> float:
     """Clip a value to -limit to limit."""
     return min(max(value, -limit), limit)

@@ -1,18 +1,271 @@
-"""One episode of a task in the single environment."""
+"""The episodes of a task.
+
+Draw world, start and goal, and call the task's methods in the single environment.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from acsar_gym.errors import TaskError, shown, translate_errors
-from acsar_gym.tasks.base import Info, Memory, Observation, Outcome, State, Task, remembered, told
-from acsar_gym.tasks.made import named
-from acsar_gym.tasks.spawn import Assignment
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import ConfigError, TaskError, WorldError, show_value, translate_errors
+from acsar_gym.jit import jit
+from acsar_gym.tasks.base import (
+    Goal,
+    Info,
+    Memory,
+    Observation,
+    Outcome,
+    State,
+    Task,
+    info_names,
+    new_memory,
+    point_in_disc,
+    relative_point,
+)
+from acsar_gym.tasks.factory import check_point, check_reset_options, task_name
+from acsar_gym.worlds import Pose, Region, World
+from acsar_gym.worlds.generators import Level
+from acsar_gym.worlds.pool import Pool, Source, check_world
+from acsar_gym.worlds.search import align_with_path, footprint_radius, sample_path, world_along
+from acsar_gym.worlds.world import Floats
+
+WORLD_DRAWS = 6
+"""How many uniform samples an episode in a world takes: world, start (2), heading, goal (2)."""
 
 
-def outcome_of(task: Task, state: State, memory: Memory) -> Outcome:
+@dataclass(frozen=True, slots=True)
+class Assignment:
+    """World, start, goal and path of one episode."""
+
+    goal: Goal
+    """The goal x, y in the odometry frame, in which the robot starts at the origin [m]."""
+    world: World | None = None
+    """Obstacles; None on an open floor."""
+    path: Floats | None = None
+    """(samples, 3): x [m], y [m] and direction [rad] of the path to follow, in the odometry
+    frame."""
+    length: float = math.nan
+    """Length of the world's own path from start to goal [m]; NaN where there is none."""
+    number: int = -1
+    """Number of the world: its generator's number, or its place in a list or folder; -1 for
+    none."""
+    start: Pose = (0.0, 0.0, 0.0)
+    """Where the robot starts: x [m], y [m], theta [rad] in the frame of the world."""
+
+    @property
+    def info(self) -> Info:
+        """What it adds to info: the world's number; nothing on an open floor."""
+        return {} if self.world is None else {"world": float(self.number)}
+
+
+class Spawn:
+    """Draws the assignments of a task's episodes.
+
+    Attributes: `pool`, the worlds, or None on an open floor; `options`, the names that a reset
+    knows.
+    """
+
+    def __init__(
+        self, task: Task, worlds: Source | None, difficulty: Level, config: RobotConfig
+    ) -> None:
+        """Make the pool of worlds.
+
+        Args:
+            task: its worlds and difficulty are used where none are given here.
+            worlds: see `Pool.of`; None for the task's own.
+            difficulty: of generated worlds; None for the task's own.
+            config: of the robot, whose footprint must fit into the worlds.
+
+        Raises:
+            ConfigError, WorldError: for unknown worlds, or a difficulty where there are no worlds.
+        """
+        self._task = task
+        source = task.worlds if worlds is None else worlds
+        level = task.difficulty if difficulty is None else difficulty
+        if source is None and level is not None:
+            raise ConfigError(f"difficulty = {show_value(level)}: {task.id} has no worlds")
+        self.pool = None if source is None else Pool.of(source, level, footprint_radius(config))
+        _check_distances(task)
+        self.options: tuple[str, ...] = ("goal",)
+        if self.pool is not None:
+            self.options = ("world", "difficulty", "path" if task.follows else "goal")
+
+    def draw(self, rng: np.random.Generator, options: Mapping[str, Any]) -> Assignment:
+        """Draw the assignment of the next episode.
+
+        Args:
+            rng: the env's generator.
+            options: of the reset: "goal", (x, y) in the odometry frame [m]; in worlds "world", a
+                number or a World, and "difficulty", (low, high) of the worlds to draw from; for
+                tasks that follow "path", points (x, y) [m], instead of "goal".
+
+        Raises:
+            ConfigError, WorldError: for unknown options, or values that are malformed or out of
+                range.
+        """
+        options = check_reset_options(options, self.options)
+        if options.get("path") is not None:
+            return assign_path(options["path"])
+        if self.pool is not None:
+            return draw_in_world(self.pool, rng, options, follow=self._task.follows)
+        goal = options.get("goal")
+        return Assignment(
+            self._goal(rng) if goal is None else self.checked(check_point("goal", goal))
+        )
+
+    def _goal(self, rng: np.random.Generator) -> Goal:
+        """Draw a goal in any direction, its distance uniform between the task's limits."""
+        distance = rng.uniform(*self._task.goal_distance)
+        return goal_at(distance, rng.uniform(-math.pi, math.pi))
+
+    def checked(self, goal: Goal) -> Goal:
+        """Return a goal on an open floor once its distance is checked.
+
+        Args:
+            goal: x, y in the odometry frame [m].
+
+        Raises:
+            ConfigError: where it is nearer or farther than the task's `goal_distance`.
+        """
+        nearest, farthest = self._task.goal_distance
+        if not nearest <= math.hypot(*goal) <= farthest:
+            raise ConfigError(
+                f"goal = ({goal[0]:g}, {goal[1]:g}): must lie {nearest:g} to {farthest:g} m from "
+                "the start: give the env another goal_distance, run --goal-distance"
+            )
+        return goal
+
+
+def _check_distances(task: Task) -> None:
+    """Raise ConfigError unless `goal_distance` is 0 < nearest <= farthest."""
+    try:
+        nearest, farthest = (float(distance) for distance in task.goal_distance)
+    except (TypeError, ValueError):
+        nearest, farthest = math.nan, math.nan
+    if not 0.0 < nearest <= farthest < math.inf:
+        raise ConfigError(
+            f"goal_distance = {show_value(task.goal_distance)}: must be (nearest, "
+            "farthest) [m], with "
+            "0 < nearest <= farthest"
+        )
+
+
+@jit
+def goal_at(distance: float, bearing: float) -> Goal:
+    """The point at a distance [m] and a bearing [rad] from the origin."""
+    return (distance * math.cos(bearing), distance * math.sin(bearing))
+
+
+def choose_world(worlds: Pool, share: float, options: Mapping[str, Any]) -> tuple[int, World]:
+    """Choose the world of an episode.
+
+    Args:
+        worlds: to choose from.
+        share: a uniform sample of [0, 1), used where the options name no world.
+        options: of the reset; "world" and "difficulty" are used.
+
+    Returns:
+        Number of the world (-1 for a World object) and the world.
+
+    Raises:
+        ConfigError, WorldError: for a world that isn't in the pool, or isn't one.
+    """
+    asked = options.get("world")
+    if asked is None:
+        number = worlds.numbers[_drawn(worlds, share, options.get("difficulty"))]
+        return number, worlds[number]
+    if isinstance(asked, World):
+        return -1, check_world(asked, worlds.radius)
+    if not (isinstance(asked, int | np.integer) or _whole(asked)):
+        raise ConfigError(
+            f"world = {show_value(asked)}: must be a number of the env's worlds, or a World"
+        )
+    return int(asked), worlds[int(asked)]
+
+
+def _whole(value: Any) -> bool:
+    """Whether a value is a float without a fraction, as info["world"] is."""
+    return isinstance(value, float | np.floating) and float(value).is_integer()
+
+
+def _drawn(worlds: Pool, share: float, difficulty: Level) -> int:
+    """Index into the pool's numbers for a uniform sample, among all or a range of difficulty."""
+    if difficulty is None:
+        return min(int(share * len(worlds)), len(worlds) - 1)
+    ranks = worlds.ranks(difficulty)
+    return int(worlds.by_difficulty[0][ranks[min(int(share * len(ranks)), len(ranks) - 1)]])
+
+
+def draw_in_world(
+    worlds: Pool, rng: np.random.Generator, options: Mapping[str, Any], *, follow: bool = False
+) -> Assignment:
+    """Draw a world, the start in it and the goal.
+
+    Args:
+        worlds: to draw from.
+        rng: the env's generator; DRAWS numbers are taken.
+        options: of the reset: "world", "difficulty" and "goal", see `Spawn.draw`.
+        follow: whether the assignment gets the world's path, and starts at one of its ends.
+
+    Raises:
+        ConfigError, WorldError: for options out of range, and for a world without a path to follow.
+    """
+    u = rng.random(WORLD_DRAWS).tolist()
+    number, world = choose_world(worlds, u[0], options)
+    ends = align_with_path(world) if follow else world
+    x, y = point_in_disc(ends.start.x, ends.start.y, ends.start.radius, u[1], u[2])
+    theta = ends.start.theta
+    theta = (2.0 * u[3] - 1.0) * math.pi if theta is None else theta
+    start: Pose = (x, y, theta)
+    if options.get("goal") is not None:  # without the world's path, which leads elsewhere
+        return Assignment(check_point("goal", options["goal"]), world, number=number, start=start)
+    goal_x, goal_y = point_in_disc(ends.goal.x, ends.goal.y, ends.goal.radius, u[4], u[5])
+    goal: Goal = relative_point(x, y, math.cos(theta), math.sin(theta), goal_x, goal_y)
+    path = path_from_start(ends) if follow else None
+    return Assignment(goal, world, path, ends.length, number, start)
+
+
+def assign_path(path: Any) -> Assignment:
+    """Make an assignment of a path that a user gives as points (x, y) in the odometry frame [m].
+
+    The robot starts at the origin of that frame, wherever the path begins.
+    """
+    world = world_along(path)
+    goal = (world.goal.x, world.goal.y)
+    start = Region(0.0, 0.0, 0.0, 0.0)
+    world = replace(world, start=start, name="given")
+    return Assignment(goal, world, path_from_start(world), world.length)
+
+
+def path_from_start(world: World) -> Floats:
+    """Transform a world's path from the frame of the world into that of its start.
+
+    Args:
+        world: whose start is at the path's beginning.
+
+    Returns:
+        (samples, 3): x [m], y [m], direction [rad].
+
+    Raises:
+        WorldError: where the world has no path.
+    """
+    if world.path is None or world.start.theta is None:
+        raise WorldError(f"{world.name or 'the world'}: has no path to follow")
+    samples, start, theta = sample_path(world.path), world.start, world.start.theta
+    cos, sin = math.cos(theta), math.sin(theta)
+    points = (samples[:, :2] - (start.x, start.y)) @ np.array([[cos, -sin], [sin, cos]])
+    seen: Floats = np.column_stack([points, samples[:, 2] - theta])
+    seen.setflags(write=False)  # tasks are told it
+    return seen
+
+
+def ask_outcome(task: Task, state: State, memory: Memory) -> Outcome:
     """Ask a task for the outcome of a step.
 
     Raises:
@@ -23,11 +276,11 @@ def outcome_of(task: Task, state: State, memory: Memory) -> Outcome:
         return Outcome(outcome)
     except ValueError:
         raise TaskError(
-            f"{named(task)}.outcome returned {shown(outcome)}: must be an Outcome"
+            f"{task_name(task)}.outcome returned {show_value(outcome)}: must be an Outcome"
         ) from None
 
 
-def reward_of(task: Task, state: State, memory: Memory, outcome: Outcome) -> float:
+def ask_reward(task: Task, state: State, memory: Memory, outcome: Outcome) -> float:
     """Ask a task for the reward of a step.
 
     Raises:
@@ -39,7 +292,9 @@ def reward_of(task: Task, state: State, memory: Memory, outcome: Outcome) -> flo
     except (TypeError, ValueError):
         number = math.nan
     if not math.isfinite(number):
-        raise TaskError(f"{named(task)}.reward returned {shown(reward)}: must be a finite number")
+        raise TaskError(
+            f"{task_name(task)}.reward returned {show_value(reward)}: must be a finite number"
+        )
     return number
 
 
@@ -60,10 +315,12 @@ def check_observation(task: Task, numbers: Observation) -> None:
     found = dict(zip(task.observation, rows[robot].tolist(), strict=True))
     wrong = {name: number for name, number in found.items() if not math.isfinite(number)}
     whose = f" for robot {robot}" if numbers.ndim > 1 else ""
-    raise TaskError(f"{named(task)}.observe returned {shown(wrong)}{whose}: must be finite numbers")
+    raise TaskError(
+        f"{task_name(task)}.observe returned {show_value(wrong)}{whose}: must be finite numbers"
+    )
 
 
-class Episode:
+class RunningEpisode:
     """The running episode of a task: its assignment (world, start, goal) and its memory.
 
     Attributes: `task`, `assignment`, `memory`; `steps` so far; `outcome` of the last step.
@@ -71,14 +328,14 @@ class Episode:
 
     def __init__(self, task: Task, assignment: Assignment) -> None:
         self.task, self.assignment = task, assignment
-        self.memory = remembered(task)
+        self.memory = new_memory(task)
         self.steps = 0
         self.outcome = Outcome.GOING
-        self._told = told(task)
+        self._told = info_names(task)
 
     def begin(self, state: State) -> None:
         """Begin the episode with the state after the reset. TaskError as for `step`."""
-        with translate_errors(TaskError, lambda: named(self.task)):
+        with translate_errors(TaskError, lambda: task_name(self.task)):
             self.task.begin(state, self.memory)
 
     def step(self, state: State) -> tuple[float, Outcome]:
@@ -87,13 +344,13 @@ class Episode:
         Raises:
             TaskError: the task raises an error, or returns what can't be used.
         """
-        with translate_errors(TaskError, lambda: named(self.task)):
-            self.outcome = outcome_of(self.task, state, self.memory)
-            return reward_of(self.task, state, self.memory, self.outcome), self.outcome
+        with translate_errors(TaskError, lambda: task_name(self.task)):
+            self.outcome = ask_outcome(self.task, state, self.memory)
+            return ask_reward(self.task, state, self.memory, self.outcome), self.outcome
 
     def observe(self, state: State) -> tuple[float, ...]:
         """Return the task's own numbers of the observation. TaskError as for `step`."""
-        with translate_errors(TaskError, lambda: named(self.task)):
+        with translate_errors(TaskError, lambda: task_name(self.task)):
             return self.task.observe(state, self.memory)
 
     def info(self) -> Info:

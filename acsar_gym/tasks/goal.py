@@ -11,19 +11,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from acsar_gym.dynamics.trigonometry import direction
-from acsar_gym.errors import ConfigError, shown
+from acsar_gym.errors import ConfigError, show_value
 from acsar_gym.jit import compilable
+from acsar_gym.physics.trigonometry import cos_sin
 from acsar_gym.tasks.base import (
     OBSERVATION_LIMIT,
     Goal,
     Outcome,
     State,
     Task,
-    clipped,
-    relative,
+    clip_to,
+    relative_point,
 )
-from acsar_gym.tasks.options import positive
+from acsar_gym.tasks.factory import check_positive
 
 GOAL_OBSERVATION: Mapping[str, tuple[float, float]] = {
     "goal_distance": (0.0, OBSERVATION_LIMIT),
@@ -93,8 +93,8 @@ class PointGoal(GoalTask):
             tolerance = float(self.goal_tolerance)
         except (TypeError, ValueError, OverflowError):
             raise ConfigError(
-                f"goal_distance = {shown(self.goal_distance)}, goal_tolerance = "
-                f"{shown(self.goal_tolerance)}: must be (nearest, farthest) and one number [m]"
+                f"goal_distance = {show_value(self.goal_distance)}, goal_tolerance = "
+                f"{show_value(self.goal_tolerance)}: must be (nearest, farthest) and one number [m]"
             ) from None
         if not 0.0 < tolerance < nearest <= farthest < math.inf:
             raise ConfigError(
@@ -104,7 +104,7 @@ class PointGoal(GoalTask):
         object.__setattr__(self, "goal_distance", (nearest, farthest))
         object.__setattr__(self, "goal_tolerance", tolerance)
         if self.distance_scale is not None:
-            scale = positive("distance_scale", self.distance_scale)
+            scale = check_positive("distance_scale", self.distance_scale)
             object.__setattr__(self, "distance_scale", scale)
 
     @property
@@ -122,7 +122,7 @@ class PointGoal(GoalTask):
 
 
 @compilable
-def seen_from(
+def polar_from(
     x: float, y: float, cos: float, sin: float, goal_x: float, goal_y: float
 ) -> tuple[float, float, float]:
     """Polar coordinates of a point in the frame of a pose.
@@ -138,11 +138,11 @@ def seen_from(
     Returns:
         Distance [m], and cosine and sine of the bearing.
     """
-    ahead, left = relative(x, y, cos, sin, goal_x, goal_y)
+    ahead, left = relative_point(x, y, cos, sin, goal_x, goal_y)
     dx, dy = goal_x - x, goal_y - y
     distance = math.sqrt(dx * dx + dy * dy)
     near = max(distance, 1e-12)
-    return distance, clipped(ahead / near, 1.0), clipped(left / near, 1.0)
+    return distance, clip_to(ahead / near, 1.0), clip_to(left / near, 1.0)
 
 
 @compilable
@@ -163,14 +163,14 @@ def goal_numbers(
         action: the last one, in [-1, 1].
     """
     x, y, theta = pose
-    cos, sin = direction(theta)
-    distance, ahead, left = seen_from(x, y, cos, sin, goal[0], goal[1])
+    cos, sin = cos_sin(theta)
+    distance, ahead, left = polar_from(x, y, cos, sin, goal[0], goal[1])
     return (
         min(distance / scales[0], OBSERVATION_LIMIT),
         ahead,
         left,
-        clipped(twist[0] / scales[1], OBSERVATION_LIMIT),
-        clipped(twist[1] / scales[2], OBSERVATION_LIMIT),
+        clip_to(twist[0] / scales[1], OBSERVATION_LIMIT),
+        clip_to(twist[1] / scales[2], OBSERVATION_LIMIT),
         action[0],
         action[1],
     )

@@ -1,33 +1,81 @@
-"""Tasks with a goal behind obstacles: a cluttered floor, or the worlds of BARN.
+"""Tasks with a goal behind obstacles.
 
-A policy without a memory of its own stands still for ever where the way to the goal is blocked:
-what it sees doesn't change. So the observation tells how long the robot hasn't come nearer.
+A cluttered floor, or the worlds of BARN with the challenge's score.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from acsar_gym.jit import compilable
-from acsar_gym.tasks import barn
-from acsar_gym.tasks.base import OBSERVATION_LIMIT, Outcome, State, clearance, clipped
+from acsar_gym.tasks.base import OBSERVATION_LIMIT, Outcome, State, clip_to, scan_clearance
+from acsar_gym.tasks.factory import check_positive
 from acsar_gym.tasks.goal import (
     GOAL_OBSERVATION,
     GoalTask,
     goal_distance,
     goal_numbers,
 )
-from acsar_gym.tasks.options import positive
 
-NEAR = 0.15
+BARN_TOLERANCE = 1.0
+"""The run is a success once odometry is this close to the goal [m]."""
+CHALLENGE_SPEED = 2.0
+"""The reference speed of the challenge [m/s]."""
+BARN_SCORES = ("barn_score", "barn_score_k4", "barn_score_own", "barn_score_own_k4")
+"""Names of the four scores in info: k = 2 (since 2024) and k = 4 (2022), each with the
+challenge's reference speed of 2 m/s and with the robot's own top speed."""
+
+
+@compilable
+def barn_score(success: float, time: float, length: float, speed: float, k: float) -> float:
+    """Compute the score of one run.
+
+    Args:
+        success: 1 for a run that reached the goal, otherwise 0.
+        time: that the run took [s].
+        length: of the world's own path from start to goal [m]; NaN where there is none.
+        speed: reference speed of the optimal time [m/s].
+        k: a run faster than k times the optimal time earns no more.
+
+    Returns:
+        0 to 1 / k; NaN where `length` is NaN.
+    """
+    optimal = length / speed
+    if math.isnan(optimal):
+        return optimal
+    return success * optimal / min(max(time, k * optimal), 8.0 * optimal)
+
+
+@compilable
+def barn_scores(
+    success: float, time: float, length: float, top_speed: float
+) -> tuple[float, float, float, float]:
+    """Compute the four scores of one run, in the order of SCORES.
+
+    Args:
+        success: 1 for a run that reached the goal, otherwise 0.
+        time: that the run took [s].
+        length: of the world's own path from start to goal [m]; NaN where there is none.
+        top_speed: of the robot [m/s].
+    """
+    return (
+        barn_score(success, time, length, CHALLENGE_SPEED, 2.0),
+        barn_score(success, time, length, CHALLENGE_SPEED, 4.0),
+        barn_score(success, time, length, top_speed, 2.0),
+        barn_score(success, time, length, top_speed, 4.0),
+    )
+
+
+NEAR_CLEARANCE = 0.15
 """Less clearance than this costs reward [m]."""
-NEARER = 0.05
+PROGRESS_STEP = 0.05
 """The robot has come nearer once its distance to the goal is so much below the least one [m]."""
-PATIENCE = 10.0
+STALL_TIME = 10.0
 """Time without coming nearer that counts as 1 [s]."""
-TURNING = 3.0
+TURN_RATE_TIME = 3.0
 """Time constant of the mean turn rate [s]."""
 
 
@@ -54,7 +102,7 @@ class NavigationTask(GoalTask):
 
     def begin(self, state: State, memory: Any) -> None:
         """Remember the distance to the goal."""
-        begun(state, memory)
+        remember_start(state, memory)
 
     def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
         """Reward of the step, see `navigation_reward`."""
@@ -65,7 +113,7 @@ class NavigationTask(GoalTask):
         scales = (self.scale, state.max_twist[0], state.max_twist[1])
         seen = goal_numbers(state.pose, state.twist, state.goal, scales, state.action)
         detour = min(max(memory.goal_distance - memory.least_distance, 0.0), OBSERVATION_LIMIT)
-        turning = clipped(memory.turn_rate / state.max_twist[1], OBSERVATION_LIMIT)
+        turning = clip_to(memory.turn_rate / state.max_twist[1], OBSERVATION_LIMIT)
         return (
             seen[0],
             seen[1],
@@ -74,7 +122,7 @@ class NavigationTask(GoalTask):
             seen[4],
             seen[5],
             seen[6],
-            stalled(state, memory),
+            stalled_share(state, memory),
             detour,
             turning,
         )
@@ -90,7 +138,7 @@ class ObstacleGoal(NavigationTask):
     """Radius of the goal [m]."""
 
     def __post_init__(self) -> None:
-        tolerance = positive("goal_tolerance", self.goal_tolerance)
+        tolerance = check_positive("goal_tolerance", self.goal_tolerance)
         object.__setattr__(self, "goal_tolerance", tolerance)
 
 
@@ -99,22 +147,22 @@ class Barn(NavigationTask):
 
     id = "acsar_gym/Barn-v1"
     worlds = "barn:train"
-    goal_tolerance = barn.TOLERANCE
+    goal_tolerance = BARN_TOLERANCE
     memory: ClassVar[Mapping[str, float]] = {
         **NavigationTask.memory,
-        **dict.fromkeys(barn.SCORES, 0.0),
+        **dict.fromkeys(BARN_SCORES, 0.0),
     }
-    told: ClassVar[tuple[str, ...] | None] = ("goal_distance", *barn.SCORES)
+    told: ClassVar[tuple[str, ...] | None] = ("goal_distance", *BARN_SCORES)
     compiled = True
 
     def begin(self, state: State, memory: Any) -> None:
         """Remember the distance to the goal; the scores are zero until it is reached."""
-        begun(state, memory)
-        score(state, memory, 0)
+        remember_start(state, memory)
+        store_scores(state, memory, 0)
 
     def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
         """Reward of the step, see `navigation_reward`; remembers the scores."""
-        score(state, memory, outcome)
+        store_scores(state, memory, outcome)
         return navigation_reward(state, memory, outcome, self.end, self.crash)
 
 
@@ -122,7 +170,7 @@ class Barn(NavigationTask):
 
 
 @compilable
-def begun(state: State, memory: Any) -> None:
+def remember_start(state: State, memory: Any) -> None:
     """Remember the distance to the goal at a start."""
     memory.goal_distance = goal_distance(state.pose[0], state.pose[1], state.goal)
     memory.least_distance = memory.goal_distance
@@ -131,21 +179,23 @@ def begun(state: State, memory: Any) -> None:
 
 
 @compilable
-def followed(state: State, memory: Any) -> float:
+def update_memory(state: State, memory: Any) -> float:
     """Update the memory after a step; returns how much nearer the goal is [m]."""
     before = memory.goal_distance
     memory.goal_distance = goal_distance(state.pose[0], state.pose[1], state.goal)
-    if memory.goal_distance < memory.least_distance - NEARER:
+    if memory.goal_distance < memory.least_distance - PROGRESS_STEP:
         memory.least_distance = memory.goal_distance
         memory.nearest_at = state.time
-    memory.turn_rate += (state.twist[1] - memory.turn_rate) * min(state.period / TURNING, 1.0)
+    memory.turn_rate += (state.twist[1] - memory.turn_rate) * min(
+        state.period / TURN_RATE_TIME, 1.0
+    )
     return float(before - memory.goal_distance)
 
 
 @compilable
-def stalled(state: State, memory: Any) -> float:
+def stalled_share(state: State, memory: Any) -> float:
     """Time since the robot last came nearer to the goal, as a share of PATIENCE, at most 1."""
-    return float(min((state.time - memory.nearest_at) / PATIENCE, 1.0))
+    return float(min((state.time - memory.nearest_at) / STALL_TIME, 1.0))
 
 
 @compilable
@@ -166,17 +216,19 @@ def navigation_reward(state: State, memory: Any, outcome: int, end: float, crash
         end: added at success.
         crash: subtracted for a collision.
     """
-    gained = followed(state, memory)
-    near = 1.0 - clearance(state.ranges, state.edges, NEAR) / NEAR
+    gained = update_memory(state, memory)
+    near = 1.0 - scan_clearance(state.ranges, state.edges, NEAR_CLEARANCE) / NEAR_CLEARANCE
     last = end if outcome == 1 else (-crash if outcome > 1 else 0.0)
-    costs = 0.01 + 0.05 * stalled(state, memory) + 0.15 * near - 0.05 * min(state.action[0], 0.0)
+    costs = (
+        0.01 + 0.05 * stalled_share(state, memory) + 0.15 * near - 0.05 * min(state.action[0], 0.0)
+    )
     return float(2.0 * gained - costs + last)
 
 
 @compilable
-def score(state: State, memory: Any, outcome: int) -> None:
+def store_scores(state: State, memory: Any, outcome: int) -> None:
     """Write BARN's scores of the run so far into the memory; zeros without success."""
     success = 1.0 if outcome == 1 else 0.0
-    s2, s4, own2, own4 = barn.scores(success, state.time, state.length, state.max_twist[0])
+    s2, s4, own2, own4 = barn_scores(success, state.time, state.length, state.max_twist[0])
     memory.barn_score, memory.barn_score_k4 = s2, s4
     memory.barn_score_own, memory.barn_score_own_k4 = own2, own4

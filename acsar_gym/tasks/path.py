@@ -7,18 +7,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from acsar_gym.dynamics.trigonometry import direction
 from acsar_gym.jit import compilable
+from acsar_gym.physics.trigonometry import cos_sin
 from acsar_gym.tasks.base import (
     OBSERVATION_LIMIT,
     Floats,
     Outcome,
     State,
     Task,
-    clipped,
-    relative,
+    clip_to,
+    relative_point,
 )
-from acsar_gym.tasks.options import positive
+from acsar_gym.tasks.factory import check_positive
 
 _SCALED = (-OBSERVATION_LIMIT, OBSERVATION_LIMIT)
 LOOKAHEAD = 4
@@ -34,16 +34,16 @@ PATH_OBSERVATION: Mapping[str, tuple[float, float]] = {
     "last_linear": (-1.0, 1.0),
     "last_angular": (-1.0, 1.0),
 }
-STRIDE = 5
+POINT_STRIDE = 5
 """Samples of the path between two observed points: 0.25 m."""
-BACK, AHEAD = 10, 20
+SEARCH_BACK, SEARCH_AHEAD = 10, 20
 """How many samples of the path behind and ahead of the last position on it are searched."""
-TIE = 1e-12
+TIE_DISTANCE = 1e-12
 """Squared distances that differ by less count as equal, as at a corner; the first piece is taken
 [m^2]."""
 LENGTH_SCALE = 10.0
 """The observed remaining length is divided by this [m]."""
-TOLERANCE = 0.15
+PATH_TOLERANCE = 0.15
 """Success once odometry is this close to the end of the path [m]."""
 
 
@@ -76,21 +76,21 @@ class PathFollow(Task):
         "mean_heading_error",
     )
     worlds = "smooth_path:train"
-    goal_tolerance = TOLERANCE
+    goal_tolerance = PATH_TOLERANCE
     follows = True
     compiled = True
 
     def __post_init__(self) -> None:
-        most = positive("max_cross_track", self.max_cross_track)
+        most = check_positive("max_cross_track", self.max_cross_track)
         object.__setattr__(self, "max_cross_track", most)
 
     def begin(self, state: State, memory: Any) -> None:
         """Find the robot's position on the path."""
-        locate(state, memory)
+        locate_on_path(state, memory)
 
     def outcome(self, state: State, memory: Any) -> Outcome:
         """Success near the path's end, out of bounds too far beside it; keeps mean errors."""
-        locate(state, memory)
+        locate_on_path(state, memory)
         steps = math.floor(state.time / state.period + 0.5)
         memory.cross_sum += abs(memory.cross_track_error)
         memory.heading_sum += abs(memory.heading_error)
@@ -99,7 +99,10 @@ class PathFollow(Task):
         x, y, _ = state.pose
         far = math.sqrt((state.goal[0] - x) ** 2 + (state.goal[1] - y) ** 2)
         return path_outcome(  # type: ignore[return-value]  # its number
-            remaining(state, memory), far, abs(memory.cross_track_error), self.max_cross_track
+            remaining_length(state, memory),
+            far,
+            abs(memory.cross_track_error),
+            self.max_cross_track,
         )
 
     def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
@@ -109,27 +112,27 @@ class PathFollow(Task):
 
     def observe(self, state: State, memory: Any) -> tuple[float, ...]:
         """The numbers that PATH_OBSERVATION names; lengths and speeds are scaled."""
-        limit, (cos, sin) = OBSERVATION_LIMIT, direction(state.pose[2])
+        limit, (cos, sin) = OBSERVATION_LIMIT, cos_sin(state.pose[2])
         return (
-            clipped(memory.cross_track_error / self.max_cross_track, limit),
-            *direction(memory.heading_error),
-            min(remaining(state, memory) / LENGTH_SCALE, limit),
+            clip_to(memory.cross_track_error / self.max_cross_track, limit),
+            *cos_sin(memory.heading_error),
+            min(remaining_length(state, memory) / LENGTH_SCALE, limit),
             *point_ahead(state, memory, cos, sin, 1),
             *point_ahead(state, memory, cos, sin, 2),
             *point_ahead(state, memory, cos, sin, 3),
             *point_ahead(state, memory, cos, sin, 4),
-            clipped(state.twist[0] / state.max_twist[0], limit),
-            clipped(state.twist[1] / state.max_twist[1], limit),
+            clip_to(state.twist[0] / state.max_twist[0], limit),
+            clip_to(state.twist[1] / state.max_twist[1], limit),
             *state.action,
         )
 
 
 @compilable
-def locate(state: State, memory: Any) -> None:
+def locate_on_path(state: State, memory: Any) -> None:
     """Find the robot's position on its path, near the last one, and write it into the memory."""
     x, y, theta = state.pose
     last, before = len(state.path) - 1, memory.progress
-    progress, cross, bearing = nearest(state.path, last, before, x, y)
+    progress, cross, bearing = nearest_on_path(state.path, last, before, x, y)
     memory.progress, memory.bearing = progress, bearing
     memory.gain = (progress - before) * (state.length / last)
     memory.cross_track_error = cross
@@ -138,7 +141,7 @@ def locate(state: State, memory: Any) -> None:
 
 
 @compilable
-def remaining(state: State, memory: Any) -> float:
+def remaining_length(state: State, memory: Any) -> float:
     """Length of the path that is still ahead of the robot [m]."""
     last = len(state.path) - 1
     length: float = (last - memory.progress) * (state.length / last)
@@ -161,14 +164,14 @@ def point_ahead(
     Returns:
         How far the point lies ahead and to the left [m], clipped to the OBSERVATION_LIMIT.
     """
-    k = min(int(memory.progress) + number * STRIDE, len(state.path) - 1)
+    k = min(int(memory.progress) + number * POINT_STRIDE, len(state.path) - 1)
     x, y = state.path[k, 0], state.path[k, 1]
-    ahead, left = relative(state.pose[0], state.pose[1], cos, sin, x, y)
-    return clipped(ahead, OBSERVATION_LIMIT), clipped(left, OBSERVATION_LIMIT)
+    ahead, left = relative_point(state.pose[0], state.pose[1], cos, sin, x, y)
+    return clip_to(ahead, OBSERVATION_LIMIT), clip_to(left, OBSERVATION_LIMIT)
 
 
 @compilable
-def nearest(
+def nearest_on_path(
     path: Floats, last: int, progress: float, x: float, y: float
 ) -> tuple[float, float, float]:
     """Find the point of a path that is nearest to a given point, near the last one found.
@@ -185,16 +188,16 @@ def nearest(
         path; and the path's direction there [rad]. Before the first and behind the last sample it
         is the distance to that sample.
     """
-    first = max(int(progress) - BACK, 0)
+    first = max(int(progress) - SEARCH_BACK, 0)
     best, place, side, bearing = math.inf, progress, 0.0, 0.0
-    for k in range(first, min(int(progress) + AHEAD, last)):
+    for k in range(first, min(int(progress) + SEARCH_AHEAD, last)):
         ex, ey = path[k + 1, 0] - path[k, 0], path[k + 1, 1] - path[k, 1]
         dx, dy = x - path[k, 0], y - path[k, 1]
         share = (dx * ex + dy * ey) / (ex * ex + ey * ey)
         share = min(max(share, 0.0), 1.0)
         rx, ry = dx - share * ex, dy - share * ey
         square = rx * rx + ry * ry
-        if square < best - TIE:
+        if square < best - TIE_DISTANCE:
             best, place, bearing = square, k + share, path[k, 2]
             side = 1.0 if ex * dy - ey * dx >= 0.0 else -1.0
     return place, side * math.sqrt(best), bearing
@@ -217,7 +220,7 @@ def path_outcome(remaining: float, far: float, beside: float, most: float) -> in
         beside: distance from the path [m].
         most: allowed distance from the path [m].
     """
-    if remaining <= TOLERANCE and far <= TOLERANCE:
+    if remaining <= PATH_TOLERANCE and far <= PATH_TOLERANCE:
         return 1
     return 2 if beside > most else 0
 

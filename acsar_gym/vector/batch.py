@@ -11,24 +11,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.dynamics import Randomization, physics
-from acsar_gym.dynamics.randomization import places
 from acsar_gym.errors import TaskError
 from acsar_gym.jit import compiled_beside, record_of
-from acsar_gym.lidars.base import LidarSensor, edges
-from acsar_gym.lidars.simulated import SimulatedLidar
+from acsar_gym.physics import Randomization, compute_physics
+from acsar_gym.physics.randomization import drawn_places
 from acsar_gym.sensors import Factory, Sensor
+from acsar_gym.sensors.lidar import LidarSensor, SimulatedLidar, footprint_edges
 from acsar_gym.tasks.base import Task
-from acsar_gym.tasks.episode import check_observation
-from acsar_gym.tasks.made import named
-from acsar_gym.tasks.spawn import Spawn
+from acsar_gym.tasks.episode import Spawn, check_observation
+from acsar_gym.tasks.factory import task_name
 from acsar_gym.vector import pcg
 from acsar_gym.vector.kernel import episode, layout
-from acsar_gym.vector.options import Wishes
-from acsar_gym.vector.sensors import BatchSensors, RobotLink, View, in_python
-from acsar_gym.vector.setup import counts_kept, lines_kept
-from acsar_gym.vector.tables import spawns, surroundings, worlds_of
-from acsar_gym.vector.task import Loops, loops_of
+from acsar_gym.vector.sensors import BatchSensors, BatchView, RobotLink, python_sensors
+from acsar_gym.vector.setup import (
+    ResetRows,
+    command_slots,
+    count_slots,
+    make_worlds,
+    pad_surroundings,
+    spawn_arrays,
+)
+from acsar_gym.vector.task import Loops, make_loops
 
 Mask = NDArray[np.bool_]
 Share = Callable[[Callable[[int, int], None], int], None]
@@ -66,20 +69,20 @@ class Batch:
     ) -> None:
         self.robots, self._config, self._task, self._setup = robots, config, task, setup
         sees = setup.lidar_rate > 0.0
-        self._pool, worlds = spawn.pool, worlds_of(spawn.pool, follow=task.follows)
-        self._spawns = spawns(task, spawn.pool, worlds)
-        self._around = surroundings(worlds, config, sees=sees)
-        self._drawn = {f"drawn_{name}": list(places(name)) for name in randomization.names}
+        self._pool, worlds = spawn.pool, make_worlds(spawn.pool, follow=task.follows)
+        self._spawns = spawn_arrays(task, spawn.pool, worlds)
+        self._around = pad_surroundings(worlds, config, sees=sees)
+        self._drawn = {f"drawn_{name}": list(drawn_places(name)) for name in randomization.names}
         self.tables = self._tables(randomization)
-        self._view = View(self.tables.state, self.tables.random, setup.dt, worlds)
-        self.python = BatchSensors(in_python(sensors), config, robots, self._view)
+        self._view = BatchView(self.tables.state, self.tables.random, setup.dt, worlds)
+        self.python = BatchSensors(python_sensors(sensors), config, robots, self._view)
         width = self._first_python + self.python.size
         observations = np.zeros((robots, width), np.float32)
         self.tables = self.tables._replace(observations=observations)
-        self._loops: Loops = loops_of(task, self.tables, self._setup, self._spawns)
+        self._loops: Loops = make_loops(task, self.tables, self._setup, self._spawns)
         self._together = self._loops.compiled and not len(self.python)
         """Whether a robot's task can run right after its physics, on the same thread."""
-        self._rows = dict(layout.INFO)
+        self._rows = dict(layout.INFO_ROWS)
         self._rows |= {} if spawn.pool is None else layout.WORLD_INFO
         self._rows |= layout.SCAN_INFO if sees else {}
         self._rows |= layout.FAULT_INFO if setup.faults.possible else {}
@@ -105,14 +108,14 @@ class Batch:
         robots, setup = self.robots, self._setup
         columns, rays = _columns(robots), len(self._around.directions)
         ranges = randomization.ranges(self._config, setup.ticks * setup.period)
-        lines = lines_kept(setup, ranges, self._config)
+        lines = command_slots(setup, ranges, self._config)
         return layout.Tables(
             state=np.zeros((layout.ROWS, columns)),
-            counts=np.zeros((counts_kept(setup, ranges, self._config), 4, columns)),
+            counts=np.zeros((count_slots(setup, ranges, self._config), 4, columns)),
             commands=np.zeros((lines, 2, columns if setup.guarded else 0)),
             arrivals=np.zeros((lines, 3, columns if setup.faults.possible else 0)),
             random=np.zeros((robots, 4), np.uint64),
-            nominal=record_of(physics(self._config), changes=True),
+            nominal=record_of(compute_physics(self._config), changes=True),
             low=np.array(ranges.low),
             high=np.array(ranges.high),
             delays=np.array(ranges.delays),
@@ -123,7 +126,7 @@ class Batch:
             kept=np.zeros((layout.COMMAND_LOOPS, columns if setup.falls_silent else 0)),
             kept_rays=np.zeros((robots if setup.falls_silent else 0, rays), np.float32),
             ranges=np.zeros((robots, rays)),
-            edges=edges(self._config)[:rays],
+            edges=footprint_edges(self._config)[:rays],
             observations=np.zeros((robots, self._first_python), np.float32),
             rewards=np.zeros(robots),
             ends=np.zeros((2, robots), np.bool_),
@@ -148,11 +151,11 @@ class Batch:
         for robot in np.flatnonzero(mask):
             seed = None if seeds is None else seeds[robot]
             if seed is not None or not self.seeded:
-                self.tables.random[robot] = pcg.seeded(seed)
+                self.tables.random[robot] = pcg.seed_row(seed)
                 self.python.forget(int(robot))
         self.seeded = True
 
-    def wish(self, wishes: Wishes, mask: Mask) -> None:
+    def wish(self, wishes: ResetRows, mask: Mask) -> None:
         """Set the reset options that hold for the next episodes of the robots in the mask."""
         for row in range(layout.WISHED_WORLD, layout.LAST_RANK + 1):
             self.state[row, mask] = wishes[row][mask] if row in wishes else 0.0
@@ -191,7 +194,7 @@ class Batch:
         if not np.isfinite(self.tables.rewards).all():
             robot = int(np.isfinite(self.tables.rewards).argmin())
             raise TaskError(
-                f"{named(self._task)}.reward returned {self.tables.rewards[robot]} for robot "
+                f"{task_name(self._task)}.reward returned {self.tables.rewards[robot]} for robot "
                 f"{robot}: must be a finite number"
             )
 

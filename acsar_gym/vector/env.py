@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,24 +13,136 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from acsar_gym import jit
 from acsar_gym.config import RobotConfig, RobotSource, whole_ratio
-from acsar_gym.dynamics import Randomization
-from acsar_gym.errors import CommandError, ConfigError, shown
+from acsar_gym.errors import CommandError, ConfigError, show_value
+from acsar_gym.physics import Randomization
 from acsar_gym.sensors import LIDAR
 from acsar_gym.tasks.base import Task
-from acsar_gym.tasks.made import made, tried
-from acsar_gym.tasks.options import known
-from acsar_gym.tasks.spaces import task_spaces
-from acsar_gym.tasks.spawn import Spawn
+from acsar_gym.tasks.episode import Spawn
+from acsar_gym.tasks.factory import (
+    PlainSpec,
+    SharedOptions,
+    check_reset_options,
+    make_task,
+    task_spaces,
+    validate_task,
+)
 from acsar_gym.vector.batch import Batch
 from acsar_gym.vector.kernel import layout
-from acsar_gym.vector.options import Wishes, wishes
-from acsar_gym.vector.settings import MOST_ROBOTS, BatchOptions, count, threads_for
-from acsar_gym.vector.setup import check_faults, setup_of
-from acsar_gym.vector.specs import PlainSpec
+from acsar_gym.vector.setup import ResetRows, check_batch_faults, make_setup, reset_rows
 from acsar_gym.vector.threads import Threads
 
-MASK = "reset_mask"
+MAX_ROBOTS = 1_000_000
+"""Robots of a batch, at most; so many take about 2 GB."""
+MAX_STEPS = 10**9
+"""Largest time limit of an episode [steps]."""
+ROBOTS_PER_THREAD = 256
+"""A thread more is used for so many robots; with fewer its start costs more than it saves."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatchOptions(SharedOptions):
+    """The options of a batch; `RobotVectorEnv` describes them."""
+
+    max_episode_steps: int | None = None
+    autoreset_mode: Any = AutoresetMode.NEXT_STEP
+    threads: int | None = None
+    link: str = "planar"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.link != "planar":
+            raise ConfigError(
+                f"link = {self.link!r}: a batch has planar robots; for others make_vec with "
+                "vectorization_mode='sync' or 'async'"
+            )
+        if self.render_mode is not None:
+            raise ConfigError("a batch of robots has no pictures: render a single env instead")
+        if self.max_episode_steps is not None:
+            check_count("max_episode_steps", self.max_episode_steps, MAX_STEPS)
+        object.__setattr__(self, "autoreset_mode", _autoreset(self.autoreset_mode))
+        if not jit.COMPILED:
+            warnings.warn(
+                "numba isn't installed, so batches are slow: pip install 'acsar_gym[fast]'",
+                RuntimeWarning,
+                stacklevel=6,
+            )
+
+
+def _autoreset(mode: AutoresetMode | str) -> AutoresetMode:
+    """Convert an autoreset mode or its value; ConfigError for anything else."""
+    try:
+        return AutoresetMode(mode)
+    except ValueError:
+        known = ", ".join(repr(known.value) for known in AutoresetMode)
+        raise ConfigError(f"autoreset_mode = {mode!r}: must be one of {known}") from None
+
+
+def check_count(name: str, value: int, most: int) -> int:
+    """Check that an option is a whole number from 1 to `most`, and return it.
+
+    Args:
+        name: of the option, for the message.
+        value: of the option.
+        most: largest allowed value.
+
+    Raises:
+        ConfigError: for anything else.
+    """
+    if not isinstance(value, int | np.integer) or not 1 <= value <= most:
+        raise ConfigError(
+            f"{name} = {show_value(value)}: must be a whole number from 1 to {most:,}"
+        )
+    return int(value)
+
+
+def usable_cores() -> int:
+    """Return the number of cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def check_threads(name: str, asked: int) -> int:
+    """Check a number of threads that a user asked for, and return it.
+
+    Args:
+        name: of the option, for the message.
+        asked: by the user.
+
+    Raises:
+        ConfigError: for fewer than 1, or more than the cores that this process may use.
+    """
+    usable, all_cores = usable_cores(), os.cpu_count() or 1
+    if isinstance(asked, int | np.integer) and 1 <= asked <= usable:
+        return int(asked)
+    which = "the cores of this machine"
+    if usable < all_cores:
+        which = (
+            f"the cores that this process may use: taskset, a batch system or a container keeps "
+            f"it from the others of this machine's {all_cores}"
+        )
+    most = f"1 to {usable}" if usable > 1 else "1"
+    raise ConfigError(f"{name} {show_value(asked)}: must be {most}, {which}")
+
+
+def choose_threads(asked: int | None, robots: int) -> int:
+    """Number of threads to use.
+
+    Args:
+        asked: by the user; None uses all cores, but gives each at least FAIR_SHARE robots.
+        robots: of the batch.
+
+    Raises:
+        ConfigError: as `check_threads`.
+    """
+    if asked is None:
+        return max(1, min(usable_cores(), robots // ROBOTS_PER_THREAD))
+    return min(check_threads("threads =", asked), robots)
+
+
+MASK_OPTION = "reset_mask"
 
 Array = NDArray[Any]
 Info = dict[str, Any]
@@ -104,10 +219,10 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         """
         config = RobotConfig.of(robot)
         asked, rest = BatchOptions.split(options)
-        self.num_envs = count("num_envs", num_envs, MOST_ROBOTS)
+        self.num_envs = check_count("num_envs", num_envs, MAX_ROBOTS)
         self.autoreset_mode = asked.autoreset_mode
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
-        self.task = made(task, rest, BatchOptions.names())
+        self.task = make_task(task, rest, BatchOptions.names())
         self._spawn = Spawn(self.task, asked.worlds, asked.difficulty, config)
         self.pool = self._spawn.pool
         self.config = config
@@ -118,7 +233,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         self.single_action_space, self.single_observation_space = spaces
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-        self._threads = Threads(threads_for(asked.threads, self.num_envs))
+        self._threads = Threads(choose_threads(asked.threads, self.num_envs))
         self._masks: tuple[str, ...] = ()
         self._done = np.zeros(self.num_envs, np.bool_)
         self._whole = True
@@ -129,13 +244,13 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         """Make the robots and check the task with their sensors."""
         task, config, steps = self.task, self.config, asked.max_episode_steps
         sensors = (*task.sensors, *asked.sensors)
-        faults, numbers = check_faults(asked.faults, config), len(task.observation)
+        faults, numbers = check_batch_faults(asked.faults, config), len(task.observation)
         varied = Randomization.of(asked.randomization, config)
         ticks, sees = self.ticks_per_step, LIDAR in sensors
-        setup = setup_of(config, ticks, steps, numbers, faults, sees=sees, varied=varied)
+        setup = make_setup(config, ticks, steps, numbers, faults, sees=sees, varied=varied)
         batch = Batch(self.num_envs, config, task, self._spawn, sensors, setup, varied)
         self.sensors = batch.sensors
-        tried(task, config, self.sensors)
+        validate_task(task, config, self.sensors)
         return batch
 
     def reset(
@@ -185,15 +300,17 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         mask, asked = self._asked(options)
         self.batch.wish(asked, mask)
 
-    def _asked(self, options: Mapping[str, Any] | None) -> tuple[Array, Wishes]:
+    def _asked(self, options: Mapping[str, Any] | None) -> tuple[Array, ResetRows]:
         """Which robots a reset's options are for, and the options as rows of the state.
 
         Waits for the threads of an interrupted call, because the state is written next.
         """
         self._threads.wait()
-        given = known(options or {}, (MASK, *self._spawn.options))
-        rest = {name: value for name, value in given.items() if name != MASK}
-        return _mask(given.get(MASK), self.num_envs), wishes(self._spawn, rest, self.num_envs)
+        given = check_reset_options(options or {}, (MASK_OPTION, *self._spawn.options))
+        rest = {name: value for name, value in given.items() if name != MASK_OPTION}
+        return _mask(given.get(MASK_OPTION), self.num_envs), reset_rows(
+            self._spawn, rest, self.num_envs
+        )
 
     def step(self, actions: Array) -> tuple[Array, Array, Array, Array, Info]:
         """Do one env step of every robot.
@@ -288,7 +405,7 @@ def _seeds(seed: int | Sequence[int | None] | None, robots: int) -> list[int | N
     try:
         seeds = list(seed)
     except TypeError:
-        raise ConfigError(f"seed = {shown(seed)}: must be a whole number, or a list") from None
+        raise ConfigError(f"seed = {show_value(seed)}: must be a whole number, or a list") from None
     if len(seeds) != robots:
         raise ConfigError(f"{len(seeds)} seeds for {robots} robots: give one each")
     return [None if one is None else _seed(one) for one in seeds]
@@ -297,5 +414,41 @@ def _seeds(seed: int | Sequence[int | None] | None, robots: int) -> list[int | N
 def _seed(value: Any) -> int:
     """Check one seed."""
     if not isinstance(value, int | np.integer) or value < 0:
-        raise ConfigError(f"seed = {shown(value)}: must be a whole number of at least 0")
+        raise ConfigError(f"seed = {show_value(value)}: must be a whole number of at least 0")
     return int(value)
+
+
+def copy_state(env: RobotVectorEnv) -> dict[str, NDArray[Any]] | None:
+    """Copy all arrays of a batch, those of its generators included.
+
+    Args:
+        env: a batch that has been reset, with autoreset in the same step.
+
+    Returns:
+        Arrays by name; None where the batch has tasks or sensors written in Python, whose state
+        isn't known.
+    """
+    arrays = env.batch.changing()
+    return None if arrays is None else {name: array.copy() for name, array in arrays.items()}
+
+
+def restore_state(env: RobotVectorEnv, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Bring a batch to where another one was; it needn't be reset then.
+
+    Args:
+        env: a batch of the same task, robot, worlds and options.
+        arrays: what `taken` has returned.
+
+    Raises:
+        ConfigError: they are of another batch.
+    """
+    own = env.batch.changing() or {}
+    wanted, given = (
+        {name: (array.shape, array.dtype) for name, array in each.items()} for each in (own, arrays)
+    )
+    if wanted != given:
+        other = sorted(n for n in wanted | given if wanted.get(n) != given.get(n))
+        raise ConfigError(f"the state of another batch: other {', '.join(other[:3])}")
+    for name, array in own.items():
+        array[...] = arrays[name]
+    env.go_on()

@@ -24,19 +24,19 @@ _HALF = np.uint64(32)
 _MASK = np.uint64(0xFFFFFFFF)
 
 
-def seeded(seed: int | None) -> tuple[int, int, int, int]:
+def seed_row(seed: int | None) -> tuple[int, int, int, int]:
     """Row of a new `np.random.PCG64(seed)`; None draws a seed from the system."""
-    return of_state(np.random.PCG64(seed))
+    return row_of(np.random.PCG64(seed))
 
 
-def of_state(bits: np.random.BitGenerator) -> tuple[int, int, int, int]:
+def row_of(bits: np.random.BitGenerator) -> tuple[int, int, int, int]:
     """Row of a generator with the state of a NumPy PCG64."""
     inner: Any = bits.state["state"]
     state, increment = inner["state"], inner["inc"]
     return state >> 64, state & _WORD, increment >> 64, increment & _WORD
 
 
-class Lent(Sequence[np.random.Generator]):
+class LentGenerators(Sequence[np.random.Generator]):
     """NumPy generators that go on where some rows are, until `give_back` stores their states."""
 
     def __init__(
@@ -77,7 +77,7 @@ class Lent(Sequence[np.random.Generator]):
     def give_back(self) -> None:
         """Write the states of the generators back into the rows."""
         for row, generator in self._lent.items():
-            self._rows[row] = of_state(generator.bit_generator)
+            self._rows[row] = row_of(generator.bit_generator)
         self._lent = {}
 
 

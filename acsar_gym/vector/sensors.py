@@ -14,23 +14,22 @@ from typing import Any, NamedTuple, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.bodies.base import GroundTruth
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, LinkError, SensorError, shown, translate_errors
-from acsar_gym.lidars.base import LidarSensor
-from acsar_gym.lidars.factory import factories
+from acsar_gym.errors import ConfigError, LinkError, SensorError, show_value, translate_errors
+from acsar_gym.physics.body import GroundTruth
 from acsar_gym.sensors import LIDAR, Factory, Sensor
+from acsar_gym.sensors.lidar import LidarSensor, sensor_factories
 from acsar_gym.sensors.suite import (
-    add_info,
+    add_sensor_info,
+    check_info_key,
     check_names,
-    checked,
-    made_by,
-    named,
-    two_named,
-    unused,
+    check_numbers,
+    duplicate_name,
+    make_sensor,
+    naming_sensor,
 )
 from acsar_gym.vector.kernel import layout
-from acsar_gym.vector.pcg import Generators, Lent
+from acsar_gym.vector.pcg import Generators, LentGenerators
 from acsar_gym.worlds import Scene, World
 
 Floats = NDArray[np.float64]
@@ -51,7 +50,7 @@ class Truths(NamedTuple):
     """(robots,): whether the robot has touched an obstacle since the reset."""
 
 
-class View:
+class BatchView:
     """What sensors may know of all robots of a batch. `random` are the robots' generators."""
 
     def __init__(
@@ -96,7 +95,7 @@ class RobotLink:
 
     lateness: float | None = None
 
-    def __init__(self, view: View, robot: int) -> None:
+    def __init__(self, view: BatchView, robot: int) -> None:
         self._view = view
         self._robots = np.array([robot])
 
@@ -154,7 +153,7 @@ class BatchSensors:
     """
 
     def __init__(
-        self, wanted: Iterable[Sensor | Factory], config: RobotConfig, robots: int, view: View
+        self, wanted: Iterable[Sensor | Factory], config: RobotConfig, robots: int, view: BatchView
     ) -> None:
         self._view = view
         self._groups = [_group(factory, config, robots, view) for factory in wanted]
@@ -174,7 +173,7 @@ class BatchSensors:
         if self.info:
             for group in self._groups:
                 for key in group.keys:
-                    unused(info, group.kind, key)
+                    check_info_key(info, group.kind, key)
             info |= self.info
 
     def forget(self, robot: int) -> None:
@@ -237,7 +236,7 @@ class BatchSensors:
         numbers = robots.tolist()
         whole = len(numbers) == len(self._scenes)
         scenes = self._scenes if whole else [self._scenes[robot] for robot in numbers]
-        rngs = Lent(self._view.random, numbers, self._generators)
+        rngs = LentGenerators(self._view.random, numbers, self._generators)
         try:
             truths, now = self._view.truths(robots), self._view.now(robots)
             yield Moment(numbers, truths, now, scenes, rngs)
@@ -280,7 +279,7 @@ class _Each:
             for row, (robot, truth, now) in zip(out, moment.each(), strict=True):
                 at[0] = robot
                 sensor = self._sensors[robot]
-                row[:] = checked(sensor, sensor.read(truth, now))
+                row[:] = check_numbers(sensor, sensor.read(truth, now))
 
     @contextlib.contextmanager
     def _named(self) -> Iterator[list[int]]:
@@ -302,10 +301,10 @@ class _Each:
                 for robot, now in zip(moment.robots, moment.now.tolist(), strict=True):
                     at[0] = robot
                     rows.append({})
-                    add_info(rows[-1], self._sensors[robot], now)
+                    add_sensor_info(rows[-1], self._sensors[robot], now)
             self.keys = list(rows[0]) if rows else self.keys
             for key in self.keys if rows else ():
-                unused(told, self.kind, key)
+                check_info_key(told, self.kind, key)
                 told[key] = [row[key] for row in rows]
 
 
@@ -325,13 +324,14 @@ class _Whole:
 
     def read(self, moment: Moment, out: Floats) -> None:
         """Read all robots into `out`, (robots, size). SensorError where it isn't finite."""
-        with named(self.kind):
+        with naming_sensor(self.kind):
             self.kind.read_batch(moment.truths, moment.scenes, moment.now, moment.rngs, out)
         sound = np.isfinite(out).all(axis=1)
         if not sound.all():
             place = int(sound.argmin())
             raise SensorError(
-                f"sensor {self.kind.name!r}: read_batch() left {shown(out[place].tolist())} for "
+                f"sensor {self.kind.name!r}: read_batch() left "
+                f"{show_value(out[place].tolist())} for "
                 f"robot {moment.robots[place]}: must be finite numbers"
             )
 
@@ -339,7 +339,7 @@ class _Whole:
         """Do nothing: such a sensor has no info."""
 
 
-def in_python(sensors: Sequence[str | Sensor | Factory]) -> list[Sensor | Factory]:
+def python_sensors(sensors: Sequence[str | Sensor | Factory]) -> list[Sensor | Factory]:
     """Factories of the sensors of a batch that aren't compiled: all but the LiDAR.
 
     Raises:
@@ -347,13 +347,13 @@ def in_python(sensors: Sequence[str | Sensor | Factory]) -> list[Sensor | Factor
     """
     rest = [sensor for sensor in sensors if sensor != LIDAR]
     if len(sensors) - len(rest) > 1:
-        raise ConfigError(two_named(LIDAR))
-    return factories(rest)
+        raise ConfigError(duplicate_name(LIDAR))
+    return sensor_factories(rest)
 
 
-def _group(factory: Any, config: RobotConfig, robots: int, view: View) -> _Each | _Whole:
+def _group(factory: Any, config: RobotConfig, robots: int, view: BatchView) -> _Each | _Whole:
     """Make the sensors of one factory for all robots. ConfigError where a batch can't use them."""
-    one = made_by(factory, RobotLink(view, 0), config)
+    one = make_sensor(factory, RobotLink(view, 0), config)
     if one.name == LIDAR or isinstance(one, LidarSensor):
         raise ConfigError(
             f"sensor {one.name!r}: a batch has no LiDAR but its own: name it {LIDAR!r} in sensors"
@@ -369,7 +369,7 @@ def _group(factory: Any, config: RobotConfig, robots: int, view: View) -> _Each 
         raise ConfigError(
             f"sensor {one.name!r}: a batch needs one for each robot: pass its class or a factory"
         )
-    sensors = [made_by(factory, RobotLink(view, robot), config) for robot in range(1, robots)]
+    sensors = [make_sensor(factory, RobotLink(view, robot), config) for robot in range(1, robots)]
     return _Each([one, *sensors])
 
 

@@ -1,35 +1,122 @@
-"""Compute the numbers that all robots of a batch share, and the sizes of its ring buffers.
+"""What compiled loops take.
 
-`setup_of` takes `ticks`, the control periods in an env step; `max_steps`, the time limit of an
-episode in env steps; `numbers`, how many numbers of the observation are the task's own;
-`sees`, whether the robots have a LiDAR; and `varied`, what every robot draws for every episode.
+Numbers that all robots share, the worlds as arrays, and reset options as rows of the state.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from acsar_gym.config import LINE_BYTES, RobotConfig, whole_ratio
-from acsar_gym.dynamics.randomization import Randomization, Ranges, longest_delay
-from acsar_gym.dynamics.timing import line_time, substep, wire_loops, wire_time
-from acsar_gym.errors import ConfigError
-from acsar_gym.lidars.base import stale_after
-from acsar_gym.lidars.simulated import draws
-from acsar_gym.links.faults import Faults
-from acsar_gym.links.faulty_wire import BUFFER
-from acsar_gym.safety import limiter, rules
+from acsar_gym.errors import ConfigError, WorldError
+from acsar_gym.links.faults import WIRE_BUFFER, Faults
+from acsar_gym.physics.model import line_time, loop_period, wire_loops, wire_time
+from acsar_gym.physics.randomization import DrawnRanges, Randomization, longest_delay
+from acsar_gym.safety import rules
+from acsar_gym.sensors.lidar import noise_draws, ray_spec, stale_after
+from acsar_gym.tasks.base import Task
+from acsar_gym.tasks.episode import Spawn, path_from_start
+from acsar_gym.tasks.factory import check_reset_options
 from acsar_gym.vector.kernel import layout
 from acsar_gym.vector.kernel.layout import LineFaults
 from acsar_gym.wire import STANDSTILL_TIMEOUT
+from acsar_gym.worlds import World, cache, geometry
+from acsar_gym.worlds.pool import Pool
+from acsar_gym.worlds.search import align_with_path
+from acsar_gym.worlds.world import Floats
+
+Array = NDArray[Any]
+ResetRows = dict[int, Array]
+"""Rows of the state that hold reset options: the row's number -> (robots,). Missing rows are
+zero."""
+
+
+def reset_rows(spawn: Spawn, options: Mapping[str, Any], robots: int) -> ResetRows:
+    """Convert a reset's options "world", "difficulty" and "goal" to rows of the state.
+
+    Args:
+        spawn: knows which options the task has.
+        options: of the reset, without the mask.
+        robots: number of robots.
+
+    Raises:
+        ConfigError, WorldError: for an unknown option, or a bad value; names the robot.
+    """
+    given = check_reset_options(options, tuple(name for name in spawn.options if name != "path"))
+    found: ResetRows = {}
+    if given.get("goal") is not None:
+        found |= _goals(spawn, _numbers("goal", given["goal"], robots, 2))
+    if spawn.pool is None:
+        return found
+    if given.get("world") is not None:
+        worlds = _numbers("world", given["world"], robots, 1)[:, 0]
+        found[layout.WISHED_WORLD] = _worlds(spawn.pool, worlds)
+    if given.get("difficulty") is not None:
+        found |= _ranks(spawn.pool, _numbers("difficulty", given["difficulty"], robots, 2))
+    return found
+
+
+def _numbers(name: str, value: Any, robots: int, width: int) -> Array:
+    """(robots, width) numbers of an option that has one row for each robot, or one for all."""
+    try:
+        array = np.asarray(value, np.float64)
+    except (TypeError, ValueError):
+        array = np.zeros(0)
+    one, each = ((), (robots,)) if width == 1 else ((width,), (robots, width))
+    if array.shape not in (one, each):
+        shapes = "a number, or" if width == 1 else "(2,), or"
+        raise ConfigError(f"{name}: must be {shapes} an array of shape {each}; NaN is not to ask")
+    return np.broadcast_to(array.reshape(-1, width), (robots, width))
+
+
+def _goals(spawn: Spawn, goals: Array) -> ResetRows:
+    """Goals (x, y) in the odometry frame [m]; NaN for robots that draw theirs."""
+    asked = ~np.isnan(goals).all(axis=1)
+    for robot in np.flatnonzero(asked):
+        x, y = goals[robot].tolist()
+        if not np.isfinite(x + y):
+            raise ConfigError(f"goal of robot {robot} = ({x}, {y}): must be finite numbers [m]")
+        if spawn.pool is None:
+            spawn.checked((x, y))
+    x, y = np.where(asked, goals.T, 0.0)
+    return {layout.WISHED_GOAL: asked * 1.0, layout.WISHED_X: x, layout.WISHED_Y: y}
+
+
+def _worlds(pool: Pool, numbers: Array) -> Array:
+    """Indices of worlds in the pool, from 1; 0 for robots that draw theirs."""
+    asked = ~np.isnan(numbers)
+    first, last = pool.numbers[0], pool.numbers[-1]
+    sound = (numbers >= first) & (numbers <= last) & (numbers == np.floor(numbers))
+    if (asked & ~sound).any():
+        robot = int(np.argmax(asked & ~sound))
+        raise ConfigError(
+            f"world of robot {robot} = {numbers[robot]:g}: must be {first} to {last} ({pool.kind})"
+        )
+    return np.where(asked, numbers - first + 1.0, 0.0)
+
+
+def _ranks(pool: Pool, ranges: Array) -> ResetRows:
+    """First and last rank of each robot's range of difficulty; 0 and 0 where it is NaN."""
+    ranks = np.zeros((len(ranges), 2))
+    rows, which = np.unique(ranges, axis=0, return_inverse=True)
+    for number, (low, high) in enumerate(rows.tolist()):
+        if not (np.isnan(low) and np.isnan(high)):
+            among = pool.ranks((low, high))
+            ranks[which.ravel() == number] = among.start, among.stop
+    return {layout.FIRST_RANK: ranks[:, 0], layout.LAST_RANK: ranks[:, 1]}
+
 
 BATCH_FAULTS = ("dropped_lines", "late_lines", "lateness", "episodes", "direction")
 """Faults that a batch can simulate: lines that are lost or late."""
 
 
-def setup_of(
+def make_setup(
     config: RobotConfig,
     ticks: int,
     max_steps: int | None,
@@ -40,8 +127,8 @@ def setup_of(
     varied: Randomization,
 ) -> layout.Setup:
     """Compute the numbers that all robots of a batch share; see the module for the arguments."""
-    dt = substep(config)
-    limited = config.geofence is not None or not limiter.free(config)
+    dt = loop_period(config)
+    limited = config.geofence is not None or not rules.is_unlimited(config)
     left_radius, right_radius = config.wheel_radii
     delay = command_loops(config, varied.ranges(config, ticks * config.period))
     late = delay * dt > ticks * config.period - dt / 2.0
@@ -59,7 +146,7 @@ def setup_of(
         max_angular=config.max_angular,
         max_steps=math.inf if max_steps is None else float(max_steps),
         guarded=limited or late or faults.possible,
-        rules=rules.of(config),
+        rules=rules.make_rules(config),
         faults=line_faults(faults, config),
         falls_silent=faults.possible and faults.direction != "commands",
         numbers=numbers,
@@ -93,17 +180,17 @@ def _lidar(config: RobotConfig, *, sees: bool) -> dict[str, Any]:
         "noise": lidar.noise,
         "dropouts": lidar.dropouts,
         "min_range": lidar.min_range,
-        "draws": draws(lidar),
+        "draws": noise_draws(lidar),
     }
 
 
-def lines_kept(setup: layout.Setup, ranges: Ranges, config: RobotConfig) -> int:
+def command_slots(setup: layout.Setup, ranges: DrawnRanges, config: RobotConfig) -> int:
     """Size of the ring of command lines [ticks]: the longest time that one can be on its way."""
     late = 2 * math.ceil(setup.faults.lateness / setup.period) if setup.faults.possible else 0
     return 2 + late + math.ceil(command_loops(config, ranges) / setup.loops)
 
 
-def counts_kept(setup: layout.Setup, ranges: Ranges, config: RobotConfig) -> int:
+def count_slots(setup: layout.Setup, ranges: DrawnRanges, config: RobotConfig) -> int:
     """Size of the ring of encoder counts [firmware loops].
 
     The oldest feedback line that may still be on its way, and the encoders' window before it.
@@ -130,13 +217,13 @@ def counts_kept(setup: layout.Setup, ranges: Ranges, config: RobotConfig) -> int
     return int(setup.window + delay + late + slowest + setup.loops + 1)
 
 
-def command_loops(config: RobotConfig, ranges: Ranges) -> int:
+def command_loops(config: RobotConfig, ranges: DrawnRanges) -> int:
     """The longest time until a command has effect, without faults [firmware loops]."""
-    latency = ranges.high.latency / substep(config)
+    latency = ranges.high.latency / loop_period(config)
     return round(wire_loops(config, longest_delay(ranges, config)) + latency)
 
 
-def check_faults(faults: Mapping[str, Any] | Faults | None, config: RobotConfig) -> Faults:
+def check_batch_faults(faults: Mapping[str, Any] | Faults | None, config: RobotConfig) -> Faults:
     """Check the faults of a batch.
 
     Args:
@@ -155,7 +242,7 @@ def check_faults(faults: Mapping[str, Any] | Faults | None, config: RobotConfig)
                 f"faults: {field.name}: a batch knows {', '.join(BATCH_FAULTS)}; for others "
                 "make_vec with vectorization_mode='sync'"
             )
-    most = BUFFER / (max(config.control_rate, config.feedback_rate) * (LINE_BYTES + 1))
+    most = WIRE_BUFFER / (max(config.control_rate, config.feedback_rate) * (LINE_BYTES + 1))
     if asked.late_lines > 0.0 and asked.lateness > most:
         raise ConfigError(
             f"faults: lateness = {asked.lateness:g}: must be at most {most:.3g} s in a batch, so "
@@ -180,3 +267,107 @@ def line_faults(faults: Faults, config: RobotConfig) -> LineFaults:
         processing_time=firmware.processing_time,
         command_timeout=firmware.command_timeout or math.inf,
     )
+
+
+Integers = NDArray[np.int64]
+MAX_WORLDS = 10_000
+"""Worlds of a batch, at most."""
+PADDING_PLACE = 1e6
+"""Coordinates of the unused circles and segments that pad the arrays [m]."""
+
+
+def make_worlds(pool: Pool | None, *, follow: bool) -> list[World]:
+    """Make all worlds of a pool.
+
+    Args:
+        pool: the worlds; None on an open floor, for which the list is empty.
+        follow: whether robots follow the worlds' paths, from their beginnings.
+
+    Raises:
+        WorldError: for more than 10,000, before any is made.
+    """
+    if pool is None:
+        return []
+    if len(pool) > MAX_WORLDS:
+        raise WorldError(
+            f"worlds: {len(pool):,} of {pool.kind} are too many for a batch, which makes "
+            f"them all when it begins: at most {MAX_WORLDS:,}"
+        )
+    with cache.keep_worlds():
+        worlds = list(pool)
+    return [align_with_path(world) for world in worlds] if follow else worlds
+
+
+def spawn_arrays(task: Task, pool: Pool | None, worlds: Sequence[World]) -> layout.Spawns:
+    """Make the arrays of starts, goals and paths.
+
+    Args:
+        task: of the batch; has the goal distances for an open floor.
+        pool: the worlds, or None.
+        worlds: all worlds of the pool, in its order.
+    """
+    paths, samples = _paths(worlds if task.follows else ())
+    low, high = task.goal_distance
+    return layout.Spawns(
+        min_distance=float(low),
+        max_distance=float(high),
+        starts=np.array([_start(world) for world in worlds]).reshape(-1, 4),
+        goals=np.array([(w.goal.x, w.goal.y, w.goal.radius) for w in worlds]).reshape(-1, 3),
+        lengths=np.array([world.length for world in worlds], np.float64),
+        paths=paths,
+        samples=samples,
+        order=_order(pool),
+    )
+
+
+def _order(pool: Pool | None) -> Integers:
+    """Indices of the worlds from the easiest to the hardest, or unsorted."""
+    if pool is None:
+        return np.zeros(0, np.int64)
+    return pool.by_difficulty[0] if pool.generated else np.arange(len(pool), dtype=np.int64)
+
+
+def _start(world: World) -> tuple[float, float, float, float]:
+    """x, y, radius [m] and theta [rad] of a world's start region; NaN for any direction."""
+    start = world.start
+    return start.x, start.y, start.radius, math.nan if start.theta is None else start.theta
+
+
+def _paths(worlds: Sequence[World]) -> tuple[Floats, Integers]:
+    """Samples of every world's path, padded to the longest, and the number of samples of each."""
+    every = [path_from_start(world) for world in worlds]
+    longest = max((len(samples) for samples in every), default=0)
+    padded = np.zeros((max(len(every), 1), longest, 3))
+    for number, samples in enumerate(every):
+        padded[number, : len(samples)] = samples
+    return padded, np.array([len(samples) for samples in every], np.int64)
+
+
+def pad_surroundings(
+    worlds: Sequence[World], config: RobotConfig, *, sees: bool
+) -> geometry.Surroundings:
+    """Make the arrays of obstacles of all worlds, padded to the world with most of them, and rays.
+
+    Args:
+        worlds: of the batch; none on an open floor.
+        config: of the robots.
+        sees: whether the robots have a LiDAR.
+    """
+    obstacles = geometry.Obstacles(
+        _padded([world.circles for world in worlds], (PADDING_PLACE, PADDING_PLACE, 0.0)),
+        _padded(
+            [world.segments for world in worlds],
+            (PADDING_PLACE, PADDING_PLACE, PADDING_PLACE, PADDING_PLACE),
+        ),
+    )
+    spec = ray_spec(config) if sees else None
+    return geometry.make_surroundings(obstacles, spec, max(len(worlds), 1), config)
+
+
+def _padded(rows: Sequence[Floats], unused: tuple[float, ...]) -> Floats:
+    """Stack arrays of different lengths to (arrays, longest, numbers), padded with `unused`."""
+    longest = max((len(array) for array in rows), default=0)
+    padded = np.tile(np.array(unused), (max(len(rows), 1), longest, 1))
+    for number, array in enumerate(rows):
+        padded[number, : len(array)] = array
+    return padded

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from acsar_gym.errors import ConfigError, TaskError, translate_errors
 from acsar_gym.jit import COMPILED, NumbaError
-from acsar_gym.tasks.base import Memory, Outcome, State, Task, is_compiled, remembered, told
-from acsar_gym.tasks.episode import outcome_of, reward_of
-from acsar_gym.tasks.made import named
+from acsar_gym.tasks.base import Memory, Outcome, State, Task, info_names, is_compiled, new_memory
+from acsar_gym.tasks.episode import ask_outcome, ask_reward
+from acsar_gym.tasks.factory import task_name
 from acsar_gym.vector.kernel import layout
 from acsar_gym.vector.kernel import task as kernel
 from acsar_gym.vector.kernel.episode import update_info
@@ -48,7 +48,7 @@ class Loops(Protocol):
         """The task's part of info, an array for each key."""
 
 
-def loops_of(task: Task, tables: Tables, setup: Setup, spawns: Spawns) -> Loops:
+def make_loops(task: Task, tables: Tables, setup: Setup, spawns: Spawns) -> Loops:
     """Choose compiled loops where task and installation allow it, otherwise Python loops."""
     kind = CompiledLoops if COMPILED and is_compiled(task) else PythonLoops
     own = TaskTables(*(getattr(tables, name) for name in TaskTables._fields))
@@ -63,7 +63,7 @@ class CompiledLoops:
 
     def __init__(self, task: Task, tables: TaskTables, setup: TaskSetup, spawns: Spawns) -> None:
         self._task, self._tables, self._setup, self._spawns = task, tables, setup, spawns
-        self._numbers = numbers_of(task)
+        self._numbers = task_numbers(task)
         kinds = [(name, np.float64) for name in task.memory] or [("nothing", np.float64)]
         self.memory: NDArray[Any] = np.zeros(len(tables.rewards) + 1, kinds)
         for name, value in task.memory.items():
@@ -89,23 +89,24 @@ class CompiledLoops:
         except KeyError as error:  # of numba, for a field that the record doesn't have
             name = error.args[0]
             raise ConfigError(
-                f"{named(self._task)}: memory.{name} isn't declared: give it a first value in the "
+                f"{task_name(self._task)}: memory.{name} isn't declared: give it a first "
+                "value in the "
                 f'class, such as memory = {{"{name}": 0.0}}'
             ) from None
         except (NumbaError, NotImplementedError, TypeError) as error:
             raise kernel.explain_error(self._task, error) from None
         except Exception as error:
             raise TaskError(
-                f"{named(self._task)}: {type(error).__name__}: {error}, in a compiled method; "
+                f"{task_name(self._task)}: {type(error).__name__}: {error}, in a compiled method; "
                 "with compiled = False, the line is told"
             ) from error
 
     def info(self) -> Info:
         """The task's part of info: what it remembers."""
-        return {name: self.memory[name][:-1].copy() for name in told(self._task)}
+        return {name: self.memory[name][:-1].copy() for name in info_names(self._task)}
 
 
-def numbers_of(task: Task) -> Any:
+def task_numbers(task: Task) -> Any:
     """Make the named tuple that compiled methods get as `self`: the task's numbers by name."""
     found = {}
     for name in dir(task):
@@ -147,7 +148,7 @@ class PythonLoops:
         self._task, self._tables, self._setup, self._spawns = task, tables, setup, spawns
         self._paths = spawns.paths.view()
         self._paths.setflags(write=False)  # all robots share them
-        self._memory: list[Memory] = [remembered(task) for _ in tables.rewards]
+        self._memory: list[Memory] = [new_memory(task) for _ in tables.rewards]
         self._numbers = len(task.observation)
         self._constants = (
             (setup.max_linear, setup.max_angular),
@@ -160,7 +161,7 @@ class PythonLoops:
         rows = []
         with self._named():
             for robot, state in zip(robots.tolist(), self._states(robots), strict=True):
-                self._memory[robot] = memory = remembered(self._task)
+                self._memory[robot] = memory = new_memory(self._task)
                 self._task.begin(state, memory)
                 rows.append(self._task.observe(state, memory))
         self._observed(robots, rows)
@@ -181,8 +182,8 @@ class PythonLoops:
         with self._named():
             for robot, state in zip(robots.tolist(), self._states(robots), strict=True):
                 memory = memories[robot]
-                outcome = outcome_of(task, state, memory)
-                rewards.append(reward_of(task, state, memory, outcome))
+                outcome = ask_outcome(task, state, memory)
+                rewards.append(ask_reward(task, state, memory, outcome))
                 outcomes.append(outcome)
                 rows.append(task.observe(state, memory))
         self._observed(robots, rows)
@@ -195,7 +196,7 @@ class PythonLoops:
 
     def _named(self) -> AbstractContextManager[None]:
         """Turn errors that the task raises inside a block into a TaskError with its name."""
-        return translate_errors(TaskError, lambda: named(self._task))
+        return translate_errors(TaskError, lambda: task_name(self._task))
 
     def _observed(self, robots: NDArray[np.int64], rows: list[tuple[float, ...]]) -> None:
         """Write the observations of these robots; TaskError where their number doesn't fit."""
@@ -203,7 +204,7 @@ class PythonLoops:
             try:
                 self._tables.observations[robots, : self._numbers] = rows
             except (TypeError, ValueError) as error:
-                raise TaskError(f"{named(self._task)}.observe: {error}") from None
+                raise TaskError(f"{task_name(self._task)}.observe: {error}") from None
 
     def _states(self, robots: NDArray[np.int64]) -> list[State]:
         """The State of each of these robots."""
@@ -250,5 +251,5 @@ class PythonLoops:
         memories = [vars(memory) for memory in self._memory]
         return {
             name: np.array([memory[name] for memory in memories], np.float64)
-            for name in told(self._task)
+            for name in info_names(self._task)
         }

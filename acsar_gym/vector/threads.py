@@ -16,7 +16,7 @@ Work = Callable[[int, int], None]
 """A loop over items first to last."""
 Order = tuple[int, Work, int, int]
 """Number of the order, the loop, and its first and last item."""
-Report = tuple[int, BaseException | None]
+OrderReport = tuple[int, BaseException | None]
 """Number of the order that is done, and the exception that it raised."""
 
 
@@ -40,7 +40,7 @@ class Threads:
         self._process = os.getpid()
         self._idle = True
         self._orders: list[SimpleQueue[Order | None]] = []
-        self._reports: SimpleQueue[Report] = SimpleQueue()
+        self._reports: SimpleQueue[OrderReport] = SimpleQueue()
         for _ in range(others):
             orders: SimpleQueue[Order | None] = SimpleQueue()
             self._orders.append(orders)
@@ -123,7 +123,7 @@ def _nothing(first: int, last: int) -> None:
     """Do nothing: its report says that all orders before it are done."""
 
 
-def _serve(orders: SimpleQueue[Order | None], reports: SimpleQueue[Report]) -> None:
+def _serve(orders: SimpleQueue[Order | None], reports: SimpleQueue[OrderReport]) -> None:
     """Work on orders until None comes; the body of a thread."""
     while (order := orders.get()) is not None:
         number, work, first, last = order

@@ -1,7 +1,6 @@
 """Worlds: obstacles, start and goal of a robot, in frames of REP 105 (x, y [m], theta [rad])."""
 
 from acsar_gym.worlds.registry import register
-from acsar_gym.worlds.scene import Pose, Scene
-from acsar_gym.worlds.world import Region, World
+from acsar_gym.worlds.world import Pose, Region, Scene, World
 
 __all__ = ["Pose", "Region", "Scene", "World", "register"]

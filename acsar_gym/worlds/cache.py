@@ -25,19 +25,19 @@ from typing import SupportsFloat
 
 import numpy as np
 
+from acsar_gym import reading
 from acsar_gym.errors import ConfigError
-from acsar_gym.reading import bounded
 from acsar_gym.worlds import generators, registry
 from acsar_gym.worlds.world import Floats, Region, World
 
-VARIABLE = "ACSAR_GYM_CACHE"
-BLOCK = 100
+CACHE_VARIABLE = "ACSAR_GYM_CACHE"
+WORLDS_PER_FILE = 100
 """Worlds of a file, at most."""
-LARGEST = 32 * 2**20
+MAX_CACHE_FILE = 32 * 2**20
 """A larger file is neither read nor written [bytes]."""
-MOST = 200 * 2**20
+MAX_CACHE = 200 * 2**20
 """Limit of all files together; those used least recently are deleted first [bytes]."""
-HEAD = 12
+ROW_HEAD = 12
 """Numbers of a world before its obstacles and path: see `_row`."""
 _CHECK = hashlib.sha256().digest_size
 
@@ -45,9 +45,9 @@ Worlds = Mapping[int, World]
 _new: ContextVar[dict[Path, dict[int, World]] | None] = ContextVar("new worlds", default=None)
 
 
-def folder() -> Path | None:
+def cache_folder() -> Path | None:
     """The folder of the files; None where no worlds are kept."""
-    asked = os.environ.get(VARIABLE)
+    asked = os.environ.get(CACHE_VARIABLE)
     if asked is not None:
         return None if asked.lower() in ("", "0", "off") else Path(asked) / "worlds"
     base = os.environ.get("LOCALAPPDATA" if os.name == "nt" else "XDG_CACHE_HOME")
@@ -57,7 +57,7 @@ def folder() -> Path | None:
         return None
 
 
-def world(kind: str, number: int, difficulty: generators.Level, radius: float) -> World:
+def cached_world(kind: str, number: int, difficulty: generators.Level, radius: float) -> World:
     """Make a world as `generators.generate`, or read it from its file.
 
     Args:
@@ -73,7 +73,7 @@ def world(kind: str, number: int, difficulty: generators.Level, radius: float) -
     kept = None if file is None else _known(file, kind).get(number)
     if kept is not None:
         return kept
-    made = generators.generate(kind, number, difficulty, radius)
+    made = generators.generate_world(kind, number, difficulty, radius)
     new = _new.get()
     if file is not None and new is not None:
         new.setdefault(file, {})[number] = made
@@ -81,7 +81,7 @@ def world(kind: str, number: int, difficulty: generators.Level, radius: float) -
 
 
 @contextlib.contextmanager
-def keeping() -> Iterator[None]:
+def keep_worlds() -> Iterator[None]:
     """Write the worlds that this thread generates inside the block to their files at its end."""
     new: dict[Path, dict[int, World]] = {}
     token = _new.set(new)
@@ -99,26 +99,26 @@ def keeping() -> Iterator[None]:
 
 def _file(kind: str, number: int, difficulty: generators.Level, radius: float) -> Path | None:
     """The file of a world; None where it isn't kept."""
-    place, source = folder(), source_hash(kind)
+    place, source = cache_folder(), hash_source(kind)
     sound = isinstance(number, int | np.integer) and isinstance(radius, SupportsFloat)
     if place is None or not (source and sound):
         return None
     fixed = isinstance(difficulty, SupportsFloat)
-    key = f"{source} {kind} {fixed} {generators.limits(difficulty)} {float(radius)!r}"
+    key = f"{source} {kind} {fixed} {generators.difficulty_limits(difficulty)} {float(radius)!r}"
     name = hashlib.sha256(key.encode()).hexdigest()[:24]
-    return place / f"{kind}-{name}-{number // BLOCK}.worlds"
+    return place / f"{kind}-{name}-{number // WORLDS_PER_FILE}.worlds"
 
 
-def source_hash(kind: str) -> str:
+def hash_source(kind: str) -> str:
     """Hash of everything that the worlds of a kind depend on; empty where that can't be known."""
-    own = registry.own(kind)
+    own = registry.find_own(kind)
     if own is None:
-        return generators_hash()
-    return f"{generators_hash()} {own.source}" if generators_hash() and own.source else ""
+        return hash_generators()
+    return f"{hash_generators()} {own.source}" if hash_generators() and own.source else ""
 
 
 @cache
-def generators_hash() -> str:
+def hash_generators() -> str:
     """Hash of the generators' source, and of the versions and machine that worlds depend on.
 
     Empty where the source can't be read.
@@ -137,7 +137,7 @@ def generators_hash() -> str:
 def _read(file: Path, kind: str) -> Worlds:
     """The worlds of a file; none where it is broken or missing."""
     try:
-        data = bounded.content(file, LARGEST)
+        data = reading.read_content(file, MAX_CACHE_FILE)
         if hashlib.sha256(data[_CHECK:]).digest() != data[:_CHECK]:
             return {}
         found = _decoded(np.frombuffer(data[_CHECK:], "<f8"), kind)
@@ -155,7 +155,7 @@ _known = lru_cache(maxsize=16)(_read)
 def _write(file: Path, worlds: Worlds) -> None:
     """Replace the file in one operation, so that nobody reads half of it."""
     body = _encoded(worlds).tobytes()
-    if len(body) + _CHECK > LARGEST:
+    if len(body) + _CHECK > MAX_CACHE_FILE:
         return
     with contextlib.suppress(OSError):
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -171,14 +171,14 @@ def _write(file: Path, worlds: Worlds) -> None:
 
 def _prune() -> None:
     """Delete the files used least recently, until the rest is within the limit."""
-    place = folder()
+    place = cache_folder()
     with contextlib.suppress(OSError):
         files = [*place.glob("*.worlds"), *place.glob("*.part")] if place else []
         aged = sorted(((each.stat(), each) for each in files), key=lambda pair: -pair[0].st_mtime)
         total = 0
         for status, each in aged:
             total += status.st_size
-            if total > MOST:
+            if total > MAX_CACHE:
                 each.unlink(missing_ok=True)
 
 
@@ -212,7 +212,11 @@ def _decoded(numbers: Floats, kind: str) -> Worlds:
     Raises ValueError, IndexError, OverflowError or WorldError for anything else.
     """
     count = int(numbers[0])
-    rows, at, found = numbers[1 : 1 + HEAD * count].reshape(count, HEAD), 1 + HEAD * count, {}
+    rows, at, found = (
+        numbers[1 : 1 + ROW_HEAD * count].reshape(count, ROW_HEAD),
+        1 + ROW_HEAD * count,
+        {},
+    )
     for row in rows.tolist():
         parts: list[Floats | None] = []
         for length, width in zip(row[1:4], (3, 4, 2), strict=True):

@@ -17,21 +17,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.errors import WorldError
-from acsar_gym.worlds.clearance import clearance
+from acsar_gym.worlds.geometry import point_clearance
 from acsar_gym.worlds.world import World
 
 Floats = NDArray[np.float64]
-STEP = 0.15
+PLACE_SPACING = 0.15
 """Distance between two points of the path that are measured, at most [m]."""
-RAYS = 64
+VISIBILITY_RAYS = 64
 """Rays from each point, the first one along x; published: 8, and 16 for dispersion."""
-REACH = 5.0
+VISIBILITY_REACH = 5.0
 """Length of the rays [m]; this is also the distance where nothing is nearer."""
-RADIUS = 0.75
+DISPERSION_RADIUS = 0.75
 """Default radius of dispersion: the published 3 cells, and 2 by which the published obstacles
 are enlarged [m]."""
-MOST_PLACES = 20_000
-CHUNK = 2**16
+MAX_PLACES = 20_000
+RAY_CHUNK = 2**16
 """Distances that are computed at a time."""
 
 
@@ -52,7 +52,9 @@ class Difficulty:
     """Length of the path divided by the distance of its ends; 1 is straight, inf a round trip."""
 
 
-def measure(world: World, path: Floats | None = None, radius: float = RADIUS) -> Difficulty:
+def measure_difficulty(
+    world: World, path: Floats | None = None, radius: float = DISPERSION_RADIUS
+) -> Difficulty:
     """Measure the difficulty of a world.
 
     Args:
@@ -64,15 +66,17 @@ def measure(world: World, path: Floats | None = None, radius: float = RADIUS) ->
         WorldError: there is no path, or it isn't of finite numbers, has no length, or is longer
             than 3 km.
     """
-    if not 0.0 < radius <= REACH:
-        raise WorldError(f"radius = {radius}: must be within (0, {REACH:g}] m")
+    if not 0.0 < radius <= VISIBILITY_REACH:
+        raise WorldError(f"radius = {radius}: must be within (0, {VISIBILITY_REACH:g}] m")
     way = _way(world, path)
     places = _places(way)
     ranges = _ranges(places, world)
     near = ranges <= radius
-    across = ranges + np.roll(ranges, RAYS // 2, axis=1)
+    across = ranges + np.roll(ranges, VISIBILITY_RAYS // 2, axis=1)
     return Difficulty(
-        closest_obstacle=float(np.clip(clearance(places, world), 0.0, REACH).mean()),
+        closest_obstacle=float(
+            np.clip(point_clearance(places, world), 0.0, VISIBILITY_REACH).mean()
+        ),
         visibility=float(ranges.mean()),
         dispersion=float((near != np.roll(near, 1, axis=1)).sum(axis=1).mean()),
         characteristic_dimension=float(across.min(axis=1).mean()),
@@ -106,8 +110,8 @@ def _tortuosity(way: Floats) -> float:
 def _places(way: Floats) -> Floats:
     """Points at even steps along a path, including both ends."""
     along = np.concatenate([[0.0], np.cumsum(_lengths(way))])
-    count = math.ceil(along[-1] / STEP - 1e-9) + 1
-    if count > MOST_PLACES:
+    count = math.ceil(along[-1] / PLACE_SPACING - 1e-9) + 1
+    if count > MAX_PLACES:
         raise WorldError(f"path: is {along[-1]:.0f} m long, too long to measure")
     at = np.linspace(0.0, along[-1], count)
     return np.column_stack([np.interp(at, along, way[:, axis]) for axis in (0, 1)])
@@ -115,14 +119,14 @@ def _places(way: Floats) -> Floats:
 
 def _ranges(places: Floats, world: World) -> Floats:
     """Lengths of rays (points, RAYS), counter-clockwise from the x axis [m]; 0 inside a circle."""
-    rows = max(1, CHUNK // (RAYS * max(1, world.obstacles)))
+    rows = max(1, RAY_CHUNK // (VISIBILITY_RAYS * max(1, world.obstacles)))
     chunks = (places[first : first + rows] for first in range(0, len(places), rows))
     return np.concatenate([_some_ranges(chunk, world) for chunk in chunks])
 
 
 def _some_ranges(places: Floats, world: World) -> Floats:
     """`_ranges` of one chunk."""
-    low, high = places.min(axis=0) - REACH, places.max(axis=0) + REACH
+    low, high = places.min(axis=0) - VISIBILITY_REACH, places.max(axis=0) + VISIBILITY_REACH
     circles, segments = world.circles, world.segments
     centres, radii = circles[:, :2], circles[:, 2:]
     circles = circles[((centres + radii >= low) & (centres - radii <= high)).all(axis=1)]
@@ -132,12 +136,12 @@ def _some_ranges(places: Floats, world: World) -> Floats:
     )
     segments = segments[((ends[1] >= low) & (ends[0] <= high)).all(axis=1)]
     nearest = np.minimum(_to_circles(places, circles), _to_segments(places, segments))
-    return np.minimum(nearest, REACH)
+    return np.minimum(nearest, VISIBILITY_REACH)
 
 
 def _directions() -> tuple[Floats, Floats]:
     """Cosine and sine of the rays, (RAYS, 1)."""
-    angles = np.arange(RAYS) * (2.0 * math.pi / RAYS)
+    angles = np.arange(VISIBILITY_RAYS) * (2.0 * math.pi / VISIBILITY_RAYS)
     return np.cos(angles)[:, None], np.sin(angles)[:, None]
 
 

@@ -30,24 +30,24 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from acsar_gym.errors import WorldError, shown, suggestion
-from acsar_gym.reading import bounded, structured
-from acsar_gym.reading.bounded import reason
+from acsar_gym import reading
+from acsar_gym.errors import WorldError, show_value, suggest_name
+from acsar_gym.reading import explain_error
 from acsar_gym.worlds import maps, sdf
-from acsar_gym.worlds.world import FARTHEST, MOST_OBSTACLES, Region, World
+from acsar_gym.worlds.world import MAX_COORDINATE, MAX_OBSTACLES, Region, World
 
 Floats = NDArray[np.float64]
-MOST_BYTES = 64_000_000
+MAX_IMPORT_BYTES = 64_000_000
 """Most bytes of an SDF file or a picture."""
-MOST_TEXT = 5_000_000
+MAX_TEXT_BYTES = 5_000_000
 """Most bytes of a JSON or YAML; 20,000 segments and a path of 20,000 points are 3 MB."""
-MOST_EVENTS = 210_000
+MAX_YAML_EVENTS = 210_000
 """Most parser events of a YAML; 20,000 segments and a path of 20,000 points are 200,000."""
-MOST_FILES = 10_000
+MAX_WORLD_FILES = 10_000
 """Most worlds of a folder."""
-MOST_TOGETHER = 1_000_000
+MAX_FOLDER_OBSTACLES = 1_000_000
 """Most obstacles of all worlds of a folder."""
-MOST_NAME = 1_000
+MAX_NAME = 1_000
 """Most characters of a name."""
 KEYS = ("name", "circles", "segments", "start", "goal", "path")
 REGION_KEYS = {"start": ("x", "y", "theta", "radius"), "goal": ("x", "y", "radius")}
@@ -64,16 +64,16 @@ NPY_ERRORS = (
 """Exceptions that NumPy raises for broken files."""
 
 
-def load(path: Path) -> World:
+def load_world(path: Path) -> World:
     """Read a world from a `.world`, `.sdf`, `.yaml`, `.yml` or `.json` file.
 
     Raises WorldError where it can't be read, and MissingExtraError for a map without Pillow.
     """
-    reader = READERS.get(path.suffix.lower())
+    reader = WORLD_READERS.get(path.suffix.lower())
     if reader is None:
-        if path.suffix.lower() in maps.PICTURES:
+        if path.suffix.lower() in maps.PICTURE_SUFFIXES:
             raise WorldError(f"{path}: is a map's picture: pass the YAML that names it")
-        raise WorldError(f"{path}: a world is read from {', '.join(READERS)}")
+        raise WorldError(f"{path}: a world is read from {', '.join(WORLD_READERS)}")
     try:
         return reader(path)
     except WorldError as error:
@@ -91,25 +91,29 @@ def load_folder(folder: Path) -> list[World]:
             raise WorldError(f"{folder}: there is no such folder")
         paths = [path for path in folder.iterdir() if _is_world(path)]
     except OSError as error:
-        raise WorldError(f"{folder}: can't be read: {reason(error)}") from None
+        raise WorldError(f"{folder}: can't be read: {explain_error(error)}") from None
     if not paths:
-        raise WorldError(f"{folder}: holds no worlds ({', '.join(READERS)})")
-    if len(paths) > MOST_FILES:
-        raise WorldError(f"{folder}: holds {len(paths):,} worlds, at most {MOST_FILES:,} are read")
+        raise WorldError(f"{folder}: holds no worlds ({', '.join(WORLD_READERS)})")
+    if len(paths) > MAX_WORLD_FILES:
+        raise WorldError(
+            f"{folder}: holds {len(paths):,} worlds, at most {MAX_WORLD_FILES:,} are read"
+        )
     return list(_loaded(folder, sorted(paths, key=_natural)))
 
 
 def _loaded(folder: Path, paths: Iterable[Path]) -> Iterator[World]:
     obstacles = 0
     for path in paths:
-        world = load(path)
+        world = load_world(path)
         obstacles += world.obstacles
-        if obstacles > MOST_TOGETHER:
-            raise WorldError(f"{folder}: holds more than {MOST_TOGETHER:,} obstacles: use fewer")
+        if obstacles > MAX_FOLDER_OBSTACLES:
+            raise WorldError(
+                f"{folder}: holds more than {MAX_FOLDER_OBSTACLES:,} obstacles: use fewer"
+            )
         yield world
 
 
-def save(world: World, path: Path) -> None:
+def save_world(world: World, path: Path) -> None:
     """Write a world in the project's own format; `load` gives the same world.
 
     Raises WorldError for other suffixes than `.json`, `.yaml` and `.yml`, and where the file can't
@@ -122,11 +126,11 @@ def save(world: World, path: Path) -> None:
         data = write(_fields(world)).encode()
     except UnicodeEncodeError:
         raise WorldError(f"{path}: can't be written: the world's name isn't UTF-8 text") from None
-    bounded.write_atomically(path, data, WorldError)
+    reading.write_atomically(path, data, WorldError)
 
 
 def _is_world(path: Path) -> bool:
-    return path.suffix.lower() in READERS and not path.name.startswith(".")
+    return path.suffix.lower() in WORLD_READERS and not path.name.startswith(".")
 
 
 def _natural(path: Path) -> tuple[list[str | int], str]:
@@ -135,11 +139,11 @@ def _natural(path: Path) -> tuple[list[str | int], str]:
 
 
 def _text(path: Path) -> str:
-    return structured.decoded(bounded.content(path, MOST_TEXT, WorldError), WorldError)
+    return reading.decode_text(reading.read_content(path, MAX_TEXT_BYTES, WorldError), WorldError)
 
 
 def _from_sdf(path: Path) -> World:
-    circles, segments = sdf.obstacles(bounded.content(path, MOST_BYTES, WorldError))
+    circles, segments = sdf.read_obstacles(reading.read_content(path, MAX_IMPORT_BYTES, WorldError))
     return World(circles, segments, BARN_START, BARN_GOAL, _published_path(path), path.stem)
 
 
@@ -167,25 +171,27 @@ def _cells(path: Path) -> Floats:
         raise WorldError(f"{path.name}: isn't a sound .npy file: remove or replace it") from None
     if cells.ndim != 2 or cells.shape[1] != 2 or cells.dtype.kind not in "iuf":
         raise WorldError(f"{path.name}: must hold cells (row, column), has shape {cells.shape}")
-    if len(cells) > MOST_OBSTACLES or not (np.abs(cells) <= FARTHEST).all():
+    if len(cells) > MAX_OBSTACLES or not (np.abs(cells) <= MAX_COORDINATE).all():
         raise WorldError(f"{path.name}: holds too many cells or cells too far away")
     return cells.astype(np.float64)
 
 
 def _from_json(path: Path) -> World:
-    return _from_data(structured.from_json(_text(path), WorldError), path)
+    return _from_data(reading.parse_json(_text(path), WorldError), path)
 
 
 def _from_yaml(path: Path) -> World:
-    return _from_data(structured.from_yaml(_text(path), WorldError, MOST_EVENTS), path)
+    return _from_data(reading.parse_yaml(_text(path), WorldError, MAX_YAML_EVENTS), path)
 
 
 def _from_data(data: object, path: Path) -> World:
     if not isinstance(data, dict):
         raise WorldError(f"must be a mapping with {', '.join(KEYS)}")
     name = data.get("name", path.stem)
-    if not isinstance(name, str) or len(name) > MOST_NAME:
-        raise WorldError(f"name: must be text of {MOST_NAME} characters at most, is {shown(name)}")
+    if not isinstance(name, str) or len(name) > MAX_NAME:
+        raise WorldError(
+            f"name: must be text of {MAX_NAME} characters at most, is {show_value(name)}"
+        )
     start, goal = (_region(key, data.get(key)) for key in REGION_KEYS)
     circles, segments = _rows(data, "circles", 3), _rows(data, "segments", 4)
     way = None if data.get("path") is None else _rows(data, "path", 2)
@@ -198,19 +204,19 @@ def _from_data(data: object, path: Path) -> World:
 
 def _outlines(data: Mapping[str, Any], path: Path) -> Floats:
     """Segments of a ROS map."""
-    config = maps.settings(data)
+    config = maps.read_settings(data)
     try:
-        picture = bounded.content(path.parent / config.image, MOST_BYTES, WorldError)
-        return maps.segments(picture, config)
+        picture = reading.read_content(path.parent / config.image, MAX_IMPORT_BYTES, WorldError)
+        return maps.map_segments(picture, config)
     except WorldError as error:
-        raise WorldError(f"image {shown(config.image)}: {error}") from None
+        raise WorldError(f"image {show_value(config.image)}: {error}") from None
 
 
 def _known(data: Mapping[Any, Any], keys: Iterable[str], where: str = "") -> None:
     for key in data:
         if key not in keys:
             near = key[:40] if isinstance(key, str) else ""
-            raise WorldError(f"{where}unknown key {shown(key)}{suggestion(near, keys)}")
+            raise WorldError(f"{where}unknown key {show_value(key)}{suggest_name(near, keys)}")
 
 
 def _region(name: str, data: object) -> Region:
@@ -224,7 +230,7 @@ def _region(name: str, data: object) -> Region:
     given = {key: value for key, value in data.items() if value is not None}
     for key in ("x", "y", *given):
         if not _is_number(given.get(key)):
-            raise WorldError(f"{name}: {key} must be a number, is {shown(given.get(key))}")
+            raise WorldError(f"{name}: {key} must be a number, is {show_value(given.get(key))}")
     return Region(**given)
 
 
@@ -232,18 +238,19 @@ def _is_number(value: object) -> bool:
     """Whether a value is a finite number that isn't too large; True and False aren't numbers."""
     if not isinstance(value, int | float) or isinstance(value, bool):
         return False
-    return abs(value) <= FARTHEST
+    return abs(value) <= MAX_COORDINATE
 
 
 def _rows(data: Mapping[str, Any], name: str, width: int) -> Floats:
     rows = data.get(name, [])
-    if not isinstance(rows, list) or len(rows) > MOST_OBSTACLES:
-        raise WorldError(f"{name}: must be a list of at most {MOST_OBSTACLES:,} rows")
+    if not isinstance(rows, list) or len(rows) > MAX_OBSTACLES:
+        raise WorldError(f"{name}: must be a list of at most {MAX_OBSTACLES:,} rows")
     for number, row in enumerate(rows):
         if not isinstance(row, list) or len(row) != width or not all(map(_is_number, row)):
             raise WorldError(
-                f"{name}: row {number} must be {width} finite numbers of at most {FARTHEST:g}, "
-                f"is {shown(row)}"
+                f"{name}: row {number} must be {width} finite numbers of at most "
+                f"{MAX_COORDINATE:g}, "
+                f"is {show_value(row)}"
             )
     return np.array(rows, np.float64).reshape(-1, width)
 
@@ -283,7 +290,7 @@ def _as_yaml(fields: Mapping[str, Any]) -> str:
     return text
 
 
-READERS: dict[str, Callable[[Path], World]] = {
+WORLD_READERS: dict[str, Callable[[Path], World]] = {
     ".world": _from_sdf,
     ".sdf": _from_sdf,
     ".yaml": _from_yaml,

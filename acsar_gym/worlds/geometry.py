@@ -1,28 +1,149 @@
-"""Obstacles around a robot, and the ranges of rays to them; `collisions` has contacts.
-
-Scalar functions and loops over obstacles, compiled where numba is installed. They work in the frame
-of the robot or the sensor: x ahead, y to the left, lengths in m, angles in rad. Obstacles out of
-reach are skipped early, and only rays that can meet an obstacle are computed.
-"""
+"""Obstacles around a robot: ranges of rays, collisions of footprints, and distances."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from acsar_gym.config import RobotConfig, footprint
 from acsar_gym.errors import ConfigError
 from acsar_gym.jit import jit, loop
 from acsar_gym.worlds.world import World
 
+CLEARANCE_CHUNK = 2**14
+"""Distances that are computed at a time."""
+
+
+def point_clearance(points: ArrayLike, world: World) -> Floats:
+    """Compute distances of points to the nearest obstacle.
+
+    Args:
+        points: (N, 2) [m].
+        world: with the obstacles.
+
+    Returns:
+        (N,) [m]: negative inside a circle, zero on a segment, inf without obstacles.
+
+    Raises:
+        ValueError: for points of another shape.
+    """
+    places = _pairs(points)
+    return _chunked(lambda rows: _of_points(places[rows], world), len(places), world)
+
+
+def segment_clearance(a: ArrayLike, b: ArrayLike, world: World) -> Floats:
+    """Compute the least distance of straight lines to any obstacle.
+
+    Args:
+        a: beginnings, (N, 2) [m].
+        b: ends, (N, 2) [m].
+        world: with the obstacles.
+
+    Returns:
+        (N,) [m]: minus the depth where a line enters a circle, zero where it touches or crosses
+        a segment, inf without obstacles.
+
+    Raises:
+        ValueError: for other shapes.
+    """
+    starts, ends = _pairs(a), _pairs(b)
+    if len(starts) != len(ends):
+        raise ValueError(f"{len(starts)} starts and {len(ends)} ends of pieces")
+    return _chunked(lambda rows: _of_pieces(starts[rows], ends[rows], world), len(starts), world)
+
+
+def _pairs(points: ArrayLike) -> Floats:
+    """Check and convert points to (N, 2)."""
+    array = np.asarray(points, np.float64)
+    if array.size == 0:
+        return np.zeros((0, 2))
+    if array.ndim != 2 or array.shape[1] != 2:
+        raise ValueError(f"points must be of shape (N, 2), not {array.shape}")
+    return array
+
+
+def _chunked(distances: Callable[[slice], Floats], count: int, world: World) -> Floats:
+    """Distances of so many rows, computed in chunks."""
+    rows = max(1, CLEARANCE_CHUNK // max(1, world.obstacles))
+    result = np.full(count, np.inf)
+    if world.obstacles:
+        for first in range(0, count, rows):
+            result[first : first + rows] = distances(slice(first, first + rows))
+    return result
+
+
+def _of_points(points: Floats, world: World) -> Floats:
+    """`clearance` of one chunk, (N,)."""
+    p = points.T[..., None]
+    to_circles = _lengths(p - world.circles.T[:2, None]) - world.circles[:, 2]
+    to_segments = _to_pieces(p, world.segments.T[:2, None], world.segments.T[2:, None])
+    return _least(to_circles, to_segments)
+
+
+def _of_pieces(starts: Floats, ends: Floats, world: World) -> Floats:
+    """`segment_clearance` of one chunk, (N,)."""
+    a, b = starts.T[..., None], ends.T[..., None]
+    c, d = world.segments.T[:2, None], world.segments.T[2:, None]
+    to_circles = _to_pieces(world.circles.T[:2, None], a, b) - world.circles[:, 2]
+    # Two segments that don't cross are nearest at one of their four ends.
+    of_ends = np.minimum(_to_pieces(a, c, d), _to_pieces(b, c, d))
+    of_their_ends = np.minimum(_to_pieces(c, a, b), _to_pieces(d, a, b))
+    to_segments = np.where(_cross(a, b, c, d), 0.0, np.minimum(of_ends, of_their_ends))
+    return _least(to_circles, to_segments)
+
+
+def _least(*distances: Floats) -> Floats:
+    """The least value of every row of several arrays (N, obstacles)."""
+    least: Floats = np.concatenate(distances, axis=1).min(axis=1)
+    return least
+
+
+# In the functions below the first axis of a vector is x and y: NumPy is twice as fast that way.
+
+
+def _to_pieces(points: Floats, starts: Floats, ends: Floats) -> Floats:
+    """Distance of points (2, ...) to the lines from `starts` to `ends` (2, ...)."""
+    along, offset = ends - starts, points - starts
+    square = _dot(along, along)
+    share = np.clip(_dot(offset, along) / np.where(square > 0.0, square, 1.0), 0.0, 1.0)
+    return np.where(share < 1.0, _lengths(offset - share * along), _lengths(points - ends))
+
+
+def _cross(a: Floats, b: Floats, c: Floats, d: Floats) -> NDArray[np.bool_]:
+    """Whether the lines a-b and c-d cross; touching and overlapping don't count."""
+    apart_one = _side(a, b, c) * _side(a, b, d)
+    apart_other = _side(c, d, a) * _side(c, d, b)
+    crossing: NDArray[np.bool_] = (apart_one < 0.0) & (apart_other < 0.0)
+    return crossing
+
+
+def _side(a: Floats, b: Floats, c: Floats) -> Floats:
+    """Side of the line from a to b on which c is: 1 left, -1 right, 0 on it."""
+    (abx, aby), (acx, acy) = b - a, c - a
+    side: Floats = np.sign(abx * acy - aby * acx)
+    return side
+
+
+def _dot(one: Floats, other: Floats) -> Floats:
+    """Dot product along the first axis."""
+    product: Floats = one[0] * other[0] + one[1] * other[1]
+    return product
+
+
+def _lengths(vectors: Floats) -> Floats:
+    """Lengths of vectors along the first axis."""
+    lengths: Floats = np.sqrt(_dot(vectors, vectors))
+    return lengths
+
+
 Floats = NDArray[np.float64]
-TURN = 2.0 * math.pi
-EDGE = 1e-9
+FULL_TURN = 2.0 * math.pi
+RAY_TOLERANCE = 1e-9
 """Tolerance at both ends of the range of rays that can meet an obstacle [rad]."""
 
 
@@ -107,7 +228,7 @@ class Surroundings(NamedTuple):
     [m]."""
 
 
-def surroundings(
+def make_surroundings(
     obstacles: Obstacles, spec: RaySpec | None, robots: int, config: RobotConfig
 ) -> Surroundings:
     """Make the arrays around a batch of robots.
@@ -136,7 +257,7 @@ def _sides(config: RobotConfig) -> Floats:
     """(sides, 4): the sides of a polygonal footprint; none where the footprint is a box."""
     if config.footprint is None:
         return np.zeros((0, 4))
-    return np.array([(*a, *b) for a, b in footprint.sides(config.footprint)])
+    return np.array([(*a, *b) for a, b in footprint.outline_sides(config.footprint)])
 
 
 def _repeated(array: Floats, sets: int) -> Floats:
@@ -202,9 +323,9 @@ def see_circle(
     ranges: Floats, x: float, y: float, radius: float, square: float, around: Surroundings
 ) -> None:
     """Shorten the rays that meet a circle at (x, y) in the sensor's frame, `square` [m^2] away."""
-    middle, half = math.atan2(y, x), math.asin(radius / math.sqrt(square)) + EDGE
+    middle, half = math.atan2(y, x), math.asin(radius / math.sqrt(square)) + RAY_TOLERANCE
     last = len(ranges) - 1
-    for shift in (-TURN, 0.0, TURN):
+    for shift in (-FULL_TURN, 0.0, FULL_TURN):
         low = max(math.ceil((middle - half + shift - around.start) / around.step), 0)
         high = min(math.floor((middle + half + shift - around.start) / around.step), last)
         shorten_by_circle(ranges, x, y, radius, low, high, around.directions)
@@ -216,16 +337,16 @@ def see_segment(
 ) -> None:
     """Shorten the rays that meet a segment from a to b in the sensor's frame."""
     one, width = math.atan2(ay, ax), math.atan2(ax * by - ay * bx, ax * bx + ay * by)
-    first, last = min(one, one + width) - EDGE, len(ranges) - 1
-    for shift in (-TURN, 0.0, TURN):
+    first, last = min(one, one + width) - RAY_TOLERANCE, len(ranges) - 1
+    for shift in (-FULL_TURN, 0.0, FULL_TURN):
         low = max(math.ceil((first + shift - around.start) / around.step), 0)
-        top = first + abs(width) + 2.0 * EDGE
+        top = first + abs(width) + 2.0 * RAY_TOLERANCE
         high = min(math.floor((top + shift - around.start) / around.step), last)
         shorten_by_segment(ranges, ax, ay, bx, by, low, high, around.directions)
 
 
 @loop
-def cast(
+def cast_rays(
     x: float,
     y: float,
     cos: float,
@@ -262,7 +383,7 @@ def cast(
         ranges[k] = min(max(ranges[k], 0.0), around.reach)
 
 
-def look(place: tuple[float, float], bearings: Floats, world: World | None) -> Floats:
+def measure_ranges(place: tuple[float, float], bearings: Floats, world: World | None) -> Floats:
     """Compute ranges at any bearings, in plain NumPy; `cast` is faster for evenly spaced rays.
 
     Args:
@@ -290,3 +411,122 @@ def look(place: tuple[float, float], bearings: Floats, world: World | None) -> F
     hits = np.concatenate([near, far], axis=1)
     ranges[:] = np.min(np.where(hits >= 0.0, hits, np.inf), axis=1, initial=np.inf)
     return ranges
+
+
+@loop
+def footprint_collides(
+    x: float, y: float, cos: float, sin: float, which: int, around: Surroundings
+) -> bool:
+    """Whether the footprint touches an obstacle.
+
+    Args:
+        x: of the base in the frame of the world [m].
+        y: of the base in the frame of the world [m].
+        cos: of the heading.
+        sin: of the heading.
+        which: index of the set of obstacles.
+        around: obstacles and footprint.
+    """
+    half_x, half_y = around.half_length, around.half_width
+    outer = math.sqrt(half_x * half_x + half_y * half_y)
+    circles, segments, is_box = around.circles, around.segments, len(around.sides) == 0
+    for n in range(circles.shape[1]):
+        dx, dy, radius = circles[which, n, 0] - x, circles[which, n, 1] - y, circles[which, n, 2]
+        near = outer + radius
+        if dx * dx + dy * dy <= near * near:
+            ahead, left = dx * cos + dy * sin, dy * cos - dx * sin
+            if circle_meets_box(ahead, left, radius, half_x, half_y) and (
+                is_box or circle_meets_polygon(ahead, left, radius, around.sides)
+            ):
+                return True
+    for n in range(segments.shape[1]):
+        ax, ay = segments[which, n, 0] - x, segments[which, n, 1] - y
+        bx, by = segments[which, n, 2] - x, segments[which, n, 3] - y
+        if min(ax, bx) <= outer and max(ax, bx) >= -outer and min(ay, by) <= outer:
+            a_x, a_y = ax * cos + ay * sin, ay * cos - ax * sin
+            b_x, b_y = bx * cos + by * sin, by * cos - bx * sin
+            if segment_meets_box(a_x, a_y, b_x, b_y, half_x, half_y) and (
+                is_box or segment_meets_polygon(a_x, a_y, b_x, b_y, around.sides)
+            ):
+                return True
+    return False
+
+
+@jit
+def circle_meets_box(x: float, y: float, radius: float, half_x: float, half_y: float) -> bool:
+    """Whether a circle at (x, y) overlaps the box of these half sizes around the origin."""
+    dx = x - min(max(x, -half_x), half_x)
+    dy = y - min(max(y, -half_y), half_y)
+    return dx * dx + dy * dy <= radius * radius
+
+
+@jit
+def segment_meets_box(
+    ax: float, ay: float, bx: float, by: float, half_x: float, half_y: float
+) -> bool:
+    """Whether a segment touches the box of these half sizes around the origin.
+
+    By the algorithm of Liang and Barsky (1984).
+    """
+    near, far = 0.0, 1.0
+    for start, along, half in ((ax, bx - ax, half_x), (ay, by - ay, half_y)):
+        if abs(along) < 1e-15:
+            if abs(start) > half:
+                return False
+        else:
+            one, two = (-half - start) / along, (half - start) / along
+            near, far = max(near, min(one, two)), min(far, max(one, two))
+    return near <= far
+
+
+@loop
+def is_inside(x: float, y: float, polygon: Floats) -> bool:
+    """Whether a point lies within a polygon, (sides, 4)."""
+    found = False
+    for n in range(len(polygon)):
+        ax, ay, bx, by = polygon[n, 0], polygon[n, 1], polygon[n, 2], polygon[n, 3]
+        if (ay > y) != (by > y) and x < ax + (bx - ax) * (y - ay) / (by - ay):
+            found = not found
+    return found
+
+
+@loop
+def circle_meets_polygon(x: float, y: float, radius: float, polygon: Floats) -> bool:
+    """Whether a circle at (x, y) overlaps a polygon, (sides, 4)."""
+    for n in range(len(polygon)):
+        ax, ay = polygon[n, 0], polygon[n, 1]
+        ex, ey = polygon[n, 2] - ax, polygon[n, 3] - ay
+        share = ((x - ax) * ex + (y - ay) * ey) / (ex * ex + ey * ey)
+        share = min(max(share, 0.0), 1.0)
+        dx, dy = x - ax - share * ex, y - ay - share * ey
+        if dx * dx + dy * dy <= radius * radius:
+            return True
+    return is_inside(x, y, polygon)
+
+
+@loop
+def segment_meets_polygon(ax: float, ay: float, bx: float, by: float, polygon: Floats) -> bool:
+    """Whether a segment from a to b touches a polygon, (sides, 4), or lies within it."""
+    for n in range(len(polygon)):
+        if segments_meet(
+            ax, ay, bx, by, polygon[n, 0], polygon[n, 1], polygon[n, 2], polygon[n, 3]
+        ):
+            return True
+    return is_inside(ax, ay, polygon)
+
+
+@jit
+def segments_meet(
+    ax: float, ay: float, bx: float, by: float, cx: float, cy: float, dx: float, dy: float
+) -> bool:
+    """Whether the segments a-b and c-d have a point in common."""
+    if max(ax, bx) < min(cx, dx) or max(cx, dx) < min(ax, bx):
+        return False
+    if max(ay, by) < min(cy, dy) or max(cy, dy) < min(ay, by):
+        return False
+    ex, ey, fx, fy = bx - ax, by - ay, dx - cx, dy - cy
+    c_side = ex * (cy - ay) - ey * (cx - ax)
+    d_side = ex * (dy - ay) - ey * (dx - ax)
+    a_side = fx * (ay - cy) - fy * (ax - cx)
+    b_side = fx * (by - cy) - fy * (bx - cx)
+    return c_side * d_side <= 0.0 and a_side * b_side <= 0.0

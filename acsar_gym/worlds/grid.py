@@ -9,18 +9,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.errors import optional
+from acsar_gym.errors import require_extra
 from acsar_gym.worlds.world import Floats, World
 
-RESOLUTION = 0.05
+CELL_SIDE = 0.05
 """Side of a cell [m]."""
-MOST_CELLS = 1_000_000
+MAX_CELLS = 1_000_000
 """Most cells of a search: 2,500 m^2. Larger areas get larger cells."""
-MOST_WORK = 200_000_000
+MAX_DISTANCES = 200_000_000
 """Most distances from cells to obstacles; where long obstacles need more, cells are larger."""
-SLACK = 1e-3
+PATH_SLACK = 1e-3
 """How much nearer than the clearance a path may be to an obstacle between two cells [m]."""
-WALL = 0.75
+WALL_SHARE = 0.75
 """Cells nearer to an obstacle than this share of their side are never free."""
 
 
@@ -48,7 +48,7 @@ class Grid:
         return np.column_stack([self.x + i * self.side, self.y + j * self.side])
 
 
-def box_around(world: World, ends: Floats) -> Floats:
+def bounds_with(world: World, ends: Floats) -> Floats:
     """Least x and y, largest x and y of a world and the ends of a path [m]."""
     low, high = world.bounds[:2], world.bounds[2:]
     return np.concatenate([np.minimum(low, ends.min(axis=0)), np.maximum(high, ends.max(axis=0))])
@@ -56,10 +56,10 @@ def box_around(world: World, ends: Floats) -> Floats:
 
 def _margin(radius: float) -> float:
     """Width that is added on each side of a box [m]."""
-    return 2.0 * radius + 4.0 * RESOLUTION
+    return 2.0 * radius + 4.0 * CELL_SIDE
 
 
-def cells_in(box: Floats, radius: float, side: float) -> float:
+def count_cells(box: Floats, radius: float, side: float) -> float:
     """How many cells a box needs with its margins.
 
     Args:
@@ -71,7 +71,7 @@ def cells_in(box: Floats, radius: float, side: float) -> float:
     return float(width * height / side**2)
 
 
-def near(world: World, box: Floats) -> World:
+def crop_world(world: World, box: Floats) -> World:
     """The world with only those obstacles whose bounding boxes overlap this box."""
     centres, radii = world.circles[:, :2], world.circles[:, 2:]
     low = np.minimum(world.segments[:, :2], world.segments[:, 2:])
@@ -95,25 +95,25 @@ def free_cells(
         reach: the grid covers no more than this around the ends [m].
     """
     box, margin = (
-        np.array(world.bounds) if ends is None else box_around(world, ends),
+        np.array(world.bounds) if ends is None else bounds_with(world, ends),
         _margin(radius),
     )
     around = world
     if ends is not None and math.isfinite(reach):
         box[:2] = np.maximum(box[:2], ends.min(axis=0) - reach)
         box[2:] = np.minimum(box[2:], ends.max(axis=0) + reach)
-        around = near(world, np.concatenate([box[:2] - margin, box[2:] + margin]))
+        around = crop_world(world, np.concatenate([box[:2] - margin, box[2:] + margin]))
     left, low = (box[:2] - margin).tolist()
     width, height = (box[2:] - box[:2] + 2.0 * margin).tolist()
-    side = RESOLUTION * max(
+    side = CELL_SIDE * max(
         1.0,
-        math.sqrt(width * height / MOST_CELLS) / RESOLUTION,
-        math.sqrt(_work(around, radius, width, height) / MOST_WORK) / RESOLUTION,
+        math.sqrt(width * height / MAX_CELLS) / CELL_SIDE,
+        math.sqrt(_work(around, radius, width, height) / MAX_DISTANCES) / CELL_SIDE,
     )
     x, y = (math.floor(least / side) + 0.5 for least in (left, low))
     free = np.ones((math.ceil(width / side) + 1, math.ceil(height / side) + 1), np.bool_)
     grid = Grid(free, x * side, y * side, side)
-    radius = max(radius, WALL * side)
+    radius = max(radius, WALL_SHARE * side)
     for cx, cy, r in around.circles.tolist():
         _block(grid, (cx, cy, cx, cy), r + radius)
     for x1, y1, x2, y2 in around.segments.tolist():
@@ -135,7 +135,7 @@ def _work(world: World, radius: float, width: float, height: float) -> float:
 def _block(grid: Grid, ends: tuple[float, float, float, float], radius: float) -> None:
     """Mark the cells nearer than `radius` to a line as not free."""
     x1, y1, x2, y2 = ends
-    reach = radius - SLACK / 2.0
+    reach = radius - PATH_SLACK / 2.0
     low_i = max(math.ceil((min(x1, x2) - reach - grid.x) / grid.side), 0)
     low_j = max(math.ceil((min(y1, y2) - reach - grid.y) / grid.side), 0)
     high_i = min(math.floor((max(x1, x2) + reach - grid.x) / grid.side) + 1, grid.free.shape[0])
@@ -149,9 +149,9 @@ def _block(grid: Grid, ends: tuple[float, float, float, float], radius: float) -
     grid.free[low_i:high_i, low_j:high_j] &= ~near
 
 
-def search(grid: Grid, start: int, goal: int) -> NDArray[np.int64] | None:
+def search_cells(grid: Grid, start: int, goal: int) -> NDArray[np.int64] | None:
     """Find the cells of a shortest path between two cells; None where there is none."""
-    with optional("a world with obstacles", "scipy"):
+    with require_extra("a world with obstacles", "scipy"):
         from scipy.sparse.csgraph import dijkstra  # noqa: PLC0415 - slow to import
 
     search_from: Any = dijkstra  # its stubs know no single start
@@ -172,9 +172,9 @@ def _graph(grid: Grid) -> Any:
     return csr_array((costs, (rows, columns)), shape=(grid.free.size, grid.free.size))
 
 
-def leaves(grid: Grid, start: int, goal: int) -> bool:
+def may_leave(grid: Grid, start: int, goal: int) -> bool:
     """Whether a path between two cells may lead through the area outside the grid."""
-    with optional("a world with obstacles", "scipy"):
+    with require_extra("a world with obstacles", "scipy"):
         from scipy.ndimage import label  # noqa: PLC0415 - slow to import
 
     parts = label(grid.free, np.ones((3, 3)))[0]

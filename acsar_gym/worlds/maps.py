@@ -19,35 +19,35 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from acsar_gym.errors import MissingExtraError, WorldError, shown
-from acsar_gym.worlds.world import FARTHEST, MOST_OBSTACLES
+from acsar_gym.errors import MissingExtraError, WorldError, show_value
+from acsar_gym.worlds.world import MAX_COORDINATE, MAX_OBSTACLES
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-PICTURES = (".pgm", ".png", ".pbm", ".ppm", ".bmp", ".jpg", ".jpeg")
-FORMATS = ("PPM", "PNG", "BMP", "JPEG")
+PICTURE_SUFFIXES = (".pgm", ".png", ".pbm", ".ppm", ".bmp", ".jpg", ".jpeg")
+PILLOW_FORMATS = ("PPM", "PNG", "BMP", "JPEG")
 """Formats that Pillow may try; PGM is a PPM for it."""
-MOST_KEYS = 100
-MOST_PIXELS = 4096 * 4096
-UNSOUND = "isn't a sound PGM, PNG, BMP or JPEG picture: save it again"
-PLAIN = (b"P1", b"P2", b"P3")
+MAX_KEYS = 100
+MAX_MAP_PIXELS = 4096 * 4096
+UNSOUND_PICTURE = "isn't a sound PGM, PNG, BMP or JPEG picture: save it again"
+PLAIN_MAGIC = (b"P1", b"P2", b"P3")
 """First bytes of pictures whose pixels are decimal numbers."""
-MOST_PLAIN = 1_000_000
+MAX_PLAIN_PIXELS = 1_000_000
 """Most pixels of such pictures, which are slow to read."""
-MOST_PACKED = 5_000_000
+MAX_PACKED_BYTES = 5_000_000
 """Most bytes of a PNG or JPEG; each of their parts may be empty, and takes a while to skip."""
-HEADER = re.compile(
+PNM_HEADER = re.compile(
     rb"P(?:[14](?:(?:\s|#[^\r\n]*[\r\n])+\d+){2}|[2356](?:(?:\s|#[^\r\n]*[\r\n])+\d+){3})\s"
 )
 """How a PBM, PGM or PPM begins. Pillow reads comments and spaces byte by byte, for minutes."""
-LONGEST_HEADER = 10_000
+MAX_HEADER = 10_000
 PICTURE_ERRORS = (
     *(OSError, ValueError, TypeError, LookupError, ArithmeticError, SyntaxError, EOFError),
     *(struct.error, MemoryError, NotImplementedError),
 )
 """Exceptions that Pillow raises for broken pictures."""
 Share = Annotated[float, Field(strict=True, ge=0.0, le=1.0)]
-Coordinate = Annotated[float, Field(strict=True, ge=-FARTHEST, le=FARTHEST)]
+Coordinate = Annotated[float, Field(strict=True, ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
 Size = Annotated[float, Field(strict=True, gt=0.0, le=100.0)]
 Angle = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 
@@ -74,17 +74,17 @@ class MapSettings(BaseModel):
     """In mode raw, pixels are percentages; those above 100 are unknown."""
 
 
-def settings(data: Mapping[str, Any]) -> MapSettings:
+def read_settings(data: Mapping[str, Any]) -> MapSettings:
     """Read the settings in a map's YAML. WorldError says what is missing or wrong.
 
     Unknown keys are ignored, as map_server does, unless they look like a misspelt one.
     """
     fields = MapSettings.model_fields
-    if len(data) > MOST_KEYS:
-        raise WorldError(f"has {len(data):,} keys, at most {MOST_KEYS} are read")
+    if len(data) > MAX_KEYS:
+        raise WorldError(f"has {len(data):,} keys, at most {MAX_KEYS} are read")
     for key in (key for key in data if isinstance(key, str) and key not in fields):
         if near := difflib.get_close_matches(key[:40], fields, n=1, cutoff=0.8):
-            raise WorldError(f"unknown key {shown(key)}; did you mean {near[0]!r}?")
+            raise WorldError(f"unknown key {show_value(key)}; did you mean {near[0]!r}?")
     try:
         return MapSettings.model_validate({key: data[key] for key in fields if key in data})
     except ValidationError as error:
@@ -97,10 +97,10 @@ def _problem(item: Mapping[str, Any]) -> str:
     name = ".".join(map(str, item["loc"]))
     if item["type"] == "missing":
         return f"{name}: is missing: add it"
-    return f"{name} = {shown(item['input'])}: {item['msg'].replace('Input should', 'must')}"
+    return f"{name} = {show_value(item['input'])}: {item['msg'].replace('Input should', 'must')}"
 
 
-def segments(picture: bytes, config: MapSettings) -> Floats:
+def map_segments(picture: bytes, config: MapSettings) -> Floats:
     """Compute the outlines of what is occupied in a picture.
 
     Args:
@@ -115,14 +115,14 @@ def segments(picture: bytes, config: MapSettings) -> Floats:
         MissingExtraError: Pillow isn't installed.
     """
     x, y, yaw = config.origin
-    lines = outlines(_mask(picture, config)) * config.resolution
+    lines = trace_outlines(_mask(picture, config)) * config.resolution
     cos, sin = math.cos(yaw), math.sin(yaw)
     turned = lines.reshape(-1, 2) @ np.array([[cos, sin], [-sin, cos]])
     moved: Floats = (turned + np.array([x, y])).reshape(-1, 4)
     return moved
 
 
-def occupied(shades: Floats, config: MapSettings) -> Mask:
+def occupied_shades(shades: Floats, config: MapSettings) -> Mask:
     """Which brightness levels are obstacles.
 
     Args:
@@ -138,7 +138,7 @@ def occupied(shades: Floats, config: MapSettings) -> Mask:
     return dark
 
 
-def outlines(mask: Mask) -> Floats:
+def trace_outlines(mask: Mask) -> Floats:
     """Find the edges between occupied pixels and others; edges in a row become one segment.
 
     Args:
@@ -153,9 +153,9 @@ def outlines(mask: Mask) -> Floats:
     filled = np.pad(mask[::-1], 1).astype(np.int8)  # from now on the first row is the lowest
     level, left, right = _runs(np.diff(filled, axis=0)[:, 1:-1] != 0)
     upright, low, high = _runs(np.diff(filled, axis=1)[1:-1].T != 0)
-    if len(level) + len(upright) > MOST_OBSTACLES:
+    if len(level) + len(upright) > MAX_OBSTACLES:
         raise WorldError(
-            f"its outlines are {len(level) + len(upright):,} segments, at most {MOST_OBSTACLES:,} "
+            f"its outlines are {len(level) + len(upright):,} segments, at most {MAX_OBSTACLES:,} "
             "can be used: crop it, remove speckles, or lower its resolution"
         )
     rows = np.column_stack([left, level, right, level])
@@ -173,7 +173,7 @@ def _runs(edges: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.i
 def _mask(picture: bytes, config: MapSettings) -> Mask:
     """Which pixels of a picture file's content are occupied; transparent ones aren't."""
     levels, shades, opaque = _levels(picture)
-    mask: Mask = occupied(shades, config)[levels]
+    mask: Mask = occupied_shades(shades, config)[levels]
     return mask if opaque is None else mask & opaque
 
 
@@ -184,28 +184,32 @@ def _levels(picture: bytes) -> tuple[NDArray[Any], Floats, Mask | None]:
     except ImportError:
         raise MissingExtraError("reading a map's picture", "pictures") from None
     if picture[:1] == b"P":
-        header = HEADER.match(picture[:LONGEST_HEADER])
-        if not header or (picture[:2] in PLAIN and picture.find(b"#", header.end()) >= 0):
-            raise WorldError(UNSOUND)
-    if picture[:2] in (b"\x89P", b"\xff\xd8") and len(picture) > MOST_PACKED:
-        raise WorldError(f"has more than {MOST_PACKED / 1e6:g} MB: save it as PGM")
+        header = PNM_HEADER.match(picture[:MAX_HEADER])
+        if not header or (picture[:2] in PLAIN_MAGIC and picture.find(b"#", header.end()) >= 0):
+            raise WorldError(UNSOUND_PICTURE)
+    if picture[:2] in (b"\x89P", b"\xff\xd8") and len(picture) > MAX_PACKED_BYTES:
+        raise WorldError(f"has more than {MAX_PACKED_BYTES / 1e6:g} MB: save it as PGM")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            with Image.open(io.BytesIO(picture), formats=FORMATS) as image:
+            with Image.open(io.BytesIO(picture), formats=PILLOW_FORMATS) as image:
                 width, height = image.size
-                _check_size(width, height, MOST_PLAIN if picture[:2] in PLAIN else MOST_PIXELS)
+                _check_size(
+                    width,
+                    height,
+                    MAX_PLAIN_PIXELS if picture[:2] in PLAIN_MAGIC else MAX_MAP_PIXELS,
+                )
                 return _brightness(image)
     except Image.DecompressionBombError:
-        raise WorldError(f"has more than {MOST_PIXELS:,} pixels: crop or shrink it") from None
+        raise WorldError(f"has more than {MAX_MAP_PIXELS:,} pixels: crop or shrink it") from None
     except PICTURE_ERRORS:
-        raise WorldError(UNSOUND) from None
+        raise WorldError(UNSOUND_PICTURE) from None
 
 
 def _check_size(width: int, height: int, most: int) -> None:
     """WorldError where a picture has too many pixels."""
     if width * height > most:
-        plain = ", or save it in binary form" if most == MOST_PLAIN else ""
+        plain = ", or save it in binary form" if most == MAX_PLAIN_PIXELS else ""
         raise WorldError(
             f"is {width:,} x {height:,} pixels, more than {most:,}: crop or shrink it{plain}"
         )

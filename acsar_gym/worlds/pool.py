@@ -15,18 +15,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.errors import WorldError, shown
-from acsar_gym.reading.bounded import reason
-from acsar_gym.worlds import cache, files, generators, names, registry, splits
+from acsar_gym.errors import WorldError, show_value
+from acsar_gym.reading import explain_error
+from acsar_gym.worlds import cache, files, generators, registry
 from acsar_gym.worlds.generators import Level
 from acsar_gym.worlds.search import check_region, shortest_path
 from acsar_gym.worlds.world import World
 
-MOST = 10**9
+MAX_NUMBERS = 10**9
 """Most numbers of a pool."""
-KEPT = 512
+KEPT_WORLDS = 512
 """Generated worlds that a pool keeps in memory."""
-RANKED = 100_000
+MAX_RANKED = 100_000
 """Largest pool that can be sorted by difficulty."""
 
 Source = str | Path | World | Sequence[World]
@@ -57,9 +57,9 @@ class Pool:
         self.radius = radius
         self.difficulty = difficulty
         self.generated = generated
-        self.split = splits.holding(kind, numbers) if generated else ""
+        self.split = registry.find_split(kind, numbers) if generated else ""
         self._made_by = make
-        self._make = lru_cache(KEPT)(make)
+        self._make = lru_cache(KEPT_WORLDS)(make)
 
     @classmethod
     def of(
@@ -87,11 +87,11 @@ class Pool:
         worlds = _given(source)
         if worlds is not None:
             given = str(source) if isinstance(source, str | Path) else "given"
-            ready = [checked(world, radius) for world in worlds]
+            ready = [check_world(world, radius) for world in worlds]
             return cls(given, range(len(ready)), ready.__getitem__, radius)
         name, numbers = _numbers(str(source), count)
-        generators.check(name.kind, difficulty)
-        module = name.module or registry.home(name.kind)
+        generators.check_kind(name.kind, difficulty)
+        module = name.module or registry.home_module(name.kind)
         make, kind = partial(_generated, module, name.kind, difficulty, radius), name.kind
         return cls(kind, numbers, make, radius, difficulty, generated=True)
 
@@ -114,7 +114,7 @@ class Pool:
     def __getitem__(self, number: int) -> World:
         if number not in self.numbers:
             raise WorldError(
-                f"world {shown(number)}: must be {self.numbers[0]} to {self.numbers[-1]} "
+                f"world {show_value(number)}: must be {self.numbers[0]} to {self.numbers[-1]} "
                 f"({self.kind})"
             )
         return self._make(number)
@@ -127,9 +127,14 @@ class Pool:
         """
         if not self.generated:
             raise WorldError(f"difficulty: only generated worlds have one, {self.kind!r} hasn't")
-        if len(self) > RANKED:
-            raise WorldError(f"difficulty: {len(self):,} worlds, at most {RANKED:,} can be ordered")
-        levels = [generators.level(self.kind, number, self.difficulty) for number in self.numbers]
+        if len(self) > MAX_RANKED:
+            raise WorldError(
+                f"difficulty: {len(self):,} worlds, at most {MAX_RANKED:,} can be ordered"
+            )
+        levels = [
+            generators.draw_difficulty(self.kind, number, self.difficulty)
+            for number in self.numbers
+        ]
         order = np.argsort(levels, kind="stable").astype(np.int64)
         return order, np.array(levels)[order]
 
@@ -138,12 +143,12 @@ class Pool:
 
         Raises WorldError where there is none.
         """
-        low, high = generators.limits(difficulty)
+        low, high = generators.difficulty_limits(difficulty)
         _, levels = self.by_difficulty
         first, last = np.searchsorted(levels, low), np.searchsorted(levels, high, "right")
         if first == last:
             raise WorldError(
-                f"difficulty = {shown(difficulty)}: none of the env's worlds; theirs are "
+                f"difficulty = {show_value(difficulty)}: none of the env's worlds; theirs are "
                 f"{levels[0]:.3g} to {levels[-1]:.3g}"
             )
         return range(int(first), int(last))
@@ -151,12 +156,12 @@ class Pool:
 
 def _generated(module: str, kind: str, difficulty: Level, radius: float, number: int) -> World:
     """Make a world, also in a process that hasn't imported the generator's module yet."""
-    registry.imported(module, kind)
-    return cache.world(kind, number, difficulty, radius)
+    registry.import_generator(module, kind)
+    return cache.cached_world(kind, number, difficulty, radius)
 
 
 @lru_cache(maxsize=16)
-def checked(world: World, radius: float) -> World:
+def check_world(world: World, radius: float) -> World:
     """Check a world's start and goal, and add a shortest path where it has none.
 
     Args:
@@ -181,39 +186,43 @@ def _given(source: Any) -> list[World] | None:
     if isinstance(source, World):
         return [source]
     if isinstance(source, str | Path):
-        return read(source)
+        return read_worlds(source)
     worlds = list(source) if isinstance(source, Sequence) else []
     if not worlds or not all(isinstance(world, World) for world in worlds):
         raise WorldError(
-            f"worlds = {shown(source)}: must be a file, a folder, a list of World, or a kind of "
-            f"world ({', '.join(registry.kinds())})"
+            f"worlds = {show_value(source)}: must be a file, a folder, a list of World, "
+            "or a kind of "
+            f"world ({', '.join(registry.list_kinds())})"
         )
     return worlds
 
 
-def read(source: str | Path) -> list[World] | None:
+def read_worlds(source: str | Path) -> list[World] | None:
     """Read worlds of a file or a folder; None for the name of a generator.
 
     Raises WorldError where they can't be read.
     """
-    if isinstance(source, str) and (not source or names.generated(source)):
+    if isinstance(source, str) and (not source or registry.parse_known_name(source)):
         return None
     path = Path(source)
     named = isinstance(source, Path) or path.suffix != "" or "/" in source
     try:
         if path.is_dir():
             return files.load_folder(path)
-        return [files.load(path)] if named or path.exists() else None
+        return [files.load_world(path)] if named or path.exists() else None
     except (OSError, ValueError) as error:
-        raise WorldError(f"worlds = {shown(str(source))}: can't be read: {reason(error)}") from None
+        raise WorldError(
+            f"worlds = {show_value(str(source))}: can't be read: {explain_error(error)}"
+        ) from None
 
 
-def _numbers(text: str, count: int | None) -> tuple[names.Name, range]:
+def _numbers(text: str, count: int | None) -> tuple[registry.WorldsName, range]:
     """The parts of a name, and the numbers of its worlds."""
-    name = names.parsed(text)
+    name = registry.parse_name(text)
     if name is None:
         raise WorldError(
-            f"worlds = {shown(text)}: must be like 'clutter:test', 'clutter:50', 'clutter:50-99' "
+            f"worlds = {show_value(text)}: must be like 'clutter:test', 'clutter:50', "
+            "'clutter:50-99' "
             "or a path"
         )
     said = name.numbers
@@ -225,9 +234,9 @@ def _numbers(text: str, count: int | None) -> tuple[names.Name, range]:
     elif not said and count is not None:
         numbers = range(count)
     else:
-        numbers = splits.numbers(name.kind, said or splits.TRAIN)
+        numbers = registry.split_numbers(name.kind, said or registry.TRAIN)
     if not numbers:
         raise WorldError(f"worlds = {text!r}: holds no world")
-    if numbers[-1] - numbers[0] >= MOST:
-        raise WorldError(f"worlds = {text[:60]!r}: must hold at most {MOST:,} worlds")
+    if numbers[-1] - numbers[0] >= MAX_NUMBERS:
+        raise WorldError(f"worlds = {text[:60]!r}: must hold at most {MAX_NUMBERS:,} worlds")
     return name, numbers

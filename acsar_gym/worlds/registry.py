@@ -1,25 +1,129 @@
-"""Generators of worlds by name: those of this package, and those that users register."""
+"""Generators of worlds by name, and the splits of their worlds.
+
+"clutter:test", "mine.module:corridors:0-99".
+"""
 
 from __future__ import annotations
 
+import ast
+import hashlib
 import importlib
+import importlib.util
 import inspect
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
+from types import FunctionType
 from typing import TYPE_CHECKING, Any
 
-from acsar_gym.errors import ConfigError, WorldError, shortened, shown, suggestion
-from acsar_gym.worlds import sources
+from acsar_gym.errors import ConfigError, WorldError, shorten_text, show_value, suggest_name
 from acsar_gym.worlds.world import World
+
+
+def hash_function(function: Any) -> str:
+    """Hash the source of a function's module, and of the user's own modules that it imports.
+
+    Only the versions of other installed packages count; this package has a hash of its own.
+
+    Args:
+        function: a generator of worlds.
+
+    Returns:
+        The hash; empty for anything but a plain function of a module, such as a closure or a
+        function with default arguments that aren't numbers or strings, and where there is no
+        source file, as in a notebook.
+    """
+    if not isinstance(function, FunctionType) or function.__closure__:
+        return ""
+    defaults = [*(function.__defaults__ or ()), *sorted((function.__kwdefaults__ or {}).items())]
+    sources = hash_modules(function.__module__) if all(map(_exact, defaults)) else ""
+    said = f"{function.__qualname__} {defaults} {sources}"
+    return hashlib.sha256(said.encode()).hexdigest() if sources else ""
+
+
+def hash_modules(*modules: str) -> str:
+    """Hash the sources of modules, and of the user's own modules that they import.
+
+    Args:
+        *modules: their names.
+
+    Returns:
+        The hash; empty where a module has no source file.
+    """
+    said = hashlib.sha256()
+    try:
+        for module in modules:
+            for name, content in sorted(_sources(module).items()):
+                said.update(f"{name} {len(content)} ".encode() + content)
+    except (OSError, SyntaxError, ValueError):
+        return ""
+    return said.hexdigest()
+
+
+def _exact(value: Any) -> bool:
+    """Whether the value's repr() is all of it."""
+    if isinstance(value, tuple):
+        return all(map(_exact, value))
+    return value is None or type(value) in (bool, int, float, str)
+
+
+def _sources(first: str) -> dict[str, bytes]:
+    """Contents of a module and of all that it imports, directly or indirectly, by their names."""
+    found: dict[str, bytes] = {}
+    waiting = [first]
+    while waiting:
+        name = waiting.pop()
+        file = _file(name)
+        if name in found or (file is None and name != first):
+            continue
+        if file is None:
+            raise OSError(name)
+        if _installed(file) and name.partition(".")[0] != first.partition(".")[0]:
+            found[name] = str(getattr(sys.modules.get(name), "__version__", "")).encode()
+            continue
+        found[name] = file.read_bytes()
+        package = name if file.name == "__init__.py" else name.rpartition(".")[0]
+        waiting += _imported_modules(found[name], package)
+    return found
+
+
+def _imported_modules(source: bytes, package: str) -> Iterator[str]:
+    """Names of modules that source code may import, except Python's own and this package's."""
+    for node in ast.walk(ast.parse(source)):
+        names: list[str] = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = importlib.util.resolve_name("." * node.level + (node.module or ""), package)
+            names = [base, *(f"{base}.{alias.name}" for alias in node.names)]
+        for name in names:
+            if name.partition(".")[0] not in {*sys.stdlib_module_names, "acsar_gym"}:
+                yield name
+
+
+def _file(name: str) -> Path | None:
+    """The source file of a module; None where there is none."""
+    module = sys.modules.get(name)
+    try:
+        file = module.__file__ if module else getattr(importlib.util.find_spec(name), "origin", "")
+    except (ImportError, AttributeError, ValueError):
+        return None
+    return Path(file) if file and file.endswith(".py") else None
+
+
+def _installed(file: Path) -> bool:
+    """Whether a file belongs to an installed package."""
+    return bool({"site-packages", "dist-packages"} & {*file.parts})
+
 
 if TYPE_CHECKING:
     import numpy as np
 
-BUILT_IN = ("open", "clutter", "rooms", "barn", "smooth_path", "waypoint_path")
+BUILT_IN_KINDS = ("open", "clutter", "rooms", "barn", "smooth_path", "waypoint_path")
 """Names of the generators of this package."""
-LONGEST = 40
+MAX_GENERATOR_NAME = 40
 """Most characters of a name."""
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 
@@ -32,7 +136,7 @@ class GeneratorError(WorldError):
 
 
 @dataclass(frozen=True)
-class Own:
+class OwnGenerator:
     """A generator that a user or another package has registered."""
 
     name: str
@@ -57,13 +161,13 @@ class Own:
         except WorldError:
             raise
         except Exception as error:
-            raise GeneratorError(f"{self}: raised {one_line(error)}") from error
+            raise GeneratorError(f"{self}: raised {one_line_error(error)}") from error
         if not isinstance(made, World):
-            raise GeneratorError(f"{self}: returned {shown(made)}, must return a World")
+            raise GeneratorError(f"{self}: returned {show_value(made)}, must return a World")
         return made
 
 
-_OWN: dict[str, Own] = {}
+_OWN: dict[str, OwnGenerator] = {}
 
 
 def register(name: str, make: Maker) -> None:
@@ -94,18 +198,19 @@ def register(name: str, make: Maker) -> None:
         ConfigError: for another form of name, one that is taken, or a `make` that can't be called
             with three arguments. The same function of the same module may be registered again.
     """
-    if not isinstance(name, str) or not _NAME.fullmatch(name) or len(name) > LONGEST:
+    if not isinstance(name, str) or not _NAME.fullmatch(name) or len(name) > MAX_GENERATOR_NAME:
         raise ConfigError(
-            f"register({shown(name)}): a generator's name must be lower-case letters, digits and "
-            f"underscores, at most {LONGEST}, beginning with a letter"
+            f"register({show_value(name)}): a generator's name must be lower-case "
+            "letters, digits and "
+            f"underscores, at most {MAX_GENERATOR_NAME}, beginning with a letter"
         )
     _check_callable(name, make)
     home, other = _home(make), _OWN.get(name)
     taken = other is not None and (_home(other.make), _called(other.make)) != (home, _called(make))
-    if name in BUILT_IN or taken:
+    if name in BUILT_IN_KINDS or taken:
         owner = "acsar_gym" if other is None else other.home
         raise ConfigError(f"register({name!r}): {owner} has a generator of this name; use another")
-    _OWN[name] = Own(name, make, home, sources.fingerprint(make))
+    _OWN[name] = OwnGenerator(name, make, home, hash_function(make))
 
 
 def _check_callable(name: str, make: Any) -> None:
@@ -114,7 +219,7 @@ def _check_callable(name: str, make: Any) -> None:
         inspect.signature(make).bind(None, 0.0, 0.0)
     except (TypeError, ValueError):
         raise ConfigError(
-            f"register({name!r}): make = {shown(make)} must be callable as "
+            f"register({name!r}): make = {show_value(make)} must be callable as "
             "make(rng, difficulty, footprint_radius)"
         ) from None
 
@@ -129,36 +234,38 @@ def _called(make: Maker) -> str:
     return str(getattr(make, "__qualname__", type(make).__qualname__))
 
 
-def one_line(error: BaseException) -> str:
+def one_line_error(error: BaseException) -> str:
     """The error of a user's code, on one line."""
-    return shortened(" ".join(f"{type(error).__name__}: {error}".split()), 300)
+    return shorten_text(" ".join(f"{type(error).__name__}: {error}".split()), 300)
 
 
-def kinds() -> tuple[str, ...]:
+def list_kinds() -> tuple[str, ...]:
     """Names of all generators, those of this package first."""
-    return (*BUILT_IN, *_OWN)
+    return (*BUILT_IN_KINDS, *_OWN)
 
 
-def own(kind: str) -> Own | None:
+def find_own(kind: str) -> OwnGenerator | None:
     """The registered generator of this name, if any."""
     return _OWN.get(kind)
 
 
-def home(kind: str) -> str:
+def home_module(kind: str) -> str:
     """The module that registers a generator; "" for those of this package."""
     return _OWN[kind].home if kind in _OWN else ""
 
 
-def check(kind: str) -> None:
+def check_registered(kind: str) -> None:
     """Raise WorldError for a name that no generator has."""
-    if kind not in kinds():
+    if kind not in list_kinds():
         raise WorldError(
-            f"unknown kind of world {kind!r}{suggestion(kind, kinds())}; that of another package "
-            f"is named with the module that registers it, as in 'mine.module:{kind[:LONGEST]}'"
+            f"unknown kind of world {kind!r}{suggest_name(kind, list_kinds())}; that of "
+            "another package "
+            "is named with the module that registers it, as in "
+            f"'mine.module:{kind[:MAX_GENERATOR_NAME]}'"
         )
 
 
-def imported(module: str, kind: str) -> None:
+def import_generator(module: str, kind: str) -> None:
     """Import the module that registers a generator; nothing for "" and the main program.
 
     Raises:
@@ -172,15 +279,112 @@ def imported(module: str, kind: str) -> None:
         importlib.import_module(module)
     except ImportError as error:
         raise WorldError(
-            f"worlds = '{module}:{kind}': can't import {module}: {one_line(error)}; install it, or "
+            f"worlds = '{module}:{kind}': can't import {module}: {one_line_error(error)}; "
+            "install it, or "
             "name its folder in PYTHONPATH"
         ) from None
     except (Exception, SystemExit) as error:
         raise WorldError(
-            f"worlds = '{module}:{kind}': importing {module} raised {one_line(error)}"
+            f"worlds = '{module}:{kind}': importing {module} raised {one_line_error(error)}"
         ) from error
     if kind not in _OWN:
         raise WorldError(
             f"worlds = '{module}:{kind}': importing {module} registers no {kind!r}"
-            f"{suggestion(kind, kinds())}"
+            f"{suggest_name(kind, list_kinds())}"
         )
+
+
+_NUMBERS_PATTERN = r"(?::(train|validation|test|benchmark|\d{1,15}(?:-\d{1,15})?))?"
+_KIND = re.compile(rf"([a-z_][a-z0-9_]*){_NUMBERS_PATTERN}")
+_FOREIGN = re.compile(
+    rf"((?:[A-Za-z_]\w*)(?:\.\w+)*):([a-z][a-z0-9_]*){_NUMBERS_PATTERN}", re.ASCII
+)
+
+
+@dataclass(frozen=True, slots=True)
+class WorldsName:
+    """The parts of a name of generated worlds."""
+
+    module: str
+    """Module to import first, which registers the generator; "" for none."""
+    kind: str
+    """The generator's name."""
+    numbers: str
+    """A split such as "train", "50" or "50-99"; "" where the name has none."""
+
+    @property
+    def generator(self) -> str:
+        """The name without the numbers."""
+        return f"{self.module}:{self.kind}" if self.module else self.kind
+
+
+def parse_name(text: str) -> WorldsName | None:
+    """Split a name into its parts; None for a text of another form. Imports nothing."""
+    match = _KIND.fullmatch(text)
+    if match:
+        return WorldsName("", match[1], match[2] or "")
+    match = _FOREIGN.fullmatch(text)
+    if match is None or match[1] in BUILT_IN_KINDS:
+        return None
+    return WorldsName(match[1], match[2], match[3] or "")
+
+
+def parse_known_name(text: str) -> WorldsName | None:
+    """Split a name of worlds whose generator is known; imports its module, if it names one.
+
+    Args:
+        text: a name, or anything else, such as a path.
+
+    Returns:
+        The parts; None where the text isn't such a name.
+
+    Raises:
+        WorldError: the module can't be imported, or registers no such generator.
+    """
+    name = parse_name(text)
+    if name is None:
+        return None
+    import_generator(name.module, name.kind)
+    return name if name.kind in list_kinds() else None
+
+
+TRAIN, VALIDATION, TEST, BENCHMARK = "train", "validation", "test", "benchmark"
+SPLITS = (TRAIN, VALIDATION, TEST, BENCHMARK)
+"""What may follow the name of a kind, as in "clutter:test"."""
+_NUMBERS = {
+    TRAIN: range(1000, 1400),
+    VALIDATION: range(900, 964),
+    TEST: range(200),
+    BENCHMARK: range(100_000, 101_000),
+}
+"""Those of the benchmark are far from numbers that anybody would train in by hand."""
+_BARN_TEST = range(300)
+"""As many as BARN has published."""
+
+
+def split_numbers(kind: str, split: str) -> range:
+    """World numbers of a split.
+
+    1000 to 1399 for training, 900 to 963 for validation during training, 0 to 199 for testing (0 to
+    299 of BARN), and 100000 to 100999 for the benchmark, whose worlds nobody has looked at while
+    methods were chosen.
+    """
+    return _BARN_TEST if (kind, split) == ("barn", TEST) else _NUMBERS[split]
+
+
+def find_split(kind: str, some: range) -> str:
+    """The split that all of these numbers belong to; empty where there is none."""
+    for name in SPLITS:
+        every = split_numbers(kind, name)
+        if some[0] in every and some[-1] in every:
+            return name
+    return ""
+
+
+def add_test_split(source: Any) -> Any:
+    """Replace a generator's name without numbers by its test split.
+
+    Return anything else unchanged.
+    """
+    name = parse_known_name(source) if isinstance(source, str) else None
+    return source if name is None or name.numbers else f"{name.generator}:{TEST}"

@@ -19,35 +19,35 @@ from defusedxml.ElementTree import XMLParser
 from numpy.typing import NDArray
 
 from acsar_gym.errors import WorldError
-from acsar_gym.worlds.world import FARTHEST, MOST_OBSTACLES
+from acsar_gym.worlds.world import MAX_COORDINATE, MAX_OBSTACLES
 
 Floats = NDArray[np.float64]
 Shape = tuple[list[list[float]], list[list[float]]]
 """Circles and segments."""
 HEADROOM = 0.5
 """A body that begins above this height can't touch the robot or its LiDAR's rays [m]."""
-STEP = 0.01
+STEP_HEIGHT = 0.01
 """The robot drives over a body that isn't higher than this [m]."""
-MOST_TILT = 0.01
+MAX_TILT = 0.01
 """A body that is tilted more than this is refused [rad]."""
-MOST_ELEMENTS = 2_000_000
+MAX_ELEMENTS = 2_000_000
 """Most XML elements of a file; a world of 20,000 cylinders as in BARN has half as many."""
-MOST_ATTRIBUTES = 600_000
+MAX_ATTRIBUTES = 600_000
 """Most attributes; a world of 20,000 cylinders as in BARN has half as many."""
-MOST_TAG = 1_000_000
+MAX_TAG_BYTES = 1_000_000
 """Most bytes of a tag, or of a text between two."""
-MOST_KEPT = 20 * MOST_OBSTACLES
+MAX_KEPT_ELEMENTS = 20 * MAX_OBSTACLES
 """Most elements that are read, and so kept in memory."""
-PLACES = frozenset({"sdf", "world", "state", "model", "link", "collision", "geometry", "pose"})
-SIZES = frozenset({"radius", "length", "size", "normal"})
-ELSEWHERE = frozenset({"include", "uri", "population"})
-KEPT = PLACES | SIZES | ELSEWHERE
+PLACE_TAGS = frozenset({"sdf", "world", "state", "model", "link", "collision", "geometry", "pose"})
+SIZE_TAGS = frozenset({"radius", "length", "size", "normal"})
+INCLUDE_TAGS = frozenset({"include", "uri", "population"})
+KEPT_TAGS = PLACE_TAGS | SIZE_TAGS | INCLUDE_TAGS
 """These and every kind of geometry are read; others are skipped with everything in them."""
-HARMLESS = ("sun", "ground_plane")
+HARMLESS_MODELS = ("sun", "ground_plane")
 """Models that nearly every world includes, and that are no obstacles."""
 
 
-class Placed(NamedTuple):
+class SdfFrame(NamedTuple):
     """A frame in the world: position [m], yaw [rad], and whether it is tilted."""
 
     x: float = 0.0
@@ -56,16 +56,16 @@ class Placed(NamedTuple):
     yaw: float = 0.0
     tilted: bool = False
 
-    def __matmul__(self, inner: Placed) -> Placed:
+    def __matmul__(self, inner: SdfFrame) -> SdfFrame:
         """Transform a frame that is given in this one into the world."""
         cos, sin = math.cos(self.yaw), math.sin(self.yaw)
         x = self.x + cos * inner.x - sin * inner.y
         y = self.y + sin * inner.x + cos * inner.y
         tilted = self.tilted or inner.tilted
-        return Placed(x, y, self.z + inner.z, self.yaw + inner.yaw, tilted)
+        return SdfFrame(x, y, self.z + inner.z, self.yaw + inner.yaw, tilted)
 
 
-def obstacles(data: bytes) -> tuple[Floats, Floats]:
+def read_obstacles(data: bytes) -> tuple[Floats, Floats]:
     """Read the obstacles of an SDF file's content.
 
     Returns:
@@ -98,7 +98,7 @@ class _Builder(TreeBuilder):
 
     def start(self, tag: Any, attrs: Any, /) -> Any:
         self._count(tag)
-        wanted = tag in KEPT or self._open[-1:] == ["geometry"]
+        wanted = tag in KEPT_TAGS or self._open[-1:] == ["geometry"]
         if self._skipped or not wanted:
             self._skipped += 1
             return None
@@ -120,9 +120,9 @@ class _Builder(TreeBuilder):
     def _count(self, tag: str) -> None:
         self._seen += 1
         self._bodies += tag == "collision"
-        if self._bodies > MOST_OBSTACLES:
-            raise WorldError(f"holds more than {MOST_OBSTACLES:,} bodies: cut out a part of it")
-        if self._seen > MOST_ELEMENTS or self._kept > MOST_KEPT:
+        if self._bodies > MAX_OBSTACLES:
+            raise WorldError(f"holds more than {MAX_OBSTACLES:,} bodies: cut out a part of it")
+        if self._seen > MAX_ELEMENTS or self._kept > MAX_KEPT_ELEMENTS:
             raise WorldError("holds too many XML elements: cut out a part of it")
 
 
@@ -130,7 +130,7 @@ def _check_markup(data: bytes) -> None:
     """Refuse data that would make the parser slow."""
     ends = np.flatnonzero(np.frombuffer(data, np.uint8) == ord(">"))
     longest = np.diff(ends, prepend=0, append=len(data)).max(initial=0)
-    if longest > MOST_TAG or data.count(b"=") > MOST_ATTRIBUTES:
+    if longest > MAX_TAG_BYTES or data.count(b"=") > MAX_ATTRIBUTES:
         raise WorldError("holds too many attributes, or too long a tag or text, to be a world")
 
 
@@ -160,7 +160,7 @@ def _shapes(world: Element) -> Iterator[Shape]:
         yield from _of_model(model, placed, 0)
 
 
-def _of_model(model: Element, placed: Placed, depth: int) -> Iterator[Shape]:
+def _of_model(model: Element, placed: SdfFrame, depth: int) -> Iterator[Shape]:
     name = _name(model)
     if depth > 10:
         raise WorldError(f"model {name}: models are nested too deeply")
@@ -181,7 +181,7 @@ def _refuse_includes(parent: Element) -> None:
         raise WorldError("has a <population>, which can't be read: place its models one by one")
     for uri in parent.iterfind("include/uri"):
         name = (uri.text or "").strip().rstrip("/")
-        if name.rsplit("/", 1)[-1] not in HARMLESS:
+        if name.rsplit("/", 1)[-1] not in HARMLESS_MODELS:
             raise WorldError(f"includes {_brief(name)}, which lies in another file: write it out")
 
 
@@ -194,11 +194,11 @@ def _brief(text: str) -> str:
     return repr(text if len(text) <= 40 else f"{text[:40]}...")
 
 
-def _pose(element: Element, kind: str, model: str) -> Placed:
+def _pose(element: Element, kind: str, model: str) -> SdfFrame:
     """The frame of a model, link or collision in its parent's."""
     pose = element.find("pose")
     if pose is None or not (pose.text or "").strip():
-        return Placed()
+        return SdfFrame()
     base = pose.get("relative_to") or pose.get("frame") or ""
     if base not in ("", {"model": "world", "link": "__model__"}.get(kind, "")):
         raise WorldError(f"model {model}: a pose is relative to {_brief(base)}, not to its parent")
@@ -208,7 +208,7 @@ def _pose(element: Element, kind: str, model: str) -> Placed:
     if pose.get("degrees", "").strip() in ("true", "1"):
         angles = list(map(math.radians, angles))
     roll, pitch = (abs(math.remainder(angle, math.tau)) for angle in angles[:2])
-    return Placed(x, y, z, angles[2], max(roll, pitch) > MOST_TILT)
+    return SdfFrame(x, y, z, angles[2], max(roll, pitch) > MAX_TILT)
 
 
 def _numbers(element: Element, what: str, count: int, model: str) -> list[float]:
@@ -217,10 +217,10 @@ def _numbers(element: Element, what: str, count: int, model: str) -> list[float]
         numbers = [float(word) for word in text.split(None, count)]
     except ValueError:
         numbers = []
-    if len(numbers) != count or not all(abs(number) <= FARTHEST for number in numbers):
+    if len(numbers) != count or not all(abs(number) <= MAX_COORDINATE for number in numbers):
         raise WorldError(
             f"model {model}: {what} must be {count} finite number{'s' if count > 1 else ''} of at "
-            f"most {FARTHEST:g}, is {_brief(text.strip())}"
+            f"most {MAX_COORDINATE:g}, is {_brief(text.strip())}"
         )
     return numbers
 
@@ -235,12 +235,12 @@ def _sizes(shape: Element, what: str, count: int, model: str) -> list[float]:
     return numbers
 
 
-def _shape(body: Element, placed: Placed, model: str) -> Shape:
+def _shape(body: Element, placed: SdfFrame, model: str) -> Shape:
     """A collision body seen from above; empty where the robot can't touch it."""
     shape = next(iter(body.find("geometry") or ()), None)
     if shape is None or shape.tag == "empty":
         return [], []
-    reader = READERS.get(shape.tag)
+    reader = SHAPE_READERS.get(shape.tag)
     if reader is None:
         raise WorldError(
             f"model {model}: a {shape.tag} can't be read: replace it by cylinders and boxes"
@@ -248,39 +248,39 @@ def _shape(body: Element, placed: Placed, model: str) -> Shape:
     drawn, half_height = reader(shape, placed, model)
     if placed.tilted:
         raise WorldError(f"model {model}: is tilted: only bodies that stand upright can be read")
-    out_of_the_way = placed.z - half_height > HEADROOM or placed.z + half_height <= STEP
+    out_of_the_way = placed.z - half_height > HEADROOM or placed.z + half_height <= STEP_HEIGHT
     return ([], []) if out_of_the_way else drawn
 
 
-def _cylinder(shape: Element, placed: Placed, model: str) -> tuple[Shape, float]:
+def _cylinder(shape: Element, placed: SdfFrame, model: str) -> tuple[Shape, float]:
     radius, length = (_sizes(shape, what, 1, model)[0] for what in ("radius", "length"))
     return ([[placed.x, placed.y, radius]], []), length / 2.0
 
 
-def _sphere(shape: Element, placed: Placed, model: str) -> tuple[Shape, float]:
+def _sphere(shape: Element, placed: SdfFrame, model: str) -> tuple[Shape, float]:
     """A circle of the sphere's radius."""
     radius = _sizes(shape, "radius", 1, model)[0]
     return ([[placed.x, placed.y, radius]], []), radius
 
 
-def _box(shape: Element, placed: Placed, model: str) -> tuple[Shape, float]:
+def _box(shape: Element, placed: SdfFrame, model: str) -> tuple[Shape, float]:
     length, width, height = _sizes(shape, "size", 3, model)
     signs = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
-    corners = [placed @ Placed(sx * length / 2.0, sy * width / 2.0) for sx, sy in signs]
+    corners = [placed @ SdfFrame(sx * length / 2.0, sy * width / 2.0) for sx, sy in signs]
     pairs = zip(corners, corners[1:] + corners[:1], strict=True)
     return ([], [[one.x, one.y, two.x, two.y] for one, two in pairs]), height / 2.0
 
 
-def _plane(shape: Element, placed: Placed, model: str) -> tuple[Shape, float]:
+def _plane(shape: Element, placed: SdfFrame, model: str) -> tuple[Shape, float]:
     """No obstacle; WorldError where the plane isn't level."""
     normal = shape.find("normal")
     x, y, z = (0.0, 0.0, 1.0) if normal is None else _numbers(normal, "normal", 3, model)
-    if placed.tilted or math.hypot(x, y) > MOST_TILT * abs(z):
+    if placed.tilted or math.hypot(x, y) > MAX_TILT * abs(z):
         raise WorldError(f"model {model}: a plane must be level: replace it by a box")
     return ([], []), 0.0
 
 
-READERS: dict[str, Callable[[Element, Placed, str], tuple[Shape, float]]] = {
+SHAPE_READERS: dict[str, Callable[[Element, SdfFrame, str], tuple[Shape, float]]] = {
     "cylinder": _cylinder,
     "sphere": _sphere,
     "box": _box,

@@ -1,53 +1,143 @@
-"""Shortest paths for a footprint through a world: its configuration space, searched by scipy.
-
-The footprint counts as the disc around it: a skid-steer robot turns on the spot, so it can follow
-any path that the disc can.
-"""
+"""Shortest paths for a footprint, ways to the goal from anywhere, and paths to follow."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig, footprint
 from acsar_gym.errors import WorldError
-from acsar_gym.worlds.clearance import clearance, segment_clearance
+from acsar_gym.jit import jit, loop
+from acsar_gym.worlds.geometry import point_clearance, segment_clearance
 from acsar_gym.worlds.grid import (
-    MOST_CELLS,
-    RESOLUTION,
-    SLACK,
+    CELL_SIDE,
+    MAX_CELLS,
+    PATH_SLACK,
     Grid,
-    box_around,
-    cells_in,
+    bounds_with,
+    count_cells,
+    crop_world,
     free_cells,
-    leaves,
-    near,
-    search,
+    may_leave,
+    search_cells,
 )
 from acsar_gym.worlds.world import Floats, Region, World
 
+PATH_SPACING = 0.05
+"""Distance between the points of a sampled path [m]."""
+PATH_WAVES = 3
+
+
+def make_smooth_path(rng: np.random.Generator, difficulty: float, radius: float) -> World:
+    """Make a path of 4 to 8 m from the origin, with a curvature of up to 0.5 to 2 1/m."""
+    length = rng.uniform(4.0, 8.0)
+    s = np.arange(0.0, length, PATH_SPACING)
+    waves = rng.uniform(0.5, 2.0, PATH_WAVES), rng.uniform(-math.pi, math.pi, PATH_WAVES)
+    curvature = np.sin(s[:, None] * waves[0] + waves[1]).sum(axis=1)
+    curvature *= (0.5 + 1.5 * difficulty) / np.abs(curvature).max()
+    heading = np.concatenate([[0.0], np.cumsum(curvature[:-1] * PATH_SPACING)])
+    steps = PATH_SPACING * np.column_stack([np.cos(heading), np.sin(heading)])
+    return world_along(np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)]))
+
+
+def make_waypoint_path(rng: np.random.Generator, difficulty: float, radius: float) -> World:
+    """Make a path of 3 to 6 lines of 0.8 to 2 m, with turns of up to 45 to 120 degrees."""
+    pieces = int(rng.integers(3, 7))
+    sharpest = math.radians(45.0 + 75.0 * difficulty)
+    turns = rng.uniform(-sharpest, sharpest, pieces)
+    turns[0] = 0.0
+    heading, lengths = np.cumsum(turns), rng.uniform(0.8, 2.0, pieces)
+    steps = lengths[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
+    return world_along(np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)]))
+
+
+def world_along(path: Floats) -> World:
+    """Make an empty world with a path to follow; the robot starts on it, heading along it.
+
+    Args:
+        path: (points, 2) [m].
+
+    Raises:
+        WorldError: unless the path has two different points.
+    """
+    world = World(path=path)
+    if world.path is None or len(world.path) < 2 or not world.length > 0.0:
+        raise WorldError("path: must have at least two points (x, y) [m], not all the same")
+    points = drop_repeated(world.path)
+    x, y = points[0].tolist()
+    dx, dy = (points[1] - points[0]).tolist()
+    end_x, end_y = points[-1].tolist()
+    start = Region(x, y, 0.0, math.atan2(dy, dx))
+    return World(start=start, goal=Region(end_x, end_y), path=points)
+
+
+def align_with_path(world: World) -> World:
+    """Move a world's start and goal to the ends of its path; the start's heading is along it.
+
+    Raises:
+        WorldError: the world has no path.
+    """
+    if world.path is None:
+        raise WorldError(f"{world.name or 'the world'}: has no path to follow")
+    ends = world_along(world.path)
+    return replace(world, start=ends.start, goal=ends.goal, path=ends.path)
+
+
+def drop_repeated(path: Floats) -> Floats:
+    """Remove points of a path that repeat the one before them."""
+    moved = np.concatenate([[True], np.abs(np.diff(path, axis=0)).sum(axis=1) > 0.0])
+    kept: Floats = path[moved]
+    return kept
+
+
+def sample_path(path: Floats, spacing: float = PATH_SPACING) -> Floats:
+    """Sample a path at even distances, its end included.
+
+    Args:
+        path: (points, 2) [m].
+        spacing: between two samples, at most [m].
+
+    Returns:
+        (samples, 3): x [m], y [m] and direction [rad] of the line that follows; at the end that of
+        the last line.
+    """
+    path = drop_repeated(path)
+    steps = np.diff(path, axis=0)
+    lengths = np.hypot(steps[:, 0], steps[:, 1])
+    at = np.concatenate([[0.0], np.cumsum(lengths)])
+    count = max(2, 1 + math.ceil(at[-1] / spacing - 1e-9))
+    s = np.linspace(0.0, at[-1], count)
+    piece = np.clip(np.searchsorted(at, s, side="right") - 1, 0, len(steps) - 1)
+    share = (s - at[piece]) / lengths[piece]
+    points = path[piece] + share[:, None] * steps[piece]
+    return np.column_stack([points, np.arctan2(steps[piece, 1], steps[piece, 0])])
+
+
 LEAST_REACH = 10.0
 """In large worlds, at least this distance around start and goal is searched first [m]."""
-WIDENING = 4.0
+REACH_FACTOR = 4.0
 """Factor by which this distance grows where no path was found."""
-NEAR = 4
+ENTRY_CELLS = 4
 """Distance to an end of a path within which the path may enter the grid [cells]."""
-CUTS = 4
+CORNER_CUTS = 4
 """How often corners are cut off."""
-BISECTIONS = 6
+CUT_BISECTIONS = 6
 """Bisections that find the size of each cut."""
-CULLED = 500
+MANY_OBSTACLES = 500
 """With more obstacles than this, only those near a part of the path are considered."""
-BLOCK = 64
+POINTS_AT_ONCE = 64
 """Points of a path that are checked at once for a straight line to them."""
 
 
 def footprint_radius(config: RobotConfig) -> float:
     """Radius of the disc around a robot's footprint [m]."""
-    return footprint.radius(config.outline)
+    return footprint.outline_radius(config.outline)
 
 
 def shortest_path(
@@ -56,7 +146,7 @@ def shortest_path(
     start: Region | None = None,
     goal: Region | None = None,
     *,
-    cuts: int = CUTS,
+    cuts: int = CORNER_CUTS,
 ) -> Floats:
     """Find a shortest path of a disc of this radius [m] from start to goal, (points, 2) [m].
 
@@ -89,17 +179,19 @@ def _way(world: World, radius: float, ends: Floats) -> Floats | None:
     searched, and enlarged until nothing outside can be on a shorter path: all paths of length L
     between ends D apart lie within sqrt(L^2 - D^2) / 2 of the box around the ends.
     """
-    box, apart = box_around(world, ends), math.dist(*ends)
-    reach = math.inf if cells_in(box, radius, RESOLUTION) <= MOST_CELLS else max(LEAST_REACH, apart)
+    box, apart = bounds_with(world, ends), math.dist(*ends)
+    reach = (
+        math.inf if count_cells(box, radius, CELL_SIDE) <= MAX_CELLS else max(LEAST_REACH, apart)
+    )
     while True:
         grid = free_cells(world, radius, ends, reach)
         whole = reach >= max(*(ends.min(axis=0) - box[:2]), *(box[2:] - ends.max(axis=0)))
         first, last = (_entry(grid, end, world, radius) for end in ends)
-        cells = search(grid, first, last)
+        cells = search_cells(grid, first, last)
         if cells is None:
-            if whole or not leaves(grid, first, last):
+            if whole or not may_leave(grid, first, last):
                 return None
-            reach *= WIDENING
+            reach *= REACH_FACTOR
             continue
         way = np.concatenate([ends[:1], grid.centres(cells), ends[1:]])
         needed = math.sqrt(max(path_length(way) ** 2 - apart**2, 0.0)) / 2.0
@@ -117,8 +209,8 @@ def check_region(world: World, name: str, region: Region, radius: float) -> None
         region: for the centre of the disc.
         radius: of the disc [m].
     """
-    free = clearance(np.array([[region.x, region.y]]), world)[0]
-    if free < radius + region.radius - SLACK:
+    free = point_clearance(np.array([[region.x, region.y]]), world)[0]
+    if free < radius + region.radius - PATH_SLACK:
         raise WorldError(
             f"{_named(world)}the {name} ({region.x:g}, {region.y:g}) lies {max(free, 0.0):.2f} m "
             f"from an obstacle, a footprint of radius {radius:.2f} m needs "
@@ -132,7 +224,7 @@ def check_path(world: World, radius: float) -> None:
     if len(path) < 2:
         raise WorldError(f"{_named(world)}the path must have at least two points")
     free = float(segment_clearance(path[:-1], path[1:], world).min())
-    if free < radius - SLACK:
+    if free < radius - PATH_SLACK:
         raise WorldError(
             f"{_named(world)}the path passes {max(free, 0.0):.2f} m from an obstacle, a footprint "
             f"of radius {radius:.2f} m needs {radius:.2f} m"
@@ -151,12 +243,12 @@ def _entry(grid: Grid, end: Floats, world: World, radius: float) -> int:
     """
     own = grid.cell(float(end[0]), float(end[1]))
     i, j = divmod(own, grid.free.shape[1])
-    low_i, low_j = max(i - NEAR, 0), max(j - NEAR, 0)
-    near = np.argwhere(grid.free[low_i : i + NEAR + 1, low_j : j + NEAR + 1])
+    low_i, low_j = max(i - ENTRY_CELLS, 0), max(j - ENTRY_CELLS, 0)
+    near = np.argwhere(grid.free[low_i : i + ENTRY_CELLS + 1, low_j : j + ENTRY_CELLS + 1])
     cells = (near[:, 0] + low_i) * grid.free.shape[1] + near[:, 1] + low_j
     centres = grid.centres(cells)
     open_ways = segment_clearance(np.broadcast_to(end, centres.shape), centres, world) >= (
-        radius - SLACK
+        radius - PATH_SLACK
     )
     if not open_ways.any():
         grid.free.flat[own] = True
@@ -171,10 +263,10 @@ def _cut(way: Floats, world: World, radius: float) -> Floats:
         return way
     before, corner, behind = way[:-2], way[1:-1], way[2:]
     share, step = np.zeros(len(corner)), 0.25
-    for _ in range(BISECTIONS):
+    for _ in range(CUT_BISECTIONS):
         more = (share + step)[:, None]
         ends = corner + more * (before - corner), corner + more * (behind - corner)
-        share += np.where(_blocked(*ends, world, radius - SLACK / 2.0), 0.0, step)
+        share += np.where(_blocked(*ends, world, radius - PATH_SLACK / 2.0), 0.0, step)
         step /= 2.0
     one = corner + share[:, None] * (before - corner)
     other = corner + share[:, None] * (behind - corner)
@@ -183,10 +275,10 @@ def _cut(way: Floats, world: World, radius: float) -> Floats:
 
 def _blocked(starts: Floats, ends: Floats, world: World, radius: float) -> NDArray[np.bool_]:
     """Whether straight lines are nearer than `radius` to an obstacle."""
-    if world.obstacles > CULLED:
+    if world.obstacles > MANY_OBSTACLES:
         both = np.concatenate([starts, ends])
         box = np.concatenate([both.min(axis=0) - radius, both.max(axis=0) + radius])
-        world = near(world, box)
+        world = crop_world(world, box)
     blocked: NDArray[np.bool_] = segment_clearance(starts, ends, world) < radius
     return blocked
 
@@ -203,10 +295,10 @@ def _pulled(way: Floats, world: World, radius: float) -> Floats:
 def _farthest(way: Floats, here: int, world: World, radius: float) -> int:
     """The last point of the path that can be reached in a straight line, and all before it, too."""
     last = here + 1
-    for first in range(here + 2, len(way), BLOCK):
-        ends = way[first : first + BLOCK]
+    for first in range(here + 2, len(way), POINTS_AT_ONCE):
+        ends = way[first : first + POINTS_AT_ONCE]
         starts = np.broadcast_to(way[here], ends.shape)
-        blocked = _blocked(starts, ends, world, radius - SLACK)
+        blocked = _blocked(starts, ends, world, radius - PATH_SLACK)
         if blocked.any():
             return max(last, first + int(blocked.argmax()) - 1)
         last = first + len(ends) - 1
@@ -218,7 +310,7 @@ def path_length(path: Floats) -> float:
     return sum(math.dist(a, b) for a, b in pairwise(path.tolist()))
 
 
-def way_left(world: World, radius: float, place: Region, goal: Region) -> float:
+def remaining_distance(world: World, radius: float, place: Region, goal: Region) -> float:
     """Length of a shortest path to the goal [m], for a robot that may have collided.
 
     Args:
@@ -231,8 +323,193 @@ def way_left(world: World, radius: float, place: Region, goal: Region) -> float:
         inf where there is no path.
     """
     ends = np.array([[place.x, place.y], [goal.x, goal.y]])
-    fitting = min(radius, *(clearance(ends, world) - SLACK).tolist())
+    fitting = min(radius, *(point_clearance(ends, world) - PATH_SLACK).tolist())
     try:
         return path_length(shortest_path(world, max(fitting, 0.0), place, goal))
     except WorldError:
         return math.inf
+
+
+FIELD_MARGIN = 1.0
+"""Width of the grid around all obstacles, start and goal [m]."""
+MAX_FIELD_CELLS = 250_000
+"""Most cells of a world's grid; larger worlds get larger cells."""
+COST_FADE = 0.12
+"""Distance over which the cost beyond the outer radius falls to 1/e [m]."""
+MAX_SWEEPS = 60
+"""Most sweeps over a grid."""
+SWEEP_TOLERANCE = 1e-3
+"""Sweeping ends once no cell changes by more than this [m]."""
+UNREACHED = 1e9
+
+
+class Costs(NamedTuple):
+    """Costs of a metre near obstacles; far from them it costs 1."""
+
+    lethal: float
+    """Nearer than the footprint's inner radius, where it touches the obstacle."""
+    tight: float
+    """Additional cost just outside of it; it falls to 0 at the outer radius, from where the robot
+    can turn."""
+    heavy: float
+    """Additional cost up to the outer radius, which fades beyond it."""
+
+
+DEFAULT_COSTS = Costs(lethal=15.0, tight=3.0, heavy=0.5)
+
+
+class GoalDistances(NamedTuple):
+    """Lengths of the ways to the goals of some worlds, from the centres of cells.
+
+    Made by `ways_of`; `lengths` reads them.
+    """
+
+    values: NDArray[np.float32]
+    """(cells of all worlds,): lengths of ways [m], tight places counting as longer."""
+    firsts: NDArray[np.int64]
+    """(worlds,): each world's first cell."""
+    sizes: NDArray[np.int64]
+    """(worlds, 2): cells along x and y."""
+    corners: Floats
+    """(worlds, 3): x and y of the first cell's centre, and a cell's side [m]."""
+
+    def lengths(self, worlds: NDArray[np.int64], x: Floats, y: Floats) -> Floats:
+        """Read the lengths of the ways from some places.
+
+        Args:
+            worlds: (n,): index of each one's world.
+            x: (n,): x in the world's frame [m].
+            y: (n,): y in the world's frame [m].
+
+        Returns:
+            (n,) [m], interpolated between cells.
+        """
+        found = np.empty(len(x))
+        _read(self.values, self.firsts, self.sizes, self.corners, worlds, x, y, found)
+        return found
+
+
+def measure_goal_distances(worlds: Sequence[World], config: RobotConfig) -> GoalDistances:
+    """Compute the ways to the goals of worlds.
+
+    Args:
+        worlds: with the obstacles and goals.
+        config: of the robot, which has the footprint.
+    """
+    radii = footprint.border_distance(config.outline, 0.0, 0.0), footprint_radius(config)
+    grids = [_grid(world) for world in worlds]
+    sizes = np.array([size for _, size in grids], np.int64).reshape(-1, 2)
+    fields = [_field(world, *grid, radii) for world, grid in zip(worlds, grids, strict=True)]
+    firsts = np.concatenate([[0], np.cumsum(sizes.prod(axis=1))[:-1]]).astype(np.int64)
+    corners = np.array([corner for corner, _ in grids]).reshape(-1, 3)
+    return GoalDistances(np.concatenate(fields, dtype=np.float32), firsts, sizes, corners)
+
+
+def _grid(world: World) -> tuple[tuple[float, float, float], tuple[int, int]]:
+    """The first cell's centre and a cell's side [m], and the cells along x and y."""
+    ends = np.array([[end.x, end.y] for end in (world.start, world.goal)])
+    box = bounds_with(world, ends) + np.array(
+        [-FIELD_MARGIN, -FIELD_MARGIN, FIELD_MARGIN, FIELD_MARGIN]
+    )
+    side = CELL_SIDE * max(1.0, math.sqrt(count_cells(box, 0.0, CELL_SIDE) / MAX_FIELD_CELLS))
+    nx, ny = (math.ceil(width / side) + 1 for width in (box[2:] - box[:2]).tolist())
+    return (float(box[0]), float(box[1]), side), (nx, ny)
+
+
+def _field(
+    world: World,
+    corner: tuple[float, float, float],
+    size: tuple[int, int],
+    radii: tuple[float, float],
+) -> Floats:
+    """(cells,): the lengths of a world's ways."""
+    x, y, side = corner
+    places = np.indices(size).reshape(2, -1).T * side + np.array([x, y])
+    costs = clearance_costs(point_clearance(places, world).reshape(size), radii)
+    values = np.full(size, UNREACHED)
+    sweep_distances(
+        values, costs * side, round((world.goal.x - x) / side), round((world.goal.y - y) / side)
+    )
+    return values.ravel()
+
+
+def clearance_costs(
+    distances: Floats, radii: tuple[float, float], costs: Costs = DEFAULT_COSTS
+) -> Floats:
+    """Cost of a metre at some distances from the nearest obstacle.
+
+    Args:
+        distances: of any shape [m].
+        radii: of the circle within the footprint, and of the one around it [m].
+        costs: of nearness.
+    """
+    inner, outer = radii
+    found = 1.0 + costs.heavy * np.exp(-(np.maximum(distances, outer) - outer) / COST_FADE)
+    found += costs.tight * np.clip((outer - distances) / (outer - inner + 1e-3), 0.0, 1.0)
+    return np.where(distances < inner, costs.lethal, found)
+
+
+@loop
+def sweep_distances(values: Floats, costs: Floats, goal_i: int, goal_j: int) -> None:
+    """Solve |grad T| = cost on a grid by Gauss-Seidel sweeps in four directions, in place.
+
+    Args:
+        values: (nx, ny), at first larger than any result.
+        costs: (nx, ny): cost of crossing each cell.
+        goal_i: the goal's cell along x; the nearest one where it lies outside.
+        goal_j: the same along y.
+    """
+    nx, ny = values.shape
+    values[min(max(goal_i, 0), nx - 1), min(max(goal_j, 0), ny - 1)] = 0.0
+    for number in range(MAX_SWEEPS):
+        change, forth, up = 0.0, number % 2 == 0, number % 4 < 2
+        for m in range(nx):
+            i = m if forth else nx - 1 - m
+            for n in range(ny):
+                j = n if up else ny - 1 - n
+                a = min(
+                    values[i - 1, j] if i > 0 else UNREACHED,
+                    values[i + 1, j] if i < nx - 1 else UNREACHED,
+                )
+                b = min(
+                    values[i, j - 1] if j > 0 else UNREACHED,
+                    values[i, j + 1] if j < ny - 1 else UNREACHED,
+                )
+                new = _crossed(a, b, costs[i, j])
+                if new < values[i, j]:
+                    change = max(change, values[i, j] - new)
+                    values[i, j] = new
+        if number >= 3 and change < SWEEP_TOLERANCE:
+            break
+
+
+@jit
+def _crossed(a: float, b: float, cost: float) -> float:
+    """The length at a cell whose neighbours along x and y have these."""
+    if abs(a - b) >= cost:
+        return min(a, b) + cost
+    return 0.5 * (a + b + math.sqrt(2.0 * cost * cost - (a - b) * (a - b)))
+
+
+@loop
+def _read(
+    values: NDArray[np.float32],
+    firsts: NDArray[np.int64],
+    sizes: NDArray[np.int64],
+    corners: Floats,
+    worlds: NDArray[np.int64],
+    x: Floats,
+    y: Floats,
+    found: Floats,
+) -> None:
+    """Write the interpolated lengths at places into `found`; outside, those of the edge."""
+    for k in range(len(x)):
+        world = worlds[k]
+        first, ny, side = firsts[world], sizes[world, 1], corners[world, 2]
+        u = min(max((x[k] - corners[world, 0]) / side, 0.0), sizes[world, 0] - 1.001)
+        v = min(max((y[k] - corners[world, 1]) / side, 0.0), ny - 1.001)
+        i, j = int(u), int(v)
+        a, b, cell = u - i, v - j, first + i * ny + j
+        low = (1.0 - b) * values[cell] + b * values[cell + 1]
+        high = (1.0 - b) * values[cell + ny] + b * values[cell + ny + 1]
+        found[k] = (1.0 - a) * low + a * high

@@ -1,4 +1,7 @@
-"""A world: circles and segments around a robot, with a start and a goal region."""
+"""A world: circles and segments around a robot, start and goal.
+
+And the scene that a link builds.
+"""
 
 from __future__ import annotations
 
@@ -6,17 +9,17 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, SupportsFloat
+from typing import TYPE_CHECKING, Any, SupportsFloat
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.errors import WorldError, shown
+from acsar_gym.errors import WorldError, show_value
 
 Floats = NDArray[np.float64]
-MOST_OBSTACLES = 20_000
+MAX_OBSTACLES = 20_000
 """A world with more circles and segments than this is refused."""
-FARTHEST = 1e4
+MAX_COORDINATE = 1e4
 """Coordinates beyond this are refused [m]."""
 
 
@@ -37,13 +40,14 @@ class Region:
         numbers = (self.x, self.y, self.radius, 0.0 if self.theta is None else self.theta)
         real = all(isinstance(number, SupportsFloat) for number in numbers)
         try:
-            sound = real and all(abs(float(number)) <= FARTHEST for number in numbers)
+            sound = real and all(abs(float(number)) <= MAX_COORDINATE for number in numbers)
         except (TypeError, ValueError, OverflowError):
             sound = False
         if not sound or self.radius < 0.0:
             raise WorldError(
-                f"region {shown(numbers)}: x, y, radius [m] and theta [rad] must be numbers of at "
-                f"most {FARTHEST:g}, the radius not negative"
+                f"region {show_value(numbers)}: x, y, radius [m] and theta [rad] must be "
+                "numbers of at "
+                f"most {MAX_COORDINATE:g}, the radius not negative"
             )
 
 
@@ -75,9 +79,9 @@ class World:
             object.__setattr__(self, "path", _rows("path", self.path, 2))
         if (self.circles[:, 2] < 0.0).any():
             raise WorldError("circles: a radius must not be negative")
-        if self.obstacles > MOST_OBSTACLES:
+        if self.obstacles > MAX_OBSTACLES:
             raise WorldError(
-                f"{self.obstacles:,} obstacles are too many, at most {MOST_OBSTACLES:,}"
+                f"{self.obstacles:,} obstacles are too many, at most {MAX_OBSTACLES:,}"
             )
 
     @property
@@ -116,9 +120,92 @@ def _rows(name: str, rows: Floats | Sequence[Any], width: int) -> Floats:
         array = np.zeros((0, width))
     if array.ndim != 2 or array.shape[1] != width:
         raise WorldError(f"{name}: must be rows of {width} numbers, have shape {array.shape}")
-    if len(array) > MOST_OBSTACLES:
-        raise WorldError(f"{name}: {len(array):,} are too many, at most {MOST_OBSTACLES:,}")
-    if not (np.abs(array) <= FARTHEST).all():
-        raise WorldError(f"{name}: must be finite numbers of at most {FARTHEST:g} m")
+    if len(array) > MAX_OBSTACLES:
+        raise WorldError(f"{name}: {len(array):,} are too many, at most {MAX_OBSTACLES:,}")
+    if not (np.abs(array) <= MAX_COORDINATE).all():
+        raise WorldError(f"{name}: must be finite numbers of at most {MAX_COORDINATE:g} m")
     array.setflags(write=False)
     return array
+
+
+if TYPE_CHECKING:
+    from acsar_gym.physics import Physics
+
+Pose = tuple[float, float, float]
+"""x [m], y [m], theta [rad]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """A robot at rest at `start`, a world around it, and a goal, which only pictures show.
+
+    Everything is in the frame of the world, as is a simulator's ground truth. The odometry frame
+    begins at `start`.
+    """
+
+    start: Pose = (0.0, 0.0, 0.0)
+    """x [m], y [m], theta [rad]."""
+    goal: tuple[float, float] | None = None
+    """x, y [m]; None: not shown."""
+    world: World | None = None
+    """Obstacles; None on an open floor."""
+    physics: Physics | None = None
+    """The simulated robot's physics in this episode; None: as configured."""
+
+
+def to_world(start: Pose, pose: Pose) -> Pose:
+    """Transform a pose from the odometry frame that begins at `start` into the world's frame."""
+    x, y, theta = start
+    cos, sin = math.cos(theta), math.sin(theta)
+    return (
+        x + cos * pose[0] - sin * pose[1],
+        y + sin * pose[0] + cos * pose[1],
+        math.remainder(theta + pose[2], math.tau),
+    )
+
+
+def to_odometry(start: Pose, pose: Pose) -> Pose:
+    """Transform a pose from the world's frame into the odometry frame that begins at `start`."""
+    dx, dy = pose[0] - start[0], pose[1] - start[1]
+    cos, sin = math.cos(start[2]), math.sin(start[2])
+    theta = math.remainder(pose[2] - start[2], math.tau)
+    return cos * dx + sin * dy, cos * dy - sin * dx, theta
+
+
+def point_in_world(start: Pose, point: tuple[float, float]) -> tuple[float, float]:
+    """Transform a point [m] from the odometry frame that begins at `start` to the world's."""
+    x, y, _ = to_world(start, (*point, 0.0))
+    return x, y
+
+
+def make_box(x: float, y: float, length: float, width: float, theta: float = 0.0) -> Floats:
+    """Sides of a box around (x, y), (4, 4), rotated by theta [rad]; lengths in m."""
+    cos, sin = math.cos(theta), math.sin(theta)
+    half = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * (length / 2.0, width / 2.0)
+    corners = half @ np.array([[cos, sin], [-sin, cos]]) + (x, y)
+    return np.column_stack([corners, np.roll(corners, -1, axis=0)])
+
+
+def make_rectangle(left: float, low: float, right: float, high: float) -> Floats:
+    """Sides of a rectangle along the axes, (4, 4) [m]."""
+    return make_box((left + right) / 2.0, (low + high) / 2.0, right - left, high - low)
+
+
+def make_wall(start: tuple[float, float], end: tuple[float, float], doors: Floats) -> Floats:
+    """Make a straight wall with gaps.
+
+    Args:
+        start: x, y [m].
+        end: x, y [m].
+        doors: (gaps, 2), where each gap begins and ends, as distances from `start` [m], sorted.
+
+    Returns:
+        (segments, 4) [m].
+    """
+    length = math.dist(start, end)
+    edges = np.clip(np.concatenate([[0.0], np.ravel(doors), [length]]), 0.0, length)
+    pieces = edges.reshape(-1, 2)
+    pieces = pieces[pieces[:, 1] > pieces[:, 0]]
+    along = (np.array(end) - start) / length
+    ends: Floats = (np.array(start) + pieces.reshape(-1, 1) * along).reshape(-1, 4)
+    return ends

@@ -17,7 +17,7 @@ import gymnasium
 import numpy as np
 import tyro
 
-from acsar_gym import policies
+from acsar_gym.tools import policies
 
 
 class Batch(gymnasium.vector.VectorWrapper):

@@ -15,7 +15,7 @@ import time
 import gymnasium
 import minari
 
-from acsar_gym.evaluation import runs
+from acsar_gym.tools.evaluation import runs
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -28,7 +28,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--name", default="acsar/point_goal-v0", help="of the data set")
     asked = parser.parse_args(arguments)
 
-    policy = runs.load(asked.policy, trust=False, env=asked.env.rpartition(":")[2])
+    policy = runs.load_policy(asked.policy, trust=False, env=asked.env.rpartition(":")[2])
     env = minari.DataCollector(gymnasium.make(asked.env, link="planar"), data_format="arrow")
     started, steps, episode = time.perf_counter(), 0, 0
     while steps < asked.steps:

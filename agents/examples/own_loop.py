@@ -12,7 +12,7 @@ import tyro
 from torch import nn
 from torch.distributions import Normal
 
-from acsar_gym import policies
+from acsar_gym.tools import policies
 
 
 def network(numbers: int, size: int) -> nn.Sequential:

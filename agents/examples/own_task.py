@@ -12,9 +12,10 @@ import tyro
 from stable_baselines3 import PPO
 
 import acsar_gym
-from acsar_gym import Outcome, State, policies
-from acsar_gym.evaluation.episodes import episodes
-from acsar_gym.policies import sb3
+from acsar_gym import Outcome, State
+from acsar_gym.tools import policies
+from acsar_gym.tools.evaluation.episodes import run_episodes
+from acsar_gym.tools.policies import sb3
 
 
 class Parking(acsar_gym.Task):
@@ -50,7 +51,7 @@ def main(steps: int = 500_000, link: str = "planar", count: int = 100) -> None:
     network = torch.nn.Sequential(actor.mlp_extractor.policy_net, actor.action_net)
     policies.save(network, "mine/Parking-v0", "parking.onnx")
     env, policy = gymnasium.make("mine/Parking-v0", link=link), policies.OnnxPolicy("parking.onnx")
-    results = list(episodes(env, policy, count, seed=0))
+    results = list(run_episodes(env, policy, count, seed=0))
     env.close()
     print(f"{link}: parked in {sum(each.success for each in results)} of {count} episodes")
 

@@ -16,7 +16,7 @@ import tyro
 from matplotlib.figure import Figure
 
 from acsar_gym.recording import read
-from acsar_gym.recording.export import tables
+from acsar_gym.recording.export import make_tables
 
 
 def summed_up(ticks: pd.DataFrame) -> pd.Series:
@@ -42,7 +42,7 @@ def main(
     recording: Annotated[Path, tyro.conf.Positional], plot: Path = Path("run.png")
 ) -> pd.DataFrame:
     """Print a table with a column for each episode, and draw the last one."""
-    ticks = pd.DataFrame(tables(read(recording))["ticks"])
+    ticks = pd.DataFrame(make_tables(read(recording))["ticks"])
     found = pd.DataFrame({number: summed_up(each) for number, each in ticks.groupby("episode")})
     print(found.round(3).to_string())
     last = ticks[ticks.episode == ticks.episode.max()].set_index("stamp")

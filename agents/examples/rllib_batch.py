@@ -18,8 +18,8 @@ import tyro
 from ray.rllib.algorithms.ppo import PPOConfig
 from ray.tune import register_env
 
-from acsar_gym import policies
-from acsar_gym.policies import rllib
+from acsar_gym.tools import policies
+from acsar_gym.tools.policies import rllib
 
 
 def main(

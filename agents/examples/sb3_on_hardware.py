@@ -17,10 +17,9 @@ import tyro
 from stable_baselines3 import PPO
 
 from acsar_gym import RobotConfig
-from acsar_gym.cli.asking import countdown
 from acsar_gym.errors import AcsarError
-from acsar_gym.safety.limiter import limits
-from acsar_gym.safety.rules import Reason
+from acsar_gym.safety.rules import Reason, read_limits
+from acsar_gym.tools.cli.options import countdown
 
 
 def main(
@@ -34,7 +33,7 @@ def main(
 ) -> None:
     """Drive to a goal [m], no faster than `speed` [m/s]; `yes` leaves out the countdown."""
     config, most = RobotConfig.of(robot), max(abs(goal[0]), abs(goal[1])) + 0.5
-    back, ahead, *_ = limits(config.linear_limits)
+    back, ahead, *_ = read_limits(config.linear_limits)
     slow = {"min_velocity": max(-speed, back), "max_velocity": min(speed, ahead)}
     fence = config.geofence or {"min_x": -most, "max_x": most, "min_y": -most, "max_y": most}
     config = config.with_(linear_limits=slow, geofence=fence)

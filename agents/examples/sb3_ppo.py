@@ -15,8 +15,8 @@ import torch
 import tyro
 from stable_baselines3 import PPO
 
-from acsar_gym import policies
-from acsar_gym.policies import sb3
+from acsar_gym.tools import policies
+from acsar_gym.tools.policies import sb3
 
 
 def main(

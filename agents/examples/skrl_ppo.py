@@ -15,7 +15,7 @@ import tyro
 from skrl.envs.wrappers.torch import wrap_env
 from skrl.utils.runner.torch import Runner
 
-from acsar_gym import policies
+from acsar_gym.tools import policies
 
 NET = {"name": "net", "input": "OBSERVATIONS", "layers": [64, 64], "activations": "tanh"}
 MODELS = {

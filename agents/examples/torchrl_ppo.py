@@ -16,7 +16,7 @@ from torchrl.modules import MLP, ProbabilisticActor, TanhNormal, ValueOperator
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
-from acsar_gym import policies
+from acsar_gym.tools import policies
 
 
 def main(

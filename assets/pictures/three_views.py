@@ -21,17 +21,28 @@ import tyro
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from acsar_gym.emulation.process import emulator
-from acsar_gym.evaluation import episodes, runs
-from acsar_gym.evaluation.tracks import Track
-from acsar_gym.lidars.base import ray_spec
 from acsar_gym.links.base import camera_of
-from acsar_gym.policies import FilePolicy
-from acsar_gym.render.backdrop import FLOOR, GOAL, GRID, INK, OBSTACLE, PLAN, SEEN
-from acsar_gym.render.top_view import ODOM, RAY, Frame, TopView
-from acsar_gym.render.vehicle import CHASSIS
+from acsar_gym.render.top_view import (
+    CHASSIS_COLOUR,
+    FLOOR_COLOUR,
+    GOAL_COLOUR,
+    GRID_COLOUR,
+    INK_COLOUR,
+    OBSTACLE_COLOUR,
+    ODOM_COLOUR,
+    PLAN_COLOUR,
+    RAY_COLOUR,
+    SEEN_COLOURS,
+    TopView,
+    TopViewFrame,
+)
+from acsar_gym.sensors.lidar import ray_spec
+from acsar_gym.tools.emulation.board import run_emulator
+from acsar_gym.tools.evaluation import episodes, runs
+from acsar_gym.tools.evaluation.episodes import DrawnTrack
+from acsar_gym.tools.policies import FilePolicy
 from acsar_gym.worlds import Region, World, files
-from acsar_gym.worlds.scene import point_in_world
+from acsar_gym.worlds.world import point_in_world
 
 Picture = NDArray[np.uint8]
 Floats = NDArray[np.float64]
@@ -41,7 +52,21 @@ SIDE, GAP, BAND = 232, 8, 24
 PAPER, HALF = (255, 255, 255), (160, 163, 170)
 PALE = (241, 242, 243), (194, 230, 209), (150, 185, 240), (240, 198, 203)
 DRAWN = np.array(
-    [PAPER, FLOOR, GRID, *SEEN, INK, HALF, OBSTACLE, PLAN, GOAL, ODOM, RAY, *PALE, CHASSIS]
+    [
+        PAPER,
+        FLOOR_COLOUR,
+        GRID_COLOUR,
+        *SEEN_COLOURS,
+        INK_COLOUR,
+        HALF,
+        OBSTACLE_COLOUR,
+        PLAN_COLOUR,
+        GOAL_COLOUR,
+        ODOM_COLOUR,
+        RAY_COLOUR,
+        *PALE,
+        CHASSIS_COLOUR,
+    ]
 )
 """Colours of the views from above and of titles."""
 MARKER = (22, 110, 62)
@@ -75,15 +100,15 @@ class Options:
 
 def main(options: Options) -> None:
     """Drive behind both links, and write the film."""
-    policy = runs.load(options.policy, trust=False)
+    policy = runs.load_policy(options.policy, trust=False)
     camera, simulated = in_pybullet(policy, options)
     wired = over_a_port(policy, simulated)
     write(film(camera, simulated, wired, options.every), options)
 
 
-def in_pybullet(policy: FilePolicy, options: Options) -> tuple[list[Picture], Track]:
+def in_pybullet(policy: FilePolicy, options: Options) -> tuple[list[Picture], DrawnTrack]:
     """Drive in PyBullet; returns what the camera saw, and the track in its world."""
-    env = runs.made(policy, "bullet", None, {"tracked": True})
+    env = runs.make_env(policy, "bullet", None, {"tracked": True})
     inner: Any = env.unwrapped
     pictures: list[Picture] = []
 
@@ -95,7 +120,7 @@ def in_pybullet(policy: FilePolicy, options: Options) -> tuple[list[Picture], Tr
         return policy(observation)
 
     try:
-        (result,) = episodes.episodes(env, filming, 1, options.world, world=options.world)
+        (result,) = episodes.run_episodes(env, filming, 1, options.world, world=options.world)
         given = inner.episode.assignment
     finally:
         env.close()
@@ -104,30 +129,30 @@ def in_pybullet(policy: FilePolicy, options: Options) -> tuple[list[Picture], Tr
     return pictures, replace(driven(result), world=world)
 
 
-def driven(result: episodes.EpisodeResult) -> Track:
+def driven(result: episodes.EpisodeResult) -> DrawnTrack:
     """The track of an episode that reached its goal."""
     if result.track is None or not result.success:
         raise SystemExit(f"the goal wasn't reached: {result}")
     return result.track
 
 
-def over_a_port(policy: FilePolicy, simulated: Track) -> Track:
+def over_a_port(policy: FilePolicy, simulated: DrawnTrack) -> DrawnTrack:
     """Drive from the same place in the same world, over a pseudo-terminal."""
     world = simulated.world or World()
     with tempfile.TemporaryDirectory() as folder:
-        files.save(world, path := Path(folder) / "world.json")
-        with emulator("--body", "bullet", "--world", str(path), "--lidar") as devices:
+        files.save_world(world, path := Path(folder) / "world.json")
+        with run_emulator("--body", "bullet", "--world", str(path), "--lidar") as devices:
             options = {"tracked": True, "lidar": f"rplidar://{devices.lidar}"}
-            env = runs.made(policy, devices.robot, None, options)
+            env = runs.make_env(policy, devices.robot, None, options)
             try:
-                (result,) = episodes.episodes(env, policy, 1, 0, world=world)
+                (result,) = episodes.run_episodes(env, policy, 1, 0, world=world)
             finally:
                 env.close()
     return replace(driven(result), world=world)
 
 
 def film(
-    camera: list[Picture], simulated: Track, wired: Track, every: int
+    camera: list[Picture], simulated: DrawnTrack, wired: DrawnTrack, every: int
 ) -> Iterator[tuple[Picture, ...]]:
     """Yield the three views at a time; one that has ended shows its last picture."""
     views = (camera, from_above(simulated, every), from_above(wired, every, known=False))
@@ -137,7 +162,7 @@ def film(
         yield last
 
 
-def from_above(track: Track, every: int, *, known: bool = True) -> Iterator[Picture]:
+def from_above(track: DrawnTrack, every: int, *, known: bool = True) -> Iterator[Picture]:
     """Yield pictures of a track; the world is its own, or not known but for the LiDAR's echoes."""
     view, angles = TopView(track.robot, (SIDE, SIDE)), ray_spec(track.robot).angles()
     seen, poses = np.zeros((0, 2)), track.odometry.astype(float)
@@ -146,7 +171,7 @@ def from_above(track: Track, every: int, *, known: bool = True) -> Iterator[Pict
         if step == 0 or abs(poses[step, 2] - poses[step - 1, 2]) < CALM:
             seen = mapped(seen, poses[step], angles, scans[step])
         if step % every == 0:
-            frame = Frame(
+            frame = TopViewFrame(
                 world=track.world if known else map_of(seen, track),
                 odom=tuple(poses[step].tolist()),
                 truth=None if track.truth is None else tuple(track.truth[step].tolist()),
@@ -168,7 +193,7 @@ def mapped(seen: Floats, pose: Floats, angles: Floats, ranges: Floats) -> Floats
     return np.unique(np.round(np.concatenate([seen, echoes]) / CELL), axis=0) * CELL
 
 
-def map_of(seen: Floats, track: Track) -> World:
+def map_of(seen: Floats, track: DrawnTrack) -> World:
     """A world of the points seen, shown as large as the track's own one."""
     left, low, right, high = (track.world or World()).bounds
     middle = Region((left + right) / 2.0, (low + high) / 2.0, max(right - left, high - low) / 2.0)
@@ -214,7 +239,7 @@ def headed(title: str) -> Picture:
     """A title, as wide as a view."""
     picture = Image.new("RGB", (SIDE, BAND), PAPER)
     font = ImageFont.load_default(13.0)
-    ImageDraw.Draw(picture).text((SIDE / 2, BAND / 2), title, INK, font, anchor="mm")
+    ImageDraw.Draw(picture).text((SIDE / 2, BAND / 2), title, INK_COLOUR, font, anchor="mm")
     return np.asarray(picture)
 
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from cli_tools import assert_one_line
 
-from acsar_gym import baselines, cli
 from acsar_gym.errors import PolicyError
-from acsar_gym.evaluation import runs
+from acsar_gym.tools import baselines, cli
+from acsar_gym.tools.evaluation import runs
 
 
 def called(
@@ -66,15 +66,15 @@ def test_a_file_of_that_name_comes_first(tmp_path: Path, monkeypatch: pytest.Mon
     assert baselines.is_baseline("smooth")
     Path("smooth").write_text("not a policy")
     with pytest.raises(PolicyError, match="smooth"):
-        runs.load("smooth", trust=False, env="point_goal")
+        runs.load_policy("smooth", trust=False, env="point_goal")
 
 
 def test_random_actions_depend_on_the_episodes_seed_alone() -> None:
     """Whichever episodes were driven before."""
 
     def driven(first: int, count: int) -> list[float]:
-        policy = runs.load("random", trust=False, env="point_goal")
-        done = runs.drive(policy, "planar", None, range(first, first + count))
+        policy = runs.load_policy("random", trust=False, env="point_goal")
+        done = runs.evaluate_policy(policy, "planar", None, range(first, first + count))
         return [result.path for result in done.results]
 
     assert driven(0, 3)[2] == driven(2, 1)[0]
@@ -82,12 +82,12 @@ def test_random_actions_depend_on_the_episodes_seed_alone() -> None:
 
 @pytest.mark.parametrize("name", list(baselines.BASELINES))
 def test_every_name_has_a_class_of_that_name(name: str) -> None:
-    assert baselines.load(name, "acsar_gym/Barn-v1").name == name
+    assert baselines.load_baseline(name, "acsar_gym/Barn-v1").name == name
 
 
 def test_actions_are_within_the_action_space() -> None:
-    policy = runs.load("turn_drive", trust=False, env="point_goal")
-    env = runs.made(policy, "planar", None, {})
+    policy = runs.load_policy("turn_drive", trust=False, env="point_goal")
+    env = runs.make_env(policy, "planar", None, {})
     observation, _ = env.reset(seed=0, options={"goal": (-1.0, 0.1)})
     action = policy(observation)
     assert env.action_space.contains(action)

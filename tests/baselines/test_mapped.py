@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from baseline_tools import CONFIG, PERIOD, equipped, goal_seen, module
 
-from acsar_gym.evaluation import runs
+from acsar_gym.tools.evaluation import runs
 
 pytest.importorskip("numba")
 PLANNERS = ("dwa", "mppi", "navfn")
@@ -117,8 +117,10 @@ def test_it_doesnt_drive_into_a_wall_that_hides_the_goal(name: str) -> None:
 @pytest.mark.parametrize("name", PLANNERS)
 def test_the_same_seed_gives_the_same_episode(name: str) -> None:
     def path() -> list[float]:
-        policy = runs.load(name, trust=False, env="obstacle_goal")
-        done = runs.drive(policy, "planar", None, range(1), worlds="clutter:1", difficulty=0.0)
+        policy = runs.load_policy(name, trust=False, env="obstacle_goal")
+        done = runs.evaluate_policy(
+            policy, "planar", None, range(1), worlds="clutter:1", difficulty=0.0
+        )
         results = done.results
         assert results[0].success
         return [results[0].path, results[0].episode_return]
@@ -130,6 +132,6 @@ def test_the_same_seed_gives_the_same_episode(name: str) -> None:
 @pytest.mark.parametrize("name", PLANNERS)
 @pytest.mark.parametrize("env", ["obstacle_goal", "barn"])
 def test_unseen_worlds_are_crossed(name: str, env: str) -> None:
-    policy = runs.load(name, trust=False, env=env)
-    done = runs.drive(policy, "planar", None, range(10))
+    policy = runs.load_policy(name, trust=False, env=env)
+    done = runs.evaluate_policy(policy, "planar", None, range(10))
     assert done.summary.success_rate == 1.0

@@ -11,14 +11,19 @@ import numpy as np
 import pytest
 from benchmark_tools import ENV_ID, cell, episode, part, plan
 
-from acsar_gym.benchmark import result, statistics
-from acsar_gym.benchmark.cards import weaknesses
-from acsar_gym.benchmark.figures import Scoring, episode_of, score, summary
-from acsar_gym.benchmark.store import Part, Store
-from acsar_gym.benchmark.table import markdown
 from acsar_gym.errors import ConfigError
-from acsar_gym.evaluation import metrics
-from acsar_gym.evaluation.episodes import EpisodeResult
+from acsar_gym.tools.benchmark import figures, result
+from acsar_gym.tools.benchmark.cards import weaknesses
+from acsar_gym.tools.benchmark.figures import (
+    Scoring,
+    record_episode,
+    score_episode,
+    summarise_records,
+)
+from acsar_gym.tools.benchmark.store import Part, Store
+from acsar_gym.tools.benchmark.table import format_tables
+from acsar_gym.tools.evaluation import metrics
+from acsar_gym.tools.evaluation.episodes import EpisodeResult
 
 KINDS = {"ours": "learned", "floor": "baseline", "other": "baseline"}
 GOOD, BAD = (0.9, 0.8, 0.95, 0.9), (0.5, 0.0, 0.4, 0.0)
@@ -34,7 +39,7 @@ PARTS = [
 
 @pytest.fixture(scope="module")
 def told() -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(json.dumps(result.result(plan(**KINDS), PARTS)))
+    found: dict[str, Any] = json.loads(json.dumps(result.make_result(plan(**KINDS), PARTS)))
     return found
 
 
@@ -50,10 +55,10 @@ def test_a_row_holds_all_training_seeds(told: dict[str, Any]) -> None:
     assert (ours["training_seeds"], ours["episodes"], ours["scene_count"]) == ([0, 1], 8, 4)
     assert ours["success_rate"] == 7 / 8
     assert (ours["success_worst_seed"], ours["success_median_seed"]) == (0.75, 0.875)
-    assert ours["success_interval"] == list(metrics.wilson(7, 8))
+    assert ours["success_interval"] == list(metrics.wilson_interval(7, 8))
     scores = np.array([GOOD, (0.9, 0.85, 0.0, 0.9)])
-    assert ours["score_iqm"] == pytest.approx(statistics.overall([scores]))
-    assert ours["intervals"]["score_iqm"] == pytest.approx(statistics.interval([scores]))
+    assert ours["score_iqm"] == pytest.approx(figures.overall_figure([scores]))
+    assert ours["intervals"]["score_iqm"] == pytest.approx(figures.stratified_interval([scores]))
 
 
 def test_a_refused_agent_has_no_figures(told: dict[str, Any]) -> None:
@@ -78,12 +83,12 @@ def test_each_figure_has_its_own_best_baseline() -> None:
         part(cell("slow"), (0.2, 0.2, 0.2, 0.2)),
         part(cell("fast"), (0.7, 0.7, 0.7, 0.0)),
     ]
-    told = result.result(plan(ours="learned", slow="baseline", fast="baseline"), parts)
+    told = result.make_result(plan(ours="learned", slow="baseline", fast="baseline"), parts)
     success, score = told["best"]
     assert (success["baseline"], success["baseline_value"]) == ("slow", 1.0)
     assert not success["better"]
     assert (score["baseline"], score["better"]) == ("fast", True)
-    page = markdown(told)
+    page = format_tables(told)
     assert "| test | planar | success | ours | slow | 75.0% : 100.0% | no |" in page
     packaged = [row | {"agent": "packaged"} for row in told["rows"] if row["agent"] == "ours"]
     said = list(weaknesses(packaged, told))
@@ -97,8 +102,8 @@ def test_figures_are_those_of_an_evaluation() -> None:
         EpisodeResult(False, True, 0.0, 9.0, 2.0, (1, 0, 0), 0.04, 900, 0, 1.9, 0.5, 2.0, 0.5),
     ]
     scoring = Scoring("ObstacleGoal-v1", 0.5, 0.15)
-    ours = summary([episode_of(each, 0, scoring) for each in results])
-    theirs = metrics.summarise(results)
+    ours = summarise_records([record_episode(each, 0, scoring) for each in results])
+    theirs = metrics.summarise_episodes(results)
     for name in ("success_rate", "collision_rate", "spl", "soft_spl", "time_to_goal", "path"):
         assert ours[name] == pytest.approx(getattr(theirs, name)), name
     for name in ("smoothness", "odometry_error", "odometry_drift"):
@@ -109,17 +114,17 @@ def test_figures_are_those_of_an_evaluation() -> None:
 def test_scores_of_the_ids() -> None:
     ended = EpisodeResult(True, False, 1.0, 5.0, 1.5, (1, 0, 0), 0.0, 400, 0, 1.15, 0.0, 2.8)
     goal = Scoring("PointGoal-v0", 0.5, 0.15)
-    assert score(ended, goal) == pytest.approx(0.5)  # 1 m in 4 s instead of 2 s
-    assert score(replace(ended, ended=2.0), goal) == 1.0
-    assert score(replace(ended, shortest=0.1), goal) == 0.0
-    assert score(replace(ended, success=False), goal) == 0.0
+    assert score_episode(ended, goal) == pytest.approx(0.5)  # 1 m in 4 s instead of 2 s
+    assert score_episode(replace(ended, ended=2.0), goal) == 1.0
+    assert score_episode(replace(ended, shortest=0.1), goal) == 0.0
+    assert score_episode(replace(ended, success=False), goal) == 0.0
     follow = replace(goal, id="PathFollow-v0")
-    assert score(replace(ended, cross_track=0.01), follow) == pytest.approx(0.9)
-    assert score(replace(ended, cross_track=0.3), follow) == 0.0
+    assert score_episode(replace(ended, cross_track=0.01), follow) == pytest.approx(0.9)
+    assert score_episode(replace(ended, cross_track=0.3), follow) == 0.0
 
 
 def test_the_page_says_it_all(told: dict[str, Any]) -> None:
-    page = markdown(told)
+    page = format_tables(told)
     assert (
         "| **ours** | planar | 2 | 8 | 87.5% (52.9 to 97.8), worst seed 75.0%, median 87.5% |"
         in page
@@ -147,10 +152,10 @@ def test_folders_are_combined(tmp_path: Path) -> None:
         store.open(plan(**own))
         for each in parts:
             store.add(each)
-    found, parts = result.combined(folders)
+    found, parts = result.combine_folders(folders)
     assert list(found["agents"]) == ["ours", "floor"]
     assert repr(parts) == repr(PARTS[:4])
-    assert result.result(found, parts)["best"][0]["baseline"] == "floor"
+    assert result.make_result(found, parts)["best"][0]["baseline"] == "floor"
 
 
 def test_the_largest_number_of_scenes_counts(tmp_path: Path) -> None:
@@ -159,7 +164,7 @@ def test_the_largest_number_of_scenes_counts(tmp_path: Path) -> None:
         told = plan()
         told["scenes"][ENV_ID]["test"]["count"] = count
         Store(tmp_path / name).open(told)
-    found, _ = result.combined([tmp_path / "many", tmp_path / "few"])
+    found, _ = result.combine_folders([tmp_path / "many", tmp_path / "few"])
     assert found["scenes"][ENV_ID]["test"]["count"] == 4
 
 
@@ -171,9 +176,9 @@ def test_scenes_of_another_version_are_not_combined(tmp_path: Path) -> None:
             told["scenes"][ENV_ID]["test"]["sha256"] = sha
         Store(tmp_path / name).open(told)
     with pytest.raises(ConfigError, match="scene set of another version"):
-        result.combined([tmp_path / "one", tmp_path / "two"])
+        result.combine_folders([tmp_path / "one", tmp_path / "two"])
     with pytest.raises(ConfigError, match="no such file"):
-        result.combined([tmp_path])
+        result.combine_folders([tmp_path])
 
 
 def test_two_policies_are_not_taken_for_one(tmp_path: Path) -> None:
@@ -183,11 +188,11 @@ def test_two_policies_are_not_taken_for_one(tmp_path: Path) -> None:
         told["agents"]["packaged"][0]["sha256"] = name
         Store(tmp_path / name).open(told)
     with pytest.raises(ConfigError, match="packaged on PointGoal-v0 was another policy file"):
-        result.combined([tmp_path / "one", tmp_path / "two"])
+        result.combine_folders([tmp_path / "one", tmp_path / "two"])
 
 
 def test_an_episode_without_success_scores_nothing() -> None:
-    assert summary([episode(0, 0.0)])["time_to_goal"] is None
+    assert summarise_records([episode(0, 0.0)])["time_to_goal"] is None
 
 
 def test_links_are_compared_in_the_scenes_that_all_drove() -> None:
@@ -196,7 +201,7 @@ def test_links_are_compared_in_the_scenes_that_all_drove() -> None:
         part(cell("ours", link="port"), (0.9, 0.8)),
         part(cell("floor"), (0.5, 0.5)),
     ]
-    page = markdown(result.result(plan(ours="learned", floor="baseline"), parts))
+    page = format_tables(result.make_result(plan(ours="learned", floor="baseline"), parts))
     _, _, compared = page.partition("## The same agents behind other links")
     assert "| PointGoal-v0 | test | ours | 2 | 50.0% | 100.0% |" in compared
     assert "floor" not in compared

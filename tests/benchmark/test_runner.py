@@ -12,39 +12,39 @@ from typing import Any
 
 import pytest
 
-from acsar_gym.benchmark import agents, conditions, runner, worker
-from acsar_gym.benchmark.plan import CHUNKS, Job, Plan
-from acsar_gym.benchmark.rows import cells
-from acsar_gym.benchmark.scenes import SCENES
-from acsar_gym.benchmark.store import Part, Store
 from acsar_gym.errors import CancelledError, ConfigError, PolicyError, WorldError
-from acsar_gym.evaluation import runs
-from acsar_gym.evaluation.episodes import episodes
 from acsar_gym.resources import AGENTS
+from acsar_gym.tools.benchmark import plan, runner
+from acsar_gym.tools.benchmark.figures import group_cells
+from acsar_gym.tools.benchmark.plan import CHUNK_SIZES, BenchmarkJob, BenchmarkPlan
+from acsar_gym.tools.benchmark.scenes import SCENES
+from acsar_gym.tools.benchmark.store import Part, Store
+from acsar_gym.tools.evaluation import runs
+from acsar_gym.tools.evaluation.episodes import run_episodes
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.search import footprint_radius, shortest_path
 
 ID = "PointGoal-v0"
-BASELINES = {each.name: each for each in agents.baselines([ID])}
+BASELINES = {each.name: each for each in plan.baseline_agents([ID])}
 
 
 @pytest.fixture(autouse=True)
 def _no_env_is_kept() -> Iterator[None]:
     yield
-    worker._made.cache_clear()
+    runner._made.cache_clear()
 
 
-def plan(*names: str, **changes: Any) -> Plan:
+def make_plan(*names: str, **changes: Any) -> BenchmarkPlan:
     """Two scenes of the open floor, planar."""
     some = tuple(BASELINES[name] for name in names or ("turn_drive",))
-    return Plan(some, (ID,), **{"links": ("planar",), "count": 2, **changes})
+    return BenchmarkPlan(some, (ID,), **{"links": ("planar",), "count": 2, **changes})
 
 
 def test_episodes_are_those_of_an_evaluation_with_the_same_seeds(tmp_path: Path) -> None:
-    (part,) = runner.run(plan(), Store(tmp_path))
-    policy = runs.load("turn_drive", trust=False, env="point_goal")
-    env = runs.made(policy, "planar", None, {})
-    results = list(episodes(env, policy, 2, SCENES[ID].test.numbers[0]))
+    (part,) = runner.run_plan(make_plan(), Store(tmp_path))
+    policy = runs.load_policy("turn_drive", trust=False, env="point_goal")
+    env = runs.make_env(policy, "planar", None, {})
+    results = list(run_episodes(env, policy, 2, SCENES[ID].test.numbers[0]))
     env.close()
     assert [each.success for each in part.episodes] == [True, True]
     assert [each.path for each in part.episodes] == pytest.approx(
@@ -58,22 +58,22 @@ def test_episodes_are_those_of_an_evaluation_with_the_same_seeds(tmp_path: Path)
 
 def test_an_interrupted_benchmark_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Finished parts aren't driven again, and the result is that of one run."""
-    monkeypatch.setitem(CHUNKS, "planar", 1)
-    whole = runner.run(plan(count=3), Store(_made(tmp_path / "whole")))
-    drive, seen = worker.run, []
+    monkeypatch.setitem(CHUNK_SIZES, "planar", 1)
+    whole = runner.run_plan(make_plan(count=3), Store(_made(tmp_path / "whole")))
+    drive, seen = runner.run_job, []
 
-    def interrupted(job: Job) -> Part:
+    def interrupted(job: BenchmarkJob) -> Part:
         seen.append(job.first)
         if len(seen) == 3:
             raise KeyboardInterrupt
         return drive(job)
 
-    monkeypatch.setattr(worker, "run", interrupted)
+    monkeypatch.setattr(runner, "run_job", interrupted)
     store = Store(_made(tmp_path / "cut"))
     with pytest.raises(CancelledError, match="2 of 3 parts are kept") as caught:
-        runner.run(plan(count=3), store)
+        runner.run_plan(make_plan(count=3), store)
     assert caught.value.exit_code == 130
-    again = runner.run(plan(count=3), store)
+    again = runner.run_plan(make_plan(count=3), store)
     assert seen == [0, 1, 2, 2]
     assert _told(again) == _told(whole)
 
@@ -89,27 +89,27 @@ def _told(parts: list[Part]) -> str:
 
 
 def test_an_agent_that_cannot_drive_there_is_refused(tmp_path: Path) -> None:
-    parts = runner.run(plan("stanley", "turn_drive", count=1), Store(tmp_path))
-    refused, driven = cells(parts)
+    parts = runner.run_plan(make_plan("stanley", "turn_drive", count=1), Store(tmp_path))
+    refused, driven = group_cells(parts)
     assert "needs a path" in refused.refused
     assert not refused.episodes
     assert len(driven.episodes) == 1
 
 
 def test_a_refusal_names_no_folder_of_this_machine() -> None:
-    own = next(iter(agents.packaged()))
-    job = next(Plan((own,), (own.id,), ("planar",), count=1).jobs())
+    own = next(iter(plan.packaged_agents()))
+    job = next(BenchmarkPlan((own,), (own.id,), ("planar",), count=1).jobs())
     elsewhere = replace(job.policy, env="acsar_gym/PathFollow-v0")
-    part = worker.run(replace(job, policy=elsewhere))
+    part = runner.run_job(replace(job, policy=elsewhere))
     assert part.refused.startswith("barn.onnx: ")
     assert str(AGENTS) not in part.refused
 
 
-@pytest.mark.parametrize("name", [n for n in conditions.CONDITIONS if n not in ("husky", "jackal")])
+@pytest.mark.parametrize("name", [n for n in plan.CONDITIONS if n not in ("husky", "jackal")])
 def test_every_condition_can_be_driven(name: str) -> None:
     """With a LiDAR where it is about one; robots of other sizes are a slow test."""
-    job = next(plan(conditions=(name,), count=1).jobs())
-    (episode,) = worker.run(job).episodes
+    job = next(make_plan(conditions=(name,), count=1).jobs())
+    (episode,) = runner.run_job(job).episodes
     assert episode.scene == SCENES[ID].test.numbers[0]
 
 
@@ -117,21 +117,21 @@ def test_every_condition_can_be_driven(name: str) -> None:
 @pytest.mark.parametrize("name", ["husky", "jackal"])
 def test_other_robots_drive(name: str) -> None:
     env_id = "ObstacleGoal-v1"
-    own = Plan(tuple(agents.baselines([env_id])), (env_id,), ("bullet",), (name,), 1)
+    own = BenchmarkPlan(tuple(plan.baseline_agents([env_id])), (env_id,), ("bullet",), (name,), 1)
     job = next(job for job in own.jobs() if job.cell.agent == "dwa")
-    assert worker.run(job).episodes
+    assert runner.run_job(job).episodes
 
 
 @pytest.mark.slow
 def test_a_husky_drives_through_easy_barn_worlds() -> None:
     """It is too wide for the gaps of most."""
-    (own,) = (each for each in agents.baselines(["Barn-v1"]) if each.name == "dwa")
-    job = next(Plan((own,), ("Barn-v1",), ("planar",), ("husky",), 2).jobs())
-    assert len(worker.run(job).episodes) == 2
+    (own,) = (each for each in plan.baseline_agents(["Barn-v1"]) if each.name == "dwa")
+    job = next(BenchmarkPlan((own,), ("Barn-v1",), ("planar",), ("husky",), 2).jobs())
+    assert len(runner.run_job(job).episodes) == 2
 
 
 def test_worlds_of_a_husky_can_be_made() -> None:
-    condition = conditions.CONDITIONS["husky"]
+    condition = plan.CONDITIONS["husky"]
     options = condition.options(condition.config, "barn")
     radius = footprint_radius(condition.config)
     world = Pool.of("barn:100000-100001", options["difficulty"], radius)[100_000]
@@ -152,14 +152,14 @@ def test_worlds_of_a_husky_can_be_made() -> None:
 def test_conditions_that_nobody_can_drive_under(
     condition: str, how: dict[str, bool], said: str
 ) -> None:
-    found = conditions.CONDITIONS[condition].impossible(**how)
+    found = plan.CONDITIONS[condition].impossible(**how)
     assert said in found
     assert bool(said) == bool(found)
 
 
 def test_randomization_is_refused_behind_the_port() -> None:
-    job = next(plan(links=("port",), conditions=("randomization-1",), count=1).jobs())
-    assert "physics don't vary" in worker.run(job).refused
+    job = next(make_plan(links=("port",), conditions=("randomization-1",), count=1).jobs())
+    assert "physics don't vary" in runner.run_job(job).refused
 
 
 @pytest.mark.parametrize("error", [ConfigError("disk full"), WorldError("no such folder")])
@@ -172,10 +172,10 @@ def test_a_fault_of_this_machine_is_no_refusal(
         raise error
 
     with monkeypatch.context() as patched:
-        patched.setattr(runs, "made", fails)
+        patched.setattr(runs, "make_env", fails)
         with pytest.raises(ConfigError, match=str(error)):
-            runner.run(plan(), Store(tmp_path))
-    (part,) = runner.run(plan(), Store(tmp_path))
+            runner.run_plan(make_plan(), Store(tmp_path))
+    (part,) = runner.run_plan(make_plan(), Store(tmp_path))
     assert not part.refused
     assert len(part.episodes) == 2
 
@@ -183,10 +183,10 @@ def test_a_fault_of_this_machine_is_no_refusal(
 def test_an_error_while_it_drives_is_no_refusal(tmp_path: Path) -> None:
     file = tmp_path / "mine.py"
     file.write_text("ENV_ID = 'acsar_gym/PointGoal-v0'\ndef act(seen):\n    return open('none')\n")
-    own = Plan((agents.submitted(f"{file}:act"),), (ID,), ("planar",), count=1)
+    own = BenchmarkPlan((plan.submitted_agent(f"{file}:act"),), (ID,), ("planar",), count=1)
     store = Store(_made(tmp_path / "out"))
     with pytest.raises(PolicyError, match="act failed"):
-        runner.run(own, store)
+        runner.run_plan(own, store)
     assert store.open(own.as_dict()) == []
 
 
@@ -194,26 +194,28 @@ def test_a_job_brings_its_policy_along(tmp_path: Path) -> None:
     """Another machine has no such file."""
     file = tmp_path / "mine.onnx"
     shutil.copy(AGENTS / "policies" / "point_goal.onnx", file)
-    own = Plan((agents.submitted(str(file)),), (ID,), ("planar",), count=1)
+    own = BenchmarkPlan((plan.submitted_agent(str(file)),), (ID,), ("planar",), count=1)
     job = pickle.loads(pickle.dumps(next(own.jobs())))  # noqa: S301 - our own
     file.unlink()
-    part = worker.run(job)
+    part = runner.run_job(job)
     assert not part.refused
     assert len(part.episodes) == 1
 
 
 def test_the_conditions_change_what_they_say() -> None:
-    for name, condition in conditions.CONDITIONS.items():
+    for name, condition in plan.CONDITIONS.items():
         config = condition.config
-        nominal = conditions.CONDITIONS["nominal"].config
+        nominal = plan.CONDITIONS["nominal"].config
         assert (config != nominal or bool(condition.options(config))) == (name != "nominal"), name
 
 
 @pytest.mark.parametrize("workers", [2])
 @pytest.mark.slow
 def test_several_processes_find_the_same(tmp_path: Path, workers: int) -> None:
-    one = runner.run(plan("turn_drive", "smooth"), Store(_made(tmp_path / "one")))
-    both = runner.run(plan("turn_drive", "smooth"), Store(_made(tmp_path / "two")), workers=workers)
+    one = runner.run_plan(make_plan("turn_drive", "smooth"), Store(_made(tmp_path / "one")))
+    both = runner.run_plan(
+        make_plan("turn_drive", "smooth"), Store(_made(tmp_path / "two")), workers=workers
+    )
     assert _told(one) == _told(both)
 
 
@@ -222,9 +224,9 @@ def test_several_processes_find_the_same(tmp_path: Path, workers: int) -> None:
 @pytest.mark.parametrize(("env_id", "name"), [("PointGoal-v0", "turn_drive"), ("Barn-v1", "dwa")])
 def test_over_an_emulated_port(env_id: str, name: str) -> None:
     """The emulator's log says what odometry can't: the path driven, and distances to obstacles."""
-    (own,) = (each for each in agents.baselines([env_id]) if each.name == name)
-    job = next(Plan((own,), (env_id,), ("port",), port_count=1).jobs())
-    (episode,) = worker.run(job).episodes
+    (own,) = (each for each in plan.baseline_agents([env_id]) if each.name == name)
+    job = next(BenchmarkPlan((own,), (env_id,), ("port",), port_count=1).jobs())
+    (episode,) = runner.run_job(job).episodes
     assert episode.success
     assert episode.driven == pytest.approx(episode.path, rel=0.05)
     assert 0.0 <= episode.odometry_error < 0.05 * episode.driven
@@ -237,25 +239,28 @@ def test_trained_seeds_are_found_in_a_folder(tmp_path: Path) -> None:
     for seed in ("0", "seed-3", "1"):
         (tmp_path / "ppo" / seed).mkdir(parents=True)
         (tmp_path / "ppo" / seed / "policy.onnx").write_bytes(policy)
-    found = agents.chosen(["ppo"], [ID], tmp_path, 2)
+    found = plan.choose_agents(["ppo"], [ID], tmp_path, 2)
     assert [(each.name, each.training_seed, each.id) for each in found] == [
         ("ppo", 0, ID),
         ("ppo", 1, ID),
     ]
-    assert not agents.chosen(["ppo"], ["Barn-v1"], tmp_path, 2)
+    assert not plan.choose_agents(["ppo"], ["Barn-v1"], tmp_path, 2)
 
 
 @pytest.mark.parametrize(
     ("call", "said"),
     [
-        (lambda: agents.short("bran"), "--ids 'bran'"),
-        (lambda: agents.chosen(["dwaa"], [ID], None, 5), "did you mean 'dwa'"),
-        (lambda: agents.chosen([], [ID], Path("nowhere"), 5), "holds no NAME/SEED/policy.onnx"),
-        (lambda: conditions.chosen(["drooped-2"]), "did you mean 'dropped-2'"),
-        (lambda: plan(links=("bulet",)), "did you mean 'bullet'"),
-        (lambda: Plan((), (ID,)), "none of them drives"),
-        (lambda: plan(count=0).check(), "0 were asked for"),
-        (lambda: plan(links=("port",), port_count=0), "--port-scenes 0: must be at least 1"),
+        (lambda: plan.short_id("bran"), "--ids 'bran'"),
+        (lambda: plan.choose_agents(["dwaa"], [ID], None, 5), "did you mean 'dwa'"),
+        (
+            lambda: plan.choose_agents([], [ID], Path("nowhere"), 5),
+            "holds no NAME/SEED/policy.onnx",
+        ),
+        (lambda: plan.choose_conditions(["drooped-2"]), "did you mean 'dropped-2'"),
+        (lambda: make_plan(links=("bulet",)), "did you mean 'bullet'"),
+        (lambda: BenchmarkPlan((), (ID,)), "none of them drives"),
+        (lambda: make_plan(count=0).check(), "0 were asked for"),
+        (lambda: make_plan(links=("port",), port_count=0), "--port-scenes 0: must be at least 1"),
     ],
 )
 def test_what_cannot_be_asked_for(call: Any, said: str) -> None:
@@ -268,11 +273,11 @@ def test_a_policy_for_another_id_has_no_scenes(tmp_path: Path) -> None:
     file = tmp_path / "mine.py"
     file.write_text("ENV_ID = 'CartPole-v1'\ndef act(seen):\n    return seen[:2]\n")
     with pytest.raises(PolicyError, match="for which there are no scenes"):
-        agents.submitted(f"{file}:act")
+        plan.submitted_agent(f"{file}:act")
 
 
 def test_the_plan_is_json_and_names_no_folder() -> None:
-    some = tuple(agents.packaged())
-    told = json.dumps(Plan(some, tuple(each.id for each in some)).as_dict())
+    some = tuple(plan.packaged_agents())
+    told = json.dumps(BenchmarkPlan(some, tuple(each.id for each in some)).as_dict())
     assert str(AGENTS) not in told
     assert '"barn.onnx"' in told

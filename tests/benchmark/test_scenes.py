@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acsar_gym.benchmark import SCENES, SceneSet, scenes
 from acsar_gym.errors import ConfigError
 from acsar_gym.registration import IDS
+from acsar_gym.tools.benchmark import SCENES, SceneSet, scenes
 from acsar_gym.worlds import Region, World, files
 
 
@@ -68,15 +68,15 @@ def test_the_hash_is_of_geometry_start_and_goal() -> None:
 
 def test_published_worlds_are_a_set_of_their_own(tmp_path: Path) -> None:
     for number in range(2):
-        files.save(World(goal=Region(3.0 + number, 0.0)), tmp_path / f"{number}.json")
-    found = scenes.published("Barn-v1", tmp_path)
+        files.save_world(World(goal=Region(3.0 + number, 0.0)), tmp_path / f"{number}.json")
+    found = scenes.published_scenes("Barn-v1", tmp_path)
     assert (found.name, len(found), found.worlds) == ("published", 2, str(tmp_path))
     found.check(2)
     before = found.sha256
-    files.save(World(goal=Region(9.0, 0.0)), tmp_path / "2.json")
+    files.save_world(World(goal=Region(9.0, 0.0)), tmp_path / "2.json")
     scenes._pool.cache_clear()
     scenes._hashes.cache_clear()
-    assert scenes.published("Barn-v1", tmp_path).sha256 != before
+    assert scenes.published_scenes("Barn-v1", tmp_path).sha256 != before
 
 
 def test_a_reset_begins_a_scene() -> None:

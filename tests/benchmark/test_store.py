@@ -9,8 +9,14 @@ import pytest
 from benchmark_tools import cell, episode, part, plan
 from disk_tools import full_disk
 
-from acsar_gym.benchmark.store import RESULTS, Part, Store, columns, episodes
 from acsar_gym.errors import ConfigError
+from acsar_gym.tools.benchmark.store import (
+    RESULTS_FILE,
+    Part,
+    Store,
+    episode_columns,
+    episode_records,
+)
 
 ROOM = 3_000
 
@@ -25,9 +31,9 @@ def test_what_is_added_is_read_again(tmp_path: Path) -> None:
 
 def test_columns_hold_episodes_with_nothing_that_json_has_not() -> None:
     some = [episode(0), episode(1, 0.0, fault="link lost", collision=True)]
-    table = json.loads(json.dumps(columns(some), allow_nan=False))
+    table = json.loads(json.dumps(episode_columns(some), allow_nan=False))
     assert table["clearance"] == [None, None]
-    assert repr(episodes(table)) == repr(some)
+    assert repr(episode_records(table)) == repr(some)
 
 
 def test_a_line_that_was_cut_is_dropped(tmp_path: Path) -> None:
@@ -58,7 +64,7 @@ def test_a_foreign_file_is_refused(tmp_path: Path, line: str) -> None:
 
 
 def test_results_without_a_plan_are_refused(tmp_path: Path) -> None:
-    (tmp_path / RESULTS).write_text("")
+    (tmp_path / RESULTS_FILE).write_text("")
     with pytest.raises(ConfigError, match=r"has no plan\.json beside it"):
         Store(tmp_path).open(plan())
 

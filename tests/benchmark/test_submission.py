@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 from benchmark_tools import ENV_ID, cell, part, plan
 
-from acsar_gym.benchmark import result, submission
-from acsar_gym.benchmark.store import Part
 from acsar_gym.errors import ConfigError
+from acsar_gym.tools.benchmark import result
+from acsar_gym.tools.benchmark.store import Part
 
 Told = dict[str, Any]
 CONDITIONS = ("nominal", "dropped-5", "husky")
@@ -26,7 +26,7 @@ PARTS = [
 @pytest.fixture
 def row(tmp_path: Path) -> Path:
     """A sound row."""
-    return submission.write(result.result(plan(*CONDITIONS), PARTS), "mine", tmp_path)
+    return result.write_row(result.make_result(plan(*CONDITIONS), PARTS), "mine", tmp_path)
 
 
 def change(row: Path, how: Callable[[Told], object], *, signed: bool = True) -> None:
@@ -34,27 +34,27 @@ def change(row: Path, how: Callable[[Told], object], *, signed: bool = True) -> 
     told = json.loads(row.read_text())
     how(told)
     if signed:
-        told["sha256"] = submission.signature(told)
+        told["sha256"] = result.hash_row(told)
     row.write_text(json.dumps(told))
 
 
 def test_a_submission_is_sound(row: Path) -> None:
     assert row.name == "mine.row.json"
-    assert "sound: packaged" in submission.check(row)
-    assert "4 episodes" in submission.check(row)
+    assert "sound: packaged" in result.check_row(row)
+    assert "4 episodes" in result.check_row(row)
 
 
 def test_a_submission_over_the_port_has_fewer_scenes(tmp_path: Path) -> None:
     told = plan("nominal") | {"links": ["planar", "port"], "port_scenes": 1}
     parts = [part(), part(cell(link="port"), (0.9,))]
-    row = submission.write(result.result(told, parts), "mine", tmp_path)
-    assert "3 episodes" in submission.check(row)
+    row = result.write_row(result.make_result(told, parts), "mine", tmp_path)
+    assert "3 episodes" in result.check_row(row)
 
 
 def test_a_changed_submission_is_refused(row: Path) -> None:
     change(row, lambda told: told["cells"][0]["summary"].update(spl=1.0), signed=False)
     with pytest.raises(ConfigError, match="was changed after it was written"):
-        submission.check(row)
+        result.check_row(row)
 
 
 @pytest.mark.parametrize(
@@ -124,7 +124,7 @@ def test_what_is_not_so_is_refused_though_it_is_signed(
 ) -> None:
     change(row, how)
     with pytest.raises(ConfigError, match=said) as caught:
-        submission.check(row)
+        result.check_row(row)
     assert "\n" not in str(caught.value)
 
 
@@ -135,7 +135,7 @@ def test_what_is_no_submission(tmp_path: Path, text: str) -> None:
     path = tmp_path / "row.json"
     path.write_text(text)
     with pytest.raises(ConfigError) as caught:
-        submission.check(path)
+        result.check_row(path)
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -144,4 +144,4 @@ def test_a_submission_of_too_many_values_is_refused_before_they_are_made(tmp_pat
     path = tmp_path / "row.json"
     path.write_text("[" + "[]," * 1_000_000 + "[]]")
     with pytest.raises(ConfigError, match=r"isn't a row .*: has more than 1,000,000 values"):
-        submission.check(path)
+        result.check_row(path)

@@ -9,10 +9,10 @@ from collections.abc import Iterator
 import psutil
 import pytest
 
-from acsar_gym.bodies.bullet import BulletBody
 from acsar_gym.config import RobotConfig
-from acsar_gym.dynamics.model import closed_form_yaw_rate
 from acsar_gym.errors import RenderError
+from acsar_gym.physics.bullet import BulletBody
+from acsar_gym.physics.model import closed_form_yaw_rate
 from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.worlds import Scene
 

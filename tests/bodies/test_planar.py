@@ -6,9 +6,9 @@ import math
 
 import pytest
 
-from acsar_gym.bodies.base import Camera
-from acsar_gym.bodies.planar import PlanarBody
 from acsar_gym.config import RobotConfig
+from acsar_gym.physics.body import Camera
+from acsar_gym.physics.planar import PlanarBody
 from acsar_gym.protocol import ZERO
 from acsar_gym.worlds import Scene
 

@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from acsar_gym.bodies import Body
-from acsar_gym.bodies.bullet import BulletBody
-from acsar_gym.bodies.bullet.model import _feet, _hubs
-from acsar_gym.bodies.planar import PlanarBody
 from acsar_gym.config import RobotConfig
-from acsar_gym.config.footprint import border_distance, contains
+from acsar_gym.config.footprint import border_distance, contains_point
+from acsar_gym.physics.body import Body
+from acsar_gym.physics.bullet import BulletBody, _feet, _hubs
+from acsar_gym.physics.planar import PlanarBody
 from acsar_gym.worlds import Scene, World
 
 ACSAR = RobotConfig.preset("acsar")
@@ -79,7 +78,7 @@ def test_feet_stand_within_the_footprint(outline: Any) -> None:
     feet, foot = _feet(config)
     assert 1e-3 <= foot <= config.wheel_radius
     for (x, y), hub in zip(feet, _hubs(config), strict=True):
-        assert contains(config.outline, x, y)
+        assert contains_point(config.outline, x, y)
         assert border_distance(config.outline, x, y) >= foot - 1e-12
         assert x * hub[1] == pytest.approx(y * hub[0])
         if outline is None:

@@ -9,11 +9,10 @@ import numpy as np
 import psutil
 import pytest
 
-from acsar_gym.bodies import Body
-from acsar_gym.bodies.bullet import BulletBody
-from acsar_gym.bodies.bullet.statics import MOST_SHAPES, Statics
-from acsar_gym.bodies.planar import PlanarBody
 from acsar_gym.config import RobotConfig
+from acsar_gym.physics.body import Body
+from acsar_gym.physics.bullet import MAX_SHAPES, BulletBody, StaticObstacles
+from acsar_gym.physics.planar import PlanarBody
 from acsar_gym.worlds import Scene, World
 
 ACSAR = RobotConfig.preset("acsar")
@@ -79,9 +78,9 @@ def test_compounds_are_small_and_few() -> None:
     body = BulletBody(ACSAR)
     rng = np.random.default_rng(0)
     circles = np.column_stack([rng.uniform(-9, 9, (300, 2)), np.full(300, 0.1)])
-    statics = Statics(body._client, World(circles))
-    assert math.ceil(300 / MOST_SHAPES) <= len(statics) <= 1.3 * 300 / MOST_SHAPES
-    assert len(Statics(body._client, None)) == 0
+    statics = StaticObstacles(body._client, World(circles))
+    assert math.ceil(300 / MAX_SHAPES) <= len(statics) <= 1.3 * 300 / MAX_SHAPES
+    assert len(StaticObstacles(body._client, None)) == 0
     body.close()
 
 

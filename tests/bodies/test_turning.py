@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from acsar_gym.bodies import Body
-from acsar_gym.bodies.bullet import BulletBody
-from acsar_gym.bodies.planar import PlanarBody
 from acsar_gym.config import RobotConfig
-from acsar_gym.dynamics.model import closed_form_yaw_rate, turn_factor
 from acsar_gym.envs import PointGoalVectorEnv
+from acsar_gym.physics.body import Body
+from acsar_gym.physics.bullet import BulletBody
+from acsar_gym.physics.model import closed_form_yaw_rate, turn_factor
+from acsar_gym.physics.planar import PlanarBody
 from acsar_gym.protocol import Speeds
 from acsar_gym.vector.kernel import layout
 

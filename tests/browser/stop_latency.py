@@ -22,8 +22,8 @@ from browser_tools import Tab, browser
 from serial_tools import Emulated, program, start, wait_until
 
 from acsar_gym import RobotConfig
-from acsar_gym.dashboard.server import served
 from acsar_gym.protocol import ZERO, Decoder
+from acsar_gym.tools.view.server import serve_page
 
 PATIENT = RobotConfig.preset("acsar").with_(
     connect_timeout=20.0, feedback_timeout=5.0, watchdog_timeout=2.0
@@ -51,7 +51,7 @@ def trial(tab: Tab, folder: Path) -> float:
     try:
         with program(DRIVING, "drive", *options, "--robot", str(robot)) as process:
             wait_until(emulated.is_driven, "a command that turns the wheels")
-            with served(path, 0) as server:
+            with serve_page(path, 0) as server:
                 threading.Thread(target=server.serve_forever, daemon=True).start()
                 clicked = clicked_on(tab, f"http://127.0.0.1:{server.port}")
                 server.shutdown()

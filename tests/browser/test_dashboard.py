@@ -18,8 +18,7 @@ from recording_tools import drive
 from serial_tools import Emulated, RobotFile, program, wait_until
 
 from acsar_gym import RobotConfig
-from acsar_gym.dashboard.server import served
-from acsar_gym.dashboard.source import recording_of
+from acsar_gym.tools.view.server import find_recording, serve_page
 
 pytestmark = [
     pytest.mark.xdist_group("serial"),
@@ -27,7 +26,7 @@ pytestmark = [
 ]
 DRIVING = """
 import sys
-from acsar_gym.cli import main
+from acsar_gym.tools.cli import main
 sys.argv = ["acsar-gym", *sys.argv[1:]]
 main()
 """
@@ -48,7 +47,7 @@ def _patient(monkeypatch: pytest.MonkeyPatch) -> None:
 @contextmanager
 def serving(path: Path, port: int) -> Iterator[int]:
     """The server of a page; yields its port."""
-    with served(path, port) as server:
+    with serve_page(path, port) as server:
         thread = threading.Thread(target=server.serve_forever, daemon=True)
         thread.start()
         try:
@@ -94,7 +93,7 @@ def test_the_stop_button_stops_a_robot_that_another_process_drives(
     options = ("--link", device, "--linear", "0.2", "--angular", "0.3", "--record", str(path))
     with program(DRIVING, "drive", *options, "--robot", str(robot_file())) as process:
         wait_until(own_emulator.is_driven, "a command that turns the wheels")
-        assert recording_of(device) == path
+        assert find_recording(device) == path
         with opened(path, tmp_path) as tab:
             assert tab.text("#state") == "live"
             assert float(tab.text("#value-linear_sent")) == pytest.approx(0.2)

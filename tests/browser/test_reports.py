@@ -20,13 +20,13 @@ from benchmark_tools import cell, part, plan
 from rollout_tools import HIDDEN, driven, random_steps, recording, rollouts
 
 from acsar_gym import RobotConfig
-from acsar_gym.benchmark import page as benchmark_page
-from acsar_gym.benchmark import result
-from acsar_gym.evaluation.page.document import Film, Page
-from acsar_gym.gap.measure import measure
-from acsar_gym.gap.page import compare_page, gap_page
-from acsar_gym.gap.sides import compare
-from acsar_gym.render.canvas import encode
+from acsar_gym.render.canvas import encode_png
+from acsar_gym.tools.benchmark import page as benchmark_page
+from acsar_gym.tools.benchmark import result
+from acsar_gym.tools.evaluation.page import Film, ReportPage
+from acsar_gym.tools.sysid import pages as sysid_pages
+from acsar_gym.tools.sysid.sim_real import compare_sides
+from acsar_gym.tools.sysid.twin_gap import measure_gap
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 pytestmark = pytest.mark.skipif(
@@ -36,7 +36,7 @@ TIMEOUT = 120.0
 SCHEMES = {"dark": (0, (20, 22, 26)), "light": (1, (251, 251, 250))}
 """Blink's number of each scheme, and the background in page.css."""
 ACSAR = RobotConfig.preset("acsar")
-DOT = encode(np.full((64, 64, 3), 200, np.uint8))
+DOT = encode_png(np.full((64, 64, 3), 200, np.uint8))
 """A picture."""
 PAGES = ("gap", "compare", "benchmark")
 
@@ -61,12 +61,12 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> Path:
         episode = driven(robot, random_steps(seed, 12.0, robot), phase=0.003)
         logs.append((f"log{seed}.mcap", recording(ACSAR, episode, name=f"{seed}")))
     near = ACSAR.with_(**HIDDEN | {"motor": {"time_constant": 0.136}})
-    gap = measure(logs, ("my_robot.yaml", near), ("acsar", ACSAR))
+    gap = measure_gap(logs, ("my_robot.yaml", near), ("acsar", ACSAR))
     sim = [("sim.mcap", rollouts(ACSAR, range(8)))]
     real = [("real.mcap", rollouts(robot.with_(max_linear=0.45), range(1, 9)))]
-    made: dict[str, Page] = {
-        "gap": gap_page.page(gap),
-        "compare": compare_page.page(compare(sim, real)),
+    made: dict[str, ReportPage] = {
+        "gap": sysid_pages.gap_page(gap),
+        "compare": sysid_pages.compare_page(compare_sides(sim, real)),
         "benchmark": benchmark_page.page(benchmark(), [Film("an episode", DOT, b"")]),
     }
     for name, page in made.items():
@@ -82,7 +82,7 @@ def benchmark() -> dict[str, Any]:
         for agent in ("packaged", "floor")
         for link, condition in (("planar", "nominal"), ("bullet", "nominal"), ("planar", "husky"))
     ]
-    told = result.result(plan(packaged="learned", floor="baseline"), parts)
+    told = result.make_result(plan(packaged="learned", floor="baseline"), parts)
     found: dict[str, Any] = json.loads(json.dumps(told))
     return found
 

@@ -9,22 +9,21 @@ import pytest
 from calibration_tools import ACSAR
 
 from acsar_gym import RobotConfig
-from acsar_gym.calibration import manoeuvres
-from acsar_gym.calibration.driving import drive
-from acsar_gym.calibration.model import configured, end_pose
-from acsar_gym.calibration.truth import TruthObserver
 from acsar_gym.config import Geofence
 from acsar_gym.errors import LinkError
 from acsar_gym.links import open_link
 from acsar_gym.robot import Robot
+from acsar_gym.tools.sysid import calibration_drive
+from acsar_gym.tools.sysid.calibration_drive import TruthObserver, drive_run
+from acsar_gym.tools.sysid.calibration_runs import configured_geometry, integrate_wheels
 from acsar_gym.worlds import Scene, World
 
 PLANS = {
-    "line": manoeuvres.straights(0.5, 0.4, 1)[0],
-    "back": manoeuvres.straights(0.5, 0.4, 2)[1],
-    "turn": manoeuvres.turns(1.5, (1.2,), (0.0,), 1)[0],
-    "circle": manoeuvres.turns(1.0, (1.0,), (0.3,), 1)[0],
-    "square": manoeuvres.squares(0.4, 0.4, 1.2, 1, 0)[0],
+    "line": calibration_drive.plan_straights(0.5, 0.4, 1)[0],
+    "back": calibration_drive.plan_straights(0.5, 0.4, 2)[1],
+    "turn": calibration_drive.plan_turns(1.5, (1.2,), (0.0,), 1)[0],
+    "circle": calibration_drive.plan_turns(1.0, (1.0,), (0.3,), 1)[0],
+    "square": calibration_drive.plan_squares(0.4, 0.4, 1.2, 1, 0)[0],
 }
 ENDS = {
     "line": (0.5, 0.0, 0.0),
@@ -41,8 +40,8 @@ def robot(config: RobotConfig = ACSAR, twin: RobotConfig = ACSAR) -> Robot:
 
 @pytest.mark.parametrize("name", PLANS)
 def test_a_run_ends_where_it_should_and_tells_its_wheels(name: str) -> None:
-    run = drive(robot(), PLANS[name], Scene((1.0, 2.0, 0.5)), TruthObserver())
-    ends = end_pose(run.wheels, configured(ACSAR), ACSAR.wheel_separation)
+    run = drive_run(robot(), PLANS[name], Scene((1.0, 2.0, 0.5)), TruthObserver())
+    ends = integrate_wheels(run.wheels, configured_geometry(ACSAR), ACSAR.wheel_separation)
     assert ends == pytest.approx(ENDS[name], abs=0.04)
     readings = {reading.kind: reading.value for reading in run.readings}
     assert tuple(readings.values()) == pytest.approx(ends, abs=0.02)
@@ -50,21 +49,21 @@ def test_a_run_ends_where_it_should_and_tells_its_wheels(name: str) -> None:
 
 def test_a_line_is_straight_by_odometry_although_motors_differ() -> None:
     weak = ACSAR.with_(motor={"gain": (1.0, 0.95, 0.95, 1.0)})
-    run = drive(robot(twin=weak), PLANS["line"], Scene())
-    _, y, theta = end_pose(run.wheels, configured(ACSAR), ACSAR.wheel_separation)
+    run = drive_run(robot(twin=weak), PLANS["line"], Scene())
+    _, y, theta = integrate_wheels(run.wheels, configured_geometry(ACSAR), ACSAR.wheel_separation)
     assert abs(theta) < 0.15
     assert abs(y) < 0.05
 
 
 def test_without_an_observer_there_are_no_readings() -> None:
-    assert drive(robot(), PLANS["line"], Scene()).readings == ()
+    assert drive_run(robot(), PLANS["line"], Scene()).readings == ()
 
 
 def test_the_fence_stops_it_with_an_error() -> None:
     fenced = ACSAR.with_(geofence=Geofence(min_x=-1.0, max_x=0.3, min_y=-1.0, max_y=1.0))
     one = robot(fenced)
     with pytest.raises(LinkError, match=r"straight 1: stopped at \(0\.3\d, .* edge of the stated"):
-        drive(one, PLANS["line"], Scene())
+        drive_run(one, PLANS["line"], Scene())
     assert not one.active
 
 
@@ -82,7 +81,7 @@ class Stopper(TruthObserver):
 def test_an_emergency_stop_ends_the_run() -> None:
     one = robot()
     with pytest.raises(LinkError, match="ended by an emergency stop"):
-        drive(one, PLANS["line"], Scene(), Stopper())
+        drive_run(one, PLANS["line"], Scene(), Stopper())
     assert not one.active
 
 
@@ -92,11 +91,11 @@ def test_an_emergency_stop_ends_the_run() -> None:
 def test_a_robot_that_does_not_get_on_is_told(name: str, done: str) -> None:
     dead = ACSAR.with_(motor={"deadband": 1000.0})
     with pytest.raises(LinkError, match=f"only {done}|wheel") as told:
-        drive(robot(twin=dead), PLANS[name], Scene())
+        drive_run(robot(twin=dead), PLANS[name], Scene())
     assert "\n" not in str(told.value)
 
 
 def test_a_collision_is_told() -> None:
     world = World(segments=np.array([(0.4, -1.0, 0.4, 1.0)]))
     with pytest.raises(LinkError, match="touched an obstacle"):
-        drive(robot(), PLANS["line"], Scene(world=world), TruthObserver())
+        drive_run(robot(), PLANS["line"], Scene(world=world), TruthObserver())

@@ -5,19 +5,18 @@ from __future__ import annotations
 import pytest
 from calibration_tools import ACSAR, driven, hidden, usual_plans
 
-from acsar_gym.calibration.fit import Fit, fit
-from acsar_gym.calibration.model import configured
-from acsar_gym.calibration.result import calibrated
+from acsar_gym.tools.sysid.calibration_fit import GeometryFit, fit_geometry, make_calibrated_config
+from acsar_gym.tools.sysid.calibration_runs import configured_geometry
 
 RADIUS, MULTIPLIER = 0.003, 0.01
 """Largest errors, as shares of the truth."""
 
 
-def check(seed: int, link: str = "planar") -> Fit:
+def check(seed: int, link: str = "planar") -> GeometryFit:
     """Calibrate one hidden robot and print its errors, which must be within the bounds."""
     twin = hidden(seed)
-    found = fit(driven(usual_plans(), twin, link), ACSAR)
-    true, factor = configured(twin), twin.body.turn_factor
+    found = fit_geometry(driven(usual_plans(), twin, link), ACSAR)
+    true, factor = configured_geometry(twin), twin.body.turn_factor
     assert factor is not None
     errors = (
         found.geometry.left / true.left - 1.0,
@@ -58,8 +57,8 @@ def test_hidden_robots_in_bullet_are_found(seed: int) -> None:
 def test_the_calibrated_twin_turns_as_the_robot() -> None:
     """Without turn_factor it was 37 cm off in its own twin."""
     twin = hidden(2)
-    found = calibrated(fit(driven(usual_plans(), twin), ACSAR), ACSAR)
+    found = make_calibrated_config(fit_geometry(driven(usual_plans(), twin), ACSAR), ACSAR)
     assert found.body.turn_factor == pytest.approx(twin.body.turn_factor, rel=MULTIPLIER)
     assert found.wheel_separation_multiplier == found.body.turn_factor
-    again = fit(driven(usual_plans()[:4], found), found)
-    assert again.geometry == pytest.approx(configured(found), rel=0.003, abs=0.003)
+    again = fit_geometry(driven(usual_plans()[:4], found), found)
+    assert again.geometry == pytest.approx(configured_geometry(found), rel=0.003, abs=0.003)

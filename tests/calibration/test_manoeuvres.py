@@ -7,11 +7,16 @@ import math
 import pytest
 from calibration_tools import ACSAR
 
-from acsar_gym.calibration import manoeuvres
-from acsar_gym.calibration.manoeuvres import Plan, check_space, fence, needed
 from acsar_gym.errors import ConfigError
+from acsar_gym.tools.sysid import calibration_drive
+from acsar_gym.tools.sysid.calibration_drive import (
+    RunPlan,
+    check_space,
+    find_needed_space,
+    make_fence,
+)
 
-LINES = manoeuvres.straights(2.0, 0.3, 3)
+LINES = calibration_drive.plan_straights(2.0, 0.3, 3)
 
 
 def test_every_second_line_goes_back_and_speeds_differ() -> None:
@@ -22,7 +27,7 @@ def test_every_second_line_goes_back_and_speeds_differ() -> None:
 
 
 def test_turns_alternate_over_speeds_and_radii() -> None:
-    plans = manoeuvres.turns(5.0, (0.5, 1.0), (0.0, 0.3), 2)
+    plans = calibration_drive.plan_turns(5.0, (0.5, 1.0), (0.0, 0.3), 2)
     angles = [leg.angle for plan in plans for leg in plan.legs]
     assert len(plans) == 8
     assert [math.copysign(1.0, angle) for angle in angles] == [1.0, -1.0] * 4
@@ -32,7 +37,7 @@ def test_turns_alternate_over_speeds_and_radii() -> None:
 
 
 def test_squares_come_clockwise_first() -> None:
-    plans = manoeuvres.squares(1.0, 0.3, 1.0, 1, 2)
+    plans = calibration_drive.plan_squares(1.0, 0.3, 1.0, 1, 2)
     assert [plan.name for plan in plans] == ["square cw 1", "square ccw 1", "square ccw 2"]
     assert sum(leg.angle for leg in plans[0].legs) == pytest.approx(-2.0 * math.pi)
 
@@ -41,17 +46,17 @@ def test_squares_come_clockwise_first() -> None:
     ("plans", "ahead", "aside"),
     [
         (LINES, 2.0, 0.0),
-        (manoeuvres.turns(2.0, (0.5,), (0.0,), 1), 0.0, 0.0),
-        (manoeuvres.turns(2.0, (0.5,), (0.5,), 2), 0.5, 1.0),
-        (manoeuvres.squares(1.0, 0.3, 1.0, 1, 0), 1.0, 1.0),
+        (calibration_drive.plan_turns(2.0, (0.5,), (0.0,), 1), 0.0, 0.0),
+        (calibration_drive.plan_turns(2.0, (0.5,), (0.5,), 2), 0.5, 1.0),
+        (calibration_drive.plan_squares(1.0, 0.3, 1.0, 1, 0), 1.0, 1.0),
     ],
 )
 def test_the_floor_holds_path_robot_and_slack(
-    plans: list[Plan], ahead: float, aside: float
+    plans: list[RunPlan], ahead: float, aside: float
 ) -> None:
-    x, y = needed(plans, ACSAR)
-    own = needed(manoeuvres.turns(1.0, (0.5,), (0.0,), 1), ACSAR)[0]
-    slack = manoeuvres.SLACK * max(ahead, aside)
+    x, y = find_needed_space(plans, ACSAR)
+    own = find_needed_space(calibration_drive.plan_turns(1.0, (0.5,), (0.0,), 1), ACSAR)[0]
+    slack = calibration_drive.SPACE_SLACK * max(ahead, aside)
     assert (x, y) == pytest.approx((ahead + slack + own, aside + slack + own), abs=1e-3)
 
 
@@ -59,11 +64,11 @@ def test_a_space_that_is_too_small_says_how_much_is_needed() -> None:
     with pytest.raises(ConfigError, match=r"--space 2 1: too small: this needs 2\.\d\d m ahead"):
         check_space(ACSAR, LINES, (2.0, 1.0))
     assert check_space(ACSAR, LINES, (4.0, 1.0)) == (4.0, 1.0)
-    assert check_space(ACSAR, LINES, None) == needed(LINES, ACSAR)
+    assert check_space(ACSAR, LINES, None) == find_needed_space(LINES, ACSAR)
 
 
 def test_the_fence_is_around_the_space_also_on_the_way_back() -> None:
-    ahead, back = (fence(ACSAR, plan, (4.0, 1.5)) for plan in LINES[:2])
+    ahead, back = (make_fence(ACSAR, plan, (4.0, 1.5)) for plan in LINES[:2])
     assert ahead.max_x == -back.min_x > 3.5
     assert ahead.min_x == -back.max_x > -1.5
     assert ahead.max_y == -ahead.min_y < 1.5
@@ -72,12 +77,12 @@ def test_the_fence_is_around_the_space_also_on_the_way_back() -> None:
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda: manoeuvres.straights(0.0, 0.3, 1), "--distance 0: must be"),
-        (lambda: manoeuvres.straights(math.nan, 0.3, 1), "--distance nan"),
-        (lambda: manoeuvres.straights(2.0, 0.3, 0), "0 runs: must be 1 to"),
-        (lambda: manoeuvres.turns(-1.0, (1.0,), (0.0,), 1), "--turns -1"),
-        (lambda: manoeuvres.turns(1.0, (1.0,), (-0.3,), 1), "--radii -0.3"),
-        (lambda: manoeuvres.squares(1.0, 0.3, 1.0, 500, 0), "500 runs"),
+        (lambda: calibration_drive.plan_straights(0.0, 0.3, 1), "--distance 0: must be"),
+        (lambda: calibration_drive.plan_straights(math.nan, 0.3, 1), "--distance nan"),
+        (lambda: calibration_drive.plan_straights(2.0, 0.3, 0), "0 runs: must be 1 to"),
+        (lambda: calibration_drive.plan_turns(-1.0, (1.0,), (0.0,), 1), "--turns -1"),
+        (lambda: calibration_drive.plan_turns(1.0, (1.0,), (-0.3,), 1), "--radii -0.3"),
+        (lambda: calibration_drive.plan_squares(1.0, 0.3, 1.0, 500, 0), "500 runs"),
     ],
 )
 def test_bad_sizes_are_told(make: object, said: str) -> None:

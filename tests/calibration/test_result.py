@@ -5,23 +5,22 @@ from __future__ import annotations
 import pytest
 from calibration_tools import ACSAR
 
-from acsar_gym.calibration.fit import Estimate, Fit
-from acsar_gym.calibration.model import Geometry
-from acsar_gym.calibration.result import calibrated
 from acsar_gym.config import Measured
-from acsar_gym.dynamics import Randomization
+from acsar_gym.physics import Randomization
+from acsar_gym.tools.sysid.calibration_fit import FittedValue, GeometryFit, make_calibrated_config
+from acsar_gym.tools.sysid.calibration_runs import Geometry
 
 WHEEL = Measured(low=0.04, high=0.06, method="before")
 TURN = Measured(low=1.6, high=1.8, method="before")
 
 
-def fitted(**told: Estimate) -> Fit:
-    return Fit(Geometry(0.0495, 0.02, 1.5), told, (), (), 1.0)
+def fitted(**told: FittedValue) -> GeometryFit:
+    return GeometryFit(Geometry(0.0495, 0.02, 1.5), told, (), (), 1.0)
 
 
 def test_a_radius_that_follows_from_the_ratio_has_no_old_interval() -> None:
     before = ACSAR.with_(left_wheel_radius_multiplier=0.98, measured={"wheel_radius": WHEEL})
-    found = calibrated(fitted(radius_ratio=Estimate.around(0.02, 0.001)), before)
+    found = make_calibrated_config(fitted(radius_ratio=FittedValue.around(0.02, 0.001)), before)
     assert found.wheel_radius == 0.0495
     assert set(found.measured) == {"left_wheel_radius_multiplier", "right_wheel_radius_multiplier"}
 
@@ -30,15 +29,15 @@ def test_a_radius_that_follows_from_the_ratio_has_no_old_interval() -> None:
 def test_a_robot_that_hardly_skids_can_be_trained_with(
     low: float, value: float, high: float
 ) -> None:
-    one = Estimate(value, low, high)
-    found = calibrated(fitted(wheel_separation_multiplier=one), ACSAR)
+    one = FittedValue(value, low, high)
+    found = make_calibrated_config(fitted(wheel_separation_multiplier=one), ACSAR)
     assert 1.0 < found.measured["body.turn_factor"].low <= value
     Randomization.measured(found).ranges(found, 0.1)
 
 
 def test_a_multiplier_that_no_tyre_has_ends_the_interval_of_the_tyres() -> None:
     known = ACSAR.with_(body={"turn_factor": 1.7}, measured={"body.turn_factor": TURN})
-    one = Estimate(0.95, 0.9, 1.0)
-    found = calibrated(fitted(wheel_separation_multiplier=one), known)
+    one = FittedValue(0.95, 0.9, 1.0)
+    found = make_calibrated_config(fitted(wheel_separation_multiplier=one), known)
     assert set(found.measured) == {"wheel_separation_multiplier"}
     Randomization.measured(found).ranges(found, 0.1)

@@ -10,35 +10,39 @@ import numpy as np
 import pytest
 from calibration_tools import ACSAR, SCALES, line
 
-from acsar_gym.calibration import runs
-from acsar_gym.calibration.model import configured
-from acsar_gym.calibration.runs import Run
 from acsar_gym.errors import ConfigError
+from acsar_gym.tools.sysid import calibration_runs
+from acsar_gym.tools.sysid.calibration_runs import CalibrationRun, configured_geometry
 
-RUN = Run("straight 1", "straight", line(configured(ACSAR), 2.0), (SCALES.metres("distance", 2.0),))
+RUN = CalibrationRun(
+    "straight 1",
+    "straight",
+    line(configured_geometry(ACSAR), 2.0),
+    (SCALES.metres("distance", 2.0),),
+)
 
 
 def test_runs_are_read_back_as_they_were_written(tmp_path: Path) -> None:
     path = tmp_path / "cal.json"
-    runs.write(path, [RUN, RUN.read([])], ACSAR)
-    one, two = runs.load(path, ACSAR)
+    calibration_runs.write_runs(path, [RUN, RUN.read([])], ACSAR)
+    one, two = calibration_runs.read_runs(path, ACSAR)
     assert (one.name, one.manoeuvre, one.readings) == (RUN.name, RUN.manoeuvre, RUN.readings)
     assert np.abs(one.wheels - RUN.wheels).max() < 1e-6
     assert two.readings == ()
-    assert runs.sha256([one], ACSAR) == runs.sha256([RUN], ACSAR)
+    assert calibration_runs.hash_runs([one], ACSAR) == calibration_runs.hash_runs([RUN], ACSAR)
 
 
 def test_runs_of_another_robot_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "cal.json"
-    runs.write(path, [RUN], ACSAR)
+    calibration_runs.write_runs(path, [RUN], ACSAR)
     with pytest.raises(
         ConfigError, match=r"another robot: wheel_separation is 0\.3 there and 0\.4"
     ):
-        runs.load(path, ACSAR.with_(wheel_separation=0.4))
+        calibration_runs.read_runs(path, ACSAR.with_(wheel_separation=0.4))
 
 
 def broken(**changes: Any) -> bytes:
-    data = json.loads(json.dumps(runs.as_dict([RUN], ACSAR)))
+    data = json.loads(json.dumps(calibration_runs.format_runs([RUN], ACSAR)))
     data["runs"][0] |= changes
     return json.dumps(data).encode()
 
@@ -65,6 +69,6 @@ def test_cut_and_foreign_files_are_one_error(tmp_path: Path, content: bytes, sai
     path = tmp_path / "cal.json"
     path.write_bytes(content)
     with pytest.raises(ConfigError, match=said) as told:
-        runs.load(path, ACSAR)
+        calibration_runs.read_runs(path, ACSAR)
     assert str(path) in str(told.value)
     assert "\n" not in str(told.value)

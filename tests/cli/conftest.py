@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from cli_tools import Call, Ended
 
-from acsar_gym.cli import main
+from acsar_gym.tools.cli import main
 
 
 @pytest.fixture

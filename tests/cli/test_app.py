@@ -15,8 +15,8 @@ from serial_tools import CLI, TIMEOUT, RobotFile, cli
 from zip_tools import PLACES, poison, save
 
 from acsar_gym import RobotConfig
-from acsar_gym.cli import COMMANDS
 from acsar_gym.errors import LateTicksError, RecordingWarning
+from acsar_gym.tools.cli import COMMANDS
 
 pytestmark = [pytest.mark.anywhere, pytest.mark.usefixtures("deadline")]
 
@@ -92,7 +92,7 @@ def test_results_survive_a_full_disk(
     def fail(*arguments: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("acsar_gym.recording.mcap_file.McapFile.add", fail)
+    monkeypatch.setattr("acsar_gym.recording.sinks.McapFile.add", fail)
     figures, tape = tmp_path / "figures.json", tmp_path / "tape.mcap"
     more = () if arguments[0] == "drive" else ("--json", figures)
     with pytest.warns(RecordingWarning, match=r"tape.mcap: can't be written: No space left on"):

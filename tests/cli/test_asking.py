@@ -11,14 +11,14 @@ import sys
 import pytest
 from serial_tools import TIMEOUT
 
-from acsar_gym.cli.asking import ask, countdown
 from acsar_gym.errors import CancelledError, ConfigError
+from acsar_gym.tools.cli.options import ask_user, countdown
 
 pytestmark = [pytest.mark.xdist_group("serial"), pytest.mark.usefixtures("deadline")]
 
 COUNTING = """
 import sys
-from acsar_gym.cli.asking import countdown
+from acsar_gym.tools.cli.options import countdown
 try:
     countdown("the wheels turn: lift it", float(sys.argv[1]))
 except Exception as error:
@@ -68,9 +68,9 @@ def test_without_a_terminal_it_names_the_option() -> None:
 
 def test_a_question_takes_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO("bn\n"))
-    assert ask("which wheel? ") == "bn"
+    assert ask_user("which wheel? ") == "bn"
     with pytest.raises(CancelledError):
-        ask("and now? ")
+        ask_user("and now? ")
 
 
 def test_a_cancelled_command_ends_like_an_interrupted_one() -> None:

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from cli_tools import Call, assert_one_line
 
-from acsar_gym.benchmark.submission import SUFFIX
 from acsar_gym.resources import AGENTS
+from acsar_gym.tools.benchmark.result import ROW_SUFFIX
 
 SMALL = ("--ids", "point_goal", "--links", "planar", "--scenes", "2")
 
@@ -62,7 +62,7 @@ def test_anybodys_policy_gets_a_row(call: Call, tmp_path: Path) -> None:
     own = ("--links", "planar", "--scenes", "1", "--out", tmp_path / "run")
     code, said, error = call("benchmark", "--policy", tmp_path / "mine.onnx", *own)
     assert code == 0, error
-    row = tmp_path / "run" / f"mine{SUFFIX}"
+    row = tmp_path / "run" / f"mine{ROW_SUFFIX}"
     assert "row to submit" in said
     code, said, error = call("benchmark", "--check", row)
     assert code == 0, error

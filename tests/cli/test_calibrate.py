@@ -11,9 +11,9 @@ from cli_tools import Call, assert_one_line
 from serial_tools import RobotFile, StartEmulator, cli
 
 from acsar_gym import RobotConfig
-from acsar_gym.calibration.runs import write
+from acsar_gym.tools.sysid.calibration_runs import write_runs
 from acsar_gym.worlds import World
-from acsar_gym.worlds.files import save
+from acsar_gym.worlds.files import save_world
 
 QUICK = ("--distance", "0.6", "--turns", "1", "--size", "0.4", "--repeats", "1")
 
@@ -138,7 +138,7 @@ def test_without_readings_the_runs_wait_in_their_file(call: Call, tmp_path: Path
 
 def test_a_file_without_runs_is_one_line(call: Call, tmp_path: Path) -> None:
     path = tmp_path / "none.json"
-    write(path, [], RobotConfig.preset("acsar"))
+    write_runs(path, [], RobotConfig.preset("acsar"))
     code, _, error = call("calibrate", path, "straight")
     assert code == 2
     assert_one_line(error, "none.json: holds no runs: drive some with --runs")
@@ -162,7 +162,7 @@ def test_over_a_serial_device(
 def test_a_lidar_measures_in_a_world(call: Call, twin: Path, tmp_path: Path) -> None:
     room, out = tmp_path / "room.yaml", tmp_path / "my.yaml"
     walls = np.array([(-2, -2, 4, -2), (4, -2, 4, 2), (4, 2, -2, 2), (-2, 2, -2, -2)], np.float64)
-    save(World(segments=walls), room)
+    save_world(World(segments=walls), room)
     asked = ("--twin", twin, "--lidar", "simulated", "--world", room, "--out", out)
     assert call("calibrate", "planar", "all", *QUICK, "--speeds", "1.2", *asked)[0] == 0
     found = RobotConfig.load(out)

@@ -10,7 +10,7 @@ from cli_tools import Call
 from serial_tools import TIMEOUT, Emulated, StartEmulator, wait_until
 
 from acsar_gym import Robot, RobotConfig, open_link
-from acsar_gym.doctor import feedback, response, spinning
+from acsar_gym.tools.doctor import board
 from acsar_gym.worlds import Pose
 
 pytestmark = [pytest.mark.xdist_group("serial"), pytest.mark.usefixtures("deadline")]
@@ -57,9 +57,9 @@ def test_an_odd_board_is_commissioned_and_driven(
     tmp_path: Path,
 ) -> None:
     """The last of its answers only eyes can give: the sides are swapped at the motors."""
-    monkeypatch.setattr(feedback, "LISTEN", 0.5)  # shorter than at the command line
-    monkeypatch.setattr(response, "TRIALS", 2)
-    for module in (spinning, response):  # and patient on a busy machine
+    monkeypatch.setattr(board, "LISTEN_TIME", 0.5)  # shorter than at the command line
+    monkeypatch.setattr(board, "RESPONSE_TRIALS", 2)
+    for module in (board,):  # and patient on a busy machine
         monkeypatch.setattr(module, "PATIENCE", TIMEOUT)
     odd = start_emulator("--quirk", *ODD)
     guess, found, report = (tmp_path / name for name in ("guess.yaml", "found.yaml", "out.json"))
@@ -92,15 +92,15 @@ def test_no_file_is_written_of_a_wheel_that_its_board_drives_away(
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
 ) -> None:
-    monkeypatch.setattr(feedback, "LISTEN", 0.5)
-    monkeypatch.setattr(spinning, "PATIENCE", TIMEOUT)
-    board = start_emulator("--quirk", "runaway=a")
+    monkeypatch.setattr(board, "LISTEN_TIME", 0.5)
+    monkeypatch.setattr(board, "START_TIMEOUT", TIMEOUT)
+    emulated = start_emulator("--quirk", "runaway=a")
     guess, found, report = (tmp_path / name for name in ("guess.yaml", "found.yaml", "out.json"))
     config.save(guess)
     options = ("--robot", guess, "--out", found, "--json", report)
-    code, _, error = call("doctor", board.device, "--spin", "--yes", *options)
+    code, _, error = call("doctor", emulated.device, "--spin", "--yes", *options)
     assert (code, error) == (1, "")
     assert "set ENCODER_REVERSED in the board's program" in report.read_text()
     assert "isn't written" in report.read_text()
     assert not found.exists()
-    wait_until(board.is_stopped, "zero as the newest command")
+    wait_until(emulated.is_stopped, "zero as the newest command")

@@ -11,7 +11,7 @@ import pytest
 from cli_tools import Call
 
 import acsar_gym
-from acsar_gym.cli import COMMANDS
+from acsar_gym.tools.cli import COMMANDS
 
 TYPED = """
 source "$1"; shift
@@ -22,7 +22,7 @@ printf '%s\\n' "${COMPREPLY[@]}"
 """
 HEAVY = """
 import sys
-from acsar_gym.cli import app
+from acsar_gym.tools.cli import app
 sys.argv = ["acsar-gym", "completion", "bash"]
 try:
     app.main()

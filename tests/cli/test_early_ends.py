@@ -13,10 +13,10 @@ import pytest
 from cli_tools import Call, assert_one_line
 
 from acsar_gym.errors import BoardSilentError, EmergencyStopError, LinkError
-from acsar_gym.evaluation import episodes as evaluation
-from acsar_gym.evaluation import runs
-from acsar_gym.evaluation.episodes import EpisodeResult
-from acsar_gym.policies import OnnxPolicy
+from acsar_gym.tools.evaluation import episodes as evaluation
+from acsar_gym.tools.evaluation import runs
+from acsar_gym.tools.evaluation.episodes import EpisodeResult
+from acsar_gym.tools.policies import OnnxPolicy
 
 EVALUATE = ("evaluate", "--link", "planar", "--episodes", "5")
 
@@ -24,14 +24,14 @@ EVALUATE = ("evaluate", "--link", "planar", "--episodes", "5")
 @pytest.fixture
 def ending(monkeypatch: pytest.MonkeyPatch) -> Any:
     """`ending(error, after=2)` lets every evaluation end so after some episodes."""
-    whole = evaluation.episodes
+    whole = evaluation.run_episodes
 
     def install(error: BaseException, after: int = 2) -> None:
         def episodes(env: Any, policy: Any, count: int, seed: int, **how: Any) -> Iterator[Any]:
             yield from whole(env, policy, min(count, after), seed, **how)
             raise error
 
-        monkeypatch.setattr(evaluation, "episodes", episodes)
+        monkeypatch.setattr(evaluation, "run_episodes", episodes)
 
     return install
 
@@ -87,17 +87,17 @@ def test_ctrl_c_before_the_first_result_writes_the_json(
 def test_an_error_before_the_first_episode_is_that_error(ending: Any) -> None:
     ending(LinkError("no such device"), after=0)
     with pytest.raises(LinkError, match="no such device"):
-        runs.drive(OnnxPolicy("point_goal"), "planar", None, range(3))
+        runs.evaluate_policy(OnnxPolicy("point_goal"), "planar", None, range(3))
 
 
 def test_a_fault_is_a_column_and_no_time_out(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = runs.made
+    whole = runs.make_env
 
     def made(policy: Any, link: Any, robot: Any, options: Any) -> Any:
         faults = {"unplug_at": 0.2, "replug_time": 0.1, "episodes": 0.5}
         return whole(policy, link, robot, {**options, "faults": faults})
 
-    monkeypatch.setattr(runs, "made", made)
+    monkeypatch.setattr(runs, "make_env", made)
     status, output, message = call(*EVALUATE)
     assert status == 3
     assert_one_line(message, "unplugged")
@@ -123,13 +123,13 @@ def test_invalid_episodes_have_an_exit_code(
     call: Call,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    whole = evaluation.episodes
+    whole = evaluation.run_episodes
 
     def episodes(*arguments: Any, **options: Any) -> Iterator[EpisodeResult]:
         for result in whole(*arguments, **options):
             yield dataclasses.replace(result, valid=False, success=success)
 
-    monkeypatch.setattr(evaluation, "episodes", episodes)
+    monkeypatch.setattr(evaluation, "run_episodes", episodes)
     status, output, message = call(*command)
     assert status == code
     assert said in message
@@ -152,14 +152,14 @@ def test_a_run_takes_goals_beyond_those_of_the_training(
 
 
 def test_a_complete_evaluation_says_so() -> None:
-    run = runs.drive(OnnxPolicy("point_goal"), "planar", None, range(2))
+    run = runs.evaluate_policy(OnnxPolicy("point_goal"), "planar", None, range(2))
     assert (run.ended, run.faults, run.notes) == (None, [], [])
     assert run.as_dict()["ended_early"] is None
 
 
 def test_time_to_goal_is_that_of_the_ticks() -> None:
     """However long the program took from the reset to the first command."""
-    run = runs.drive(OnnxPolicy("point_goal"), "planar", None, range(1))
+    run = runs.evaluate_policy(OnnxPolicy("point_goal"), "planar", None, range(1))
     episode: EpisodeResult = run.results[0]
     assert episode.ended - episode.started == pytest.approx(episode.ticks * 0.01)
     assert np.isfinite(episode.started)

@@ -9,9 +9,9 @@ import pytest
 from cli_tools import Call, assert_one_line
 
 from acsar_gym import RobotConfig, open_link
-from acsar_gym.cli.identify import lateness
 from acsar_gym.recording import Recorder
 from acsar_gym.robot import Robot
+from acsar_gym.tools.cli.sysid import describe_lateness
 
 pytestmark = pytest.mark.usefixtures("deadline")
 MISSING = "/dev/acsar-missing"
@@ -96,7 +96,7 @@ def test_a_miswired_robot_is_refused(call: Call, tmp_path: Path) -> None:
 
 
 def test_a_computer_that_was_late_is_told() -> None:
-    assert lateness(19.6, 20.0, "/dev/ttyUSB0") == ""
-    said = lateness(41.1, 20.0, "/dev/ttyUSB0")
+    assert describe_lateness(19.6, 20.0, "/dev/ttyUSB0") == ""
+    said = describe_lateness(41.1, 20.0, "/dev/ttyUSB0")
     assert "took 41.1 s instead of 20" in said
     assert "acsar-gym doctor /dev/ttyUSB0 --timing" in said

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from cli_tools import Call, assert_one_line
 
-from acsar_gym.scaling import cluster
+from acsar_gym.tools.jobs import cluster
 
 
 @pytest.mark.parametrize(
@@ -21,7 +21,7 @@ from acsar_gym.scaling import cluster
 def test_one_line_says_what_is_wrong(
     call: Call, monkeypatch: pytest.MonkeyPatch, arguments: str, code: int, said: str
 ) -> None:
-    monkeypatch.setattr(cluster, "PATIENCE", 0.1)
+    monkeypatch.setattr(cluster, "CLUSTER_TIMEOUT", 0.1)
     ended, _, error = call("evaluate", *arguments.split())
     assert ended == code
     assert_one_line(error, said)

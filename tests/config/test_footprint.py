@@ -14,12 +14,12 @@ from acsar_gym import RobotConfig
 from acsar_gym.config.footprint import (
     Outline,
     border_distance,
-    box,
-    checked,
-    contains,
+    contains_point,
     convex_pieces,
-    radius,
-    reach,
+    make_rectangle,
+    outline_radius,
+    outline_reach,
+    validate_outline,
 )
 from acsar_gym.errors import ConfigError
 from acsar_gym.worlds.search import footprint_radius
@@ -30,7 +30,7 @@ STAR = tuple(
     (r * math.cos(a), r * math.sin(a))
     for r, a in zip([0.3, 0.1] * 5, np.arange(10) * math.pi / 5.0, strict=True)
 )
-SHAPES = {"box": box(0.4, 0.2), "wedge": WEDGE, "notched": NOTCHED, "star": STAR}
+SHAPES = {"box": make_rectangle(0.4, 0.2), "wedge": WEDGE, "notched": NOTCHED, "star": STAR}
 
 
 def area(outline: Outline) -> float:
@@ -40,17 +40,17 @@ def area(outline: Outline) -> float:
 
 @pytest.mark.parametrize("name", SHAPES)
 def test_either_way_around_is_the_same_outline(name: str) -> None:
-    outline = checked(SHAPES[name])
+    outline = validate_outline(SHAPES[name])
     assert area(outline) > 0.0
-    back = checked(SHAPES[name][::-1])
+    back = validate_outline(SHAPES[name][::-1])
     assert set(back) == set(outline)
     assert area(back) == pytest.approx(area(outline))
-    assert checked((*outline, outline[0])) == outline, "the first corner may end it again"
+    assert validate_outline((*outline, outline[0])) == outline, "the first corner may end it again"
 
 
 @pytest.mark.parametrize("name", SHAPES)
 def test_pieces_are_convex_and_cover_it_once(name: str) -> None:
-    outline = checked(SHAPES[name])
+    outline = validate_outline(SHAPES[name])
     pieces = convex_pieces(outline)
     assert (len(pieces) == 1) == (name in ("box", "wedge"))
     assert sum(map(area, pieces)) == pytest.approx(area(outline))
@@ -60,13 +60,13 @@ def test_pieces_are_convex_and_cover_it_once(name: str) -> None:
         assert (edges[:, 0] * after[:, 1] - edges[:, 1] * after[:, 0] > 0.0).all()
     rng = np.random.default_rng(0)
     for x, y in rng.uniform(-0.35, 0.35, (300, 2)).tolist():
-        assert contains(outline, x, y) == any(contains(piece, x, y) for piece in pieces)
+        assert contains_point(outline, x, y) == any(contains_point(piece, x, y) for piece in pieces)
 
 
 def test_distances() -> None:
-    assert radius(WEDGE) == math.hypot(0.2, 0.25)
-    assert border_distance(box(0.4, 0.2), 0.0, 0.0) == pytest.approx(0.1)
-    assert border_distance(box(0.4, 0.2), 0.5, 0.0) == pytest.approx(0.3)
+    assert outline_radius(WEDGE) == math.hypot(0.2, 0.25)
+    assert border_distance(make_rectangle(0.4, 0.2), 0.0, 0.0) == pytest.approx(0.1)
+    assert border_distance(make_rectangle(0.4, 0.2), 0.5, 0.0) == pytest.approx(0.3)
 
 
 BAD: list[tuple[Any, str]] = [
@@ -104,7 +104,7 @@ def test_a_robots_file_has_it(tmp_path: Path) -> None:
     (tmp_path / "wedge.yaml").write_text(f"footprint: {lists}\nwheelbase: 0.1\n")
     config = RobotConfig.load(tmp_path / "wedge.yaml")
     assert config.footprint == config.outline == WEDGE
-    assert footprint_radius(config) == radius(WEDGE)
+    assert footprint_radius(config) == outline_radius(WEDGE)
     assert RobotConfig.of(config.model_dump(mode="json")) == config
     assert config.with_(wheelbase=0.2).footprint == WEDGE
     (tmp_path / "wedge.urdf").write_text(
@@ -120,17 +120,21 @@ def test_a_robots_file_has_it(tmp_path: Path) -> None:
 def test_without_one_it_is_the_body_and_the_wheels_beyond_it() -> None:
     config = RobotConfig()
     assert config.footprint is None
-    assert config.outline == box(config.body.length, config.body.width)
+    assert config.outline == make_rectangle(config.body.length, config.body.width)
     wide = config.with_(wheel_separation=0.5, wheelbase=0.6)
-    assert wide.outline == box(0.61, 0.51)
+    assert wide.outline == make_rectangle(0.61, 0.51)
     assert footprint_radius(wide) == pytest.approx(math.hypot(0.61, 0.51) / 2.0)
 
 
 def test_reach_is_the_distance_to_the_edge_along_a_bearing() -> None:
-    outline = box(0.4, 0.2)
-    assert reach(outline, (0.0, 0.0), 0.0) == pytest.approx(0.2)
-    assert reach(outline, (-0.1, 0.0), 0.0) == pytest.approx(0.3)
-    assert reach(outline, (-0.1, 0.05), math.pi / 2.0) == pytest.approx(0.05)
-    assert reach(outline, (0.0, 0.0), math.atan2(0.1, 0.2)) == pytest.approx(math.hypot(0.2, 0.1))
-    assert reach(outline, (0.5, 0.0), 0.0) == 0.0, "it looks away from the robot"
-    assert reach(outline, (0.0, 0.5), -math.pi / 2.0) == pytest.approx(0.6), "the far side counts"
+    outline = make_rectangle(0.4, 0.2)
+    assert outline_reach(outline, (0.0, 0.0), 0.0) == pytest.approx(0.2)
+    assert outline_reach(outline, (-0.1, 0.0), 0.0) == pytest.approx(0.3)
+    assert outline_reach(outline, (-0.1, 0.05), math.pi / 2.0) == pytest.approx(0.05)
+    assert outline_reach(outline, (0.0, 0.0), math.atan2(0.1, 0.2)) == pytest.approx(
+        math.hypot(0.2, 0.1)
+    )
+    assert outline_reach(outline, (0.5, 0.0), 0.0) == 0.0, "it looks away from the robot"
+    assert outline_reach(outline, (0.0, 0.5), -math.pi / 2.0) == pytest.approx(0.6), (
+        "the far side counts"
+    )

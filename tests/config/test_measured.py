@@ -6,7 +6,7 @@ import pytest
 from config_tools import config_of, refusal
 
 from acsar_gym import RobotConfig
-from acsar_gym.config import Measured, renewed
+from acsar_gym.config import Measured, update_measured
 
 INTERVAL = {"low": 0.09, "high": 0.11, "method": "identify"}
 
@@ -82,18 +82,18 @@ def test_an_interval_for_all_wheels_ends_those_of_single_ones_and_the_reverse() 
     old, new = (Measured(low=1.0, high=2.0, method=name) for name in ("old", "new"))
     single = {"motor.gain.a": old, "motor.gain.c": old, "motor.deadband.a": old}
     every = {"motor.gain": new, "motor.deadband.a": old}
-    assert renewed(single, {"motor.gain": new}) == every
+    assert update_measured(single, {"motor.gain": new}) == every
     rest = {f"motor.gain.{wheel}": new for wheel in "abd"}
     found = {"motor.gain.c": old, **rest, "motor.deadband.a": old}
-    assert renewed(every, {"motor.gain.c": old}) == found
+    assert update_measured(every, {"motor.gain.c": old}) == found
 
 
 def test_a_new_value_without_an_interval_ends_the_old_one() -> None:
     old = Measured(low=1.0, high=2.0, method="old")
-    assert renewed({"wheel_radius": old, "motor.gain.b": old}, {"wheel_radius": None}) == {
+    assert update_measured({"wheel_radius": old, "motor.gain.b": old}, {"wheel_radius": None}) == {
         "motor.gain.b": old
     }
-    assert renewed({"motor.gain.b": old}, {"motor.gain": None}) == {}
+    assert update_measured({"motor.gain.b": old}, {"motor.gain": None}) == {}
 
 
 def test_configs_with_intervals_are_still_keys() -> None:

@@ -13,7 +13,7 @@ from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.config import WheelsConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.protocol import Decoder, Speeds
-from acsar_gym.recording.wire_log import WireLog
+from acsar_gym.recording.types import WireLog
 
 MIXED = {
     "a": {"motor": "b", "encoder": "c", "sign": -1},

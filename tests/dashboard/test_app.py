@@ -13,17 +13,16 @@ import pytest
 from dash import no_update
 from recording_tools import begun
 
-from acsar_gym.dashboard import app as apps
-from acsar_gym.dashboard import palette
-from acsar_gym.dashboard.app import INPUTS, OUTPUTS, Inputs, Shown
-from acsar_gym.dashboard.layout import QUICK, SLOW
-from acsar_gym.dashboard.readings import _milliseconds
-from acsar_gym.dashboard.session import Session
-from acsar_gym.dashboard.surroundings import world_of
 from acsar_gym.errors import ConfigError
+from acsar_gym.tools.view import app as apps
+from acsar_gym.tools.view import drawing
+from acsar_gym.tools.view.app import PAGE_INPUTS, PAGE_OUTPUTS, PageInputs, PageUpdate
+from acsar_gym.tools.view.drawing import _format_milliseconds, find_world
+from acsar_gym.tools.view.layout import QUICK_UPDATE, SLOW_UPDATE
+from acsar_gym.tools.view.session import Session
 
 BASE = "http://127.0.0.1:8050"
-OPENED = Inputs(
+OPENED = PageInputs(
     pulse=None,
     at=0.0,
     play=0,
@@ -43,15 +42,15 @@ def session(tape: Path) -> Session:
 
 @pytest.fixture(scope="module")
 def client(session: Session) -> Any:
-    return apps.made(session).server.test_client()
+    return apps.make_app(session).server.test_client()
 
 
-def page(**changes: Any) -> Inputs:
-    return Inputs(**(vars(OPENED) | changes))
+def page(**changes: Any) -> PageInputs:
+    return PageInputs(**(vars(OPENED) | changes))
 
 
 def answered(session: Session, cause: str | None, now: float = 100.0, **changes: Any) -> Any:
-    return Shown(session).answered(page(**changes), cause, now)
+    return PageUpdate(session).answered(page(**changes), cause, now)
 
 
 def test_everything_comes_from_this_server(client: Any) -> None:
@@ -89,7 +88,8 @@ def test_the_page_is_answered_over_http(client: Any) -> None:
     body = {
         "output": asked["output"],
         "outputs": [
-            {"id": one.component_id, "property": one.component_property} for one in OUTPUTS.values()
+            {"id": one.component_id, "property": one.component_property}
+            for one in PAGE_OUTPUTS.values()
         ],
         "inputs": [{**one, "value": values.get(one["id"])} for one in asked["inputs"]],
         "state": [
@@ -98,14 +98,14 @@ def test_the_page_is_answered_over_http(client: Any) -> None:
         ],
         "changedPropIds": ["time.value"],
     }
-    assert len(body["inputs"]) + len(body["state"]) == len(INPUTS)
+    assert len(body["inputs"]) + len(body["state"]) == len(PAGE_INPUTS)
     answer = client.post("/_dash-update-component", json=body, base_url=BASE)
     told = answer.get_json()["response"]
     assert told["value-time"]["children"] == "0.5"
     assert told["state"]["children"] == "recorded"
     assert len(told["top"]["figure"]["data"]) > 6
     assert len(told["lateness"]["figure"]["data"]) == 3
-    assert set(told) == {one.component_id for one in OUTPUTS.values()}
+    assert set(told) == {one.component_id for one in PAGE_OUTPUTS.values()}
     assert len(answer.data) < 200_000
 
 
@@ -114,7 +114,7 @@ def test_a_recording_is_opened_at_its_beginning_and_has_no_stop_button(session: 
     assert (told["state"], told["play"], told["slider"]) == ("recorded", "Play", 0.0)
     assert told["box"] == "stopping none"
     assert told["longest"] == pytest.approx(session.tail.episodes[0].end)
-    assert told["pulse"] == SLOW
+    assert told["pulse"] == SLOW_UPDATE
     assert told["message"] == ""
 
 
@@ -122,7 +122,7 @@ def test_playing_moves_on_by_the_time_that_has_passed(session: Session) -> None:
     assert answered(session, "play")["playing"]
     told = answered(session, "pulse", playing=True, clock=99.8, rate="4", at=0.1)
     assert told["slider"] == pytest.approx(0.9)
-    assert (told["pulse"], told["play"]) == (QUICK, "Pause")
+    assert (told["pulse"], told["play"]) == (QUICK_UPDATE, "Pause")
     over = answered(session, "pulse", playing=True, clock=0.0, rate="16", at=1.0)
     assert not over["playing"]
     assert over["slider"] == over["longest"]
@@ -152,7 +152,7 @@ def test_a_live_run_is_followed_until_somebody_looks_back(tape: Path, tmp_path: 
     assert (told["state"], told["slider"]) == ("live", told["longest"])
     past = answered(live, "time", playing=True, at=0.2)
     assert (past["slider"], past["playing"], past["play"]) == (0.2, False, "Follow")
-    assert answered(live, "pulse", playing=False, at=0.2)["pulse"] == QUICK
+    assert answered(live, "pulse", playing=False, at=0.2)["pulse"] == QUICK_UPDATE
     assert answered(live, "play", playing=False, at=0.2)["slider"] == told["longest"]
 
 
@@ -181,7 +181,7 @@ def test_the_end_of_a_live_run_is_shown(tape: Path, tmp_path: Path) -> None:
 
 
 def test_lateness_keeps_its_digits_where_it_is_short() -> None:
-    found = [_milliseconds(value) for value in (0.000_123, 0.0123, 2.30734, float("nan"))]
+    found = [_format_milliseconds(value) for value in (0.000_123, 0.0123, 2.30734, float("nan"))]
     assert found == ["0.12", "12.3", "2307", "\N{EN DASH}"]
 
 
@@ -221,7 +221,9 @@ def test_a_stop_that_is_not_of_the_page_is_refused(
     session: Session, client: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delattr(Session, "stop")
-    other = apps.made(session).server.test_client().get("/", base_url=BASE).get_data(as_text=True)
+    other = (
+        apps.make_app(session).server.test_client().get("/", base_url=BASE).get_data(as_text=True)
+    )
     (of_another_start,) = re.findall('<meta name="stop-token" content="([^"]+)">', other)
     for mark in (None, "", "x" * 43, "\xe9" * 43, of_another_start):
         headers = {} if mark is None else {"stop-token": mark}
@@ -234,7 +236,7 @@ def test_a_stop_that_is_not_of_the_page_is_refused(
 def test_any_file_name_is_only_text(tape: Path, tmp_path: Path, name: str) -> None:
     path = tmp_path / name
     path.write_bytes(tape.read_bytes())
-    odd = apps.made(Session(path)).server.test_client()
+    odd = apps.make_app(Session(path)).server.test_client()
     html = odd.get("/", base_url=BASE).get_data(as_text=True)
     assert "<img" not in html
     assert odd.get("/_dash-layout", base_url=BASE).status_code == 200
@@ -244,7 +246,7 @@ def test_any_file_name_is_only_text(tape: Path, tmp_path: Path, name: str) -> No
 def test_headers_of_strangers_have_no_world(session: Session, env: object) -> None:
     (episode,) = session.tail.episodes
     header = {"about": {"env": env}}
-    assert world_of(header, session.tail.config, episode) is None
+    assert find_world(header, session.tail.config, episode) is None
 
 
 def test_figures_hold_what_their_keys_name(session: Session) -> None:
@@ -254,13 +256,13 @@ def test_figures_hold_what_their_keys_name(session: Session) -> None:
     wheels = frame.figures["wheels"]["data"]
     assert len(wheels) == 12
     assert {one["line"]["color"] for one in wheels} == {
-        palette.ASKED,
-        palette.SENT,
-        palette.MEASURED,
+        drawing.ASKED_COLOUR,
+        drawing.SENT_COLOUR,
+        drawing.MEASURED_COLOUR,
     }
     css = (apps.ASSETS / "dashboard.css").read_text(encoding="utf-8")
     for name in ("ASKED", "SENT", "MEASURED", "GOAL", "SCAN", "SEEN", "TRUTH"):
-        assert f"--{name.lower()}: {getattr(palette, name)};" in css
+        assert f"--{name.lower()}: {getattr(drawing, name)};" in css
     json.dumps(frame.figures)
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from acsar_gym.dashboard.columns import FIRST, Columns, evenly, outline
+from acsar_gym.tools.view.tail import INITIAL_ROWS, GrowingTable, thin_evenly, thin_keeping_peaks
 
 
 def test_rows_are_kept_while_more_are_added() -> None:
-    table, every = Columns(2), np.arange(6.0 * FIRST).reshape(-1, 2)
+    table, every = GrowingTable(2), np.arange(6.0 * INITIAL_ROWS).reshape(-1, 2)
     before = table.rows
     for rows in np.array_split(every, 7):
         table.add(rows)
@@ -21,7 +21,7 @@ def test_rows_are_kept_while_more_are_added() -> None:
 def test_no_peak_is_lost() -> None:
     values = np.sin(np.arange(180_000) / 500.0)
     values[77_777], values[123_456] = 9.0, -9.0
-    chosen = outline(values, 500)
+    chosen = thin_keeping_peaks(values, 500)
     assert len(chosen) <= 500
     assert {77_777, 123_456} <= set(chosen.tolist())
     assert (np.diff(chosen) > 0).all()
@@ -31,13 +31,13 @@ def test_no_peak_is_lost() -> None:
 def test_gaps_and_short_lines_are_allowed(count: int) -> None:
     values = np.full(count, np.nan)
     values[::3] = 1.0
-    chosen = outline(values, 500)
+    chosen = thin_keeping_peaks(values, 500)
     assert len(chosen) <= 500
     assert np.isin(chosen, np.arange(count)).all()
-    assert np.isnan(values[outline(np.full(count, np.nan), 500)]).sum() <= count
+    assert np.isnan(values[thin_keeping_peaks(np.full(count, np.nan), 500)]).sum() <= count
 
 
 def test_ends_are_among_evenly_chosen_points() -> None:
-    assert evenly(3, 10).tolist() == [0, 1, 2]
-    chosen = evenly(1000, 10)
+    assert thin_evenly(3, 10).tolist() == [0, 1, 2]
+    chosen = thin_evenly(1000, 10)
     assert (len(chosen), chosen[0], chosen[-1]) == (10, 0, 999)

@@ -13,14 +13,12 @@ from pathlib import Path
 import pytest
 from recording_tools import begun
 
-from acsar_gym.cli import app
-from acsar_gym.dashboard import stopping
-from acsar_gym.dashboard.server import served
-from acsar_gym.dashboard.session import BROKEN, STOPPED, Session
-from acsar_gym.dashboard.source import recording_of
-from acsar_gym.dashboard.stopping import Stop
 from acsar_gym.errors import ConfigError, LinkError
 from acsar_gym.safety.estop import StopListener
+from acsar_gym.tools.cli import app
+from acsar_gym.tools.view import session
+from acsar_gym.tools.view.server import find_recording, serve_page
+from acsar_gym.tools.view.session import BROKEN, STOPPED, Session, StopResult
 
 pytestmark = [pytest.mark.xdist_group("serial"), pytest.mark.usefixtures("deadline")]
 
@@ -54,9 +52,9 @@ def driving() -> Iterator[list[str]]:
 
 
 def test_a_device_is_the_recording_of_whoever_drives_it(driving: list[str]) -> None:
-    assert recording_of("/dev/ttyX") == Path("/data/a b\tc.mcap")
+    assert find_recording("/dev/ttyX") == Path("/data/a b\tc.mcap")
     with pytest.raises(LinkError, match="no program of yours on this computer drives it: start"):
-        recording_of("/dev/ttyY")
+        find_recording("/dev/ttyY")
     assert driving == []
 
 
@@ -72,7 +70,7 @@ def test_a_driver_that_records_nothing_is_named() -> None:
     thread.start()
     try:
         with pytest.raises(LinkError, match=f"process {os.getpid()} drives it without a recording"):
-            recording_of("/dev/ttyX")
+            find_recording("/dev/ttyX")
     finally:
         over.set()
         thread.join()
@@ -80,20 +78,20 @@ def test_a_driver_that_records_nothing_is_named() -> None:
 
 
 def test_files_are_themselves_and_simulations_need_one() -> None:
-    assert recording_of("drive.mcap") == Path("drive.mcap")
-    assert recording_of("replay:drive.mcap") == Path("drive.mcap")
-    assert recording_of("./drive.mcap") == Path("drive.mcap")
-    assert recording_of("/data/drive.mcap") == Path("/data/drive.mcap")
-    assert recording_of(__file__) == Path(__file__)
+    assert find_recording("drive.mcap") == Path("drive.mcap")
+    assert find_recording("replay:drive.mcap") == Path("drive.mcap")
+    assert find_recording("./drive.mcap") == Path("drive.mcap")
+    assert find_recording("/data/drive.mcap") == Path("/data/drive.mcap")
+    assert find_recording(__file__) == Path(__file__)
     with pytest.raises(ConfigError, match="planar is simulated by the program that drives it"):
-        recording_of("planar")
+        find_recording("planar")
     with pytest.raises(ConfigError, match="serial: name the device"):
-        recording_of("serial")
+        find_recording("serial")
 
 
 def test_stopped_means_that_the_control_loop_said_so(driving: list[str]) -> None:
-    assert stopping.can_stop(os.getpid())
-    found = stopping.stop(os.getpid())
+    assert session.can_stop_process(os.getpid())
+    found = session.stop_process(os.getpid())
     assert found.state == "stopped"
     assert found.said.startswith("zero is on the wire")
     assert driving == ["zero"]
@@ -102,7 +100,7 @@ def test_stopped_means_that_the_control_loop_said_so(driving: list[str]) -> None
 def test_a_program_that_waits_for_its_robot_is_called_stopped_and_zero_is_not(place: Path) -> None:
     listener = StopListener("/dev/ttyX")
     with ThreadPoolExecutor(1) as person:
-        found = person.submit(stopping.stop, os.getpid())
+        found = person.submit(session.stop_process, os.getpid())
         while not found.done():
             if listener.is_requested():
                 listener.confirm(connected=False)
@@ -112,17 +110,17 @@ def test_a_program_that_waits_for_its_robot_is_called_stopped_and_zero_is_not(pl
 
 
 def test_without_a_driver_nothing_is_called_stopped() -> None:
-    assert not stopping.can_stop(os.getpid())
-    assert not stopping.can_stop(0)
-    assert stopping.stop(os.getpid()).state == "nobody"
-    assert stopping.stop(0).state == "nobody"
+    assert not session.can_stop_process(os.getpid())
+    assert not session.can_stop_process(0)
+    assert session.stop_process(os.getpid()).state == "nobody"
+    assert session.stop_process(0).state == "nobody"
 
 
 def test_a_driver_that_hangs_is_not_called_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("acsar_gym.safety.estop.ANSWER", 0.05)
+    monkeypatch.setattr("acsar_gym.safety.estop.ANSWER_TIMEOUT", 0.05)
     listener = StopListener("/dev/ttyX")
     try:
-        found = stopping.stop(os.getpid())
+        found = session.stop_process(os.getpid())
     finally:
         listener.close()
     assert found.state == "unanswered"
@@ -140,28 +138,28 @@ def test_others_that_hang_are_not_waited_for(
     driving: list[str], place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with silent(place, 1):
-        found = stopping.stop(os.getpid())
+        found = session.stop_process(os.getpid())
         assert (found.state, driving) == ("stopped", ["zero"])
-        monkeypatch.setattr("acsar_gym.safety.estop.ANSWER", 0.5)
+        monkeypatch.setattr("acsar_gym.safety.estop.ANSWER_TIMEOUT", 0.5)
         with pytest.raises(LinkError, match="process 1 drives a robot, but doesn't answer"):
-            recording_of("/dev/ttyY")
+            find_recording("/dev/ttyY")
 
 
 def test_a_driver_that_ends_without_an_answer_has_nothing_to_stop(
     place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("acsar_gym.safety.estop.ANSWER", 0.3)
+    monkeypatch.setattr("acsar_gym.safety.estop.ANSWER_TIMEOUT", 0.3)
     StopListener("/dev/ttyX").close()  # makes the folder
     with silent(place, os.getpid()) as killed:
         ending = threading.Timer(0.05, os.unlink, [killed.getsockname()])
         ending.start()
-        assert stopping.stop(os.getpid()).state == "nobody"
+        assert session.stop_process(os.getpid()).state == "nobody"
         ending.join()
 
 
 def test_a_second_click_does_not_take_back_what_was_confirmed(tape: Path) -> None:
     session = Session(tape)
-    session.stopped = Stop("stopped", "zero is on the wire")
+    session.stopped = StopResult("stopped", "zero is on the wire")
     assert session.stop().state == "stopped"  # this process drives nothing any more
     assert session.state == STOPPED
 
@@ -181,13 +179,13 @@ def test_a_robot_whose_recording_is_gone_can_be_stopped(
 
 
 def test_the_page_is_on_loopback_and_a_port_in_use_is_told(tape: Path) -> None:
-    with served(tape, port=0) as server:
+    with serve_page(tape, port=0) as server:
         assert server.server_address[0] == "127.0.0.1"
         with pytest.raises(ConfigError, match=f"--port {server.port}: can't be used on 127.0.0.1"):
-            served(tape, server.port).__enter__()
+            serve_page(tape, server.port).__enter__()
     for port in (-1, 70_000):
         with pytest.raises(ConfigError, match=f"--port {port}: must be 0 to 65535"):
-            served(tape, port).__enter__()
+            serve_page(tape, port).__enter__()
 
 
 @pytest.mark.parametrize(

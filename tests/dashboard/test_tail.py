@@ -10,18 +10,17 @@ import pytest
 from recording_tools import begun
 
 from acsar_gym import kinematics
-from acsar_gym.dashboard.session import BROKEN, ENDED, LIVE, RECORDED, STOPPED, Session
-from acsar_gym.dashboard.stopping import Stop
-from acsar_gym.dashboard.tail import QUIET, Tail
 from acsar_gym.errors import ConfigError
 from acsar_gym.recording import read
+from acsar_gym.tools.view.session import BROKEN, ENDED, LIVE, RECORDED, STOPPED, Session, StopResult
+from acsar_gym.tools.view.tail import WRITING_TIMEOUT, RecordingTail
 
 CHUNK = b"zstd"
 """Name of the packing, at the beginning of each chunk."""
 
 
 def test_what_was_recorded_is_shown(tape: Path) -> None:
-    tail, (whole,) = Tail(tape), read(tape).episodes
+    tail, (whole,) = RecordingTail(tape), read(tape).episodes
     (episode,) = tail.episodes
     assert tail.is_complete
     assert not tail.is_open
@@ -37,7 +36,7 @@ def test_what_was_recorded_is_shown(tape: Path) -> None:
 
 
 def test_wheel_speeds_asked_for_are_those_sent_where_nothing_limits(tape: Path) -> None:
-    tail = Tail(tape)
+    tail = RecordingTail(tape)
     (episode,) = tail.episodes
     calm = np.flatnonzero(episode.column("reason") == 0)[-1]
     asked = episode.asked(slice(calm, calm + 1))[0]
@@ -55,7 +54,7 @@ def test_a_file_that_grows_ends_as_if_it_was_read_at_once(
     data, grown = tape.read_bytes(), tmp_path / "grown.mcap"
     begin = 60_000
     grown.write_bytes(data[:begin])
-    tail = Tail(grown)
+    tail = RecordingTail(grown)
     sizes = [len(tail.episodes[0].ticks) if tail.episodes else 0]
     for place in np.linspace(begin, len(data), pieces).astype(int):
         grown.write_bytes(data[:place])
@@ -63,7 +62,7 @@ def test_a_file_that_grows_ends_as_if_it_was_read_at_once(
         sizes.append(len(tail.episodes[0].ticks) if tail.episodes else 0)
     assert not tail.poll()
     assert sizes == sorted(sizes)
-    whole = Tail(tape).episodes[0]
+    whole = RecordingTail(tape).episodes[0]
     assert np.array_equal(tail.episodes[0].ticks.rows, whole.ticks.rows, equal_nan=True)
     assert np.array_equal(tail.episodes[0].sent.rows, whole.sent.rows)
     assert tail.is_complete
@@ -85,7 +84,7 @@ def test_a_robot_that_is_started_again_is_not_called_stopped(tape: Path, tmp_pat
     path.write_bytes(begun(tape))
     session = Session(path)
     session.stop()
-    session.stopped = Stop("stopped", "zero is on the wire")
+    session.stopped = StopResult("stopped", "zero is on the wire")
     session.poll()
     assert session.state == STOPPED
     session.tail.episodes *= 2
@@ -96,7 +95,7 @@ def test_a_robot_that_is_started_again_is_not_called_stopped(tape: Path, tmp_pat
 def test_a_file_that_was_left_behind_is_not_live(tape: Path, tmp_path: Path) -> None:
     path = tmp_path / "cut.mcap"
     path.write_bytes(begun(tape))
-    long_ago = path.stat().st_mtime - 2.0 * QUIET
+    long_ago = path.stat().st_mtime - 2.0 * WRITING_TIMEOUT
     os.utime(path, (long_ago, long_ago))
     assert Session(path).state == RECORDED
 
@@ -104,7 +103,7 @@ def test_a_file_that_was_left_behind_is_not_live(tape: Path, tmp_path: Path) -> 
 def test_a_recorder_that_begins_again_is_followed(tape: Path, tmp_path: Path) -> None:
     path = tmp_path / "again.mcap"
     path.write_bytes(tape.read_bytes())
-    tail = Tail(path)
+    tail = RecordingTail(path)
     path.rename(tmp_path / "again.1.mcap")
     path.write_bytes(begun(tape))
     assert tail.poll()
@@ -194,7 +193,7 @@ def test_a_recording_that_begins_again_is_shown_once_its_header_is_there(
 
 @pytest.mark.parametrize("told", [None, 1, "abc", [1, 2], [1e300, 0, 0], [0, 0, float("inf")]])
 def test_a_start_that_is_none_is_zero(tape: Path, told: object) -> None:
-    (episode,) = Tail(tape).episodes
+    (episode,) = RecordingTail(tape).episodes
     episode.info = {"start": told, "goal": told}
     assert episode.start == (0.0, 0.0, 0.0)
     assert episode.goal == ((1.0, 2.0) if told == [1, 2] else None)

@@ -21,11 +21,11 @@ import pytest
 import tyro
 from page_tools import PAGES, ROOT, Block
 
-from acsar_gym import cli
-from acsar_gym.cli import app, bundles, recording
-from acsar_gym.cli import worlds as world_commands
 from acsar_gym.errors import LateTicksError
-from acsar_gym.training.options import Options
+from acsar_gym.tools import cli
+from acsar_gym.tools.cli import app, policies, recording
+from acsar_gym.tools.cli import worlds as world_commands
+from acsar_gym.tools.training.plan import TrainingOptions
 from acsar_gym.worlds import registry
 
 LANGUAGES = {"bash", "c", "cpp", "dockerfile", "ini", "json", "python", "text", "xml", "yaml"}
@@ -167,12 +167,14 @@ def quiet(command: Callable[..., Any]) -> Callable[..., int]:
 def parsed(words: list[str]) -> None:
     """Check a command's name and options; it isn't run."""
     with pytest.MonkeyPatch.context() as patch:
-        for table in (app.COMMANDS, bundles.POLICY, world_commands.WORLDS):
-            for name in [name for name in table if name not in app.GROUPS]:
+        for table in (app.COMMANDS, policies.POLICY_COMMANDS, world_commands.WORLD_COMMANDS):
+            for name in [name for name in table if name not in app.COMMAND_GROUPS]:
                 patch.setitem(table, name, quiet(table[name]))
         for name in ("info", "export"):
             patch.setattr(recording, name, quiet(getattr(recording, name)))
-        patch.setitem(app.GROUPS, "train", lambda: bool(tyro.cli(Options, args=words[2:])) - 1)
+        patch.setitem(
+            app.COMMAND_GROUPS, "train", lambda: bool(tyro.cli(TrainingOptions, args=words[2:])) - 1
+        )
         called(words, patch)
 
 

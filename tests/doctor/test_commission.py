@@ -11,13 +11,12 @@ import pytest
 from board_tools import NoTrailingComma, Sibling, board, commissioned
 
 from acsar_gym import Robot, RobotConfig
-from acsar_gym.doctor import ratios, wire
-from acsar_gym.doctor.commission import Commission
-from acsar_gym.doctor.wiring import eyes_of
-from acsar_gym.emulation import quirks
-from acsar_gym.emulation.quirks import QuirkyLink
 from acsar_gym.errors import BoardSilentError, ConfigError, LinkError
 from acsar_gym.protocol import WHEELS, encode
+from acsar_gym.tools.doctor import ratios, wire
+from acsar_gym.tools.doctor.commission import Commission, parse_all_seen
+from acsar_gym.tools.emulation import quirks
+from acsar_gym.tools.emulation.quirks import QuirkyLink
 from acsar_gym.worlds import Pose
 
 SLOW_BOARD = {
@@ -31,7 +30,7 @@ MIRRORED = ("swapped-motors", "swapped-encoders")
 
 def findings(*names: str, saw: Sequence[str] | None = None, **robot: Any) -> dict[str, str]:
     """What the doctor finds that isn't ok."""
-    commission = Commission(eyes=None if saw is None else eyes_of(saw))
+    commission = Commission(eyes=None if saw is None else parse_all_seen(saw))
     checks = commissioned(board(*names, robot=RobotConfig(**robot)), commission)
     return {name: check.found for name, check in checks.items() if check.status != "ok"}
 
@@ -79,7 +78,7 @@ def test_a_reversed_encoder() -> None:
 @pytest.mark.parametrize("saw", [None, "abcd"])
 def test_an_encoder_that_is_reversed_within_the_boards_loop(saw: Sequence[str] | None) -> None:
     """No sign in a robot's file mends it: the wheel would run away forward."""
-    commission = Commission(eyes=None if saw is None else eyes_of(saw))
+    commission = Commission(eyes=None if saw is None else parse_all_seen(saw))
     checks = commissioned(board("runaway=b"), commission)
     assert checks["front_left"].status == "fail"
     assert "measured/commanded -5." in checks["front_left"].found
@@ -92,7 +91,7 @@ def test_an_encoder_that_is_reversed_within_the_boards_loop(saw: Sequence[str] |
 def test_encoders_that_are_swapped_within_the_boards_loop() -> None:
     commission = Commission()
     check = commissioned(board("runaway=b", "swapped-encoders"), commission)["front_left"]
-    assert (check.status, check.fix) == ("fail", ratios.SWAPPED)
+    assert (check.status, check.fix) == ("fail", ratios.SWAPPED_FIX)
     assert not commission.finished
 
 
@@ -113,7 +112,7 @@ class Cutting(QuirkyLink):
 
 
 def test_a_wheel_that_the_board_stops_as_it_turns_backward() -> None:
-    found = quirks.parsed(["runaway=a"])
+    found = quirks.parse_quirks(["runaway=a"])
     commission = Commission()
     check = commissioned(Cutting(board()._link, RobotConfig(), found), commission)["front_right"]
     assert check.status == "fail"
@@ -184,14 +183,14 @@ def test_swapped_sides_that_were_seen(quirks: tuple[str, ...], swapped: str) -> 
 
 
 def test_what_was_seen_is_compared_with_the_robots_file() -> None:
-    commission = Commission(eyes=eyes_of(SWAPPED))
+    commission = Commission(eyes=parse_all_seen(SWAPPED))
     checks = commissioned(board("swapped-motors"), commission)
     assert "--out" in checks["wiring"].fix
     known = RobotConfig(**commission.changes)
-    again = commissioned(board("swapped-motors"), Commission(eyes=eyes_of(SWAPPED)), known)
+    again = commissioned(board("swapped-motors"), Commission(eyes=parse_all_seen(SWAPPED)), known)
     said = "left and right motors are swapped, as the robot's file says"
     assert (again["wiring"].status, again["wiring"].found) == ("ok", said)
-    mended = commissioned(board(), Commission(eyes=eyes_of("abcd")), known)
+    mended = commissioned(board(), Commission(eyes=parse_all_seen("abcd")), known)
     assert mended["wiring"].status == "warn"
     assert mended["wiring"].found == "as seen, unlike in the robot's file"
 
@@ -316,7 +315,7 @@ def driven(config: RobotConfig, *names: str) -> tuple[Pose, Pose]:
 def test_the_robot_file_drives_right(
     quirks: tuple[str, ...], saw: Sequence[str] | None, tmp_path: Path
 ) -> None:
-    commission = Commission(eyes=None if saw is None else eyes_of(saw))
+    commission = Commission(eyes=None if saw is None else parse_all_seen(saw))
     guess = RobotConfig(trailing_comma="at-comma" not in quirks)
     commissioned(board(*quirks), commission, guess)
     assert commission.finished
@@ -354,7 +353,7 @@ def test_a_robot_file_of_an_odd_board_is_right_already(tmp_path: Path) -> None:
 def test_a_wiring_that_was_seen_is_kept_where_nobody_looks(
     quirks: tuple[str, ...], saw: tuple[str, ...], tmp_path: Path
 ) -> None:
-    first, file = Commission(eyes=eyes_of(saw)), tmp_path / "robot.yaml"
+    first, file = Commission(eyes=parse_all_seen(saw)), tmp_path / "robot.yaml"
     commissioned(board(*quirks), first)
     first.save(RobotConfig(), file)
     again = Commission()
@@ -419,7 +418,7 @@ def test_what_was_asked_is_mapped() -> None:
 )
 def test_what_cannot_have_been_seen(said: tuple[str, ...]) -> None:
     with pytest.raises(ConfigError):
-        eyes_of(said)
+        parse_all_seen(said)
 
 
 def test_a_file_that_would_not_be_valid_is_not_written(tmp_path: Path) -> None:
@@ -433,7 +432,7 @@ def test_a_board_that_nobody_here_wrote() -> None:
     commission = Commission()
     sibling = Sibling()
     sibling.advance(2.0)
-    found = wire.examined(sibling, RobotConfig(trailing_comma=False), commission)
+    found = wire.examine_board(sibling, RobotConfig(trailing_comma=False), commission)
     checks = {check.name: check for check in found}
     assert {name for name, check in checks.items() if check.status != "ok"} == {
         "feedback rate",
@@ -447,7 +446,7 @@ def test_a_board_that_nobody_here_wrote() -> None:
 def test_a_board_that_misses_the_value_before_a_trailing_comma() -> None:
     commission, board = Commission(), NoTrailingComma()
     board.advance(2.0)
-    checks = {check.name: check for check in wire.examined(board, RobotConfig(), commission)}
+    checks = {check.name: check for check in wire.examine_board(board, RobotConfig(), commission)}
     assert checks["rear_right"].status == "ok"
     assert checks["line end"].status == "warn"
     assert commission.changes["trailing_comma"] is False

@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 
 from acsar_gym import RobotConfig
-from acsar_gym.doctor import host as realtime
-from acsar_gym.doctor.checks import Check
 from acsar_gym.errors import ConfigError
+from acsar_gym.tools.doctor import host as realtime
+from acsar_gym.tools.doctor.checks import Check
 
 linux = pytest.mark.skipif(
     not hasattr(os, "sched_setscheduler"), reason="this system has no SCHED_FIFO"
@@ -23,7 +23,7 @@ CABLE = "usb-FTDI_FT232R-if00-port0"
 PREPARE = """
 import os, sys
 from acsar_gym.errors import ConfigError
-from acsar_gym.doctor.host import prepare
+from acsar_gym.tools.doctor.host import prepare
 try:
     prepare(20, [min(os.sched_getaffinity(0))])
 except ConfigError as error:
@@ -71,7 +71,7 @@ def found(
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1}, raising=False)
 
     def look(device: str | None = "/dev/ttyUSB0", config: RobotConfig = config) -> dict[str, Check]:
-        return {check.name: check for check in realtime.machine(device, config, root)}
+        return {check.name: check for check in realtime.check_computer(device, config, root)}
 
     return look
 
@@ -183,19 +183,19 @@ def test_a_computer_that_tells_nothing(
     tmp_path: Path, config: RobotConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delattr(os, "sched_getaffinity", raising=False)
-    checks = realtime.machine("/dev/pts/3", config, tmp_path)
+    checks = realtime.check_computer("/dev/pts/3", config, tmp_path)
     assert {check.status for check in checks if check.name not in ("cores", "baud rate")} == {
         "skip"
     }
 
 
 def test_this_computer(config: RobotConfig) -> None:
-    assert all(check.found for check in realtime.machine("/dev/ttyS0", config))
+    assert all(check.found for check in realtime.check_computer("/dev/ttyS0", config))
 
 
 def refused(priority: int | None, cores: Sequence[int] | None = None) -> str:
     with pytest.raises(ConfigError) as caught:
-        realtime.prepare(priority, cores)
+        realtime.prepare_realtime(priority, cores)
     assert "\n" not in str(caught.value)
     return str(caught.value)
 
@@ -245,7 +245,7 @@ def test_the_watchdog_has_room_above(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         os, "sched_setscheduler", lambda _, __, param: asked.append(param.sched_priority)
     )
-    realtime.prepare(50)
+    realtime.prepare_realtime(50)
     assert asked == [51, 50]
 
 
@@ -263,7 +263,7 @@ def test_other_operating_systems(
 @linux
 def test_nothing_asked_is_nothing_changed() -> None:
     before = (os.sched_getscheduler(0), os.sched_getaffinity(0))
-    realtime.prepare()
+    realtime.prepare_realtime()
     assert (os.sched_getscheduler(0), os.sched_getaffinity(0)) == before
 
 

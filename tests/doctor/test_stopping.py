@@ -12,9 +12,9 @@ from rich.console import Console
 from watchdog_tools import HASTY
 
 from acsar_gym import RobotConfig
-from acsar_gym.doctor import stopping, stopping_processes
-from acsar_gym.doctor.stopping_programs import CALLING, KINDS, PAUSED, SLOW_EXIT
 from acsar_gym.errors import AcsarError, ConfigError
+from acsar_gym.tools.doctor import stopping, stopping_processes
+from acsar_gym.tools.doctor.stopping_programs import CALLING, KINDS, PAUSED, SLOW_EXIT
 
 pytestmark = [
     pytest.mark.usefixtures("deadline", "nursery"),

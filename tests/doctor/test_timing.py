@@ -15,14 +15,13 @@ from rich.console import Console
 from serial_tools import Emulated, no_leak, program, wait_until
 
 from acsar_gym import RobotConfig
-from acsar_gym.doctor import timing as doctor_timing
-from acsar_gym.doctor.checks import Check
-from acsar_gym.doctor.timing import measure
-from acsar_gym.doctor.timing_report import EDGES, Report
 from acsar_gym.errors import ConfigError, LinkError, MissingExtraError, PortNotFoundError
-from acsar_gym.links.lateness import Spread, Timing
+from acsar_gym.links.lateness import DurationSpread, TickTiming
 from acsar_gym.protocol import ZERO
 from acsar_gym.safety.estop import StopListener
+from acsar_gym.tools.doctor import timing as doctor_timing
+from acsar_gym.tools.doctor.checks import Check
+from acsar_gym.tools.doctor.timing import HISTOGRAM_EDGES, TimingReport, measure_timing
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
@@ -32,7 +31,7 @@ Action = NDArray[np.float32]
 @pytest.fixture(autouse=True)
 def hurry(monkeypatch: pytest.MonkeyPatch) -> None:
     """Shorter turns than at the command line: ten ticks."""
-    monkeypatch.setattr(doctor_timing, "BLOCK", 0.1)
+    monkeypatch.setattr(doctor_timing, "BLOCK_TIME", 0.1)
 
 
 BYTE_BY_BYTE = """
@@ -57,10 +56,10 @@ def forwards(observation: Action) -> Action:
 
 
 @pytest.fixture
-def report() -> Report:
+def report() -> TimingReport:
     """All is well."""
-    timing = Timing(1000, 1, 0, 6e-5, 1.1e-4, 0.002)
-    return Report(
+    timing = TickTiming(1000, 1, 0, 6e-5, 1.1e-4, 0.002)
+    return TimingReport(
         device="/dev/ttyUSB0",
         rate=100.0,
         lateness=timing,
@@ -71,14 +70,14 @@ def report() -> Report:
         lines=1999,
         lines_expected=2000.3,
         refused=0,
-        feedback_age=Spread(1000, 0.0, 0.01, 0.02),
+        feedback_age=DurationSpread(1000, 0.0, 0.01, 0.02),
         cpu_share=0.03,
-        policy_time=Spread(100, 1e-4, 2e-4, 3e-4),
+        policy_time=DurationSpread(100, 1e-4, 2e-4, 3e-4),
         findings=(Check("load", "warn", "1.9 of 2", "stop other programs"),),
     )
 
 
-def drawn(report: Report) -> str:
+def drawn(report: TimingReport) -> str:
     console = Console(width=200)
     with console.capture() as capture:
         for table in report.tables():
@@ -86,7 +85,7 @@ def drawn(report: Report) -> str:
     return capture.get()
 
 
-def judged(report: Report) -> dict[str, Check]:
+def judged(report: TimingReport) -> dict[str, Check]:
     return {check.name: check for check in report.figures}
 
 
@@ -96,16 +95,16 @@ def test_a_line_that_the_reset_cuts_is_no_bad_part(config: RobotConfig) -> None:
         assert board.stdout is not None
         device = board.stdout.readline().strip()
         for _ in range(2):
-            assert measure(device, config, 0.1, forwards).refused == 0
+            assert measure_timing(device, config, 0.1, forwards).refused == 0
 
 
 def test_a_run_over_the_emulator(config: RobotConfig, shared_device: str) -> None:
     with no_leak():
-        report = measure(shared_device, config, 0.25, forwards)
+        report = measure_timing(shared_device, config, 0.25, forwards)
     ticks = 30  # three turns
     assert report.lateness.ticks == report.bare.ticks == ticks
     assert sum(report.histogram) == sum(report.bare_histogram) == ticks
-    assert sum(report.histogram[EDGES.index(1e-3) + 1 :]) == report.lateness.late_ticks
+    assert sum(report.histogram[HISTOGRAM_EDGES.index(1e-3) + 1 :]) == report.lateness.late_ticks
     assert report.feedback_age.count == ticks
     assert report.policy_time is not None
     assert report.policy_time.count == 3
@@ -117,7 +116,7 @@ def test_a_run_over_the_emulator(config: RobotConfig, shared_device: str) -> Non
 
 
 def test_the_wheels_never_turn(config: RobotConfig, emulator: Emulated) -> None:
-    measure(emulator.device, config, 0.2, forwards)
+    measure_timing(emulator.device, config, 0.2, forwards)
     wait_until(lambda: len(emulator.commands()) >= 20, "a command a tick")
     wait_until(emulator.stands, "a robot that stands")
     assert set(emulator.commands()) == {ZERO}
@@ -125,7 +124,7 @@ def test_the_wheels_never_turn(config: RobotConfig, emulator: Emulated) -> None:
 
 def test_the_packaged_policy(config: RobotConfig, shared_device: str) -> None:
     pytest.importorskip("onnxruntime")
-    report = measure(shared_device, config, 0.2)
+    report = measure_timing(shared_device, config, 0.2)
     assert report.policy_time is not None
     assert report.policy_time.count == 2
 
@@ -137,14 +136,14 @@ def test_without_onnxruntime(
         raise MissingExtraError("running a policy", "deploy")
 
     monkeypatch.setattr(doctor_timing, "OnnxPolicy", missing)
-    report = measure(shared_device, config, 0.1)
+    report = measure_timing(shared_device, config, 0.1)
     assert report.policy_time is None
     assert "no policy" in judged(report)["processor"].found
 
 
 def test_another_rate(config: RobotConfig, shared_device: str) -> None:
     slow = config.with_(control_rate=10.0, firmware={"feedback_rate": 100.0})
-    report = measure(shared_device, slow, 0.1, forwards)
+    report = measure_timing(shared_device, slow, 0.1, forwards)
     assert report.lateness.ticks == 5
     assert report.policy_time is not None
     assert report.policy_time.count == 5
@@ -155,7 +154,7 @@ def test_a_policy_that_takes_longer_than_ticks(config: RobotConfig, shared_devic
         time.sleep(0.036)
         return np.zeros(2, np.float32)
 
-    report = measure(shared_device, config, 0.5, slow)
+    report = measure_timing(shared_device, config, 0.5, slow)
     assert report.lateness.late_ticks >= 5
     assert report.lateness.missed_ticks >= 2 * 5
     assert report.lateness.worst > 0.02
@@ -169,7 +168,7 @@ def test_a_device_that_goes_away(config: RobotConfig, own_emulator: Emulated) ->
         return np.zeros(2, np.float32)
 
     with no_leak(), pytest.raises(LinkError) as caught:
-        measure(own_emulator.device, config, 5.0, unplug)
+        measure_timing(own_emulator.device, config, 5.0, unplug)
     assert own_emulator.device in str(caught.value)
 
 
@@ -178,21 +177,21 @@ def test_an_emergency_stop_ends_it(
 ) -> None:
     monkeypatch.setattr(StopListener, "is_requested", lambda _: True)
     with no_leak(), pytest.raises(LinkError, match="emergency stop"):
-        measure(shared_device, config, 5.0, forwards)
+        measure_timing(shared_device, config, 5.0, forwards)
 
 
 @pytest.mark.parametrize("duration", [0.0, -1.0, float("nan"), float("inf")])
 def test_bad_durations(duration: float, config: RobotConfig, shared_device: str) -> None:
     with pytest.raises(ConfigError, match="duration"):
-        measure(shared_device, config, duration)
+        measure_timing(shared_device, config, duration)
 
 
 def test_a_missing_device(config: RobotConfig) -> None:
     with no_leak(), pytest.raises(PortNotFoundError):
-        measure("/dev/acsar-missing", config, 1.0, forwards)
+        measure_timing("/dev/acsar-missing", config, 1.0, forwards)
 
 
-def test_a_report_without_fault(report: Report) -> None:
+def test_a_report_without_fault(report: TimingReport) -> None:
     checks = judged(report)
     assert checks.pop("round trip").status == "skip"
     assert {check.status for check in checks.values()} == {"ok"}
@@ -200,8 +199,8 @@ def test_a_report_without_fault(report: Report) -> None:
     assert report.lost_lines == 0
 
 
-LATE = Timing(1000, 2, 0, 6e-5, 1.1e-4, 0.002)
-JITTERY = Timing(1000, 0, 0, 6e-5, 2.1e-4, 4e-4)
+LATE = TickTiming(1000, 2, 0, 6e-5, 1.1e-4, 0.002)
+JITTERY = TickTiming(1000, 0, 0, 6e-5, 2.1e-4, 4e-4)
 
 
 @pytest.mark.parametrize(
@@ -215,7 +214,7 @@ JITTERY = Timing(1000, 0, 0, 6e-5, 2.1e-4, 4e-4)
     ],
 )
 def test_what_a_report_warns_of(
-    changes: dict[str, Any], name: str, said: str, report: Report
+    changes: dict[str, Any], name: str, said: str, report: TimingReport
 ) -> None:
     bad = dataclasses.replace(report, **changes)
     (warning,) = [check for check in bad.figures if check.status == "warn"]
@@ -224,20 +223,20 @@ def test_what_a_report_warns_of(
     assert warning.fix
 
 
-def test_late_ticks_come_with_what_to_do(report: Report) -> None:
+def test_late_ticks_come_with_what_to_do(report: TimingReport) -> None:
     late = judged(dataclasses.replace(report, lateness=LATE))["late ticks"]
     assert late.fix.startswith("stop other programs, or put the control loop ahead of them")
     assert "--realtime 10" in late.fix
 
 
-def test_the_tables_say_it_all(report: Report) -> None:
+def test_the_tables_say_it_all(report: TimingReport) -> None:
     text = drawn(report)
     for said in ("0.05 ms", "2 ms", "900", "█", "1 of 1000", "stop other programs", "--spin"):
         assert said in text
     assert "5 ms" not in text.splitlines()[-1]
 
 
-def test_for_programs(report: Report, tmp_path: Path) -> None:
+def test_for_programs(report: TimingReport, tmp_path: Path) -> None:
     figures = json.loads(json.dumps(report.as_dict(), allow_nan=False))
     assert figures["lateness"]["late_ticks"] == 1
     assert figures["late_share"] == 0.001

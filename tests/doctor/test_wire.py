@@ -21,14 +21,14 @@ from serial_tools import (
 )
 
 from acsar_gym import RobotConfig
-from acsar_gym.cli import devices, main
-from acsar_gym.cli.options import SpinOptions
-from acsar_gym.doctor import feedback, response, spinning, wire
-from acsar_gym.doctor.checks import Check
-from acsar_gym.doctor.commission import Commission
 from acsar_gym.errors import EmergencyStopError
 from acsar_gym.protocol import ZERO, encode
 from acsar_gym.safety.estop import StopListener
+from acsar_gym.tools.cli import devices, main
+from acsar_gym.tools.cli.options import SpinOptions
+from acsar_gym.tools.doctor import board, wire
+from acsar_gym.tools.doctor.checks import Check
+from acsar_gym.tools.doctor.commission import Commission
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
@@ -67,7 +67,7 @@ while True:
 SPINS = """
 import os, signal, sys
 from acsar_gym import RobotConfig
-from acsar_gym.doctor import wire
+from acsar_gym.tools.doctor import wire
 from acsar_gym.protocol import encode
 link = wire._Stoppable(sys.argv[1], RobotConfig())
 link.open()
@@ -82,23 +82,23 @@ os.kill(os.getpid(), int(sys.argv[2]))
 @pytest.fixture(autouse=True)
 def hurry(monkeypatch: pytest.MonkeyPatch) -> None:
     """Listen shorter than at the command line, and wait for what comes on a busy machine, too."""
-    monkeypatch.setattr(feedback, "LISTEN", 0.2)
-    monkeypatch.setattr(response, "TRIALS", 2)
-    for module in (spinning, response):
+    monkeypatch.setattr(board, "LISTEN_TIME", 0.2)
+    monkeypatch.setattr(board, "RESPONSE_TRIALS", 2)
+    for module in (board,):
         monkeypatch.setattr(module, "PATIENCE", TIMEOUT)
 
 
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is waited for never comes."""
-    for module in (spinning, response):
+    for module in (board,):
         monkeypatch.setattr(module, "PATIENCE", 1.0)
 
 
 def examined(device: str, config: RobotConfig, *, spin: bool = False) -> dict[str, Check]:
     with no_leak():
         commission = Commission() if spin else None
-        return {check.name: check for check in wire.examine(device, config, commission)}
+        return {check.name: check for check in wire.examine_device(device, config, commission)}
 
 
 def only(checks: dict[str, Check]) -> Check:
@@ -205,7 +205,7 @@ def test_a_check_that_fails_to_open_listens_no_more(
             made.append(self)
 
     monkeypatch.setattr(wire, "_Stoppable", Kept)
-    (check,) = wire.examine(MISSING, config)
+    (check,) = wire.examine_device(MISSING, config)
     assert (check.name, check.status) == ("open", "fail")
     assert made[0]._listener.paths == []
 
@@ -254,7 +254,7 @@ def test_a_device_lost_during_the_examination(
     emulator = start_emulator()
     checks = []
     with no_leak():
-        for check in wire.examine(emulator.device, config):
+        for check in wire.examine_device(emulator.device, config):
             checks.append(check)
             if check.name == "first valid line":
                 emulator.kill()
@@ -269,7 +269,7 @@ def test_an_emergency_stop_ends_with_its_exit_code(
         yield Check("connection", "fail", "emergency stop")
         raise EmergencyStopError
 
-    monkeypatch.setattr(wire, "examine", examine)
+    monkeypatch.setattr(wire, "examine_device", examine)
     report = tmp_path / "doctor.json"
     with pytest.raises(EmergencyStopError) as ended:
         devices._checks("/dev/ttyUSB7", RobotConfig(), report, SpinOptions())
@@ -284,7 +284,7 @@ def test_an_emergency_stop_is_the_last_check(
     monkeypatch.setattr(StopListener, "is_requested", lambda _: bool(requested))
     checks = []
     with no_leak(), pytest.raises(EmergencyStopError):
-        for check in wire.examine(shared_device, config):
+        for check in wire.examine_device(shared_device, config):
             checks.append(check)
             if check.name == "first valid line":
                 requested.append(True)
@@ -326,9 +326,9 @@ def test_one_dead_wheel_is_found(
     config: RobotConfig, wheel: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if wheel == "dead":
-        monkeypatch.setattr(spinning, "PATIENCE", 1.0)
-    with program(BOARD, wheel) as board:
-        checks = examined(first_line(board), config, spin=True)
+        monkeypatch.setattr(board, "START_TIMEOUT", 1.0)
+    with program(BOARD, wheel) as started:
+        checks = examined(first_line(started), config, spin=True)
     assert (checks["rear_right"].status == "fail") == (wheel == "dead")
     assert checks["rear_left"].status == "ok"
     assert checks["line quality"].status == "ok"

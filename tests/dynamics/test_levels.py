@@ -5,19 +5,19 @@ from __future__ import annotations
 import pytest
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.dynamics import Randomization
-from acsar_gym.dynamics.levels import level
 from acsar_gym.errors import ConfigError
+from acsar_gym.physics import Randomization
+from acsar_gym.physics.randomization import randomization_level
 
 ACSAR = RobotConfig.of(None)
 
 
 def test_the_second_level_is_that_of_training() -> None:
-    assert level(ACSAR, 2) == Randomization.measured(ACSAR)
+    assert randomization_level(ACSAR, 2) == Randomization.measured(ACSAR)
 
 
 def test_levels_are_nested() -> None:
-    narrow, usual, wide = (level(ACSAR, number) for number in (1, 2, 3))
+    narrow, usual, wide = (randomization_level(ACSAR, number) for number in (1, 2, 3))
     for name in usual.names:
         ends = [getattr(each, name) for each in (narrow, usual, wide)]
         assert ends[2][0] <= ends[1][0] <= ends[0][0] <= ends[0][1] < ends[1][1] < ends[2][1]
@@ -28,9 +28,9 @@ def test_levels_are_nested() -> None:
 @pytest.mark.parametrize("number", [1, 2, 3])
 def test_every_level_suits_a_robot_that_hardly_skids(number: int) -> None:
     robot = ACSAR.with_(body={"turn_factor": 1.02})
-    level(robot, number).ranges(robot, 0.1)
+    randomization_level(robot, number).ranges(robot, 0.1)
 
 
 def test_there_are_three() -> None:
     with pytest.raises(ConfigError, match="must be 1, 2 or 3"):
-        level(ACSAR, 4)
+        randomization_level(ACSAR, 4)

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from acsar_gym import RobotConfig
-from acsar_gym.dynamics import Randomization
-from acsar_gym.dynamics.measured import DEFAULT, told
-from acsar_gym.dynamics.model import turn_factor
-from acsar_gym.dynamics.randomization import Randomizer
+from acsar_gym.physics import Randomization
+from acsar_gym.physics.model import turn_factor
+from acsar_gym.physics.randomization import DEFAULT_RANGES, Randomizer, describe_ranges
 
 ACSAR = RobotConfig.preset("acsar")
 MOTOR = {"time_constant": [0.1, 0.1, 0.2, 0.1], "gain": 0.98, "deadband": [0.2, 0.3, 0.2, 0.2]}
@@ -41,8 +40,8 @@ FITTED = ACSAR.with_(
 
 
 def test_without_measurements_the_default_widths_are_used() -> None:
-    assert Randomization.measured(ACSAR) == Randomization.of(DEFAULT)
-    assert told(ACSAR) == ""
+    assert Randomization.measured(ACSAR) == Randomization.of(DEFAULT_RANGES)
+    assert describe_ranges(ACSAR) == ""
 
 
 def test_measured_intervals_become_ranges() -> None:
@@ -54,8 +53,8 @@ def test_measured_intervals_become_ranges() -> None:
     assert ranges.wheel_radius == pytest.approx((0.996, 1.002))
     assert ranges.left_wheel_radius == (0.999, 1.003)
     assert ranges.turn_factor == pytest.approx((1.6 / 1.7, 1.76 / 1.7))
-    assert (ranges.friction, ranges.latency) == (DEFAULT["friction"], None)
-    line = told(FITTED)
+    assert (ranges.friction, ranges.latency) == (DEFAULT_RANGES["friction"], None)
+    line = describe_ranges(FITTED)
     assert "randomized as measured: " in line
     assert "motor_lag 0.95 to 1.05" in line
     assert line.endswith("by default widths: friction")
@@ -63,7 +62,7 @@ def test_measured_intervals_become_ranges() -> None:
 
 def test_wheels_that_were_not_measured_have_the_default_width() -> None:
     own = ACSAR.with_(measured={"motor.time_constant.a": between(0.0796, 0.0804)})
-    assert Randomization.measured(own).motor_lag == pytest.approx(DEFAULT["motor_lag"])
+    assert Randomization.measured(own).motor_lag == pytest.approx(DEFAULT_RANGES["motor_lag"])
 
 
 def test_a_calibrated_multiplier_is_a_turn_factor() -> None:

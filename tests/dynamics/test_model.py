@@ -10,14 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from acsar_gym.config import BodyConfig, MotorConfig, RobotConfig
-from acsar_gym.dynamics import GRAVITY, Physics, model, physics
-from acsar_gym.dynamics.model import Velocity, robot_step, tyre_step, wheel_speed
-from acsar_gym.dynamics.timing import substep
 from acsar_gym.jit import record_of
+from acsar_gym.physics import GRAVITY, Physics, compute_physics, model
+from acsar_gym.physics.model import Velocity, loop_period, robot_step, tyre_step, wheel_speed
 from acsar_gym.protocol import ZERO, Speeds
 
 SPIN: Speeds = (4.0, -4.0, -4.0, 4.0)
-DT = substep(RobotConfig())
+DT = loop_period(RobotConfig())
 speed = st.floats(-20.0, 20.0)
 slow = st.floats(-2.0, 2.0)
 
@@ -28,7 +27,7 @@ def plain(function: Any) -> Any:
 
 
 def steady_yaw_rate(wheels: Speeds, config: RobotConfig) -> float:
-    p, velocity = physics(config), (0.0, 0.0, 0.0)
+    p, velocity = compute_physics(config), (0.0, 0.0, 0.0)
     for _ in range(2000):
         velocity = tyre_step(*velocity, wheels, p, p.kappa, DT)
     return velocity[2]
@@ -51,7 +50,7 @@ def test_a_square_robot_turns_half_as_fast_as_a_differential_drive() -> None:
 def test_tyres_never_push_harder_than_they_grip(
     a: float, b: float, c: float, d: float, vx: float, vy: float, rate: float
 ) -> None:
-    p = physics(RobotConfig())
+    p = compute_physics(RobotConfig())
     nx, ny, _ = tyre_step(vx, vy, rate, (a, b, c, d), p, p.kappa, DT)
     force = p.mass * math.hypot(nx - vx, ny - vy) / DT
     assert force <= 4.0 * p.grip * (1.0 + 1e-9)
@@ -61,7 +60,7 @@ def test_tyres_never_push_harder_than_they_grip(
 def test_mirrored_robots_move_as_mirror_images(
     right: float, left: float, vx: float, vy: float, rate: float
 ) -> None:
-    p = physics(RobotConfig())
+    p = compute_physics(RobotConfig())
     x1, y1, w1 = tyre_step(vx, vy, rate, (right, left, left, right), p, p.kappa, DT)
     x2, y2, w2 = tyre_step(vx, -vy, -rate, (left, right, right, left), p, p.kappa, DT)
     assert (x1, y1, w1) == pytest.approx((x2, -y2, -w2), abs=1e-9)
@@ -71,7 +70,7 @@ def test_mirrored_robots_move_as_mirror_images(
 def test_compiled_and_plain_python_agree(
     a: float, b: float, c: float, d: float, vx: float, vy: float, rate: float
 ) -> None:
-    p = physics(RobotConfig())
+    p = compute_physics(RobotConfig())
     wheels = (a, b, c, d)
     assert tyre_step(vx, vy, rate, wheels, p, p.kappa, DT) == pytest.approx(
         plain(tyre_step)(vx, vy, rate, wheels, p, p.kappa, DT), abs=1e-9
@@ -105,7 +104,7 @@ def isotropic(vx: float, vy: float, rate: float, wheels: Speeds, p: Physics) -> 
 def test_tyres_without_a_turn_factor_are_isotropic_to_the_last_bit(
     a: float, b: float, c: float, d: float, vx: float, vy: float, rate: float
 ) -> None:
-    p, wheels = physics(RobotConfig()), (a, b, c, d)
+    p, wheels = compute_physics(RobotConfig()), (a, b, c, d)
     assert p.kappa == 1.0
     expected = isotropic(vx, vy, rate, wheels, p)
     assert tyre_step(vx, vy, rate, wheels, p, p.kappa, DT) == expected
@@ -115,7 +114,7 @@ def test_tyres_without_a_turn_factor_are_isotropic_to_the_last_bit(
 def test_the_friction_ellipse_bounds_the_force(
     kappa: float, right: float, left: float, vx: float, vy: float, rate: float
 ) -> None:
-    p, wheels = physics(RobotConfig()), (right, left, left, right)
+    p, wheels = compute_physics(RobotConfig()), (right, left, left, right)
     nx, ny, _ = tyre_step(vx, vy, rate, wheels, p, kappa, DT)
     along, across = p.mass * (nx - vx) / DT, p.mass * (ny - vy) / DT
     assert math.hypot(along, across / math.sqrt(kappa)) <= 4.0 * p.grip * (1.0 + 1e-9)
@@ -123,7 +122,7 @@ def test_the_friction_ellipse_bounds_the_force(
 
 def test_full_braking_obeys_the_friction_law() -> None:
     config = RobotConfig(body=BodyConfig(friction=0.5))
-    p = physics(config)
+    p = compute_physics(config)
     vx, _, _ = tyre_step(1.0, 0.0, 0.0, ZERO, p, p.kappa, DT)
     assert (1.0 - vx) / DT == pytest.approx(0.5 * GRAVITY, rel=1e-4)
 
@@ -132,7 +131,7 @@ def test_full_braking_obeys_the_friction_law() -> None:
 def test_locked_wheels_bring_the_robot_to_rest_without_chatter(
     kick: tuple[float, float, float],
 ) -> None:
-    p = physics(RobotConfig())
+    p = compute_physics(RobotConfig())
     velocity = kick
     for _ in range(200):
         velocity = tyre_step(*velocity, ZERO, p, p.kappa, DT)
@@ -141,7 +140,7 @@ def test_locked_wheels_bring_the_robot_to_rest_without_chatter(
 
 def test_motor_lag_is_first_order() -> None:
     config = RobotConfig(motor=MotorConfig(time_constant=0.1))
-    p = physics(config)
+    p = compute_physics(config)
     value = 0.0
     for _ in range(round(0.1 / DT)):
         value = wheel_speed(value, 10.0, 1.0, p.blend_a, p.deadband_a, p.max_speed)
@@ -149,12 +148,12 @@ def test_motor_lag_is_first_order() -> None:
 
 
 def test_no_lag_means_at_once() -> None:
-    p = physics(RobotConfig(motor=MotorConfig(time_constant=0.0)))
+    p = compute_physics(RobotConfig(motor=MotorConfig(time_constant=0.0)))
     assert wheel_speed(0.0, 7.0, 1.0, p.blend_a, p.deadband_a, p.max_speed) == 7.0
 
 
 def test_set_points_in_the_deadband_stop_the_wheel() -> None:
-    p = physics(RobotConfig(motor=MotorConfig(deadband=1.0)))
+    p = compute_physics(RobotConfig(motor=MotorConfig(deadband=1.0)))
     value = 3.0
     for _ in range(300):
         value = wheel_speed(value, 0.9, 1.0, 0.1, p.deadband_a, p.max_speed)
@@ -162,13 +161,13 @@ def test_set_points_in_the_deadband_stop_the_wheel() -> None:
 
 
 def test_wheels_saturate_at_their_top_speed() -> None:
-    p = physics(RobotConfig(motor=MotorConfig(max_speed=30.0)))
+    p = compute_physics(RobotConfig(motor=MotorConfig(max_speed=30.0)))
     assert wheel_speed(0.0, 1e6, 1.0, 1.0, p.deadband_a, p.max_speed) == 30.0
     assert wheel_speed(0.0, -1e6, 1.0, 1.0, p.deadband_a, p.max_speed) == -30.0
 
 
 def test_a_gain_multiplies_the_set_point_before_deadband_and_saturation() -> None:
-    p = physics(RobotConfig(motor=MotorConfig(max_speed=30.0, deadband=1.0)))
+    p = compute_physics(RobotConfig(motor=MotorConfig(max_speed=30.0, deadband=1.0)))
     assert wheel_speed(0.0, 10.0, 0.9, 1.0, p.deadband_a, p.max_speed) == 9.0
     assert wheel_speed(0.0, 1.05, 0.9, 1.0, p.deadband_a, p.max_speed) == 0.0
     assert wheel_speed(0.0, 29.0, 1.1, 1.0, p.deadband_a, p.max_speed) == 30.0
@@ -179,7 +178,7 @@ def test_a_robot_step_turns_with_the_heading(
     heading: float, vx: float, vy: float, rate: float
 ) -> None:
     """The same motion seen from the world, whichever way the robot looks."""
-    p = physics(RobotConfig())
+    p = compute_physics(RobotConfig())
     c, s = math.cos(heading), math.sin(heading)
     world = (c * vx - s * vy, s * vx + c * vy, rate)
     (wx, wy, wrate), wheels, angles = robot_step(c, s, world, SPIN, ZERO, SPIN, record_of(p), DT)
@@ -189,7 +188,7 @@ def test_a_robot_step_turns_with_the_heading(
 
 
 def test_physics_comes_from_the_config() -> None:
-    p = physics(RobotConfig(wheel_radius=0.1, wheelbase=0.5, body=BodyConfig(mass=8.0)))
+    p = compute_physics(RobotConfig(wheel_radius=0.1, wheelbase=0.5, body=BodyConfig(mass=8.0)))
     assert isinstance(p, Physics)
     assert (p.left_radius, p.right_radius, p.half_wheelbase, p.mass) == (0.1, 0.1, 0.25, 8.0)
     assert p.grip == pytest.approx(8.0 * GRAVITY / 4.0)

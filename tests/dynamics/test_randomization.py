@@ -10,14 +10,14 @@ import pytest
 from varied import RANGES
 
 from acsar_gym import RobotConfig
-from acsar_gym.dynamics import Physics, Randomization, physics
-from acsar_gym.dynamics.randomization import Drawn, Randomizer, places, varied
-from acsar_gym.dynamics.timing import substep
 from acsar_gym.errors import ConfigError
 from acsar_gym.jit import record_of
+from acsar_gym.physics import Physics, Randomization, compute_physics
+from acsar_gym.physics.model import loop_period
+from acsar_gym.physics.randomization import Drawn, Randomizer, drawn_places, vary_physics
 
 CONFIG = RobotConfig()
-DT, STEP = substep(CONFIG), 0.1
+DT, STEP = loop_period(CONFIG), 0.1
 WHEELS = "abcd"
 CHANGES = {
     "mass": {"mass", "yaw_inertia", "grip"},
@@ -52,7 +52,9 @@ def wheels(own: Physics, name: str) -> list[float]:
 
 def test_every_parameter_has_numbers_and_every_number_a_parameter() -> None:
     names = [field.name for field in fields(Randomization)]
-    assert sorted(place for name in names for place in places(name)) == list(range(len(Drawn())))
+    assert sorted(place for name in names for place in drawn_places(name)) == list(
+        range(len(Drawn()))
+    )
     assert set(RANGES) == set(CHANGES) == set(names)
 
 
@@ -62,14 +64,14 @@ def test_numbers_keep_their_names_on_the_way_into_compiled_code() -> None:
 
 
 def test_the_defaults_leave_a_robot_as_configured() -> None:
-    assert varied(physics(CONFIG), Drawn(), DT) == physics(CONFIG)
+    assert vary_physics(compute_physics(CONFIG), Drawn(), DT) == compute_physics(CONFIG)
     assert Randomizer(None, CONFIG, STEP, simulated=False).draw(np.random.default_rng(0)) is None
 
 
 @pytest.mark.parametrize("name", RANGES)
 def test_each_parameter_changes_its_own_numbers_alone(name: str) -> None:
     own, info = drawn({name: RANGES[name]})
-    pairs = zip(Physics._fields, own, physics(CONFIG), strict=True)
+    pairs = zip(Physics._fields, own, compute_physics(CONFIG), strict=True)
     assert {field for field, number, configured in pairs if number != configured} == CHANGES[name]
     assert list(info) == [f"drawn_{name}"]
     values = np.array(info[f"drawn_{name}"])
@@ -79,7 +81,7 @@ def test_each_parameter_changes_its_own_numbers_alone(name: str) -> None:
 
 def test_factors_multiply_and_the_others_replace() -> None:
     own, info = drawn(RANGES)
-    configured = physics(CONFIG)
+    configured = compute_physics(CONFIG)
     assert own.mass == pytest.approx(configured.mass * info["drawn_mass"])
     assert own.yaw_inertia == pytest.approx(configured.yaw_inertia * info["drawn_mass"])
     grip = configured.grip * info["drawn_mass"] * info["drawn_friction"]
@@ -119,7 +121,7 @@ def test_a_range_of_one_value_takes_no_sample() -> None:
     own, info = drawn({"mass": (1.5, 1.5), "friction": (0.5, 1.0)}, 3)
     assert info["drawn_mass"] == 1.5
     assert info["drawn_friction"] == 0.5 + 0.5 * np.random.default_rng(3).random()
-    assert own.mass == 1.5 * physics(CONFIG).mass
+    assert own.mass == 1.5 * compute_physics(CONFIG).mass
 
 
 def test_motors_without_lag_have_none_to_vary() -> None:

@@ -13,8 +13,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import page_tools
 
-from acsar_gym.evaluation import runs
-from acsar_gym.policies import OnnxPolicy
+from acsar_gym.tools.evaluation import runs
+from acsar_gym.tools.policies import OnnxPolicy
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "agents" / "examples"
 SMALL = ("--steps", "256", "--robots", "8", "--rollout", "16", "--seed", "3")
@@ -59,7 +59,7 @@ def test_it_trains_and_its_export_drives(
     assert "steps/s" in said
     policy = OnnxPolicy(tmp_path / "mine.onnx")
     assert policy.env_id == "acsar_gym/PointGoal-v0"
-    env = runs.made(policy, "planar", None, {})
+    env = runs.make_env(policy, "planar", None, {})
     observation, _ = env.reset(seed=0)
     assert abs(policy(observation)).max() <= 1.0
     env.close()

@@ -6,8 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from acsar_gym.evaluation import runs
-from acsar_gym.policies import OnnxPolicy
+from acsar_gym.tools.evaluation import runs
+from acsar_gym.tools.policies import OnnxPolicy
 
 CONFIG = """
 acsar_gym/PointGoal-v0: {policy: MlpPolicy, n_timesteps: 64, n_envs: 2, normalize: true,
@@ -25,5 +25,5 @@ def test_its_zip_and_statistics_become_a_policy(tmp_path: Path) -> None:
     (model,) = tmp_path.glob("logs/ppo/*/acsar_gym-PointGoal-v0.zip")
     (statistics,) = model.parent.glob("*/vecnormalize.pkl")
     out = tmp_path / "policy.onnx"
-    runs.export(model, out, "point_goal", None, trust=True, vecnormalize=str(statistics))
-    runs.made(OnnxPolicy(out), "planar", None, {}).close()
+    runs.export_policy(model, out, "point_goal", None, trust=True, vecnormalize=str(statistics))
+    runs.make_env(OnnxPolicy(out), "planar", None, {}).close()

@@ -27,10 +27,10 @@ from serial_tools import (
 )
 
 from acsar_gym import Robot, RobotConfig, open_link
-from acsar_gym.emulation.board import STALL, Emulator
 from acsar_gym.errors import ConfigError
 from acsar_gym.links.serial import SerialLink
 from acsar_gym.protocol import ZERO, Decoder, encode
+from acsar_gym.tools.emulation.board import LONGEST_CATCH_UP, Emulator
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
@@ -149,25 +149,25 @@ def test_a_wrong_baud_rate_garbles_both_directions(own_emulator: Emulated, wrong
 
 def test_time_lost_in_a_stall_is_not_replayed(emulator: Emulated) -> None:
     emulator.pause()
-    time.sleep(2.0 * STALL)
+    time.sleep(2.0 * LONGEST_CATCH_UP)
     resumed = time.monotonic()
     emulator.resume()
     wait_for_log(emulator, resumed + 0.2)
     loops = [e["t"] for e in emulator.events() if "pose" in e and e["t"] > resumed]
-    assert len(loops) * LOOP < loops[-1] - resumed + STALL + LOOP
-    assert sum(e["lost"] for e in emulator.events() if "lost" in e) > STALL
+    assert len(loops) * LOOP < loops[-1] - resumed + LONGEST_CATCH_UP + LOOP
+    assert sum(e["lost"] for e in emulator.events() if "lost" in e) > LONGEST_CATCH_UP
 
 
 def test_short_stalls_are_caught_up_with(emulator: Emulated) -> None:
     before = time.monotonic()
     for _ in range(4):
         emulator.pause()
-        time.sleep(0.6 * STALL)
+        time.sleep(0.6 * LONGEST_CATCH_UP)
         emulator.resume()
         wait_for_log(emulator, time.monotonic() + 0.1)
     events = [e for e in emulator.events() if e["t"] > before]
     passed = sum(LOOP if "pose" in e else e.get("lost", 0.0) for e in events)
-    assert passed > events[-1]["t"] - before - STALL - 0.1
+    assert passed > events[-1]["t"] - before - LONGEST_CATCH_UP - 0.1
 
 
 def test_sigterm_ends_it_cleanly(own_emulator: Emulated) -> None:

@@ -17,9 +17,8 @@ import pytest
 from serial_tools import TIMEOUT, StartEmulator, cli, no_leak, program, wait_until
 
 from acsar_gym import RobotConfig
-from acsar_gym.emulation.board import Emulator
-from acsar_gym.emulation.pty import Cable
 from acsar_gym.errors import ConfigError
+from acsar_gym.tools.emulation.board import EmulatedCable, Emulator
 
 BAUD_RATE = 115200
 NONBLOCKING = os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK
@@ -31,9 +30,9 @@ def name(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def cable(name: Path) -> Iterator[Cable]:
+def cable(name: Path) -> Iterator[EmulatedCable]:
     with no_leak():
-        cable = Cable(BAUD_RATE, name)
+        cable = EmulatedCable(BAUD_RATE, name)
         yield cable
         cable.pull()
     assert not name.is_symlink()
@@ -53,7 +52,7 @@ def heard(descriptor: int) -> bytes:
     return os.read(descriptor, 4096)
 
 
-def test_every_byte_passes_both_ways_as_it_is(cable: Cable) -> None:
+def test_every_byte_passes_both_ways_as_it_is(cable: EmulatedCable) -> None:
     everything = bytes(range(256))
     with client(cable.device) as port:
         assert cable.read() == b""
@@ -64,13 +63,13 @@ def test_every_byte_passes_both_ways_as_it_is(cable: Cable) -> None:
         assert heard(port) == everything
 
 
-def test_nothing_is_echoed(cable: Cable) -> None:
+def test_nothing_is_echoed(cable: EmulatedCable) -> None:
     with client(cable.device) as port:
         os.write(port, b"ap00.00\r\n")
         assert not select.select([port], [], [], 0.05)[0]
 
 
-def test_a_client_notices_the_pull(cable: Cable) -> None:
+def test_a_client_notices_the_pull(cable: EmulatedCable) -> None:
     with client(cable.device) as port:
         cable.pull()
         assert cable.device == ""
@@ -81,14 +80,14 @@ def test_a_client_notices_the_pull(cable: Cable) -> None:
             assert os.read(port, 10) == b""
 
 
-def test_a_pulled_cable_carries_nothing(cable: Cable) -> None:
+def test_a_pulled_cable_carries_nothing(cable: EmulatedCable) -> None:
     cable.pull()
     cable.pull()
     cable.write(b"lost")
     assert cable.read() == b""
 
 
-def test_plugged_in_again_it_has_another_name(cable: Cable, name: Path) -> None:
+def test_plugged_in_again_it_has_another_name(cable: EmulatedCable, name: Path) -> None:
     before = cable.device
     with client(before):  # who still holds the old one keeps its name from being used again
         cable.pull()
@@ -100,14 +99,14 @@ def test_plugged_in_again_it_has_another_name(cable: Cable, name: Path) -> None:
             assert heard(port) == b"new"
 
 
-def test_plugging_in_twice_is_once(cable: Cable) -> None:
+def test_plugging_in_twice_is_once(cable: EmulatedCable) -> None:
     before = cable.device
     with no_leak():
         cable.plug()
     assert cable.device == before
 
 
-def test_what_was_sent_before_the_pull_is_gone(cable: Cable) -> None:
+def test_what_was_sent_before_the_pull_is_gone(cable: EmulatedCable) -> None:
     with client(cable.device) as port:
         os.write(port, b"old")
         cable.pull()
@@ -115,14 +114,14 @@ def test_what_was_sent_before_the_pull_is_gone(cable: Cable) -> None:
     assert cable.read() == b""
 
 
-def test_many_replugs_leave_nothing_open(cable: Cable) -> None:
+def test_many_replugs_leave_nothing_open(cable: EmulatedCable) -> None:
     with no_leak():
         for _ in range(200):
             cable.pull()
             cable.plug()
 
 
-def test_it_is_sound_where_the_baud_rates_agree(cable: Cable) -> None:
+def test_it_is_sound_where_the_baud_rates_agree(cable: EmulatedCable) -> None:
     assert cable.sound
     with client(cable.device) as port:
         attributes = termios.tcgetattr(port)
@@ -138,7 +137,7 @@ def test_it_is_sound_where_the_baud_rates_agree(cable: Cable) -> None:
     assert cable.sound  # the next client finds the board's own rate again
 
 
-def test_what_nobody_reads_is_lost_and_holds_nobody_up(cable: Cable) -> None:
+def test_what_nobody_reads_is_lost_and_holds_nobody_up(cable: EmulatedCable) -> None:
     for _ in range(1000):
         cable.write(b"x" * 100)
     with client(cable.device) as port:
@@ -149,7 +148,7 @@ def test_what_nobody_reads_is_lost_and_holds_nobody_up(cable: Cable) -> None:
 # The name
 
 
-def test_the_name_follows_the_device(cable: Cable, name: Path) -> None:
+def test_the_name_follows_the_device(cable: EmulatedCable, name: Path) -> None:
     assert str(name.readlink()) == cable.device
     cable.pull()
     assert not name.is_symlink()
@@ -159,19 +158,19 @@ def test_the_name_follows_the_device(cable: Cable, name: Path) -> None:
 
 def test_a_name_left_behind_is_taken_over(name: Path) -> None:
     name.symlink_to("/dev/acsar-missing")
-    cable = Cable(BAUD_RATE, name)
+    cable = EmulatedCable(BAUD_RATE, name)
     assert str(name.readlink()) == cable.device
     cable.pull()
 
 
-def test_a_name_that_another_cable_took_over_stays(cable: Cable, name: Path) -> None:
-    other = Cable(BAUD_RATE, name)
+def test_a_name_that_another_cable_took_over_stays(cable: EmulatedCable, name: Path) -> None:
+    other = EmulatedCable(BAUD_RATE, name)
     cable.pull()
     assert str(name.readlink()) == other.device
     other.pull()
 
 
-def test_a_name_that_somebody_removed_is_no_error(cable: Cable, name: Path) -> None:
+def test_a_name_that_somebody_removed_is_no_error(cable: EmulatedCable, name: Path) -> None:
     name.unlink()
     cable.pull()
     cable.plug()
@@ -186,7 +185,7 @@ def test_where_the_name_cannot_be_made_nothing_stays_open_or_is_lost(
     name = {"file": tmp_path / "kept", "folder": tmp_path}.get(kind, tmp_path / "no" / "name")
     (tmp_path / "kept").write_text("mine")
     with no_leak(), pytest.raises(ConfigError, match=said) as caught:
-        Cable(BAUD_RATE, name)
+        EmulatedCable(BAUD_RATE, name)
     assert str(name) in str(caught.value)
     assert "\n" not in str(caught.value)
     assert (tmp_path / "kept").read_text() == "mine"
@@ -241,7 +240,7 @@ def test_signals_move_the_cable_and_the_log_tells(start_emulator: StartEmulator)
 
 IGNORING = """
 import signal
-from acsar_gym.cli import main
+from acsar_gym.tools.cli import main
 signal.signal(signal.SIGINT, signal.SIG_IGN)  # as shells do for `acsar-gym emulate &` in a script
 main()
 """

@@ -15,11 +15,11 @@ import serial_tools
 from serial_tools import TIMEOUT, Emulated, cli
 
 from acsar_gym import RobotConfig
-from acsar_gym.bodies.planar import PlanarBody
-from acsar_gym.emulation import quirks
 from acsar_gym.errors import ConfigError
 from acsar_gym.links.simulated import SimulatedLink
+from acsar_gym.physics.planar import PlanarBody
 from acsar_gym.protocol import Decoder, Speeds, encode
+from acsar_gym.tools.emulation import quirks
 
 pytestmark = [pytest.mark.xdist_group("serial"), pytest.mark.usefixtures("deadline")]
 
@@ -98,8 +98,8 @@ def rounded(data: bytes) -> Speeds:
 
 def quirky(*names: str) -> tuple[quirks.QuirkyLink, SimulatedLink]:
     """A board in simulated time, and its robot."""
-    found = quirks.parsed(names)
-    config = quirks.of_config(found, RobotConfig())
+    found = quirks.parse_quirks(names)
+    config = quirks.apply_to_config(found, RobotConfig())
     link = SimulatedLink(config, partial(PlanarBody, config))
     link.open()
     return quirks.QuirkyLink(link, config, found), link
@@ -265,7 +265,7 @@ def test_a_board_that_resets_answers_again() -> None:
 )
 def test_bad_quirks_are_one_error(quirk: str, said: str) -> None:
     with pytest.raises(ConfigError) as caught:
-        quirks.parsed([quirk])
+        quirks.parse_quirks([quirk])
     assert said in str(caught.value)
 
 

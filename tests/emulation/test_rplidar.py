@@ -16,8 +16,8 @@ from lds2d.drivers.rplidar import RPLIDAR_A1
 from lidar_tools import Floats, nothing, room
 from serial_tools import no_leak
 
-from acsar_gym.emulation.rplidar import RplidarEmulator, RplidarTwin
 from acsar_gym.errors import ConfigError
+from acsar_gym.tools.emulation.rplidar import RplidarEmulator, RplidarTwin
 
 SCAN = b"\xa5\x20"
 SCAN_DESCRIPTOR = bytes.fromhex("a5 5a 05 00 00 40 81")

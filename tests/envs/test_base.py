@@ -236,7 +236,7 @@ def test_a_step_before_the_first_reset_is_one_clear_error() -> None:
 
 def test_without_pybullet_one_line_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where `make` has no arguments, whose link is PyBullet."""
-    for name in [name for name in sys.modules if name.startswith("acsar_gym.bodies.bullet")]:
+    for name in [name for name in sys.modules if name.startswith("acsar_gym.physics.bullet")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "pybullet", None)
     env = gymnasium.make(ENV_ID)

@@ -11,7 +11,7 @@ import pytest
 
 from acsar_gym.envs.base import RobotEnv
 from acsar_gym.worlds import Region, World
-from acsar_gym.worlds.scene import to_world
+from acsar_gym.worlds.world import to_world
 
 START = (5.0, -3.0, 2.0)
 PILLAR = World(

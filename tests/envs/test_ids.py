@@ -17,7 +17,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import RecordVideo
 
 from acsar_gym import RobotConfig
-from acsar_gym.envs.options import EnvOptions
+from acsar_gym.envs.base import EnvOptions
 from acsar_gym.errors import (
     AcsarError,
     ConfigError,
@@ -26,7 +26,7 @@ from acsar_gym.errors import (
     MissingExtraError,
     OffScreenWarning,
 )
-from acsar_gym.lidars.base import Scan
+from acsar_gym.sensors.lidar import Scan
 from acsar_gym.worlds import Scene
 
 

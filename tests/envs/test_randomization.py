@@ -11,8 +11,8 @@ import pytest
 from varied import RANGES
 
 from acsar_gym import RobotConfig, open_link
-from acsar_gym.dynamics import Randomization
 from acsar_gym.errors import ConfigError
+from acsar_gym.physics import Randomization
 
 ACTION = np.array([0.7, 0.3], np.float32)
 

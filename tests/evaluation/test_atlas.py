@@ -12,7 +12,7 @@ from serial_tools import cli
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import WorldError
-from acsar_gym.evaluation import atlas
+from acsar_gym.tools import atlas
 from acsar_gym.worlds import World, files, generators
 from acsar_gym.worlds.search import footprint_radius
 
@@ -58,14 +58,14 @@ def test_a_check_says_what_a_world_is_like(tmp_path: Path) -> None:
 def test_checked_worlds_are_named_with_their_split(
     source: str, name: str, split: str | None
 ) -> None:
-    assert atlas.told(source, 12) == {"source": name, "split": split}
+    assert atlas.describe_source(source, 12) == {"source": name, "split": split}
 
 
 def test_a_world_that_cannot_be_crossed_fails_the_check(tmp_path: Path) -> None:
     path = tmp_path / "blocked.json"
-    world = generators.generate("barn", 0)
+    world = generators.generate_world("barn", 0)
     wall = np.array([[-9.0, 6.0, 9.0, 6.0], [-9.0, 6.0, -9.0, -9.0], [9.0, 6.0, 9.0, -9.0]])
-    files.save(World(world.circles, wall, world.start, world.goal), path)
+    files.save_world(World(world.circles, wall, world.start, world.goal), path)
     done = cli("worlds", "check", path)
     assert done.returncode == 1
     assert "no way from start to goal" in " ".join(done.stdout.split())
@@ -73,11 +73,11 @@ def test_a_world_that_cannot_be_crossed_fails_the_check(tmp_path: Path) -> None:
 
 def test_a_world_becomes_json_and_back(tmp_path: Path) -> None:
     radius = footprint_radius(RobotConfig.preset("acsar"))
-    expected = generators.generate("clutter", 7, None, radius)
+    expected = generators.generate_world("clutter", 7, None, radius)
     for name in ("w.json", "w.yaml"):
         done = cli("worlds", "convert", "clutter:7-7", tmp_path / name)
         assert (done.returncode, done.stderr) == (0, "")
-        world = files.load(tmp_path / name)
+        world = files.load_world(tmp_path / name)
         assert (world.segments == expected.segments).all()
         assert world.length == expected.length
 
@@ -104,16 +104,16 @@ def test_mistakes_are_one_line_and_exit_code_two(arguments: tuple[str, ...], mes
 
 @pytest.mark.skipif(not BARN.is_dir(), reason="no published worlds here")
 def test_the_published_worlds_can_be_crossed_and_drawn(tmp_path: Path) -> None:
-    worlds = atlas.raw(str(BARN), None, None, 1)
-    findings = atlas.check(worlds, None)
+    worlds = atlas.collect_worlds(str(BARN), None, None, 1)
+    findings = atlas.check_worlds(worlds, None)
     assert [finding.obstacles for finding in findings] == [237, 208, 209, 236, 277]
     assert all(finding.fault == "" for finding in findings)
     assert all(finding.shortest <= finding.path for finding in findings)
-    atlas.draw(worlds, 5, 200, tmp_path / "published.png")
+    atlas.draw_worlds(worlds, 5, 200, tmp_path / "published.png")
     with Image.open(tmp_path / "published.png") as picture:
         assert picture.size == (1000, 200)
 
 
 def test_a_folder_without_worlds_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(WorldError, match="world"):
-        atlas.raw(str(tmp_path), None, None, 1)
+        atlas.collect_worlds(str(tmp_path), None, None, 1)

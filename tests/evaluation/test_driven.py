@@ -10,9 +10,14 @@ import numpy as np
 import pytest
 
 from acsar_gym import RobotConfig
-from acsar_gym.config.footprint import box
-from acsar_gym.evaluation.driven import footprint_clearance, jerk, turning
-from acsar_gym.evaluation.episodes import EpisodeResult, episodes
+from acsar_gym.config.footprint import make_rectangle
+from acsar_gym.tools.evaluation.episodes import (
+    EpisodeResult,
+    footprint_clearance,
+    mean_jerk,
+    run_episodes,
+    total_turning,
+)
 from acsar_gym.worlds import Region, World
 
 FORWARD = np.array([1.0, 0.0], np.float32)
@@ -27,21 +32,21 @@ def steps(positions: list[float], heading: float = 0.5) -> list[dict[str, Any]]:
 
 def test_jerk_is_the_third_derivative_of_the_way() -> None:
     times = PERIOD * np.arange(12)
-    assert jerk(steps((0.4 * times).tolist()), PERIOD) == pytest.approx(0.0, abs=1e-9)
-    assert jerk(steps((0.4 * times**2).tolist()), PERIOD) == pytest.approx(0.0, abs=1e-9)
-    assert jerk(steps((0.4 * times**3).tolist()), PERIOD) == pytest.approx(6.0 * 0.4)
-    assert math.isnan(jerk(steps([0.0, 0.1, 0.2]), PERIOD))
+    assert mean_jerk(steps((0.4 * times).tolist()), PERIOD) == pytest.approx(0.0, abs=1e-9)
+    assert mean_jerk(steps((0.4 * times**2).tolist()), PERIOD) == pytest.approx(0.0, abs=1e-9)
+    assert mean_jerk(steps((0.4 * times**3).tolist()), PERIOD) == pytest.approx(6.0 * 0.4)
+    assert math.isnan(mean_jerk(steps([0.0, 0.1, 0.2]), PERIOD))
 
 
 def test_turning_counts_both_ways_and_across_pi() -> None:
     headings = [3.0, -3.1, 3.0]
     infos = [{"odom_x": 0.0, "odom_y": 0.0, "odom_theta": theta} for theta in headings]
-    assert turning(infos) == pytest.approx(2.0 * (math.tau - 6.1))
+    assert total_turning(infos) == pytest.approx(2.0 * (math.tau - 6.1))
 
 
 def test_the_clearance_of_a_footprint_is_that_of_its_nearest_side_or_corner() -> None:
     world = World(circles=np.array([[2.0, 0.0, 0.5]]), segments=np.array([[-1.0, 1.0, 3.0, 1.0]]))
-    outline = box(0.6, 0.4)
+    outline = make_rectangle(0.6, 0.4)
     straight = footprint_clearance(np.array([(0.0, 0.0, 0.0)]), outline, world)
     assert straight == pytest.approx(0.8)
     slanted = footprint_clearance(np.array([(0.0, 0.0, math.pi / 4.0)]), outline, world)
@@ -53,7 +58,7 @@ def test_the_clearance_of_a_footprint_is_that_of_its_nearest_side_or_corner() ->
 def test_the_poses_that_are_left_out_are_never_the_nearest() -> None:
     rng = np.random.default_rng(0)
     circles = np.column_stack([rng.uniform(-3.0, 3.0, (20, 2)), rng.uniform(0.05, 0.3, 20)])
-    world, outline = World(circles=circles), box(0.9, 0.3)
+    world, outline = World(circles=circles), make_rectangle(0.9, 0.3)
     places = rng.uniform(-3.0, 3.0, (50, 3))
     single = [footprint_clearance(place[None], outline, world) for place in places]
     assert footprint_clearance(places, outline, world) == min(single)
@@ -65,7 +70,7 @@ def drive(world: World | None, link: str) -> EpisodeResult:
         "acsar_gym/PointGoal-v0", link=link, robot=RobotConfig(), max_episode_steps=20, **options
     )
     reset: dict[str, Any] = {"goal": (3.0, 0.0)} if world is None else {}
-    found = next(episodes(env, lambda _: FORWARD, 1, 0, **reset))
+    found = next(run_episodes(env, lambda _: FORWARD, 1, 0, **reset))
     env.close()
     return found
 

@@ -15,9 +15,9 @@ import pytest
 from acsar_gym import RobotConfig
 from acsar_gym.envs import PointGoalEnv
 from acsar_gym.errors import ConfigError
-from acsar_gym.evaluation.episodes import EpisodeResult, episodes, odometry_errors
-from acsar_gym.evaluation.metrics import per_episode, summarise
-from acsar_gym.evaluation.report import summary_table, write_json
+from acsar_gym.tools.evaluation.episodes import EpisodeResult, odometry_errors, run_episodes
+from acsar_gym.tools.evaluation.metrics import describe_episodes, summarise_episodes
+from acsar_gym.tools.evaluation.report import summary_table, write_json
 from acsar_gym.worlds import Pose
 
 
@@ -36,7 +36,7 @@ def result(*, success: bool = True, pose: Pose = (1.0, 0.0, 0.0), late: int = 0)
 
 
 def test_times_and_paths_are_means_over_successes() -> None:
-    summary = summarise([result(), result(late=3), result(success=False)])
+    summary = summarise_episodes([result(), result(late=3), result(success=False)])
     assert summary.success_rate == pytest.approx(2.0 / 3.0)
     assert summary.time_to_goal == pytest.approx(4.0)
     assert summary.path == pytest.approx(1.5)
@@ -44,7 +44,7 @@ def test_times_and_paths_are_means_over_successes() -> None:
 
 
 def test_without_a_success_there_is_no_time_to_goal() -> None:
-    summary = summarise([result(success=False)])
+    summary = summarise_episodes([result(success=False)])
     assert math.isnan(summary.time_to_goal)
     assert summary.as_dict()["time_to_goal"] is None
 
@@ -76,7 +76,7 @@ def test_json_that_cannot_be_written_says_so(tmp_path: Path) -> None:
 
 def test_an_episode_that_runs_out_of_time_leaves_the_robot_stopping() -> None:
     env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar", max_episode_steps=5)
-    (episode,) = episodes(env, lambda _: np.array([1.0, 0.0], np.float32), 1, seed=0)
+    (episode,) = run_episodes(env, lambda _: np.array([1.0, 0.0], np.float32), 1, seed=0)
     assert not episode.success
     assert isinstance(env.unwrapped, PointGoalEnv)
     link = env.unwrapped.robot.link
@@ -105,14 +105,14 @@ def run(link: str, policy: Any = lambda _: CURVE, **options: Any) -> EpisodeResu
     judged = {key: options.pop(key) for key in ("late_share",) if key in options}
     chosen: dict[str, Any] = {"max_episode_steps": 3, "robot": robot} | options
     env = gymnasium.make("acsar_gym/PointGoal-v0", link=link, **chosen)
-    (episode,) = episodes(env, policy, 1, seed=0, **judged)
+    (episode,) = run_episodes(env, policy, 1, seed=0, **judged)
     env.close()
     return episode
 
 
 def as_json(episode: EpisodeResult) -> dict[str, Any]:
     """The episode as strict JSON has it: without NaN."""
-    (read,) = json.loads(json.dumps(per_episode([episode]), allow_nan=False))
+    (read,) = json.loads(json.dumps(describe_episodes([episode]), allow_nan=False))
     assert isinstance(read, dict)
     return read
 
@@ -128,7 +128,7 @@ def test_an_episode_with_many_late_ticks_is_not_valid(shared_device: str) -> Non
     assert lateness.worst > 0.01  # the policy alone takes 20 ms too long
     assert lateness.missed_ticks >= 2
     assert lateness.ticks == episode.ticks - 1
-    summary = summarise([episode])
+    summary = summarise_episodes([episode])
     assert (summary.invalid, summary.late_ticks) == (1, episode.late_ticks)
     assert (summary.missed_ticks, summary.worst_lateness) == (lateness.missed_ticks, lateness.worst)
     assert summary.lateness_p99 == lateness.p99
@@ -140,7 +140,7 @@ def test_who_allows_late_ticks_gets_a_valid_episode(shared_device: str) -> None:
     episode = run(shared_device, slow, late_share=1.0)
     assert episode.valid
     assert episode.late_ticks > 0
-    assert summary_table("slow", [("wire", summarise([episode]))]).caption is None
+    assert summary_table("slow", [("wire", summarise_episodes([episode]))]).caption is None
 
 
 @serial
@@ -161,7 +161,7 @@ def test_in_simulation_timing_is_perfect_and_untold() -> None:
     assert episode.valid
     assert episode.late_ticks == 0
     assert as_json(episode)["timing"] is None
-    assert math.isnan(summarise([episode]).worst_lateness)
+    assert math.isnan(summarise_episodes([episode]).worst_lateness)
 
 
 def test_a_fault_is_told_and_makes_the_episode_invalid() -> None:
@@ -169,7 +169,7 @@ def test_a_fault_is_told_and_makes_the_episode_invalid() -> None:
     assert "lost while in use" in episode.fault
     assert (episode.valid, episode.success) == (False, False)
     assert as_json(episode)["fault"] == episode.fault
-    assert summarise([episode]).invalid == 1
+    assert summarise_episodes([episode]).invalid == 1
     assert run("planar", faults={"unplug_at": 60.0}).valid
 
 
@@ -190,7 +190,7 @@ def test_after_a_fault_the_next_episode_connects_again() -> None:
         faults={"unplug_at": 0.25, "replug_time": 0.1},
         max_episode_steps=5,
     )
-    results = list(episodes(env, lambda _: CURVE, 3, seed=0))
+    results = list(run_episodes(env, lambda _: CURVE, 3, seed=0))
     env.close()
     assert [bool(one.fault) for one in results] == [True] * 3
 

@@ -10,8 +10,14 @@ import gymnasium
 import numpy as np
 import pytest
 
-from acsar_gym.evaluation.episodes import EpisodeResult, episodes
-from acsar_gym.evaluation.metrics import bootstrap, soft_spl, spl, summarise, wilson
+from acsar_gym.tools.evaluation.episodes import EpisodeResult, run_episodes
+from acsar_gym.tools.evaluation.metrics import (
+    bootstrap_interval,
+    episode_soft_spl,
+    episode_spl,
+    summarise_episodes,
+    wilson_interval,
+)
 from acsar_gym.worlds import Region, World
 
 FORWARD = np.array([1.0, 0.0], np.float32)
@@ -52,29 +58,29 @@ CRASH = {"success": False, "collision": True, "left": 3.0, "driven": 1.0, "path"
 @pytest.mark.parametrize(("wins", "crashes", "losses"), [(1, 0, 0), (0, 3, 0), (2, 4, 1)])
 def test_the_four_rates_add_up_to_one(wins: int, crashes: int, losses: int) -> None:
     runs = [result()] * wins + [result(**CRASH)] * crashes + [result(**LOST)] * losses
-    summary = summarise([*runs, result(**LOST, fault="no feedback")])
+    summary = summarise_episodes([*runs, result(**LOST, fault="no feedback")])
     rates = (summary.success_rate, summary.collision_rate, summary.timeout_rate, summary.fault_rate)
     assert sum(rates) == pytest.approx(1.0)
     assert summary.fault_rate == 1.0 / (len(runs) + 1)
     assert summary.timeout_rate == losses / (len(runs) + 1)
-    summary = summarise(runs)
+    summary = summarise_episodes(runs)
     assert summary.success_rate == wins / len(runs)
     assert summary.collision_rate == crashes / len(runs)
 
 
 def test_spl_of_hand_made_episodes() -> None:
-    assert spl(result()) == pytest.approx(0.8)
-    assert spl(result(driven=3.9)) == 1.0  # the tolerance makes ways a little shorter
-    assert spl(result(**CRASH)) == 0.0
-    assert spl(result(driven=math.nan)) == pytest.approx(0.8)  # hardware: by odometry
-    assert math.isnan(spl(result(shortest=math.nan)))
+    assert episode_spl(result()) == pytest.approx(0.8)
+    assert episode_spl(result(driven=3.9)) == 1.0  # the tolerance makes ways a little shorter
+    assert episode_spl(result(**CRASH)) == 0.0
+    assert episode_spl(result(driven=math.nan)) == pytest.approx(0.8)  # hardware: by odometry
+    assert math.isnan(episode_spl(result(shortest=math.nan)))
 
 
 def test_soft_spl_weighs_progress() -> None:
-    assert soft_spl(result(**CRASH)) == pytest.approx(0.25)
-    assert soft_spl(result(left=2.0, driven=8.0)) == pytest.approx(0.25)
-    assert soft_spl(result(left=6.0)) == 0.0
-    assert soft_spl(result(left=math.inf)) == 0.0
+    assert episode_soft_spl(result(**CRASH)) == pytest.approx(0.25)
+    assert episode_soft_spl(result(left=2.0, driven=8.0)) == pytest.approx(0.25)
+    assert episode_soft_spl(result(left=6.0)) == 0.0
+    assert episode_soft_spl(result(left=math.inf)) == 0.0
 
 
 def test_energy_is_that_of_successes_and_clearance_that_of_all() -> None:
@@ -82,32 +88,32 @@ def test_energy_is_that_of_successes_and_clearance_that_of_all() -> None:
         result(energy=4.0, clearance=0.2, jerk=1.0),
         result(**CRASH, energy=90.0, clearance=0.0),
     ]
-    summary = summarise([*runs, result()])
+    summary = summarise_episodes([*runs, result()])
     assert (summary.energy, summary.clearance, summary.jerk) == (4.0, 0.1, 1.0)
     assert summary.intervals["clearance"] == (0.0, 0.2)
 
 
 def test_wilson_is_the_published_example() -> None:
     """45 of 50 is 0.79 to 0.96."""
-    assert wilson(45, 50) == pytest.approx((0.786, 0.957), abs=1e-3)
-    assert wilson(0, 10)[0] == 0.0
-    assert wilson(10, 10)[1] == 1.0
-    assert wilson(0, 0) == (0.0, 1.0)
+    assert wilson_interval(45, 50) == pytest.approx((0.786, 0.957), abs=1e-3)
+    assert wilson_interval(0, 10)[0] == 0.0
+    assert wilson_interval(10, 10)[1] == 1.0
+    assert wilson_interval(0, 0) == (0.0, 1.0)
 
 
 def test_a_bootstrap_interval_holds_the_mean_and_repeats() -> None:
     values = np.random.default_rng(0).normal(3.0, 1.0, 200).tolist()
-    low, high = bootstrap(values)
+    low, high = bootstrap_interval(values)
     assert low < np.mean(values) < high
     assert high - low == pytest.approx(4.0 / math.sqrt(200), rel=0.15)  # 2 * 1.96 sigma
-    assert bootstrap(values) == (low, high)
-    assert bootstrap([2.0, 2.0, 2.0]) == (2.0, 2.0)
-    assert all(map(math.isnan, bootstrap([1.0])))
-    assert bootstrap([1.0, math.nan, 3.0]) == bootstrap([1.0, 3.0])
+    assert bootstrap_interval(values) == (low, high)
+    assert bootstrap_interval([2.0, 2.0, 2.0]) == (2.0, 2.0)
+    assert all(map(math.isnan, bootstrap_interval([1.0])))
+    assert bootstrap_interval([1.0, math.nan, 3.0]) == bootstrap_interval([1.0, 3.0])
 
 
 def test_means_have_intervals_and_json_is_clean() -> None:
-    summary = summarise([result(), result(path=6.0, cross_track=math.nan), result(**LOST)])
+    summary = summarise_episodes([result(), result(path=6.0, cross_track=math.nan), result(**LOST)])
     assert summary.path == pytest.approx(5.5)
     assert summary.time_to_goal == pytest.approx(10.0)
     assert (summary.episode_return, summary.length) == pytest.approx((3.0, 50.0))
@@ -120,21 +126,21 @@ def test_means_have_intervals_and_json_is_clean() -> None:
 
 def test_barn_scores_are_averaged_over_all_runs() -> None:
     runs = [result(scores=(0.5, 0.25, 0.5, 0.25)), result(**CRASH, scores=(0.0,) * 4)]
-    summary = summarise(runs)
+    summary = summarise_episodes(runs)
     assert summary.scores["barn_score"] == pytest.approx(0.25)
     assert summary.scores["barn_score_k4"] == pytest.approx(0.125)
-    assert summarise([result()]).scores == {}
+    assert summarise_episodes([result()]).scores == {}
 
 
 def test_nothing_at_all_is_no_error() -> None:
-    summary = summarise([])
+    summary = summarise_episodes([])
     assert summary.episodes == 0
     assert math.isnan(summary.success_rate)
 
 
 def drive(world: World, action: Any = FORWARD, link: str = "planar") -> EpisodeResult:
     env = gymnasium.make("acsar_gym/ObstacleGoal-v1", link=link, worlds=world)
-    (episode,) = episodes(env, lambda _: action, 1, seed=0)
+    (episode,) = run_episodes(env, lambda _: action, 1, seed=0)
     env.close()
     return episode
 
@@ -148,7 +154,7 @@ def test_a_straight_drive_is_perfect() -> None:
     assert episode.success
     assert episode.shortest == pytest.approx(2.0)
     assert episode.left == pytest.approx(0.3, abs=0.06)
-    assert spl(episode) == 1.0
+    assert episode_spl(episode) == 1.0
     assert episode.turning == pytest.approx(0.0, abs=1e-6)
 
 
@@ -158,19 +164,19 @@ def test_a_crash_is_a_collision_with_its_progress(link: str) -> None:
     assert (episode.success, episode.collision) == (False, True)
     assert episode.shortest > 2.05  # round the pillar
     assert 1.4 < episode.left < 1.9
-    assert 0.15 < soft_spl(episode) < 0.4
+    assert 0.15 < episode_soft_spl(episode) < 0.4
 
 
 def test_standing_still_is_neither() -> None:
     episode = drive(ahead(), np.zeros(2, np.float32))
-    summary = summarise([episode])
+    summary = summarise_episodes([episode])
     assert (summary.success_rate, summary.collision_rate, summary.timeout_rate) == (0.0, 0.0, 1.0)
     assert summary.soft_spl == pytest.approx(0.0, abs=1e-6)
 
 
 def test_paths_are_judged_by_the_distance_beside_them() -> None:
     env = gymnasium.make("acsar_gym/PathFollow-v0", link="planar")
-    (episode,) = episodes(env, lambda _: FORWARD, 1, seed=0, path=[(0.0, 0.1), (1.0, 0.1)])
+    (episode,) = run_episodes(env, lambda _: FORWARD, 1, seed=0, path=[(0.0, 0.1), (1.0, 0.1)])
     env.close()
     assert episode.success
     assert episode.cross_track == pytest.approx(0.1, abs=0.01)
@@ -179,7 +185,7 @@ def test_paths_are_judged_by_the_distance_beside_them() -> None:
 
 def test_what_a_task_tells_is_averaged_beside_figures_of_the_same_name() -> None:
     told = [{"length": 1.0, "nearest": math.nan}, {"length": 2.0, "nearest": 0.5}]
-    summary = summarise([result(told=one) for one in told])
+    summary = summarise_episodes([result(told=one) for one in told])
     assert summary.told == {"length": 1.5, "nearest": 0.5}
     assert summary.length == 60.0
     assert summary.intervals["told.length"] != summary.intervals["length"]

@@ -12,11 +12,10 @@ import numpy as np
 import pytest
 
 from acsar_gym.errors import ConfigError, MissingExtraError
-from acsar_gym.evaluation import pictures
-from acsar_gym.evaluation.episodes import EpisodeResult, episodes
-from acsar_gym.evaluation.metrics import per_episode
-from acsar_gym.evaluation.tracks import TrackedEnv
-from acsar_gym.render.top_view import HIT
+from acsar_gym.render.top_view import HIT_COLOUR
+from acsar_gym.tools.evaluation import pictures
+from acsar_gym.tools.evaluation.episodes import EpisodeResult, TrackedEnv, run_episodes
+from acsar_gym.tools.evaluation.metrics import describe_episodes
 from acsar_gym.worlds import Region, World
 
 pytest.importorskip("PIL")
@@ -34,13 +33,13 @@ def made(**options: Any) -> gymnasium.Env[Any, Any]:
 def crash() -> EpisodeResult:
     """An episode straight into the circle."""
     env = made()
-    found = next(episodes(env, lambda _: np.array([1.0, 0.0], np.float32), 1, 3))
+    found = next(run_episodes(env, lambda _: np.array([1.0, 0.0], np.float32), 1, 3))
     env.close()
     return found
 
 
 def test_a_track_has_a_row_for_the_reset_and_for_every_step(crash: EpisodeResult) -> None:
-    track = pictures.tracked(crash)
+    track = pictures.require_track(crash)
     assert crash.collision
     assert track.truth is not None
     assert track.scans is not None
@@ -54,21 +53,21 @@ def test_episodes_are_only_tracked_where_asked_and_json_leaves_tracks_out(
     crash: EpisodeResult,
 ) -> None:
     env = made().unwrapped
-    plain = next(episodes(env, lambda _: np.array([1.0, 0.0], np.float32), 1, 3))
+    plain = next(run_episodes(env, lambda _: np.array([1.0, 0.0], np.float32), 1, 3))
     env.close()
     assert plain == dataclasses.replace(crash, track=None)
-    assert "track" not in per_episode([crash])[0]
+    assert "track" not in describe_episodes([crash])[0]
     with pytest.raises(ValueError, match="without a track"):
-        pictures.still(plain)
+        pictures.draw_episode(plain)
 
 
 def test_the_point_of_a_collision_lies_on_the_obstacle_and_is_marked(crash: EpisodeResult) -> None:
-    point = pictures.hit(pictures.tracked(crash))
+    point = pictures.collision_point(pictures.require_track(crash))
     assert point is not None
     assert np.hypot(point[0] - 0.6, point[1] - 0.05) == pytest.approx(0.2, abs=0.06)
-    red = (pictures.still(crash) == np.array(HIT)).all(axis=2).sum()
+    red = (pictures.draw_episode(crash) == np.array(HIT_COLOUR)).all(axis=2).sum()
     won = dataclasses.replace(crash, collision=False)
-    assert red > (pictures.still(won) == np.array(HIT)).all(axis=2).sum() == 0
+    assert red > (pictures.draw_episode(won) == np.array(HIT_COLOUR)).all(axis=2).sum() == 0
 
 
 def test_the_worst_are_failures_with_the_least_progress_then_the_longest_ways() -> None:
@@ -80,24 +79,24 @@ def test_the_worst_are_failures_with_the_least_progress_then_the_longest_ways() 
         EpisodeResult(success=False, shortest=1.0, left=0.1, driven=1.0, seed=2, **known),
         EpisodeResult(success=False, shortest=1.0, left=0.9, driven=1.0, seed=3, **known),
     ]
-    assert [each.seed for each in pictures.worst(some, 3)] == [3, 2, 1]
-    assert [each.seed for each in pictures.worst(some, None)] == [3, 2, 1, 0]
+    assert [each.seed for each in pictures.worst_episodes(some, 3)] == [3, 2, 1]
+    assert [each.seed for each in pictures.worst_episodes(some, None)] == [3, 2, 1, 0]
 
 
 def test_a_folder_gets_a_video_and_a_picture_of_each_episode(
     crash: EpisodeResult, tmp_path: Path
 ) -> None:
     pytest.importorskip("moviepy")
-    short = dataclasses.replace(pictures.tracked(crash), period=0.5)
+    short = dataclasses.replace(pictures.require_track(crash), period=0.5)
     short = dataclasses.replace(short, odometry=short.odometry[-2:])
     short = dataclasses.replace(
         short, truth=short.truth[-2:] if short.truth is not None else None, scans=None
     )
     result = dataclasses.replace(crash, track=short)
-    files = pictures.write([result], tmp_path)
+    files = pictures.write_videos([result], tmp_path)
     assert [file.name for file in files] == ["01_seed_3.mp4", "01_seed_3.png"]
     assert b"ftyp" in files[0].read_bytes()[:12]
-    together = pictures.write([result, result], tmp_path / "all.mp4")
+    together = pictures.write_videos([result, result], tmp_path / "all.mp4")
     assert [file.name for file in together] == [
         "all.mp4",
         "all_01_seed_3.png",
@@ -110,14 +109,14 @@ def test_a_video_without_moviepy_is_one_line(
 ) -> None:
     monkeypatch.setitem(sys.modules, "moviepy.video.io.ffmpeg_writer", None)
     with pytest.raises(MissingExtraError, match=r"^a video needs .*\[video\]"):
-        pictures.prepare(tmp_path / "videos")
+        pictures.check_video_output(tmp_path / "videos")
     assert not (tmp_path / "videos").exists()
 
 
 def test_where_a_video_cannot_be_written_nothing_is_driven(tmp_path: Path) -> None:
     pytest.importorskip("moviepy")
     with pytest.raises(ConfigError, match="can't be written"):
-        pictures.prepare(tmp_path / "nowhere" / "all.mp4")
+        pictures.check_video_output(tmp_path / "nowhere" / "all.mp4")
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigError, match="can't be made a folder"):
-        pictures.prepare(tmp_path / "file")
+        pictures.check_video_output(tmp_path / "file")

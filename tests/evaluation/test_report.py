@@ -8,19 +8,21 @@ import pytest
 from rich.console import Console
 
 from acsar_gym.envs import PointGoalEnv
-from acsar_gym.evaluation import episodes as evaluation
-from acsar_gym.evaluation import metrics, report
-from acsar_gym.evaluation.results import track
-from acsar_gym.policies import OnnxPolicy
+from acsar_gym.tools.evaluation import episodes as evaluation
+from acsar_gym.tools.evaluation import metrics, report
+from acsar_gym.tools.evaluation.runs import show_progress
+from acsar_gym.tools.policies import OnnxPolicy
 
 
 def caption(robot: str | None, multiplier: float) -> str:
     env = PointGoalEnv("planar", robot=robot)
     config = env.robot.config.with_(wheel_separation_multiplier=multiplier)
     env = PointGoalEnv("planar", robot=config)
-    found = list(track("test", evaluation.episodes(env, OnnxPolicy("point_goal"), 3, 0), 3))
+    found = list(
+        show_progress("test", evaluation.run_episodes(env, OnnxPolicy("point_goal"), 3, 0), 3)
+    )
     env.close()
-    table = report.summary_table("test", [("planar", metrics.summarise(found))])
+    table = report.summary_table("test", [("planar", metrics.summarise_episodes(found))])
     return str(table.caption or "")
 
 
@@ -31,10 +33,13 @@ def test_a_robot_whose_odometry_is_far_off_is_pointed_out() -> None:
 
 def test_the_table_of_a_simulated_barn_run_fits_in_160_columns() -> None:
     env = PointGoalEnv("planar")
-    found = list(evaluation.episodes(env, OnnxPolicy("point_goal"), 1, 0))
+    found = list(evaluation.run_episodes(env, OnnxPolicy("point_goal"), 1, 0))
     env.close()
     summary = dataclasses.replace(
-        metrics.summarise(found), timeout_rate=0.5, clearance=0.1, scores={"barn_score": 0.45}
+        metrics.summarise_episodes(found),
+        timeout_rate=0.5,
+        clearance=0.1,
+        scores={"barn_score": 0.45},
     )
     table = report.summary_table("test", [("planar", summary)])
     assert "clearance" in {column.header for column in table.columns}
@@ -52,5 +57,5 @@ def test_a_pipe_is_as_wide_as_columns_says(
         monkeypatch.delenv("COLUMNS", raising=False)
     else:
         monkeypatch.setenv("COLUMNS", columns)
-    report.show(report.fact_table("facts", [("long", "word " * 100)]))
+    report.print_tables(report.fact_table("facts", [("long", "word " * 100)]))
     assert max(map(len, capsys.readouterr().out.splitlines())) == width

@@ -15,10 +15,10 @@ import pytest
 
 from acsar_gym.envs.base import RobotEnv
 from acsar_gym.errors import ConfigError
-from acsar_gym.evaluation import provenance, runs
-from acsar_gym.evaluation.results import Run
-from acsar_gym.policies import FilePolicy
 from acsar_gym.resources import AGENTS
+from acsar_gym.tools.evaluation import provenance, runs
+from acsar_gym.tools.evaluation.runs import EvaluationRun
+from acsar_gym.tools.policies import FilePolicy
 from acsar_gym.worlds import Region, World
 
 POINT_GOAL = AGENTS / "policies" / "point_goal.onnx"
@@ -36,9 +36,9 @@ class Idle(FilePolicy):
         return np.zeros(2, np.float32)
 
 
-def drive(count: int, seed: int = 3, **options: Any) -> Run:
+def drive(count: int, seed: int = 3, **options: Any) -> EvaluationRun:
     """Episodes of a policy that stands still, in worlds that are quick to make."""
-    return runs.drive(Idle(), "planar", None, range(seed, seed + count), **options)
+    return runs.evaluate_policy(Idle(), "planar", None, range(seed, seed + count), **options)
 
 
 @pytest.mark.parametrize(
@@ -58,7 +58,7 @@ def drive(count: int, seed: int = 3, **options: Any) -> Run:
 def test_policies_are_evaluated_in_the_test_split(env_id: str, asked: Any, worlds: str) -> None:
     policy = Idle()
     policy.env_id, policy.env_named = env_id, True
-    env = runs.made(policy, "planar", None, {"worlds": asked})
+    env = runs.make_env(policy, "planar", None, {"worlds": asked})
     inner: Any = env.unwrapped
     assert str(inner.pool) == worlds
     env.close()
@@ -108,11 +108,11 @@ def test_hashes_tell_worlds_and_robots_apart(tmp_path: Path) -> None:
     headers = []
     for options in kinds:
         env = gymnasium.make(OBSTACLES, link="planar", **options)
-        headers.append(provenance.header(env, Idle(), "planar", range(1), {}))
+        headers.append(provenance.make_header(env, Idle(), "planar", range(1), {}))
     assert len({header["worlds"]["sha256"] for header in headers}) == len(kinds)
     assert len({header["robot"]["sha256"] for header in headers}) == 1
     env = gymnasium.make(OBSTACLES, link="planar", robot={"max_linear": 0.1})
-    other = provenance.header(env, Idle(), "planar", range(1), {})
+    other = provenance.make_header(env, Idle(), "planar", range(1), {})
     assert other["robot"] != headers[0]["robot"]
 
 
@@ -120,10 +120,10 @@ def test_the_hash_of_a_policy_is_that_of_what_was_read(tmp_path: Path) -> None:
     """Though the file is another one by now, or gone."""
     file = tmp_path / "policy.onnx"
     file.write_bytes(POINT_GOAL.read_bytes())
-    policy = runs.load(str(file), trust=False)
+    policy = runs.load_policy(str(file), trust=False)
     file.write_bytes(b"of a later training")
     env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar")
-    header = provenance.header(env, policy, "planar", range(1), {})
+    header = provenance.make_header(env, policy, "planar", range(1), {})
     sha256 = hashlib.sha256(POINT_GOAL.read_bytes()).hexdigest()
     assert header["policy"]["sha256"] == sha256
     assert header["worlds"]["kind"] == "none"
@@ -132,9 +132,9 @@ def test_the_hash_of_a_policy_is_that_of_what_was_read(tmp_path: Path) -> None:
 def test_the_function_of_a_python_file_is_told(tmp_path: Path) -> None:
     source = b"def act(observation):\n    return 0.0, 0.0\n"
     (tmp_path / "mine.py").write_bytes(source)
-    policy = runs.load(f"{tmp_path / 'mine.py'}:act", trust=False, env="point_goal")
+    policy = runs.load_policy(f"{tmp_path / 'mine.py'}:act", trust=False, env="point_goal")
     env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar")
-    told = provenance.header(env, policy, "planar", range(1), {})["policy"]
+    told = provenance.make_header(env, policy, "planar", range(1), {})["policy"]
     assert (told["function"], told["sha256"]) == ("act", hashlib.sha256(source).hexdigest())
 
 
@@ -142,9 +142,9 @@ def test_generated_worlds_have_the_hash_of_their_generators(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     env = gymnasium.make(OBSTACLES, link="planar", worlds="open:5")
-    before = provenance.header(env, Idle(), "planar", range(1), {})
-    monkeypatch.setattr(provenance, "source_hash", lambda kind: "changed")
-    after = provenance.header(env, Idle(), "planar", range(1), {})
+    before = provenance.make_header(env, Idle(), "planar", range(1), {})
+    monkeypatch.setattr(provenance, "hash_source", lambda kind: "changed")
+    after = provenance.make_header(env, Idle(), "planar", range(1), {})
     assert before["worlds"]["sha256"] != after["worlds"]["sha256"]
 
 
@@ -178,7 +178,7 @@ class Counting(Idle):
 
 def test_a_policy_is_bound_once_and_reset_before_every_episode() -> None:
     policy = Counting()
-    runs.drive(policy, "planar", None, range(2))
+    runs.evaluate_policy(policy, "planar", None, range(2))
     assert policy.told[0] == "bound to acsar_gym/PointGoal-v0, 10 ticks a step"
     resets = [n for n, what in enumerate(policy.told) if what == "reset"]
     assert len(resets) == 2

@@ -9,10 +9,10 @@ import pytest
 from firmware_tools import CHIPS, QUANTUM, Script
 
 from acsar_gym import RobotConfig
-from acsar_gym.identification.excitation import plan
-from acsar_gym.identification.identified import identified
 from acsar_gym.protocol import encode
-from acsar_gym.recording.wire_log import WireLog
+from acsar_gym.recording.types import WireLog
+from acsar_gym.tools.sysid.excitation import plan_excitation
+from acsar_gym.tools.sysid.identify import identify_logs
 
 SECONDS = 20.0
 TICK = 0.01013
@@ -22,7 +22,7 @@ TICK = 0.01013
 def test_identify_finds_what_config_h_says(tmp_path: Path) -> None:
     script = Script(CHIPS[0])
     config = RobotConfig.preset("acsar_avr").with_(motor={"time_constant": 0.05})
-    whole = plan(config, SECONDS, TICK)
+    whole = plan_excitation(config, SECONDS, TICK)
     ticks = [*whole.before.tolist(), *[None] * whole.pause, *whole.after.tolist()]
     for number, speeds in enumerate(ticks):
         if speeds is not None:
@@ -35,7 +35,7 @@ def test_identify_finds_what_config_h_says(tmp_path: Path) -> None:
         np.array([time for time, _ in got]),
         tuple(data for _, data in got),
     )
-    found = identified([log], config)
+    found = identify_logs([log], config)
     values = {(one.name, one.wheel): one.value for one in found.findings}
     for wheel in "abcd":
         name = "motor.time_constant"  # one value for all wheels where they agree

@@ -16,10 +16,10 @@ import pytest
 from serial_tools import Emulated, cli, start, wait_until
 
 from acsar_gym import Robot, RobotConfig, open_link
-from acsar_gym.doctor import stopping
-from acsar_gym.doctor.stopping_processes import programs
-from acsar_gym.doctor.stopping_programs import KINDS
 from acsar_gym.errors import WheelError
+from acsar_gym.tools.doctor import stopping
+from acsar_gym.tools.doctor.stopping_processes import programs
+from acsar_gym.tools.doctor.stopping_programs import KINDS
 
 pytestmark = [
     pytest.mark.usefixtures("deadline", "nursery"),

@@ -9,8 +9,8 @@ import pytest
 from firmware_tools import CHIPS, QUANTUM, Script, Stamped, decoded
 
 from acsar_gym import RobotConfig
-from acsar_gym.bodies.planar import PlanarBody
-from acsar_gym.firmware import Firmware
+from acsar_gym.physics.firmware import Firmware
+from acsar_gym.physics.planar import PlanarBody
 from acsar_gym.protocol import Speeds, encode
 
 MS = 0.001

@@ -43,7 +43,7 @@ def config(data: bytes) -> None:
 def world(data: bytes) -> None:
     """A world's file of any kind: valid, or one WorldError."""
     suffixes = (".json", ".yaml", ".world")
-    read(data[1:], suffixes[(data[0] if data else 0) % len(suffixes)], files.load)
+    read(data[1:], suffixes[(data[0] if data else 0) % len(suffixes)], files.load_world)
 
 
 def read(data: bytes, suffix: str, load: Callable[[Path], object]) -> None:

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from acsar_gym import Robot, RobotConfig, open_link
-from acsar_gym.lidars.base import LidarSensor, Scan
 from acsar_gym.recording import Recorder, read
+from acsar_gym.sensors.lidar import LidarSensor, Scan
 
 CONFIG = RobotConfig.of(None).with_(
     lidar={"rays": 360, "rate": 100.0}, watchdog_timeout=1.0, feedback_timeout=2.0

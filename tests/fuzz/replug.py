@@ -29,9 +29,9 @@ import numpy as np
 import psutil
 
 from acsar_gym import RobotConfig
-from acsar_gym.emulation.process import emulator
 from acsar_gym.errors import LinkError
 from acsar_gym.links import watchdog
+from acsar_gym.tools.emulation.board import run_emulator
 
 CURVE = np.array([0.3, 0.5], np.float32)
 STAYS_OUT = 0.1
@@ -161,7 +161,7 @@ def run(board: Board, device: str, cycles: int, seed: int, reconnect: float) -> 
             print(f"{number + 1} cycles: {dict(became)}", flush=True)
     after = held(process)
     env.close()
-    watchdog.call_back()
+    watchdog.end_searches()
     left = len(process.children()) - 1
     bad = cycles - became["recovered"] - became["reported"]
     growth = after["memory"] - before["memory"]
@@ -185,7 +185,7 @@ def main() -> int:
     options = parser.parse_args()
     with contextlib.ExitStack() as stack:
         name = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "usb-acsar"
-        stack.enter_context(emulator("--name", str(name)))
+        stack.enter_context(run_emulator("--name", str(name)))
         (process,) = psutil.Process().children()
         board = Board(process, name)
         return int(not run(board, str(name), options.cycles, options.seed, options.reconnect))

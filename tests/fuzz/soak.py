@@ -18,8 +18,8 @@ import gymnasium
 import numpy as np
 import psutil
 
-from acsar_gym.emulation.process import emulator
 from acsar_gym.envs.base import RobotEnv
+from acsar_gym.tools.emulation.board import run_emulator
 
 MOST_GROWTH = 4_000_000
 """Of memory after the first minute [bytes]."""
@@ -36,7 +36,7 @@ def main() -> int:
     minutes = parser.parse_args().minutes
     process, faults, stops = psutil.Process(), 0, 0
     rng = np.random.default_rng(0)
-    with emulator() as devices:
+    with run_emulator() as devices:
         env = gymnasium.make("acsar_gym/PointGoal-v0", link=devices.robot, max_episode_steps=10**9)
         inner = env.unwrapped
         if not isinstance(inner, RobotEnv):

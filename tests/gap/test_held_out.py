@@ -9,9 +9,8 @@ import pytest
 from rollout_tools import driven, random_steps, recording
 
 from acsar_gym import RobotConfig
-from acsar_gym.gap.figures import pooled
-from acsar_gym.gap.measure import Gap, measure
-from acsar_gym.identification.identified import identified
+from acsar_gym.tools.sysid.identify import identify_logs
+from acsar_gym.tools.sysid.twin_gap import TwinGap, measure_gap, pool_figures
 
 ACSAR = RobotConfig.preset("acsar")
 ROBOTS = 6
@@ -34,7 +33,7 @@ def hidden(rng: np.random.Generator) -> dict[str, Any]:
     return {"motor": motor, "firmware": {"feedback_rate": rate, "command_delay": delay}}
 
 
-def gap_of(seed: int) -> Gap:
+def gap_of(seed: int) -> TwinGap:
     """Fit a hidden robot to one log, and measure its gap on the others."""
     rng = np.random.default_rng(seed)
     robot = ACSAR.with_(**hidden(rng))
@@ -45,8 +44,8 @@ def gap_of(seed: int) -> Gap:
         episode = driven(robot, steps, phase=float(rng.uniform(0.0, 0.05)))
         logs.append((f"{number}", recording(known, episode, name=f"{seed} {number}")))
     first = logs[0][1]
-    fitted = identified([one.wire for one in first.episodes], known, [first.sha256]).robot()
-    return measure(logs, ("fitted", fitted), ("acsar", ACSAR))
+    fitted = identify_logs([one.wire for one in first.episodes], known, [first.sha256]).robot()
+    return measure_gap(logs, ("fitted", fitted), ("acsar", ACSAR))
 
 
 @pytest.mark.slow
@@ -55,7 +54,8 @@ def test_fitted_twins_have_a_tenth_of_the_gap_on_held_out_logs() -> None:
     assert len(judged) == ROBOTS * HELD_OUT
     seconds = [replay.seconds for replay in judged]
     before, after = (
-        pooled([replay.figures[side] for replay in judged], seconds) for side in ("before", "after")
+        pool_figures([replay.figures[side] for replay in judged], seconds)
+        for side in ("before", "after")
     )
     assert after["wheel_speed_rms"] <= 0.1 * before["wheel_speed_rms"]
     assert after["end_pose"] <= 0.1 * before["end_pose"]

@@ -14,12 +14,12 @@ from rollout_tools import HIDDEN, driven, random_steps, recording
 from acsar_gym import RobotConfig
 from acsar_gym.config import Measured
 from acsar_gym.errors import ConfigError
-from acsar_gym.evaluation import report
-from acsar_gym.gap import tables
-from acsar_gym.gap.delays import Floats
-from acsar_gym.gap.measure import Gap, conclusion, measure
-from acsar_gym.identification.excitation import plan
 from acsar_gym.recording.types import Recording
+from acsar_gym.tools.evaluation import report
+from acsar_gym.tools.sysid import twin_gap
+from acsar_gym.tools.sysid.delays import Floats
+from acsar_gym.tools.sysid.excitation import plan_excitation
+from acsar_gym.tools.sysid.twin_gap import TwinGap, conclude_gap, measure_gap
 
 ACSAR = RobotConfig.preset("acsar")
 ROBOT = ACSAR.with_(**HIDDEN)
@@ -36,10 +36,10 @@ def log(seed: int = 0, duration: float = 8.0, extra: float = 0.0) -> Recording:
 
 
 @cache
-def fitted() -> Gap:
+def fitted() -> TwinGap:
     """The gap of the right twin."""
     logs = [(f"{seed}.mcap", log(seed)) for seed in range(3)]
-    return measure(logs, ("robot.yaml", ROBOT), BEFORE)
+    return measure_gap(logs, ("robot.yaml", ROBOT), BEFORE)
 
 
 def test_the_right_twin_has_a_tenth_of_the_gap() -> None:
@@ -55,7 +55,7 @@ def test_the_right_twin_has_a_tenth_of_the_gap() -> None:
 def test_truth_is_left_out_where_it_isnt_known() -> None:
     known = log()
     blind = replace(known.episodes[0], truth=np.full_like(known.episodes[0].truth, np.nan))
-    gap = measure([("a", recording(ACSAR, blind))], ("robot.yaml", ROBOT), BEFORE)
+    gap = measure_gap([("a", recording(ACSAR, blind))], ("robot.yaml", ROBOT), BEFORE)
     assert not gap.replays[0].recorded.known
     assert gap.figures("after")["end_pose"] < 1e-4  # the right twin, by odometry as the robot
     assert gap.figures("after")["end_pose"] == gap.figures("after")["end_odometry"]
@@ -67,71 +67,73 @@ def test_a_robot_with_another_wiring_is_refused() -> None:
     other = replace(log(1), config=ACSAR.with_(wheels={"b": {"motor": "b", "sign": -1}}))
     said = "b: is of another robot: wheels.b is motor b, encoder -b, but motor b, encoder b in a;"
     with pytest.raises(ConfigError, match=said):
-        measure([("a", log(0)), ("b", other)], ("robot.yaml", ROBOT), BEFORE)
+        measure_gap([("a", log(0)), ("b", other)], ("robot.yaml", ROBOT), BEFORE)
     fast = replace(log(1), config=ACSAR.with_(baud_rate=57600))
     with pytest.raises(ConfigError, match="b: is of another robot: baud_rate is 57600, but 115200"):
-        measure([("a", log(0)), ("b", fast)], ("robot.yaml", ROBOT), BEFORE)
+        measure_gap([("a", log(0)), ("b", fast)], ("robot.yaml", ROBOT), BEFORE)
 
 
 def test_a_cut_log_may_be_one_that_was_fitted() -> None:
     interval = Measured(low=0.13, high=0.15, method="identify", logs=("0" * 16,))
     robot = ("robot.yaml", ROBOT.with_(measured={"motor.time_constant.a": interval}))
-    gap = measure([("a", replace(log(), cut=True))], robot, BEFORE)
+    gap = measure_gap([("a", replace(log(), cut=True))], robot, BEFORE)
     assert "can't be told whether robot.yaml was fitted to the whole of it" in gap.notes[0]
 
 
 def test_ten_milliseconds_of_delay_are_found() -> None:
     logs = [(f"{seed}", log(seed, 20.0, extra=0.010)) for seed in (3, 4)]
-    gap = measure(logs, ("robot.yaml", ROBOT), BEFORE)
+    gap = measure_gap(logs, ("robot.yaml", ROBOT), BEFORE)
     test = gap.delays("after")
     assert test.differs
     assert test.difference == pytest.approx(0.020, abs=0.005)  # the answer is late, too
     assert gap.figures("after")["time_shift"] == pytest.approx(0.020, abs=0.002)
-    assert "delays differ: the robot answers" in conclusion(gap)[1]
+    assert "delays differ: the robot answers" in conclude_gap(gap)[1]
 
 
 def test_equal_delays_are_said_to_be_equal() -> None:
     assert fitted().delays("after").p_value == 1.0
-    assert "delays don't differ" in conclusion(fitted())[1]
+    assert "delays don't differ" in conclude_gap(fitted())[1]
 
 
 def test_a_share_of_nothing_is_not_shown() -> None:
-    gap = measure([("a", log())], ("acsar", ACSAR), ("hidden", ROBOT))
-    left = {row[0]: row[-1] for row in tables.rows(gap)}
+    gap = measure_gap([("a", log())], ("acsar", ACSAR), ("hidden", ROBOT))
+    left = {row[0]: row[-1] for row in twin_gap.gap_rows(gap)}
     assert left["wheel speeds, RMS"] == "-"
     assert left["position at the end, odometry of both"] == "-"
-    assert tables.ratio(0.02, 0.01, 1e-3) == "50.0%"
+    assert twin_gap.format_ratio(0.02, 0.01, 1e-3) == "50.0%"
 
 
 def test_the_manoeuvre_of_identify_has_enough_steps_for_delays() -> None:
-    whole = plan(ROBOT, 12.0, ROBOT.period)
+    whole = plan_excitation(ROBOT, 12.0, ROBOT.period)
     episode = driven(ROBOT, np.concatenate((whole.before, whole.after)), phase=0.0025)
-    gap = measure([("a", recording(ACSAR, episode))], ("robot.yaml", ROBOT), BEFORE)
+    gap = measure_gap([("a", recording(ACSAR, episode))], ("robot.yaml", ROBOT), BEFORE)
     assert min(gap.delays("after").counts) > 8
-    assert "delays don't differ" in conclusion(gap)[1]
+    assert "delays don't differ" in conclude_gap(gap)[1]
 
 
 def test_too_few_steps_name_what_to_drive() -> None:
-    gap = measure([("a", log(0, 1.5))], ("robot.yaml", ROBOT), BEFORE)
-    assert "too few to compare: record speeds that are held for 0.5 s" in conclusion(gap)[1]
+    gap = measure_gap([("a", log(0, 1.5))], ("robot.yaml", ROBOT), BEFORE)
+    assert "too few to compare: record speeds that are held for 0.5 s" in conclude_gap(gap)[1]
 
 
 def test_fitted_logs_dont_count() -> None:
     interval = Measured(low=0.13, high=0.15, method="identify", logs=(log(0).sha256,))
     robot = ("robot.yaml", ROBOT.with_(measured={"motor.time_constant.a": interval}))
     logs = [(f"{seed}.mcap", log(seed)) for seed in range(2)]
-    gap = measure(logs, robot, BEFORE)
+    gap = measure_gap(logs, robot, BEFORE)
     assert [replay.fitted for replay in gap.replays] == [True, False]
     assert [replay.log for replay in gap.judged] == ["1.mcap"]
-    gap = measure(logs[:1], robot, BEFORE)
+    gap = measure_gap(logs[:1], robot, BEFORE)
     assert len(gap.judged) == 1
     assert "none is held out" in gap.notes[-1]
-    assert "fitted episode" in conclusion(gap)[0]
+    assert "fitted episode" in conclude_gap(gap)[0]
 
 
 def test_the_recordings_own_config_may_be_the_unfitted_twin() -> None:
-    gap = measure([("a", log())], ("robot.yaml", ROBOT), ("recorded", None))
-    assert gap.figures("before") == measure([("a", log())], ("r", ROBOT), BEFORE).figures("before")
+    gap = measure_gap([("a", log())], ("robot.yaml", ROBOT), ("recorded", None))
+    assert gap.figures("before") == measure_gap([("a", log())], ("r", ROBOT), BEFORE).figures(
+        "before"
+    )
 
 
 def test_logs_of_different_robots_are_refused() -> None:
@@ -139,12 +141,12 @@ def test_logs_of_different_robots_are_refused() -> None:
     with pytest.raises(
         ConfigError, match=r"b: is of another robot: wheelbase is 0\.35 m, but 0\.2"
     ):
-        measure([("a", log(0)), ("b", other)], ("robot.yaml", ROBOT), BEFORE)
+        measure_gap([("a", log(0)), ("b", other)], ("robot.yaml", ROBOT), BEFORE)
 
 
 def test_what_is_odd_about_a_log_is_noted() -> None:
     odd = replace(log(), cut=True, dropped=3, config=ACSAR.with_(wheel_radius=0.08))
-    assert measure([("a", odd)], ("robot.yaml", ROBOT), BEFORE).notes == (
+    assert measure_gap([("a", odd)], ("robot.yaml", ROBOT), BEFORE).notes == (
         "a: its end is missing; the rest was used",
         "a: 3 ticks are missing",
         "a: recorded with wheel_radius = 0.08 m, robot.yaml: 0.05 m",
@@ -156,15 +158,15 @@ def test_a_pause_of_the_commands_is_noted() -> None:
     sent = np.where(whole.wire.sent_stamps > 3.0, whole.wire.sent_stamps + 0.25, 0.0)
     sent = np.maximum(sent, whole.wire.sent_stamps)
     late = replace(whole, wire=replace(whole.wire, sent_stamps=sent))
-    gap = measure([("a", recording(ACSAR, late))], ("robot.yaml", ROBOT), BEFORE)
+    gap = measure_gap([("a", recording(ACSAR, late))], ("robot.yaml", ROBOT), BEFORE)
     assert gap.notes == ("a #0: no command was sent for 0.26 s",)
 
 
 def test_a_short_log_is_refused() -> None:
     with pytest.raises(ConfigError, match="a #0: left out, holds less than 1 s"):
-        measure([("a", log(0, 0.5))], ("robot.yaml", ROBOT), BEFORE)
+        measure_gap([("a", log(0, 0.5))], ("robot.yaml", ROBOT), BEFORE)
     with pytest.raises(ConfigError, match="a: holds no episode"):
-        measure([("a", recording(ACSAR))], ("robot.yaml", ROBOT), BEFORE)
+        measure_gap([("a", recording(ACSAR))], ("robot.yaml", ROBOT), BEFORE)
 
 
 @pytest.mark.parametrize(
@@ -179,20 +181,20 @@ def test_a_short_log_is_refused() -> None:
 def test_a_damaged_episode_is_left_out(moved: Callable[[Floats], Floats], said: str) -> None:
     whole = log(0).episodes[0]
     odd = replace(log(0), episodes=(replace(whole, stamps=moved(whole.stamps)), whole))
-    gap = measure([("a", odd)], ("robot.yaml", ROBOT), BEFORE)
+    gap = measure_gap([("a", odd)], ("robot.yaml", ROBOT), BEFORE)
     assert gap.notes[0].startswith(f"a #0: left out, {said}")
     assert [replay.episode for replay in gap.replays] == [1]
 
 
 def test_tables_and_json_hold_the_figures() -> None:
-    shown = tables.tables(fitted())
+    shown = twin_gap.gap_tables(fitted())
     assert [table.row_count for table in shown] == [8, 3]
-    report.show(*shown)
-    told = tables.as_dict(fitted())
+    report.print_tables(*shown)
+    told = twin_gap.format_gap(fitted())
     assert told["after"]["figures"] == fitted().figures("after")
     assert told["held_out"]
     assert len(told["logs"]) == 3
-    one = tables.as_dict(measure([("a", log())], ("r", ROBOT), BEFORE))
+    one = twin_gap.format_gap(measure_gap([("a", log())], ("r", ROBOT), BEFORE))
     assert one["after"]["intervals"]["end_pose"] == (None, None) or one["after"]["intervals"][
         "end_pose"
     ] == [None, None]

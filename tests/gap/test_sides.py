@@ -12,10 +12,16 @@ from rollout_tools import HIDDEN, rollouts
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
-from acsar_gym.evaluation import report
-from acsar_gym.gap import compare_tables
-from acsar_gym.gap.sides import VALUES, Sides, compare, conclusion, distances
 from acsar_gym.recording.types import Recording
+from acsar_gym.tools.evaluation import report
+from acsar_gym.tools.sysid import sim_real
+from acsar_gym.tools.sysid.sim_real import (
+    EPISODE_METRICS,
+    SideComparison,
+    compare_sides,
+    conclude_comparison,
+    distribution_distances,
+)
 
 ACSAR = RobotConfig.preset("acsar")
 
@@ -31,8 +37,8 @@ def real() -> Recording:
     return rollouts(ACSAR.with_(**HIDDEN, max_linear=0.4), range(1, 7))
 
 
-def sides() -> Sides:
-    return compare([("sim.mcap", sim())], [("real.mcap", real())])
+def sides() -> SideComparison:
+    return compare_sides([("sim.mcap", sim())], [("real.mcap", real())])
 
 
 def test_episodes_are_paired_by_seed() -> None:
@@ -46,10 +52,10 @@ def test_episodes_are_paired_by_seed() -> None:
 
 def test_repeated_seeds_are_paired_in_their_order() -> None:
     twice = [("a", sim()), ("b", sim())]
-    found = compare(twice, [("real.mcap", real())])
+    found = compare_sides(twice, [("real.mcap", real())])
     assert len(found.pairs) == 5
-    assert len(compare(twice, twice).pairs) == 12
-    assert compare(twice, twice).pairs[6][0].name == "seed 0 (2)"
+    assert len(compare_sides(twice, twice).pairs) == 12
+    assert compare_sides(twice, twice).pairs[6][0].name == "seed 0 (2)"
 
 
 def test_the_slower_robot_is_found() -> None:
@@ -59,19 +65,21 @@ def test_the_slower_robot_is_found() -> None:
     assert slower.differs
     assert slower.difference > 0.3
     assert slower.pairs == 5
-    assert any(line.startswith("time to the goal: real has") for line in conclusion(sides()))
+    assert any(
+        line.startswith("time to the goal: real has") for line in conclude_comparison(sides())
+    )
 
 
 def test_a_side_doesnt_differ_from_itself() -> None:
-    same = compare([("a", sim())], [("b", sim())])
+    same = compare_sides([("a", sim())], [("b", sim())])
     assert not any(one.differs for one in same.comparisons().values())
-    assert "no metric differs measurably" in conclusion(same)[1]
-    assert distances(*same.observations()) == [0.0] * 7
+    assert "no metric differs measurably" in conclude_comparison(same)[1]
+    assert distribution_distances(*same.observations()) == [0.0] * 7
 
 
 def test_one_pair_is_too_few_to_tell() -> None:
-    single = compare([("a", sim(1, 2))], [("b", real())])
-    said = conclusion(single)
+    single = compare_sides([("a", sim(1, 2))], [("b", real())])
+    said = conclude_comparison(single)
     assert said[0] == "1 pair of episodes"
     assert said[1] == "too few pairs (1) to tell whether sim and real differ"
     assert not any("differs measurably" in line for line in said)
@@ -79,8 +87,8 @@ def test_one_pair_is_too_few_to_tell() -> None:
 
 def test_observations_that_moved_have_a_distance() -> None:
     first = np.random.default_rng(0).normal(size=(500, 2))
-    assert distances(first, first + np.array([0.0, 10.0])) == [0.0, 1.0]
-    assert distances(first, np.zeros((0, 0))) == []
+    assert distribution_distances(first, first + np.array([0.0, 10.0])) == [0.0, 1.0]
+    assert distribution_distances(first, np.zeros((0, 0))) == []
 
 
 def on_hardware(recording: Recording, lateness: float = 0.0) -> Recording:
@@ -96,24 +104,28 @@ def test_swapped_sides_are_an_error_and_a_wrong_kind_is_noted() -> None:
     with pytest.raises(
         ConfigError, match=r"real\.mcap: is of a real robot, and sim\.mcap of a sim"
     ):
-        compare(robot, [("sim.mcap", sim())])
-    assert not any("named as" in note for note in compare([("sim.mcap", sim())], robot).notes)
-    notes = compare(robot, robot).notes
+        compare_sides(robot, [("sim.mcap", sim())])
+    assert not any("named as" in note for note in compare_sides([("sim.mcap", sim())], robot).notes)
+    notes = compare_sides(robot, robot).notes
     assert "real.mcap: is of a real robot, but named as sim" in notes
 
 
 def test_late_episodes_are_noted() -> None:
-    notes = compare([("sim.mcap", sim())], [("real.mcap", on_hardware(real(), 0.002))]).notes
+    notes = compare_sides([("sim.mcap", sim())], [("real.mcap", on_hardware(real(), 0.002))]).notes
     assert "real, seed 1 of real.mcap: invalid, 100% of its ticks were late" in notes[2]
 
 
 def test_other_policies_are_said_first() -> None:
     policies = [{"file": f"/a/{n}.onnx", "sha256": n * 64} for n in "ab"]
     logs = [replace(sim(), header={"about": {"policy": policy}}) for policy in policies]
-    found = compare([("a", logs[0])], [("b", logs[1])])
-    assert conclusion(found)[0] == "policies differ: a.onnx (aaaaaaaa) vs b.onnx (bbbbbbbb)"
-    assert "policies differ" in str(compare_tables.table(found).title)
-    assert "policies" not in conclusion(compare([("a", logs[0])], [("b", logs[0])]))[0]
+    found = compare_sides([("a", logs[0])], [("b", logs[1])])
+    assert (
+        conclude_comparison(found)[0] == "policies differ: a.onnx (aaaaaaaa) vs b.onnx (bbbbbbbb)"
+    )
+    assert "policies differ" in str(sim_real.comparison_table(found).title)
+    assert (
+        "policies" not in conclude_comparison(compare_sides([("a", logs[0])], [("b", logs[0])]))[0]
+    )
 
 
 def test_pairs_with_other_goals_are_left_out() -> None:
@@ -122,49 +134,49 @@ def test_pairs_with_other_goals_are_left_out() -> None:
     told = replace(sim(), episodes=(first, *others))
     moved = replace(first, info={**first.info, "goal": [9.0, 0.0]})
     other = replace(sim(), episodes=(moved, *others))
-    found = compare([("a", told)], [("b", other)])
+    found = compare_sides([("a", told)], [("b", other)])
     assert len(found.pairs) == 5
     assert "seed 0 of b: left out, another goal" in found.notes
     with pytest.raises(ConfigError, match="no pair has the same goal: seed 0 of a and of b differ"):
-        compare([("a", told)], [("b", replace(sim(), episodes=(moved,)))])
+        compare_sides([("a", told)], [("b", replace(sim(), episodes=(moved,)))])
 
 
 def test_lengths_and_turns_by_closed_form() -> None:
     outcome = sides().outcomes[0][0]
     straight = np.column_stack([np.linspace(0.0, 2.0, 9), np.zeros(9), np.linspace(0.0, 1.0, 9)])
     outcome = replace(outcome, episode=replace(outcome.episode, poses=straight))
-    assert VALUES["path"].of(outcome) == pytest.approx(2.0)
-    assert VALUES["smoothness"].of(outcome) == pytest.approx(0.5)
+    assert EPISODE_METRICS["path"].of(outcome) == pytest.approx(2.0)
+    assert EPISODE_METRICS["smoothness"].of(outcome) == pytest.approx(0.5)
 
 
 def test_sides_without_a_seed_in_common_are_refused() -> None:
     with pytest.raises(ConfigError, match="sim has seeds 0 to 5, real seeds 7 to 8; record both"):
-        compare([("a", sim())], [("b", sim(7, 9))])
+        compare_sides([("a", sim())], [("b", sim(7, 9))])
 
 
 def test_another_task_robot_and_an_empty_recording_are_refused() -> None:
     barn = replace(real(), header={"about": {"env": {"id": "acsar_gym/Barn-v1"}}})
     with pytest.raises(ConfigError, match=r"b: is of acsar_gym/Barn-v1, but a of acsar_gym/Point"):
-        compare([("a", sim())], [("b", barn)])
+        compare_sides([("a", sim())], [("b", barn)])
     large = replace(real(), config=ACSAR.with_(wheel_radius=0.1))
     with pytest.raises(ConfigError, match=r"b: is of another robot: wheel_radius is 0\.1 m"):
-        compare([("a", sim())], [("b", large)])
+        compare_sides([("a", sim())], [("b", large)])
     with pytest.raises(ConfigError, match="b: holds no episode that was driven"):
-        compare([("a", sim())], [("b", replace(real(), episodes=()))])
+        compare_sides([("a", sim())], [("b", replace(real(), episodes=()))])
 
 
 @pytest.mark.parametrize("header", [{}, {"about": 3}, {"about": {"env": 3, "observation": 3}}])
 def test_headers_that_say_nothing_are_no_task(header: dict[str, Any]) -> None:
     odd = [("a", replace(sim(), header=header))]
-    assert compare(odd, odd).task == ""
-    assert compare(odd, odd).labels == ()
+    assert compare_sides(odd, odd).task == ""
+    assert compare_sides(odd, odd).labels == ()
 
 
 def test_table_and_json_hold_the_metrics() -> None:
-    table = compare_tables.table(sides())
+    table = sim_real.comparison_table(sides())
     assert table.row_count == len(sides().comparisons()) >= 6
-    report.show(table)
-    told = compare_tables.as_dict(sides())
+    report.print_tables(table)
+    told = sim_real.format_comparison(sides())
     assert told["metrics"]["time_to_goal"]["difference"] > 0.3
     assert len(told["pairs"]) == 5
-    assert compare_tables.sizes(sides())["time_to_goal"] > 0.3
+    assert sim_real.difference_sizes(sides())["time_to_goal"] > 0.3

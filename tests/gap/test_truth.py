@@ -12,9 +12,8 @@ from rollout_tools import driven, random_steps, recording
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
-from acsar_gym.gap.tracks import recorded
-from acsar_gym.gap.truth import with_truth
 from acsar_gym.recording.types import Episode, Recording
+from acsar_gym.tools.sysid.tracks import add_truth, make_recorded_track
 
 ACSAR = RobotConfig.preset("acsar")
 
@@ -39,19 +38,19 @@ def emulators_log(path: Path, known: Episode, shift: float = 0.0) -> Path:
 
 
 def test_the_logs_poses_become_the_truth(known: Episode, tmp_path: Path) -> None:
-    found = with_truth(blind(known), emulators_log(tmp_path / "log.jsonl", known))
-    track = recorded(found.episodes[0], ACSAR)
+    found = add_truth(blind(known), emulators_log(tmp_path / "log.jsonl", known))
+    track = make_recorded_track(found.episodes[0], ACSAR)
     assert track.known
-    assert track.truth == pytest.approx(recorded(known, ACSAR).truth, abs=1e-3)
+    assert track.truth == pytest.approx(make_recorded_track(known, ACSAR).truth, abs=1e-3)
 
 
 def test_a_log_of_another_time_or_kind_is_refused(known: Episode, tmp_path: Path) -> None:
     other = emulators_log(tmp_path / "log.jsonl", known, shift=0.5)
     with pytest.raises(ConfigError, match=r"log\.jsonl: is of another time"):
-        with_truth(blind(known), other)
+        add_truth(blind(known), other)
     for text in ("no json\n", '{"pose": 3, "t": 1}\n', "[]\n", "3\n"):
         other.write_text(text, encoding="ascii")
         with pytest.raises(ConfigError, match=r"isn't a log of|holds no true poses"):
-            with_truth(blind(known), other)
+            add_truth(blind(known), other)
     with pytest.raises(ConfigError, match="there is no such file"):
-        with_truth(blind(known), tmp_path / "missing.jsonl")
+        add_truth(blind(known), tmp_path / "missing.jsonl")

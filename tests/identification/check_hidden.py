@@ -19,8 +19,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from identification.hidden_robots import TOLERANCES, Score, drawn, scores
 
 from acsar_gym import RobotConfig, open_link
-from acsar_gym.identification.identified import Identified
-from acsar_gym.identification.sources import from_device
+from acsar_gym.tools.sysid.identify import Identification, identify_device
 
 PATIENT = RobotConfig.preset("acsar").with_(watchdog_timeout=2.0, feedback_timeout=5.0)
 """What is known of the robots, with the patience that a busy machine needs."""
@@ -28,12 +27,12 @@ ENOUGH, HELD = 0.95, 0.90
 """Shares of the robots that must be found, and held by their intervals."""
 
 
-def simulated(hidden: RobotConfig, duration: float) -> Identified:
+def simulated(hidden: RobotConfig, duration: float) -> Identification:
     """Identify in simulated time."""
-    return from_device(open_link("planar", hidden), RobotConfig.preset("acsar"), duration)
+    return identify_device(open_link("planar", hidden), RobotConfig.preset("acsar"), duration)
 
 
-def emulated(hidden: RobotConfig, duration: float) -> Identified:
+def emulated(hidden: RobotConfig, duration: float) -> Identification:
     """Identify over a pseudo-terminal, whose other end is an emulator in a process of its own."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "hidden.yaml"
@@ -43,7 +42,7 @@ def emulated(hidden: RobotConfig, duration: float) -> Identified:
             try:
                 assert emulator.stdout is not None
                 device = emulator.stdout.readline().split()[-1]
-                return from_device(open_link(device, PATIENT), PATIENT, duration)
+                return identify_device(open_link(device, PATIENT), PATIENT, duration)
             finally:
                 emulator.terminate()
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from acsar_gym import RobotConfig
-from acsar_gym.identification.finding import Finding
-from acsar_gym.identification.identified import Identified
+from acsar_gym.tools.sysid.identify import Identification
+from acsar_gym.tools.sysid.parameter_findings import ParameterFinding
 
 TOLERANCES = {
     "motor.time_constant": 0.05,
@@ -57,7 +57,7 @@ class Score:
     """The largest error as a share of its interval's half."""
 
 
-def scores(found: Identified, truth: RobotConfig) -> Iterator[Score]:
+def scores(found: Identification, truth: RobotConfig) -> Iterator[Score]:
     """Compare findings with a hidden robot."""
     for name, tolerance in TOLERANCES.items():
         errors, holds, shares = [], True, [0.0]
@@ -71,7 +71,7 @@ def scores(found: Identified, truth: RobotConfig) -> Iterator[Score]:
         yield Score(name, max(errors), holds, max(shares))
 
 
-def _truths(one: Finding, truth: RobotConfig) -> list[float | None]:
+def _truths(one: ParameterFinding, truth: RobotConfig) -> list[float | None]:
     """The hidden values that one finding is about."""
     section, field = one.name.split(".")
     if section != "motor":
@@ -80,7 +80,7 @@ def _truths(one: Finding, truth: RobotConfig) -> list[float | None]:
     return [getattr(truth.motor.of_wheel(wheel), field) for wheel in wheels]
 
 
-def _compared(one: Finding, value: float | None, tolerance: float) -> tuple[float, bool]:
+def _compared(one: ParameterFinding, value: float | None, tolerance: float) -> tuple[float, bool]:
     """Error as a share of the tolerance, and whether the interval holds the truth."""
     if value is None or one.value is None:
         right = value is one.value and one.told
@@ -90,7 +90,7 @@ def _compared(one: Finding, value: float | None, tolerance: float) -> tuple[floa
     return abs(one.value - value) / scale, held
 
 
-def _share(one: Finding, value: float | None) -> float:
+def _share(one: ParameterFinding, value: float | None) -> float:
     """The error as a share of half the interval."""
     if value is None or one.value is None or one.low is None or one.high is None:
         return 0.0

@@ -9,11 +9,10 @@ import pytest
 
 from acsar_gym import RobotConfig, open_link
 from acsar_gym.errors import IdentificationError
-from acsar_gym.identification import answering
-from acsar_gym.identification.excitation import plan
-from acsar_gym.identification.manoeuvre import TappedLink
-from acsar_gym.identification.tracks import Track, track
 from acsar_gym.robot import Robot
+from acsar_gym.tools.sysid import identifiability
+from acsar_gym.tools.sysid.excitation import TappedLink, plan_excitation
+from acsar_gym.tools.sysid.tracks import BoardTrack, decode_track
 
 ACSAR = RobotConfig.preset("acsar")
 SLOW = {
@@ -22,20 +21,20 @@ SLOW = {
 }
 
 
-def driven(commands: Any, **hidden: Any) -> list[Track]:
+def driven(commands: Any, **hidden: Any) -> list[BoardTrack]:
     """Drive a hidden robot with these wheel speeds."""
     tapped = TappedLink(open_link("planar", ACSAR.with_(**hidden)))
     with Robot(tapped, ACSAR) as robot:
         for speeds in commands:
             robot.tick(speeds)
-    found = track(tapped.log, ACSAR)
+    found = decode_track(tapped.log, ACSAR)
     assert found is not None
     return [found]
 
 
 def steps() -> Any:
     """Five seconds of a manoeuvre."""
-    return plan(ACSAR, 12.0, 0.01).before[:500].tolist()
+    return plan_excitation(ACSAR, 12.0, 0.01).before[:500].tolist()
 
 
 @pytest.mark.parametrize(
@@ -53,18 +52,18 @@ def steps() -> Any:
 )
 def test_a_miswired_wheel_is_named(wheels: Any, said: str) -> None:
     with pytest.raises(IdentificationError, match=said):
-        answering.check(driven(steps(), wheels=wheels))
+        identifiability.check_wheel_order(driven(steps(), wheels=wheels))
 
 
 @pytest.mark.parametrize("hidden", [{}, SLOW], ids=["usual", "slow"])
 @pytest.mark.parametrize("pattern", [(1, 1, 1, 1), (1, -1, -1, 1), None])
 def test_a_robot_that_is_wired_right_is_not_blamed(pattern: Any, hidden: Any) -> None:
     if pattern is None:
-        answering.check(driven(steps(), **hidden))
+        identifiability.check_wheel_order(driven(steps(), **hidden))
         return
     waves = 5.0 * np.sin(np.arange(500)[:, None] / 20.0) * pattern
-    answering.check(driven(waves.tolist(), **hidden))
+    identifiability.check_wheel_order(driven(waves.tolist(), **hidden))
 
 
 def test_a_dead_wheel_is_not_miswired() -> None:
-    answering.check(driven(steps(), motor={"deadband": (0.0, 20.0, 0.0, 0.0)}))
+    identifiability.check_wheel_order(driven(steps(), motor={"deadband": (0.0, 20.0, 0.0, 0.0)}))

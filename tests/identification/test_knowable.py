@@ -7,12 +7,12 @@ import pytest
 from numpy.typing import NDArray
 
 from acsar_gym import RobotConfig
-from acsar_gym.identification import excitation
-from acsar_gym.identification.identified import identified
-from acsar_gym.identification.knowable import Knowable, judged
-from acsar_gym.identification.tracks import Track
 from acsar_gym.protocol import encode
-from acsar_gym.recording.wire_log import WireLog
+from acsar_gym.recording.types import WireLog
+from acsar_gym.tools.sysid import excitation
+from acsar_gym.tools.sysid.identifiability import Identifiability, check_identifiability
+from acsar_gym.tools.sysid.identify import identify_logs
+from acsar_gym.tools.sysid.tracks import BoardTrack
 
 Floats = NDArray[np.float64]
 DELAY, TIMEOUT = ("firmware.command_delay", ""), ("firmware.command_timeout", "")
@@ -23,17 +23,19 @@ def ticks(count: int) -> Floats:
     return np.asarray(np.arange(count) * 0.01, np.float64)
 
 
-def known(commands: Floats, pause: float = 0.0) -> Knowable:
+def known(commands: Floats, pause: float = 0.0) -> Identifiability:
     """Judge a log of perfect wheels, 100 commands a second, with a pause in the middle."""
     stamps = ticks(len(commands))
     stamps[len(stamps) // 2 :] += pause
     held_out = np.zeros(len(stamps), bool)
     numbers = np.arange(len(stamps))
-    return judged([Track(stamps, commands, stamps, commands, held_out, numbers)])
+    return check_identifiability(
+        [BoardTrack(stamps, commands, stamps, commands, held_out, numbers)]
+    )
 
 
 def manoeuvre(duration: float = 20.0) -> Floats:
-    plan = excitation.plan(RobotConfig.preset("acsar"), duration, 0.01)
+    plan = excitation.plan_excitation(RobotConfig.preset("acsar"), duration, 0.01)
     return np.concatenate((plan.before, plan.after))
 
 
@@ -84,7 +86,7 @@ def test_a_wheel_that_never_turned_is_named() -> None:
     stamps = ticks(len(commands))
     speeds = commands * [1.0, 1.0, 0.0, 1.0]
     numbers, held_out = np.arange(len(stamps)), np.zeros(len(stamps), bool)
-    found = judged([Track(stamps, commands, stamps, speeds, held_out, numbers)])
+    found = check_identifiability([BoardTrack(stamps, commands, stamps, speeds, held_out, numbers)])
     assert found.missing["motor.gain", "c"] == "this wheel never turned"
     assert found.can("motor.gain", "a")
 
@@ -94,7 +96,9 @@ def test_what_cannot_be_told_has_no_number(duration: float) -> None:
     commands = manoeuvre()[: round(100 * duration)]
     stamps = ticks(len(commands))
     lines = tuple(encode(row) for row in commands.tolist())
-    found = identified([WireLog(stamps, lines, stamps + 0.005, lines)], RobotConfig.preset("acsar"))
+    found = identify_logs(
+        [WireLog(stamps, lines, stamps + 0.005, lines)], RobotConfig.preset("acsar")
+    )
     for one in found.findings:
         if one.name.startswith("motor.") or one.name in (DELAY[0], TIMEOUT[0], "encoder.window"):
             assert (one.value, one.low, one.high, one.told) == (None, None, None, False)

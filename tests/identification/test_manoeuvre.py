@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from acsar_gym import RobotConfig, open_link
-from acsar_gym.identification import excitation
-from acsar_gym.identification.manoeuvre import STRETCH, TappedLink
-from acsar_gym.identification.tracks import track
 from acsar_gym.robot import Robot
+from acsar_gym.tools.sysid import excitation
+from acsar_gym.tools.sysid.excitation import TICK_STRETCH, TappedLink
+from acsar_gym.tools.sysid.tracks import decode_track
 
 
 @pytest.mark.parametrize("limits", [{}, {"max_wheel_speed": 3.0}, {"max_linear": 0.1}])
 def test_commands_keep_the_limits_of_the_robot(limits: dict[str, float]) -> None:
     config = RobotConfig.preset("acsar").with_(**limits)
-    plan = excitation.plan(config, 20.0, 0.01)
+    plan = excitation.plan_excitation(config, 20.0, 0.01)
     top = min(config.max_wheel_speed, config.max_linear / config.wheel_radius)
     speeds = np.concatenate((plan.before, plan.after))
     assert np.abs(speeds).max() <= top + 1e-9
@@ -25,7 +25,7 @@ def test_commands_keep_the_limits_of_the_robot(limits: dict[str, float]) -> None
 
 
 def test_wheels_get_different_commands() -> None:
-    plan = excitation.plan(RobotConfig.preset("acsar"), 20.0, 0.01)
+    plan = excitation.plan_excitation(RobotConfig.preset("acsar"), 20.0, 0.01)
     correlated = np.corrcoef(plan.before[:600].T) - np.eye(4)
     assert np.abs(correlated).max() < 0.6
 
@@ -38,11 +38,11 @@ def test_a_serial_wire_is_logged_finer_than_ticks(shared_device: str, config: Ro
             robot.tick((3.0, -3.0, 3.0, -3.0))
         for _ in range(30):
             robot.listen()
-    found = track(tapped.log, config)
+    found = decode_track(tapped.log, config)
     assert found is not None
     assert len(found.pauses) == 1
     assert found.commands[found.pauses[0]].tolist() == [3.0, -3.0, 3.0, -3.0]
-    assert np.median(np.diff(found.arrivals)) == pytest.approx(0.01 * STRETCH, rel=0.2)
+    assert np.median(np.diff(found.arrivals)) == pytest.approx(0.01 * TICK_STRETCH, rel=0.2)
     assert len(found.stamps) > 30
     phases = np.mod(tapped.log.got_stamps[:, None] - tapped.log.sent_stamps, 0.01)
     assert phases.std() > 1e-3

@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 
 from acsar_gym import RobotConfig, open_link
-from acsar_gym.identification.manoeuvre import drive
-from acsar_gym.identification.problem import Problem
-from acsar_gym.identification.response import (
-    Clock,
-    Wheel,
-    blend_of,
-    passed,
-    speeds_of,
-    step_of,
-    targets_at,
+from acsar_gym.tools.sysid.excitation import drive_excitation
+from acsar_gym.tools.sysid.response import (
+    BoardTimes,
+    FitProblem,
+    WheelModel,
+    lag_blend,
+    pass_deadband,
+    ramp_step,
+    sample_commands,
+    simulate_speeds,
 )
-from acsar_gym.identification.tracks import track
+from acsar_gym.tools.sysid.tracks import decode_track
 
 BASE = RobotConfig.preset("acsar")
 FINE = BASE.with_(
@@ -29,18 +29,20 @@ FINE = BASE.with_(
 
 def test_speeds_are_those_of_the_twin() -> None:
     """Loop for loop, where commands come at its loops: only the encoder's floor differs."""
-    from acsar_gym.bodies.planar import PlanarBody
-    from acsar_gym.dynamics.board import ramped
+    from acsar_gym.physics.model import ramp_set_points
+    from acsar_gym.physics.planar import PlanarBody
 
     body, dt = PlanarBody(FINE), 0.005
     rng = np.random.default_rng(1)
     commands = np.repeat(rng.uniform(-12.0, 12.0, 20), 30)
     share = np.ones(len(commands))
     heard = (np.concatenate(([0.0], commands[:-1])), commands, share)
-    ours = speeds_of(heard, step_of(1.0 / 40.0, dt), blend_of(0.1, dt), 0.95, 0.5, 30.0, 0.0)
+    ours = simulate_speeds(
+        heard, ramp_step(1.0 / 40.0, dt), lag_blend(0.1, dt), 0.95, 0.5, 30.0, 0.0
+    )
     theirs, points = [], (0.0, 0.0, 0.0, 0.0)
     for command in commands:
-        points = ramped(points, (command,) * 4, (40.0 * dt,) * 4)
+        points = ramp_set_points(points, (command,) * 4, (40.0 * dt,) * 4)
         body.step(points)
         theirs.append(body.wheel_speeds[0])
     assert ours == pytest.approx(np.array(theirs), abs=1e-9)
@@ -48,29 +50,29 @@ def test_speeds_are_those_of_the_twin() -> None:
 
 def test_the_answer_predicts_what_the_twin_prints() -> None:
     """Over the wire, at any phase: within the twin's loops, which the answer averages over."""
-    log = drive(open_link("planar", FINE), BASE, 12.0)
-    one = track(log, BASE)
+    log = drive_excitation(open_link("planar", FINE), BASE, 12.0)
+    one = decode_track(log, BASE)
     assert one is not None
-    problem = Problem.of([one], range(4), BASE)
-    motor = Wheel(0.1, 0.95, 1.0 / 40.0, 0.5)
+    problem = FitProblem.of([one], range(4), BASE)
+    motor = WheelModel(0.1, 0.95, 1.0 / 40.0, 0.5)
     for wheel in range(4):
-        answer = problem.answer(one, wheel, motor, Clock(0.01, 0.05, 0.5))
+        answer = problem.answer(one, wheel, motor, BoardTimes(0.01, 0.05, 0.5))
         rest = answer - one.speeds[:, wheel]
         assert np.sqrt(np.mean(rest**2)) < 0.06
-        late = problem.answer(one, wheel, motor, Clock(0.02, 0.05, 0.5)) - one.speeds[:, wheel]
+        late = problem.answer(one, wheel, motor, BoardTimes(0.02, 0.05, 0.5)) - one.speeds[:, wheel]
         assert np.mean(late**2) > 4.0 * np.mean(rest**2)
 
 
 def test_commands_count_from_the_loop_after_they_arrive() -> None:
     edges = np.asarray(np.arange(5) * 0.01, np.float64)
-    before, after, share = targets_at(edges, np.array([0.0, 0.02]), np.array([1.0, 3.0]))
+    before, after, share = sample_commands(edges, np.array([0.0, 0.02]), np.array([1.0, 3.0]))
     assert after.tolist() == [1.0, 1.0, 3.0, 3.0, 3.0]
     assert before.tolist() == [0.0, 1.0, 1.0, 3.0, 3.0]
     assert share == pytest.approx([0.5, 1.0, 0.5, 1.0, 1.0])
 
 
 def test_a_deadband_passes_the_mean_of_what_crosses_it() -> None:
-    assert passed(2.0, 0.5, 1.0) == 2.0
-    assert passed(0.3, 0.5, 1.0) == 0.0
-    assert passed(1.0, 0.5, 1.0) == pytest.approx(0.625)  # half of the time 1.25
-    assert passed(-1.0, 0.5, 1.0) == pytest.approx(-0.625)
+    assert pass_deadband(2.0, 0.5, 1.0) == 2.0
+    assert pass_deadband(0.3, 0.5, 1.0) == 0.0
+    assert pass_deadband(1.0, 0.5, 1.0) == pytest.approx(0.625)  # half of the time 1.25
+    assert pass_deadband(-1.0, 0.5, 1.0) == pytest.approx(-0.625)

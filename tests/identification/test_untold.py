@@ -8,12 +8,11 @@ from collections.abc import Callable
 import pytest
 
 from acsar_gym import RobotConfig, open_link
-from acsar_gym.identification.board import COUNTED
-from acsar_gym.identification.finding import Finding
-from acsar_gym.identification.identified import identified
-from acsar_gym.identification.manoeuvre import TappedLink
-from acsar_gym.recording.wire_log import WireLog
+from acsar_gym.recording.types import WireLog
 from acsar_gym.robot import Robot
+from acsar_gym.tools.sysid.excitation import TappedLink
+from acsar_gym.tools.sysid.identify import identify_logs
+from acsar_gym.tools.sysid.parameter_findings import COUNTED_NOTE, ParameterFinding
 
 ACSAR = RobotConfig.preset("acsar")
 SECONDS = 12.0
@@ -53,9 +52,9 @@ def log(speed: Driven, true: RobotConfig) -> WireLog:
     return tapped.log
 
 
-def told(speed: Driven, true: RobotConfig) -> dict[str, Finding]:
+def told(speed: Driven, true: RobotConfig) -> dict[str, ParameterFinding]:
     """What is told, by name; and the resolution, told or not."""
-    found = identified([log(speed, true)], ACSAR).findings
+    found = identify_logs([log(speed, true)], ACSAR).findings
     return {one.name: one for one in found if one.told or one.name == "encoder.quantum"}
 
 
@@ -90,4 +89,4 @@ def test_a_timeout_that_hangs_on_the_lag_is_not_told() -> None:
 @pytest.mark.parametrize("speed", [slowly, constantly])
 def test_whole_encoder_counts_are_no_resolution(speed: Driven) -> None:
     one = told(speed, ACSAR)["encoder.quantum"]
-    assert (one.told, one.value is None or one.note == COUNTED) == (False, True)
+    assert (one.told, one.value is None or one.note == COUNTED_NOTE) == (False, True)

@@ -10,10 +10,15 @@ import pytest
 
 from acsar_gym.config import LidarConfig, RobotConfig
 from acsar_gym.errors import ConfigError
-from acsar_gym.lidars.factory import open_lidar
-from acsar_gym.lidars.rplidar import RplidarLidar
-from acsar_gym.lidars.simulated import SimulatedLidar, draws, measure, measured
 from acsar_gym.links import open_link
+from acsar_gym.sensors.lidar import (
+    SimulatedLidar,
+    add_noise,
+    noise_draws,
+    noise_settings,
+    open_lidar,
+)
+from acsar_gym.sensors.rplidar import RplidarLidar
 from acsar_gym.worlds import Scene, World
 
 ACSAR = RobotConfig.preset("acsar")
@@ -47,7 +52,7 @@ def noisy(noise: float, dropouts: float, true: float, count: int = 20_000) -> An
     rng, found = np.random.default_rng(1), []
     for _ in range(count):
         ranges = np.array([true])
-        measure(ranges, rng.random(draws(lidar)), *measured(lidar))
+        add_noise(ranges, rng.random(noise_draws(lidar)), *noise_settings(lidar))
         found.append(ranges[0])
     return np.array(found)
 
@@ -64,7 +69,7 @@ def test_both_rays_of_a_pair_have_noise_of_their_own() -> None:
     rng, rows = np.random.default_rng(0), []
     for _ in range(4000):
         ranges = np.full(3, 2.0)
-        measure(ranges, rng.random(draws(lidar)), *measured(lidar))
+        add_noise(ranges, rng.random(noise_draws(lidar)), *noise_settings(lidar))
         rows.append(ranges)
     correlation = np.corrcoef(np.array(rows).T)
     assert np.abs(correlation - np.eye(3)).max() < 0.06

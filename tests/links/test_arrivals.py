@@ -13,10 +13,9 @@ from pathlib import Path
 import pytest
 
 from acsar_gym import Robot, RobotConfig, open_link
-from acsar_gym.links.arrivals import Ear
 from acsar_gym.links.base import arrivals_of
-from acsar_gym.links.open_port import OpenPort
-from acsar_gym.links.ports import opened
+from acsar_gym.links.ports import OpenPort, open_port
+from acsar_gym.links.serial import ArrivalTimer
 from acsar_gym.protocol import ZERO, encode
 from acsar_gym.recording import Recorder, read
 from acsar_gym.worlds import Scene
@@ -59,7 +58,7 @@ def wire() -> Iterator[tuple[OpenPort, int]]:
     """An open port, and the other end of its pseudo-terminal."""
     master, slave = os.openpty()
     tty.setraw(slave)
-    port = OpenPort(opened(os.ttyname(slave), CONFIG), "pty")
+    port = OpenPort(open_port(os.ttyname(slave), CONFIG), "pty")
     yield port, master
     port.close()
     os.close(master)
@@ -69,7 +68,7 @@ def wire() -> Iterator[tuple[OpenPort, int]]:
 @pytest.mark.xdist_group("serial")
 def test_bytes_are_stamped_when_they_come(wire: tuple[OpenPort, int]) -> None:
     port, master = wire
-    ear, written = Ear(), []
+    ear, written = ArrivalTimer(), []
     ear.wanted = True
 
     def board() -> None:
@@ -92,7 +91,7 @@ def test_bytes_are_stamped_when_they_come(wire: tuple[OpenPort, int]) -> None:
 @pytest.mark.xdist_group("serial")
 def test_without_anybody_who_asks_bytes_wait_for_the_deadline(wire: tuple[OpenPort, int]) -> None:
     port, master = wire
-    ear = Ear()
+    ear = ArrivalTimer()
     ear.begin()
     os.write(master, b"late")
     ear.wait(port, 0.01)

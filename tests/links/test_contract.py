@@ -13,7 +13,7 @@ from tapes import taped
 from acsar_gym import Link, Robot, RobotConfig, open_link
 from acsar_gym.errors import LinkError
 from acsar_gym.links.base import camera_of
-from acsar_gym.links.fault_injection import FaultyLink
+from acsar_gym.links.faults import FaultyLink
 from acsar_gym.links.replay import ReplayLink
 from acsar_gym.protocol import ZERO, Decoder, Reading, encode
 from acsar_gym.worlds import Scene

@@ -27,7 +27,7 @@ from tapes import TICKS, recorded, taped
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import BoardSilentError, ConfigError, LinkLostError
-from acsar_gym.links.fault_injection import FaultyLink, Seed
+from acsar_gym.links.faults import FaultSeed, FaultyLink
 from acsar_gym.links.replay import ReplayLink
 from acsar_gym.worlds import Scene
 
@@ -72,7 +72,7 @@ def test_what_stands_behind_shows_through() -> None:
     simulated.close()
 
 
-def everything(seed: Seed, config: RobotConfig, episodes: int = 2) -> list[bytes]:
+def everything(seed: FaultSeed, config: RobotConfig, episodes: int = 2) -> list[bytes]:
     link = planar(config, seed, **EVERYTHING)
     return [piece for _ in range(episodes) for piece in drive(link, 300)]
 

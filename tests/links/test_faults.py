@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from acsar_gym.errors import ConfigError
-from acsar_gym.links.faults import _RULES, Faults, Lines, WheelEditor, WheelFaults
+from acsar_gym.links.faults import _RULES, Faults, LineSplitter, WheelEditor, WheelFaults
 from acsar_gym.protocol import MAX_LINE, Decoder, encode
 
 LINE = encode((1.0, -2.0, 3.0, 0.0))
@@ -128,7 +128,7 @@ def test_drawn_wheels_follow_the_seed() -> None:
 
 @given(chunks)
 def test_lines_lose_nothing_and_hold_back_half_a_line_at_most(pieces: list[bytes]) -> None:
-    lines, given_, got = Lines(), b"", b""
+    lines, given_, got = LineSplitter(), b"", b""
     for piece in pieces:
         given_ += piece
         complete = lines.feed(piece)
@@ -141,7 +141,7 @@ def test_lines_lose_nothing_and_hold_back_half_a_line_at_most(pieces: list[bytes
 
 
 def test_a_line_without_an_end_does_not_fill_the_memory() -> None:
-    lines = Lines()
+    lines = LineSplitter()
     passed = b"".join(b"".join(lines.feed(b"x" * 100)) for _ in range(1000))
     assert len(passed) >= 100_000 - MAX_LINE
 

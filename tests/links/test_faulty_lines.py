@@ -18,7 +18,7 @@ from fault_tools import (
     sent,
 )
 
-from acsar_gym.links.faulty_wire import BUFFER
+from acsar_gym.links.faults import WIRE_BUFFER
 from acsar_gym.worlds import Scene
 
 pytestmark = pytest.mark.usefixtures("deadline")
@@ -122,7 +122,7 @@ def test_late_lines_do_not_fill_the_memory() -> None:
     assert not board.heard
     board.clock += 61.0
     link.advance(PERIOD)
-    assert BUFFER - 40 < len(board.received()) <= BUFFER
+    assert WIRE_BUFFER - 40 < len(board.received()) <= WIRE_BUFFER
     assert set(board_lines(board)) == {TURNING}
 
 

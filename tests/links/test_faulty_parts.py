@@ -20,7 +20,7 @@ from fault_tools import (
 
 from acsar_gym import Link, Robot, RobotConfig
 from acsar_gym.errors import BoardSilentError, LinkLostError, PortNotFoundError
-from acsar_gym.links.fault_injection import FaultyLink
+from acsar_gym.links.faults import FaultyLink
 from acsar_gym.protocol import ZERO, Decoder
 from acsar_gym.worlds import Scene
 

@@ -11,14 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from acsar_gym.links.lateness import (
-    LATE,
-    LONGEST,
-    SHORTEST,
-    Durations,
-    Lateness,
-    Spread,
-    Stopwatch,
-    Timing,
+    LATE_TICK,
+    LONGEST_DURATION,
+    SHORTEST_DURATION,
+    DurationHistogram,
+    DurationSpread,
+    EpisodeStopwatch,
+    LatenessHistogram,
+    TickTiming,
     first_byte,
 )
 
@@ -26,19 +26,19 @@ PERIOD = 0.01
 SLACK = 1.0 + 1.0 / 32.0 + 1e-9
 """How much too large a percentile may be."""
 
-measurable = st.floats(SHORTEST, LONGEST, exclude_max=True)
+measurable = st.floats(SHORTEST_DURATION, LONGEST_DURATION, exclude_max=True)
 anything = st.floats(allow_nan=False)
 
 
-def recorded(seconds: list[float]) -> Durations:
-    durations = Durations()
+def recorded(seconds: list[float]) -> DurationHistogram:
+    durations = DurationHistogram()
     for one in seconds:
         durations.add(one)
     return durations
 
 
-def lateness(*seconds: float) -> Lateness:
-    record = Lateness(PERIOD)
+def lateness(*seconds: float) -> LatenessHistogram:
+    record = LatenessHistogram(PERIOD)
     for one in seconds:
         record.add(one)
     return record
@@ -67,7 +67,7 @@ def test_the_extremes_are_exact_and_percentiles_lie_between(seconds: list[float]
 def test_counts_are_exact(seconds: list[float]) -> None:
     record = lateness(*seconds)
     assert record.count == len(seconds)
-    assert record.late == sum(one > LATE for one in seconds)
+    assert record.late == sum(one > LATE_TICK for one in seconds)
     assert record.missed == sum(int(one / PERIOD) for one in seconds if one > PERIOD)
 
 
@@ -80,23 +80,23 @@ def test_late_and_missed_ticks(seconds: float, late: int, missed: int) -> None:
     assert (record.late, record.missed) == (late, missed)
 
 
-@pytest.mark.parametrize("seconds", [0.0, -0.5, SHORTEST / 2.0])
+@pytest.mark.parametrize("seconds", [0.0, -0.5, SHORTEST_DURATION / 2.0])
 def test_what_is_shorter_than_a_microsecond_counts_as_zero(seconds: float) -> None:
     assert recorded([seconds]).percentile(99.0) == 0.0
 
 
-@pytest.mark.parametrize("seconds", [LONGEST, 1e6])
+@pytest.mark.parametrize("seconds", [LONGEST_DURATION, 1e6])
 def test_what_is_very_long_is_told_by_the_worst(seconds: float) -> None:
     durations = recorded([0.01, seconds])
     assert durations.worst == durations.percentile(99.0) == seconds
 
 
 def test_nothing_recorded_is_nan() -> None:
-    timing = Lateness(PERIOD).summary()
+    timing = LatenessHistogram(PERIOD).summary()
     assert (timing.ticks, timing.late_ticks, timing.missed_ticks) == (0, 0, 0)
     assert all(map(math.isnan, (timing.p50, timing.p99, timing.worst)))
     assert timing.late_share == 0.0
-    assert Durations().spread().count == 0
+    assert DurationHistogram().spread().count == 0
 
 
 def test_a_summary_of_a_known_episode() -> None:
@@ -107,7 +107,7 @@ def test_a_summary_of_a_known_episode() -> None:
     assert timing.p50 == pytest.approx(1e-4, rel=1.0 / 32.0)
     assert timing.p99 == pytest.approx(0.002, rel=1.0 / 32.0)
     assert timing.worst == 0.025
-    assert Timing(**dataclasses.asdict(timing)) == timing
+    assert TickTiming(**dataclasses.asdict(timing)) == timing
     spread = record.spread()
     assert (spread.count, spread.p99, spread.worst) == (100, timing.p99, timing.worst)
 
@@ -122,7 +122,7 @@ def test_a_reset_forgets_everything() -> None:
 
 
 def test_memory_is_bounded() -> None:
-    once, often = Lateness(PERIOD), Lateness(PERIOD)
+    once, often = LatenessHistogram(PERIOD), LatenessHistogram(PERIOD)
     for number in range(100_000):
         often.add(number * 1e-6)
     assert len(pickle.dumps(often)) < len(pickle.dumps(once)) + 4_000
@@ -131,11 +131,11 @@ def test_memory_is_bounded() -> None:
 # One episode
 
 
-def trips(*commands: tuple[float, bool, bool]) -> Spread:
+def trips(*commands: tuple[float, bool, bool]) -> DurationSpread:
     """Round trips of an episode: when commands are written, whether they drive, and whether wheels
     turn by the feedback that comes 8 ms later.
     """
-    watch = Stopwatch(PERIOD)
+    watch = EpisodeStopwatch(PERIOD)
     for written, drives, turns in commands:
         if watch.commanded(written, 3.0 if turns else 0.0, drives=drives):
             watch.heard([(written + 0.008, b"ap03.00,\r\n")], written + 0.01)
@@ -143,7 +143,7 @@ def trips(*commands: tuple[float, bool, bool]) -> Spread:
 
 
 def test_a_stopwatch_that_saw_nothing_is_nan() -> None:
-    timing = Stopwatch(PERIOD).summary()
+    timing = EpisodeStopwatch(PERIOD).summary()
     assert timing.lateness.ticks == timing.feedback_age.count == timing.round_trip.count == 0
     assert math.isnan(timing.lateness.worst)
     assert math.isnan(timing.feedback_age.worst)
@@ -151,7 +151,7 @@ def test_a_stopwatch_that_saw_nothing_is_nan() -> None:
 
 
 def test_the_time_before_the_first_tick_is_nobodys_fault() -> None:
-    watch = Stopwatch(PERIOD)
+    watch = EpisodeStopwatch(PERIOD)
     watch.tick(3.0, 2.0)
     assert watch.summary().lateness.ticks == 0
     watch.tick(0.002, 0.01)
@@ -186,7 +186,7 @@ def test_nothing_else_is_a_round_trip(asked: list[tuple[float, bool, bool]]) -> 
 
 
 def test_noise_of_standing_encoders_shows_no_command() -> None:
-    watch = Stopwatch(PERIOD)
+    watch = EpisodeStopwatch(PERIOD)
     for tick, speed in enumerate((0.03, 0.03, 0.05, 0.07)):
         if watch.commanded(float(tick), speed, drives=tick > 0):
             watch.heard([], tick + 0.5)

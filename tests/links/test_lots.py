@@ -7,7 +7,13 @@ import itertools
 import numpy as np
 import pytest
 
-from acsar_gym.links.lots import COMMANDS, EPISODE, FEEDBACK, KINDS, lot
+from acsar_gym.links.faults import (
+    COMMAND_LINE,
+    FAULT_KINDS,
+    FEEDBACK_LINE,
+    WHOLE_EPISODE,
+    line_hash,
+)
 
 WORD = (1 << 64) - 1
 
@@ -22,16 +28,21 @@ def split_mix(word: int) -> int:
 @pytest.mark.parametrize("key", [0.0, 0.5, 0.1234567890123, 1.0 - 2.0**-53])
 def test_lots_are_split_mix_64(key: float) -> None:
     for whose, number, kind in itertools.product((0, 1, 2), (0, 1, 7, 100_000), (0, 4)):
-        count = (number * 3 + whose) * KINDS + kind + 1
+        count = (number * 3 + whose) * FAULT_KINDS + kind + 1
         word = split_mix(((int(key * 2**53) << 11) + count * 0x9E3779B97F4A7C15) & WORD)
-        assert lot(key, whose, float(number), kind) == (word >> 11) / 2**53
+        assert line_hash(key, whose, float(number), kind) == (word >> 11) / 2**53
 
 
 def test_lots_are_uniform_and_independent() -> None:
     keys = np.random.default_rng(0).random(20).tolist()
     rows = [
-        [lot(key, whose, float(number), kind) for key in keys for number in range(200)]
-        for whose, kind in ((FEEDBACK, 0), (FEEDBACK, 4), (COMMANDS, 0), (EPISODE, 0))
+        [line_hash(key, whose, float(number), kind) for key in keys for number in range(200)]
+        for whose, kind in (
+            (FEEDBACK_LINE, 0),
+            (FEEDBACK_LINE, 4),
+            (COMMAND_LINE, 0),
+            (WHOLE_EPISODE, 0),
+        )
     ]
     table = np.array(rows)
     assert np.histogram(table, 10, (0.0, 1.0))[0] / table.size == pytest.approx(0.1, abs=0.01)

@@ -18,7 +18,7 @@ from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import ConfigError, LinkError, LinkLostError, PortNotFoundError
 from acsar_gym.links import ports, watchdog
 from acsar_gym.links.factory import is_device
-from acsar_gym.links.ports import PortInfo, lasting, located
+from acsar_gym.links.ports import PortInfo, find_lasting_name, locate_port
 from acsar_gym.links.serial import SerialLink
 
 pytestmark = pytest.mark.usefixtures("deadline")
@@ -47,7 +47,7 @@ def by_id(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """What stands for /dev/serial/by-id."""
     folder = tmp_path / "by-id"
     folder.mkdir()
-    monkeypatch.setattr(ports, "BY_ID", folder)
+    monkeypatch.setattr(ports, "BY_ID_FOLDER", folder)
     return folder
 
 
@@ -55,7 +55,7 @@ def by_id(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def plugged(monkeypatch: pytest.MonkeyPatch) -> Plugged:
     """The ports that this computer seems to have: none, until a test adds some."""
     here: Plugged = []
-    monkeypatch.setattr(ports, "ports", lambda: here)
+    monkeypatch.setattr(ports, "find_ports", lambda: here)
     return here
 
 
@@ -72,26 +72,26 @@ def drive_until_lost(robot: Robot) -> LinkError:
 def test_an_adapter_comes_back_under_its_own_name(adapter: str, by_id: Path) -> None:
     (by_id / "usb-A").symlink_to("/dev/null")
     (by_id / "usb-B").symlink_to(adapter)
-    assert lasting(adapter) == str(by_id / "usb-B")
+    assert find_lasting_name(adapter) == str(by_id / "usb-B")
 
 
 def test_of_two_names_it_is_always_the_same(adapter: str, by_id: Path) -> None:
     for name in ("usb-C", "usb-B", "usb-D"):
         (by_id / name).symlink_to(adapter)
-    assert lasting(adapter) == str(by_id / "usb-B")
+    assert find_lasting_name(adapter) == str(by_id / "usb-B")
 
 
 def test_a_name_through_relative_links_counts(adapter: str, by_id: Path) -> None:
     """As udev makes them: ../../ttyUSB0."""
     (by_id / "usb-A").symlink_to(os.path.relpath(adapter, by_id))
-    assert lasting(adapter) == str(by_id / "usb-A")
+    assert find_lasting_name(adapter) == str(by_id / "usb-A")
 
 
 def test_a_link_is_a_name_that_lasts_by_itself(adapter: str, by_id: Path, tmp_path: Path) -> None:
     (by_id / "usb-A").symlink_to(adapter)
     mine = tmp_path / "robot"
     mine.symlink_to(adapter)
-    assert lasting(str(mine)) == str(mine)
+    assert find_lasting_name(str(mine)) == str(mine)
 
 
 @pytest.mark.parametrize("number", [None, "0001"])
@@ -101,21 +101,21 @@ def test_an_adapter_like_others_has_no_lasting_name(
     """Cheap ones all have the same serial number, so udev's name may be another one's next time."""
     (by_id / "usb-A").symlink_to(device)
     plugged += [PortInfo(port, "board", number) for port in ("/dev/null", device)]
-    assert lasting(device) == device
+    assert find_lasting_name(device) == device
 
 
 @pytest.mark.parametrize("url", ["socket://127.0.0.1:2000", "COM3", "/dev/acsar-missing", ""])
 def test_what_has_no_lasting_name_stays_as_it_is(url: str, by_id: Path) -> None:
     (by_id / "usb-A").symlink_to("/dev/null")
     (by_id / "usb-broken").symlink_to("/dev/acsar-gone")
-    assert lasting(url) == url
+    assert find_lasting_name(url) == url
 
 
 def test_a_computer_without_any_is_no_error(
     device: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(ports, "BY_ID", tmp_path / "missing")
-    assert lasting(device) == device
+    monkeypatch.setattr(ports, "BY_ID_FOLDER", tmp_path / "missing")
+    assert find_lasting_name(device) == device
 
 
 # Serial numbers
@@ -123,19 +123,19 @@ def test_a_computer_without_any_is_no_error(
 
 def test_a_serial_number_means_whatever_device_has_it(device: str, plugged: Plugged) -> None:
     plugged += [PortInfo("/dev/null", "other", "B1"), PortInfo(device, "board", "A50285BI")]
-    assert located("usb:A50285BI") == device
-    assert located("usb:B1") == "/dev/null"
+    assert locate_port("usb:A50285BI") == device
+    assert locate_port("usb:B1") == "/dev/null"
 
 
 def test_a_serial_number_of_two_adapters_means_neither(plugged: Plugged) -> None:
     plugged += [PortInfo(f"/dev/ttyUSB{number}", "board", "0001") for number in range(2)]
     with pytest.raises(ConfigError, match="/dev/ttyUSB0, /dev/ttyUSB1 have this serial number"):
-        located("usb:0001")
+        locate_port("usb:0001")
 
 
 @pytest.mark.parametrize("name", ["/dev/ttyUSB0", "COM3", "socket://host:1", "a50285bi"])
 def test_other_names_are_left_alone(name: str, plugged: Plugged) -> None:
-    assert located(name) == name
+    assert locate_port(name) == name
 
 
 @pytest.mark.parametrize(
@@ -147,7 +147,7 @@ def test_a_serial_number_that_is_not_here_tells_those_that_are(
 ) -> None:
     plugged += [PortInfo("/dev/null", "other", number) for number in numbers]
     with pytest.raises(PortNotFoundError) as caught:
-        located("usb:A50285BI")
+        locate_port("usb:A50285BI")
     error = caught.value
     assert "usb:A50285BI" in error.found
     assert error.fix == f"serial numbers here: {told}"
@@ -251,7 +251,7 @@ def test_a_port_that_the_watchdog_writes_to_as_well_is_not_lost() -> None:
     with subprocess.Popen(command, pass_fds=(theirs,)) as writer:
         assert os.read(ours, 35) == b"x" * 35
         for _ in range(500):
-            ports.put(port, b"y" * 35)
+            ports.write_all(port, b"y" * 35)
             while select.select([ours], [], [], 0.0)[0]:
                 os.read(ours, 4096)
         writer.kill()

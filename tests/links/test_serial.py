@@ -140,7 +140,7 @@ def test_busy_with_another_robot_program(
     with program(code, shared_device) as process:
         assert first_line(process) == "ready"
         assert type(refusal(shared_device, config)) is PortBusyError
-    monkeypatch.setattr(ports, "BUSY_PATIENCE", TIMEOUT)
+    monkeypatch.setattr(ports, "BUSY_TIMEOUT", TIMEOUT)
     with Robot(open_link(shared_device, config), config) as robot:
         assert robot.active
 

@@ -123,7 +123,7 @@ def test_ctrl_z_stops_the_robot_until_it_is_reset(emulator: Emulated) -> None:
 
 CONTAINED = """
 import sys
-from acsar_gym.doctor import stopping_programs
+from acsar_gym.tools.doctor import stopping_programs
 
 print(stopping_programs.no_namespace() or "can be had", flush=True)
 stopping_programs._become_pid_1(1)

@@ -9,18 +9,16 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+import pybullet
 import pytest
 
 from acsar_gym import RobotConfig, open_link
-from acsar_gym.bodies.bullet import BulletBody
-from acsar_gym.bodies.bullet.engine import pybullet
-from acsar_gym.dynamics import GRAVITY, Physics
-from acsar_gym.dynamics.randomization import Randomizer
 from acsar_gym.links.base import meter_of
-from acsar_gym.links.fault_injection import FaultyLink
-from acsar_gym.links.faults import Faults
-from acsar_gym.links.paced import PacedLink
-from acsar_gym.links.simulated import SimulatedLink
+from acsar_gym.links.faults import Faults, FaultyLink
+from acsar_gym.links.simulated import PacedLink, SimulatedLink
+from acsar_gym.physics import GRAVITY, Physics
+from acsar_gym.physics.bullet import BulletBody
+from acsar_gym.physics.randomization import Randomizer
 from acsar_gym.protocol import Decoder, Speeds, encode
 from acsar_gym.worlds import Scene
 

@@ -20,11 +20,11 @@ from acsar_gym.errors import LinkError
 from acsar_gym.links import watchdog
 from acsar_gym.links.watchdog import Watchdog
 from acsar_gym.links.watchdog_child import (
-    LAST_WORDS,
-    PAGE,
-    REPEATS,
-    STANDS,
-    clock,
+    DEATH_ZEROS,
+    HANG_ZEROS,
+    PAGE_SIZE,
+    ZERO_INTERVAL,
+    boot_clock,
 )
 from acsar_gym.protocol import ZERO, encode
 
@@ -83,8 +83,8 @@ def test_it_trips_once_says_so_for_a_second_and_can_be_armed_again(
     dog.beat()
     with pytest.raises(LinkError):
         dog.drive()
-    said += heard_often(wire[0], REPEATS - 1)
-    assert said + heard(wire[0], 0.2) == ZEROS * REPEATS
+    said += heard_often(wire[0], HANG_ZEROS - 1)
+    assert said + heard(wire[0], 0.2) == ZEROS * HANG_ZEROS
     dog.rearm()
     assert not dog.tripped
     dog.drive()
@@ -95,7 +95,7 @@ def test_it_repeats_zeros_only_while_the_program_stands(
     wire: tuple[int, int], dog: Watchdog
 ) -> None:
     dog.stand()
-    assert not heard(wire[0], 2 * STANDS), "before the first reset, while the board starts"
+    assert not heard(wire[0], 2 * ZERO_INTERVAL), "before the first reset, while the board starts"
     dog.rearm()
     assert set(heard_often(wire[0], 3).split(ZEROS)) == {b""}
 
@@ -112,7 +112,7 @@ def test_one_that_has_not_run_for_long_is_none(
     dog: Watchdog, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A machine that stood has held up the program too, and doesn't count."""
-    monkeypatch.setattr(dog, "_page", memoryview(bytearray(PAGE)).cast("d"))  # nobody else's
+    monkeypatch.setattr(dog, "_page", memoryview(bytearray(PAGE_SIZE)).cast("d"))  # nobody else's
     now = 100.0
 
     def drive_until(end: float, step: float) -> None:
@@ -121,7 +121,7 @@ def test_one_that_has_not_run_for_long_is_none(
             now += step
             dog.drive()
 
-    monkeypatch.setattr(watchdog, "clock", lambda: now)
+    monkeypatch.setattr(watchdog, "boot_clock", lambda: now)
     drive_until(100.9, step=0.3)
     with pytest.raises(LinkError, match=r"watchdog process hasn't run for 0\.2[0-9] s"):
         drive_until(200.0, step=0.01)
@@ -135,14 +135,14 @@ def test_a_gap_that_the_program_finds_first_trips(
 ) -> None:
     """As where both were suspended, and the program goes on before the watchdog."""
     dog.drive()
-    later = clock() + 3.0
-    monkeypatch.setattr(watchdog, "clock", lambda: later)
+    later = boot_clock() + 3.0
+    monkeypatch.setattr(watchdog, "boot_clock", lambda: later)
     dog.beat()
     assert dog.tripped
     with pytest.raises(LinkError, match=r"nothing was commanded for 30[0-9]{2} ms"):
         dog.drive()
     monkeypatch.undo()
-    assert heard_often(wire[0], REPEATS)
+    assert heard_often(wire[0], HANG_ZEROS)
 
 
 def test_it_makes_way_where_the_port_is_stuck(wire: tuple[int, int], dog: Watchdog) -> None:
@@ -171,11 +171,11 @@ def test_it_insists_until_the_board_answers(wire: tuple[int, int]) -> None:
     dog.wait()
     dog.search("mine")
     said = b""
-    while said.count(ZEROS) < 2 * LAST_WORDS:
+    while said.count(ZEROS) < 2 * DEATH_ZEROS:
         said += os.read(wire[0], 4096)
     os.write(wire[0], encode(ZERO))
     wait_until(lambda: not psutil.pid_exists(dog.pid) or is_dead(dog.pid), "its end")
-    watchdog.call_back("mine")
+    watchdog.end_searches("mine")
     assert not psutil.pid_exists(dog.pid)
 
 
@@ -199,7 +199,7 @@ def test_another_program_may_take_the_port_meanwhile(wire: tuple[int, int]) -> N
     heard(wire[0], 0.01)
     wait_until(lambda: is_dead(dog.pid), "its end")
     assert ZEROS not in heard(wire[0], 0.1)
-    watchdog.call_back("mine")
+    watchdog.end_searches("mine")
     os.close(other)
 
 
@@ -209,7 +209,7 @@ def test_it_is_ahead_of_a_program_with_real_time_priority(shared_device: str) ->
         DRIVER
         + """
 from acsar_gym import errors
-from acsar_gym.doctor import host as realtime
+from acsar_gym.tools.doctor import host as realtime
 robot.activate()
 try:
     realtime.prepare(priority=10)

@@ -10,12 +10,12 @@ from watchdog_tools import TURNING, ZEROS
 
 from acsar_gym.links.watchdog_child import (
     BEAT,
-    PAGE,
-    REPEAT,
-    REPEATS,
+    HANG_ZEROS,
+    PAGE_SIZE,
+    REPEAT_INTERVAL,
     STOOD,
     TRIPPED,
-    Watch,
+    ProgramWatch,
 )
 from acsar_gym.protocol import ZERO, Decoder
 
@@ -31,10 +31,10 @@ class Clock:
     """A watch over a page of its own, asked at chosen times."""
 
     def __init__(self) -> None:
-        self.page = memoryview(bytearray(PAGE)).cast("d")
+        self.page = memoryview(bytearray(PAGE_SIZE)).cast("d")
         self.zeros = 0
         self.taken = False
-        self.watch = Watch(self.page, -1, os.getpid(), TIMEOUT_OF_DOG, self)
+        self.watch = ProgramWatch(self.page, -1, os.getpid(), TIMEOUT_OF_DOG, self)
         self.watch._due = 0.0
 
     def stop(self, wanted: Callable[[], bool] = lambda: True) -> bool:
@@ -87,9 +87,9 @@ def test_a_gap_that_the_program_found_is_answered_with_zeros(clock: Clock) -> No
     for gap in (3.0, 4.0):
         clock.zeros = 0
         clock.page[TRIPPED] = gap
-        for repeat in range(2 * REPEATS):
-            clock.look(100.0 + repeat * REPEAT)
-        assert clock.zeros == REPEATS
+        for repeat in range(2 * HANG_ZEROS):
+            clock.look(100.0 + repeat * REPEAT_INTERVAL)
+        assert clock.zeros == HANG_ZEROS
 
 
 def test_zeros_are_repeated_only_while_the_program_says_nothing(clock: Clock) -> None:

@@ -15,9 +15,7 @@ from watchdog_tools import HASTY
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.links import ports
 from acsar_gym.links.serial import SerialLink
-from acsar_gym.links.watchdog_child import (
-    STANDS,
-)
+from acsar_gym.links.watchdog_child import ZERO_INTERVAL
 from acsar_gym.protocol import ZERO, Decoder
 
 pytestmark = [
@@ -89,7 +87,7 @@ drive(10**9)
         assert first_line(process) == "stands"
         process.send_signal(signal.SIGSTOP)
         said = len(emulator.commands())
-        more = math.ceil(2 * HASTY / STANDS)
+        more = math.ceil(2 * HASTY / ZERO_INTERVAL)
         wait_until(lambda: len(emulator.commands()) > said + more, "repeated zeros")
         assert set(emulator.commands()) == {ZERO}
         process.send_signal(signal.SIGCONT)
@@ -127,7 +125,7 @@ drive(10**9)
 def test_a_stray_copy_of_the_lifeline_only_delays_the_zero(
     emulator: Emulated, config: RobotConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(ports, "BUSY_PATIENCE", config.connect_timeout)
+    monkeypatch.setattr(ports, "BUSY_TIMEOUT", config.connect_timeout)
     with program(WATCHED + STRAY, emulator.device) as process:
         stray = psutil.Process(int(first_line(process)))
         drives(emulator)
@@ -154,7 +152,7 @@ def test_the_port_is_soon_free_after_a_kill(
     emulator: Emulated, config: RobotConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One `open` is enough."""
-    monkeypatch.setattr(ports, "BUSY_PATIENCE", config.connect_timeout)
+    monkeypatch.setattr(ports, "BUSY_TIMEOUT", config.connect_timeout)
     with program(DRIVER + DRIVE, emulator.device) as process:
         drives(emulator)
         process.kill()

@@ -72,7 +72,7 @@ def test_too_few_descriptors_are_one_clear_error(shared_device: str) -> None:
 def test_windows_drives_without(
     shared_device: str, config: RobotConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(watchdog, "AVAILABLE", False)
+    monkeypatch.setattr(watchdog, "WATCHDOG_AVAILABLE", False)
     with Robot(open_link(shared_device, config), config) as robot:
         robot.drive(0.2, 0.0)
         assert isinstance(robot.link, SerialLink)

@@ -13,7 +13,7 @@ from acsar_gym.envs import ObstacleGoalVectorEnv, PointGoalVectorEnv
 from acsar_gym.errors import ConfigError
 
 if TYPE_CHECKING:
-    from acsar_gym.policies.sb3 import BatchVecEnv
+    from acsar_gym.tools.policies.sb3 import BatchVecEnv
 
 
 pytestmark = pytest.mark.xdist_group("torch")
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.xdist_group("torch")
 
 def wrapped(batch: Any) -> BatchVecEnv:
     """SB3 and torch are imported by the tests that need them."""
-    from acsar_gym.policies.sb3 import BatchVecEnv
+    from acsar_gym.tools.policies.sb3 import BatchVecEnv
 
     return BatchVecEnv(batch)
 
@@ -155,7 +155,7 @@ def test_robots_have_nothing_of_their_own() -> None:
 
 
 def test_a_batch_is_made_by_its_id() -> None:
-    from acsar_gym.policies.sb3 import make_batch
+    from acsar_gym.tools.policies.sb3 import make_batch
 
     env = make_batch("point_goal", 3, goal_distance=(0.3, 0.6))
     assert (env.num_envs, env.reset().shape) == (3, (3, 7))

@@ -14,13 +14,13 @@ from hypothesis import strategies as st
 from onnx_tools import GOOD, bundle_of, changed, counting, fitting, relabelled
 
 from acsar_gym import RobotConfig
-from acsar_gym.config.fingerprint import calibration_sha256, config_sha256
+from acsar_gym.config.robot import hash_calibration, hash_config
 from acsar_gym.errors import PolicyError, PolicyWarning
-from acsar_gym.evaluation import runs
-from acsar_gym.policies import OnnxPolicy, showing
-from acsar_gym.policies.bundle import MOST_BYTES, Bundle, parse
-from acsar_gym.policies.trained import VARIED, trained_range
 from acsar_gym.resources import AGENTS
+from acsar_gym.tools.evaluation import runs
+from acsar_gym.tools.policies import OnnxPolicy, showing
+from acsar_gym.tools.policies.bundle import MAX_BUNDLE_BYTES, Bundle, parse_bundle
+from acsar_gym.tools.policies.describe import RANDOMIZED_VALUES, trained_range
 
 ACSAR = RobotConfig.preset("acsar")
 WHOLE = json.dumps(changed())
@@ -34,7 +34,7 @@ JSON = st.recursive(
 def fails(text: str) -> str:
     """What is said of a bundle that can't be read."""
     with pytest.raises(PolicyError) as raised:
-        parse(text)
+        parse_bundle(text)
     said = str(raised.value)
     assert "\n" not in said
     return said
@@ -55,9 +55,9 @@ PLACES = paths(changed())
 
 def test_a_bundle_is_read_as_it_was_written() -> None:
     bundle = bundle_of()
-    assert parse(bundle.as_json()) == bundle
+    assert parse_bundle(bundle.as_json()) == bundle
     assert bundle.observation.width == 7
-    assert bundle.robot.sha256 == config_sha256(ACSAR)
+    assert bundle.robot.sha256 == hash_config(ACSAR)
     assert bundle.randomization is not None
 
 
@@ -80,12 +80,12 @@ def test_a_changed_bundle_is_a_bundle_or_one_line(path: tuple[Any, ...], value: 
         place = place[part]
     place[path[-1]] = value
     try:
-        found = parse(json.dumps(data))
+        found = parse_bundle(json.dumps(data))
     except PolicyError as error:
         assert "\n" not in str(error)  # noqa: PT017 - some changes are harmless
     else:
-        assert parse(found.as_json()) == found
-        assert list(showing.rows(found))
+        assert parse_bundle(found.as_json()) == found
+        assert list(showing.bundle_rows(found))
 
 
 @pytest.mark.parametrize(
@@ -102,7 +102,7 @@ def test_a_changed_bundle_is_a_bundle_or_one_line(path: tuple[Any, ...], value: 
         (WHOLE.replace('"scale": 3.0', '"scale": 1e999'), "1e999 is no number"),
         (WHOLE.replace('"options": {', '"options": {"a": ' + "[" * 30 + "]" * 30 + ", "), "deeply"),
         ("[" * 100_000, "not valid JSON"),
-        (WHOLE + " " * MOST_BYTES, "larger than 500,000 bytes"),
+        (WHOLE + " " * MAX_BUNDLE_BYTES, "larger than 500,000 bytes"),
     ],
     ids=range(12),
 )
@@ -135,7 +135,7 @@ def test_a_bundle_must_describe_its_own_network(tmp_path: Path) -> None:
 
 def refused(path: Path, **env: Any) -> str:
     with pytest.raises(PolicyError) as raised:
-        runs.made(OnnxPolicy(path), "planar", env.pop("robot", None), env)
+        runs.make_env(OnnxPolicy(path), "planar", env.pop("robot", None), env)
     return str(raised.value)
 
 
@@ -176,7 +176,7 @@ def differences(file: str | Path = "point_goal", /, **changes: Any) -> tuple[str
     """What is told of a robot that drives with a policy."""
     policy = OnnxPolicy(file)
     worlds = None if file == "point_goal" else "open:2"
-    runs.made(policy, "planar", ACSAR.with_(**changes), {"worlds": worlds}).close()
+    runs.make_env(policy, "planar", ACSAR.with_(**changes), {"worlds": worlds}).close()
     return policy.differences
 
 
@@ -235,10 +235,12 @@ def test_ranges_of_a_training_follow_from_the_randomization() -> None:
         "deadband_offset": (-0.1, 0.2),
     }
     ranges |= {"delay_samples": (0.004, 0.03, 0.01), "feedback_rate": (20.0, 50.0)}
-    assert trained_range(VARIED["motor.deadband"], (0.0,), ranges) == pytest.approx((0.0, 0.5))
-    delay = trained_range(VARIED["firmware.command_delay"], (0.01,), ranges)
+    assert trained_range(RANDOMIZED_VALUES["motor.deadband"], (0.0,), ranges) == pytest.approx(
+        (0.0, 0.5)
+    )
+    delay = trained_range(RANDOMIZED_VALUES["firmware.command_delay"], (0.01,), ranges)
     assert delay == pytest.approx((0.014, 0.06))
-    assert trained_range(VARIED["feedback_rate"], (100.0,), ranges) == (20.0, 50.0)
+    assert trained_range(RANDOMIZED_VALUES["feedback_rate"], (100.0,), ranges) == (20.0, 50.0)
     unknown = bundle_of().model_copy(update={"randomization": None})
     assert isinstance(unknown, Bundle)
 
@@ -248,7 +250,7 @@ def test_driving_warns_once_a_field_and_the_header_says_it() -> None:
     policy = OnnxPolicy("point_goal")
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        done = runs.drive(policy, "planar", robot, range(1))
+        done = runs.evaluate_policy(policy, "planar", robot, range(1))
     told = [str(one.message) for one in caught if one.category is PolicyWarning]
     assert told == [f"{policy.path}: {line}" for line in policy.differences]
     assert len(told) == 2
@@ -258,35 +260,35 @@ def test_driving_warns_once_a_field_and_the_header_says_it() -> None:
 def test_hashes_of_robots_and_calibrations() -> None:
     interval = {"low": 1.5, "high": 1.6, "method": "test"}
     known = ACSAR.with_(measured={"wheel_separation_multiplier": interval})
-    assert calibration_sha256(ACSAR) is None
-    assert calibration_sha256(known) == calibration_sha256(known.with_(max_linear=0.4))
-    assert config_sha256(known) != config_sha256(ACSAR)
-    assert config_sha256(ACSAR) == config_sha256(RobotConfig.preset("acsar"))
+    assert hash_calibration(ACSAR) is None
+    assert hash_calibration(known) == hash_calibration(known.with_(max_linear=0.4))
+    assert hash_config(known) != hash_config(ACSAR)
+    assert hash_config(ACSAR) == hash_config(RobotConfig.preset("acsar"))
 
 
 def test_a_policy_is_shown_without_being_run(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    from acsar_gym.cli.bundles import policy
+    from acsar_gym.tools.cli.policies import run_policy_group
 
     out = tmp_path / "bundle.json"
     monkeypatch.setattr("sys.argv", ["acsar-gym", "policy", "show", "barn", "--json", str(out)])
     monkeypatch.setitem(__import__("sys").modules, "onnxruntime", None)
-    assert policy() == 0
+    assert run_policy_group() == 0
     shown = capsys.readouterr().out
     for said in ("acsar_gym/Barn-v1", "goal_distance 0 to 2", "64 ranges over", "friction 0.7 to"):
         assert said in shown
-    assert parse(out.read_text()) == bundle_of(AGENTS / "policies" / "barn.onnx")
+    assert parse_bundle(out.read_text()) == bundle_of(AGENTS / "policies" / "barn.onnx")
 
 
 def test_text_of_a_file_cannot_steer_a_terminal(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    from acsar_gym.cli.bundles import policy
+    from acsar_gym.tools.cli.policies import run_policy_group
 
     path = relabelled(tmp_path / "p.onnx", env__worlds="\x1b[2J[red]a\nb")
     monkeypatch.setattr("sys.argv", ["acsar-gym", "policy", "show", str(path)])
-    assert policy() == 0
+    assert run_policy_group() == 0
     shown = capsys.readouterr().out
     assert "\x1b" not in shown
     assert "[red]a" in shown
@@ -313,7 +315,7 @@ def test_a_recurrent_policy_keeps_its_state_until_the_reset(tmp_path: Path) -> N
         policy.reset()
         decided = [float(policy(seen)[1]) for _ in range(3)]
         assert decided == pytest.approx([0.0, 0.1, 0.2])
-    done = runs.drive(policy, "planar", None, range(2))
+    done = runs.evaluate_policy(policy, "planar", None, range(2))
     assert [one.length > 0 for one in done.results] == [True, True]
 
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acsar_gym import cli
 from acsar_gym.errors import PolicyError
-from acsar_gym.evaluation import episodes as evaluation
-from acsar_gym.evaluation import runs
+from acsar_gym.tools import cli
+from acsar_gym.tools.evaluation import episodes as evaluation
+from acsar_gym.tools.evaluation import runs
 
 AHEAD = """
 import math
@@ -62,9 +62,9 @@ def mine(tmp_path: Path) -> Path:
 
 
 def test_a_function_drives_to_its_goal(mine: Path) -> None:
-    policy = runs.load(f"{mine}:act", trust=False)
-    env = runs.made(policy, "planar", None, {})
-    results = list(evaluation.episodes(env, policy, 5, seed=0))
+    policy = runs.load_policy(f"{mine}:act", trust=False)
+    env = runs.make_env(policy, "planar", None, {})
+    results = list(evaluation.run_episodes(env, policy, 5, seed=0))
     env.close()
     assert sum(result.success for result in results) == 5
 
@@ -72,9 +72,9 @@ def test_a_function_drives_to_its_goal(mine: Path) -> None:
 def test_the_environment_may_be_named(mine: Path) -> None:
     mine.write_text("def act(observation):\n    return [0.5, 0.0]\n")
     with pytest.raises(PolicyError, match="--env point_goal"):
-        runs.load(f"{mine}:act", trust=False)
-    policy = runs.load(f"{mine}:act", trust=False, env="path_follow")
-    env = runs.made(policy, "planar", None, {})
+        runs.load_policy(f"{mine}:act", trust=False)
+    policy = runs.load_policy(f"{mine}:act", trust=False, env="path_follow")
+    env = runs.make_env(policy, "planar", None, {})
     assert env.spec is not None
     assert env.spec.id == "acsar_gym/PathFollow-v0"
     env.close()
@@ -101,7 +101,7 @@ def test_the_environment_may_be_named(mine: Path) -> None:
 def test_what_is_wrong_is_one_line(source: str, said: str, mine: Path) -> None:
     mine.write_text(source)
     with pytest.raises(PolicyError) as raised:
-        runs.load(f"{mine}:act", trust=False, env="point_goal")(np.zeros(7, np.float32))
+        runs.load_policy(f"{mine}:act", trust=False, env="point_goal")(np.zeros(7, np.float32))
     assert str(raised.value).startswith(str(mine))
     assert said in str(raised.value)
     assert "\n" not in str(raised.value)
@@ -110,14 +110,14 @@ def test_what_is_wrong_is_one_line(source: str, said: str, mine: Path) -> None:
 def test_its_classes_know_their_module(mine: Path) -> None:
     """As dataclasses with postponed annotations, and pickle, need it."""
     mine.write_text(CLASSES)
-    action = runs.load(f"{mine}:act", trust=False)(np.zeros(7, np.float32))
+    action = runs.load_policy(f"{mine}:act", trust=False)(np.zeros(7, np.float32))
     assert action.tolist() == [0.5, 0.0]
 
 
 def test_a_missing_file_or_name_is_one_line(mine: Path) -> None:
     for policy, said in ((f"{mine}", "name a function"), ("missing.py:act", "no such file")):
         with pytest.raises(PolicyError, match=said):
-            runs.load(policy, trust=False, env="point_goal")
+            runs.load_policy(policy, trust=False, env="point_goal")
 
 
 def test_the_command_line_drives_it_and_says_what_is_wrong(

@@ -12,17 +12,17 @@ import pytest
 from onnx_tools import ENV_ID, GOOD, HOSTILE, Maker, bundle_of, relabelled
 
 from acsar_gym.errors import ConfigError, PolicyError
-from acsar_gym.evaluation import runs
-from acsar_gym.policies import OnnxPolicy, trial
-from acsar_gym.policies.limits import plain
-from acsar_gym.policies.onnx import MAX_BYTES, inspected
-from acsar_gym.policies.protobuf import Message, ProtobufError
+from acsar_gym.tools.evaluation import runs
+from acsar_gym.tools.policies import OnnxPolicy, trial
+from acsar_gym.tools.policies.limits import plain
+from acsar_gym.tools.policies.onnx import MAX_POLICY_BYTES, inspect_network
+from acsar_gym.tools.policies.protobuf import Message, ProtobufError
 
 
 def refused(path: Path) -> str:
     """The one line with which a policy file is refused."""
     with pytest.raises(PolicyError) as raised:
-        runs.made(runs.load(str(path), trust=False), "planar", None, {})
+        runs.make_env(runs.load_policy(str(path), trust=False), "planar", None, {})
     said = str(raised.value)
     assert said.startswith(str(path))
     assert "\n" not in said
@@ -67,7 +67,7 @@ def test_devices_pipes_and_large_files_are_not_read(tmp_path: Path) -> None:
     pipe, large = tmp_path / "pipe.onnx", tmp_path / "large.onnx"
     os.mkfifo(pipe)
     with large.open("wb") as file:
-        file.truncate(MAX_BYTES + 1)
+        file.truncate(MAX_POLICY_BYTES + 1)
     assert "regular file" in refused(pipe)
     assert "larger than 32 MB" in refused(large)
     assert "regular file" in refused(Path("/dev/zero"))
@@ -82,7 +82,7 @@ def test_no_cut_or_changed_file_gets_past_as_anything_but_a_policy(cut: int) -> 
         changed[place] = rng.integers(256)
     for content in (data[:cut], data[:-cut] if cut else b"", bytes(changed)):
         try:
-            inspected(content)
+            inspect_network(content)
         except PolicyError as error:
             assert "\n" not in str(error)  # noqa: PT017 - most are refused, some are harmless
 
@@ -97,7 +97,7 @@ def test_repeated_parts_are_merged_as_protobuf_does() -> None:
     for part in ("input", "output"):
         hidden.graph.ClearField(part)
     with pytest.raises(PolicyError, match="Loop"):
-        inspected(hidden.SerializeToString() + make.bytes())
+        inspect_network(hidden.SerializeToString() + make.bytes())
 
 
 @pytest.mark.parametrize(
@@ -121,7 +121,7 @@ def test_plain_networks_need_no_trial(monkeypatch: pytest.MonkeyPatch) -> None:
     def tried(*_: object) -> str:
         raise AssertionError
 
-    monkeypatch.setattr(trial, "refusal", tried)
+    monkeypatch.setattr(trial, "find_refusal", tried)
     for path in GOOD.parent.glob("*.onnx"):
         OnnxPolicy(path)
 
@@ -139,7 +139,7 @@ def test_networks_that_change_a_part_of_the_observation_need_no_trial() -> None:
     logs = make.add("Log", make.add("Add", rays, make.weight(0.5)))
     parts = make.add("Concat", sliced(make, 0, 3), logs, axis=1)
     make.add("Tanh", make.dense(parts, 7, out="d"), out="action")
-    assert plain(inspected(make.bytes())[0])
+    assert plain(inspect_network(make.bytes())[0])
 
 
 @pytest.mark.parametrize("axis", [0, 2])
@@ -147,7 +147,7 @@ def test_rows_below_each_other_are_tried(axis: int) -> None:
     """Their product could be anything."""
     make = Maker()
     make.dense(make.add("Concat", "observation", "observation", axis=axis), 7)
-    assert not plain(inspected(make.bytes())[0])
+    assert not plain(inspect_network(make.bytes())[0])
 
 
 def test_weights_of_several_rows_are_tried() -> None:
@@ -155,10 +155,10 @@ def test_weights_of_several_rows_are_tried() -> None:
         make = Maker()
         square = make.add(op, "observation", make.weight(np.zeros((500, 7))))
         make.dense(make.add("ReduceMax", square, make.weight([0], np.int64), keepdims=1), 7)
-        assert not plain(inspected(make.bytes())[0])
+        assert not plain(inspect_network(make.bytes())[0])
         column = Maker()
         column.dense(column.add(op, column.weight(np.zeros((500, 1))), "observation"), 7)
-        assert not plain(inspected(column.bytes())[0])
+        assert not plain(inspect_network(column.bytes())[0])
 
 
 def test_other_networks_are_tried_once(tmp_path: Path) -> None:
@@ -167,7 +167,7 @@ def test_other_networks_are_tried_once(tmp_path: Path) -> None:
     filtered = make.add("Conv", lanes, make.weight(np.full((4, 1, 3), 0.1)))
     make.dense(make.add("Flatten", filtered), 20)
     data = make.bytes()
-    assert not plain(inspected(data)[0])
+    assert not plain(inspect_network(data)[0])
     path = tmp_path / "convolution.onnx"
     path.write_bytes(data)
     assert OnnxPolicy(path)(np.ones(7, np.float32)).tolist() == pytest.approx([0.06, 0.06])
@@ -179,10 +179,10 @@ def test_a_file_chooses_among_the_environments_of_this_package_alone(
 ) -> None:
     path = relabelled(tmp_path / "other.onnx", env__id=env_id)
     assert "which isn't acsar_gym's: if you trust that package, name it with --env" in refused(path)
-    policy = runs.load(str(path), trust=False, env=ENV_ID)
-    runs.made(policy, "planar", None, {}).close()
+    policy = runs.load_policy(str(path), trust=False, env=ENV_ID)
+    runs.make_env(policy, "planar", None, {}).close()
     with pytest.raises(ConfigError, match="no_such_module"):
-        runs.load(str(path), trust=False, env="no_such_module:x-v0")
+        runs.load_policy(str(path), trust=False, env="no_such_module:x-v0")
 
 
 def test_what_a_file_says_cannot_steer_a_terminal(tmp_path: Path) -> None:
@@ -205,7 +205,7 @@ def looked_up(axes: list[int], keepdims: int = 0) -> bytes:
 
 def test_the_least_numbers_of_a_table_need_no_trial() -> None:
     """As those of the arcs do, which look up how far a robot can drive along them."""
-    assert plain(inspected(looked_up([1]))[0])
+    assert plain(inspect_network(looked_up([1]))[0])
 
 
 @pytest.mark.parametrize(("axes", "keepdims"), [([], 0), ([0], 0), ([0], 1), ([1], 1), ([0, 1], 0)])
@@ -213,4 +213,4 @@ def test_what_is_looked_up_is_tried_where_more_than_a_row_may_go_on(
     axes: list[int], keepdims: int
 ) -> None:
     """Each further table would multiply it: a file of 7 kB could fill the memory."""
-    assert not plain(inspected(looked_up(axes, keepdims))[0])
+    assert not plain(inspect_network(looked_up(axes, keepdims))[0])

@@ -14,11 +14,11 @@ from onnx_tools import ENV_ID, GOOD, Maker, bundle_of, relabelled
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError, PolicyError
-from acsar_gym.evaluation import runs
-from acsar_gym.evaluation.episodes import episodes
-from acsar_gym.evaluation.metrics import summarise
-from acsar_gym.policies import OnnxPolicy
 from acsar_gym.resources import AGENTS
+from acsar_gym.tools.evaluation import runs
+from acsar_gym.tools.evaluation.episodes import run_episodes
+from acsar_gym.tools.evaluation.metrics import summarise_episodes
+from acsar_gym.tools.policies import OnnxPolicy
 
 pytestmark = pytest.mark.xdist_group("torch")
 TRAIN = AGENTS / "train.py"
@@ -55,7 +55,7 @@ def test_the_file_decides_as_the_model_does(trained: Path) -> None:
 @pytest.mark.parametrize("link", ["bullet", "planar"])
 def test_the_policy_that_comes_along_reaches_its_goals(link: str) -> None:
     env = gymnasium.make("acsar_gym/PointGoal-v0", link=link)
-    summary = summarise(list(episodes(env, OnnxPolicy("point_goal"), 20, seed=500)))
+    summary = summarise_episodes(list(run_episodes(env, OnnxPolicy("point_goal"), 20, seed=500)))
     env.close()
     assert summary.success_rate >= 0.95
     assert 0.0 < summary.odometry_error < 0.05
@@ -64,7 +64,7 @@ def test_the_policy_that_comes_along_reaches_its_goals(link: str) -> None:
 
 def test_driving_needs_no_torch() -> None:
     code = (
-        "import sys, numpy as np; from acsar_gym.policies import OnnxPolicy;"
+        "import sys, numpy as np; from acsar_gym.tools.policies import OnnxPolicy;"
         "OnnxPolicy('point_goal')(np.zeros(7, np.float32));"
         "sys.exit('torch' in sys.modules or 'pybullet' in sys.modules)"
     )
@@ -90,7 +90,7 @@ def test_a_policy_for_another_observation_is_refused(tmp_path: Path) -> None:
     with pytest.raises(
         PolicyError, match=r"observation\[0\] is heading_cos in the file.*train it again"
     ):
-        runs.made(OnnxPolicy(path), "planar", None, {})
+        runs.make_env(OnnxPolicy(path), "planar", None, {})
 
 
 def test_a_policy_for_another_lidar_is_refused() -> None:
@@ -98,13 +98,13 @@ def test_a_policy_for_another_lidar_is_refused() -> None:
     with pytest.raises(
         PolicyError, match=r"lidar.field_of_view is 6.283 in the file and 3 on this robot"
     ):
-        runs.made(OnnxPolicy("obstacle_goal"), "planar", wide, {})
+        runs.make_env(OnnxPolicy("obstacle_goal"), "planar", wide, {})
 
 
 def test_a_policy_of_no_known_environment_is_refused(tmp_path: Path) -> None:
     path = relabelled(tmp_path / "maze.onnx", env__id="acsar_gym/Maze-v0")
     with pytest.raises(PolicyError, match="Maze"):
-        runs.made(OnnxPolicy(path), "planar", None, {})
+        runs.make_env(OnnxPolicy(path), "planar", None, {})
 
 
 def test_a_file_cannot_have_a_module_imported(tmp_path: Path) -> None:
@@ -115,7 +115,7 @@ def test_a_file_cannot_have_a_module_imported(tmp_path: Path) -> None:
 
 def test_options_that_the_environment_lacks_are_named() -> None:
     with pytest.raises(ConfigError, match="'walls'"):
-        runs.made(OnnxPolicy("point_goal"), "planar", None, {"walls": 3})
+        runs.make_env(OnnxPolicy("point_goal"), "planar", None, {"walls": 3})
 
 
 def test_a_network_with_other_names_is_refused(tmp_path: Path) -> None:
@@ -137,7 +137,7 @@ def test_the_file_names_no_path_of_the_machine_that_trained(trained: Path) -> No
 def test_onnxruntime_keeps_no_id_of_this_computer(tmp_path: Path) -> None:
     silent = ("CI", "GITHUB_ACTIONS", "TF_BUILD", "ORT_DISABLE_TELEMETRY", "XDG_CACHE_HOME")
     user = {name: value for name, value in os.environ.items() if name not in silent}
-    decide = "from acsar_gym.policies import OnnxPolicy; OnnxPolicy('point_goal').reset()"
+    decide = "from acsar_gym.tools.policies import OnnxPolicy; OnnxPolicy('point_goal').reset()"
     command = [sys.executable, "-c", decide]
     subprocess.run(command, check=True, env=user | {"HOME": str(tmp_path)}, timeout=120)
     assert list(tmp_path.rglob("*")) == []

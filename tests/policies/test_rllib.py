@@ -10,7 +10,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from acsar_gym.errors import ConfigError
-from acsar_gym.policies import rllib
+from acsar_gym.tools.policies import rllib
 
 pytestmark = pytest.mark.xdist_group("torch")
 ASKED = {"id": "point_goal", "num_envs": 2}

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from acsar_gym import policies
 from acsar_gym.errors import ConfigError, MissingExtraError, PolicyError
-from acsar_gym.evaluation import runs
-from acsar_gym.policies import OnnxPolicy, save
+from acsar_gym.tools import policies
+from acsar_gym.tools.evaluation import runs
+from acsar_gym.tools.policies import OnnxPolicy, save
 
 pytestmark = pytest.mark.xdist_group("torch")
 ID = "acsar_gym/PointGoal-v0"
@@ -45,7 +45,7 @@ def test_a_module_decides_the_same_from_its_file(tmp_path: Path) -> None:
         with torch.no_grad():
             expected = module(torch.from_numpy(normalized)[None])[0].clamp(-1.0, 1.0)
         assert policy(seen) == pytest.approx(expected.numpy(), abs=1e-6)
-    runs.made(policy, "planar", None, {}).close()
+    runs.make_env(policy, "planar", None, {}).close()
 
 
 def test_a_network_that_is_called_in_its_own_way_decides_the_same(tmp_path: Path) -> None:
@@ -126,13 +126,13 @@ def test_a_file_keeps_what_the_envs_arguments_scale(tmp_path: Path) -> None:
     assert policy.bundle is not None
     assert (policy.scale, policy.bundle.rates.policy) == (10.0, 20.0)
     with pytest.raises(PolicyError, match=r"scale is 10 in the file and 3 in this .*: give"):
-        runs.made(policy, "planar", None, {})
-    env: Any = runs.made(policy, "planar", None, far | {"policy_rate": 20.0}).unwrapped
+        runs.make_env(policy, "planar", None, {})
+    env: Any = runs.make_env(policy, "planar", None, far | {"policy_rate": 20.0}).unwrapped
     policy.check(env.task, env.sensors, policy_rate=20.0)
     with pytest.raises(PolicyError, match=r"rates.policy is 20 in the file and 10 in this .*: giv"):
         policy.check(env.task, env.sensors, policy_rate=10.0)
     packaged = OnnxPolicy("point_goal")
-    runs.made(packaged, "planar", None, far | {"distance_scale": 3.0}).close()
+    runs.make_env(packaged, "planar", None, far | {"distance_scale": 3.0}).close()
 
 
 def test_arguments_that_an_environment_does_not_take_are_one_line(tmp_path: Path) -> None:
@@ -149,7 +149,7 @@ def test_an_unknown_environment_is_one_line(tmp_path: Path) -> None:
 
 
 def test_without_onnx_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(sys.modules, "acsar_gym.policies.torch_export", raising=False)
+    monkeypatch.delitem(sys.modules, "acsar_gym.tools.policies.export", raising=False)
     monkeypatch.delattr(policies, "torch_export", raising=False)
     monkeypatch.setitem(sys.modules, "onnxscript", None)
     with pytest.raises(MissingExtraError, match=r"onnxscript\) needs .*acsar_gym\[train\]"):
@@ -158,8 +158,8 @@ def test_without_onnx_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.Mon
 
 def test_importing_policies_imports_no_torch_and_training_no_onnx() -> None:
     for module, absent in (
-        ("acsar_gym.policies", "{'torch', 'onnxruntime', 'onnx', 'pybullet'}"),
-        ("acsar_gym.policies.sb3", "{'onnx', 'onnxscript', 'onnxruntime'}"),
+        ("acsar_gym.tools.policies", "{'torch', 'onnxruntime', 'onnx', 'pybullet'}"),
+        ("acsar_gym.tools.policies.sb3", "{'onnx', 'onnxscript', 'onnxruntime'}"),
     ):
         code = f"import sys, {module}; sys.exit(sorted({absent} & set(sys.modules)) or 0)"
         done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True)

@@ -17,9 +17,9 @@ import pytest
 from zip_tools import NAMES, PLACES, algorithms, poison, save
 
 from acsar_gym.errors import ConfigError, MissingExtraError, PolicyError
-from acsar_gym.evaluation import runs
-from acsar_gym.policies import FilePolicy, OnnxPolicy, ZipPolicy
 from acsar_gym.resources import AGENTS
+from acsar_gym.tools.evaluation import runs
+from acsar_gym.tools.policies import FilePolicy, OnnxPolicy, ZipPolicy
 
 pytestmark = pytest.mark.xdist_group("torch")
 
@@ -38,7 +38,7 @@ def test_nothing_in_a_zip_runs_without_trust(
     marker = tmp_path / "marker"
     bad = poison(good, place, marker, tmp_path / name)
     with pytest.raises(PolicyError, match=name):
-        runs.load(str(bad), trust=False)
+        runs.load_policy(str(bad), trust=False)
     with pytest.raises(PolicyError, match="--trust"):
         ZipPolicy(bad)
     assert not marker.exists()
@@ -54,7 +54,7 @@ def test_the_poison_of_these_tests_works(good: Path, tmp_path: Path) -> None:
 def test_refusing_needs_neither_stable_baselines3_nor_torch(good: Path) -> None:
     code = (
         "import sys; from acsar_gym.errors import PolicyError\n"
-        "from acsar_gym.evaluation import runs\n"
+        "from acsar_gym.tools.evaluation import runs\n"
         f"try: runs.load({str(good)!r}, trust=False)\n"
         "except PolicyError: sys.exit(bool({'torch', 'stable_baselines3'} & set(sys.modules)))\n"
         "sys.exit(2)"
@@ -73,7 +73,7 @@ def test_it_decides_as_the_model_does_and_so_does_its_export(
     assert policy.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
     exported: FilePolicy = policy
     if algorithm in {"PPO", "SAC", "TD3"}:  # A2C and DDPG have the same actors as two of them
-        runs.export(path, out, "", None, trust=True)
+        runs.export_policy(path, out, "", None, trust=True)
         exported = OnnxPolicy(out)
     assert (exported.env_id, exported.bundle) == (policy.env_id, policy.bundle)
     seen = []
@@ -94,7 +94,7 @@ def test_state_dependent_noise_changes_no_deterministic_action(
 ) -> None:
     path = save(tmp_path / "model.zip", net={"squash_output": squash}, use_sde=True)
     out = tmp_path / "policy.onnx"
-    runs.export(path, out, "", None, trust=True)
+    runs.export_policy(path, out, "", None, trust=True)
     observation = np.linspace(-1.0, 1.0, 7, dtype=np.float32)
     expected = ZipPolicy(path, trust=True)(observation)
     assert OnnxPolicy(out)(observation) == pytest.approx(expected, abs=1e-6)
@@ -103,18 +103,20 @@ def test_state_dependent_noise_changes_no_deterministic_action(
 def test_an_unlabelled_zip_needs_to_be_told_its_environment(tmp_path: Path) -> None:
     path, out = save(tmp_path / "model.zip", label=False), tmp_path / "policy.onnx"
     with pytest.raises(PolicyError, match="--env"):
-        runs.made(ZipPolicy(path, trust=True), "planar", None, {})
-    runs.export(path, out, "point_goal", None, trust=True)
+        runs.make_env(ZipPolicy(path, trust=True), "planar", None, {})
+    runs.export_policy(path, out, "point_goal", None, trust=True)
     assert OnnxPolicy(out).env_id == "acsar_gym/PointGoal-v0"
     with pytest.raises(PolicyError, match=r"Box.*\(7,\).*\(16,\)"):
-        runs.export(path, out, "path_follow", None, trust=True)
+        runs.export_policy(path, out, "path_follow", None, trust=True)
     with pytest.raises(ConfigError, match="Maze"):
-        runs.export(path, out, "maze", None, trust=True)
+        runs.export_policy(path, out, "maze", None, trust=True)
 
 
 def test_a_zip_for_another_observation_is_refused(good: Path) -> None:
     with pytest.raises(PolicyError, match="in acsar_gym/PathFollow-v0: train"):
-        runs.made(ZipPolicy(good, trust=True, env_id="acsar_gym/PathFollow-v0"), "planar", None, {})
+        runs.make_env(
+            ZipPolicy(good, trust=True, env_id="acsar_gym/PathFollow-v0"), "planar", None, {}
+        )
 
 
 @pytest.mark.parametrize("content", [b"", b"not a zip", b"PK\x05\x06" + bytes(18)])
@@ -159,7 +161,9 @@ def test_other_actions_are_refused(tmp_path: Path) -> None:
 
     PPO("MlpPolicy", "Pendulum-v1", device="cpu").save(tmp_path / "model.zip")
     with pytest.raises(PolicyError, match=r"Box\(-2\.0"):
-        runs.export(tmp_path / "model.zip", tmp_path / "p.onnx", "point_goal", None, trust=True)
+        runs.export_policy(
+            tmp_path / "model.zip", tmp_path / "p.onnx", "point_goal", None, trust=True
+        )
 
 
 def test_without_stable_baselines3_the_extra_is_named(
@@ -175,7 +179,7 @@ def normalized(folder: Path) -> tuple[Path, Any, Any]:
     from stable_baselines3 import PPO
     from stable_baselines3.common.vec_env import VecNormalize
 
-    from acsar_gym.policies.sb3 import make_batch
+    from acsar_gym.tools.policies.sb3 import make_batch
 
     env = VecNormalize(make_batch("point_goal", 4), clip_obs=2.0)
     options: dict[str, Any] = {"policy_kwargs": {"net_arch": [8]}, "n_steps": 16, "batch_size": 64}
@@ -192,11 +196,11 @@ def test_statistics_of_vecnormalize_become_part_of_the_file(tmp_path: Path) -> N
     path, model, env = normalized(tmp_path)
     out, beside = tmp_path / "policy.onnx", tmp_path / "vecnormalize.pkl"
     with pytest.raises(PolicyError, match=r"vecnormalize\.pkl is beside it.*--vecnormalize none"):
-        runs.export(path, out, "point_goal", None, trust=True)
+        runs.export_policy(path, out, "point_goal", None, trust=True)
     with pytest.raises(PolicyError, match=r"vecnormalize\.pkl is beside it"):
-        runs.load(str(path), trust=True)
+        runs.load_policy(str(path), trust=True)
     assert not out.exists()
-    runs.export(path, out, "point_goal", None, trust=True, vecnormalize=str(beside))
+    runs.export_policy(path, out, "point_goal", None, trust=True, vecnormalize=str(beside))
     policy = OnnxPolicy(out)
     for seen in np.random.default_rng(0).uniform(-2.0, 2.0, (20, 7)).astype(np.float32):
         expected, _ = model.predict(env.normalize_obs(seen), deterministic=True)
@@ -205,7 +209,7 @@ def test_statistics_of_vecnormalize_become_part_of_the_file(tmp_path: Path) -> N
     bad.write_bytes(pickle.dumps({"a": 1}))
     for file, said in ((bad, "holds a dict, not a VecNormalize"), (path, "not a VecNormalize")):
         with pytest.raises(PolicyError, match=said):
-            runs.export(path, out, "point_goal", None, trust=True, vecnormalize=str(file))
+            runs.export_policy(path, out, "point_goal", None, trust=True, vecnormalize=str(file))
 
 
 def test_a_model_of_vecnormalize_without_its_file_is_refused(tmp_path: Path) -> None:
@@ -213,15 +217,15 @@ def test_a_model_of_vecnormalize_without_its_file_is_refused(tmp_path: Path) -> 
     out, beside = tmp_path / "policy.onnx", tmp_path / "vecnormalize.pkl"
     elsewhere = beside.rename(tmp_path / "statistics")
     for attempt in (
-        lambda: runs.export(path, out, "point_goal", None, trust=True),
-        lambda: runs.load(str(path), trust=True),
+        lambda: runs.export_policy(path, out, "point_goal", None, trust=True),
+        lambda: runs.load_policy(str(path), trust=True),
     ):
         with pytest.raises(PolicyError, match="was trained with a VecNormalize, whose file") as no:
             attempt()
         assert "\n" not in str(no.value)
     assert not out.exists()
     for named in (str(elsewhere), "none"):
-        runs.export(path, out, "point_goal", None, trust=True, vecnormalize=named)
+        runs.export_policy(path, out, "point_goal", None, trust=True, vecnormalize=named)
 
 
 def train(*arguments: str | Path) -> subprocess.CompletedProcess[str]:

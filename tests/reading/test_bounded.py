@@ -16,9 +16,7 @@ import numpy as np
 import pytest
 from disk_tools import full_disk
 
-from acsar_gym import RobotConfig, demo
-from acsar_gym.calibration import runs
-from acsar_gym.cli import main
+from acsar_gym import RobotConfig, reading
 from acsar_gym.config import (
     BodyConfig,
     EncoderConfig,
@@ -28,11 +26,13 @@ from acsar_gym.config import (
     MotorConfig,
     SpeedLimits,
 )
-from acsar_gym.errors import AcsarError, ConfigError, PolicyError, printable
-from acsar_gym.evaluation.report import write_json
-from acsar_gym.reading import bounded
+from acsar_gym.errors import AcsarError, ConfigError, PolicyError, escape_unprintable
 from acsar_gym.render import top_view
-from acsar_gym.training import history
+from acsar_gym.tools import demo
+from acsar_gym.tools.cli import main
+from acsar_gym.tools.evaluation.report import write_json
+from acsar_gym.tools.sysid import calibration_runs
+from acsar_gym.tools.training import held_out
 from acsar_gym.worlds import files, generators
 
 Call = Callable[..., tuple[int, str, str]]
@@ -49,22 +49,22 @@ def assert_one_line(code: int, error: str, found: str) -> None:
 def test_a_file_within_the_limit_is_read(tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.write_bytes(b"12345")
-    assert bounded.read(path, 5) == b"12345"
+    assert reading.read_file(path, 5) == b"12345"
 
 
 def test_a_file_over_the_limit_is_refused_unread(tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.write_bytes(b"12345")
     with pytest.raises(PolicyError, match=r"file: is larger than 4 bytes"):
-        bounded.read(path, 4, PolicyError)
+        reading.read_file(path, 4, PolicyError)
     os.truncate(path, 10**12)
     with pytest.raises(ConfigError, match="is larger than 8 MB"):
-        bounded.read(path, 8_000_000)
+        reading.read_file(path, 8_000_000)
 
 
 def test_what_grows_while_it_is_read_is_refused() -> None:
     with pytest.raises(ConfigError, match="is larger than 2 bytes"):
-        bounded.read(Path("/proc/self/status"), 2)  # its size is 0
+        reading.read_file(Path("/proc/self/status"), 2)  # its size is 0
 
 
 def _special(tmp_path: Path) -> list[Path]:
@@ -77,31 +77,33 @@ def _special(tmp_path: Path) -> list[Path]:
 def test_only_regular_files_are_read(tmp_path: Path) -> None:
     for path in _special(tmp_path):
         with pytest.raises(ConfigError, match=f"^{path}: isn't a regular file$"):
-            bounded.read(path, 100)
+            reading.read_file(path, 100)
 
 
 def test_a_path_that_cannot_be_is_one_error(tmp_path: Path) -> None:
     for name in ("missing", "a\0b", "x" * 5000, "\ud800"):
         with pytest.raises(AcsarError, match=r"there is no such file|can't be read"):
-            bounded.read(tmp_path / name, 100)
+            reading.read_file(tmp_path / name, 100)
 
 
 def test_a_pipe_that_nobody_reads_is_an_error(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path / "pipe", tmp_path, tmp_path / "no" / "file", tmp_path / "a\0b"):
         with pytest.raises(ConfigError, match="can't be written: "):
-            bounded.write_atomically(path, b"data")
-    bounded.write_atomically(tmp_path / "file", b"data")
+            reading.write_atomically(path, b"data")
+    reading.write_atomically(tmp_path / "file", b"data")
     assert (tmp_path / "file").read_bytes() == b"data"
 
 
 WRITERS: dict[str, Callable[[Path], object]] = {
     "robot.yaml": lambda path: RobotConfig.preset("jackal").save(path),
-    "runs.json": lambda path: runs.write(path, [], RobotConfig()),
-    "world.yaml": lambda path: files.save(generators.generate("clutter", 1), path),
+    "runs.json": lambda path: calibration_runs.write_runs(path, [], RobotConfig()),
+    "world.yaml": lambda path: files.save_world(generators.generate_world("clutter", 1), path),
     "report.json": lambda path: write_json(path, {"numbers": list(range(100))}),
-    "picture.png": lambda path: top_view.save(np.zeros((64, 64, 3), np.uint8), path),
-    "table.csv": lambda path: history.write(path, [dict.fromkeys(history.COLUMNS, 1.0)] * 9),
+    "picture.png": lambda path: top_view.save_picture(np.zeros((64, 64, 3), np.uint8), path),
+    "table.csv": lambda path: held_out.write_curve(
+        path, [dict.fromkeys(held_out.CURVE_COLUMNS, 1.0)] * 9
+    ),
 }
 
 
@@ -120,7 +122,7 @@ def test_a_full_disk_leaves_the_file_that_was_there(name: str, tmp_path: Path) -
 def test_a_writer_that_is_interrupted_leaves_the_file_that_was_there(tmp_path: Path) -> None:
     path = tmp_path / "model.zip"
     path.write_bytes(b"before")
-    with pytest.raises(KeyboardInterrupt), bounded.replacing(path) as new:
+    with pytest.raises(KeyboardInterrupt), reading.replace_file(path) as new:
         new.write_bytes(b"aft")
         assert new.suffix == ".zip"
         raise KeyboardInterrupt
@@ -136,15 +138,15 @@ def test_a_replaced_file_keeps_its_permissions_and_its_links(tmp_path: Path) -> 
     path.chmod(0o640)
     link.symlink_to(path)
     dangling.symlink_to(tmp_path / "far" / "missing.yaml")
-    bounded.write_atomically(link, b"after")
-    bounded.write_atomically(dangling, b"new")
+    reading.write_atomically(link, b"after")
+    reading.write_atomically(dangling, b"new")
     assert link.is_symlink()
     assert (path.read_bytes(), path.stat().st_mode & 0o777) == (b"after", 0o640)
     assert (tmp_path / "far" / "missing.yaml").read_bytes() == b"new"
     assert len(list(tmp_path.rglob("*"))) == 5
     before = os.umask(0o027)
     try:
-        bounded.write_atomically(tmp_path / "own.yaml", b"mine")
+        reading.write_atomically(tmp_path / "own.yaml", b"mine")
     finally:
         os.umask(before)
     assert (tmp_path / "own.yaml").stat().st_mode & 0o777 == 0o640
@@ -156,7 +158,7 @@ def test_a_write_protected_file_is_not_replaced(tmp_path: Path) -> None:
     path.write_bytes(b"before")
     path.chmod(0o440)
     with pytest.raises(ConfigError, match="can't be written: Permission denied"):
-        bounded.write_atomically(path, b"after")
+        reading.write_atomically(path, b"after")
     assert path.read_bytes() == b"before"
 
 
@@ -247,7 +249,7 @@ def test_pipes_and_devices_are_not_read(option: str, tmp_path: Path, call: Call)
 def test_too_much_is_told_before_anything_is_made(
     arguments: tuple[str, ...], found: str, call: Call, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(generators, "generate", None)
+    monkeypatch.setattr(generators, "generate_world", None)
     code, _, error = call("worlds", *arguments)
     assert_one_line(code, error, found)
 
@@ -256,7 +258,7 @@ def test_too_much_is_told_before_anything_is_made(
 def test_a_demo_checks_its_counts_first(
     option: str, call: Call, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(demo, "run", None)
+    monkeypatch.setattr(demo, "run_demo", None)
     for count in ("-1", "0", "9" * 400):
         code, _, error = call("demo", option, count)
         assert_one_line(code, error, f"{option} = ")
@@ -270,7 +272,7 @@ def test_no_control_character_of_a_name_reaches_the_terminal(
     path.write_text(WORLD.format(json.dumps(name)))
     code, out, _ = call("worlds", "check", path)
     assert code == 0
-    assert printable(name) in out
+    assert escape_unprintable(name) in out
     assert all(c.isprintable() or c == "\n" for c in out)
     _, _, error = call("run", "1", "0", "--link", f"\x1b[31m{name}")
     assert error.startswith("acsar-gym: unknown link '\\x1b[31m")
@@ -291,7 +293,7 @@ HUNGRY = """
 import json, re, sys
 from pathlib import Path
 from acsar_gym import RobotConfig
-from acsar_gym.evaluation import atlas
+from acsar_gym.tools import atlas
 from acsar_gym.errors import AcsarError
 from acsar_gym.worlds import World, files
 folder = Path(sys.argv[1])

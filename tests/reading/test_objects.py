@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from acsar_gym.errors import ConfigError
-from acsar_gym.reading.objects import imported
+from acsar_gym.reading import import_object
 
 FILES = {"unreadable": "x = = 1\n", "raising": "1 / 0\n", "leaving": "raise SystemExit(3)\n"}
 
@@ -44,10 +44,10 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 )
 def test_a_bad_name_is_one_clear_error(name: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message) as caught:
-        imported("sensor", name)
+        import_object("sensor", name)
     assert str(caught.value).startswith(f"sensor = {name!r}: ")
     assert "\n" not in str(caught.value)
 
 
 def test_objects_of_objects_are_found() -> None:
-    assert imported("task", "pathlib:Path.cwd") == Path.cwd
+    assert import_object("task", "pathlib:Path.cwd") == Path.cwd

@@ -5,14 +5,14 @@ from __future__ import annotations
 import pytest
 
 from acsar_gym.errors import ConfigError
-from acsar_gym.reading.structured import from_json, from_yaml, to_yaml
+from acsar_gym.reading import format_yaml, parse_json, parse_yaml
 
 
 @pytest.mark.parametrize("text", ["[[],[],[]]", '{"a": {}, "b": {}}', "[1, 2, 3, 4]"])
 def test_values_of_json_are_counted(text: str) -> None:
-    from_json(text, most=6)
+    parse_json(text, most=6)
     with pytest.raises(ConfigError, match="has more than 2 values"):
-        from_json(text, most=2)
+        parse_json(text, most=2)
 
 
 @pytest.mark.parametrize(
@@ -20,7 +20,7 @@ def test_values_of_json_are_counted(text: str) -> None:
 )
 def test_bad_json_is_one_line(text: str | bytes) -> None:
     with pytest.raises(ConfigError, match=r"^not valid JSON: ") as error:
-        from_json(text)
+        parse_json(text)
     assert "\n" not in str(error.value)
 
 
@@ -40,7 +40,7 @@ def test_bad_json_is_one_line(text: str | bytes) -> None:
 )
 def test_bad_yaml_is_one_line_that_tells_where(text: str, said: str) -> None:
     with pytest.raises(ConfigError) as error:
-        from_yaml(text)
+        parse_yaml(text)
     assert said in str(error.value)
     assert "\n" not in str(error.value)
 
@@ -48,4 +48,4 @@ def test_bad_yaml_is_one_line_that_tells_where(text: str, said: str) -> None:
 def test_what_is_written_is_read_back() -> None:
     same = [1, 2]
     data = {"a": same, "b": same, "c": "1e-3", "d": 1e-5, "e": None, "f": {"g": True}}
-    assert from_yaml(to_yaml(data)) == data
+    assert parse_yaml(format_yaml(data)) == data

@@ -15,9 +15,9 @@ from recording_tools import drive
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError, RecordingWarning
-from acsar_gym.recording import read, summary
-from acsar_gym.recording.export import export, tables
-from acsar_gym.recording.header import header
+from acsar_gym.recording import read, reader
+from acsar_gym.recording.export import export_recording, make_tables
+from acsar_gym.recording.messages import make_header
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,7 @@ def tape(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_parquet_has_every_number(tape: Path, tmp_path: Path) -> None:
-    written = export(tape, "parquet", tmp_path / "out")
+    written = export_recording(tape, "parquet", tmp_path / "out")
     assert [path.name for path in written] == [
         f"{name}.parquet" for name in ("ticks", "wire", "steps", "scans")
     ]
@@ -57,7 +57,7 @@ def rows_of(path: Path) -> list[dict[str, str]]:
 
 
 def test_csv_has_the_same(tape: Path, tmp_path: Path) -> None:
-    paths = export(tape, "csv", tmp_path)
+    paths = export_recording(tape, "csv", tmp_path)
     rows = rows_of(paths[0])
     recording = read(tape)
     assert len(rows) == 80
@@ -69,7 +69,7 @@ def test_csv_has_the_same(tape: Path, tmp_path: Path) -> None:
 
 
 def test_minari_reads_the_episodes_back(tape: Path, tmp_path: Path) -> None:
-    (folder,) = export(tape, "minari", tmp_path)
+    (folder,) = export_recording(tape, "minari", tmp_path)
     data: Any = minari.MinariDataset(folder / "data")
     episodes = list(data.iterate_episodes())
     recorded = read(tape).episodes
@@ -80,13 +80,13 @@ def test_minari_reads_the_episodes_back(tape: Path, tmp_path: Path) -> None:
         np.testing.assert_array_equal(found.rewards, one.rewards)
         assert found.truncations.tolist() == [False, False, False, True]
     with pytest.raises(ConfigError, match="can't be written"):
-        export(tape, "minari", tmp_path)
+        export_recording(tape, "minari", tmp_path)
 
 
 def test_what_a_header_or_episode_lacks_is_no_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    told = header(RobotConfig.of(None), {}) | {"versions": {}}
+    told = make_header(RobotConfig.of(None), {}) | {"versions": {}}
     monkeypatch.setattr("acsar_gym.recording.recorder.header", lambda *_: told)
     monkeypatch.setattr("acsar_gym.recording.encoder.plain", lambda _: {"seed": "x"})
     path = tmp_path / "tape.mcap"
@@ -94,12 +94,12 @@ def test_what_a_header_or_episode_lacks_is_no_error(
     env.reset(seed=0)
     env.step(np.zeros(2, np.float32))
     env.close()
-    assert export(path, "minari", tmp_path)[0].exists()
+    assert export_recording(path, "minari", tmp_path)[0].exists()
 
 
 def test_what_cannot_be_exported_says_so(tape: Path, tmp_path: Path) -> None:
     drove = drive(tmp_path / "drove.mcap", RobotConfig.of(None), 5)
-    assert list(tables(read(drove))["steps"]) == [
+    assert list(make_tables(read(drove))["steps"]) == [
         "episode",
         "time",
         "stamp",
@@ -109,27 +109,27 @@ def test_what_cannot_be_exported_says_so(tape: Path, tmp_path: Path) -> None:
         "action_1",
     ]
     with pytest.raises(ConfigError, match="holds no steps of an env"):
-        export(drove, "minari", tmp_path)
+        export_recording(drove, "minari", tmp_path)
     with pytest.raises(ConfigError, match="--to 'xls': must be one of parquet, csv, minari"):
-        export(tape, "xls", tmp_path)
+        export_recording(tape, "xls", tmp_path)
     (tmp_path / "file").touch()
     with pytest.raises(ConfigError, match="can't be written"):
-        export(tape, "csv", tmp_path / "file" / "folder")
+        export_recording(tape, "csv", tmp_path / "file" / "folder")
 
 
 def test_a_summary_tells_what_a_recording_holds(tape: Path, tmp_path: Path) -> None:
-    found = summary.of(tape)
+    found = reader.summarize(tape)
     assert found["whole"]
     assert found["topics"]["/odom"] == 80
     assert found["episodes"][1]["info"]["seed"] == 1
     assert found["robot"]["simulated"]
-    lines = summary.lines(found)
+    lines = reader.summary_lines(found)
     assert "whole; 2 episodes, 0.9 s, nothing dropped" in lines[0]
     assert any(line.split() == ["/scan", "10"] for line in lines)
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(tape.read_bytes()[:-200])
-    assert summary.of(cut)["dropped"] is None
-    said = summary.lines(summary.of(cut))[0]
+    assert reader.summarize(cut)["dropped"] is None
+    said = reader.summary_lines(reader.summarize(cut))[0]
     assert "cut: what followed is missing" in said
     assert "drops unknown" in said
 
@@ -139,7 +139,7 @@ def test_a_cut_episode_is_no_truncated_one(tape: Path, tmp_path: Path) -> None:
     (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) * 9 // 10])
     assert len(read(tmp_path / "cut.mcap").episodes) == 2
     with pytest.warns(RecordingWarning, match=r"cut\.mcap: the file is cut: the last .* left out"):
-        (folder,) = export(tmp_path / "cut.mcap", "minari", tmp_path / "sets")
+        (folder,) = export_recording(tmp_path / "cut.mcap", "minari", tmp_path / "sets")
     assert minari.MinariDataset(folder / "data").total_episodes == 1
     with pytest.warns(RecordingWarning, match="the last episode is incomplete"):
-        export(tmp_path / "cut.mcap", "csv", tmp_path / "tables")
+        export_recording(tmp_path / "cut.mcap", "csv", tmp_path / "tables")

@@ -10,7 +10,7 @@ from websockets.sync.client import connect
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.recording import Recorder
-from acsar_gym.recording.live import LiveView
+from acsar_gym.recording.sinks import LiveView
 
 CONFIG = RobotConfig.of(None)
 PROTOCOLS = ["foxglove.sdk.v1", "foxglove.websocket.v1"]

@@ -19,7 +19,7 @@ from rosbags.typesys import Stores, get_typestore
 from acsar_gym import RobotConfig
 from acsar_gym.config.measured import Measured
 from acsar_gym.recording import read
-from acsar_gym.recording.topics import TICK_COLUMNS, TOPICS
+from acsar_gym.recording.messages import TICK_COLUMNS, TOPICS
 
 TICKS = 120
 UNUSED = {"/observation", "/action", "/acsar/steps"}

@@ -19,10 +19,20 @@ from recording_tools import drive
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.recording import read
-from acsar_gym.recording.formats import octets, table, text
-from acsar_gym.recording.header import END, FORMAT, NAME, header
-from acsar_gym.recording.records import CHANNEL, CHUNK, DATA_END, MAGIC, MESSAGE, METADATA
-from acsar_gym.recording.topics import EPISODE, EXCHANGES, WIRE_SENT, Topic
+from acsar_gym.recording.messages import (
+    END_RECORD,
+    EPISODE,
+    EXCHANGES,
+    HEADER_RECORD,
+    RECORDING_FORMAT,
+    WIRE_SENT,
+    Topic,
+    make_header,
+    pack_octets,
+    pack_text,
+    row_packer,
+)
+from acsar_gym.recording.reader import CHANNEL, CHUNK, DATA_END, MCAP_MAGIC, MESSAGE, METADATA
 
 BEGIN = json.dumps({"episode": 0, "start": 0.0, "offset": 0, "wall": 0, "info": {}})
 Add = Callable[[Topic, bytes], None]
@@ -33,12 +43,14 @@ def tape(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return drive(tmp_path_factory.mktemp("tape") / "tape.mcap", RobotConfig.of(None), 300)
 
 
-def written(path: Path, add: Callable[[Add], None], told: object = None, name: str = NAME) -> Path:
+def written(
+    path: Path, add: Callable[[Add], None], told: object = None, name: str = HEADER_RECORD
+) -> Path:
     """A file with a header and the messages that `add` adds."""
     with path.open("wb") as file:
         writer = Writer(file, compression=CompressionType.LZ4)
         writer.start()
-        told = header(RobotConfig(), {}) if told is None else told
+        told = make_header(RobotConfig(), {}) if told is None else told
         writer.add_metadata(name, {"header": json.dumps(told)})
         channels: dict[str, int] = {}
 
@@ -59,8 +71,10 @@ def rows(*values: list[float]) -> Callable[[Add], None]:
     """An episode with these exchanges."""
 
     def add(one: Add) -> None:
-        one(EPISODE, text(BEGIN))
-        for packed in table(11).packed(len(values), {"data": np.array(values).reshape(-1, 11)}):
+        one(EPISODE, pack_text(BEGIN))
+        for packed in row_packer(11).packed(
+            len(values), {"data": np.array(values).reshape(-1, 11)}
+        ):
             one(EXCHANGES, packed)
 
     return add
@@ -68,7 +82,7 @@ def rows(*values: list[float]) -> Callable[[Add], None]:
 
 def beginning(**told: float) -> Callable[[Add], None]:
     """An episode that begins so."""
-    return lambda one: one(EPISODE, text(json.dumps(json.loads(BEGIN) | told)))
+    return lambda one: one(EPISODE, pack_text(json.dumps(json.loads(BEGIN) | told)))
 
 
 def refused(path: Path) -> str:
@@ -124,9 +138,9 @@ def test_a_flipped_bit_is_told(tape: Path, tmp_path: Path) -> None:
         (b"", "not an MCAP file"),
         (b"\x89PNG\r\n", "not an MCAP file"),
         (b'{"reset": 0}\n', "of an older version, in JSON: record again"),
-        (MAGIC, "isn't a recording of acsar_gym"),
-        (MAGIC + b"\x77" * 100, "is damaged"),
-        (MAGIC + struct.pack("<BQ", MESSAGE, 2**63), "is damaged"),
+        (MCAP_MAGIC, "isn't a recording of acsar_gym"),
+        (MCAP_MAGIC + b"\x77" * 100, "is damaged"),
+        (MCAP_MAGIC + struct.pack("<BQ", MESSAGE, 2**63), "is damaged"),
     ],
     ids=["empty", "picture", "old", "magic", "noise", "long"],
 )
@@ -140,30 +154,35 @@ def test_the_recordings_of_others_and_other_formats_are_told(tmp_path: Path) -> 
     path = tmp_path / "file.mcap"
     no_episode = lambda one: None  # noqa: E731
     assert "isn't a recording of acsar_gym" in refused(written(path, no_episode, name="rosbag2"))
-    newer = header(RobotConfig(), {}) | {"format": FORMAT + 1}
-    assert f"format {FORMAT + 1}: this version reads" in refused(written(path, no_episode, newer))
+    newer = make_header(RobotConfig(), {}) | {"format": RECORDING_FORMAT + 1}
+    assert f"format {RECORDING_FORMAT + 1}: this version reads" in refused(
+        written(path, no_episode, newer)
+    )
     assert "is no mapping" in refused(written(path, no_episode, [1]))
-    whole = header(RobotConfig(), {})
+    whole = make_header(RobotConfig(), {})
     for name in ("about", "versions", "config_sha256", "created"):
         less = {key: value for key, value in whole.items() if key != name}
         for told in (less, whole | {name: [1]}):
             assert f"its header has no '{name}'" in refused(written(path, rows(), told))
     assert "holds no episode" in refused(written(path, no_episode))
-    unknown = header(RobotConfig(), {}) | {"config": {"sheels": 3}}
+    unknown = make_header(RobotConfig(), {}) | {"config": {"sheels": 3}}
     assert "unknown field" in refused(written(path, rows([0.0] * 11), unknown))
 
 
 @pytest.mark.parametrize(
     ("add", "said"),
     [
-        (lambda one: one(EPISODE, text("{}")), "a broken episode"),
+        (lambda one: one(EPISODE, pack_text("{}")), "a broken episode"),
         (lambda one: one(EPISODE, b""), "not valid JSON"),
         (rows([0.0, 5.0, *[0.0] * 9], [1.0, 4.0, *[0.0] * 9]), "times go backwards"),
         (rows([0.0, np.nan, *[0.0] * 9]), "a time that is out of range"),
         (rows([0.0, 1e300, *[0.0] * 9]), "a time that is out of range"),
         (beginning(start=-1e300), "a broken episode"),
         (beginning(offset=2**70), "a broken episode"),
-        (lambda one: (beginning(offset=-(2**62))(one), one(WIRE_SENT, octets(b""))), "a time that"),
+        (
+            lambda one: (beginning(offset=-(2**62))(one), one(WIRE_SENT, pack_octets(b""))),
+            "a time that",
+        ),
         (lambda one: (rows()(one), one(EXCHANGES, b"\0" * 16)), "a broken row"),
         (lambda one: (rows()(one), one(WIRE_SENT, b"\0" * 4)), "a broken message"),
         (lambda one: (rows()(one), one(WIRE_SENT, b"\xff" * 40)), "a broken array"),
@@ -221,11 +240,11 @@ def prefixed(value: str) -> bytes:
 
 
 def test_hostile_files_are_bounded_in_time_and_memory(tmp_path: Path) -> None:
-    whole = header(RobotConfig(), {})
+    whole = make_header(RobotConfig(), {})
 
     def begin(one: Add) -> None:
         rows([0.0] * 11)(one)
-        one(WIRE_SENT, octets(b""))
+        one(WIRE_SENT, pack_octets(b""))
 
     start = written(tmp_path / "start", begin, whole).read_bytes()
     start = start[: start.rindex(record(DATA_END, bytes(4))[:9])]
@@ -238,17 +257,17 @@ def test_hostile_files_are_bounded_in_time_and_memory(tmp_path: Path) -> None:
     (tmp_path / "crumbs").write_bytes(start + 400 * chunk(500_000 * record(7, b"")))
     small = record(MESSAGE, struct.pack("<HIQQ", 99, 0, 0, 0))
     (tmp_path / "unread").write_bytes(start + 400 * chunk(200_000 * small))
-    wire = record(MESSAGE, struct.pack("<HIQQ", 3, 0, 0, 0) + octets(b""))
+    wire = record(MESSAGE, struct.pack("<HIQQ", 3, 0, 0, 0) + pack_octets(b""))
     (tmp_path / "kept").write_bytes(start + 400 * chunk(200_000 * wire))
-    opening = record(MESSAGE, struct.pack("<HIQQ", 1, 0, 0, 0) + text(BEGIN))
+    opening = record(MESSAGE, struct.pack("<HIQQ", 1, 0, 0, 0) + pack_text(BEGIN))
     (tmp_path / "episodes").write_bytes(start + 8 * chunk(80_000 * opening))
     lists = BEGIN.replace("{}", '{"a": [' + "[]," * 2_000_000 + "[]]}")
-    opening = record(MESSAGE, struct.pack("<HIQQ", 1, 0, 0, 0) + text(lists))
+    opening = record(MESSAGE, struct.pack("<HIQQ", 1, 0, 0, 0) + pack_text(lists))
     (tmp_path / "lists").write_bytes(start + chunk(opening))
     channel = record(CHANNEL, bytes(4) + prefixed("x") + prefixed("") + bytes(4))
     (tmp_path / "channels").write_bytes(start + 44 * chunk(100_000 * channel))
     pair = prefixed("end") + prefixed("{}")
-    end = record(METADATA, prefixed(END) + struct.pack("<I", len(pair)) + pair)
+    end = record(METADATA, prefixed(END_RECORD) + struct.pack("<I", len(pair)) + pair)
     (tmp_path / "metadata").write_bytes(start + 30 * chunk(100_000 * end))
     command = [sys.executable, "-c", HUNGRY, str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)

@@ -22,12 +22,10 @@ from recording_tools import drive
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import CommandError, ConfigError, LinkError, LinkLostError, RecordingWarning
-from acsar_gym.links.fault_injection import FaultyLink
-from acsar_gym.links.faults import Faults
-from acsar_gym.recording import Recorder, read, summary
-from acsar_gym.recording.events import Clock, Exchange
-from acsar_gym.recording.recorder import close_all
-from acsar_gym.recording.writer import Writer
+from acsar_gym.links.faults import Faults, FaultyLink
+from acsar_gym.recording import Recorder, read, reader
+from acsar_gym.recording.encoder import Clock, Exchange
+from acsar_gym.recording.recorder import WriterThread, close_recorders
 from acsar_gym.worlds import Scene
 
 CONFIG = RobotConfig.of(None)
@@ -145,7 +143,7 @@ def test_a_forked_child_leaves_the_recording_alone(tmp_path: Path) -> None:
     robot.activate()
     child = os.fork()
     if child == 0:
-        close_all()
+        close_recorders()
         os._exit(0)
     os.waitpid(child, 0)
     robot.drive(0.1, 0.0)
@@ -159,7 +157,7 @@ def test_a_disk_that_is_full_doesnt_stop_the_robot(
     recorder = Recorder(tmp_path / "tape.mcap")
     robot = Robot(open_link("planar", CONFIG), CONFIG, recorder=recorder)
     robot.activate()
-    monkeypatch.setattr("acsar_gym.recording.mcap_file._Unbuffered.write", fail)
+    monkeypatch.setattr("acsar_gym.recording.sinks._Unbuffered.write", fail)
     for _ in range(50):
         robot.drive(0.1, 0.0)
     with pytest.warns(RecordingWarning, match=r"tape.mcap: can't be written: No space left on de"):
@@ -172,7 +170,7 @@ def test_a_disk_that_is_full_is_told_once_at_the_next_reset(
 ) -> None:
     recorder = Recorder(tmp_path / "tape.mcap")
     with Robot(open_link("planar", CONFIG), CONFIG, recorder=recorder) as robot:
-        monkeypatch.setattr("acsar_gym.recording.mcap_file.McapFile.add", fail)
+        monkeypatch.setattr("acsar_gym.recording.sinks.McapFile.add", fail)
         robot.drive(0.1, 0.0)
         writer = recorder._writer
         while writer is not None and writer.problem is None:
@@ -194,7 +192,7 @@ def test_a_writer_that_hangs_is_told_and_loses_nothing_if_it_goes_on(
     recorder.add(Clock(0.5, 0))
     writer = recorder._writer
     assert writer is not None
-    monkeypatch.setattr("acsar_gym.recording.writer.HANG_WAIT", 0.01)
+    monkeypatch.setattr("acsar_gym.recording.recorder.HANG_WAIT", 0.01)
     with pytest.warns(RecordingWarning, match=r"tape.mcap: can't be written: writing has hung"):
         recorder.close()
     slow.goes = True
@@ -209,7 +207,7 @@ def test_a_slow_writer_is_waited_for_while_it_makes_progress(
 ) -> None:
     """Each message takes three looks of the end at the writer; all together far more than ten."""
     looks: queue.Queue[threading.Event] = queue.Queue()
-    closed, join = threading.Event(), Writer.join
+    closed, join = threading.Event(), WriterThread.join
 
     class Paced(Slow):
         def add(self, message: Any) -> None:
@@ -220,7 +218,7 @@ def test_a_slow_writer_is_waited_for_while_it_makes_progress(
         def close(self, end: Any) -> None:
             closed.set()
 
-    def look(self: Writer, timeout: float | None = None) -> None:
+    def look(self: WriterThread, timeout: float | None = None) -> None:
         seen = threading.Event()
         looks.put(seen)
         while not (seen.wait(0.01) or closed.is_set()):
@@ -228,7 +226,7 @@ def test_a_slow_writer_is_waited_for_while_it_makes_progress(
         if closed.is_set():
             join(self)
 
-    monkeypatch.setattr(Writer, "join", look)
+    monkeypatch.setattr(WriterThread, "join", look)
     slow, path = Paced(), tmp_path / "tape.mcap"
     recorder = Recorder(path, sinks=[slow])
     recorder.open(CONFIG)
@@ -245,7 +243,7 @@ def test_a_slow_writer_is_waited_for_while_it_makes_progress(
 def test_a_simulation_does_not_wait_for_ever(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("acsar_gym.recording.recorder.PATIENCE", 0.05)
+    monkeypatch.setattr("acsar_gym.recording.recorder.WRITER_TIMEOUT", 0.05)
     slow = Slow()
     recorder = Recorder(tmp_path / "tape.mcap", sinks=[slow], capacity=10)
     recorder.open(CONFIG)
@@ -384,7 +382,7 @@ def test_a_fault_is_told_in_diagnostics(tmp_path: Path) -> None:
         if truncated:
             break
     env.close()
-    assert summary.of(path)["topics"]["/diagnostics"] == 1
+    assert reader.summarize(path)["topics"]["/diagnostics"] == 1
     assert not read(path).episodes[0].terminated
 
 
@@ -399,7 +397,7 @@ def test_only_the_error_that_ended_a_drive_is_told(tmp_path: Path) -> None:
             with contextlib.suppress(CommandError):
                 robot.drive(math.nan if fails else 0.1, 0.0)
             robot.close()
-        told.append("/diagnostics" in summary.of(path)["topics"])
+        told.append("/diagnostics" in reader.summarize(path)["topics"])
     assert told == [False, True]
 
 
@@ -408,4 +406,4 @@ def test_an_error_inside_the_block_is_told(tmp_path: Path) -> None:
     robot = Robot(open_link("planar", CONFIG), CONFIG, recorder=Recorder(path))
     with pytest.raises(ValueError, match="mine"), robot:
         raise ValueError("mine")
-    assert summary.of(path)["topics"]["/diagnostics"] == 1
+    assert reader.summarize(path)["topics"]["/diagnostics"] == 1

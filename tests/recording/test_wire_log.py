@@ -6,7 +6,7 @@ import numpy as np
 
 from acsar_gym import RobotConfig
 from acsar_gym.protocol import encode
-from acsar_gym.recording.wire_log import WireLog
+from acsar_gym.recording.types import WireLog
 
 LINES = encode((1.0, 2.0, -3.0, 4.0)), encode((5.0, 6.0, 7.0, 8.0))
 

@@ -9,30 +9,36 @@ from top_view_tools import COURT, FRAME
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
-from acsar_gym.render.backdrop import FLOOR, GOAL, GRID, OBSTACLE, SEEN
 from acsar_gym.render.canvas import View, _spaced
 from acsar_gym.render.top_view import (
-    ODOM,
-    RAY,
-    SMALL,
-    TRUTH,
-    Frame,
-    Image,
+    CHASSIS_COLOUR,
+    DECK_COLOUR,
+    FLOOR_COLOUR,
+    GOAL_COLOUR,
+    GRID_COLOUR,
+    OBSTACLE_COLOUR,
+    ODOM_COLOUR,
+    RAY_COLOUR,
+    SEEN_COLOURS,
+    SMALL_ROBOT,
+    TRUTH_COLOUR,
+    TYRE_COLOUR,
+    RgbImage,
     TopView,
+    TopViewFrame,
     _thinned,
-    sheet,
+    draw_sheet,
 )
-from acsar_gym.render.vehicle import CHASSIS, DECK, TYRE
 from acsar_gym.worlds import Pose, Region, World
 
 
-def colour(image: Image, view: View, x: float, y: float) -> tuple[int, ...]:
+def colour(image: RgbImage, view: View, x: float, y: float) -> tuple[int, ...]:
     """The colour of the picture at a place [m]."""
     column, row = view.pixels(np.array([[x, y]]))[0].astype(int)
     return tuple(image[row, column].tolist())
 
 
-def near(image: Image, view: View, place: tuple[float, float], wanted: tuple[int, ...]) -> bool:
+def near(image: RgbImage, view: View, place: tuple[float, float], wanted: tuple[int, ...]) -> bool:
     """Whether a pixel at a place, or next to it, has a colour; thin lines are blurred."""
     column, row = view.pixels(np.array([place]))[0].astype(int)
     patch = image[row - 1 : row + 2, column - 1 : column + 2].astype(int)
@@ -54,12 +60,12 @@ def test_what_is_where(top: TopView) -> None:
     assert image.shape == (480, 480, 3)
     assert image.dtype == np.uint8
     for x, y in ((2.0, 1.0), (3.25, -1.5), (3.6, -1.5), (2.5, 2.5), (2.5, -2.5)):
-        assert colour(image, top.view, x, y) == OBSTACLE
+        assert colour(image, top.view, x, y) == OBSTACLE_COLOUR
     for x, y in ((2.2, 1.4), (2.4, -1.6), (3.25, 1.6)):
-        assert colour(image, top.view, x, y) == FLOOR
-    assert colour(image, top.view, 4.0, 0.25) == GOAL
-    assert colour(image, top.view, 0.0, 0.0) == CHASSIS
-    assert near(image, top.view, (4.25, 0.25), GOAL)
+        assert colour(image, top.view, x, y) == FLOOR_COLOUR
+    assert colour(image, top.view, 4.0, 0.25) == GOAL_COLOUR
+    assert colour(image, top.view, 0.0, 0.0) == CHASSIS_COLOUR
+    assert near(image, top.view, (4.25, 0.25), GOAL_COLOUR)
 
 
 def test_ahead_is_up_and_a_map_has_x_to_the_right(config: RobotConfig, top: TopView) -> None:
@@ -75,8 +81,8 @@ def test_ahead_is_up_and_a_map_has_x_to_the_right(config: RobotConfig, top: TopV
         origin, *others = view.view.pixels(places)
         steps = [((other - origin) / view.view.scale).round(6).tolist() for other in others]
         assert steps == [[*ahead], [*left]]
-        assert (colour(image, view.view, 2.0, 1.0) == OBSTACLE) == (frame is FRAME)
-        assert colour(image, view.view, 4.0, 0.25) == GOAL
+        assert (colour(image, view.view, 2.0, 1.0) == OBSTACLE_COLOUR) == (frame is FRAME)
+        assert colour(image, view.view, 4.0, 0.25) == GOAL_COLOUR
 
 
 @pytest.mark.parametrize("size", [(480, 480), (640, 200), (200, 640)])
@@ -99,14 +105,14 @@ def test_the_robot_has_wheels_and_a_heading(
 ) -> None:
     pose = (0.5, -0.4, theta)
     big = TopView(config, (960, 960))
-    image = big.draw(Frame(odom=pose))
+    image = big.draw(TopViewFrame(odom=pose))
     a, b = config.wheelbase / 2.0, config.wheel_separation / 2.0
     for x, y in ((a, b), (a, -b), (-a, b), (-a, -b)):
-        assert colour(image, big.view, *placed(pose, x, y)) == TYRE
+        assert colour(image, big.view, *placed(pose, x, y)) == TYRE_COLOUR
     nose = 0.25 * config.body.length
-    assert colour(image, big.view, *placed(pose, nose, 0.0)) == FLOOR
-    assert colour(image, big.view, *placed(pose, 0.0, 0.0)) == CHASSIS
-    assert colour(image, big.view, *placed(pose, config.lidar_x_offset, 0.0)) == TYRE
+    assert colour(image, big.view, *placed(pose, nose, 0.0)) == FLOOR_COLOUR
+    assert colour(image, big.view, *placed(pose, 0.0, 0.0)) == CHASSIS_COLOUR
+    assert colour(image, big.view, *placed(pose, config.lidar_x_offset, 0.0)) == TYRE_COLOUR
 
 
 def test_a_polygon_is_drawn_as_it_is(config: RobotConfig) -> None:
@@ -114,11 +120,11 @@ def test_a_polygon_is_drawn_as_it_is(config: RobotConfig) -> None:
         footprint=[(0.4, 0.3), (-0.2, 0.3), (-0.2, -0.3), (0.4, -0.3), (0.1, 0.0)]
     )
     top, pose = TopView(notched, (960, 960)), (0.5, -0.4, 0.7)
-    image = top.draw(Frame(odom=pose))
+    image = top.draw(TopViewFrame(odom=pose))
     for x, y in ((0.36, 0.28), (-0.18, 0.2), (0.3, -0.28)):
-        assert colour(image, top.view, *placed(pose, x, y)) == DECK
+        assert colour(image, top.view, *placed(pose, x, y)) == DECK_COLOUR
     for x, y in ((0.3, 0.0), (0.42, 0.2), (-0.24, 0.0)):
-        assert colour(image, top.view, *placed(pose, x, y)) == FLOOR
+        assert colour(image, top.view, *placed(pose, x, y)) == FLOOR_COLOUR
 
 
 def test_a_world_looks_the_same_wherever_it_lies(config: RobotConfig) -> None:
@@ -132,7 +138,7 @@ def test_a_world_looks_the_same_wherever_it_lies(config: RobotConfig) -> None:
     )
     frame = replace(FRAME, world=moved, odom=(x, y, 0.0), goal=(x + 4.0, y + 0.25))
     assert TopView(config).draw(frame).tobytes() == TopView(config).draw(FRAME).tobytes()
-    assert sheet([moved], 1, 200).tobytes() == sheet([COURT], 1, 200).tobytes()
+    assert draw_sheet([moved], 1, 200).tobytes() == draw_sheet([COURT], 1, 200).tobytes()
 
 
 def test_the_same_frame_is_the_same_picture(config: RobotConfig, top: TopView) -> None:
@@ -161,11 +167,11 @@ def test_odometry_is_seen_only_where_it_differs(config: RobotConfig, top: TopVie
     assert top.draw(replace(FRAME, odom=barely, truth=pose)).tobytes() == alone.tobytes()
     odom = (1.5, 0.5, 0.9)
     image = top.draw(replace(FRAME, odom=odom, truth=pose))
-    assert colour(image, top.view, 1.0, 0.0) == CHASSIS
+    assert colour(image, top.view, 1.0, 0.0) == CHASSIS_COLOUR
     length, width = config.body.length / 2.0, config.body.width / 2.0
     for x, y in ((length, 0.0), (-length, 0.0), (0.0, width), (0.0, -width), (length / 2.0, 0.0)):
-        assert near(image, top.view, placed(odom, x, y), ODOM)
-        assert not near(alone, top.view, placed(odom, x, y), ODOM)
+        assert near(image, top.view, placed(odom, x, y), ODOM_COLOUR)
+        assert not near(alone, top.view, placed(odom, x, y), ODOM_COLOUR)
     turned = top.draw(replace(FRAME, odom=(1.0, 0.0, 1.2), truth=pose))
     assert turned.tobytes() != alone.tobytes()
 
@@ -173,16 +179,16 @@ def test_odometry_is_seen_only_where_it_differs(config: RobotConfig, top: TopVie
 def test_paths_are_drawn_in_their_colours(top: TopView) -> None:
     odom_path, true_path = [(0.0, 0.0), (1.0, 1.5)], [(0.0, 0.0), (1.0, -1.5)]
     image = top.draw(replace(FRAME, odom_path=odom_path, true_path=true_path))
-    assert near(image, top.view, (0.8, 1.2), ODOM)
-    assert colour(image, top.view, 0.8, -1.2) == TRUTH
-    assert not near(image, top.view, (0.8, -1.2), ODOM)
+    assert near(image, top.view, (0.8, 1.2), ODOM_COLOUR)
+    assert colour(image, top.view, 0.8, -1.2) == TRUTH_COLOUR
+    assert not near(image, top.view, (0.8, -1.2), ODOM_COLOUR)
 
 
 def test_the_worlds_path_is_dashed(top: TopView) -> None:
     way = np.array([[0.0, 0.0], [0.0, 1.5], [3.5, 1.5]])
     image = top.draw(replace(FRAME, world=replace(COURT, path=way)))
     along = np.linspace(0.3, 3.4, 400)
-    inked = [colour(image, top.view, x, 1.5) not in (FLOOR, GRID) for x in along]
+    inked = [colour(image, top.view, x, 1.5) not in (FLOOR_COLOUR, GRID_COLOUR) for x in along]
     assert 0.3 < np.mean(inked) < 0.7
     assert any(inked[:40])
     assert any(inked[-40:])
@@ -215,7 +221,7 @@ def test_a_thinned_path_looks_the_same(top: TopView) -> None:
     path = list(zip(1.5 + np.cos(turns), np.sin(turns), strict=True))
     image = top.draw(replace(FRAME, true_path=path))
     for x, y in path[::2500]:
-        assert near(image, top.view, (x, y), TRUTH)
+        assert near(image, top.view, (x, y), TRUTH_COLOUR)
 
 
 def test_rays_light_the_floor_and_end_in_dots(config: RobotConfig, top: TopView) -> None:
@@ -228,20 +234,21 @@ def test_rays_light_the_floor_and_end_in_dots(config: RobotConfig, top: TopView)
     def at(angle: float, away: float) -> tuple[float, float]:
         return placed(pose, offset + away * math.cos(angle), away * math.sin(angle))
 
-    assert colour(image, top.view, *at(0.2, 1.5)) == RAY
-    assert colour(image, top.view, *at(0.6, 2.0)) != RAY, "it met nothing"
-    assert colour(image, top.view, *at(0.0, 1.0)) == SEEN[0]
+    assert colour(image, top.view, *at(0.2, 1.5)) == RAY_COLOUR
+    assert colour(image, top.view, *at(0.6, 2.0)) != RAY_COLOUR, "it met nothing"
+    assert colour(image, top.view, *at(0.0, 1.0)) == SEEN_COLOURS[0]
     for angle, away in ((0.0, 1.7), (0.9, 1.0), (math.pi, 0.5)):
-        assert colour(image, top.view, *at(angle, away)) == FLOOR
+        assert colour(image, top.view, *at(angle, away)) == FLOOR_COLOUR
 
 
 def test_a_range_that_is_none_reaches_as_far_as_the_lidar(top: TopView) -> None:
     angles = np.linspace(-0.5, 0.5, 5)
     pictures = [
-        top.draw(Frame(rays=(angles, np.full(5, away)), reach=0.5)) for away in (math.inf, 9.0, 0.5)
+        top.draw(TopViewFrame(rays=(angles, np.full(5, away)), reach=0.5))
+        for away in (math.inf, 9.0, 0.5)
     ]
     assert pictures[0].tobytes() == pictures[1].tobytes() == pictures[2].tobytes()
-    assert pictures[0].tobytes() != top.draw(Frame()).tobytes()
+    assert pictures[0].tobytes() != top.draw(TopViewFrame()).tobytes()
 
 
 def test_a_full_turn_has_no_gap_and_truth_carries_the_lidar(
@@ -254,10 +261,10 @@ def test_a_full_turn_has_no_gap_and_truth_carries_the_lidar(
     x = 2.5 + config.lidar_x_offset
     for angle in (*angles, math.pi - math.pi / 64):
         place = (x + 0.7 * math.cos(angle + 0.02), 0.7 * math.sin(angle + 0.02))
-        assert colour(image, top.view, *place) not in (FLOOR, OBSTACLE)
-    assert near(image, top.view, (x - 0.9, 0.0), RAY)
+        assert colour(image, top.view, *place) not in (FLOOR_COLOUR, OBSTACLE_COLOUR)
+    assert near(image, top.view, (x - 0.9, 0.0), RAY_COLOUR)
     goal = top.draw(replace(frame, goal=(2.2, 0.6)))
-    assert colour(goal, top.view, 2.2, 0.6) == GOAL, "the light doesn't hide it"
+    assert colour(goal, top.view, 2.2, 0.6) == GOAL_COLOUR, "the light doesn't hide it"
 
 
 def test_numbers_that_are_none_are_left_out(top: TopView) -> None:
@@ -304,15 +311,15 @@ def test_a_goal_that_moves_through_a_world_is_kept_in_view(top: TopView) -> None
 
 def test_the_view_grows_after_a_robot_that_strays(config: RobotConfig) -> None:
     top = TopView(config)
-    frame = Frame(goal=(1.0, 1.0))
+    frame = TopViewFrame(goal=(1.0, 1.0))
     first = top.draw(frame).tobytes()
     for step in range(200):
         away = (-0.1 * step, 0.0, 0.0)
         image = top.draw(replace(frame, odom=away))
         assert top.view.shows(*away[:2], 10.0)
     assert top.layers < 12
-    assert near(image, top.view, (1.0, 1.0), GOAL)
-    assert near(image, top.view, away[:2], CHASSIS)
+    assert near(image, top.view, (1.0, 1.0), GOAL_COLOUR)
+    assert near(image, top.view, away[:2], CHASSIS_COLOUR)
     layers = top.layers
     top.draw(frame)
     assert top.layers == layers, "it doesn't shrink before the next episode"
@@ -323,10 +330,10 @@ def test_the_view_grows_after_a_robot_that_strays(config: RobotConfig) -> None:
 
 def test_tiny_robots_are_ringed(config: RobotConfig) -> None:
     top = TopView(config, (200, 200))
-    image = top.draw(Frame(goal=(40.0, 0.0)))
-    ring = SMALL / top.view.scale
+    image = top.draw(TopViewFrame(goal=(40.0, 0.0)))
+    ring = SMALL_ROBOT / top.view.scale
     for x, y in ((ring, 0.0), (-ring, 0.0), (0.0, ring), (0.0, -ring)):
-        assert near(image, top.view, (x, y), CHASSIS)
+        assert near(image, top.view, (x, y), CHASSIS_COLOUR)
 
 
 @pytest.mark.parametrize("size", [(480,), (63, 480), (480, 5000), (480.5, 480), 480, "ab", None])

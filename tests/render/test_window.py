@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from acsar_gym.errors import RenderError
-from acsar_gym.render.window import Window
+from acsar_gym.render.renderer import Window
 
 HALVES = np.zeros((60, 100, 3), np.uint8)
 HALVES[:, :50] = (200, 30, 40)

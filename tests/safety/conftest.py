@@ -15,7 +15,7 @@ from acsar_gym.safety import estop
 @pytest.fixture
 def place(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A folder of this test alone, with time to answer; paths of sockets must be short."""
-    monkeypatch.setattr(estop, "ANSWER", TIMEOUT)
+    monkeypatch.setattr(estop, "ANSWER_TIMEOUT", TIMEOUT)
     with tempfile.TemporaryDirectory(prefix="acsar-", dir="/tmp") as base:
         monkeypatch.setenv("ACSAR_GYM_RUNTIME_DIR", base)
         yield Path(base)

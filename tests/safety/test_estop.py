@@ -31,7 +31,7 @@ from acsar_gym.errors import EmergencyStopError
 from acsar_gym.links import open_link
 from acsar_gym.protocol import ZERO, Decoder
 from acsar_gym.recording import Recorder
-from acsar_gym.safety import estop, estop_folders
+from acsar_gym.safety import estop
 from acsar_gym.safety.rules import Reason
 from acsar_gym.worlds import Scene
 
@@ -40,7 +40,7 @@ pytestmark = [pytest.mark.xdist_group("serial"), pytest.mark.usefixtures("deadli
 
 def folder() -> Path:
     """Where the sockets of this test are."""
-    (usable,), wrong = estop_folders.folders()
+    (usable,), wrong = estop.find_folders()
     assert not wrong
     return usable
 
@@ -112,7 +112,7 @@ def test_what_an_ended_stop_has_left_is_in_nobodys_way() -> None:
     socket_at(f"estop-{os.getpid()}").close()
     listener = estop.StopListener()
     thread = answering(listener)
-    assert estop.stop_all() == [estop.Stopped(os.getpid(), answered=True)]
+    assert estop.stop_all() == [estop.StopResult(os.getpid(), answered=True)]
     thread.join()
     listener.close()
     estop.release_process()
@@ -121,12 +121,12 @@ def test_what_an_ended_stop_has_left_is_in_nobodys_way() -> None:
 
 def test_what_is_no_socket_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nor does a folder in place of the asker's own socket keep it from asking."""
-    monkeypatch.setattr(estop, "ANSWER", 0.01)
+    monkeypatch.setattr(estop, "ANSWER_TIMEOUT", 0.01)
     for name in ("1234-1", f"estop-{os.getpid()}", "1x-1", "²-1"):
         (folder() / name).mkdir()
     (folder() / "1235-1").write_text("")
     listener = estop.StopListener()
-    assert estop.stop_all() == [estop.Stopped(os.getpid(), answered=False)]
+    assert estop.stop_all() == [estop.StopResult(os.getpid(), answered=False)]
     assert listener.is_requested()
     listener.confirm()
     estop.release_process()
@@ -135,9 +135,9 @@ def test_what_is_no_socket_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_a_process_that_hangs_does_not_answer(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(estop, "ANSWER", 0.01)
+    monkeypatch.setattr(estop, "ANSWER_TIMEOUT", 0.01)
     listener = estop.StopListener()
-    assert estop.stop_all() == [estop.Stopped(os.getpid(), answered=False)]
+    assert estop.stop_all() == [estop.StopResult(os.getpid(), answered=False)]
     assert listener.is_requested()
     listener.close()
     listener.close()
@@ -162,7 +162,7 @@ def test_processes_of_one_number_in_two_containers_hear_both() -> None:
 
 
 def test_where_no_address_is_free_a_robot_drives_without(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(estop, "MOST_LISTENERS", 2)
+    monkeypatch.setattr(estop, "MAX_LISTENERS", 2)
     with socket_at(f"{os.getpid()}-1"), socket_at(f"{os.getpid()}-2"):
         listener = estop.StopListener()
         assert f"{folder()}: no socket" in listener.unavailable
@@ -171,7 +171,7 @@ def test_where_no_address_is_free_a_robot_drives_without(monkeypatch: pytest.Mon
 
 
 def test_a_suspended_process_with_a_full_queue_is_listed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(estop, "ANSWER", 0.01)
+    monkeypatch.setattr(estop, "ANSWER_TIMEOUT", 0.01)
     with socket_at("1-1") as full, socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other:
         other.setblocking(False)
         with pytest.raises(BlockingIOError):
@@ -181,7 +181,7 @@ def test_a_suspended_process_with_a_full_queue_is_listed(monkeypatch: pytest.Mon
         thread = answering(listener)
         first, second = estop.stop_all()
         thread.join()  # it was asked although the one before it took nothing
-        assert first == estop.Stopped(1, answered=False)
+        assert first == estop.StopResult(1, answered=False)
         assert second.process == os.getpid()
         listener.close()
 
@@ -222,7 +222,7 @@ def two(place: Path) -> Iterator[list[estop.StopListener]]:
     ],
 )
 def test_one_robot_can_be_named(name: str, count: int, two: list[estop.StopListener]) -> None:
-    assert estop.stop_all(name) == [estop.Stopped(os.getpid(), answered=True)] * count
+    assert estop.stop_all(name) == [estop.StopResult(os.getpid(), answered=True)] * count
 
 
 def test_a_name_that_nobody_has_lists_those_that_there_are(
@@ -244,7 +244,7 @@ def test_listeners_are_listed_and_not_stopped(
 ) -> None:
     code, output, _ = estop_command(capsys, monkeypatch, "--list")
     assert (code, len(output.splitlines())) == (0, 2)
-    first, second = estop.drivers()
+    first, second = estop.list_drivers()
     assert {first.device, second.device} == {"/dev/ttyUSB7", "usb:A50285BI"}
     assert abs(first.since - time.time()) < TIMEOUT
 
@@ -265,7 +265,7 @@ def test_a_recorded_robot_has_its_name(
     recorder = Recorder(place / "drive.mcap")
     robot = Robot(open_link(shared_device, config), config, recorder=recorder)
     with robot, ThreadPoolExecutor(1) as other:
-        found = other.submit(estop.drivers)
+        found = other.submit(estop.list_drivers)
         while not found.done():
             robot.drive(0.0, 0.0)
         (driver,) = found.result()
@@ -280,11 +280,11 @@ def test_the_command_names_the_robot_of_another_process(
     with program(DRIVING, "drive", "--linear", "0.2", *options) as process:
         wait_until(emulator.is_driven, "a command that turns the wheels")
         assert estop.stop_all("/dev/another") == []
-        (driver,) = estop.drivers()
+        (driver,) = estop.list_drivers()
         assert (driver.process, driver.device) == (process.pid, emulator.device)
         assert driver.name == "rover"
         assert emulator.is_driven()
-        assert estop.stop_all("rover") == [estop.Stopped(process.pid, answered=True)]
+        assert estop.stop_all("rover") == [estop.StopResult(process.pid, answered=True)]
         wait_until(emulator.is_stopped, "zero as the newest command")
         process.terminate()
         process.wait(TIMEOUT)
@@ -308,7 +308,7 @@ def test_the_doctor_heeds_it(emulator: Emulated, robot_file: RobotFile) -> None:
     options = ("--spin", "--yes", "--robot", str(robot_file()))
     with program(DRIVING, "doctor", emulator.device, *options) as process:
         wait_until(emulator.is_driven, "a command that turns the wheels")
-        assert estop.stop_all() == [estop.Stopped(process.pid, answered=True)]
+        assert estop.stop_all() == [estop.StopResult(process.pid, answered=True)]
         output, _ = process.communicate(timeout=TIMEOUT)
     assert process.returncode == 3
     assert "emergency stop" in output
@@ -371,14 +371,14 @@ def test_a_stop_while_the_cable_is_out_holds_when_it_is_in_again(
         emulator.pull()
         assert first_line(process) == "LinkLostError"
         assert estop.stop_all() == [
-            estop.Stopped(process.pid, answered=True, connected=False)
+            estop.StopResult(process.pid, answered=True, connected=False)
         ]  # by the program that waits for the device to come back
         assert first_line(process) == "EmergencyStopError"
         emulator.plug()
         for _ in range(20):
             assert first_line(process) == "EmergencyStopError"
         assert turning(emulator.since_plugged()) == []
-        released = estop.Released(process.pid, answered=True, was_stopped=True)
+        released = estop.ReleaseResult(process.pid, answered=True, was_stopped=True)
         assert estop.release_all() == [released]
         wait_until(emulator.is_driven, "a command that turns the wheels")
 
@@ -392,7 +392,7 @@ def test_no_reset_undoes_a_stop_and_a_release_does(
     with program(code, device) as process:
         assert first_line(process) == "begins"
         wait_until(emulator.is_driven, "a command that turns the wheels")
-        assert estop.stop_all() == [estop.Stopped(process.pid, answered=True)]
+        assert estop.stop_all() == [estop.StopResult(process.pid, answered=True)]
         wait_until(emulator.is_stopped, "zero as the newest command")
         before = len(turning(emulator.received()))
         if code == LEARNING:
@@ -406,7 +406,7 @@ def test_no_reset_undoes_a_stop_and_a_release_does(
             assert first_line(process) == "EmergencyStopError"
         assert len(turning(emulator.received())) == before
         (released,) = estop.release_all("robot")
-        assert released == estop.Released(process.pid, answered=True, was_stopped=True)
+        assert released == estop.ReleaseResult(process.pid, answered=True, was_stopped=True)
         wait_until(emulator.is_driven, "a command that turns the wheels")
 
 

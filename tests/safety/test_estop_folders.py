@@ -12,10 +12,10 @@ from estop_tools import DRIVING, answering, estop_command
 from serial_tools import TIMEOUT, Emulated, RobotFile, no_leak, program
 
 from acsar_gym import Robot, RobotConfig
-from acsar_gym.doctor import checks as doctor
 from acsar_gym.errors import LinkError, SafetyWarning
 from acsar_gym.links import open_link
-from acsar_gym.safety import estop, estop_folders
+from acsar_gym.safety import estop
+from acsar_gym.tools.doctor import checks as doctor
 
 pytestmark = [pytest.mark.xdist_group("serial"), pytest.mark.usefixtures("deadline", "place")]
 
@@ -37,7 +37,7 @@ def test_a_folder_that_cannot_be_trusted_is_told_of(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """By a warning at activation, by the doctor, and by the command."""
-    (path,) = estop_folders.candidates()
+    (path,) = estop.list_candidates()
     BAD[kind](path)
     robot = Robot(open_link(shared_device, config), config)
     with no_leak():
@@ -46,7 +46,7 @@ def test_a_folder_that_cannot_be_trusted_is_told_of(
         assert len(told) == 1
         robot.drive(0.0, 0.0)
         robot.deactivate()
-    check = doctor.emergency_stop()
+    check = doctor.check_estop()
     assert check.status == "warn"
     assert str(path) in check.found
     assert check.fix
@@ -66,7 +66,7 @@ def test_a_folder_of_somebody_else_is_refused(monkeypatch: pytest.MonkeyPatch) -
 def test_a_warning_that_is_an_error_leaves_nothing_open(
     place: Path, config: RobotConfig, shared_device: str
 ) -> None:
-    estop_folders.candidates()[0].write_text("")
+    estop.list_candidates()[0].write_text("")
     robot = Robot(open_link(shared_device, config), config)
     with no_leak(), warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -78,7 +78,7 @@ def test_a_warning_that_is_an_error_leaves_nothing_open(
 def test_the_command_line_warns_in_one_line(
     place: Path, emulator: Emulated, robot_file: RobotFile
 ) -> None:
-    estop_folders.candidates()[0].write_text("")
+    estop.list_candidates()[0].write_text("")
     options = ("--link", emulator.device, "--linear", "0.2", "--duration", "0.05")
     with program(DRIVING, "drive", *options, "--robot", str(robot_file())) as process:
         _, error = process.communicate(timeout=TIMEOUT)
@@ -107,8 +107,8 @@ def test_a_folder_that_cannot_be_is_one_line(
 def usual(place: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Path]:
     """The folder of the user's sessions, and the one that all share."""
     monkeypatch.delenv("ACSAR_GYM_RUNTIME_DIR")
-    monkeypatch.setattr(estop_folders, "SESSIONS", place / "user")
-    monkeypatch.setattr(estop_folders, "SHARED", place / "tmp")
+    monkeypatch.setattr(estop, "SESSION_FOLDERS", place / "user")
+    monkeypatch.setattr(estop, "SHARED_FOLDER", place / "tmp")
     session = place / "user" / str(os.getuid())
     session.mkdir(0o700, parents=True)
     (place / "tmp").mkdir()
@@ -119,9 +119,9 @@ def test_a_process_of_two_folders_is_one(usual: tuple[Path, Path]) -> None:
     listener = estop.StopListener()
     assert {path.parent.parent for path in listener.paths} == set(usual)
     thread = answering(listener)
-    assert estop.stop_all() == [estop.Stopped(os.getpid(), answered=True)]
+    assert estop.stop_all() == [estop.StopResult(os.getpid(), answered=True)]
     thread.join()
-    assert doctor.emergency_stop().status == "ok"
+    assert doctor.check_estop().status == "ok"
     listener.close()
 
 
@@ -133,7 +133,7 @@ def test_one_of_the_folders_is_enough(missing: int, usual: tuple[Path, Path]) ->
     assert not listener.unavailable
     (usual[missing] / name).unlink()
     thread = answering(listener)
-    assert estop.stop_all() == [estop.Stopped(os.getpid(), answered=True)]
+    assert estop.stop_all() == [estop.StopResult(os.getpid(), answered=True)]
     thread.join()
     listener.close()
 
@@ -141,11 +141,11 @@ def test_one_of_the_folders_is_enough(missing: int, usual: tuple[Path, Path]) ->
 def test_a_session_that_others_can_write_to_is_not_used(usual: tuple[Path, Path]) -> None:
     session, shared = usual
     session.chmod(0o777)
-    assert [path.parent for path in estop_folders.candidates()] == [shared]
+    assert [path.parent for path in estop.list_candidates()] == [shared]
 
 
 def test_the_folders_are_the_same_in_every_environment(monkeypatch: pytest.MonkeyPatch) -> None:
-    places = estop_folders.candidates()
+    places = estop.list_candidates()
     monkeypatch.setenv("XDG_RUNTIME_DIR", "/elsewhere")
     monkeypatch.setenv("TMPDIR", "/elsewhere")
-    assert estop_folders.candidates() == places
+    assert estop.list_candidates() == places

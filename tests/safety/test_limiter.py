@@ -11,7 +11,13 @@ from hypothesis import strategies as st
 
 from acsar_gym.config import RobotConfig, SpeedLimits
 from acsar_gym.errors import ConfigError
-from acsar_gym.safety.limiter import Limits, both, free, limited, limits
+from acsar_gym.safety.rules import (
+    AxisLimits,
+    is_unlimited,
+    limit_velocity,
+    read_both_limits,
+    read_limits,
+)
 
 DT = 0.01
 speed = st.floats(-3.0, 3.0)
@@ -19,14 +25,14 @@ speed = st.floats(-3.0, 3.0)
 
 def driven(wanted: list[float], **kind: float) -> list[float]:
     """What is sent, tick by tick, from standstill."""
-    numbers, sent = limits(SpeedLimits(**kind)), [0.0, 0.0]
+    numbers, sent = read_limits(SpeedLimits(**kind)), [0.0, 0.0]
     for velocity in wanted:
-        sent.append(limited(velocity, sent[-1], sent[-2], DT, numbers))
+        sent.append(limit_velocity(velocity, sent[-1], sent[-2], DT, numbers))
     return sent[2:]
 
 
 def test_nothing_is_limited_by_default() -> None:
-    assert limits(SpeedLimits()).free
+    assert read_limits(SpeedLimits()).free
     assert driven([9.0, -9.0, 0.0]) == pytest.approx([9.0, -9.0, 0.0])
 
 
@@ -118,20 +124,20 @@ def test_bad_limits_are_one_clear_error(fields: dict[str, Any], message: str) ->
 
 def test_an_acceleration_that_is_not_named_has_its_default() -> None:
     config = RobotConfig.preset("acsar")
-    linear, angular = both(RobotConfig(linear_limits={"max_velocity": 0.2}))
+    linear, angular = read_both_limits(RobotConfig(linear_limits={"max_velocity": 0.2}))
     assert (linear.max_velocity, linear.max_acceleration, linear.min_acceleration) == (
         0.2,
         2.0,
         -2.0,
     )
     assert (angular.max_velocity, angular.max_acceleration) == (config.max_angular, 8.0)
-    assert both(config)[0].max_velocity == config.max_linear
+    assert read_both_limits(config)[0].max_velocity == config.max_linear
     nothing = {"max_acceleration": None}
-    assert free(RobotConfig(linear_limits=nothing, angular_limits=nothing))
-    assert not free(RobotConfig(linear_limits=nothing))
+    assert is_unlimited(RobotConfig(linear_limits=nothing, angular_limits=nothing))
+    assert not is_unlimited(RobotConfig(linear_limits=nothing))
 
 
 def test_limits_are_numbers() -> None:
-    assert limits(SpeedLimits(max_velocity=0.5)) == Limits()._replace(
+    assert read_limits(SpeedLimits(max_velocity=0.5)) == AxisLimits()._replace(
         min_velocity=-0.5, max_velocity=0.5
     )

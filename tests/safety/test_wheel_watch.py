@@ -17,9 +17,9 @@ import pytest
 from board_like import LikeABoard, Overshooting
 
 from acsar_gym import Robot, RobotConfig, open_link
-from acsar_gym.dynamics.randomization import Randomizer
 from acsar_gym.errors import SafetyWarning, WheelError
-from acsar_gym.links.fault_injection import FaultyLink
+from acsar_gym.links.faults import FaultyLink
+from acsar_gym.physics.randomization import Randomizer
 from acsar_gym.protocol import MOTORS, WHEELS
 from acsar_gym.safety.wheel_watch import WheelWatch
 from acsar_gym.worlds import Scene

@@ -24,12 +24,11 @@ from typing import Any
 
 os.environ["OMP_NUM_THREADS"] = "1"
 
-from acsar_gym.evaluation import runs
-from acsar_gym.evaluation.episodes import episodes
-from acsar_gym.scaling.shards import LARGEST
-from acsar_gym.training import models
-from acsar_gym.training.options import Options
-from acsar_gym.training.plan import Plan
+from acsar_gym.tools.evaluation import runs
+from acsar_gym.tools.evaluation.episodes import run_episodes
+from acsar_gym.tools.evaluation.shards import MAX_SHARD_EPISODES
+from acsar_gym.tools.training import models
+from acsar_gym.tools.training.plan import TrainingOptions, TrainingPlan
 
 NAMES = ("point_goal", "obstacle_goal", "barn")
 MACHINES = (1, 10, 100)
@@ -65,12 +64,12 @@ class Costs:
 
 def episode(name: str, count: int) -> float:
     """Measure an episode of the packaged policy in PyBullet."""
-    policy = runs.load(name, trust=False)
-    env = runs.made(policy, "bullet", None, {})
+    policy = runs.load_policy(name, trust=False)
+    env = runs.make_env(policy, "bullet", None, {})
     with contextlib.closing(env):
-        list(episodes(env, policy, 2, seed=10_000))
+        list(run_episodes(env, policy, 2, seed=10_000))
         begin = time.process_time()
-        list(episodes(env, policy, count, seed=0))
+        list(run_episodes(env, policy, count, seed=0))
         return (time.process_time() - begin) / count
 
 
@@ -78,12 +77,12 @@ def training(name: str) -> tuple[int, float, float]:
     """Measure rollouts and updates of a training; returns its steps and their costs [s]."""
     spent = {"collect_rollouts": 0.0, "train": 0.0}
     with tempfile.TemporaryDirectory() as folder:
-        options = Options(env=name, threads=1, progress=False, out=Path(folder))
-        plan = Plan.of(options)
-        models.prepare(plan)
+        options = TrainingOptions(env=name, threads=1, progress=False, out=Path(folder))
+        plan = TrainingPlan.of(options)
+        models.prepare_torch(plan)
         env = plan.learning()
         with contextlib.closing(env):
-            model: Any = models.made(plan, env)
+            model: Any = models.make_model(plan, env)
             for method in spent:
                 setattr(model, method, timed(getattr(model, method), method, spent))
             rollout = model.n_steps * env.num_envs
@@ -110,7 +109,7 @@ def timed(function: Callable[..., Any], name: str, spent: dict[str, float]) -> C
 def start() -> float:
     """Measure the CPU time of a process that has just loaded what an evaluation needs [s]."""
     script = (
-        "from acsar_gym.evaluation import runs, episodes\n"
+        "from acsar_gym.tools.evaluation import runs, episodes\n"
         "policy = runs.load('point_goal', trust=False)\n"
         "env = runs.made(policy, 'bullet', None, {})\n"
         "list(episodes.episodes(env, policy, 1, seed=0))"
@@ -156,7 +155,7 @@ def show(found: list[Costs], begin: float) -> None:
     for each in found:
         rows: dict[str, Callable[[int], float]] = {
             f"evaluation, {EPISODES:,} episodes": lambda n, e=each: jobs(  # type: ignore[misc]
-                EPISODES // LARGEST, LARGEST * e.episode, n, begin
+                EPISODES // MAX_SHARD_EPISODES, MAX_SHARD_EPISODES * e.episode, n, begin
             ),
             f"training, {SEEDS} seeds": lambda n, e=each: jobs(SEEDS, e.training, n, begin),  # type: ignore[misc]
             f"sweep, {SWEEP} trainings": lambda n, e=each: jobs(SWEEP, e.training, n, begin),  # type: ignore[misc]

@@ -19,10 +19,10 @@ from cluster_tools import Nodes, nodes
 from job_tools import Job, broken, missing, square
 
 from acsar_gym.errors import JobError, MissingExtraError
-from acsar_gym.evaluation import runs
-from acsar_gym.evaluation.episodes import EpisodeResult
 from acsar_gym.resources import AGENTS
-from acsar_gym.scaling import completed, shards
+from acsar_gym.tools.evaluation import runs, shards
+from acsar_gym.tools.evaluation.episodes import EpisodeResult
+from acsar_gym.tools.jobs import completed
 
 PATIENCE = 120.0
 
@@ -35,10 +35,10 @@ def cluster() -> Iterator[Nodes]:
 
 def evaluated(address: str | None, after: Any = None) -> tuple[list[EpisodeResult], str]:
     """Evaluate the packaged policy on 60 episodes; calls `after` when some are done."""
-    policy = runs.load("obstacle_goal", trust=False)
+    policy = runs.load_policy("obstacle_goal", trust=False)
     seeds = range(60)
     if address is None:
-        done = runs.drive(policy, "planar", None, seeds)
+        done = runs.evaluate_policy(policy, "planar", None, seeds)
         return done.results, done.worlds
     with pytest.MonkeyPatch.context() as patch:
 
@@ -49,7 +49,7 @@ def evaluated(address: str | None, after: Any = None) -> tuple[list[EpisodeResul
                 yield result
 
         patch.setattr(shards, "completed", noticed)
-        done = shards.drive(policy, "planar", None, seeds, address=address)
+        done = shards.evaluate_in_parallel(policy, "planar", None, seeds, address=address)
     return done.results, done.worlds
 
 
@@ -176,7 +176,7 @@ def test_an_address_that_is_something_else_than_ray_is_one_line(kind: str) -> No
 def test_ray_of_this_machine_alone(tmp_path: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent.parent)}
     script = (
-        "from job_tools import threads\nfrom acsar_gym.scaling import completed\n"
+        "from job_tools import threads\nfrom acsar_gym.tools.jobs import completed\n"
         "print(list(completed(threads, ['OMP_NUM_THREADS'], workers=1, address='local')))\n"
     )
     ended = subprocess.run(
@@ -214,7 +214,7 @@ def test_trainings_of_seeds_run_on_a_cluster_and_their_files_come_back(
     data = json.loads((tmp_path / "seeds.json").read_text(encoding="utf-8"))
     assert [each["seed"] for each in data["seeds"]] == [0, 1]
     for seed in (0, 1):
-        assert runs.load(str(tmp_path / f"seed-{seed}" / "policy.onnx"), trust=False)
+        assert runs.load_policy(str(tmp_path / f"seed-{seed}" / "policy.onnx"), trust=False)
 
 
 def test_a_sweep_with_ray_tune_prints_its_table(

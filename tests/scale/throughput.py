@@ -29,11 +29,10 @@ from cluster_tools import nodes
 from throughput_tools import Cost, evaluate, train
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.evaluation import runs
-from acsar_gym.scaling import cluster, completed
-from acsar_gym.scaling.sent import Sent
-from acsar_gym.scaling.shards import Shard
-from acsar_gym.training.options import Options
+from acsar_gym.tools.evaluation import runs
+from acsar_gym.tools.evaluation.shards import PortablePolicy, Shard
+from acsar_gym.tools.jobs import cluster, completed
+from acsar_gym.tools.training.plan import TrainingOptions
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,7 @@ class Measured:
 
 def evaluation(link: str, policy: str, episodes: int) -> Task:
     """Evaluation of a packaged policy, in shards of ten episodes."""
-    sent, robot = Sent.of(runs.load(policy, trust=False)), RobotConfig.of(None)
+    sent, robot = PortablePolicy.of(runs.load_policy(policy, trust=False)), RobotConfig.of(None)
 
     def shard(first: int) -> Shard:
         return Shard(sent, link, robot, range(first, first + 10), 0, {}, {})
@@ -75,8 +74,8 @@ def evaluation(link: str, policy: str, episodes: int) -> Task:
 def training(env: str, steps: int, seeds: int) -> Task:
     """Trainings of several seeds, one thread each."""
 
-    def options(seed: int, steps: int) -> Options:
-        return Options(env, steps=steps, seed=seed, threads=1, progress=False)
+    def options(seed: int, steps: int) -> TrainingOptions:
+        return TrainingOptions(env, steps=steps, seed=seed, threads=1, progress=False)
 
     jobs = [options(seed, steps) for seed in range(seeds)]
     before = [options(99, 40_000)] * 4
@@ -105,7 +104,7 @@ def makespan(times: Sequence[float], count: int) -> float:
 def measure(task: Task, repeats: int) -> dict[str, Any]:
     """Measure a task on one node and on two, in turns."""
     found: dict[int, list[Measured]] = {1: [], 2: []}
-    with nodes(2) as running, cluster.connected(running.address):
+    with nodes(2) as running, cluster.connect_cluster(running.address):
         list(completed(task.function, task.before, address=running.address))
         for _ in range(repeats):
             for count in (1, 2):

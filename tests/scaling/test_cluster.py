@@ -9,14 +9,14 @@ import pytest
 from job_tools import threads
 
 from acsar_gym.errors import ClusterError, ConfigError, MissingExtraError
-from acsar_gym.scaling import cluster, completed
+from acsar_gym.tools.jobs import cluster, completed
 
 pytestmark = pytest.mark.xdist_group("processes")
 
 
 @pytest.fixture(autouse=True)
 def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "PATIENCE", 0.1)
+    monkeypatch.setattr(cluster, "CLUSTER_TIMEOUT", 0.1)
     monkeypatch.delenv("RAY_ADDRESS", raising=False)
 
 

@@ -12,7 +12,7 @@ import pytest
 from job_tools import Job, broken, compiling, missing, square, threads
 
 from acsar_gym.errors import ConfigError, JobError, MissingExtraError
-from acsar_gym.scaling import completed
+from acsar_gym.tools.jobs import completed
 
 pytestmark = pytest.mark.xdist_group("processes")
 

@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 
 from acsar_gym.errors import ConfigError, PolicyError
-from acsar_gym.evaluation import runs
-from acsar_gym.evaluation.results import Run
-from acsar_gym.policies import FilePolicy
-from acsar_gym.scaling import completed, shards
-from acsar_gym.scaling.sent import Sent
+from acsar_gym.tools.evaluation import runs, shards
+from acsar_gym.tools.evaluation.runs import EvaluationRun
+from acsar_gym.tools.evaluation.shards import PortablePolicy
+from acsar_gym.tools.jobs import completed
+from acsar_gym.tools.policies import FilePolicy
 from acsar_gym.worlds import Region, World, files
 
 pytestmark = pytest.mark.xdist_group("processes")
@@ -26,14 +26,14 @@ SLOW = "def act(observation):\n    return 0.5 + 0.1 * float(observation[0]), 0.3
 def policy(tmp_path: Path) -> FilePolicy:
     file = tmp_path / "mine.py"
     file.write_text(SLOW, encoding="utf-8")
-    return runs.load(f"{file}:act", trust=False, env="obstacle_goal")
+    return runs.load_policy(f"{file}:act", trust=False, env="obstacle_goal")
 
 
-def both(policy: FilePolicy, count: int, **options: Any) -> list[Run]:
+def both(policy: FilePolicy, count: int, **options: Any) -> list[EvaluationRun]:
     """The same evaluation in one process and in two."""
     seeds = range(5, 5 + count)
     return [
-        shards.drive(policy, "planar", None, seeds, workers=workers, **options)
+        shards.evaluate_in_parallel(policy, "planar", None, seeds, workers=workers, **options)
         for workers in (1, 2)
     ]
 
@@ -69,7 +69,7 @@ def test_worlds_of_a_file_are_sent_and_keep_their_order(
     folder = tmp_path / "worlds"
     folder.mkdir()
     for number in range(3):
-        files.save(World(goal=Region(0.8 + 0.1 * number, 0.3)), folder / f"{number}.json")
+        files.save_world(World(goal=Region(0.8 + 0.1 * number, 0.3)), folder / f"{number}.json")
     one, two = both(policy, 3, worlds=str(folder), how={"in_order": True})
     assert [result.world for result in two.results] == [0, 1, 2]
     assert all(isinstance(world, World) for job in sent for world in job.options["worlds"])
@@ -79,15 +79,15 @@ def test_worlds_of_a_file_are_sent_and_keep_their_order(
 def test_one_robot_has_one_process(policy: FilePolicy) -> None:
     for link in ("/dev/ttyUSB7", "replay:old.mcap", "socket://robot:9000"):
         with pytest.raises(ConfigError, match="one process drives one robot"):
-            shards.drive(policy, link, None, range(4), workers=2)
+            shards.evaluate_in_parallel(policy, link, None, range(4), workers=2)
     with pytest.raises(ConfigError, match="one process records"):
-        shards.drive(policy, "planar", None, range(4), workers=2, record=object())
+        shards.evaluate_in_parallel(policy, "planar", None, range(4), workers=2, record=object())
 
 
 def test_a_policy_is_loaded_from_what_was_sent_where_its_file_is_another(tmp_path: Path) -> None:
     file = tmp_path / "mine.py"
     file.write_text(SLOW, encoding="utf-8")
-    sent = Sent.of(runs.load(f"{file}:act", trust=False, env="point_goal"))
+    sent = PortablePolicy.of(runs.load_policy(f"{file}:act", trust=False, env="point_goal"))
     file.write_text("raise SystemExit('never run')", encoding="utf-8")
     loaded = sent.load()
     assert loaded.sha256 == sent.sha256
@@ -98,7 +98,7 @@ def test_a_policy_is_loaded_from_what_was_sent_where_its_file_is_another(tmp_pat
 def test_a_policy_that_changed_after_loading_isnt_sent(policy: FilePolicy) -> None:
     policy.path.write_text("# another one", encoding="utf-8")
     with pytest.raises(PolicyError, match="changed since it was loaded"):
-        Sent.of(policy)
+        PortablePolicy.of(policy)
 
 
 @pytest.mark.parametrize(
@@ -108,6 +108,6 @@ def test_a_policy_that_changed_after_loading_isnt_sent(policy: FilePolicy) -> No
 def test_shards_are_small_enough_for_every_worker(
     count: int, workers: int | None, sizes: list[int]
 ) -> None:
-    parts = shards.parts(range(100, 100 + count), workers)
+    parts = shards.split_seeds(range(100, 100 + count), workers)
     assert [len(part) for part in parts] == sizes
     assert [seed for part in parts for seed in part] == list(range(100, 100 + count))

@@ -13,7 +13,7 @@ from range_finder import ThreeRays
 import acsar_gym
 from acsar_gym import Robot, RobotConfig, Sensor, open_link
 from acsar_gym.errors import ConfigError, SensorError
-from acsar_gym.lidars.base import LidarSensor
+from acsar_gym.sensors.lidar import LidarSensor
 
 ACSAR = RobotConfig.preset("acsar")
 

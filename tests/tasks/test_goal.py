@@ -12,8 +12,8 @@ from task_tools import ACSAR, Played
 
 from acsar_gym.errors import ConfigError
 from acsar_gym.tasks import ObstacleGoal, Outcome, PointGoal
+from acsar_gym.tasks.episode import Spawn
 from acsar_gym.tasks.goal import goal_distance, goal_reward
-from acsar_gym.tasks.spawn import Spawn
 from acsar_gym.worlds import Pose, Region, World
 
 TASK = PointGoal()

@@ -10,7 +10,7 @@ from acsar_gym.envs.base import RobotEnv
 from acsar_gym.errors import ConfigError
 from acsar_gym.sensors import Sensor
 from acsar_gym.tasks import State, Task
-from acsar_gym.tasks.made import made
+from acsar_gym.tasks.factory import make_task
 from acsar_gym.vector.env import RobotVectorEnv
 
 
@@ -46,7 +46,7 @@ class One(Sensor):
 def test_attributes_of_a_wrong_type(attribute: str, value: Any) -> None:
     wrong = type("Wrong", (Plain,), {attribute: value})
     with pytest.raises(ConfigError, match=rf"Wrong: {attribute} = .*: must be a "):
-        made(wrong, {})
+        make_task(wrong, {})
 
 
 @pytest.mark.parametrize("env", [RobotEnv, RobotVectorEnv])

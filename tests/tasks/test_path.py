@@ -13,10 +13,10 @@ from task_tools import Played
 
 from acsar_gym.errors import ConfigError, WorldError
 from acsar_gym.tasks import Outcome, PathFollow
-from acsar_gym.tasks.path import heading_error, nearest, path_reward
+from acsar_gym.tasks.path import heading_error, nearest_on_path, path_reward
 from acsar_gym.worlds import Pose
-from acsar_gym.worlds.paths import sampled
 from acsar_gym.worlds.pool import Pool
+from acsar_gym.worlds.search import sample_path
 
 TASK = PathFollow()
 POOL = Pool.of("smooth_path:20")
@@ -62,7 +62,7 @@ def test_the_end_needs_the_whole_path() -> None:
     square = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0), (0.0, 0.05)]
     following = played(square)
     assert walk(following, (0.02, 0.0, 0.0))[0][1] is Outcome.GOING
-    points = sampled(np.array(square))
+    points = sample_path(np.array(square))
     outcomes = [outcome for _, outcome in walk(following, *map(tuple, points[::4].tolist()))]
     assert outcomes[0] is Outcome.GOING
     assert walk(following, (0.0, 0.1, 0.0))[0][1] is Outcome.SUCCESS
@@ -98,13 +98,13 @@ def test_beside_a_smooth_path_the_distance_is_found(
     """A point off the path at right angles, nearer than the path's curvature allows doubt."""
     world = POOL[number]
     assert world.path is not None
-    path = sampled(world.path)
+    path = sample_path(world.path)
     k = 1 + int(share * (len(path) - 3))
     x, y = (path[k, :2] + path[k + 1, :2]) / 2.0
     dx, dy = path[k + 1, :2] - path[k, :2]
     normal = math.atan2(dy, dx) + math.pi / 2.0  # there, and not at the sample before it
     x, y = x + beside * math.cos(normal), y + beside * math.sin(normal)
-    place, cross, _ = nearest(path, len(path) - 1, float(k), float(x), float(y))
+    place, cross, _ = nearest_on_path(path, len(path) - 1, float(k), float(x), float(y))
     brute = np.hypot(path[:, 0] - x, path[:, 1] - y).min()
     assert abs(cross) <= brute + 1e-9
     assert abs(cross) == pytest.approx(abs(beside), abs=5e-3)

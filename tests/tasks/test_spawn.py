@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from acsar_gym.errors import ConfigError, WorldError
-from acsar_gym.tasks.spawn import drawn
+from acsar_gym.tasks.episode import draw_in_world
 from acsar_gym.worlds import Region, World
 from acsar_gym.worlds.pool import Pool
-from acsar_gym.worlds.scene import to_world
+from acsar_gym.worlds.world import to_world
 
 WIDE = World(start=Region(-4.0, 1.0, 0.5), goal=Region(4.0, -1.0, 1.0), name="wide")
 
@@ -21,10 +21,10 @@ def test_starts_and_goals_fill_their_regions() -> None:
     rng, pool = np.random.default_rng(0), Pool.of(WIDE)
     starts, goals, headings = [], [], []
     for _ in range(400):
-        x, y, heading = drawn(pool, rng, {}).start
+        x, y, heading = draw_in_world(pool, rng, {}).start
         headings.append(heading)
         starts.append(math.dist((x, y), (WIDE.start.x, WIDE.start.y)))
-        goals.append(drawn(pool, rng, {}).goal)
+        goals.append(draw_in_world(pool, rng, {}).goal)
     assert 0.45 < max(starts) <= 0.5
     assert np.mean(np.array(starts) < 0.5 / math.sqrt(2.0)) == pytest.approx(0.5, abs=0.08)
     counts, _ = np.histogram(np.mod(headings, math.tau), 4, (0.0, math.tau))
@@ -36,16 +36,16 @@ def test_starts_and_goals_fill_their_regions() -> None:
 
 def test_every_world_of_the_pool_is_drawn() -> None:
     rng, pool = np.random.default_rng(0), Pool.of("open:5")
-    numbers = {drawn(pool, rng, {}).number for _ in range(100)}
+    numbers = {draw_in_world(pool, rng, {}).number for _ in range(100)}
     assert numbers == {0, 1, 2, 3, 4}
 
 
 def test_options_choose_the_world_and_the_goal() -> None:
     rng, pool = np.random.default_rng(0), Pool.of("open:5")
     for number in (3, 3.0, np.int64(3), np.float32(3.0)):  # info tells it as a float
-        assert drawn(pool, rng, {"world": number}).number == 3
-    assert drawn(pool, rng, {"world": WIDE}).number == -1
-    assert drawn(pool, rng, {"goal": (1, 2)}).goal == (1.0, 2.0)
+        assert draw_in_world(pool, rng, {"world": number}).number == 3
+    assert draw_in_world(pool, rng, {"world": WIDE}).number == -1
+    assert draw_in_world(pool, rng, {"goal": (1, 2)}).goal == (1.0, 2.0)
 
 
 @pytest.mark.parametrize(
@@ -62,12 +62,12 @@ def test_options_choose_the_world_and_the_goal() -> None:
 )
 def test_bad_options_are_one_clear_error(options: dict[str, Any], error: type[Exception]) -> None:
     with pytest.raises(error) as caught:
-        drawn(Pool.of("open:5"), np.random.default_rng(0), options)
+        draw_in_world(Pool.of("open:5"), np.random.default_rng(0), options)
     assert "\n" not in str(caught.value)
 
 
 def test_the_path_to_follow_begins_at_the_robot() -> None:
-    assignment = drawn(Pool.of("smooth_path:3"), np.random.default_rng(1), {}, follow=True)
+    assignment = draw_in_world(Pool.of("smooth_path:3"), np.random.default_rng(1), {}, follow=True)
     assert assignment.path is not None
     assert assignment.path[0] == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
     assert assignment.path[-1, :2] == pytest.approx(assignment.goal)
@@ -78,7 +78,7 @@ def test_worlds_do_not_move() -> None:
     rng, pool = np.random.default_rng(0), Pool.of("clutter:2")
     for follow in (False, True):
         for _ in range(5):
-            assignment = drawn(pool, rng, {}, follow=follow)
+            assignment = draw_in_world(pool, rng, {}, follow=follow)
             world = pool[assignment.number]
             assert assignment.world is world
             assert world.path is not None
@@ -86,7 +86,7 @@ def test_worlds_do_not_move() -> None:
             assert place[:2] == pytest.approx((world.goal.x, world.goal.y))
             assert assignment.start[:2] == pytest.approx(world.path[0])
     given = World(start=Region(-4.0, 1.0), goal=Region(4.0, -1.0))
-    worlds = [drawn(pool, rng, {"world": given}).world for _ in range(2)]
+    worlds = [draw_in_world(pool, rng, {"world": given}).world for _ in range(2)]
     assert worlds[0] is worlds[1], "nothing has to be built again"
 
 
@@ -94,13 +94,13 @@ def test_a_world_without_a_path_cannot_be_followed() -> None:
     world = World(goal=Region(1.0, 0.0), name="pathless")
     pool = Pool("given", range(1), lambda _: world)
     with pytest.raises(WorldError, match="pathless: has no path to follow"):
-        drawn(pool, np.random.default_rng(0), {}, follow=True)
+        draw_in_world(pool, np.random.default_rng(0), {}, follow=True)
 
 
 def test_a_path_is_followed_from_its_own_start_to_its_own_end() -> None:
     path = np.array([[1.0, 1.0], [2.0, 1.0], [2.0, 2.0]])
     world = World(start=Region(0.0, 0.0), goal=Region(5.0, 5.0, 0.5), path=path)
-    assignment = drawn(Pool.of(world), np.random.default_rng(0), {}, follow=True)
+    assignment = draw_in_world(Pool.of(world), np.random.default_rng(0), {}, follow=True)
     assert assignment.goal == pytest.approx((1.0, 1.0))
     assert assignment.path is not None
     assert assignment.path[0] == pytest.approx([0.0, 0.0, 0.0])

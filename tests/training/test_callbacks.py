@@ -17,8 +17,8 @@ def test_only_honest_figures_are_logged(tmp_path: Path, capsys: pytest.CaptureFi
     from stable_baselines3 import PPO
     from stable_baselines3.common.logger import configure
 
-    from acsar_gym.policies.sb3 import BatchVecEnv
-    from acsar_gym.training import callbacks
+    from acsar_gym.tools.policies.sb3 import BatchVecEnv
+    from acsar_gym.tools.training import callbacks
 
     batches = [
         PointGoalVectorEnv(
@@ -27,7 +27,7 @@ def test_only_honest_figures_are_logged(tmp_path: Path, capsys: pytest.CaptureFi
         for robots, mode in ((ROBOTS, "SameStep"), (4, "NextStep"))
     ]
     total = STEPS * ROBOTS * 4
-    scores = callbacks.HeldOut(batches[1], total, 16)
+    scores = callbacks.HeldOutEvaluation(batches[1], total, 16)
     watching = [callbacks.WholeCohorts(LIMIT), scores, callbacks.TrainingProgress(total, scores)]
     model = PPO("MlpPolicy", BatchVecEnv(batches[0]), n_steps=STEPS, batch_size=256, n_epochs=1)
     model.set_logger(configure(str(tmp_path), ["csv"]))

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from acsar_gym.envs import ObstacleGoalVectorEnv, PointGoalVectorEnv
-from acsar_gym.evaluation import episodes as evaluation
-from acsar_gym.training import held_out
+from acsar_gym.tools.evaluation import episodes as evaluation
+from acsar_gym.tools.training import held_out
 from acsar_gym.worlds import Region, World, files
 from acsar_gym.worlds.pool import Pool
 
@@ -27,12 +27,14 @@ def towards(seen: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
 
 def test_a_score_is_what_evaluation_says_of_the_same_episodes() -> None:
     batch = ObstacleGoalVectorEnv(ROBOTS, worlds=WORLDS, max_episode_steps=STEPS, threads=1)
-    score = held_out.evaluate(batch, towards)
+    score = held_out.evaluate_held_out(batch, towards)
     batch.close()
     env = gymnasium.make(
         "acsar_gym/ObstacleGoal-v1", link="planar", worlds=WORLDS, max_episode_steps=STEPS
     )
-    one = evaluation.episodes(env, lambda seen: towards(seen[None])[0], ROBOTS, held_out.FIRST_SEED)
+    one = evaluation.run_episodes(
+        env, lambda seen: towards(seen[None])[0], ROBOTS, held_out.FIRST_HELD_OUT_SEED
+    )
     results = list(one)
     env.close()
     assert score.episodes == ROBOTS
@@ -47,7 +49,7 @@ def test_every_robot_counts_once_and_always_the_same() -> None:
     """Quick episodes aren't counted again while the slow ones go on."""
     options: dict[str, Any] = {"goal_distance": (0.3, 1.5), "max_episode_steps": 30}
     batch = PointGoalVectorEnv(16, **options, threads=1)
-    scores = [held_out.evaluate(batch, towards) for _ in range(2)]
+    scores = [held_out.evaluate_held_out(batch, towards) for _ in range(2)]
     batch.close()
     assert scores[0] == scores[1]
     assert 0.0 < scores[0].success_rate < 1.0
@@ -68,17 +70,17 @@ def test_every_robot_counts_once_and_always_the_same() -> None:
     ],
 )
 def test_held_out_worlds_are_others(trained: str, beside: str) -> None:
-    assert held_out.worlds_beside(Pool.of(trained)) == beside
+    assert held_out.choose_held_out_worlds(Pool.of(trained)) == beside
 
 
 def test_beside_a_file_and_on_the_open_floor_there_are_no_other_worlds() -> None:
-    assert held_out.worlds_beside(Pool.of(World(goal=Region(3.0, 0.0)))) is None
-    assert held_out.worlds_beside(None) is None
+    assert held_out.choose_held_out_worlds(Pool.of(World(goal=Region(3.0, 0.0)))) is None
+    assert held_out.choose_held_out_worlds(None) is None
 
 
 def test_people_are_told_which_worlds_are_trained_and_evaluated_in(tmp_path: Path) -> None:
     file = tmp_path / "mine.json"
-    files.save(World(goal=Region(3.0, 0.0)), file)
+    files.save_world(World(goal=Region(3.0, 0.0)), file)
     made = {
         source: ObstacleGoalVectorEnv(1, worlds=source, threads=1)
         for source in ("open:train", "open:900-963", str(file))
@@ -87,10 +89,10 @@ def test_people_are_told_which_worlds_are_trained_and_evaluated_in(tmp_path: Pat
     beside = (
         "training in open 1000 to 1399 (train split), held out: open 900 to 963 (validation split)"
     )
-    assert held_out.told(train, apart) == beside
+    assert held_out.describe_worlds(train, apart) == beside
     same = f"training in {file} 0 to 0, evaluated in the same worlds, other seeds"
-    assert held_out.told(mine, mine) == same
-    assert held_out.measured(apart) == "held-out success"
-    assert held_out.measured(mine) == "success in the same worlds, other seeds"
+    assert held_out.describe_worlds(mine, mine) == same
+    assert held_out.success_label(apart) == "held-out success"
+    assert held_out.success_label(mine) == "success in the same worlds, other seeds"
     for batch in made.values():
         batch.close()

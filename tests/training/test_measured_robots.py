@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from acsar_gym import RobotConfig
-from acsar_gym.dynamics import Randomization
 from acsar_gym.envs import ids
-from acsar_gym.policies.onnx import OnnxPolicy
-from acsar_gym.training import command, held_out
+from acsar_gym.physics import Randomization
+from acsar_gym.tools.policies.onnx import OnnxPolicy
+from acsar_gym.tools.training import held_out, seeds
 
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("torch")]
 
@@ -94,9 +94,9 @@ def success(env_id: str, policy: OnnxPolicy, robot: RobotConfig, own: Randomizat
     """Share of 64 held-out episodes that succeed."""
     worlds = {} if "PointGoal" in env_id else {"worlds": "clutter:900-963"}
     batch = ids.make_vec(
-        env_id, held_out.ROBOTS, robot=robot, randomization=own, threads=1, **worlds
+        env_id, held_out.HELD_OUT_ROBOTS, robot=robot, randomization=own, threads=1, **worlds
     )
-    score = held_out.evaluate(batch, lambda seen: np.array([policy(row) for row in seen]))
+    score = held_out.evaluate_held_out(batch, lambda seen: np.array([policy(row) for row in seen]))
     batch.close()
     return score.success_rate
 
@@ -110,7 +110,7 @@ def test_a_policy_trained_with_measured_ranges_drives_fifty_robots(
     robot = fitted(rng)
     robot.save(tmp_path / "robot.yaml")
     options = ["--env", name, "--robot", str(tmp_path / "robot.yaml"), "--out", str(tmp_path)]
-    assert command.main([*options, "--no-progress"]) == 0
+    assert seeds.main([*options, "--no-progress"]) == 0
     policy = OnnxPolicy(tmp_path / "policy.onnx")
     nominal = success(policy.env_id, policy, robot, Randomization())
     rates = [success(policy.env_id, policy, *other(robot, rng)) for _ in range(ROBOTS)]

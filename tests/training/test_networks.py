@@ -13,8 +13,8 @@ import pytest
 from acsar_gym import RobotConfig
 from acsar_gym.envs import ids
 from acsar_gym.errors import ConfigError
-from acsar_gym.policies import OnnxPolicy
-from acsar_gym.policies.describing import described
+from acsar_gym.tools.policies import OnnxPolicy
+from acsar_gym.tools.policies.describe import describe_policy
 
 pytestmark = pytest.mark.xdist_group("torch")
 NUMBERS, RAYS = 7, 64
@@ -28,7 +28,7 @@ def space(width: int = NUMBERS + RAYS) -> gymnasium.spaces.Box:
 def features(observation: np.ndarray[Any, Any], **options: Any) -> np.ndarray[Any, Any]:
     import torch
 
-    from acsar_gym.training.networks import RayClearance
+    from acsar_gym.tools.training.networks import RayClearance
 
     extractor = RayClearance(space(len(observation)), **options)
     seen = torch.from_numpy(observation[None].astype(np.float32))
@@ -89,8 +89,7 @@ def test_a_mirrored_scene_gets_the_mirrored_action_and_the_same_value() -> None:
 def mirrored(width: int = NUMBERS + RAYS, **options: Any) -> Any:
     import torch
 
-    from acsar_gym.training.mirrored import MirrorPolicy
-    from acsar_gym.training.networks import RayClearance
+    from acsar_gym.tools.training.networks import MirrorPolicy, RayClearance
 
     torch.manual_seed(0)
     policy = MirrorPolicy(
@@ -118,7 +117,7 @@ def test_numbers_that_are_no_numbers_are_refused() -> None:
 def test_the_exported_network_acts_as_the_trained_one(tmp_path: Path) -> None:
     import torch
 
-    from acsar_gym.policies import sb3_export
+    from acsar_gym.tools.policies import sb3_export
 
     env = ids.make_vec("acsar_gym/ObstacleGoal-v1", 1, worlds="clutter:1")
     width = len(env.single_observation_space.sample())
@@ -126,7 +125,7 @@ def test_the_exported_network_acts_as_the_trained_one(tmp_path: Path) -> None:
     for bias in policy.mlp_extractor.actor.even:
         torch.nn.init.normal_(bias.bias)
     path = tmp_path / "policy.onnx"
-    sb3_export.export(policy, path, described(env, "acsar_gym/ObstacleGoal-v1"))
+    sb3_export.export_policy(policy, path, describe_policy(env, "acsar_gym/ObstacleGoal-v1"))
     env.close()
     exported, rng = OnnxPolicy(path), np.random.default_rng(0)
     for _ in range(5):
@@ -139,7 +138,7 @@ def test_the_exported_network_acts_as_the_trained_one(tmp_path: Path) -> None:
 def test_a_saved_model_can_be_loaded(tmp_path: Path) -> None:
     import torch
 
-    from acsar_gym.training.mirrored import MirrorPolicy
+    from acsar_gym.tools.training.networks import MirrorPolicy
 
     policy = mirrored()
     policy.save(str(tmp_path / "policy.pt"))
@@ -152,8 +151,7 @@ def arcs_seen(observation: np.ndarray[Any, Any]) -> dict[tuple[int, float], floa
     """The free share of each arc, by its direction and curvature."""
     import torch
 
-    from acsar_gym.training.arcs import ARCS
-    from acsar_gym.training.networks import ArcClearance
+    from acsar_gym.tools.training.networks import ARCS, ArcClearance
 
     extractor = ArcClearance(space(len(observation)))
     seen = extractor(torch.from_numpy(observation[None].astype(np.float32))).numpy()[0]
@@ -180,13 +178,13 @@ def test_an_obstacle_ends_the_arcs_that_meet_it() -> None:
 
 def test_free_ways_are_those_of_a_footprint_that_is_driven_there() -> None:
     """Against points that are moved one by one, for a footprint that isn't a box."""
-    from acsar_gym.config.footprint import border_distance, contains
-    from acsar_gym.training import arcs
+    from acsar_gym.config.footprint import border_distance, contains_point
+    from acsar_gym.tools.training import networks
 
     config = RobotConfig(footprint=((0.2, 0.0), (-0.15, 0.14), (-0.15, -0.14)))
-    table, rng = arcs.free_ways(config), np.random.default_rng(0)
+    table, rng = networks.free_ways(config), np.random.default_rng(0)
     angles = np.linspace(-math.pi, math.pi, RAYS, endpoint=False)
-    radius, size = 0.2052, arcs.cell(config)
+    radius, size = 0.2052, networks.cell_length(config)
     for _ in range(40):
         ray, cell = int(rng.integers(RAYS)), int(rng.integers(5, 60))
         reach = (cell + 0.5) * size
@@ -197,19 +195,18 @@ def test_free_ways_are_those_of_a_footprint_that_is_driven_there() -> None:
             (x * math.cos(a) + y * math.sin(a), y * math.cos(a) - x * math.sin(a)) for a in ways
         ]
         met = [
-            contains(config.outline, *p)
-            or border_distance(config.outline, *p) < arcs.MARGIN * radius
+            contains_point(config.outline, *p)
+            or border_distance(config.outline, *p) < networks.TOUCH_MARGIN * radius
             for p in back
         ]
         first = met.index(True) / 50 if True in met else 1.0
-        assert table[ray, cell, arcs.ARCS.index((0, 1.0))] == pytest.approx(first, abs=0.021)
+        assert table[ray, cell, networks.ARCS.index((0, 1.0))] == pytest.approx(first, abs=0.021)
 
 
 def test_a_policy_with_arcs_drives_the_mirror_image_as_the_mirror_image() -> None:
     import torch
 
-    from acsar_gym.training.mirrored import MirrorPolicy
-    from acsar_gym.training.networks import ArcClearance
+    from acsar_gym.tools.training.networks import ArcClearance, MirrorPolicy
 
     policy = MirrorPolicy(
         space(),

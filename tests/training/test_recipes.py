@@ -14,11 +14,15 @@ from torch.nn import ReLU
 from acsar_gym.errors import ConfigError
 from acsar_gym.registration import IDS
 from acsar_gym.resources import AGENTS
-from acsar_gym.training import recipes
-from acsar_gym.training.algorithms import ALGORITHMS, algorithm
-from acsar_gym.training.classes import BATCH, KNOWN, find_class
-from acsar_gym.training.mirrored import MirrorPolicy
-from acsar_gym.training.networks import RayClearance
+from acsar_gym.tools.training import recipes
+from acsar_gym.tools.training.networks import MirrorPolicy, RayClearance
+from acsar_gym.tools.training.recipes import (
+    ALGORITHMS,
+    BATCH_WRAPPER,
+    KNOWN_CLASSES,
+    find_algorithm,
+    find_class,
+)
 
 pytestmark = pytest.mark.xdist_group("torch")
 
@@ -29,17 +33,20 @@ GOOD = "default: {n_timesteps: 1e3, n_envs: 4, policy: MlpPolicy, n_steps: 8}\n"
 @pytest.mark.parametrize("env_id", [*IDS, "mine/Task-v0"])
 def test_every_algorithm_has_a_recipe_for_every_env(name: str, env_id: str) -> None:
     own = env_id if "/" in env_id else f"acsar_gym/{env_id}"
-    recipe = recipes.recipe(algorithm(name), own)
-    assert recipe.key == ("default" if own not in recipes.content(recipe.file) else own)
+    recipe = recipes.read_recipe(find_algorithm(name), own)
+    assert recipe.key == ("default" if own not in recipes.read_recipe_file(recipe.file) else own)
     assert recipe.built()["policy"] == recipe.policy or "." in recipe.policy
     assert "link" not in recipe.env_kwargs
     wrappers = yaml.safe_load(yaml.safe_dump(recipe.as_dict()))["vec_env_wrapper"]
-    assert wrappers == [BATCH, *({name: {}} for name in recipe.wrappers)]
+    assert wrappers == [BATCH_WRAPPER, *({name: {}} for name in recipe.wrappers)]
 
 
 def test_the_files_have_no_ids_that_are_not_registered() -> None:
     for file in (AGENTS / "recipes").glob("*.yml"):
-        assert set(recipes.content(file)) <= {"default", *(f"acsar_gym/{own}" for own in IDS)}
+        assert set(recipes.read_recipe_file(file)) <= {
+            "default",
+            *(f"acsar_gym/{own}" for own in IDS),
+        }
 
 
 @pytest.mark.parametrize(
@@ -76,7 +83,7 @@ def test_a_bad_recipe_is_refused_in_one_line(text: str, said: str, tmp_path: Pat
     file = tmp_path / "mine.yml"
     file.write_text(text)
     with pytest.raises(ConfigError) as error:
-        recipes.recipe(algorithm("ppo"), "mine/Task-v0", file)
+        recipes.read_recipe(find_algorithm("ppo"), "mine/Task-v0", file)
     assert str(error.value).startswith(f"{file}: ")
     assert said in str(error.value)
     assert "\n" not in str(error.value)
@@ -94,7 +101,7 @@ def test_a_bad_value_is_named_with_its_key(
 ) -> None:
     file = tmp_path / "mine.yml"
     file.write_text(yaml.safe_dump({"default": {"n_timesteps": 8, "n_envs": 1, key: value}}))
-    recipe = recipes.recipe(algorithm("ppo"), "mine/Task-v0", file)
+    recipe = recipes.read_recipe(find_algorithm("ppo"), "mine/Task-v0", file)
     with pytest.raises(ConfigError, match=f"default: {key}: ") as error:
         recipe.built()
     assert said in str(error.value)
@@ -145,7 +152,7 @@ def written(folder: Path, given: dict[str, object]) -> Path:
 def test_a_hostile_recipe_runs_and_writes_nothing(name: str, folder: Path) -> None:
     file = written(folder, HOSTILE[name])
     with pytest.raises(ConfigError) as error:
-        recipes.recipe(algorithm("sac"), "mine/Task-v0", file)
+        recipes.read_recipe(find_algorithm("sac"), "mine/Task-v0", file)
     assert str(error.value).startswith(f"{file}: default: ")
     assert "\n" not in str(error.value)
     assert sorted(path.name for path in folder.iterdir()) == ["evil.py", "mine.yml"]
@@ -174,28 +181,32 @@ def test_named_modules_may_be_used(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     given = {"n_timesteps": 8, "n_envs": 1, "policy_kwargs": kwargs, "env_kwargs": env}
     file.write_text(yaml.safe_dump({"default": given}))
     modules = ("my_networks", "my_worlds")
-    recipe = recipes.recipe(algorithm("ppo"), "mine/Task-v0", file, modules)
+    recipe = recipes.read_recipe(find_algorithm("ppo"), "mine/Task-v0", file, modules)
     assert recipe.built()["policy_kwargs"]["activation_fn"].__name__ == "ReLU"
     assert recipe.env_kwargs == env
     with pytest.raises(ConfigError, match="a recipe imports nothing: name the module"):
-        recipes.recipe(algorithm("ppo"), "mine/Task-v0", file, modules[:1])
+        recipes.read_recipe(find_algorithm("ppo"), "mine/Task-v0", file, modules[:1])
 
 
 def test_a_schedule_falls_to_zero(tmp_path: Path) -> None:
     file = tmp_path / "mine.yml"
     file.write_text(GOOD.replace("n_steps: 8", "learning_rate: lin_0.5"))
-    falling = recipes.recipe(algorithm("ppo"), "mine/Task-v0", file).built()["learning_rate"]
+    falling = recipes.read_recipe(find_algorithm("ppo"), "mine/Task-v0", file).built()[
+        "learning_rate"
+    ]
     assert (falling(1.0), falling(0.5), falling(0.0)) == (0.5, 0.25, 0.0)
 
 
 def test_every_listed_class_is_there() -> None:
-    for place, names in KNOWN.items():
+    for place, names in KNOWN_CLASSES.items():
         for name in names:
             assert callable(find_class(place, name))
 
 
 def test_a_mirror_policy_takes_names_as_rl_zoo_gives_them() -> None:
-    given = recipes.recipe(algorithm("ppo"), "acsar_gym/Barn-v1").arguments["policy_kwargs"]
+    given = recipes.read_recipe(find_algorithm("ppo"), "acsar_gym/Barn-v1").arguments[
+        "policy_kwargs"
+    ]
     observed, acted = Box(-1.0, 1.0, (80,)), Box(-1.0, 1.0, (2,))
     policy = MirrorPolicy(observed, acted, lambda _: 0.001, **given)
     assert policy.activation_fn is ReLU
@@ -207,7 +218,7 @@ def test_options_change_a_recipe(tmp_path: Path) -> None:
     given = {"log_std_init": 1.0}
     content = {"n_timesteps": 8, "n_envs": 1, "policy_kwargs": given, "gamma": 0.9}
     file.write_text(yaml.safe_dump({"default": content}))
-    recipe = recipes.recipe(algorithm("ppo"), "mine/Task-v0", file)
+    recipe = recipes.read_recipe(find_algorithm("ppo"), "mine/Task-v0", file)
     changed = recipe.with_(steps=None, robots=7, gamma=0.5, net=(8, 4))
     assert (changed.steps, changed.robots) == (8, 7)
     built = changed.built()
@@ -217,4 +228,4 @@ def test_options_change_a_recipe(tmp_path: Path) -> None:
 
 def test_an_unknown_algorithm_is_told_those_that_there_are() -> None:
     with pytest.raises(ConfigError, match="--algo pppo: unknown; did you mean 'ppo'"):
-        algorithm("pppo")
+        find_algorithm("pppo")

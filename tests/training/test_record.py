@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from acsar_gym.evaluation import provenance
-from acsar_gym.training import record
+from acsar_gym.tools.evaluation import provenance
+from acsar_gym.tools.training import record
 
 
 @pytest.mark.parametrize(
@@ -35,20 +35,20 @@ def test_the_command_names_no_folder_of_this_machine(
     words = given.format(folder=tmp_path).split()
     for program in ("bin/acsar-gym train", "acsar_gym/__main__.py train"):
         monkeypatch.setattr(sys, "argv", [*program.split(), *words])
-        assert record.command() == ["acsar-gym", "train", *kept.split()]
+        assert record.training_command() == ["acsar-gym", "train", *kept.split()]
 
 
 def test_of_another_program_only_the_name_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     """A worker of Ray is given its cluster's address and password."""
     flags = ["--node-ip-address=10.0.0.3", "--redis-password=secret"]
     monkeypatch.setattr(sys, "argv", ["/opt/ray/default_worker.py", *flags])
-    assert record.command() == ["default_worker.py"]
+    assert record.training_command() == ["default_worker.py"]
     monkeypatch.setattr(sys, "argv", ["bin/acsar-gym", "demo", "--steps", "9"])
-    assert record.command() == ["acsar-gym", "demo", "--steps", "9"]
+    assert record.training_command() == ["acsar-gym", "demo", "--steps", "9"]
 
 
 def test_libraries_that_are_not_installed_have_no_version() -> None:
-    told = provenance.versions("pytest", "no-such-library")
+    told = provenance.library_versions("pytest", "no-such-library")
     assert told["pytest"] == pytest.__version__
     assert "no-such-library" not in told
     assert {"acsar_gym", "gymnasium", "numpy", "python"} <= told.keys()

@@ -19,8 +19,8 @@ from disk_tools import full_disk
 
 from acsar_gym.errors import AcsarError
 from acsar_gym.resources import AGENTS
-from acsar_gym.training import checkpoints, command
-from acsar_gym.training.checkpoints import State
+from acsar_gym.tools.training import checkpoints, seeds
+from acsar_gym.tools.training.checkpoints import TrainingState
 
 pytestmark = pytest.mark.xdist_group("torch")
 
@@ -49,11 +49,11 @@ def killed(arguments: list[str], out: Path) -> None:
     command = [sys.executable, str(AGENTS / "train.py"), *arguments, "--out", str(out)]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
         until = time.monotonic() + PATIENCE
-        while not checkpoints.found(out / "checkpoints") and time.monotonic() < until:
+        while not checkpoints.find_checkpoints(out / "checkpoints") and time.monotonic() < until:
             assert process.poll() is None
             time.sleep(0.01)
         process.send_signal(signal.SIGKILL)
-    assert checkpoints.found(out / "checkpoints")
+    assert checkpoints.find_checkpoints(out / "checkpoints")
     assert not (out / "model.zip").exists()
 
 
@@ -61,10 +61,10 @@ def test_a_killed_training_goes_on_with_the_same_curve(tmp_path: Path) -> None:
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     arguments = [*TINY, "--steps", str(STEPS), "--seed", "7", "--learning-rate", "0.003"]
     killed(arguments, cut)
-    assert command.main([*arguments, "--out", str(whole)]) == 0
-    before = checkpoints.read(checkpoints.found(cut / "checkpoints")[-1])
+    assert seeds.main([*arguments, "--out", str(whole)]) == 0
+    before = checkpoints.read_state(checkpoints.find_checkpoints(cut / "checkpoints")[-1])
     assert 0 < before.steps < STEPS
-    assert command.main(["--resume", str(cut), "--trust"]) == 0
+    assert seeds.main(["--resume", str(cut), "--trust"]) == 0
     assert curve(cut) == curve(whole)
     assert weights(cut) == weights(whole)
     told = yaml.safe_load((cut / "config.yml").read_text())
@@ -79,8 +79,8 @@ def test_the_other_algorithms_go_on_with_the_same_curve_too(algo: str, tmp_path:
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     arguments = [*TINY, "--steps", "3000", "--seed", "7", "--algo", algo]
     killed(arguments, cut)
-    assert command.main([*arguments, "--out", str(whole)]) == 0
-    assert command.main(["--resume", str(cut), "--trust"]) == 0
+    assert seeds.main([*arguments, "--out", str(whole)]) == 0
+    assert seeds.main(["--resume", str(cut), "--trust"]) == 0
     assert curve(cut) == curve(whole)
     assert weights(cut) == weights(whole)
 
@@ -89,7 +89,7 @@ def test_the_other_algorithms_go_on_with_the_same_curve_too(algo: str, tmp_path:
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a training of 256 steps."""
     out = tmp_path_factory.mktemp("finished")
-    assert command.main([*TINY, "--steps", "256", "--out", str(out)]) == 0
+    assert seeds.main([*TINY, "--steps", "256", "--out", str(out)]) == 0
     return out
 
 
@@ -105,7 +105,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 )
 def test_a_folder_is_refused_in_one_line(finished: Path, arguments: str, said: str) -> None:
     with pytest.raises(AcsarError) as error:
-        command.main(["--resume", str(finished), *arguments.split()])
+        seeds.main(["--resume", str(finished), *arguments.split()])
     assert said.format(finished) in str(error.value)
     assert "\n" not in str(error.value)
 
@@ -115,15 +115,15 @@ def test_a_broken_checkpoint_is_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "rl_model_8_steps.zip"
     path.write_bytes(content)
     with pytest.raises(AcsarError, match="not a whole checkpoint"):
-        checkpoints.read(path)
+        checkpoints.read_state(path)
 
 
 def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
     with pytest.raises(AcsarError, match=r"config\.yml"):
-        command.main(["--resume", str(tmp_path), "--trust"])
+        seeds.main(["--resume", str(tmp_path), "--trust"])
     (tmp_path / "config.yml").write_text("run: 3\n")
     with pytest.raises(AcsarError, match="not of 'acsar-gym train'"):
-        command.main(["--resume", str(tmp_path), "--trust"])
+        seeds.main(["--resume", str(tmp_path), "--trust"])
 
 
 def test_an_edited_config_and_a_cut_checkpoint_are_refused(finished: Path, tmp_path: Path) -> None:
@@ -131,19 +131,19 @@ def test_an_edited_config_and_a_cut_checkpoint_are_refused(finished: Path, tmp_p
     resumed = ["--resume", str(tmp_path / "copy"), "--trust", "--steps", "512"]
     (tmp_path / "copy/checkpoints/rl_model_300_steps.zip").write_bytes(b"PK")
     with pytest.raises(AcsarError, match=r"delete it to go on from .*rl_model_256_steps\.zip"):
-        command.main(resumed)
+        seeds.main(resumed)
     config = tmp_path / "copy" / "config.yml"
     config.write_text(config.read_text().replace("robots: 8", "robots: many"))
     with pytest.raises(AcsarError, match="--robots 'many': must be"):
-        command.main(resumed)
+        seeds.main(resumed)
 
 
 def test_more_steps_go_on_in_the_same_folder(
     finished: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert command.main(["--resume", str(finished), "--trust", "--steps", "512"]) == 0
+    assert seeds.main(["--resume", str(finished), "--trust", "--steps", "512"]) == 0
     assert "going on at 256 steps\n" in capsys.readouterr().out
-    assert [path.name for path in checkpoints.found(finished / "checkpoints")] == [
+    assert [path.name for path in checkpoints.find_checkpoints(finished / "checkpoints")] == [
         "rl_model_256_steps.zip",
         "rl_model_512_steps.zip",
     ]
@@ -158,17 +158,17 @@ def test_a_policy_for_which_there_was_no_room_is_written_by_resume(tmp_path: Pat
     policy = tmp_path / "policy.onnx"
     policy.symlink_to("/dev/full")
     with pytest.raises(AcsarError, match=f"go on with --resume {tmp_path} --trust"):
-        command.main([*TINY, "--steps", "256", "--out", str(tmp_path)])
+        seeds.main([*TINY, "--steps", "256", "--out", str(tmp_path)])
     before = curve(tmp_path)
     policy.unlink()
-    assert command.main(["--resume", str(tmp_path), "--trust"]) == 0
+    assert seeds.main(["--resume", str(tmp_path), "--trust"]) == 0
     assert len(policy.read_bytes()) > 1000
     assert curve(tmp_path) == before
     again = ["--resume", str(tmp_path), "--trust"]
     with pytest.raises(AcsarError, match="its 256 steps are done"):
-        command.main(again)
+        seeds.main(again)
     policy.unlink()
-    assert command.main(again) == 0
+    assert seeds.main(again) == 0
     assert policy.exists()
 
 
@@ -176,16 +176,16 @@ def test_a_policy_for_which_there_was_no_room_is_written_by_resume(tmp_path: Pat
 def test_a_full_disk_leaves_the_last_checkpoint_and_policy(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    write, folder = checkpoints.write, tmp_path / "checkpoints"
+    write, folder = checkpoints.write_checkpoint, tmp_path / "checkpoints"
 
-    def write_until_full(to: Path, save: Callable[[Path], object], state: State) -> Path:
+    def write_until_full(to: Path, save: Callable[[Path], object], state: TrainingState) -> Path:
         with full_disk(1000) if state.steps == 512 else contextlib.nullcontext():
             return write(to, save, state)
 
-    monkeypatch.setattr(checkpoints, "write", write_until_full)
+    monkeypatch.setattr(checkpoints, "write_checkpoint", write_until_full)
     (tmp_path / "policy.onnx").write_bytes(b"before")
     with pytest.raises(AcsarError) as error:
-        command.main([*TINY, "--steps", "768", "--out", str(tmp_path)])
+        seeds.main([*TINY, "--steps", "768", "--out", str(tmp_path)])
     said = str(error.value)
     del error
     gc.collect()  # the file that stable-baselines3 leaves open: here, not in a later test
@@ -194,7 +194,7 @@ def test_a_full_disk_leaves_the_last_checkpoint_and_policy(
     assert "\n" not in said
     assert [path.name for path in folder.iterdir()] == ["rl_model_256_steps.zip"]
     assert (tmp_path / "policy.onnx").read_bytes() == b"before"
-    assert checkpoints.read(folder / "rl_model_256_steps.zip").steps == 256
+    assert checkpoints.read_state(folder / "rl_model_256_steps.zip").steps == 256
 
 
 def test_old_checkpoints_are_removed(tmp_path: Path) -> None:
@@ -205,5 +205,7 @@ def test_old_checkpoints_are_removed(tmp_path: Path) -> None:
             archive.writestr("data", "{}")
 
     for steps in (8, 16, 100):
-        checkpoints.write(tmp_path, save, State(steps, 1.5, [], {"a": [1]}, {}))
-    assert [checkpoints.read(path).steps for path in checkpoints.found(tmp_path)] == [16, 100]
+        checkpoints.write_checkpoint(tmp_path, save, TrainingState(steps, 1.5, [], {"a": [1]}, {}))
+    assert [
+        checkpoints.read_state(path).steps for path in checkpoints.find_checkpoints(tmp_path)
+    ] == [16, 100]

@@ -10,8 +10,8 @@ import pytest
 import yaml
 
 from acsar_gym.errors import ConfigError
-from acsar_gym.policies import OnnxPolicy, ZipPolicy
-from acsar_gym.training import command
+from acsar_gym.tools.policies import OnnxPolicy, ZipPolicy
+from acsar_gym.tools.training import seeds
 
 pytestmark = pytest.mark.xdist_group("torch")
 
@@ -25,7 +25,7 @@ def test_every_algorithm_leaves_a_policy_that_decides_as_its_model(
     recipe = tmp_path / "mine.yml"
     recipe.write_text(yaml.safe_dump({"default": SMALL[algo]}))
     options = ["--algo", algo, "--conf-file", str(recipe), "--out", str(tmp_path)]
-    assert command.main([*TINY, *options]) == 0
+    assert seeds.main([*TINY, *options]) == 0
     policy = OnnxPolicy(tmp_path / "policy.onnx")
     saved = ZipPolicy(tmp_path / "model.zip", trust=True)
     seen = np.random.default_rng(0).uniform(-1.0, 1.0, (6, 7)).astype(np.float32)
@@ -70,7 +70,7 @@ def test_a_target_ends_the_training_with_the_policy_that_reached_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     options = ["--steps", "100000", "--target", "0", "--out", str(tmp_path)]
-    assert command.main([*TINY, *options]) == 0
+    assert seeds.main([*TINY, *options]) == 0
     said = capsys.readouterr().out
     assert " of 512 episodes (" in said
     assert "target of 0.0% reached at 256 steps" in said
@@ -92,7 +92,7 @@ def test_a_target_ends_the_training_with_the_policy_that_reached_it(
 )
 def test_bad_options_are_refused(arguments: str, said: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=said):
-        command.main([*arguments.split(), "--out", str(tmp_path), "--threads", "1"])
+        seeds.main([*arguments.split(), "--out", str(tmp_path), "--threads", "1"])
 
 
 def test_where_there_is_no_cuda_it_says_so(tmp_path: Path) -> None:
@@ -101,11 +101,11 @@ def test_where_there_is_no_cuda_it_says_so(tmp_path: Path) -> None:
     if torch.cuda.is_available():
         pytest.skip("there is CUDA here")
     with pytest.raises(ConfigError, match=r"--device cuda: torch .* leave --device away"):
-        command.main([*TINY, "--device", "cuda", "--out", str(tmp_path)])
+        seeds.main([*TINY, "--device", "cuda", "--out", str(tmp_path)])
 
 
 def test_a_bad_hyperparameter_is_told_with_its_file(tmp_path: Path) -> None:
     recipe = tmp_path / "mine.yml"
     recipe.write_text("default: {n_timesteps: 8, n_envs: 2, n_steps: 8, batch_size: many}\n")
     with pytest.raises(ConfigError, match=r"mine\.yml: default: "):
-        command.main([*TINY, "--conf-file", str(recipe), "--out", str(tmp_path)])
+        seeds.main([*TINY, "--conf-file", str(recipe), "--out", str(tmp_path)])

@@ -13,12 +13,11 @@ from pathlib import Path
 
 import pytest
 
-from acsar_gym.dynamics import Randomization
 from acsar_gym.errors import ConfigError
+from acsar_gym.physics import Randomization
 from acsar_gym.resources import AGENTS
-from acsar_gym.training import command, seeds
-from acsar_gym.training.options import Options
-from acsar_gym.training.plan import Plan
+from acsar_gym.tools.training import seeds
+from acsar_gym.tools.training.plan import TrainingOptions, TrainingPlan
 
 pytestmark = pytest.mark.xdist_group("torch")
 
@@ -31,7 +30,7 @@ SMALL = ("--steps", "1", "--robots", "4")
     [("7", [7]), ("0-4", [0, 1, 2, 3, 4]), ("1,5,9", [1, 5, 9]), ("8,2-4,3", [2, 3, 4, 8])],
 )
 def test_seeds_are_ranges_and_lists(text: str, wanted: list[int]) -> None:
-    assert seeds.parsed(text) == wanted
+    assert seeds.parse_seeds(text) == wanted
 
 
 @pytest.mark.parametrize(
@@ -39,7 +38,7 @@ def test_seeds_are_ranges_and_lists(text: str, wanted: list[int]) -> None:
 )
 def test_what_isnt_seeds_is_refused(text: str) -> None:
     with pytest.raises(ConfigError, match=r"--seeds .*: must be like 0-4 or 1,5,9"):
-        seeds.parsed(text)
+        seeds.parse_seeds(text)
 
 
 @pytest.mark.parametrize(
@@ -53,14 +52,14 @@ def test_what_isnt_seeds_is_refused(text: str) -> None:
 )
 def test_options_that_dont_fit_are_refused(arguments: str, said: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=said):
-        command.main([*arguments.split(), *SMALL, "--out", str(tmp_path)])
+        seeds.main([*arguments.split(), *SMALL, "--out", str(tmp_path)])
     assert not list(tmp_path.glob("seed-*"))
 
 
 def test_every_seed_has_a_folder_and_a_row(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert command.main(["--seeds", "3,5", *SMALL, "--out", str(tmp_path)]) == 0
+    assert seeds.main(["--seeds", "3,5", *SMALL, "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
     data = json.loads((tmp_path / "seeds.json").read_text(encoding="utf-8"))
     rates = [each["success_rate"] for each in data["seeds"]]
@@ -79,24 +78,24 @@ def test_files_of_a_training_go_to_another_machine_and_come_back(tmp_path: Path)
     """A job that runs away writes nothing here; its files arrive with its result."""
     recipe = tmp_path / "mine.yml"
     recipe.write_bytes((AGENTS / "recipes" / "ppo.yml").read_bytes())
-    options = Options(steps=1, robots=4, conf_file=recipe, seeds="2", address="nowhere:1")
-    job = seeds.job(options, 2, tmp_path / "out")
+    options = TrainingOptions(steps=1, robots=4, conf_file=recipe, seeds="2", address="nowhere:1")
+    job = seeds.make_job(options, 2, tmp_path / "out")
     recipe.unlink()
-    trained = seeds.run(job)
+    trained = seeds.run_job(job)
     assert not (tmp_path / "out").exists()
-    seeds.keep(trained, tmp_path / "out")
+    seeds.keep_files(trained, tmp_path / "out")
     names = {path.name for path in (tmp_path / "out" / "seed-2").iterdir()}
     assert {"policy.onnx", "model.zip", "config.yml", "log.txt"} <= names
     assert "checkpoints" not in names
     with pytest.raises(ConfigError, match="a folder can't be sent"):
-        seeds.job(replace(options, conf_file=None, worlds=str(tmp_path)), 2, tmp_path)
+        seeds.make_job(replace(options, conf_file=None, worlds=str(tmp_path)), 2, tmp_path)
 
 
 def test_a_recipe_may_have_ranges_of_its_own(tmp_path: Path) -> None:
     recipe = tmp_path / "mine.yml"
     text = "{env_kwargs: {randomization: {friction: [0.7, 1.2]}}, n_timesteps: 1, n_envs: 4}"
     recipe.write_text(f"acsar_gym/PointGoal-v0: {text}", encoding="utf-8")
-    plan = Plan.of(Options(conf_file=recipe, out=tmp_path, robots=4, threads=1))
+    plan = TrainingPlan.of(TrainingOptions(conf_file=recipe, out=tmp_path, robots=4, threads=1))
     assert plan.randomization == Randomization(friction=(0.7, 1.2))
     plan.held_out(plan.learning()).close()
     plain = replace(plan, options=replace(plan.options, randomize=False))

@@ -14,13 +14,13 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecCheckNan
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
-from acsar_gym.policies import sb3
-from acsar_gym.policies.sb3 import BatchVecEnv
-from acsar_gym.training import shaping
-from acsar_gym.training.shaping import Detours, detours, robots_of
-from acsar_gym.vector import snapshots
+from acsar_gym.tools.policies import sb3
+from acsar_gym.tools.policies.sb3 import BatchVecEnv
+from acsar_gym.tools.training import wrappers
+from acsar_gym.tools.training.wrappers import Detours, detours, find_robots
+from acsar_gym.vector import env
 from acsar_gym.vector.env import RobotVectorEnv
-from acsar_gym.worlds.ways import Ways, ways_of
+from acsar_gym.worlds.search import GoalDistances, measure_goal_distances
 from acsar_gym.worlds.world import World
 
 ROBOTS, WORLDS = 4, "clutter:1000-1002"
@@ -35,7 +35,7 @@ def batch() -> BatchVecEnv:
 
 def robots_in(shaped: Detours) -> RobotVectorEnv:
     """The batch behind the wrapper."""
-    robots = robots_of(shaped)
+    robots = find_robots(shaped)
     assert robots is not None
     return robots
 
@@ -69,11 +69,11 @@ def test_the_way_at_first_is_about_the_shortest_path_of_the_robots_own_world() -
 def test_places_are_those_where_the_robots_really_are(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without ways, what is left is the straight line from there."""
 
-    def none(worlds: Sequence[World], config: RobotConfig) -> Ways:
-        found = ways_of(worlds, config)
+    def none(worlds: Sequence[World], config: RobotConfig) -> GoalDistances:
+        found = measure_goal_distances(worlds, config)
         return found._replace(values=np.zeros_like(found.values))
 
-    monkeypatch.setattr(shaping, "ways_of", none)
+    monkeypatch.setattr(wrappers, "measure_goal_distances", none)
     shaped = Detours(batch())
     shaped.reset()
     for _ in range(15):
@@ -88,11 +88,11 @@ def test_nothing_is_remembered_between_steps() -> None:
     actions = np.full((ROBOTS, 2), [0.8, -0.2], np.float32)
     shaped.step(actions)
     robots = robots_in(shaped)
-    kept = {name: array.copy() for name, array in (snapshots.taken(robots) or {}).items()}
+    kept = {name: array.copy() for name, array in (env.copy_state(robots) or {}).items()}
     rewards = shaped.step(actions)[1]
     other = Detours(batch())
     other.reset()
-    snapshots.restore(robots_in(other), kept)
+    env.restore_state(robots_in(other), kept)
     assert_allclose(other.step(actions)[1], rewards)
 
 

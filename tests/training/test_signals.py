@@ -7,9 +7,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from acsar_gym.training.signals import SIGNALS, StopRequest
+from acsar_gym.tools.training.checkpoints import STOP_SIGNALS, StopRequest
 
-NUMBERS = pytest.mark.parametrize("number", SIGNALS, ids=lambda number: number.name)
+NUMBERS = pytest.mark.parametrize("number", STOP_SIGNALS, ids=lambda number: number.name)
 
 
 @pytest.fixture(autouse=True)

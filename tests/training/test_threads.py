@@ -8,13 +8,13 @@ from collections.abc import Callable
 import pytest
 
 from acsar_gym.errors import ConfigError
-from acsar_gym.training import threads
-from acsar_gym.vector.settings import cores, threads_for
+from acsar_gym.tools.training import threads
+from acsar_gym.vector.env import choose_threads, usable_cores
 
 
 def batch(asked: int) -> int:
     """The threads of a batch."""
-    return threads_for(asked, 1024)
+    return choose_threads(asked, 1024)
 
 
 @pytest.mark.parametrize(
@@ -30,26 +30,28 @@ def batch(asked: int) -> int:
     ],
 )
 def test_threads_that_would_share_a_core_are_left_out(cores: int, share: float, free: int) -> None:
-    assert threads.undisturbed(cores, share) == free
+    assert threads.compute_free_cores(cores, share) == free
 
 
 def test_the_measurement_is_within_what_there_is() -> None:
-    assert 1 <= threads.free_cores() <= cores()
+    assert 1 <= threads.measure_free_cores() <= usable_cores()
 
 
 def test_a_number_that_is_given_is_taken() -> None:
-    assert threads.chosen(1) == 1
+    assert threads.choose_threads(1) == 1
 
 
 @pytest.mark.parametrize("asked", [0, -1, 4096])
 def test_impossible_numbers_are_refused(asked: int) -> None:
     with pytest.raises(ConfigError, match=f"--threads {asked}: must be 1"):
-        threads.chosen(asked)
+        threads.choose_threads(asked)
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="there are no affinities here")
 @pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="there is one core")
-@pytest.mark.parametrize(("name", "choose"), [("--threads", threads.chosen), ("threads =", batch)])
+@pytest.mark.parametrize(
+    ("name", "choose"), [("--threads", threads.choose_threads), ("threads =", batch)]
+)
 def test_a_process_held_to_one_core_is_told_so(name: str, choose: Callable[[int], int]) -> None:
     before = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {min(before)})

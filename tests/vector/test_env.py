@@ -18,9 +18,9 @@ from gymnasium.vector import AutoresetMode
 from varied import RANGES
 
 from acsar_gym import RobotConfig, RobotEnv
-from acsar_gym.dynamics import Physics, Randomization, physics
 from acsar_gym.envs import ObstacleGoalVectorEnv, PointGoalVectorEnv
 from acsar_gym.errors import CommandError, ConfigError
+from acsar_gym.physics import Physics, Randomization, compute_physics
 from acsar_gym.tasks import PointGoal
 from acsar_gym.vector.env import RobotVectorEnv
 from acsar_gym.vector.kernel import episode, layout
@@ -258,7 +258,7 @@ def test_what_is_drawn_is_told_at_every_step(mode: AutoresetMode) -> None:
         anew = step >= (4 if mode is AutoresetMode.SAME_STEP else 5)
         for key in RANGES:
             assert (info[f"drawn_{key}"] == drawn[key]).all() != anew
-    own, configured = Physics(*env.batch.state[layout.PHYSICS :]), physics(env.config)
+    own, configured = Physics(*env.batch.state[layout.PHYSICS :]), compute_physics(env.config)
     told = env.batch.info()
     grip = configured.grip * told["drawn_mass"] * told["drawn_friction"]
     assert own.grip == pytest.approx(grip, rel=1e-12)

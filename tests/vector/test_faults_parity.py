@@ -12,7 +12,7 @@ from acsar_gym import RobotConfig
 from acsar_gym.envs.ids import full_id
 from acsar_gym.errors import ConfigError, LinkError
 from acsar_gym.links.faults import Faults
-from acsar_gym.registration import snake
+from acsar_gym.registration import snake_case
 from acsar_gym.sensors import Sensor
 
 ACSAR = RobotConfig.preset("acsar")
@@ -95,7 +95,7 @@ class Single:
 
 def compare(kind: str, arguments: dict[str, Any], steps: int) -> dict[str, float]:
     """Every number of robot 1 against the single env; how often what happened."""
-    env_id, arguments = full_id(snake(kind)), {"max_episode_steps": 60, **arguments}
+    env_id, arguments = full_id(snake_case(kind)), {"max_episode_steps": 60, **arguments}
     many: Any = gymnasium.make_vec(
         env_id, 3, vectorization_mode="vector_entry_point", threads=1, **arguments
     )

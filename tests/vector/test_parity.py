@@ -18,7 +18,7 @@ from acsar_gym.envs import (
 )
 from acsar_gym.envs.ids import full_id
 from acsar_gym.errors import ConfigError, WorldError
-from acsar_gym.registration import snake
+from acsar_gym.registration import snake_case
 from acsar_gym.vector.kernel import layout
 from acsar_gym.worlds import Region, generators
 
@@ -137,7 +137,7 @@ def assert_robot_1_is_the_single_env(
     kind: str, arguments: dict[str, Any], options: dict[str, Any], steps: int, seed: int = 41
 ) -> int:
     """Every number, through the byte-level firmware twin on the single side; ends of episodes."""
-    env_id, limits = full_id(snake(kind)), {"max_episode_steps": 60, **arguments}
+    env_id, limits = full_id(snake_case(kind)), {"max_episode_steps": 60, **arguments}
     many: Any = gymnasium.make_vec(env_id, 3, vectorization_mode="vector_entry_point", **limits)
     one = gymnasium.make(env_id, link="planar", **limits)
     mine = {name: of_robot_1(value) for name, value in options.items()}
@@ -254,7 +254,7 @@ def test_options_hold_until_the_next_reset_of_the_robot() -> None:
 
 def test_a_curriculum_goes_on_without_ending_episodes() -> None:
     env = ObstacleGoalVectorEnv(40, worlds="open:30", max_episode_steps=3, threads=1)
-    levels = {number: generators.level("open", number) for number in range(30)}
+    levels = {number: generators.draw_difficulty("open", number) for number in range(30)}
     env.reset(seed=0, options={"difficulty": (0.0, 0.3)})
     for low, high in ((0.2, 0.5), (0.5, 1.0)):
         before = env.batch.state.copy()

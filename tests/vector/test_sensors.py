@@ -10,10 +10,9 @@ import pytest
 from range_finder import BEARINGS, REACH, ThreeRays
 
 from acsar_gym.errors import ConfigError, SensorError
-from acsar_gym.lidars.base import LidarSensor
-from acsar_gym.lidars.simulated import SimulatedLidar
 from acsar_gym.sensors import Sensor
-from acsar_gym.worlds.geometry import look
+from acsar_gym.sensors.lidar import LidarSensor, SimulatedLidar
+from acsar_gym.worlds.geometry import measure_ranges
 
 ENV_ID = "acsar_gym/ObstacleGoal-v1"
 
@@ -67,7 +66,7 @@ class AtOnce(Sensor):
 
     def read_batch(self, truths: Any, scenes: Any, now: Any, rngs: Any, out: Any) -> None:
         for row, pose, scene, rng in zip(out, truths[0].tolist(), scenes, rngs, strict=True):
-            ranges = look((pose[0], pose[1]), pose[2] + BEARINGS, scene.world)
+            ranges = measure_ranges((pose[0], pose[1]), pose[2] + BEARINGS, scene.world)
             row[:] = np.clip(ranges + rng.normal(0.0, 0.01, 3), 0.0, REACH) / REACH
 
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from acsar_gym.errors import WorldError
-from acsar_gym.worlds import barn, files
-from acsar_gym.worlds.clearance import segment_clearance
-from acsar_gym.worlds.generators import generate
+from acsar_gym.worlds import files, generators
+from acsar_gym.worlds.generators import generate_world
+from acsar_gym.worlds.geometry import segment_clearance
 from acsar_gym.worlds.search import shortest_path
 from acsar_gym.worlds.world import Region, World
 
@@ -27,7 +27,7 @@ LATTICE = np.array([-4.425, 5.175])
 
 @pytest.fixture(scope="module")
 def worlds() -> list[World]:
-    return [generate("barn", number) for number in range(300)]
+    return [generate_world("barn", number) for number in range(300)]
 
 
 def way(world: World) -> Any:
@@ -127,21 +127,21 @@ def test_laid_out_as_the_published_ones(worlds: list[World]) -> None:
 def test_the_published_worlds_might_be_ours(worlds: list[World]) -> None:
     ours = worlds[0].circles
     for world in files.load_folder(PUBLISHED):
-        assert (world.start, world.goal) == (barn.START, barn.GOAL)
+        assert (world.start, world.goal) == (generators.BARN_START, generators.BARN_GOAL)
         field = field_of(world)
-        made = barn._cylinders(field)
+        made = generators._cylinders(field)
         assert len(made) == len(world.circles)
         both = [rows[np.lexsort(np.rint(rows.T * 1e3))] for rows in (made, world.circles)]
         assert both[0] == pytest.approx(both[1], abs=1e-6)
         assert made[:CORRIDOR] == pytest.approx(ours[:CORRIDOR])
-        assert len(list(barn._crossable(field[None]))) == 1
+        assert len(list(generators._crossable_fields(field[None]))) == 1
 
 
 def test_cells_are_smoothed_by_the_published_rule() -> None:
     rng = np.random.default_rng(0)
     for share in (0.15, 0.3, 0.5):
         cells = rng.random((4, 30, 30)) < share
-        smoothed = barn._smoothed(cells)
+        smoothed = generators._smoothed(cells)
         for one, result in zip(cells, smoothed, strict=True):
             assert np.array_equal(result, slowly_smoothed(one))
         assert not np.array_equal(smoothed, cells)
@@ -149,8 +149,8 @@ def test_cells_are_smoothed_by_the_published_rule() -> None:
 
 @pytest.mark.parametrize("passes", [2, 3, 4])
 def test_fields_are_random_cells_smoothed_between_two_walls(passes: int) -> None:
-    made = barn._fields(np.random.default_rng(4), 0.25, passes)
-    assert made.shape == (barn.AT_ONCE, 30, 30)
+    made = generators._fields(np.random.default_rng(4), 0.25, passes)
+    assert made.shape == (generators.FIELDS_AT_ONCE, 30, 30)
     raw = np.random.default_rng(4).random(made.shape) < 0.25
     assert raw.mean() == pytest.approx(0.25, abs=0.01)
     for cells, field in zip(raw[:8], made[:8], strict=True):
@@ -162,8 +162,8 @@ def test_fields_are_random_cells_smoothed_between_two_walls(passes: int) -> None
 
 
 def test_room_is_where_the_robot_fits() -> None:
-    fields = barn._fields(np.random.default_rng(5), 0.2, 3)[:8]
-    for field, room in zip(fields, barn._room(fields), strict=True):
+    fields = generators._fields(np.random.default_rng(5), 0.2, 3)[:8]
+    for field, room in zip(fields, generators._room(fields), strict=True):
         slow = [[fits(field, row, column) for column in range(30)] for row in range(30)]
         assert np.array_equal(room, slow)
         assert room.any()
@@ -181,7 +181,7 @@ def test_ways_over_cells_are_the_robots(worlds: list[World]) -> None:
         assert all(fits(field, row, column) for row, column in cells.tolist())
         centre_line = path[1:-1]
         nearest = segment_clearance(centre_line[:-1], centre_line[1:], world).min()
-        assert nearest >= barn.ROBOT_RADIUS - 1e-9
+        assert nearest >= generators.BARN_ROBOT_RADIUS - 1e-9
 
 
 def test_entries_and_exits_are_anywhere(worlds: list[World]) -> None:
@@ -192,15 +192,15 @@ def test_entries_and_exits_are_anywhere(worlds: list[World]) -> None:
 
 def test_barns_robot_crosses_every_world(worlds: list[World]) -> None:
     for world in worlds[:60]:
-        path = shortest_path(world, barn.ROBOT_RADIUS)
+        path = shortest_path(world, generators.BARN_ROBOT_RADIUS)
         assert segment_clearance(path[:-1], path[1:], world).min() >= 0.375 - 2e-3
 
 
 def test_a_wider_footprint_gets_worlds_that_it_can_cross() -> None:
     for number in range(10):
-        world = generate("barn", number, 0.3, 0.55)
+        world = generate_world("barn", number, 0.3, 0.55)
         assert len(shortest_path(world, 0.55)) >= 2
-    narrow = [generate("barn", number, 0.3) for number in range(10)]
+    narrow = [generate_world("barn", number, 0.3) for number in range(10)]
     blocked = 0
     for world in narrow:
         try:
@@ -212,7 +212,7 @@ def test_a_wider_footprint_gets_worlds_that_it_can_cross() -> None:
 
 def test_worlds_fill_with_difficulty() -> None:
     fills = [
-        np.mean([fill(generate("barn", number, level)) for number in range(20)])
+        np.mean([fill(generate_world("barn", number, level)) for number in range(20)])
         for level in (0.1, 0.3, 0.6, 0.9)
     ]
     assert fills == sorted(fills)
@@ -223,7 +223,7 @@ def test_worlds_fill_with_difficulty() -> None:
     ("low", "high", "same"), [(0.0, 0.24, True), (0.24, 0.26, False), (0.76, 1.0, True)]
 )
 def test_difficulty_is_one_of_four_shares(low: float, high: float, same: bool) -> None:
-    one, other = (generate("barn", 1, level) for level in (low, high))
+    one, other = (generate_world("barn", 1, level) for level in (low, high))
     assert np.array_equal(one.circles, other.circles) == same
 
 
@@ -237,7 +237,7 @@ def test_a_field_is_crossable_where_five_cells_are_free(door: int, count: int) -
     field[[0, -1]] = True
     field[:, 15:17] = True
     field[10 : 10 + door, 15:17] = False
-    found = list(barn._crossable(field[None]))
+    found = list(generators._crossable_fields(field[None]))
     assert len(found) == count
     for cells, room in found:
         assert np.array_equal(cells, field)
@@ -251,7 +251,7 @@ def test_the_room_is_connected_with_both_ends() -> None:
     field[[0, -1]] = True
     field[15, :] = True
     field[20, 10:] = field[20:, 10] = True
-    found = list(barn._crossable(field[None]))
+    found = list(generators._crossable_fields(field[None]))
     assert len(found) == 1
     room = found[0][1]
     assert not room[15:].any()
@@ -266,4 +266,4 @@ def test_fields_emptier_or_fuller_than_the_published_ones_are_left_out(
     field[[0, -1]] = True
     rows, columns = np.divmod(np.arange(filled), 30)
     field[1 + rows, columns] = True
-    assert len(list(barn._crossable(field[None]))) == count
+    assert len(list(generators._crossable_fields(field[None]))) == count

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from acsar_gym.vector.tables import worlds_of
+from acsar_gym.vector.setup import make_worlds
 from acsar_gym.worlds import World, cache, generators
 from acsar_gym.worlds.pool import Pool
 
@@ -23,7 +23,7 @@ RADIUS = 0.25
 @pytest.fixture(autouse=True)
 def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The folder of this test's worlds."""
-    monkeypatch.setenv(cache.VARIABLE, str(tmp_path))
+    monkeypatch.setenv(cache.CACHE_VARIABLE, str(tmp_path))
     cache._known.cache_clear()
     return tmp_path / "worlds"
 
@@ -32,13 +32,13 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def made(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """The numbers of worlds that were generated."""
     numbers: list[int] = []
-    generate = generators.generate
+    generate = generators.generate_world
 
     def counting(kind: str, number: int, *rest: Any) -> World:
         numbers.append(number)
         return generate(kind, number, *rest)
 
-    monkeypatch.setattr(generators, "generate", counting)
+    monkeypatch.setattr(generators, "generate_world", counting)
     return numbers
 
 
@@ -51,7 +51,7 @@ def everything(world: World) -> tuple[object, ...]:
 
 
 def kept(source: str, difficulty: generators.Level = None) -> list[World]:
-    with cache.keeping():
+    with cache.keep_worlds():
         return list(Pool.of(source, difficulty, RADIUS))
 
 
@@ -65,7 +65,7 @@ def test_a_kept_world_is_the_generated_one_to_the_bit(kind: str, made: list[int]
 
 
 def test_a_batchs_worlds_are_kept_and_a_single_envs_are_found(place: Path, made: list[int]) -> None:
-    worlds_of(Pool.of("open:4", None, RADIUS), follow=False)
+    make_worlds(Pool.of("open:4", None, RADIUS), follow=False)
     assert len(list(place.iterdir())) == 1
     assert Pool.of("open:4", None, RADIUS)[3].name == "open 3"
     assert made == [0, 1, 2, 3]
@@ -77,9 +77,9 @@ def test_without_keeping_nothing_is_written(place: Path) -> None:
 
 
 def test_what_is_made_before_an_interrupt_is_kept(made: list[int]) -> None:
-    with pytest.raises(KeyboardInterrupt), cache.keeping():
+    with pytest.raises(KeyboardInterrupt), cache.keep_worlds():
         for number in range(3):
-            cache.world("open", number, None, RADIUS)
+            cache.cached_world("open", number, None, RADIUS)
         raise KeyboardInterrupt
     kept("open:4")
     assert made == [0, 1, 2, 3]
@@ -103,9 +103,9 @@ def test_a_changed_generator_never_finds_old_worlds(
         changed = source.read_bytes() + (b"# changed\n" if source.name == "shapes.py" else b"")
         (tmp_path / "package" / source.name).write_bytes(changed)
     monkeypatch.setattr(cache, "__file__", str(tmp_path / "package" / "cache.py"))
-    cache.generators_hash.cache_clear()
+    cache.hash_generators.cache_clear()
     kept("open:2")
-    cache.generators_hash.cache_clear()
+    cache.hash_generators.cache_clear()
     assert made == [0, 1, 0, 1]
 
 
@@ -134,7 +134,7 @@ BROKEN: dict[str, Callable[[Path], object]] = {
     "signed, but odd": lambda file: file.write_bytes(signed(b"odd")),
     "a pipe": put_pipe,
     "a folder": put_folder,
-    "too large": lambda file: os.truncate(file, cache.LARGEST + 1),
+    "too large": lambda file: os.truncate(file, cache.MAX_CACHE_FILE + 1),
 }
 
 
@@ -155,16 +155,16 @@ def test_a_broken_file_is_made_anew(how: str, place: Path, made: list[int]) -> N
 def test_where_nothing_can_be_kept_worlds_are_made(
     asked: str, made: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv(cache.VARIABLE, asked)
+    monkeypatch.setenv(cache.CACHE_VARIABLE, asked)
     kept("open:2")
     kept("open:2")
     assert made == [0, 1, 0, 1]
 
 
 def test_the_folder_is_the_users_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.delenv(cache.VARIABLE)
+    monkeypatch.delenv(cache.CACHE_VARIABLE)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert cache.folder() == tmp_path / "acsar_gym" / "worlds"
+    assert cache.cache_folder() == tmp_path / "acsar_gym" / "worlds"
 
 
 def test_the_files_used_least_recently_go_first(
@@ -175,7 +175,7 @@ def test_the_files_used_least_recently_go_first(
     files = sorted(place.iterdir(), key=lambda file: file.name)
     for age, file in enumerate(reversed(files)):
         os.utime(file, (1e9 - age, 1e9 - age))
-    monkeypatch.setattr(cache, "MOST", 3 * files[0].stat().st_size)
+    monkeypatch.setattr(cache, "MAX_CACHE", 3 * files[0].stat().st_size)
     cache._known.cache_clear()
     kept("open:0-0")  # used just now
     kept("open:300-300")

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from acsar_gym.worlds.clearance import CHUNK, clearance, segment_clearance
+from acsar_gym.worlds.geometry import CLEARANCE_CHUNK, point_clearance, segment_clearance
 from acsar_gym.worlds.world import World
 
 ROOM = World(circles=[[0.0, 0.0, 0.5]], segments=[[2.0, -1.0, 2.0, 1.0]])  # type: ignore[arg-type]
@@ -55,11 +55,11 @@ def brute(point: Any, world: World) -> tuple[float, float]:
     [((0.0, 2.0), 1.5), ((1.5, 0.0), 0.5), ((2.0, 0.3), 0.0), ((2.0, 3.0), 2.0), ((5.0, 5.0), 5.0)],
 )
 def test_points_are_as_far_as_computed_by_hand(point: Any, expected: float) -> None:
-    assert clearance([point], ROOM).tolist() == [expected]
+    assert point_clearance([point], ROOM).tolist() == [expected]
 
 
 def test_it_is_negative_inside_a_circle() -> None:
-    assert clearance([(0.1, 0.0)], ROOM)[0] == pytest.approx(-0.4)
+    assert point_clearance([(0.1, 0.0)], ROOM)[0] == pytest.approx(-0.4)
     assert segment_clearance([(-1.0, 0.2)], [(1.0, 0.2)], ROOM)[0] == pytest.approx(-0.3)
 
 
@@ -79,30 +79,30 @@ def test_pieces_are_as_far_as_computed_by_hand(a: Any, b: Any, expected: float) 
 
 
 def test_an_empty_world_is_infinitely_wide() -> None:
-    assert clearance([(0.0, 0.0)], World()).tolist() == [np.inf]
+    assert point_clearance([(0.0, 0.0)], World()).tolist() == [np.inf]
     assert segment_clearance([(0.0, 0.0)], [(1.0, 0.0)], World()).tolist() == [np.inf]
 
 
 def test_no_points_have_no_clearance() -> None:
-    assert clearance([], ROOM).shape == segment_clearance([], [], ROOM).shape == (0,)
+    assert point_clearance([], ROOM).shape == segment_clearance([], [], ROOM).shape == (0,)
 
 
 def test_segments_without_length_are_points() -> None:
     world = World(segments=[[1.0, 1.0, 1.0, 1.0]])  # type: ignore[arg-type]
-    assert clearance([(1.0, 3.0)], world).tolist() == [2.0]
+    assert point_clearance([(1.0, 3.0)], world).tolist() == [2.0]
     assert segment_clearance([(0.0, 0.0)], [(2.0, 0.0)], world).tolist() == [1.0]
 
 
 def test_wrong_shapes_are_refused() -> None:
     with pytest.raises(ValueError, match=r"shape \(N, 2\)"):
-        clearance([1.0, 2.0, 3.0], ROOM)
+        point_clearance([1.0, 2.0, 3.0], ROOM)
     with pytest.raises(ValueError, match="2 starts and 1 ends"):
         segment_clearance([(0.0, 0.0), (1.0, 1.0)], [(1.0, 0.0)], ROOM)
 
 
 @given(world=worlds(), points=rows(2))
 def test_points_are_as_far_as_brute_force_says(world: World, points: Any) -> None:
-    for point, distance in zip(points, clearance(points, world), strict=True):
+    for point, distance in zip(points, point_clearance(points, world), strict=True):
         least, most = brute(point, world)
         assert least - 1e-9 <= distance <= most + 1e-9 or distance == most
 
@@ -112,7 +112,7 @@ def test_pieces_are_as_far_as_their_nearest_point(world: World, pieces: Any) -> 
     a, b = pieces[:, :2], pieces[:, 2:]
     for start, end, distance in zip(a, b, segment_clearance(a, b, world), strict=True):
         points, slack = samples(start, end)
-        nearest = clearance(points, world).min()
+        nearest = point_clearance(points, world).min()
         assert nearest - slack - 1e-9 <= distance <= nearest + 1e-9 or distance == nearest
 
 
@@ -125,17 +125,19 @@ def test_pieces_have_no_direction(world: World, pieces: Any) -> None:
 
 def test_chunks_make_no_difference() -> None:
     rng = np.random.default_rng(0)
-    circles = np.column_stack([rng.uniform(-5.0, 5.0, (CHUNK // 8, 2)), np.full(CHUNK // 8, 0.01)])
+    circles = np.column_stack(
+        [rng.uniform(-5.0, 5.0, (CLEARANCE_CHUNK // 8, 2)), np.full(CLEARANCE_CHUNK // 8, 0.01)]
+    )
     world, points = World(circles), rng.uniform(-5.0, 5.0, (50, 2))
-    one_by_one = [clearance([point], world)[0] for point in points]
-    assert clearance(points, world).tolist() == one_by_one
+    one_by_one = [point_clearance([point], world)[0] for point in points]
+    assert point_clearance(points, world).tolist() == one_by_one
 
 
 def test_memory_stays_small() -> None:
     rng = np.random.default_rng(0)
     world = World(segments=rng.uniform(-5.0, 5.0, (20_000, 4)))
     points = rng.uniform(-5.0, 5.0, (300, 2))  # 6 million distances, 48 MB of each vector
-    clearance(points[:1], world)
+    point_clearance(points[:1], world)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    clearance(points, world)
+    point_clearance(points, world)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 20_000  # kB

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.worlds.collisions import collides
-from acsar_gym.worlds.geometry import Obstacles, surroundings
+from acsar_gym.worlds.geometry import Obstacles, footprint_collides, make_surroundings
 
 CONFIG = RobotConfig.preset("acsar")
 NOTCHED = ((0.3, 0.2), (-0.2, 0.2), (-0.2, -0.2), (0.3, -0.2), (0.05, 0.0))
@@ -25,8 +24,10 @@ GRID = 0.004
 
 
 def hits(config: RobotConfig, circles: Any, segments: Any, poses: Any) -> list[bool]:
-    around = surroundings(Obstacles(circles, segments), None, 1, config)
-    return [collides(x, y, math.cos(a), math.sin(a), 0, around) for x, y, a in poses.tolist()]
+    around = make_surroundings(Obstacles(circles, segments), None, 1, config)
+    return [
+        footprint_collides(x, y, math.cos(a), math.sin(a), 0, around) for x, y, a in poses.tolist()
+    ]
 
 
 def points(outline: Any, grow: float) -> Any:

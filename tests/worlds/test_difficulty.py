@@ -13,12 +13,17 @@ import pytest
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import WorldError
 from acsar_gym.worlds import difficulty, files
-from acsar_gym.worlds.difficulty import RAYS, REACH, Difficulty, measure
-from acsar_gym.worlds.geometry import Obstacles, RaySpec, cast, surroundings
+from acsar_gym.worlds.difficulty import (
+    VISIBILITY_RAYS,
+    VISIBILITY_REACH,
+    Difficulty,
+    measure_difficulty,
+)
+from acsar_gym.worlds.geometry import Obstacles, RaySpec, cast_rays, make_surroundings
 from acsar_gym.worlds.world import World
 
 BARN = Path(__file__).parents[2].parent / "shared" / "barn"
-ANGLES = 2.0 * math.pi * np.arange(RAYS) / RAYS
+ANGLES = 2.0 * math.pi * np.arange(VISIBILITY_RAYS) / VISIBILITY_RAYS
 
 
 def array(*rows: Any) -> Any:
@@ -33,48 +38,52 @@ def corridor(width: float) -> World:
 
 @pytest.mark.parametrize("width", [0.5, 1.0, 1.4])
 def test_a_straight_corridor(width: float) -> None:
-    found = measure(corridor(width))
+    found = measure_difficulty(corridor(width))
     away = np.abs(np.sin(ANGLES))
     rays = np.where(away > 1e-9, width / 2.0 / np.maximum(away, 1e-9), np.inf)
     assert found.closest_obstacle == pytest.approx(width / 2.0)
     assert found.characteristic_dimension == pytest.approx(width)
-    assert found.visibility == pytest.approx(np.minimum(rays, REACH).mean())
+    assert found.visibility == pytest.approx(np.minimum(rays, VISIBILITY_REACH).mean())
     assert found.dispersion == 4.0  # wall, free ahead, wall, free behind
     assert found.tortuosity == pytest.approx(1.0)
 
 
 def test_a_wide_corridor_has_no_dispersion() -> None:
-    assert measure(corridor(1.6)).dispersion == 0.0
-    assert measure(corridor(1.6), radius=0.9).dispersion == 4.0
+    assert measure_difficulty(corridor(1.6)).dispersion == 0.0
+    assert measure_difficulty(corridor(1.6), radius=0.9).dispersion == 4.0
 
 
 def test_an_empty_world_is_as_wide_as_the_robot_looks() -> None:
-    found = measure(World(), path=array([0.0, 0.0], [1.0, 0.0]))
-    assert found == Difficulty(REACH, REACH, 0.0, 2.0 * REACH, 1.0)
+    found = measure_difficulty(World(), path=array([0.0, 0.0], [1.0, 0.0]))
+    assert found == Difficulty(VISIBILITY_REACH, VISIBILITY_REACH, 0.0, 2.0 * VISIBILITY_REACH, 1.0)
 
 
 def test_a_pillar_in_the_open() -> None:
     world = World(circles=array([1.0, 0.0, 0.5]), path=array([0.0, 0.0], [0.0, 1e-9]))
-    found = measure(world)
+    found = measure_difficulty(world)
     assert found.closest_obstacle == pytest.approx(0.5)
     assert found.dispersion == 2.0
-    assert found.characteristic_dimension == pytest.approx(REACH + 0.5)
+    assert found.characteristic_dimension == pytest.approx(VISIBILITY_REACH + 0.5)
 
 
 def test_nothing_is_seen_from_inside_a_pillar() -> None:
     world = World(circles=array([0.0, 0.0, 2.0]), path=array([0.0, 0.0], [0.0, 1.0]))
-    assert measure(world) == Difficulty(0.0, 0.0, 0.0, 0.0, 1.0)
+    assert measure_difficulty(world) == Difficulty(0.0, 0.0, 0.0, 0.0, 1.0)
 
 
 def test_tortuosity_is_arc_by_chord() -> None:
-    assert measure(World(), array([0, 0], [3, 0], [3, 4])).tortuosity == pytest.approx(7.0 / 5.0)
-    assert measure(World(), array([0, 0], [3, 0], [0, 0])).tortuosity == math.inf
+    assert measure_difficulty(World(), array([0, 0], [3, 0], [3, 4])).tortuosity == pytest.approx(
+        7.0 / 5.0
+    )
+    assert measure_difficulty(World(), array([0, 0], [3, 0], [0, 0])).tortuosity == math.inf
 
 
 def test_more_points_on_a_path_change_nothing() -> None:
     world = World(circles=array([1.0, 0.3, 0.2], [2.0, -0.5, 0.1]))
-    few = measure(world, array([0.0, 0.0], [3.0, 0.0]))
-    many = measure(world, np.column_stack([np.linspace(0.0, 3.0, 50) ** 2 / 3.0, np.zeros(50)]))
+    few = measure_difficulty(world, array([0.0, 0.0], [3.0, 0.0]))
+    many = measure_difficulty(
+        world, np.column_stack([np.linspace(0.0, 3.0, 50) ** 2 / 3.0, np.zeros(50)])
+    )
     for name in Difficulty.__slots__:
         assert getattr(few, name) == pytest.approx(getattr(many, name))
 
@@ -85,13 +94,15 @@ def test_rays_are_those_of_the_range_sensor(monkeypatch: pytest.MonkeyPatch) -> 
     starts = rng.uniform(-4, 4, (30, 2))
     segments = np.column_stack([starts, starts + rng.uniform(-2, 2, (30, 2))])
     config = RobotConfig.preset("acsar").with_(lidar_x_offset=0.0, lidar_y_offset=0.0)
-    around = surroundings(Obstacles(circles, segments), RaySpec(RAYS, REACH), 1, config)
-    monkeypatch.setattr(difficulty, "CHUNK", 5000)
+    around = make_surroundings(
+        Obstacles(circles, segments), RaySpec(VISIBILITY_RAYS, VISIBILITY_REACH), 1, config
+    )
+    monkeypatch.setattr(difficulty, "RAY_CHUNK", 5000)
     places = rng.uniform(-4, 4, (20, 2))
     found = difficulty._ranges(places, World(circles, segments))
     for place, ranges in zip(places, found, strict=True):
-        expected = np.empty(RAYS)
-        cast(place[0], place[1], -1.0, 0.0, 0, around, expected)  # the first ray to the back
+        expected = np.empty(VISIBILITY_RAYS)
+        cast_rays(place[0], place[1], -1.0, 0.0, 0, around, expected)  # the first ray to the back
         np.testing.assert_allclose(ranges, expected, atol=1e-6)
 
 
@@ -109,23 +120,23 @@ def test_rays_are_those_of_the_range_sensor(monkeypatch: pytest.MonkeyPatch) -> 
 )
 def test_bad_paths_are_refused(path: Any, message: str) -> None:
     with pytest.raises(WorldError, match=message):
-        measure(World(), path)
+        measure_difficulty(World(), path)
 
 
-@pytest.mark.parametrize("radius", [0.0, -1.0, math.nan, math.inf, REACH + 1.0])
+@pytest.mark.parametrize("radius", [0.0, -1.0, math.nan, math.inf, VISIBILITY_REACH + 1.0])
 def test_bad_radii_are_refused(radius: float) -> None:
     with pytest.raises(WorldError, match="radius"):
-        measure(corridor(1.0), radius=radius)
+        measure_difficulty(corridor(1.0), radius=radius)
 
 
 @pytest.mark.skipif(not BARN.is_dir(), reason="the published worlds aren't here")
 def test_published_worlds_are_measured_in_no_time() -> None:
     worlds = files.load_folder(BARN)
     begin = time.process_time()
-    found = [measure(world) for world in worlds]
+    found = [measure_difficulty(world) for world in worlds]
     assert time.process_time() - begin < 0.1 * len(worlds)
     for world, one in zip(worlds, found, strict=True):
-        assert 0.3 < one.closest_obstacle < one.visibility < REACH
+        assert 0.3 < one.closest_obstacle < one.visibility < VISIBILITY_REACH
         assert one.characteristic_dimension < 2.0 * one.visibility
         assert 0.0 < one.dispersion < 8.0
         assert one.tortuosity == pytest.approx(world.length / 10.0)

@@ -17,7 +17,7 @@ from hypothesis.extra.numpy import arrays
 
 from acsar_gym.errors import ConfigError, WorldError
 from acsar_gym.worlds import files
-from acsar_gym.worlds.world import FARTHEST, Region, World
+from acsar_gym.worlds.world import MAX_COORDINATE, Region, World
 
 GOOD: dict[str, Any] = {
     "name": "three pillars",
@@ -30,7 +30,7 @@ GOOD: dict[str, Any] = {
 ENDS = "start: {x: 0.0, y: 0.0}\ngoal: {x: 1.0, y: 0.0}\n"
 SUFFIXES = (".json", ".yaml", ".yml")
 
-coordinates = st.floats(-FARTHEST, FARTHEST)
+coordinates = st.floats(-MAX_COORDINATE, MAX_COORDINATE)
 texts = st.text(st.characters(codec="utf-8"), max_size=20)
 
 
@@ -40,7 +40,7 @@ def rows(width: int) -> st.SearchStrategy[Any]:
 
 
 def regions(theta: st.SearchStrategy[float | None]) -> st.SearchStrategy[Region]:
-    return st.builds(Region, coordinates, coordinates, st.floats(0.0, FARTHEST), theta)
+    return st.builds(Region, coordinates, coordinates, st.floats(0.0, MAX_COORDINATE), theta)
 
 
 @st.composite
@@ -64,7 +64,7 @@ def same(one: World, other: World) -> bool:
 def refused(path: Path, text: str | bytes) -> str:
     path.write_bytes(text.encode() if isinstance(text, str) else text)
     with pytest.raises(WorldError) as caught:
-        files.load(path)
+        files.load_world(path)
     message = str(caught.value)
     assert isinstance(caught.value, ConfigError)
     assert message.startswith(f"{path}: ")
@@ -78,8 +78,8 @@ def test_what_is_saved_is_loaded_bit_for_bit(
     world: World, suffix: str, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     path = tmp_path_factory.getbasetemp() / f"round{suffix}"
-    files.save(world, path)
-    assert same(files.load(path), world)
+    files.save_world(world, path)
+    assert same(files.load_world(path), world)
 
 
 def test_a_full_world_is_saved_and_loaded_in_seconds(tmp_path: Path) -> None:
@@ -88,8 +88,8 @@ def test_a_full_world_is_saved_and_loaded_in_seconds(tmp_path: Path) -> None:
     world = World(circles, segments, path=rng.uniform(-9, 9, (20_000, 2)))
     for suffix in SUFFIXES[:2]:
         begin = time.process_time()
-        files.save(world, tmp_path / f"full{suffix}")
-        assert same(files.load(tmp_path / f"full{suffix}"), world)
+        files.save_world(world, tmp_path / f"full{suffix}")
+        assert same(files.load_world(tmp_path / f"full{suffix}"), world)
         assert time.process_time() - begin < 20.0
 
 
@@ -97,7 +97,7 @@ def test_a_full_world_is_saved_and_loaded_in_seconds(tmp_path: Path) -> None:
 def test_json_is_yaml_too(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"pillars{suffix}"
     path.write_text(json.dumps(GOOD), encoding="utf-8")
-    world = files.load(path)
+    world = files.load_world(path)
     assert world.name == "three pillars"
     assert world.circles.tolist() == [[2.0, 0.3, 0.1], [3.0, -0.4, 0.1]]
     assert world.segments.tolist() == [[0.0, 1.0, 4.0, 1.0]]
@@ -108,7 +108,7 @@ def test_json_is_yaml_too(suffix: str, tmp_path: Path) -> None:
 def test_what_may_be_left_out(tmp_path: Path) -> None:
     path = tmp_path / "Empty.YAML"
     path.write_text(f"\ufeff{ENDS}path: null\n", encoding="utf-8")
-    world = files.load(path)
+    world = files.load_world(path)
     assert (world.obstacles, world.path, world.name) == (0, None, "Empty")
     assert (world.start, world.goal) == (Region(0.0, 0.0), Region(1.0, 0.0))
 
@@ -116,7 +116,7 @@ def test_what_may_be_left_out(tmp_path: Path) -> None:
 def test_numbers_of_json_are_numbers_in_yaml(tmp_path: Path) -> None:
     path = tmp_path / "world.yaml"
     path.write_text(ENDS + "circles: [[1e-3, -2E+1, +.5e1], [1, .5, 1.]]", encoding="utf-8")
-    assert files.load(path).circles.tolist() == [[0.001, -20.0, 5.0], [1.0, 0.5, 1.0]]
+    assert files.load_world(path).circles.tolist() == [[0.001, -20.0, 5.0], [1.0, 0.5, 1.0]]
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
@@ -236,13 +236,13 @@ def test_any_garbage_is_one_world_error(
 
 
 def test_too_large_a_text_is_refused(tmp_path: Path) -> None:
-    assert "larger than 5 MB" in refused(tmp_path / "large.json", b" " * (files.MOST_TEXT + 1))
+    assert "larger than 5 MB" in refused(tmp_path / "large.json", b" " * (files.MAX_TEXT_BYTES + 1))
 
 
 @pytest.mark.parametrize("name", ["none.world", "none.json", "none.yaml", "a\0b.json"])
 def test_missing_files_are_refused(name: str, tmp_path: Path) -> None:
     with pytest.raises(WorldError, match=r"there is no such file|null byte"):
-        files.load(tmp_path / name)
+        files.load_world(tmp_path / name)
 
 
 def test_only_regular_files_are_read(tmp_path: Path) -> None:
@@ -250,22 +250,22 @@ def test_only_regular_files_are_read(tmp_path: Path) -> None:
     (tmp_path / "folder.json").mkdir()
     for name in ("pipe.json", "folder.json"):
         with pytest.raises(WorldError, match="isn't a regular file"):
-            files.load(tmp_path / name)
+            files.load_world(tmp_path / name)
 
 
 @pytest.mark.parametrize("name", ["world.txt", "world", "world.npy", "world.xacro"])
 def test_other_suffixes_are_refused(name: str, tmp_path: Path) -> None:
     with pytest.raises(WorldError, match=r"read from \.world, \.sdf, \.yaml, \.yml, \.json"):
-        files.load(tmp_path / name)
+        files.load_world(tmp_path / name)
     with pytest.raises(WorldError, match=r"saved as \.json, \.yaml or \.yml"):
-        files.save(World(), tmp_path / name)
+        files.save_world(World(), tmp_path / name)
 
 
 def test_where_nothing_can_be_written(tmp_path: Path) -> None:
     with pytest.raises(WorldError, match="can't be written: No such file"):
-        files.save(World(), tmp_path / "nowhere" / "world.json")
+        files.save_world(World(), tmp_path / "nowhere" / "world.json")
     with pytest.raises(WorldError, match="can't be written"):
-        files.save(World(name="\ud800"), tmp_path / "world.yaml")
+        files.save_world(World(name="\ud800"), tmp_path / "world.yaml")
 
 
 def test_a_folder_is_read_in_natural_order(tmp_path: Path) -> None:
@@ -277,7 +277,7 @@ def test_a_folder_is_read_in_natural_order(tmp_path: Path) -> None:
         "2.json",
         "world_02.yml",
     ):
-        files.save(World(), tmp_path / name)
+        files.save_world(World(), tmp_path / name)
     for name in ("README.md", "path_2.npy", ".hidden.json", "map.pgm"):
         (tmp_path / name).write_text("no world", encoding="utf-8")
     (tmp_path / "10.world").write_text("<sdf/>", encoding="utf-8")
@@ -285,7 +285,7 @@ def test_a_folder_is_read_in_natural_order(tmp_path: Path) -> None:
     assert names[:2] == ["2.json", "10.world"]
     assert len(files.load_folder(tmp_path)) == 7
     for number in (1, 2, 10):
-        files.save(World(name=f"w{number}"), tmp_path / f"world_{number}.json")
+        files.save_world(World(name=f"w{number}"), tmp_path / f"world_{number}.json")
     read = [world.name for world in files.load_folder(tmp_path) if world.name.startswith("w")]
     assert read == ["w1", "w2", "w10"]
 
@@ -298,11 +298,11 @@ def test_a_bad_file_in_a_folder_is_named(tmp_path: Path) -> None:
 
 def test_a_folder_of_too_much_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in "abc":
-        files.save(World(np.ones((2, 3))), tmp_path / f"{name}.json")
-    monkeypatch.setattr(files, "MOST_TOGETHER", 5)
+        files.save_world(World(np.ones((2, 3))), tmp_path / f"{name}.json")
+    monkeypatch.setattr(files, "MAX_FOLDER_OBSTACLES", 5)
     with pytest.raises(WorldError, match="holds more than 5 obstacles"):
         files.load_folder(tmp_path)
-    monkeypatch.setattr(files, "MOST_FILES", 2)
+    monkeypatch.setattr(files, "MAX_WORLD_FILES", 2)
     with pytest.raises(WorldError, match="holds 3 worlds, at most 2 are read"):
         files.load_folder(tmp_path)
 
@@ -322,4 +322,4 @@ def test_theta_may_be_missing_or_null(tmp_path: Path) -> None:
     for theta, expected in ((None, None), (math.pi, math.pi)):
         start = {"x": 0, "y": 0, "theta": theta}
         path.write_text(json.dumps({**GOOD, "start": start}), encoding="utf-8")
-        assert files.load(path).start.theta == expected
+        assert files.load_world(path).start.theta == expected

@@ -18,11 +18,10 @@ from samples import samples
 
 from acsar_gym.errors import WorldError
 from acsar_gym.worlds import generators
-from acsar_gym.worlds.clearance import clearance, segment_clearance
-from acsar_gym.worlds.generators import ARENA, DEFAULT_RADIUS, MARGIN, generate
-from acsar_gym.worlds.paths import SPACING
-from acsar_gym.worlds.registry import kinds
-from acsar_gym.worlds.search import path_length, shortest_path
+from acsar_gym.worlds.generators import ARENA_HALF, DEFAULT_RADIUS, PATH_MARGIN, generate_world
+from acsar_gym.worlds.geometry import point_clearance, segment_clearance
+from acsar_gym.worlds.registry import list_kinds
+from acsar_gym.worlds.search import PATH_SPACING, path_length, shortest_path
 from acsar_gym.worlds.world import Floats, World
 
 KINDS = ("open", "clutter", "rooms", "barn", "smooth_path", "waypoint_path")
@@ -76,7 +75,7 @@ def bounded(seconds: float) -> Iterator[None]:
 
 
 def test_these_are_the_kinds() -> None:
-    assert kinds() == KINDS
+    assert list_kinds() == KINDS
 
 
 NUMBERS = ((0, None), (3, 0.4), (10**20, 1.0))
@@ -97,7 +96,7 @@ for kind in reversed(kinds()):
 def test_numbers_are_the_same_worlds_in_every_process() -> None:
     np.random.seed(7)  # noqa: NPY002 - what nobody should use
     here = [
-        f"{kind} {digest(generate(kind, number, level))}"
+        f"{kind} {digest(generate_world(kind, number, level))}"
         for kind in reversed(KINDS)
         for number, level in NUMBERS
     ]
@@ -116,7 +115,7 @@ def test_numbers_are_the_same_worlds_in_every_process() -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_numbers_are_different_worlds(kind: str, count: int) -> None:
     for level in (None, 0.5):
-        made = [generate(kind, number, level) for number in range(count)]
+        made = [generate_world(kind, number, level) for number in range(count)]
         nameless = {
             (world.circles.tobytes(), world.segments.tobytes(), way(world).tobytes())
             for world in made
@@ -127,14 +126,15 @@ def test_numbers_are_different_worlds(kind: str, count: int) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_numbers_of_numpy_and_python_are_the_same(kind: str) -> None:
-    assert content(generate(kind, np.int64(5), 0.2)) == content(generate(kind, 5, 0.2))  # type: ignore[arg-type]
+    assert content(generate_world(kind, np.int64(5), 0.2)) == content(generate_world(kind, 5, 0.2))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("kind", ["clutter", "rooms"])
 def test_without_a_difficulty_all_of_them_come(kind: str) -> None:
-    counts = [generate(kind, number).obstacles for number in range(30)]
+    counts = [generate_world(kind, number).obstacles for number in range(30)]
     low, high = (
-        np.mean([generate(kind, n, level).obstacles for n in range(5)]) for level in (0.0, 1.0)
+        np.mean([generate_world(kind, n, level).obstacles for n in range(5)])
+        for level in (0.0, 1.0)
     )
     assert min(counts) < low + 0.3 * (high - low)
     assert max(counts) > low + 0.7 * (high - low)
@@ -147,14 +147,16 @@ def test_a_range_of_difficulty_varies_it_within(monkeypatch: pytest.MonkeyPatch)
         asked.append(difficulty)
         if len(asked) < 40:
             raise WorldError("can't be crossed")
-        return generators.open_floor(rng, difficulty, radius)
+        return generators.make_open_floor(rng, difficulty, radius)
 
-    assert content(generate("clutter", 3, (0.0, 1.0))) == content(generate("clutter", 3))
-    levels = [generators.level("open", number, (0.2, 0.4)) for number in range(50)]
+    assert content(generate_world("clutter", 3, (0.0, 1.0))) == content(
+        generate_world("clutter", 3)
+    )
+    levels = [generators.draw_difficulty("open", number, (0.2, 0.4)) for number in range(50)]
     assert 0.2 <= min(levels) < 0.25
     assert 0.35 < max(levels) <= 0.4
     monkeypatch.setitem(generators._MAKERS, "open", picky)
-    generate("open", 7, (0.2, 0.4))
+    generate_world("open", 7, (0.2, 0.4))
     assert asked[0] == levels[7]
     assert min(asked) == asked[-1] == 0.2  # made easier, but not too easy
 
@@ -170,25 +172,25 @@ def test_a_range_of_difficulty_varies_it_within(monkeypatch: pytest.MonkeyPatch)
 )
 def test_unknown_kinds_are_refused(kind: str, message: str) -> None:
     with pytest.raises(WorldError) as caught:
-        generate(kind, 0)
+        generate_world(kind, 0)
     assert str(caught.value).startswith(message)
 
 
 @pytest.mark.parametrize("number", [-1, 1.0, 0.5, "1", None, math.nan, [1], -(10**30)])
 def test_bad_numbers_are_refused(number: Any) -> None:
     with pytest.raises(WorldError, match=r"^world number .*: must be a whole number from 0$"):
-        generate("open", number)
+        generate_world("open", number)
 
 
 @pytest.mark.parametrize("level", [-0.1, 1.1, math.nan, "hard", "01", [0.5], (0.5, 0.2)])
 def test_bad_difficulties_are_refused(level: Any) -> None:
     with pytest.raises(WorldError, match=r"^difficulty = .*: must be from 0 to 1, or"):
-        generate("open", 0, level)
+        generate_world("open", 0, level)
 
 
 def test_a_huge_difficulty_is_refused() -> None:
     try:
-        generate("open", 0, 10**400)
+        generate_world("open", 0, 10**400)
     except WorldError:
         return
     except OverflowError as error:
@@ -199,7 +201,7 @@ def test_a_huge_difficulty_is_refused() -> None:
 def test_a_footprint_that_is_no_size_is_refused(radius: Any) -> None:
     for kind in ("open", "clutter"):
         try:
-            generate(kind, 0, None, radius)
+            generate_world(kind, 0, None, radius)
         except WorldError:
             continue
         except (TypeError, ValueError, OverflowError) as error:
@@ -211,12 +213,12 @@ def test_a_footprint_that_is_no_size_is_refused(radius: Any) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_world_is_solvable(kind: str, count: int) -> None:
     for number in range(count):
-        world = generate(kind, number, number / (count - 1.0))
+        world = generate_world(kind, number, number / (count - 1.0))
         path = way(world)
         ends = [[world.start.x, world.start.y], [world.goal.x, world.goal.y]]
         assert path[[0, -1]].tolist() == ends
-        assert closest(path, world) >= DEFAULT_RADIUS + MARGIN * (kind in SEARCHED) - CUT
-        assert min(clearance(ends, world)) >= DEFAULT_RADIUS - CUT
+        assert closest(path, world) >= DEFAULT_RADIUS + PATH_MARGIN * (kind in SEARCHED) - CUT
+        assert min(point_clearance(ends, world)) >= DEFAULT_RADIUS - CUT
         again = shortest_path(world, DEFAULT_RADIUS)
         assert math.dist(*ends) - 1e-9 <= path_length(again) <= 1.03 * world.length
         assert world.start.radius == world.goal.radius == 0.0
@@ -229,14 +231,14 @@ def test_every_world_is_solvable(kind: str, count: int) -> None:
 @pytest.mark.parametrize("radius", [0.1, 0.45])
 def test_the_way_is_made_for_the_footprint(kind: str, radius: float, count: int) -> None:
     for number in range(0, 10, 10 // count):
-        world = generate(kind, number, number / 9.0, radius)
-        assert closest(way(world), world) >= radius + MARGIN - 2.0 * CUT
-        assert np.array_equal(way(world), shortest_path(world, radius + MARGIN, cuts=0))
+        world = generate_world(kind, number, number / 9.0, radius)
+        assert closest(way(world), world) >= radius + PATH_MARGIN - 2.0 * CUT
+        assert np.array_equal(way(world), shortest_path(world, radius + PATH_MARGIN, cuts=0))
 
 
 @pytest.mark.parametrize("level", LEVELS)
 def test_goals_on_the_open_floor_are_as_far_as_the_difficulty_says(level: float) -> None:
-    worlds = [generate("open", number, level) for number in range(100)]
+    worlds = [generate_world("open", number, level) for number in range(100)]
     distances = [math.hypot(world.goal.x, world.goal.y) for world in worlds]
     assert all(world.obstacles == 0 for world in worlds)
     assert all((world.start.x, world.start.y, world.start.theta) == (0, 0, 0) for world in worlds)
@@ -250,11 +252,11 @@ def test_goals_on_the_open_floor_are_as_far_as_the_difficulty_says(level: float)
 @pytest.mark.parametrize("level", LEVELS)
 def test_clutter_has_as_many_obstacles_as_the_difficulty_says(level: float) -> None:
     for number in range(6):
-        world = generate("clutter", number, level)
+        world = generate_world("clutter", number, level)
         assert len(world.circles) + (len(world.segments) - 4) / 4 == round(10 + 35 * level)
-        assert world.bounds[0] >= -ARENA - 0.5
-        assert world.segments[:4].min(axis=0).tolist() == [-ARENA] * 4
-        assert math.dist((world.start.x, world.start.y), (world.goal.x, world.goal.y)) >= ARENA
+        assert world.bounds[0] >= -ARENA_HALF - 0.5
+        assert world.segments[:4].min(axis=0).tolist() == [-ARENA_HALF] * 4
+        assert math.dist((world.start.x, world.start.y), (world.goal.x, world.goal.y)) >= ARENA_HALF
         assert ((world.circles[:, 2] >= 0.08) & (world.circles[:, 2] <= 0.3)).all()
         sides = np.hypot(*(world.segments[4:, 2:] - world.segments[4:, :2]).T)
         assert ((sides >= 0.15 - 1e-9) & (sides <= 0.7 + 1e-9)).all()
@@ -263,7 +265,7 @@ def test_clutter_has_as_many_obstacles_as_the_difficulty_says(level: float) -> N
 def test_clutter_gets_narrower_and_longer_with_difficulty() -> None:
     spread = []
     for level in LEVELS:
-        worlds = [generate("clutter", number, level) for number in range(15)]
+        worlds = [generate_world("clutter", number, level) for number in range(15)]
         detours = [
             world.length / math.dist((world.start.x, world.start.y), (world.goal.x, world.goal.y))
             for world in worlds
@@ -277,16 +279,16 @@ def test_clutter_gets_narrower_and_longer_with_difficulty() -> None:
 def test_smooth_paths_are_as_crooked_as_the_difficulty_says(level: float) -> None:
     sharpest, lengths = [], []
     for number in range(40):
-        path = way(generate("smooth_path", number, level))
+        path = way(generate_world("smooth_path", number, level))
         pieces = np.hypot(*np.diff(path, axis=0).T)
-        assert pieces == pytest.approx(SPACING)
-        sharpest.append(np.abs(turns(path)).max() / SPACING)
+        assert pieces == pytest.approx(PATH_SPACING)
+        sharpest.append(np.abs(turns(path)).max() / PATH_SPACING)
         lengths.append(path_length(path))
         assert path[0].tolist() == [0.0, 0.0]
     assert max(sharpest) <= 0.5 + 1.5 * level + 1e-9
     assert np.mean(sharpest) > 0.97 * (0.5 + 1.5 * level)
-    assert min(lengths) >= 4.0 - SPACING
-    assert max(lengths) <= 8.0 + SPACING
+    assert min(lengths) >= 4.0 - PATH_SPACING
+    assert max(lengths) <= 8.0 + PATH_SPACING
     assert np.ptp(lengths) > 3.0
 
 
@@ -295,7 +297,7 @@ def test_waypoints_turn_as_sharply_as_the_difficulty_says(level: float) -> None:
     most = math.radians(45.0 + 75.0 * level)
     every, counts = [], set()
     for number in range(40):
-        path = way(generate("waypoint_path", number, level))
+        path = way(generate_world("waypoint_path", number, level))
         pieces = np.hypot(*np.diff(path, axis=0).T)
         counts.add(len(pieces))
         assert ((pieces >= 0.8 - 1e-9) & (pieces <= 2.0 + 1e-9)).all()
@@ -310,7 +312,7 @@ def test_waypoints_turn_as_sharply_as_the_difficulty_says(level: float) -> None:
 @pytest.mark.parametrize("kind", ["smooth_path", "waypoint_path"])
 def test_paths_start_at_the_origin_along_the_x_axis(kind: str) -> None:
     for number in range(10):
-        world = generate(kind, number)
+        world = generate_world(kind, number)
         dx, dy = way(world)[1] - way(world)[0]
         assert world.obstacles == 0
         assert (world.start.x, world.start.y) == (0.0, 0.0)
@@ -338,11 +340,11 @@ def test_too_large_a_footprint_is_one_clear_error(
     kind: str, radius: float, level: float | None
 ) -> None:
     with bounded(4.0 if kind == "barn" else 12.0), pytest.raises(WorldError, match=TOO_LARGE):
-        generate(kind, 0, level, radius)
+        generate_world(kind, 0, level, radius)
 
 
 def test_where_no_difficulty_is_asked_for_a_large_footprint_gets_an_easier_world() -> None:
     for kind in ("clutter", "rooms"):
         for number in range(5):
-            world = generate(kind, number, None, 0.55)
+            world = generate_world(kind, number, None, 0.55)
             assert closest(way(world), world) >= 0.6 - 2.0 * CUT

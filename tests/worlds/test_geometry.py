@@ -10,13 +10,13 @@ import pytest
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
-from acsar_gym.worlds.collisions import collides
 from acsar_gym.worlds.geometry import (
     Obstacles,
     RaySpec,
     Surroundings,
-    cast,
-    surroundings,
+    cast_rays,
+    footprint_collides,
+    make_surroundings,
 )
 
 CONFIG = RobotConfig.preset("acsar")
@@ -34,7 +34,7 @@ def scene(seed: int) -> tuple[Any, Any]:
 
 def seen(around: Surroundings, pose: Pose) -> np.ndarray[Any, Any]:
     ranges = np.empty(len(around.directions))
-    cast(pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2]), 0, around, ranges)
+    cast_rays(pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2]), 0, around, ranges)
     return ranges
 
 
@@ -59,7 +59,7 @@ def brute_ray(origin: Any, direction: Any, circles: Any, segments: Any, reach: f
 @pytest.mark.parametrize("spec", SPECS, ids=lambda spec: str(spec.rays))
 def test_rays_are_those_of_brute_force(spec: RaySpec) -> None:
     circles, segments = scene(1)
-    around = surroundings(Obstacles(circles, segments), spec, 1, CONFIG)
+    around = make_surroundings(Obstacles(circles, segments), spec, 1, CONFIG)
     rng = np.random.default_rng(2)
     for _ in range(8):
         pose = (*rng.uniform(-4, 4, 2), rng.uniform(-7.0, 7.0))
@@ -81,12 +81,12 @@ def test_rays_of_a_full_turn_are_evenly_spaced_without_a_double() -> None:
 
 
 def test_an_empty_world_is_seen_at_full_reach() -> None:
-    around = surroundings(Obstacles(), RaySpec(16, 7.5), 1, CONFIG)
+    around = make_surroundings(Obstacles(), RaySpec(16, 7.5), 1, CONFIG)
     assert (seen(around, (1.0, 2.0, 3.0)) == 7.5).all()
 
 
 def test_from_inside_an_obstacle_everything_is_near() -> None:
-    around = surroundings(Obstacles([[0.0, 0.0, 2.0]]), RaySpec(16), 1, CONFIG)
+    around = make_surroundings(Obstacles([[0.0, 0.0, 2.0]]), RaySpec(16), 1, CONFIG)
     assert (seen(around, (0.5, 0.0, 0.0)) == 0.0).all()
 
 
@@ -130,8 +130,8 @@ def test_collisions_are_those_of_a_dense_grid_of_points(kind: str) -> None:
             around, shapes, gap = Obstacles(circles), circles, gaps[kind]
         else:
             around, shapes, gap = Obstacles((), segments), segments, gaps[kind]
-        tools = surroundings(around, None, 1, CONFIG)
-        found = collides(pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2]), 0, tools)
+        tools = make_surroundings(around, None, 1, CONFIG)
+        found = footprint_collides(pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2]), 0, tools)
         if gap(footprint(pose, 0.96), shapes) <= SPACING:
             assert found
             hits += 1
@@ -153,13 +153,15 @@ def test_collisions_are_those_of_a_dense_grid_of_points(kind: str) -> None:
 )
 def test_a_wall_just_ahead_is_touched_exactly(pose: Pose, hit: bool) -> None:
     """Half the length is 0.17 m; turned by 45 degrees the corner reaches 0.24 m."""
-    around = surroundings(Obstacles((), [[0.2, -5.0, 0.2, 5.0]]), None, 1, CONFIG)
-    assert collides(pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2]), 0, around) == hit
+    around = make_surroundings(Obstacles((), [[0.2, -5.0, 0.2, 5.0]]), None, 1, CONFIG)
+    assert (
+        footprint_collides(pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2]), 0, around) == hit
+    )
 
 
 def test_a_wall_through_the_footprint_is_touched_though_no_end_is_inside() -> None:
-    around = surroundings(Obstacles((), [[0.0, -5.0, 0.0, 5.0]]), None, 1, CONFIG)
-    assert collides(0.05, 0.0, 1.0, 0.0, 0, around)
+    around = make_surroundings(Obstacles((), [[0.0, -5.0, 0.0, 5.0]]), None, 1, CONFIG)
+    assert footprint_collides(0.05, 0.0, 1.0, 0.0, 0, around)
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from PIL import Image
 
 from acsar_gym.errors import MissingExtraError, WorldError
 from acsar_gym.worlds import files, maps
-from acsar_gym.worlds.maps import MapSettings, occupied, outlines
+from acsar_gym.worlds.maps import MapSettings, occupied_shades, trace_outlines
 from acsar_gym.worlds.world import Region, World
 
 SETTINGS: dict[str, Any] = {"image": "map.pgm", "resolution": 0.5, "origin": [0.0, 0.0, 0.0]}
@@ -50,7 +50,7 @@ def write(folder: Path, data: bytes, image: str = "map.pgm", **changes: Any) -> 
 
 
 def loaded(folder: Path, data: bytes, image: str = "map.pgm", **changes: Any) -> World:
-    return files.load(write(folder, data, image, **changes))
+    return files.load_world(write(folder, data, image, **changes))
 
 
 def as_set(segments: Any) -> set[tuple[float, ...]]:
@@ -75,8 +75,8 @@ def test_a_pixel_is_a_square_and_the_first_row_is_the_top(tmp_path: Path) -> Non
 
 
 def test_edges_in_a_row_are_one_segment() -> None:
-    assert as_set(outlines(np.ones((3, 5), bool))) == square(0.0, 0.0, 5.0, 3.0)
-    assert outlines(np.zeros((3, 5), bool)).shape == (0, 4)
+    assert as_set(trace_outlines(np.ones((3, 5), bool))) == square(0.0, 0.0, 5.0, 3.0)
+    assert trace_outlines(np.zeros((3, 5), bool)).shape == (0, 4)
 
 
 def test_the_origin_moves_and_turns_the_map(tmp_path: Path) -> None:
@@ -87,7 +87,7 @@ def test_the_origin_moves_and_turns_the_map(tmp_path: Path) -> None:
 @given(arrays(np.bool_, array_shapes(min_dims=2, max_dims=2, max_side=8)))
 def test_outlines_are_exactly_the_edges_of_pixels(mask: Any) -> None:
     found: list[tuple[int, ...]] = []
-    for x1, y1, x2, y2 in outlines(mask).astype(int).tolist():
+    for x1, y1, x2, y2 in trace_outlines(mask).astype(int).tolist():
         steps = x2 - x1 + y2 - y1
         dx, dy = int(x2 > x1), int(y2 > y1)
         found += [(x1 + k * dx, y1 + k * dy, dx, dy) for k in range(steps)]
@@ -100,7 +100,7 @@ def test_outlines_are_exactly_the_edges_of_pixels(mask: Any) -> None:
 
 @given(arrays(np.bool_, array_shapes(min_dims=2, max_dims=2, max_side=8)))
 def test_no_two_outlines_could_be_one(mask: Any) -> None:
-    ends = [(y1, x) for x1, y1, x2, y2 in outlines(mask) if y1 == y2 for x in (x1, x2)]
+    ends = [(y1, x) for x1, y1, x2, y2 in trace_outlines(mask) if y1 == y2 for x in (x1, x2)]
     assert len(ends) == len(set(ends))
 
 
@@ -116,8 +116,8 @@ def test_no_two_outlines_could_be_one(mask: Any) -> None:
 )
 def test_which_pixels_are_obstacles(changes: dict[str, Any], expected: list[bool]) -> None:
     shades = np.array([[0.0, 70.0, 200.0, 254.0, 255.0]]) / 255.0
-    config = maps.settings({**SETTINGS, **changes})
-    assert occupied(shades, config)[0].tolist() == expected
+    config = maps.read_settings({**SETTINGS, **changes})
+    assert occupied_shades(shades, config)[0].tolist() == expected
 
 
 def test_transparent_pixels_are_unknown(tmp_path: Path) -> None:
@@ -147,7 +147,7 @@ def test_the_picture_may_lie_elsewhere(tmp_path: Path) -> None:
     for image in ("../other.pgm", str(tmp_path / "other.pgm")):
         path = write(tmp_path / "maps", b"")
         path.write_text(yaml.safe_dump({**SETTINGS, **ENDS, "image": image}), encoding="utf-8")
-        assert len(files.load(path).segments) == 4
+        assert len(files.load_world(path).segments) == 4
 
 
 def test_obstacles_and_a_path_may_be_added_to_a_map(tmp_path: Path) -> None:
@@ -199,7 +199,7 @@ def test_bad_settings_are_refused(changes: dict[str, Any], message: str, tmp_pat
     given = {key: value for key, value in fields.items() if value is not None}
     path.write_text(yaml.safe_dump(given), encoding="utf-8")
     with pytest.raises(WorldError) as caught:
-        files.load(path)
+        files.load_world(path)
     assert str(caught.value).startswith(f"{path}: {message}")
     assert "\n" not in str(caught.value)
 
@@ -209,7 +209,7 @@ def test_a_picture_without_its_yaml_is_refused(suffix: str, tmp_path: Path) -> N
     path = tmp_path / f"map{suffix}"
     path.write_bytes(pgm([[BLACK]]))
     with pytest.raises(WorldError, match="pass the YAML that names it"):
-        files.load(path)
+        files.load_world(path)
 
 
 def chunk(kind: bytes, data: bytes) -> bytes:
@@ -267,7 +267,7 @@ def test_any_damage_to_a_picture_is_a_world_error(kind: str, data: st.DataObject
         good[place] = data.draw(st.integers(0, 255))
     cut = data.draw(st.integers(0, len(good)))
     with contextlib.suppress(WorldError):
-        maps.segments(bytes(good[:cut]), MapSettings(**SETTINGS))
+        maps.map_segments(bytes(good[:cut]), MapSettings(**SETTINGS))
 
 
 def test_too_detailed_a_picture_is_refused(tmp_path: Path) -> None:

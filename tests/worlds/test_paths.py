@@ -12,8 +12,15 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from acsar_gym.errors import WorldError
-from acsar_gym.worlds.paths import SPACING, along, distinct, sampled, smooth, waypoints
-from acsar_gym.worlds.search import path_length
+from acsar_gym.worlds.search import (
+    PATH_SPACING,
+    drop_repeated,
+    make_smooth_path,
+    make_waypoint_path,
+    path_length,
+    sample_path,
+    world_along,
+)
 
 coordinates = st.floats(-10.0, 10.0).map(lambda value: round(value, 3))
 polylines = st.integers(2, 7).flatmap(
@@ -29,7 +36,7 @@ CORNER = array([0, 0], [1, 0], [1, 0], [1, 0.5])
 
 
 def test_samples_by_hand() -> None:
-    found = sampled(CORNER, 0.25)
+    found = sample_path(CORNER, 0.25)
     assert found[:, :2].tolist() == [
         [0.0, 0.0],
         [0.25, 0.0],
@@ -58,7 +65,7 @@ def test_samples_by_hand() -> None:
 def test_samples_are_evenly_spaced_and_at_most_as_far_apart_as_asked(
     length: float, spacing: float, count: int
 ) -> None:
-    found = sampled(array([2.0, 1.0], [2.0, 1.0 - length]), spacing)
+    found = sample_path(array([2.0, 1.0], [2.0, 1.0 - length]), spacing)
     assert found.shape == (count, 3)
     assert np.diff(found[:, 1]) == pytest.approx(-length / (count - 1))
     assert found[[0, -1], :2].tolist() == [[2.0, 1.0], [2.0, 1.0 - length]]
@@ -66,15 +73,15 @@ def test_samples_are_evenly_spaced_and_at_most_as_far_apart_as_asked(
 
 
 def test_5_cm_are_the_usual_spacing() -> None:
-    assert np.array_equal(sampled(CORNER), sampled(CORNER, 0.05))
-    assert SPACING == 0.05
+    assert np.array_equal(sample_path(CORNER), sample_path(CORNER, 0.05))
+    assert PATH_SPACING == 0.05
 
 
 @given(path=polylines, spacing=st.floats(0.02, 3.0))
 def test_samples_lie_on_the_path_at_equal_steps_along_it(path: Any, spacing: float) -> None:
     assume(path_length(path) > 0.0)
-    found = sampled(path, spacing)
-    kept = distinct(path)
+    found = sample_path(path, spacing)
+    kept = drop_repeated(path)
     pieces = np.diff(kept, axis=0)
     at = np.concatenate([[0.0], np.cumsum(np.hypot(*pieces.T))])
     assert found[0, :2].tolist() == kept[0].tolist()
@@ -109,14 +116,14 @@ def test_samples_lie_on_the_path_at_equal_steps_along_it(path: Any, spacing: flo
     ],
 )
 def test_points_that_repeat_the_one_before_are_left_out(path: Any, kept: Any) -> None:
-    assert distinct(array(*path)).tolist() == kept
+    assert drop_repeated(array(*path)).tolist() == kept
 
 
 @given(path=polylines)
 def test_without_repeated_points_a_path_is_as_long(path: Any) -> None:
     repeated = np.repeat(path, 2, axis=0)
-    assert distinct(repeated).tolist() == distinct(path).tolist()
-    assert path_length(distinct(path)) == pytest.approx(path_length(path))
+    assert drop_repeated(repeated).tolist() == drop_repeated(path).tolist()
+    assert path_length(drop_repeated(path)) == pytest.approx(path_length(path))
 
 
 @pytest.mark.parametrize(
@@ -129,13 +136,13 @@ def test_without_repeated_points_a_path_is_as_long(path: Any) -> None:
     ],
 )
 def test_along_a_path_the_robot_starts_on_it(path: Any, theta: float) -> None:
-    world = along(path)
+    world = world_along(path)
     assert world.obstacles == 0
     assert (world.start.x, world.start.y, world.start.radius) == (1.0, 2.0, 0.0)
     assert world.start.theta == pytest.approx(theta)
     assert (world.goal.x, world.goal.y) == tuple(path[-1])
     assert world.path is not None
-    assert world.path.tolist() == distinct(path).tolist()
+    assert world.path.tolist() == drop_repeated(path).tolist()
     assert world.length == pytest.approx(path_length(path))
     assert not world.path.flags.writeable
 
@@ -157,21 +164,21 @@ def test_along_a_path_the_robot_starts_on_it(path: Any, theta: float) -> None:
 )
 def test_what_is_no_path_is_one_clear_error(path: Any, message: str) -> None:
     with pytest.raises(WorldError, match=message):
-        along(path)
+        world_along(path)
 
 
-@pytest.mark.parametrize("make", [smooth, waypoints])
+@pytest.mark.parametrize("make", [make_smooth_path, make_waypoint_path])
 def test_made_paths_are_along_themselves(make: Any) -> None:
     for seed in range(10):
         world = make(np.random.default_rng(seed), 0.5, 0.25)
-        again = along(world.path)
+        again = world_along(world.path)
         assert (again.start, again.goal) == (world.start, world.goal)
-        samples = sampled(world.path)
-        assert np.hypot(*np.diff(samples[:, :2], axis=0).T).max() <= SPACING + 1e-9
+        samples = sample_path(world.path)
+        assert np.hypot(*np.diff(samples[:, :2], axis=0).T).max() <= PATH_SPACING + 1e-9
         assert samples[0].tolist() == pytest.approx([0.0, 0.0, world.start.theta])
 
 
-@pytest.mark.parametrize("make", [smooth, waypoints])
+@pytest.mark.parametrize("make", [make_smooth_path, make_waypoint_path])
 def test_the_footprint_makes_no_difference_to_a_path(make: Any) -> None:
     one, other = (make(np.random.default_rng(1), 0.5, radius).path for radius in (0.1, 5.0))
     assert np.array_equal(one, other)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from acsar_gym.errors import WorldError
-from acsar_gym.worlds import generators, pool, splits
+from acsar_gym.worlds import generators, pool, registry
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.world import Region, World
 
@@ -33,13 +33,13 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def calls(monkeypatch: pytest.MonkeyPatch) -> Counter[tuple[Any, ...]]:
     """How often each world was made."""
     counter: Counter[tuple[Any, ...]] = Counter()
-    real = generators.generate
+    real = generators.generate_world
 
     def counted(*arguments: Any) -> World:
         counter[arguments] += 1
         return real(*arguments)
 
-    monkeypatch.setattr(generators, "generate", counted)
+    monkeypatch.setattr(generators, "generate_world", counted)
     return counter
 
 
@@ -90,7 +90,9 @@ def test_a_pool_knows_its_split(source: Any, split: str, title: str) -> None:
 
 def test_no_world_is_in_two_splits() -> None:
     for kind in KINDS:
-        every = [number for name in splits.NAMES for number in splits.numbers(kind, name)]
+        every = [
+            number for name in registry.SPLITS for number in registry.split_numbers(kind, name)
+        ]
         assert len(every) == len(set(every))
 
 
@@ -108,14 +110,14 @@ def test_no_world_is_in_two_splits() -> None:
     ],
 )
 def test_the_split_to_test_in(source: Any, tested: Any) -> None:
-    found = splits.tested(source)
+    found = registry.add_test_split(source)
     assert found is tested or found == tested
 
 
 def test_a_pool_holds_the_generators_worlds() -> None:
     found = Pool.of("clutter:3-5", 0.3, 0.4)
     for number in (3, 4, 5):
-        expected = generators.generate("clutter", number, 0.3, 0.4)
+        expected = generators.generate_world("clutter", number, 0.3, 0.4)
         world = found[number]
         assert world.path is not None
         assert expected.path is not None
@@ -157,7 +159,7 @@ def test_pools_remember_their_own_worlds(calls: Counter[tuple[Any, ...]]) -> Non
 def test_a_pool_forgets_what_was_not_asked_for_lately(
     calls: Counter[tuple[Any, ...]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pool, "KEPT", 2)
+    monkeypatch.setattr(pool, "KEPT_WORLDS", 2)
     found = Pool.of("open:10")
     before = found[0]
     for index in (1, 2, 0):
@@ -277,7 +279,7 @@ def test_worlds_of_a_range_of_difficulty() -> None:
     assert (np.diff(levels) >= 0.0).all()
     ranks = found.ranks((0.3, 0.5))
     inside = {100 + int(place) for place in order[ranks.start : ranks.stop]}
-    level = functools.partial(generators.level, "open", difficulty=(0.2, 0.8))
+    level = functools.partial(generators.draw_difficulty, "open", difficulty=(0.2, 0.8))
     assert inside == {number for number in found.numbers if 0.3 <= level(number) <= 0.5}
     assert found.ranks((0.0, 1.0)) == range(40)
 

@@ -11,14 +11,13 @@ import pytest
 
 from acsar_gym.errors import WorldError
 from acsar_gym.worlds import files
-from acsar_gym.worlds.pool import Pool, checked
-from acsar_gym.worlds.shapes import outline
-from acsar_gym.worlds.world import Region, World
+from acsar_gym.worlds.pool import Pool, check_world
+from acsar_gym.worlds.world import Region, World, make_rectangle
 
 PILLAR = np.array([[0.0, 0.0, 0.5]])
 SOUND = World(PILLAR, start=Region(-2.0, 0.0), goal=Region(2.0, 0.0), name="pillar")
 CELL = World(
-    segments=outline(-1.0, -1.0, 1.0, 1.0),
+    segments=make_rectangle(-1.0, -1.0, 1.0, 1.0),
     start=Region(0.0, 0.0),
     goal=Region(4.0, 0.0),
     name="cell",
@@ -57,7 +56,7 @@ def test_a_given_world_without_a_path_gets_one(source: Any) -> None:
 def test_a_given_path_is_kept() -> None:
     given = World(PILLAR, start=Region(-2.0, 0.0), goal=Region(2.0, 0.0), path=WAY)
     assert Pool.of(given)[0] is given
-    assert checked(given, 0.25) is given
+    assert check_world(given, 0.25) is given
 
 
 def test_given_worlds_are_looked_at_at_once() -> None:
@@ -72,7 +71,7 @@ def test_a_kind_of_world_is_that_whatever_files_there_are(folder: Path) -> None:
     (folder / "barn").write_text("no world", encoding="utf-8")
     assert Pool.of("open:2").kind == "open"
     assert Pool.of("barn").kind == "barn"
-    files.save(SOUND, folder / "open" / "mine.json")
+    files.save_world(SOUND, folder / "open" / "mine.json")
     for source in ("./open", Path("open")):
         assert Pool.of(source)[0].name == "pillar"
 
@@ -107,7 +106,7 @@ def test_the_footprint_decides_whether_a_given_world_can_be_used() -> None:
 
 def test_files(folder: Path) -> None:
     path = folder / "mine.json"
-    files.save(SOUND, path)
+    files.save_world(SOUND, path)
     for source in ("mine.json", str(path), path, Path("mine.json"), "./mine.json"):
         found = Pool.of(source)
         assert (found.kind, len(found)) == (str(source), 1)
@@ -118,7 +117,7 @@ def test_files(folder: Path) -> None:
 def test_folders(folder: Path) -> None:
     (folder / "mine").mkdir()
     for number in (1, 2, 10):
-        files.save(World(name=f"number {number}"), folder / "mine" / f"world_{number}.yaml")
+        files.save_world(World(name=f"number {number}"), folder / "mine" / f"world_{number}.yaml")
     for source in ("mine", "mine/", folder / "mine", Path("mine")):
         found = Pool.of(source)
         assert (found.kind, len(found)) == (str(source), 3)
@@ -168,6 +167,6 @@ def test_a_folder_that_may_not_be_read_is_refused(folder: Path) -> None:
 
 
 def test_an_unsolvable_file_is_named(folder: Path) -> None:
-    files.save(CELL, folder / "cell.yaml")
+    files.save_world(CELL, folder / "cell.yaml")
     with pytest.raises(WorldError, match=r"^cell: no way from start to goal"):
         Pool.of("cell.yaml")[0]

@@ -16,12 +16,18 @@ import numpy as np
 import pybullet
 import pytest
 
-from acsar_gym.bodies.bullet import BulletBody
 from acsar_gym.config import RobotConfig
+from acsar_gym.physics.bullet import BulletBody
 from acsar_gym.worlds import Scene, World
-from acsar_gym.worlds.clearance import clearance
-from acsar_gym.worlds.generators import generate
-from acsar_gym.worlds.geometry import Obstacles, RaySpec, cast, look, surroundings
+from acsar_gym.worlds.generators import generate_world
+from acsar_gym.worlds.geometry import (
+    Obstacles,
+    RaySpec,
+    cast_rays,
+    make_surroundings,
+    measure_ranges,
+    point_clearance,
+)
 
 CONFIG = RobotConfig.preset("acsar").with_(lidar_x_offset=0.0, lidar_y_offset=0.0)
 SCENES = 1000
@@ -101,14 +107,14 @@ def worlds_of(poses: Array) -> tuple[Array, Array]:
 
 def ours(circles: Array, segments: Array, spec: RaySpec) -> tuple[Array, Array]:
     """Ranges of `cast`, and which obstacle is next to each point hit, -1 for none."""
-    around = surroundings(Obstacles(circles, segments), spec, 1, CONFIG)
+    around = make_surroundings(Obstacles(circles, segments), spec, 1, CONFIG)
     ranges = np.empty(spec.rays)
-    cast(0.0, 0.0, 1.0, 0.0, 0, around, ranges)
+    cast_rays(0.0, 0.0, 1.0, 0.0, 0, around, ranges)
     angles = spec.angles()
     points = ranges[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     parts = [World(circles[k : k + 1]) for k in range(len(circles))]
     parts += [World(segments=segments[k : k + 1]) for k in range(len(segments))]
-    off = np.abs(np.stack([clearance(points, part) for part in parts]))
+    off = np.abs(np.stack([point_clearance(points, part) for part in parts]))
     return ranges, np.where(ranges < REACH, off.argmin(axis=0), -1)
 
 
@@ -139,16 +145,18 @@ def test_what_pybullet_hits_in_the_envs_bodies_lies_on_our_surfaces() -> None:
     angles = RaySpec(64, REACH).angles()
     hits = 0
     for number in range(10):
-        world = generate("clutter", number)
+        world = generate_world("clutter", number)
         place = rng.uniform(-3.0, 3.0, 2)
-        if clearance(place[None], world)[0] < 0.3:
+        if point_clearance(place[None], world)[0] < 0.3:
             continue
         body.reset(Scene(start=(9.0, 9.0, 0.0), world=world))
         ranges = body.rays((float(place[0]), float(place[1])), angles, REACH)
         met = ranges < REACH
         points = place + ranges[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-        assert np.abs(clearance(points[met], world)).max() < 2.1 * MILLIMETRE  # walls are 2 mm
-        far = look((float(place[0]), float(place[1])), angles, world)
+        assert (
+            np.abs(point_clearance(points[met], world)).max() < 2.1 * MILLIMETRE
+        )  # walls are 2 mm
+        far = measure_ranges((float(place[0]), float(place[1])), angles, world)
         assert np.mean(np.abs(np.minimum(far, REACH) - ranges) < 5.0 * MILLIMETRE) > 0.9
         hits += int(met.sum())
     body.close()

@@ -20,20 +20,22 @@ import pytest
 
 import acsar_gym
 from acsar_gym.errors import ConfigError, WorldError
-from acsar_gym.evaluation import atlas
-from acsar_gym.training import held_out
-from acsar_gym.worlds import Region, World, cache, generators, registry, splits
-from acsar_gym.worlds.clearance import segment_clearance
+from acsar_gym.tools import atlas
+from acsar_gym.tools.training import held_out
+from acsar_gym.worlds import Region, World, cache, generators, registry
+from acsar_gym.worlds.geometry import segment_clearance
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.registry import GeneratorError, register
-from acsar_gym.worlds.shapes import outline
+from acsar_gym.worlds.world import make_rectangle
 
 RADIUS = 0.25
 CORRIDORS = registry._OWN.pop("corridors")
 """The example; no other test shall know it."""
 FOLDER = Path(example.__file__).parent
 GAP = World(
-    segments=np.array([[1.0, -1.0, 1.0, -0.2], [1.0, 0.2, 1.0, 1.0], *outline(-1, -1, 3, 1)]),
+    segments=np.array(
+        [[1.0, -1.0, 1.0, -0.2], [1.0, 0.2, 1.0, 1.0], *make_rectangle(-1, -1, 3, 1)]
+    ),
     goal=Region(2.0, 0.0),
 )
 CLOSED = World(segments=np.array([[-1.0, y, 3.0, y] for y in (-0.1, 0.1)]), goal=Region(2.0, 0.0))
@@ -59,7 +61,7 @@ def same(one: World, other: World) -> bool:
 
 
 def test_the_names_of_this_package() -> None:
-    assert tuple(generators._MAKERS) == registry.BUILT_IN
+    assert tuple(generators._MAKERS) == registry.BUILT_IN_KINDS
 
 
 def test_it_is_found_where_the_manual_says() -> None:
@@ -87,8 +89,8 @@ def test_names_work_as_those_of_built_in_generators(source: str, numbers: range)
 def test_a_world_is_always_the_same_and_solvable() -> None:
     seen = set()
     for number in range(5):
-        world = generators.generate("corridors", number, None, RADIUS)
-        assert same(world, generators.generate("corridors", number, None, RADIUS))
+        world = generators.generate_world("corridors", number, None, RADIUS)
+        assert same(world, generators.generate_world("corridors", number, None, RADIUS))
         assert world.name == f"corridors {number}"
         assert world.path is not None
         assert segment_clearance(world.path[:-1], world.path[1:], world).min() > RADIUS
@@ -97,7 +99,7 @@ def test_a_world_is_always_the_same_and_solvable() -> None:
 
 
 def test_difficulty_is_one_number_or_varies() -> None:
-    easy, hard = (generators.generate("corridors", 0, level, RADIUS) for level in (0.0, 1.0))
+    easy, hard = (generators.generate_world("corridors", 0, level, RADIUS) for level in (0.0, 1.0))
     assert len(easy.segments) < len(hard.segments)
     pool = Pool.of("corridors:20", (0.2, 0.8), RADIUS)
     places = pool.ranks((0.5, 0.8))
@@ -122,10 +124,12 @@ def test_envs_and_batches_drive_in_them() -> None:
 
 
 def test_tools_know_the_names() -> None:
-    assert splits.tested("corridors") == "corridors:test"
-    assert splits.tested("corridors:corridors") == "corridors:corridors:test"
-    assert held_out.worlds_beside(Pool.of("corridors:corridors:train")) == "corridors:900-963"
-    assert atlas.told("corridors:test", 12) == {
+    assert registry.add_test_split("corridors") == "corridors:test"
+    assert registry.add_test_split("corridors:corridors") == "corridors:corridors:test"
+    assert (
+        held_out.choose_held_out_worlds(Pool.of("corridors:corridors:train")) == "corridors:900-963"
+    )
+    assert atlas.describe_source("corridors:test", 12) == {
         "source": "corridors 0 to 199 (test split)",
         "split": "test",
     }
@@ -210,7 +214,7 @@ def test_what_goes_wrong_is_one_line_that_names_the_generator(make: Any, message
 def test_worlds_that_nobody_can_cross_are_one_line_that_says_why(
     world: World, reason: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(generators, "ATTEMPTS", 3)
+    monkeypatch.setattr(generators, "MAX_ATTEMPTS", 3)
     calls = []
 
     def make(rng: Any, difficulty: float, radius: float) -> World:
@@ -219,7 +223,7 @@ def test_worlds_that_nobody_can_cross_are_one_line_that_says_why(
 
     register("mine", make)
     with pytest.raises(WorldError, match=f"^mine: no world of this .*{reason}") as caught:
-        generators.generate("mine", 0, 0.5, RADIUS)
+        generators.generate_world("mine", 0, 0.5, RADIUS)
     assert "\n" not in str(caught.value)
     assert calls == [0.5] * 3
 
@@ -234,7 +238,7 @@ def test_a_world_error_means_try_again() -> None:
         return World(goal=Region(rng.uniform(1.0, 2.0), 0.0))
 
     register("mine", make)
-    assert generators.generate("mine", 0, None, RADIUS).goal.x >= 1.0
+    assert generators.generate_world("mine", 0, None, RADIUS).goal.x >= 1.0
     assert len(calls) == 4
     assert sorted(calls, reverse=True) == calls, "each one easier than the one before"
 
@@ -267,19 +271,19 @@ def test_a_module_that_fails_is_one_clear_error(
 def test_worlds_are_kept_where_the_source_is_known(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv(cache.VARIABLE, str(tmp_path))
+    monkeypatch.setenv(cache.CACHE_VARIABLE, str(tmp_path))
     cache._known.cache_clear()
-    with cache.keeping():
+    with cache.keep_worlds():
         first = list(Pool.of("corridors:3", None, RADIUS))
     assert len(list((tmp_path / "worlds").iterdir())) == 1
-    monkeypatch.setattr(generators, "generate", None)
+    monkeypatch.setattr(generators, "generate_world", None)
     assert all(map(same, first, Pool.of("corridors:3", None, RADIUS)))
 
 
 def test_what_has_no_known_source_is_made_anew() -> None:
     register("mine", functools.partial(example.corridors))
-    assert registry.own("mine") is not None
-    assert cache.source_hash("mine") == ""
+    assert registry.find_own("mine") is not None
+    assert cache.hash_source("mine") == ""
     assert cache._file("mine", 0, None, RADIUS) is None
-    assert cache.source_hash("corridors") != cache.source_hash("clutter") != ""
+    assert cache.hash_source("corridors") != cache.hash_source("clutter") != ""
     assert math.isfinite(Pool.of("mine:1", None, RADIUS)[0].length)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from acsar_gym.errors import WorldError
-from acsar_gym.worlds.clearance import clearance
-from acsar_gym.worlds.rooms import DEPTH, LENGTH, rooms
+from acsar_gym.worlds.generators import CORRIDOR_LENGTH, ROOM_DEPTH, make_rooms
+from acsar_gym.worlds.geometry import point_clearance
 from acsar_gym.worlds.search import shortest_path
 from acsar_gym.worlds.world import World
 
@@ -19,12 +19,12 @@ LEVELS = (0.0, 0.3, 0.7, 1.0)
 
 
 def floor(seed: int, level: float, radius: float = RADIUS) -> World:
-    return rooms(np.random.default_rng(seed), level, radius)
+    return make_rooms(np.random.default_rng(seed), level, radius)
 
 
 def half_width(world: World) -> float:
     """Of the corridor."""
-    return float(world.segments[:4, 1].max()) - DEPTH
+    return float(world.segments[:4, 1].max()) - ROOM_DEPTH
 
 
 def gaps(world: World, y: float) -> list[tuple[float, float]]:
@@ -32,7 +32,7 @@ def gaps(world: World, y: float) -> list[tuple[float, float]]:
     lines = world.segments[4:]
     on_it = lines[np.isclose(lines[:, [1, 3]], y, atol=1e-9).all(axis=1)]
     pieces = sorted((min(x1, x2), max(x1, x2)) for x1, _, x2, _ in on_it.tolist())
-    edges = [0.0, *(edge for piece in pieces for edge in piece), LENGTH]
+    edges = [0.0, *(edge for piece in pieces for edge in piece), CORRIDOR_LENGTH]
     every = list(zip(edges[::2], edges[1::2], strict=True))
     return [(low, high) for low, high in every if high - low > 1e-9]
 
@@ -66,7 +66,7 @@ def test_doors_are_as_wide_as_the_difficulty_says(level: float) -> None:
         for side in (-1.0, 1.0):
             doors = gaps(world, side * half_width(world))
             assert [high - low for low, high in doors] == pytest.approx([width] * len(doors))
-            walls = [0.0, *dividers(world, side), LENGTH]
+            walls = [0.0, *dividers(world, side), CORRIDOR_LENGTH]
             assert len(doors) == len(walls) - 1  # one for each room
             for (low, high), left, right in zip(doors, walls[:-1], walls[1:], strict=True):
                 assert left + 0.2 - 1e-9 <= low < high <= right - 0.2 + 1e-9
@@ -82,8 +82,11 @@ def test_the_narrowest_door_lets_the_footprint_through(radius: float) -> None:
 def test_there_are_three_or_four_rooms_on_each_side() -> None:
     counts = [len(dividers(floor(seed, 0.0), side)) + 1 for seed in range(30) for side in (-1, 1)]
     assert set(counts) == {3, 4}
-    widths = [np.diff([0.0, *dividers(floor(seed, 0.0), 1.0), LENGTH]).min() for seed in range(30)]
-    assert min(widths) >= LENGTH / 4 * 0.7 - 1e-9
+    widths = [
+        np.diff([0.0, *dividers(floor(seed, 0.0), 1.0), CORRIDOR_LENGTH]).min()
+        for seed in range(30)
+    ]
+    assert min(widths) >= CORRIDOR_LENGTH / 4 * 0.7 - 1e-9
     assert np.ptp(widths) > 0.5
 
 
@@ -92,7 +95,9 @@ def test_the_house_is_closed_and_as_large_as_said() -> None:
         world = floor(seed, 0.5)
         half = half_width(world)
         assert 0.6 <= half <= 0.9
-        assert world.bounds == pytest.approx((0.0, -half - DEPTH, LENGTH, half + DEPTH))
+        assert world.bounds == pytest.approx(
+            (0.0, -half - ROOM_DEPTH, CORRIDOR_LENGTH, half + ROOM_DEPTH)
+        )
         corners = world.segments[:4, :2]
         assert world.segments[:4, 2:].tolist() == np.roll(corners, -1, axis=0).tolist()
 
@@ -118,7 +123,7 @@ def test_furniture_is_as_large_as_said() -> None:
         assert ((sizes >= 0.2 / 3.0) & (sizes <= 0.8 / 3.0)).all()
         centres = world.circles[:, :2]
         assert (np.abs(centres[:, 1]) > half_width(world) + 0.2 - 1e-9).all()  # none in the way
-        assert (np.abs(centres[:, 1]) < half_width(world) + DEPTH - 0.2 + 1e-9).all()
+        assert (np.abs(centres[:, 1]) < half_width(world) + ROOM_DEPTH - 0.2 + 1e-9).all()
 
 
 @pytest.mark.parametrize("radius", [0.15, 0.25, 0.5])
@@ -126,7 +131,7 @@ def test_start_and_goal_lie_in_rooms_away_from_the_walls(radius: float) -> None:
     for seed in range(20):
         world = floor(seed, 0.0, radius)
         ends = np.array([[world.start.x, world.start.y], [world.goal.x, world.goal.y]])
-        assert (clearance(ends, world) >= radius + 0.1 - 1e-9).all()
+        assert (point_clearance(ends, world) >= radius + 0.1 - 1e-9).all()
         assert (np.abs(ends[:, 1]) > half_width(world)).all()
         assert world.goal.theta is None
         assert world.start.theta is not None
@@ -157,7 +162,7 @@ def test_walls_between_rooms_have_a_door_now_and_then() -> None:
         world = floor(seed, 0.0)
         lines = world.segments[4:]
         upright = lines[np.isclose(lines[:, 0], lines[:, 2])]
-        long = np.isclose(np.abs(upright[:, 3] - upright[:, 1]), DEPTH)
+        long = np.isclose(np.abs(upright[:, 3] - upright[:, 1]), ROOM_DEPTH)
         whole += int(long.sum())
         cut += int((~long).sum()) // 2
     assert whole > 0.3 * (whole + cut)

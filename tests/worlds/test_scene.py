@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from acsar_gym.worlds.scene import point_in_world, to_odometry, to_world
+from acsar_gym.worlds.world import point_in_world, to_odometry, to_world
 
 poses = st.tuples(st.floats(-100.0, 100.0), st.floats(-100.0, 100.0), st.floats(-math.pi, math.pi))
 

@@ -42,14 +42,14 @@ def sdf_of(*models: str) -> bytes:
 
 
 def drawn(*models: str) -> tuple[list[list[float]], list[list[float]]]:
-    circles, segments = sdf.obstacles(sdf_of(*models))
+    circles, segments = sdf.read_obstacles(sdf_of(*models))
     return circles.tolist(), segments.tolist()
 
 
 @published
 @pytest.mark.parametrize("number", PUBLISHED)
 def test_published_worlds(number: int) -> None:
-    world = files.load(BARN / f"world_{number}.world")
+    world = files.load_world(BARN / f"world_{number}.world")
     cylinders, length = PUBLISHED[number]
     assert (len(world.circles), len(world.segments)) == (cylinders, 0)
     assert set(world.circles[:, 2]) == {0.075}
@@ -64,7 +64,7 @@ def test_published_worlds(number: int) -> None:
 @published
 @pytest.mark.parametrize("number", PUBLISHED)
 def test_published_cylinders_stand_in_cells_behind_a_corridor(number: int) -> None:
-    x, y, _ = files.load(BARN / f"world_{number}.world").circles.T
+    x, y, _ = files.load_world(BARN / f"world_{number}.world").circles.T
     field = y > 5.1
     assert (~field).sum() == 96  # 30 behind the start, 33 on each side
     rows, columns = (x[field] + 4.425) / 0.15, (y[field] - 5.175) / 0.15
@@ -107,7 +107,7 @@ def test_models_may_hold_models() -> None:
 
 
 def test_a_model_file_has_no_world() -> None:
-    circles, _ = sdf.obstacles(f"<sdf>{model(body(CYLINDER))}</sdf>".encode())
+    circles, _ = sdf.read_obstacles(f"<sdf>{model(body(CYLINDER))}</sdf>".encode())
     assert circles.tolist() == [[0.0, 0.0, 0.1]]
 
 
@@ -166,7 +166,7 @@ def test_bad_models_are_refused_by_name(broken: str, message: str, tmp_path: Pat
     path = tmp_path / "bad.world"
     path.write_bytes(sdf_of(model(body(CYLINDER), name="fine"), broken))
     with pytest.raises(WorldError, match=r"bad\.world: model 'm': ") as caught:
-        files.load(path)
+        files.load_world(path)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -192,7 +192,7 @@ def test_bad_files_are_refused(data: bytes, message: str, tmp_path: Path) -> Non
     path = tmp_path / "bad.sdf"
     path.write_bytes(data)
     with pytest.raises(WorldError, match=r"bad\.sdf: ") as caught:
-        files.load(path)
+        files.load_world(path)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -213,16 +213,16 @@ def test_a_million_bodies_are_refused_at_once(piece: str, count: int) -> None:
     data = b"<sdf><world>" + piece.encode() * count
     begin = time.process_time()
     with pytest.raises(WorldError, match=r"too many|more than"):
-        sdf.obstacles(data)
+        sdf.read_obstacles(data)
     assert time.process_time() - begin < 15.0
 
 
 def test_too_large_a_file_is_not_read(tmp_path: Path) -> None:
     path = tmp_path / "large.world"
     with path.open("wb") as file:
-        file.truncate(files.MOST_BYTES + 1)
+        file.truncate(files.MAX_IMPORT_BYTES + 1)
     with pytest.raises(WorldError, match="larger than 64 MB"):
-        files.load(path)
+        files.load_world(path)
 
 
 def world_with_path(folder: Path, cells: bytes) -> Path:
@@ -238,7 +238,7 @@ def npy(tmp_path: Path, cells: object) -> bytes:
 
 
 def test_the_path_beside_a_world_is_read(tmp_path: Path) -> None:
-    world = files.load(world_with_path(tmp_path, npy(tmp_path, [[0, 0], [10, 20]])))
+    world = files.load_world(world_with_path(tmp_path, npy(tmp_path, [[0, 0], [10, 20]])))
     expected = [[-2.0, 3.0], [-4.575, 5.075], [-3.075, 8.075], [-2.0, 13.0]]
     assert world.path is not None
     np.testing.assert_allclose(world.path, expected)
@@ -247,8 +247,8 @@ def test_the_path_beside_a_world_is_read(tmp_path: Path) -> None:
 def test_a_world_without_a_path_beside_it(tmp_path: Path) -> None:
     path = world_with_path(tmp_path, b"")
     (tmp_path / "path_3.npy").unlink()
-    assert files.load(path).path is None
-    assert files.load(path.rename(tmp_path / "other.world")).path is None
+    assert files.load_world(path).path is None
+    assert files.load_world(path.rename(tmp_path / "other.world")).path is None
 
 
 @pytest.mark.parametrize(
@@ -266,7 +266,7 @@ def test_a_world_without_a_path_beside_it(tmp_path: Path) -> None:
 )
 def test_wrong_cells_are_refused(cells: object, tmp_path: Path) -> None:
     with pytest.raises(WorldError, match=r"world_3\.world: path"):
-        files.load(world_with_path(tmp_path, npy(tmp_path, cells)))
+        files.load_world(world_with_path(tmp_path, npy(tmp_path, cells)))
 
 
 HEADER = b"\x93NUMPY\x01\x00\x80\x00%-127s\n"
@@ -289,4 +289,4 @@ HEADER = b"\x93NUMPY\x01\x00\x80\x00%-127s\n"
 )
 def test_broken_or_hostile_cells_are_refused(data: bytes, tmp_path: Path) -> None:
     with pytest.raises(WorldError, match=r"path_3\.npy: isn't a sound \.npy file"):
-        files.load(world_with_path(tmp_path, data))
+        files.load_world(world_with_path(tmp_path, data))

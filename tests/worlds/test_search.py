@@ -26,16 +26,15 @@ from search_tools import (
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import WorldError
 from acsar_gym.worlds import files, search
-from acsar_gym.worlds.clearance import clearance
-from acsar_gym.worlds.grid import RESOLUTION, SLACK
+from acsar_gym.worlds.geometry import point_clearance
+from acsar_gym.worlds.grid import CELL_SIDE, PATH_SLACK
 from acsar_gym.worlds.search import (
     check_region,
     footprint_radius,
     path_length,
     shortest_path,
 )
-from acsar_gym.worlds.shapes import outline, wall
-from acsar_gym.worlds.world import Region, World
+from acsar_gym.worlds.world import Region, World, make_rectangle, make_wall
 
 BARN = Path(__file__).parents[2].parent / "shared" / "barn"
 BARN_ROBOT = 0.375
@@ -46,7 +45,7 @@ def room(door: float, turn: float = 0.0, shift: Any = (0.0, 0.0)) -> World:
     """From the middle of a closed room of 4 x 4 m through a door to a goal outside."""
     segments = np.concatenate(
         [
-            wall((2.0, -2.0), (2.0, 2.0), array([2.0 - door / 2.0, 2.0 + door / 2.0])),
+            make_wall((2.0, -2.0), (2.0, 2.0), array([2.0 - door / 2.0, 2.0 + door / 2.0])),
             array([2, 2, -2, 2], [-2, 2, -2, -2], [-2, -2, 2, -2]),
         ]
     )
@@ -64,7 +63,7 @@ def visibility_graph(world: World, radius: float) -> float:
     for x, y, size in world.circles.tolist():
         outer = (size + radius) / math.cos(math.pi / corners) * 1.0001
         corner = np.column_stack([x + outer * np.cos(angles), y + outer * np.sin(angles)])
-        points.append(corner[clearance(corner, world) >= radius])
+        points.append(corner[point_clearance(corner, world) >= radius])
     every = np.concatenate(points)
     i, j = np.triu_indices(len(every), 1)
     way = every[j] - every[i]
@@ -143,7 +142,7 @@ def test_the_shorter_side_is_taken() -> None:
 
 def test_a_long_way_is_pulled_straight_too() -> None:
     """Past the first block of points that are tried at once, and past several."""
-    for length in (search.BLOCK * RESOLUTION, 4.1 * search.BLOCK * RESOLUTION):
+    for length in (search.POINTS_AT_ONCE * CELL_SIDE, 4.1 * search.POINTS_AT_ONCE * CELL_SIDE):
         wall_ahead = array([0.0, -length, 0.0, 1.0])
         world = between((-length, 0), (length, 0), (), wall_ahead)
         path = shortest_path(world, 0.25)
@@ -250,7 +249,7 @@ NEEDS = " from an obstacle, a footprint of radius 0.25 m needs {:.2f} m"
             "the goal (-1.2, 0) lies 0.70 m" + NEEDS.format(0.75),
         ),
         (
-            between((0, 0), (3, 0), (), outline(-1.0, -1.0, 1.0, 1.0), "cell"),
+            between((0, 0), (3, 0), (), make_rectangle(-1.0, -1.0, 1.0, 1.0), "cell"),
             "cell: no way from start to goal for a footprint of radius 0.25 m",
         ),
     ],
@@ -264,10 +263,10 @@ def test_what_has_no_way_is_one_clear_error(world: World, message: str) -> None:
 def test_a_region_counts_with_all_its_places() -> None:
     world = World(PILLAR)
     check_region(world, "start", Region(-1.2, 0.0, 0.45), 0.25)
-    check_region(world, "start", Region(-1.2, 0.0, 0.45), 0.25 + SLACK / 2.0)
+    check_region(world, "start", Region(-1.2, 0.0, 0.45), 0.25 + PATH_SLACK / 2.0)
     check_region(World(), "start", Region(0.0, 0.0, 100.0), 50.0)
     with pytest.raises(WorldError, match="the middle"):
-        check_region(world, "middle", Region(-1.2, 0.0, 0.45), 0.25 + 2.0 * SLACK)
+        check_region(world, "middle", Region(-1.2, 0.0, 0.45), 0.25 + 2.0 * PATH_SLACK)
 
 
 def test_start_and_goal_may_be_given() -> None:

@@ -12,8 +12,8 @@ from search_tools import CUT, PILLAR, ROUGHLY, around, array, between, closest, 
 
 from acsar_gym.errors import WorldError
 from acsar_gym.worlds import grid as cells_of
-from acsar_gym.worlds.clearance import clearance
-from acsar_gym.worlds.grid import RESOLUTION, SLACK, Grid, free_cells
+from acsar_gym.worlds.geometry import point_clearance
+from acsar_gym.worlds.grid import CELL_SIDE, PATH_SLACK, Grid, free_cells
 from acsar_gym.worlds.search import (
     path_length,
     shortest_path,
@@ -39,15 +39,15 @@ def test_huge_worlds_are_searched_coarsely(radius: float) -> None:
         (World(circles=array([1e4, 1e4, 1e4], [-1e4, -1e4, 1e4])), 4e4),
     ):
         grid = free_cells(world, radius)
-        assert 0.9 * cells_of.MOST_CELLS < grid.free.size < 1.02 * cells_of.MOST_CELLS
+        assert 0.9 * cells_of.MAX_CELLS < grid.free.size < 1.02 * cells_of.MAX_CELLS
         assert grid.side == pytest.approx(metres / 1000.0, rel=0.1)
     small = free_cells(World(circles=PILLAR), 0.25)
-    assert small.side == RESOLUTION
+    assert small.side == CELL_SIDE
     assert small.free.size < 5_000
 
 
 def test_in_a_coarse_world_a_wide_footprint_finds_its_way(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cells_of, "MOST_CELLS", 40_000)  # 5 m each, as for 10 km
+    monkeypatch.setattr(cells_of, "MAX_CELLS", 40_000)  # 5 m each, as for 10 km
     segments = np.concatenate([LARGE, LARGE[:, [1, 0, 3, 2]], array([0.0, -400.0, 0.0, 100.0])])
     world = between((-200, 0), (200, 0), (), segments)
     path = shortest_path(world, 20.0)
@@ -57,7 +57,7 @@ def test_in_a_coarse_world_a_wide_footprint_finds_its_way(monkeypatch: pytest.Mo
 
 
 def test_in_a_coarse_world_walls_are_walls_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cells_of, "MOST_CELLS", 40_000)
+    monkeypatch.setattr(cells_of, "MAX_CELLS", 40_000)
     segments = np.concatenate([LARGE, LARGE[:, [1, 0, 3, 2]], array([0.1, -400.0, 0.1, 100.0])])
     world = between((-200, 0), (200, 0), (), segments)
     try:
@@ -74,8 +74,8 @@ def test_free_cells_are_those_of_exact_distances(count: int) -> None:
         grid = free_cells(world, radius)
         numbers = np.arange(grid.free.size)
         centres = grid.centres(numbers)
-        exact = clearance(centres, world)
-        sure = np.abs(exact - radius) > SLACK
+        exact = point_clearance(centres, world)
+        sure = np.abs(exact - radius) > PATH_SLACK
         assert np.array_equal(grid.free.ravel()[sure], exact[sure] > radius)
         assert [grid.cell(x, y) for x, y in centres[::97].tolist()] == numbers[::97].tolist()
         left, low, right, high = world.bounds
@@ -110,7 +110,7 @@ def test_ways_over_cells_are_those_by_hand(
     grid = drawing(*lines)
     width = grid.free.shape[1]
     first, last = (i * width + j for i, j in (start, goal))
-    cells = cells_of.search(grid, first, last)
+    cells = cells_of.search_cells(grid, first, last)
     if math.isinf(length):
         assert cells is None
         return
@@ -146,7 +146,7 @@ def test_ways_over_cells_are_those_of_a_slow_search(count: int) -> None:
         free = rng.random((7, 8)) < 0.75
         first, last = rng.choice(np.flatnonzero(free), 2, replace=False).tolist()
         grid = Grid(free, 0.3, -0.7, 0.05)
-        cells = cells_of.search(grid, first, last)
+        cells = cells_of.search_cells(grid, first, last)
         length = math.inf if cells is None else path_length(grid.centres(cells)) / grid.side
         assert length == pytest.approx(slowly(free, first, last))
         blocked += cells is None

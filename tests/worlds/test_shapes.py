@@ -10,9 +10,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from acsar_gym.worlds.clearance import clearance
-from acsar_gym.worlds.shapes import box, outline, wall
-from acsar_gym.worlds.world import World
+from acsar_gym.worlds.geometry import point_clearance
+from acsar_gym.worlds.world import World, make_box, make_rectangle, make_wall
 
 NO_DOOR = np.zeros((0, 2))
 coordinates = st.floats(-50.0, 50.0)
@@ -33,10 +32,10 @@ def corners(sides: Any) -> set[tuple[float, float]]:
 
 
 def test_a_box_by_hand() -> None:
-    assert corners(box(1.0, 2.0, 4.0, 2.0)) == {(3, 3), (-1, 3), (-1, 1), (3, 1)}
-    assert corners(box(1.0, 2.0, 4.0, 2.0, math.pi / 2)) == {(0, 0), (2, 0), (2, 4), (0, 4)}
+    assert corners(make_box(1.0, 2.0, 4.0, 2.0)) == {(3, 3), (-1, 3), (-1, 1), (3, 1)}
+    assert corners(make_box(1.0, 2.0, 4.0, 2.0, math.pi / 2)) == {(0, 0), (2, 0), (2, 4), (0, 4)}
     half = round(math.sqrt(0.5), 9)
-    assert corners(box(0.0, 0.0, 1.0, 1.0, math.pi / 4)) == {
+    assert corners(make_box(0.0, 0.0, 1.0, 1.0, math.pi / 4)) == {
         (half, 0),
         (-half, 0),
         (0, half),
@@ -45,33 +44,33 @@ def test_a_box_by_hand() -> None:
 
 
 def test_a_box_is_turned_counter_clockwise() -> None:
-    long = box(0.0, 0.0, 2.0, 0.0, math.radians(30.0))
+    long = make_box(0.0, 0.0, 2.0, 0.0, math.radians(30.0))
     tip = (math.cos(math.radians(30.0)), math.sin(math.radians(30.0)))
     assert np.hypot(*(long[:, :2] - tip).T).min() == pytest.approx(0.0, abs=1e-12)
 
 
 def test_an_outline_by_hand() -> None:
-    assert corners(outline(-1.0, 2.0, 3.0, 8.0)) == {(-1, 2), (3, 2), (3, 8), (-1, 8)}
+    assert corners(make_rectangle(-1.0, 2.0, 3.0, 8.0)) == {(-1, 2), (3, 2), (3, 8), (-1, 8)}
 
 
 @given(x=coordinates, y=coordinates, length=sizes, width=sizes, theta=angles)
 def test_the_sides_of_a_box_are_closed_and_as_long_as_asked(
     x: float, y: float, length: float, width: float, theta: float
 ) -> None:
-    sides = box(x, y, length, width, theta)
+    sides = make_box(x, y, length, width, theta)
     assert sides.shape == (4, 4)
     assert sides[:, 2:].tolist() == np.roll(sides[:, :2], -1, axis=0).tolist()
     assert lengths(sides) == pytest.approx([length, width, length, width], abs=1e-9)
     assert sides[:, :2].mean(axis=0) == pytest.approx((x, y), abs=1e-9)
     world = World(segments=sides)
-    assert clearance([(x, y)], world)[0] == pytest.approx(min(length, width) / 2.0, abs=1e-9)
+    assert point_clearance([(x, y)], world)[0] == pytest.approx(min(length, width) / 2.0, abs=1e-9)
 
 
 @given(left=coordinates, low=coordinates, length=sizes, width=sizes)
 def test_an_outline_holds_its_corners_and_no_more(
     left: float, low: float, length: float, width: float
 ) -> None:
-    sides = outline(left, low, left + length, low + width)
+    sides = make_rectangle(left, low, left + length, low + width)
     assert sides[:, [0, 2]].min() == pytest.approx(left, abs=1e-9)
     assert sides[:, [1, 3]].min() == pytest.approx(low, abs=1e-9)
     assert sides[:, [0, 2]].max() == pytest.approx(left + length, abs=1e-9)
@@ -96,7 +95,7 @@ def test_an_outline_holds_its_corners_and_no_more(
     ],
 )
 def test_walls_have_doors_where_asked(doors: Any, pieces: Any) -> None:
-    found = wall((1.0, 5.0), (11.0, 5.0), doors)
+    found = make_wall((1.0, 5.0), (11.0, 5.0), doors)
     assert found.shape == (len(pieces), 4)
     expected = [[1.0 + low, 5.0, 1.0 + high, 5.0] for low, high in pieces]
     assert found.tolist() == expected
@@ -113,7 +112,7 @@ def test_what_is_left_of_a_wall_and_its_doors_are_the_wall(
     length = math.dist(start, end)
     assume(length > 0.01)
     doors = length * np.array(shares[: len(shares) // 2 * 2]).reshape(-1, 2)
-    pieces = wall(start, end, doors)
+    pieces = make_wall(start, end, doors)
     gaps = float((doors[:, 1] - doors[:, 0]).sum())
     assert lengths(pieces).sum() + gaps == pytest.approx(length, abs=1e-9)
     for x1, y1, x2, y2 in pieces.tolist():

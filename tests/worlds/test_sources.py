@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from acsar_gym.worlds.sources import fingerprint
+from acsar_gym.worlds.registry import hash_function
 
 FILES = {
     "makers/__init__.py": "",
@@ -40,7 +40,7 @@ def printed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callabl
 
     def found() -> str:
         forget()
-        return fingerprint(importlib.import_module("makers.mine").make)
+        return hash_function(importlib.import_module("makers.mine").make)
 
     yield found
     forget()
@@ -64,8 +64,8 @@ def test_what_is_not_a_plain_function_of_a_file_has_none() -> None:
     typed: dict[str, Any] = {"__name__": "typed_in"}
     exec("def make(rng, difficulty, radius): pass", typed)  # noqa: S102 - as a notebook does it
     for made in (outer(1), print, Path, typed["make"]):
-        assert fingerprint(made) == ""
-    assert fingerprint(test_every_file_that_is_imported_counts) != ""
+        assert hash_function(made) == ""
+    assert hash_function(test_every_file_that_is_imported_counts) != ""
 
 
 def test_default_arguments_count() -> None:
@@ -77,8 +77,8 @@ def test_default_arguments_count() -> None:
 
         return make
 
-    prints = [fingerprint(factory(*sizes)) for sizes in [(1,), (1.5,), ("a",), (None,), (1, 2)]]
+    prints = [hash_function(factory(*sizes)) for sizes in [(1,), (1.5,), ("a",), (None,), (1, 2)]]
     assert len({*prints, ""}) == 6
-    assert fingerprint(factory((1, 2.0))) == fingerprint(factory((1, 2.0)))
+    assert hash_function(factory((1, 2.0))) == hash_function(factory((1, 2.0)))
     for size in ([1], Path(), (Path(),), np.zeros(2)):
-        assert fingerprint(factory(size)) == fingerprint(factory(1, size)) == ""
+        assert hash_function(factory(size)) == hash_function(factory(1, size)) == ""

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from acsar_gym.errors import ConfigError, WorldError
-from acsar_gym.worlds.world import FARTHEST, MOST_OBSTACLES, Region, World
+from acsar_gym.worlds.world import MAX_COORDINATE, MAX_OBSTACLES, Region, World
 
 WIDTHS = {"circles": 3, "segments": 4, "path": 2}
 
@@ -77,7 +77,7 @@ def test_a_radius_is_never_negative(radius: float) -> None:
 
 
 def test_a_world_has_at_most_20_000_obstacles_in_all() -> None:
-    half = MOST_OBSTACLES // 2
+    half = MAX_OBSTACLES // 2
     assert World(np.zeros((half, 3)), np.zeros((half, 4))).obstacles == 20_000
     with pytest.raises(WorldError, match=r"^20,001 obstacles are too many, at most 20,000$"):
         World(np.zeros((half, 3)), np.zeros((half + 1, 4)))
@@ -164,7 +164,7 @@ def test_bad_regions_are_one_clear_error(bad: Any) -> None:
 
 
 def test_regions_may_be_as_far_as_coordinates() -> None:
-    region = Region(FARTHEST, -FARTHEST, FARTHEST, -math.pi)
+    region = Region(MAX_COORDINATE, -MAX_COORDINATE, MAX_COORDINATE, -math.pi)
     assert (region.x, region.y, region.radius, region.theta) == (1e4, -1e4, 1e4, -math.pi)
     assert Region(1, 2) == Region(1.0, 2.0, 0.0, None)
 

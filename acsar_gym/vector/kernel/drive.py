@@ -18,15 +18,26 @@ from typing import NamedTuple
 import numpy as np
 
 from acsar_gym import kinematics, odometry
-from acsar_gym.dynamics.board import printed, towards
-from acsar_gym.dynamics.model import tyre_step, wheel_speed
-from acsar_gym.dynamics.timing import whole_loops
-from acsar_gym.dynamics.trigonometry import sincos
 from acsar_gym.jit import jit, subroutine
-from acsar_gym.links.faults import DROPPED, EPSILON, LATE
-from acsar_gym.links.lots import COMMANDS, EPISODE, FEEDBACK, lot
+from acsar_gym.links.faults import (
+    COMMAND_LINE,
+    DROPPED_LINE,
+    FEEDBACK_LINE,
+    LATE_LINE,
+    TIME_TOLERANCE,
+    WHOLE_EPISODE,
+    line_hash,
+)
+from acsar_gym.physics.model import move_towards, round_printed, tyre_step, wheel_speed, whole_loops
+from acsar_gym.physics.trigonometry import sincos
 from acsar_gym.protocol import MAX_SPEED, Speeds
-from acsar_gym.safety.rules import Memory, allowed, silent, told, wheels
+from acsar_gym.safety.rules import (
+    SafetyMemory,
+    compute_wheels,
+    explain_sent,
+    is_silent,
+    limit_twist,
+)
 from acsar_gym.vector.kernel.layout import (
     AGE,
     ANGLE,
@@ -36,12 +47,10 @@ from acsar_gym.vector.kernel.layout import (
     COMMAND_DELAY,
     COMMAND_LOOPS,
     COMMAND_RELEASE,
-    DEADBAND,
     DELAY_LOOPS,
     FAULT,
     FEEDBACK_LOOPS,
     FEEDBACK_RELEASE,
-    GAIN,
     GRIP,
     HALF_TRACK,
     HALF_WHEELBASE,
@@ -60,6 +69,8 @@ from acsar_gym.vector.kernel.layout import (
     LINEAR,
     LOOPS,
     MASS,
+    MOTOR_DEADBAND,
+    MOTOR_GAIN,
     NEW_ANGULAR,
     NEW_LEFT,
     NEW_LINEAR,
@@ -99,8 +110,8 @@ from acsar_gym.vector.kernel.lidars import check_contacts, take_scans
 from acsar_gym.vector.pcg import uniform
 from acsar_gym.worlds.geometry import Surroundings
 
-forward = jit(kinematics.twist)
-integrate = jit(odometry.integrate)
+forward = jit(kinematics.compute_twist)
+integrate = jit(odometry.integrate_twist)
 SILENCE = 1.0
 """The code of BoardSilentError in info's `fault`, see `envs.told.fault_code`."""
 
@@ -131,8 +142,8 @@ def command_once(state: Floats, first: int, last: int, setup: Setup) -> None:
     reasons = row(state, REASON, first, last)
     for i in range(last - first):
         linear, angular = asks[i] * setup.max_linear, turns[i] * setup.max_angular
-        right, left = wheels(linear, angular, setup.rules)
-        sent[i], bent[i], reasons[i] = told(linear, angular, right, left, 0.0, setup.rules)
+        right, left = compute_wheels(linear, angular, setup.rules)
+        sent[i], bent[i], reasons[i] = explain_sent(linear, angular, right, left, 0.0, setup.rules)
         old_right[i] = new_right[i]
         old_left[i] = new_left[i]
         new_right[i] = min(max(round_as_sent(right), -setup.top), setup.top)
@@ -151,8 +162,8 @@ def limit_twists(state: Floats, first: int, last: int, setup: Setup) -> None:
     ages, rules = row(state, AGE, first, last), setup.rules
     for i in range(last - first):
         linear, angular = asks[i] * setup.max_linear, turns[i] * setup.max_angular
-        before = Memory(latched[i], 0.0, new[i], bent[i], past[i], past_bent[i], 0.0, 0.0)
-        after = allowed(linear, angular, xs[i], ys[i], ages[i], before, rules)
+        before = SafetyMemory(latched[i], 0.0, new[i], bent[i], past[i], past_bent[i], 0.0, 0.0)
+        after = limit_twist(linear, angular, xs[i], ys[i], ages[i], before, rules)
         latched[i] = after.latched
         reasons[i] = after.reason
         new[i] = after.linear
@@ -169,7 +180,7 @@ def store_commands(
     new, bent = row(state, NEW_LINEAR, first, last), row(state, NEW_ANGULAR, first, last)
     rights, lefts = commands[slot, 0, first:last], commands[slot, 1, first:last]
     for i in range(last - first):
-        right, left = wheels(new[i], bent[i], setup.rules)
+        right, left = compute_wheels(new[i], bent[i], setup.rules)
         rights[i] = min(max(round_as_sent(right), -setup.top), setup.top)
         lefts[i] = min(max(round_as_sent(left), -setup.top), setup.top)
 
@@ -180,8 +191,8 @@ def explain_commands(state: Floats, first: int, last: int, setup: Setup) -> None
     for i in range(first, last):
         linear = state[LAST_LINEAR, i] * setup.max_linear
         angular = state[LAST_ANGULAR, i] * setup.max_angular
-        right, left = wheels(state[NEW_LINEAR, i], state[NEW_ANGULAR, i], setup.rules)
-        ahead, turn, why = told(linear, angular, right, left, state[REASON, i], setup.rules)
+        right, left = compute_wheels(state[NEW_LINEAR, i], state[NEW_ANGULAR, i], setup.rules)
+        ahead, turn, why = explain_sent(linear, angular, right, left, state[REASON, i], setup.rules)
         state[SENT_LINEAR, i] = ahead
         state[SENT_ANGULAR, i] = turn
         state[REASON, i] = why
@@ -210,12 +221,12 @@ def release_time(
         before: when the line before it was passed on [s].
         faults: of the batch.
     """
-    suffers = faults.feedback if whose == FEEDBACK else faults.commands
+    suffers = faults.feedback if whose == FEEDBACK_LINE else faults.commands
     if key < 0.0 or not suffers:
         return arrived
-    if faults.dropped > 0.0 and lot(key, whose, number, DROPPED) < faults.dropped:
+    if faults.dropped > 0.0 and line_hash(key, whose, number, DROPPED_LINE) < faults.dropped:
         return np.nan
-    late = faults.late > 0.0 and lot(key, whose, number, LATE) < faults.late
+    late = faults.late > 0.0 and line_hash(key, whose, number, LATE_LINE) < faults.late
     return max(before, arrived + faults.lateness if late else arrived)
 
 
@@ -231,8 +242,8 @@ def send_command(state: Floats, i: int, tick: float, setup: Setup) -> tuple[floa
     while state[LAST_COMMAND, i] < tick:
         line = state[LAST_COMMAND, i] + 1.0
         written, before = line * setup.period, state[COMMAND_RELEASE, i]
-        when = release_time(state[KEY, i], COMMANDS, line, written, before, setup.faults)
-        if when > now + EPSILON:
+        when = release_time(state[KEY, i], COMMAND_LINE, line, written, before, setup.faults)
+        if when > now + TIME_TOLERANCE:
             break
         state[LAST_COMMAND, i] = line
         if not math.isnan(when):
@@ -273,10 +284,10 @@ def ramp_to_newest(state: Floats, first: int, last: int, now: float, setup: Setu
         new = now >= heard[i]
         right = new_right[i] if new else old_right[i]
         left = new_left[i] if new else old_left[i]
-        a[i] = towards(a[i], right, steps[0])
-        b[i] = towards(b[i], left, steps[1])
-        c[i] = towards(c[i], left, steps[2])
-        d[i] = towards(d[i], right, steps[3])
+        a[i] = move_towards(a[i], right, steps[0])
+        b[i] = move_towards(b[i], left, steps[1])
+        c[i] = move_towards(c[i], left, steps[2])
+        d[i] = move_towards(d[i], right, steps[3])
 
 
 @jit
@@ -333,7 +344,7 @@ def obey_commands(
                 state[NEW_LEFT, i] = arrivals[place, 2, i]
                 state[HEARD_LOOP, i] = now
             state[HEARD_TICK, i] += 1.0
-        if (now - state[HEARD_LOOP, i]) * setup.dt > setup.faults.command_timeout + EPSILON:
+        if (now - state[HEARD_LOOP, i]) * setup.dt > setup.faults.command_timeout + TIME_TOLERANCE:
             state[NEW_RIGHT, i] = state[NEW_LEFT, i] = 0.0
     rights, lefts = row(state, NEW_RIGHT, first, last), row(state, NEW_LEFT, first, last)
     move_set_points(state, rights, lefts, first, last, setup.ramps)
@@ -348,10 +359,10 @@ def move_set_points(
     c, d = row(state, POINT + 2, first, last), row(state, POINT + 3, first, last)
     for i in range(last - first):
         right, left = rights[i], lefts[i]
-        a[i] = towards(a[i], right, steps[0])
-        b[i] = towards(b[i], left, steps[1])
-        c[i] = towards(c[i], left, steps[2])
-        d[i] = towards(d[i], right, steps[3])
+        a[i] = move_towards(a[i], right, steps[0])
+        b[i] = move_towards(b[i], left, steps[1])
+        c[i] = move_towards(c[i], left, steps[2])
+        d[i] = move_towards(d[i], right, steps[3])
 
 
 @jit
@@ -361,10 +372,10 @@ def turn_motors(
     """Advance wheel speeds and angles by one loop, and store the encoder counts."""
     for k in range(4):
         speeds, angles = row(state, WHEEL + k, first, last), row(state, ANGLE + k, first, last)
-        points, gains = row(state, POINT + k, first, last), row(state, GAIN + k, first, last)
+        points, gains = row(state, POINT + k, first, last), row(state, MOTOR_GAIN + k, first, last)
         blends, deadbands = (
             row(state, BLEND + k, first, last),
-            row(state, DEADBAND + k, first, last),
+            row(state, MOTOR_DEADBAND + k, first, last),
         )
         seen = counts[slot, k, first:last]
         for i in range(last - first):
@@ -470,7 +481,7 @@ def read_encoders(state: Floats, counts: Floats, i: int, slot: int, ago: int, se
     for k in range(4):
         speed = (counts[new, k, i] - counts[old, k, i]) * setup.speed_per_count
         if setup.quantum > 0.0:
-            speed = printed(speed, setup.quantum)
+            speed = round_printed(speed, setup.quantum)
         state[READ + k, i] = round_as_sent(speed)
 
 
@@ -509,8 +520,8 @@ def receive_line(state: Floats, i: int, setup: Setup) -> float:
         made = np.ceil(line * every - 1e-9)
         arrived = np.ceil((made + delay) / setup.loops) * setup.period
         before = state[FEEDBACK_RELEASE, i]
-        when = release_time(state[KEY, i], FEEDBACK, line - 1.0, arrived, before, setup.faults)
-        if when > now + EPSILON:
+        when = release_time(state[KEY, i], FEEDBACK_LINE, line - 1.0, arrived, before, setup.faults)
+        if when > now + TIME_TOLERANCE:
             break
         state[LAST_LINE, i] = line
         if not math.isnan(when):
@@ -620,7 +631,7 @@ def keep_before_step(tables: Tables, first: int, last: int, setup: Setup) -> Non
 def mark_silent(tables: Tables, first: int, last: int, setup: Setup) -> None:
     """Mark robots as idle whose feedback is too old; see `rules.silent`."""
     for i in range(first, last):
-        if silent(tables.state[AGE, i], setup.rules):
+        if is_silent(tables.state[AGE, i], setup.rules):
             tables.idle[i] = True
 
 
@@ -642,7 +653,7 @@ def restore_silent(tables: Tables, first: int, last: int, setup: Setup) -> None:
 def draw_fault_key(tables: Tables, i: int, setup: Setup) -> None:
     """Draw the key of robot i's episode; negative where the episode has no faults."""
     key = uniform(tables.random, i)
-    ill = lot(key, EPISODE, 0.0, 0) < setup.faults.episodes
+    ill = line_hash(key, WHOLE_EPISODE, 0.0, 0) < setup.faults.episodes
     tables.state[KEY, i] = key if ill else -1.0
 
 
@@ -661,7 +672,7 @@ def settle_with_faults(state: Floats, i: int, setup: Setup) -> None:
         found = receive_line(state, i, setup) > 0.0
         age = 0.0 if found else age + setup.period
         fresh += found
-        if silent(age, setup.rules) or (fresh < 2 and ticks >= setup.faults.patience):
+        if is_silent(age, setup.rules) or (fresh < 2 and ticks >= setup.faults.patience):
             state[SILENT, i] = 1.0
             break
     state[HEARD_TICK, i] = ticks - 1.0

@@ -7,11 +7,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.dynamics.randomization import draw
-from acsar_gym.dynamics.timing import whole_loops
 from acsar_gym.jit import jit, loop, subroutine
-from acsar_gym.tasks.base import relative, within
-from acsar_gym.tasks.spawn import goal_at
+from acsar_gym.physics.model import whole_loops
+from acsar_gym.physics.randomization import draw_robot
+from acsar_gym.tasks.base import point_in_disc, relative_point
+from acsar_gym.tasks.episode import goal_at
 from acsar_gym.vector.kernel.drive import (
     command_once,
     draw_fault_key,
@@ -23,7 +23,6 @@ from acsar_gym.vector.kernel.drive import (
     store_actions,
 )
 from acsar_gym.vector.kernel.layout import (
-    BLOCK,
     COMMAND_LOOPS,
     DELAY_LOOPS,
     ERROR,
@@ -39,6 +38,7 @@ from acsar_gym.vector.kernel.layout import (
     ODOM_Y,
     OUTCOME,
     PHYSICS,
+    ROBOTS_PER_BLOCK,
     SCAN_AGE,
     SCAN_TICK,
     SILENT,
@@ -95,7 +95,7 @@ def draw_physics(tables: Tables, i: int, setup: Setup) -> None:
     for k in range(len(low)):
         if high[k] > low[k]:
             samples[k] = uniform(tables.random, i)
-    own, drawn = draw(tables.nominal, low, high, tables.delays, samples, setup.dt)
+    own, drawn = draw_robot(tables.nominal, low, high, tables.delays, samples, setup.dt)
     for k in range(len(own)):
         state[PHYSICS + k, i] = own[k]
     for k in range(len(tables.drawn)):
@@ -137,14 +137,14 @@ def draw_start(state: Floats, random: NDArray[np.uint64], i: int, spawns: Spawns
     u3, u4, u5 = uniform(random, i), uniform(random, i), uniform(random, i)
     world = choose_world(state, i, u0, spawns)
     start, goal = spawns.starts[world], spawns.goals[world]
-    x, y = within(start[0], start[1], start[2], u1, u2)
+    x, y = point_in_disc(start[0], start[1], start[2], u1, u2)
     theta = (2.0 * u3 - 1.0) * math.pi if np.isnan(start[3]) else start[3]
-    goal_x, goal_y = within(goal[0], goal[1], goal[2], u4, u5)
+    goal_x, goal_y = point_in_disc(goal[0], goal[1], goal[2], u4, u5)
     cos, sin = math.cos(theta), math.sin(theta)
     state[WORLD, i] = world
     state[START_X, i], state[START_Y, i], state[START_THETA, i] = x, y, theta
     state[START_COS, i], state[START_SIN, i] = cos, sin
-    ahead, left = relative(x, y, cos, sin, goal_x, goal_y)
+    ahead, left = relative_point(x, y, cos, sin, goal_x, goal_y)
     given = state[WISHED_GOAL, i]
     state[GOAL_X, i] = state[WISHED_X, i] if given > 0.0 else ahead
     state[GOAL_Y, i] = state[WISHED_Y, i] if given > 0.0 else left
@@ -207,8 +207,8 @@ def step(tables: Tables, first: int, last: int, setup: Setup, around: Surroundin
     the task's loops.
     """
     state = tables.state
-    for low in range(first, last, BLOCK):
-        high = min(low + BLOCK, last)
+    for low in range(first, last, ROBOTS_PER_BLOCK):
+        high = min(low + ROBOTS_PER_BLOCK, last)
         if tables.ring[2] == 0:
             store_actions(state, tables.actions, low, high)
             if not setup.guarded:

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.dynamics import Physics
 from acsar_gym.jit import jit
-from acsar_gym.safety.rules import Rules
+from acsar_gym.physics import Physics
+from acsar_gym.safety.rules import SafetyRules
 
 Floats = NDArray[np.float64]
 
@@ -72,13 +72,13 @@ YAW_INERTIA = PHYSICS + Physics._fields.index("yaw_inertia")
 GRIP = PHYSICS + Physics._fields.index("grip")
 KAPPA = PHYSICS + Physics._fields.index("kappa")
 SLIP_SPEED = PHYSICS + Physics._fields.index("slip_speed")
-GAIN = PHYSICS + Physics._fields.index("gain_a")
-DEADBAND = PHYSICS + Physics._fields.index("deadband_a")
+MOTOR_GAIN = PHYSICS + Physics._fields.index("gain_a")
+MOTOR_DEADBAND = PHYSICS + Physics._fields.index("deadband_a")
 LATENCY_LOOPS = PHYSICS + Physics._fields.index("latency_loops")
 COMMAND_DELAY = PHYSICS + Physics._fields.index("command_delay")
 FEEDBACK_LOOPS = PHYSICS + Physics._fields.index("feedback_loops")
 ROWS = next(_NUMBERS)
-INFO = {
+INFO_ROWS = {
     "is_success": SUCCESS,
     "odom_x": ODOM_X,
     "odom_y": ODOM_Y,
@@ -98,7 +98,7 @@ INFO = {
 WORLD_INFO = {"world": WORLD}
 FAULT_INFO = {"fault": FAULT}
 SCAN_INFO = {"scan_age": SCAN_AGE, "scan_stale": STALE}
-BLOCK = 128
+ROBOTS_PER_BLOCK = 128
 """Robots that go through a whole env step together, so that their state stays in the cache."""
 
 
@@ -176,7 +176,7 @@ class Setup(NamedTuple):
     guarded: bool
     """Whether commands must be kept tick by tick: there are limits, a geofence, faults, or commands
     that take longer than a step."""
-    rules: Rules
+    rules: SafetyRules
     """Numbers of the safety layer."""
     faults: LineFaults
     """Faults of the lines."""

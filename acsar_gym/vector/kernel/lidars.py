@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.dynamics.trigonometry import sincos
 from acsar_gym.jit import jit, subroutine
-from acsar_gym.lidars import simulated as lidar
+from acsar_gym.physics.trigonometry import sincos
+from acsar_gym.sensors import lidar
 from acsar_gym.vector.kernel.layout import (
     CONTACT,
     SCAN_TICK,
@@ -26,10 +26,9 @@ from acsar_gym.vector.kernel.layout import (
     to_world,
 )
 from acsar_gym.vector.pcg import uniform
-from acsar_gym.worlds.collisions import collides
-from acsar_gym.worlds.geometry import Surroundings, cast
+from acsar_gym.worlds.geometry import Surroundings, cast_rays, footprint_collides
 
-measure = lidar.measure
+add_noise = lidar.add_noise
 
 
 @jit
@@ -47,7 +46,7 @@ def check_contacts(state: Floats, first: int, last: int, around: Surroundings) -
     for i in range(first, last):
         if state[CONTACT, i] == 0.0:
             x, y, cos, sin = true_pose(state, i)
-            if collides(x, y, cos, sin, int(state[WORLD, i]), around):
+            if footprint_collides(x, y, cos, sin, int(state[WORLD, i]), around):
                 state[CONTACT, i] = 1.0
 
 
@@ -66,10 +65,10 @@ def take_scan(
     state[SCAN_TICK, i] = ticks
     x, y, cos, sin = true_pose(state, i)
     ranges = tables.ranges[i]
-    cast(x, y, cos, sin, int(state[WORLD, i]), around, ranges)
+    cast_rays(x, y, cos, sin, int(state[WORLD, i]), around, ranges)
     for k in range(setup.draws):
         uniforms[k] = uniform(tables.random, i)
-    measure(ranges, uniforms, setup.noise, setup.dropouts, setup.min_range, around.reach)
+    add_noise(ranges, uniforms, setup.noise, setup.dropouts, setup.min_range, around.reach)
     for k in range(len(ranges)):
         tables.observations[i, setup.numbers + k] = ranges[k] / around.reach
 

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from acsar_gym.errors import ConfigError
 from acsar_gym.jit import COMPILED, WITHIN, jit
 from acsar_gym.jit import loop as compiled
-from acsar_gym.tasks.base import METHODS, Outcome, State, Task
-from acsar_gym.tasks.made import named
+from acsar_gym.tasks.base import TASK_METHODS, Outcome, State, Task
+from acsar_gym.tasks.factory import task_name
 from acsar_gym.vector.kernel.episode import update_info
 from acsar_gym.vector.kernel.layout import (
     AGE,
@@ -46,7 +46,7 @@ from acsar_gym.vector.kernel.layout import (
     TaskSetup,
     TaskTables,
 )
-from acsar_gym.worlds.sources import of_modules as sources_of
+from acsar_gym.worlds.registry import hash_modules as sources_of
 
 STATE_ROWS = [
     ODOM_X,
@@ -80,7 +80,7 @@ task_observe: Any = Task.observe
 
 
 @jit
-def state_of(tables: TaskTables, i: int, setup: TaskSetup, spawns: Spawns) -> State:
+def make_state(tables: TaskTables, i: int, setup: TaskSetup, spawns: Spawns) -> State:
     """Make robot i's State."""
     s, world = tables.state, int(tables.state[WORLD, i])
     path = spawns.paths[0 if len(spawns.samples) == 0 else world]
@@ -142,9 +142,9 @@ def start(
     for i in range(first, last):
         if mask[i]:
             memory[i] = memory[len(memory) - 1]
-            state = state_of(tables, i, setup, spawns)
+            state = make_state(tables, i, setup, spawns)
             task_begin(task, state, memory[i])
-            store(tables.observations, i, 0, task_observe(task, state, memory[i]))
+            store_numbers(tables.observations, i, 0, task_observe(task, state, memory[i]))
     update_info(tables.state, first, last, setup)
 
 
@@ -164,7 +164,7 @@ def step(
             continue
         if tables.over[i]:
             memory[i] = memory[len(memory) - 1]
-        state, own = state_of(tables, i, setup, spawns), memory[i]
+        state, own = make_state(tables, i, setup, spawns), memory[i]
         if tables.over[i]:
             task_begin(task, state, own)
             tables.rewards[i] = 0.0
@@ -174,11 +174,11 @@ def step(
             if not 0 <= outcome < OUTCOMES:
                 raise ValueError("outcome returned what is no Outcome")
             store_end(tables, i, task_reward(task, state, own, outcome), outcome, setup)
-        store(tables.observations, i, 0, task_observe(task, state, own))
+        store_numbers(tables.observations, i, 0, task_observe(task, state, own))
     update_info(tables.state, first, last, setup)
 
 
-def store(rows: NDArray[np.float32], i: int, k: int, numbers: Any) -> None:
+def store_numbers(rows: NDArray[np.float32], i: int, k: int, numbers: Any) -> None:
     """Write numbers into row i, from column k on."""
     for number, value in enumerate(numbers):
         rows[i, k + number] = value
@@ -191,7 +191,7 @@ if COMPILED:
     HEAD = "def unrolled(rows: Any, i: Any, k: Any, numbers: Any):"
     """The signature must equal that of `_store`: numba compares them."""
 
-    @overload(store)  # type: ignore[untyped-decorator]
+    @overload(store_numbers)  # type: ignore[untyped-decorator]
     def _store(rows: Any, i: Any, k: Any, numbers: Any) -> Callable[..., None]:
         """Compile `store` as one assignment for each number, because their types may differ."""
         lines = [f"    rows[i, k + {n}] = numbers[{n}]" for n in range(len(numbers))] or [
@@ -214,7 +214,7 @@ def bind_task(loop: Callable[..., None], task: Task) -> Callable[..., None]:
     """
     kind, name = type(task), _cached_as(type(task), loop)
     options = WITHIN | {"error_model": "python", "boundscheck": True, "forceinline": True}
-    names = {f"task_{one}": numba.njit(**options)(getattr(kind, one)) for one in METHODS}
+    names = {f"task_{one}": numba.njit(**options)(getattr(kind, one)) for one in TASK_METHODS}
     template: Any = loop
     file = getattr(sys.modules[kind.__module__], "__file__", None) or __file__
     code = template.__code__.replace(co_filename=file, co_firstlineno=1)
@@ -235,7 +235,7 @@ def _cached_as(kind: type[Task], loop: Callable[..., None]) -> str:
     if not sources or "<locals>" in kind.__qualname__:
         return ""
     said = hashlib.sha256(sources.encode())
-    for name in METHODS:
+    for name in TASK_METHODS:
         said.update(_content(getattr(kind, name)))
     return f"{kind.__qualname__}.{loop.__name__}.{said.hexdigest()[:16]}"
 
@@ -253,5 +253,5 @@ def explain_error(task: Task, error: Exception) -> ConfigError:
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     said = "; ".join(lines[:3])[:300]
     return ConfigError(
-        f"{named(task)}: numba can't compile it: {said} - mend it, or set compiled = False"
+        f"{task_name(task)}: numba can't compile it: {said} - mend it, or set compiled = False"
     )

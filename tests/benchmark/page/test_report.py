@@ -10,13 +10,13 @@ from typing import Any
 import pytest
 from benchmark_tools import cell, part, plan
 
-from acsar_gym.benchmark import result
-from acsar_gym.benchmark.agents import Agent
-from acsar_gym.benchmark.page import page, write
-from acsar_gym.benchmark.page.worst import chosen, films
-from acsar_gym.benchmark.store import Part
 from acsar_gym.errors import ConfigError
-from acsar_gym.evaluation.page.document import Film
+from acsar_gym.tools.benchmark import result
+from acsar_gym.tools.benchmark.page import page, write
+from acsar_gym.tools.benchmark.page.worst import chosen, films
+from acsar_gym.tools.benchmark.plan import Agent
+from acsar_gym.tools.benchmark.store import Part
+from acsar_gym.tools.evaluation.page import Film
 
 pytest.importorskip("plotly")
 KINDS = {"packaged": "learned", "floor": "baseline", "other": "baseline"}
@@ -31,7 +31,7 @@ PARTS = [
 
 @pytest.fixture(scope="module")
 def told() -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(json.dumps(result.result(plan(**KINDS), PARTS)))
+    found: dict[str, Any] = json.loads(json.dumps(result.make_result(plan(**KINDS), PARTS)))
     return found
 
 

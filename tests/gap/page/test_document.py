@@ -15,11 +15,19 @@ from rollout_tools import HIDDEN, driven, random_steps, recording, rollouts
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError, MissingExtraError
-from acsar_gym.evaluation.page.document import Grid, Page, Plot, Section
-from acsar_gym.evaluation.page.traces import MOST_POINTS, line, shares, stairs
-from acsar_gym.gap.measure import measure
-from acsar_gym.gap.page import compare_page, gap_page
-from acsar_gym.gap.sides import compare
+from acsar_gym.tools.evaluation.page import (
+    MAX_LINE_POINTS,
+    Grid,
+    PageSection,
+    Plot,
+    ReportPage,
+    distribution_trace,
+    line_trace,
+    stairs_trace,
+)
+from acsar_gym.tools.sysid import pages
+from acsar_gym.tools.sysid.sim_real import compare_sides
+from acsar_gym.tools.sysid.twin_gap import measure_gap
 
 pytest.importorskip("plotly")
 ACSAR = RobotConfig.preset("acsar")
@@ -58,10 +66,12 @@ class Reader(HTMLParser):
             self.said += data
 
 
-def evil_page() -> Page:
-    plot = Plot(EVIL, [[line(EVIL, [0.0, 1.0], [1.0, np.nan], "--robot")]], {"title": EVIL})
-    section = Section(EVIL, EVIL, [Grid([EVIL], [[EVIL]]), plot], [("--robot", EVIL)], picks=True)
-    return Page(EVIL, EVIL, [EVIL], [], [section], [EVIL, EVIL], [EVIL], EVIL)
+def evil_page() -> ReportPage:
+    plot = Plot(EVIL, [[line_trace(EVIL, [0.0, 1.0], [1.0, np.nan], "--robot")]], {"title": EVIL})
+    section = PageSection(
+        EVIL, EVIL, [Grid([EVIL], [[EVIL]]), plot], [("--robot", EVIL)], picks=True
+    )
+    return ReportPage(EVIL, EVIL, [EVIL], [], [section], [EVIL, EVIL], [EVIL], EVIL)
 
 
 def test_text_from_files_is_only_text() -> None:
@@ -78,10 +88,10 @@ def test_text_from_files_is_only_text() -> None:
 def test_a_report_loads_nothing(tmp_path: Path) -> None:
     robot = ACSAR.with_(**HIDDEN)
     log = recording(ACSAR, driven(robot, random_steps(0, 3.0, robot)))
-    gap = measure([("log.mcap", log)], ("robot.yaml", robot), ("acsar", ACSAR))
-    gap_page.page(gap).write(tmp_path / "gap.html")
+    gap = measure_gap([("log.mcap", log)], ("robot.yaml", robot), ("acsar", ACSAR))
+    pages.gap_page(gap).write(tmp_path / "gap.html")
     task = [("sim.mcap", rollouts(ACSAR, range(2)))]
-    compare_page.page(compare(task, task)).write(tmp_path / "compare.html")
+    pages.compare_page(compare_sides(task, task)).write(tmp_path / "compare.html")
     for name, plots in (("gap.html", 3), ("compare.html", 5)):
         html = (tmp_path / name).read_text(encoding="utf-8")
         page = Reader(html)
@@ -107,13 +117,13 @@ def test_plotly_is_an_extra(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_long_lines_are_thinned_and_stairs_keep_their_corners() -> None:
-    assert len(line("x", range(99_999), range(99_999), "--robot")["x"]) <= MOST_POINTS
-    steps = stairs("x", range(6), [0, 0, 0, 1, 1, 2], "--robot")
+    assert len(line_trace("x", range(99_999), range(99_999), "--robot")["x"]) <= MAX_LINE_POINTS
+    steps = stairs_trace("x", range(6), [0, 0, 0, 1, 1, 2], "--robot")
     assert (steps["x"], steps["y"]) == ([0.0, 3.0, 5.0], [0.0, 1.0, 2.0])
 
 
 def test_the_distribution_function_ends_at_one() -> None:
-    drawn = shares("x", [0.3, 0.1, np.nan, 0.2], "--robot", 10.0)
+    drawn = distribution_trace("x", [0.3, 0.1, np.nan, 0.2], "--robot", 10.0)
     assert drawn["x"] == [1.0, 1.0, 2.0, 3.0]
     assert drawn["y"] == pytest.approx([0.0, 1 / 3, 2 / 3, 1.0], abs=1e-4)
-    assert shares("x", [], "--robot")["x"] == []
+    assert distribution_trace("x", [], "--robot")["x"] == []

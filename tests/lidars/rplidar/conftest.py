@@ -15,7 +15,7 @@ from rplidar_tools import (
 from serial_tools import Emulated
 
 from acsar_gym import RobotConfig
-from acsar_gym.lidars.rplidar import RplidarLidar
+from acsar_gym.sensors.rplidar import RplidarLidar
 
 
 @pytest.fixture(scope="module")

@@ -20,9 +20,9 @@ from rplidar_tools import (
 from serial_tools import Emulated, no_leak, wait_until
 
 from acsar_gym.errors import ConfigError, LidarError, MissingExtraError
-from acsar_gym.lidars import rplidar, rplidar_device
-from acsar_gym.lidars.rplidar import RplidarLidar
 from acsar_gym.links import ports
+from acsar_gym.sensors import rplidar
+from acsar_gym.sensors.rplidar import RplidarLidar
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
@@ -79,7 +79,7 @@ def test_a_frozen_device_fails_a_reset_and_is_closed(
     reset(lidar)
     emulated.pause()
     wait_until(lambda: not scans_again(lidar), "the time-out")
-    monkeypatch.setattr(rplidar_device, "ANSWER", 0.05)
+    monkeypatch.setattr(rplidar, "ANSWER_TIMEOUT", 0.05)
     with pytest.raises(LidarError, match="no answer"):
         reset(lidar)
     with pytest.raises(LidarError, match="is closed"):
@@ -92,7 +92,7 @@ def test_a_frozen_device_fails_a_reset_and_is_closed(
 def test_a_machine_that_is_slow_to_write_has_not_lost_the_device(
     make: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rplidar_device, "ANSWER", 0.02)
+    monkeypatch.setattr(rplidar, "ANSWER_TIMEOUT", 0.02)
     monkeypatch.setattr(ports, "WRITE_TIMEOUT", 1e-9)
     board, terminal = os.openpty()
     with pytest.raises(LidarError, match="no answer"):
@@ -142,7 +142,7 @@ def refusal(lidar: RplidarLidar) -> str:
 def test_what_is_no_rplidar_is_named(
     start: Start, make: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rplidar_device, "ANSWER", 0.3)
+    monkeypatch.setattr(rplidar, "ANSWER_TIMEOUT", 0.3)
     silent, other = make(start("--fault", "silent")), make(start("--fault", "garbage"))
     assert "no answer in 1.2 s: check its power and cable" in refusal(silent)
     assert "none from an RPLIDAR: check the port's name" in refusal(other)
@@ -151,7 +151,7 @@ def test_what_is_no_rplidar_is_named(
 def test_an_rplidar_that_does_not_measure_says_why(
     start: Start, make: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rplidar, "SPIN_UP", 0.5)
+    monkeypatch.setattr(rplidar, "SPIN_UP_TIMEOUT", 0.5)
     broken, stuck = make(start("--broken")), make(start("--spin-up", "1000"))
     assert "reports error 0x8001 and won't measure: unplug it" in refusal(broken)
     assert "no complete turn in 0.5 s: check that its head" in refusal(stuck)

@@ -23,13 +23,12 @@ from rplidar_tools import (
 from serial_tools import TIMEOUT, Emulated, first_line, no_leak, program, wait_until
 
 from acsar_gym import RobotConfig
-from acsar_gym.emulation.rplidar import RplidarTwin
 from acsar_gym.errors import LidarError
-from acsar_gym.lidars import rplidar
-from acsar_gym.lidars.revolutions import Turns
-from acsar_gym.lidars.rplidar import RplidarLidar
 from acsar_gym.links import shutdown
 from acsar_gym.odometry import Odometry
+from acsar_gym.sensors import rplidar
+from acsar_gym.sensors.rplidar import RplidarLidar, TurnDecoder
+from acsar_gym.tools.emulation.rplidar import RplidarTwin
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
@@ -39,7 +38,7 @@ PROGRAM = """
 import os, resource, signal, sys, time
 import numpy as np
 from acsar_gym import RobotConfig
-from acsar_gym.lidars.rplidar import RplidarLidar
+from acsar_gym.sensors.rplidar import RplidarLidar
 from acsar_gym.worlds import Scene
 
 resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -175,7 +174,9 @@ class SlowPort:
 def test_what_was_missed_is_dropped_not_stamped_as_new() -> None:
     port = SlowPort()
     config = RobotConfig()
-    reader = rplidar._Reader(port, Turns(library), config, time.monotonic, Odometry.of(config))
+    reader = rplidar._Reader(
+        port, TurnDecoder(library), config, time.monotonic, Odometry.of(config)
+    )
     reader.start()
     wait_until(lambda: reader.newest is not None, "a turn")
     port.pause = 0.2

@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 
 from acsar_gym import Robot, RobotConfig, open_link
-from acsar_gym.lidars.base import LidarSensor
-from acsar_gym.lidars.moving import AHEAD, scanned
-from acsar_gym.lidars.revolutions import Floats, Turn, binned
-from acsar_gym.lidars.rplidar import RplidarLidar
+from acsar_gym.sensors.lidar import LidarSensor
+from acsar_gym.sensors.rplidar import READ_DELAY, Floats, RplidarLidar, Turn, bin_ranges, scan_turn
 
 SAMPLES, PERIOD = 720, 0.1
 MOUNT = (0.08, -0.02)
@@ -60,7 +58,7 @@ def turn(twist: tuple[float, float], walls: int = 4, angle: bool = True) -> Turn
 
 def exact(twist: tuple[float, float], walls: int = 4) -> Floats:
     """The ranges half a revolution later."""
-    place, spec = pose(twist, AHEAD * PERIOD), CONFIG.lidar
+    place, spec = pose(twist, READ_DELAY * PERIOD), CONFIG.lidar
     angles = -math.pi + 2.0 * math.pi * np.arange(spec.rays) / spec.rays
     found = np.array([distance(place, angle, walls) for angle in angles.tolist()])
     return np.where(found > 0.0, found, spec.max_range)
@@ -71,8 +69,8 @@ def test_a_scan_is_as_seen_where_the_robot_is_half_a_turn_later(
     twist: tuple[float, float],
 ) -> None:
     expected = exact(twist)
-    found = scanned(turn(twist), PERIOD, twist, CONFIG)
-    unmoved = binned(*turn(twist), CONFIG.lidar)
+    found = scan_turn(turn(twist), PERIOD, twist, CONFIG)
+    unmoved = bin_ranges(*turn(twist), CONFIG.lidar)
     assert np.abs(found - expected).max() < 0.03
     assert np.abs(unmoved - expected).max() > 0.05
 
@@ -83,22 +81,24 @@ def test_what_is_free_stays_free_and_no_ray_is_lost(
     twist: tuple[float, float], angle: bool
 ) -> None:
     free = exact(twist, walls=1) >= CONFIG.lidar.max_range
-    found = scanned(turn(twist, walls=1, angle=angle), PERIOD, twist, CONFIG)
+    found = scan_turn(turn(twist, walls=1, angle=angle), PERIOD, twist, CONFIG)
     wrong = (found >= CONFIG.lidar.max_range) != free
     assert 20 < free.sum() < 60
     assert wrong.sum() <= 2  # at the ends of the wall, where ranges are near the longest
-    whole = scanned(turn(twist), PERIOD, twist, CONFIG)
+    whole = scan_turn(turn(twist), PERIOD, twist, CONFIG)
     assert whole.max() < CONFIG.lidar.max_range
 
 
 def test_a_robot_at_rest_has_the_scan_as_it_was_measured() -> None:
     measured = turn((0.0, 0.0))
-    assert (scanned(measured, PERIOD, (0.0, 0.0), CONFIG) == binned(*measured, CONFIG.lidar)).all()
+    assert (
+        scan_turn(measured, PERIOD, (0.0, 0.0), CONFIG) == bin_ranges(*measured, CONFIG.lidar)
+    ).all()
 
 
 def test_a_turn_that_measured_nothing_is_free() -> None:
     bearings, _ = turn((0.0, 0.0))
-    found = scanned((bearings, np.zeros(SAMPLES)), PERIOD, (0.5, 0.3), CONFIG)
+    found = scan_turn((bearings, np.zeros(SAMPLES)), PERIOD, (0.5, 0.3), CONFIG)
     assert (found == CONFIG.lidar.max_range).all()
 
 

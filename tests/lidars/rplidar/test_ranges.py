@@ -25,8 +25,8 @@ from rplidar_tools import (
 from serial_tools import Emulated
 
 from acsar_gym.config import LidarConfig
-from acsar_gym.emulation.rplidar import RplidarTwin
-from acsar_gym.lidars.revolutions import Turns, binned
+from acsar_gym.sensors.rplidar import TurnDecoder, bin_ranges
+from acsar_gym.tools.emulation.rplidar import RplidarTwin
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
@@ -69,7 +69,7 @@ def measured(degrees: list[float], distances: list[float], **lidar: float) -> li
     """The ranges of a turn that measured this, and missed in a hundred other directions."""
     bearings, missed = np.radians([*degrees, *range(100)]), [0.0] * 100
     config = LidarConfig(**{"rays": 4, "max_range": MAX, **lidar})
-    found: list[float] = binned(bearings, np.array([*distances, *missed]), config).tolist()
+    found: list[float] = bin_ranges(bearings, np.array([*distances, *missed]), config).tolist()
     return found
 
 
@@ -83,7 +83,7 @@ def test_only_neighbours_within_the_sensors_step_fill_a_gap() -> None:
     angles = list(np.arange(0.0, 360.0, 2.0))  # even directions measure, odd ones don't
     distances = [1.0 if angle < 100.0 else 0.0 for angle in angles]
     lidar = LidarConfig(rays=360)
-    ranges = binned(np.radians(angles), np.array(distances), lidar).tolist()
+    ranges = bin_ranges(np.radians(angles), np.array(distances), lidar).tolist()
     assert ranges[179:280] == [1.0] * 101
     assert ranges[280:] + ranges[:179] == [MAX] * 259
 
@@ -105,7 +105,7 @@ def stream(look: Callable[[Floats], Floats] = room, samples: int = 100) -> bytes
 @pytest.mark.parametrize("size", [1, 3, 5, 64, 10_000])
 def test_turns_are_complete_whatever_the_pieces(size: int) -> None:
     data = stream()
-    decoder = Turns(library)
+    decoder = TurnDecoder(library)
     found = [
         turn for at in range(0, len(data), size) for turn in decoder.feed(data[at : at + size])
     ]
@@ -117,9 +117,9 @@ def test_turns_are_complete_whatever_the_pieces(size: int) -> None:
 @pytest.mark.parametrize("look", [room, nothing])
 def test_a_turn_that_lost_bytes_is_dropped(look: Callable[[Floats], Floats]) -> None:
     data = stream(look)
-    whole = Turns(library).feed(data)
+    whole = TurnDecoder(library).feed(data)
     for at in range(250, 760):  # in the first whole turn, or just behind it
-        found = Turns(library).feed(data[:at] + data[at + 1 :])
+        found = TurnDecoder(library).feed(data[:at] + data[at + 1 :])
         assert 1 <= len(found) < 3
         for bearings, distances in found:
             assert len(bearings) == 100
@@ -128,9 +128,9 @@ def test_a_turn_that_lost_bytes_is_dropped(look: Callable[[Floats], Floats]) -> 
 
 def test_turns_with_holes_and_streams_without_turns_are_dropped() -> None:
     data = stream()
-    assert len(Turns(library).feed(data[:400] + data[500:])) == 2
-    assert len(Turns(library).feed(stream(samples=20))) == 0
-    decoder = Turns(library)
+    assert len(TurnDecoder(library).feed(data[:400] + data[500:])) == 2
+    assert len(TurnDecoder(library).feed(stream(samples=20))) == 0
+    decoder = TurnDecoder(library)
     for _ in range(3):
         assert not decoder.feed(b"\x3d\x01\x00\x00\x00" + 20_000 * b"\x3e\x01\x00\x00\x00")
 

@@ -40,7 +40,7 @@ def plugged(board: Emulated) -> Iterator[Emulated]:
     board.plug()
     yield board
     board.resume()
-    watchdog.call_back()
+    watchdog.end_searches()
 
 
 @pytest.fixture

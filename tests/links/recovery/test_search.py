@@ -75,13 +75,13 @@ def test_a_cable_that_stays_out_is_reported_in_time(plugged: Emulated, config: R
 def tries(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The names under which ports were opened, or weren't."""
     names: list[str] = []
-    opened = ports.opened
+    opened = ports.open_port
 
     def counted(device: str, config: RobotConfig) -> Any:
         names.append(device)
         return opened(device, config)
 
-    monkeypatch.setattr(ports, "opened", counted)
+    monkeypatch.setattr(ports, "open_port", counted)
     return names
 
 
@@ -182,11 +182,11 @@ def test_called_back_nobody_looks_any_more(link: SerialLink, plugged: Emulated) 
     link.close()
     ((place, dog),) = watchdog._searching.items()
     assert place == name(plugged)
-    watchdog.call_back("another")
+    watchdog.end_searches("another")
     assert runs(dog)
-    watchdog.call_back(place)
+    watchdog.end_searches(place)
     assert not psutil.pid_exists(dog)  # no zombie either
-    watchdog.call_back(place)
+    watchdog.end_searches(place)
     plugged.plug()
     time.sleep(0.2)
     assert plugged.since_plugged() == b""

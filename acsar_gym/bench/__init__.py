@@ -1,1 +1,0 @@
-"""Benchmarks of environments, batches and worlds."""

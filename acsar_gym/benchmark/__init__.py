@@ -1,5 +1,0 @@
-"""Compare agents over scenes, seeds and conditions, and write the table."""
-
-from acsar_gym.benchmark.scenes import SCENES, Scenes, SceneSet
-
-__all__ = ["SCENES", "SceneSet", "Scenes"]

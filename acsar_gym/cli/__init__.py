@@ -1,9 +1,0 @@
-"""The command line `acsar-gym`: parses arguments and calls the other packages.
-
-Exit codes: 0 success, 1 a check or run failed, 2 bad argument, config or file, 3 link error, 130
-interrupted.
-"""
-
-from acsar_gym.cli.app import COMMANDS, main
-
-__all__ = ["COMMANDS", "main"]

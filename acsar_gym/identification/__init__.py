@@ -1,1 +1,0 @@
-"""Fits the twin's motors, delays and encoders to what went over the wire."""

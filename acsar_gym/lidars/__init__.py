@@ -1,1 +1,0 @@
-"""LiDARs, simulated and real."""

@@ -1,0 +1,95 @@
+"""The contract between the emulated firmware and the simulated body that it drives."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym.protocol import Speeds
+from acsar_gym.worlds import Pose, Scene
+
+Image = NDArray[np.uint8]
+"""(height, width, 3): an RGB picture."""
+
+
+@dataclass(frozen=True, slots=True)
+class GroundTruth:
+    """What only a simulator knows, in the frame of the world.
+
+    It is never part of an observation.
+    """
+
+    pose: Pose = (0.0, 0.0, 0.0)
+    """x [m], y [m], theta [rad]."""
+    twist: tuple[float, float] = (0.0, 0.0)
+    """Forward speed [m/s], yaw rate [rad/s]."""
+    contact: bool = False
+    """Whether the robot has touched an obstacle since the reset; checked at the end of every
+    tick."""
+
+
+class Body(Protocol):
+    """Motors, tyres and chassis of a robot; the firmware steps it once a loop."""
+
+    wheel_speeds: Speeds
+    """Speeds of the four wheels [rad/s]."""
+    wheel_angles: Speeds
+    """Angles turned by the four wheels since the reset [rad]; the encoders measure them."""
+
+    def reset(self, scene: Scene) -> None:
+        """Build the scene, with the robot at rest at its start.
+
+        Args:
+            scene: start, world and physics.
+        """
+
+    def step(self, set_points: Speeds) -> None:
+        """Simulate one firmware loop.
+
+        Args:
+            set_points: of the four wheel speeds [rad/s].
+        """
+
+    def feel(self) -> None:
+        """Check whether the robot touches an obstacle now; `truth` then tells it."""
+
+    @property
+    def truth(self) -> GroundTruth:
+        """Ground truth of the robot, in the frame of the world."""
+
+    @property
+    def power(self) -> float:
+        """Mechanical power of the motors now [W]; see `dynamics.power`."""
+
+    def close(self) -> None:
+        """Close the physics engine; idempotent."""
+
+
+@runtime_checkable
+class Camera(Protocol):
+    """Takes pictures of the robot and its scene."""
+
+    def image(self, width: int, height: int) -> Image:
+        """Take a picture, (height, width, 3), RGB."""
+
+
+def wrap_angle(theta: float) -> float:
+    """Wrap an angle to [-pi, pi] [rad]."""
+    return math.remainder(theta, 2.0 * math.pi)
+
+
+def has_display() -> bool:
+    """Whether there is an X server; without one PyBullet's window would end the whole process."""
+    if not sys.platform.startswith("linux"):
+        return True
+    name = os.environ.get("DISPLAY", "")
+    local = re.fullmatch(r"(?:unix)?:(\d+)(?:\.\d+)?", name)
+    return Path(f"/tmp/.X11-unix/X{local[1]}").exists() if local else bool(name)  # noqa: S108

@@ -1,0 +1,157 @@
+"""An emulation of the microcontroller: bytes in, bytes out, over a Body, with a simulated clock.
+
+It parses command lines by the same rules as the driver, ramps the motors' set points, stops the
+motors when commands stop, and sends encoder lines at its own rate. The time that bytes take on the
+UART (10 bits each at the baud rate, one after the other) and in the processor is simulated.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+from acsar_gym.config import BITS_PER_BYTE, RobotConfig
+from acsar_gym.physics import Physics, compute_physics
+from acsar_gym.physics.body import Body
+from acsar_gym.physics.model import loop_period, ramp_set_points, round_printed
+from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds, encode_line, line_end
+
+TIME_EPSILON = 1e-9
+"""Slack for comparing times that are sums of periods [s]."""
+
+
+class Firmware:
+    """One emulated board. `advance` lets time pass.
+
+    Args:
+        config: of the robot.
+        body: that the board drives.
+
+    Attributes: `decoder`, with counters of refused input; `arrived`, the lines that the newest
+    `advance` returned, with the times of their last bytes [s].
+    """
+
+    def __init__(self, config: RobotConfig, body: Body) -> None:
+        self._body = body
+        self._end = line_end(trailing_comma=config.trailing_comma)
+        self._motors, self._encoders = config.wheels.motors, config.wheels.encoders
+        self._dt = loop_period(config)
+        a, b, c, d = (config.motor.of_wheel(wheel).acceleration * self._dt for wheel in range(4))
+        self._ramps: Speeds = (a, b, c, d)
+        self._top = config.motor.max_speed
+        self._byte_time = BITS_PER_BYTE / config.baud_rate
+        self._processing = config.firmware.processing_time
+        self._timeout = config.firmware.command_timeout or math.inf
+        self._configured = compute_physics(config)
+        window = round(config.encoder.window * config.firmware.loop_rate)
+        self._angles: deque[Speeds] = deque(maxlen=window + 1)
+        self._per_radian = config.encoder.counts_per_revolution / (2.0 * math.pi)
+        self._per_count = 1.0 / (self._per_radian * window * self._dt)
+        self._quantum = config.encoder.quantum
+        self.decoder = Decoder()
+        self.reset()
+
+    def reset(self, own: Physics | None = None) -> None:
+        """Reset to the state after power-up: nothing on the wire, set points and encoders zero.
+
+        Args:
+            own: physics with the delays and the feedback rate of this robot; None: as configured.
+        """
+        own = own or self._configured
+        self._latency = own.latency_loops * self._dt
+        self._reaction = self._processing + own.command_delay + self._latency
+        self._feedback_every = own.feedback_loops
+        self._loops = 0
+        self._lines = 0
+        self._line_due = self._feedback_every - TIME_EPSILON
+        self._elapsed = 0.0
+        self._received: deque[tuple[float, bytes]] = deque()
+        self._sent: deque[tuple[float, bytes]] = deque()
+        self.arrived: list[tuple[float, bytes]] = []
+        self._receive_free = 0.0
+        self._send_free = 0.0
+        self._last_command = -math.inf
+        self._targets: Speeds = ZERO
+        self._set_points: Speeds = ZERO
+        self._angles.clear()
+        self._angles.extend([self._body.wheel_angles] * (self._angles.maxlen or 1))
+        self.decoder.reset()
+
+    def receive(self, data: bytes) -> None:
+        """Take bytes that the host sends now; they arrive one after the other."""
+        start = max(self._receive_free, self._elapsed)
+        self._receive_free = start + len(data) * self._byte_time
+        self._received.append((self._receive_free + self._reaction, data))
+
+    def advance(self, period: float) -> bytes:
+        """Let time pass, and return the feedback bytes that reach the host meanwhile.
+
+        Time that is left after whole firmware loops is added to the next period.
+
+        Args:
+            period: [s].
+        """
+        self._elapsed += period
+        now = self._elapsed + TIME_EPSILON
+        while (self._loops + 1) * self._dt <= now:
+            self._loop()
+        arrived = []
+        while self._sent and self._sent[0][0] <= now:
+            arrived.append(self._sent.popleft())
+        self.arrived = arrived
+        return b"".join([line for _, line in arrived])
+
+    def _loop(self) -> None:
+        """Run one firmware loop."""
+        now, received, body = self._loops * self._dt, self._received, self._body
+        while received and received[0][0] <= now + TIME_EPSILON:
+            self._obey(received.popleft()[1], now)
+        if now - self._last_command > self._timeout + TIME_EPSILON:
+            self._targets = ZERO
+        if self._set_points != self._targets:
+            self._set_points = ramp_set_points(self._set_points, self._targets, self._ramps)
+        body.step(self._set_points)
+        self._angles.append(body.wheel_angles)
+        self._loops += 1
+        if self._loops >= self._line_due:
+            self._lines += 1
+            self._line_due = (self._lines + 1) * self._feedback_every - TIME_EPSILON
+            self._answer()
+
+    def _obey(self, data: bytes, now: float) -> None:
+        """Set the targets from command lines, saturated at the top speed."""
+        top = self._top
+        for reading in self.decoder.feed(data):
+            self._last_command = now
+            if self._motors is not None:
+                reading = Reading(self._motors.to_wheels(reading.speeds))  # noqa: PLW2901
+            a, b, c, d = reading.over(self._targets)
+            self._targets = (
+                a if -top <= a <= top else math.copysign(top, a),
+                b if -top <= b <= top else math.copysign(top, b),
+                c if -top <= c <= top else math.copysign(top, c),
+                d if -top <= d <= top else math.copysign(top, d),
+            )
+
+    def _answer(self) -> None:
+        """Send an encoder line."""
+        a, b, c, d = self._encoder_speeds()
+        if self._quantum is not None:
+            a, b, c, d = (round_printed(speed, self._quantum) for speed in (a, b, c, d))
+        if self._encoders is not None:
+            a, b, c, d = self._encoders.to_wire((a, b, c, d))
+        line = encode_line(a, b, c, d, self._end)
+        start = max(self._send_free, self._loops * self._dt + self._processing)
+        self._send_free = start + len(line) * self._byte_time
+        self._sent.append((self._send_free + self._latency, line))
+
+    def _encoder_speeds(self) -> Speeds:
+        """Wheel speeds from the whole counts of the last window [rad/s]."""
+        (a1, b1, c1, d1), (a0, b0, c0, d0) = self._angles[-1], self._angles[0]
+        k, scale, floor = self._per_radian, self._per_count, math.floor
+        return (
+            (floor(a1 * k) - floor(a0 * k)) * scale,
+            (floor(b1 * k) - floor(b0 * k)) * scale,
+            (floor(c1 * k) - floor(c0 * k)) * scale,
+            (floor(d1 * k) - floor(d0 * k)) * scale,
+        )

@@ -1,0 +1,643 @@
+"""Domain randomization: which parameters of a robot are drawn anew for every episode, and how.
+
+`Randomization` has the ranges, `Drawn` the numbers that an episode draws from them, and `varied`
+their effect on a robot's physics. The single env and the batch both draw with `draw`, so that the
+same seed gives the same robot.
+
+To add a parameter: add a field to `Randomization`, one to the end of `Drawn` (so that existing
+seeds still draw the same numbers), and its effect to `varied`. If the physics has no such number,
+add a field to `model.Physics` and use it there; batches and both bodies need no change.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym.config import Measured, RobotConfig
+from acsar_gym.config.section import PerWheel, value_of_wheel
+from acsar_gym.errors import ConfigError, show_value, suggest_name
+from acsar_gym.jit import jit, leading_numbers, loop, record_of
+from acsar_gym.physics.model import Physics, compute_physics, loop_period, turn_factor, wire_loops
+
+# Ranges of domain randomization for one robot: what was measured of it, else default widths.
+#
+# A measured interval becomes the range of the parameter that it is about; factors are relative to
+# the
+# configured value. Where wheels have intervals of their own, the range holds all of them, and the
+# default width for wheels without one.
+
+Range = tuple[float, float]
+
+DEFAULT_RANGES: dict[str, Range] = {
+    "friction": (0.7, 1.2),
+    "motor_gain": (0.95, 1.05),
+    "motor_lag": (0.6, 1.5),
+    "wheel_radius": (0.98, 1.02),
+    "turn_factor": (0.9, 1.1),
+    "latency": (0.0, 0.02),
+}
+"""Ranges of what wasn't measured: factors, and latency [s]. Robots of the same parts differ by so
+much, and so do floors; the rest isn't randomized."""
+FACTOR_FIELDS = {
+    "friction": "body.friction",
+    "mass": "body.mass",
+    "wheel_radius": "wheel_radius",
+    "left_wheel_radius": "left_wheel_radius_multiplier",
+    "right_wheel_radius": "right_wheel_radius_multiplier",
+}
+"""Parameters that are factors on one value, and the field whose interval they follow."""
+TURNING_FIELDS = ("body.turn_factor", "wheel_separation_multiplier")
+"""Fields whose intervals the turn factor follows, the first that was measured: a multiplier that is
+right for a robot is the factor by which it turns slower."""
+LEAST_TURN = 1.001
+"""Least turn factor of a range; one of 1 would be a tyre without sideways friction."""
+SMALLEST, LARGEST = 1e-6, 1e3
+"""Factors that a range can have."""
+WHEEL_FACTORS = {"motor_gain": "gain", "motor_lag": "time_constant"}
+"""Parameters that are factors on a value of each wheel, and the field of `motor`."""
+
+
+def measured_ranges(config: RobotConfig) -> dict[str, tuple[float, ...]]:
+    """Return the randomization parameters that follow from a robot's measurements, with ranges."""
+    found: dict[str, tuple[float, ...]] = {
+        name: _relative(config.measured[path], _value(config, path))
+        for name, path in FACTOR_FIELDS.items()
+        if path in config.measured
+    }
+    turning = next((path for path in TURNING_FIELDS if path in config.measured), None)
+    if turning is not None:
+        found["turn_factor"] = _turning(config.measured[turning], turn_factor(config))
+    return found | _of_wheels(config) | _of_delays(config)
+
+
+def _of_wheels(config: RobotConfig) -> dict[str, tuple[float, ...]]:
+    """Ranges of what is measured for each wheel."""
+    found: dict[str, tuple[float, ...]] = {}
+    for name, field in WHEEL_FACTORS.items():
+        ends = list(_wheel_ends(config, field, DEFAULT_RANGES[name]))
+        if ends:
+            found[name] = (min(ends), max(ends))
+    offsets = list(_deadband_ends(config))
+    if offsets:
+        found["deadband_offset"] = (min(offsets), max(offsets))
+    return found
+
+
+def _of_delays(config: RobotConfig) -> dict[str, tuple[float, ...]]:
+    """Ranges of delays."""
+    found: dict[str, tuple[float, ...]] = {}
+    if "firmware.command_delay" in config.measured:
+        delay = config.measured["firmware.command_delay"]
+        found["command_delay"] = (max(delay.low, 0.0), max(delay.high, 0.0))
+    if config.firmware.delay_samples:
+        found["delay_samples"] = config.firmware.delay_samples
+    return found
+
+
+def measured_or_usual(config: RobotConfig) -> dict[str, tuple[float, ...]]:
+    """Return the measured ranges of a robot, and the default ones of what wasn't measured."""
+    found, usual, factor = measured_ranges(config), dict(DEFAULT_RANGES), turn_factor(config)
+    low, high = usual["turn_factor"]
+    usual["turn_factor"] = (max(low, (1.0 + factor) / 2.0 / factor), high)  # stays above 1
+    if "command_delay" in found or "delay_samples" in found:
+        del usual["latency"]
+    return usual | found
+
+
+def describe_ranges(config: RobotConfig) -> str:
+    """Describe which ranges of a robot were measured; nothing where none were."""
+    measured = measured_ranges(config)
+    if not measured:
+        return ""
+    usual = [name for name in measured_or_usual(config) if name not in measured]
+    found = ", ".join(f"{name} {_shown(name, width)}" for name, width in measured.items())
+    return f"randomized as measured: {found}; by default widths: {', '.join(usual)}"
+
+
+def _shown(name: str, width: tuple[float, ...]) -> str:
+    """Format a range, or how many delays there are."""
+    if name == "delay_samples":
+        return f"({len(width)} delays up to {max(width):.3g} s)"
+    return f"{width[0]:.3g} to {width[1]:.3g}"
+
+
+def _relative(interval: Measured, value: float) -> Range:
+    """An interval as a range of factors on a value."""
+    low, high = interval.low / value, interval.high / value
+    return min(max(low, SMALLEST), LARGEST), min(max(high, SMALLEST), LARGEST)
+
+
+def _turning(interval: Measured, value: float) -> Range:
+    """An interval of turn factors as a range of factors on one, clipped to what tyres can do."""
+    return max(interval.low, LEAST_TURN) / value, max(interval.high, LEAST_TURN) / value
+
+
+def _value(config: RobotConfig, path: str) -> float:
+    """The number of a dotted field."""
+    value: Any = config
+    for name in path.split("."):
+        value = getattr(value, name)
+    return float(value)
+
+
+def _interval(config: RobotConfig, field: str, wheel: int) -> Measured | None:
+    """The interval of a wheel's value: its own, or that of all wheels."""
+    path = f"motor.{field}"
+    return config.measured.get(f"{path}.{'abcd'[wheel]}", config.measured.get(path))
+
+
+def _wheel_ends(config: RobotConfig, field: str, usual: Range) -> Iterator[float]:
+    """Factors at the ends of all wheels' intervals; nothing where no wheel has one."""
+    values: PerWheel = getattr(config.motor, field)
+    intervals = [_interval(config, field, wheel) for wheel in range(4)]
+    if any(intervals):
+        for wheel, interval in enumerate(intervals):
+            value = value_of_wheel(values, wheel)
+            if value > 0.0:
+                yield from usual if interval is None else _relative(interval, value)
+
+
+def _deadband_ends(config: RobotConfig) -> Iterator[float]:
+    """Ends of all wheels' measured deadbands, relative to the configured ones [rad/s]."""
+    for wheel in range(4):
+        interval = _interval(config, "deadband", wheel)
+        if interval is not None:
+            value = value_of_wheel(config.motor.deadband, wheel)
+            yield from (interval.low - value, interval.high - value)
+
+
+Floats = NDArray[np.float64]
+
+
+class Drawn(NamedTuple):
+    """The numbers that an episode draws, in the order of drawing; defaults change nothing.
+
+    Names that end in _a to _d are for one wheel each.
+    """
+
+    mass: float = 1.0
+    friction: float = 1.0
+    motor_gain_a: float = 1.0
+    motor_lag_a: float = 1.0
+    motor_gain_b: float = 1.0
+    motor_lag_b: float = 1.0
+    motor_gain_c: float = 1.0
+    motor_lag_c: float = 1.0
+    motor_gain_d: float = 1.0
+    motor_lag_d: float = 1.0
+    deadband: float = math.nan
+    wheel_radius: float = 1.0
+    latency: float = 0.0
+    feedback_rate: float = math.nan
+    track_width: float = 1.0
+    left_wheel_radius: float = 1.0
+    right_wheel_radius: float = 1.0
+    turn_factor: float = 1.0
+    command_delay: float = math.nan
+    delay_samples: float = 0.0
+    deadband_offset_a: float = 0.0
+    deadband_offset_b: float = 0.0
+    deadband_offset_c: float = 0.0
+    deadband_offset_d: float = 0.0
+
+
+class DrawnRanges(NamedTuple):
+    """Least and largest value of each number; both are the default where it doesn't vary."""
+
+    low: Drawn
+    high: Drawn
+    delays: tuple[float, ...] = (0.0,)
+    """What `delay_samples` is drawn from [s]; its low and high are the shares 0 and 1."""
+
+
+@dataclass(frozen=True, slots=True)
+class Randomization:
+    """Ranges (low, high) from which every episode draws; a parameter that is None doesn't vary.
+
+    The same on every simulated link and in a batch. Factors multiply the configured value; other
+    values replace it or are added to it. The info of an episode has what was drawn, as applied,
+    under "drawn_" and the name.
+    """
+
+    mass: Range | None = None
+    """Factor on the mass, and so on inertia and wheel loads."""
+    friction: Range | None = None
+    """Factor on the friction between tyre and ground."""
+    motor_gain: Range | None = None
+    """Factor on each wheel's speed for its set point; four numbers."""
+    motor_lag: Range | None = None
+    """Factor on each wheel's time constant; four numbers. No effect on motors without lag."""
+    deadband: Range | None = None
+    """Set points below this don't turn the wheel [rad/s]."""
+    wheel_radius: Range | None = None
+    """Factor on the real wheel radius; odometry still assumes the configured one."""
+    latency: Range | None = None
+    """Delay of commands and feedback on top of the wire's own [s], in whole firmware loops;
+    shorter than an env step."""
+    feedback_rate: Range | None = None
+    """Feedback lines per second [Hz], rounded to whole firmware loops."""
+    track_width: Range | None = None
+    """Factor on the real distance between left and right wheels; odometry still assumes the
+    configured one. Tyres that wear or bulge change where they touch the ground."""
+    left_wheel_radius: Range | None = None
+    """Factor on the real radius of the left wheels; odometry still assumes the configured one."""
+    right_wheel_radius: Range | None = None
+    """Factor on the real radius of the right wheels."""
+    turn_factor: Range | None = None
+    """Factor on the robot's turn factor (see `body.turn_factor`), which depends on the ground."""
+    command_delay: Range | None = None
+    """Time from the last byte of a command to its effect, after the processing time [s]."""
+    delay_samples: tuple[float, ...] | None = None
+    """Delays of commands on top of `command_delay` [s]; each episode draws one of them."""
+    deadband_offset: Range | None = None
+    """Added to each wheel's deadband, which stays at least 0 [rad/s]; four numbers."""
+
+    def __post_init__(self) -> None:
+        for name in self.names:
+            check = _delays if name == "delay_samples" else _checked
+            object.__setattr__(self, name, check(name, getattr(self, name)))
+
+    @classmethod
+    def of(
+        cls, ranges: Mapping[str, Range] | Self | bool | None, config: RobotConfig | None = None
+    ) -> Randomization:
+        """Return a Randomization from a mapping of names to ranges.
+
+        Args:
+            ranges: a mapping, a Randomization, True for what `acsar-gym train` randomizes
+                (`measured`), or None or False for nothing.
+            config: the robot, for True.
+
+        Raises:
+            ConfigError: a name is unknown, or a range is malformed.
+        """
+        if isinstance(ranges, Randomization):
+            return ranges
+        if ranges is True and config is not None:
+            return cls.measured(config)
+        ranges = None if ranges is False else ranges
+        if not isinstance(ranges, Mapping | None):
+            raise ConfigError(
+                f"randomization = {show_value(ranges)}: must be a mapping of names to "
+                "(low, high), such "
+                'as {"friction": (0.7, 1.2)}, or True for what acsar-gym train randomizes'
+            )
+        known = {field.name for field in fields(cls)}
+        for name in ranges or ():
+            if name not in known:
+                raise ConfigError(
+                    f"unknown randomization {show_value(name)}{suggest_name(str(name)[:40], known)}"
+                )
+        return cls(**(ranges or {}))
+
+    @classmethod
+    def measured(cls, config: RobotConfig) -> Randomization:
+        """Return the ranges of a robot's measurements; see `acsar_gym.physics.randomization`.
+
+        What wasn't measured has a default width. Measured delays (`firmware.delay_samples`, or the
+        interval of `firmware.command_delay`) replace the default latency.
+
+        Args:
+            config: the robot, with the intervals in its field `measured`.
+        """
+        return cls.of(measured_or_usual(config))  # type: ignore[arg-type]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters that vary."""
+        return tuple(f.name for f in fields(self) if getattr(self, f.name) is not None)
+
+    def ranges(self, config: RobotConfig, step: float) -> DrawnRanges:
+        """Return the range of every number that an episode draws.
+
+        Args:
+            config: the robot.
+            step: duration of an env step [s].
+
+        Raises:
+            ConfigError: the latency is as long as a step, or the wire or `feedback_timeout` doesn't
+                allow the feedback rate.
+        """
+        if self.feedback_rate is not None:
+            _check_feedback(self.feedback_rate, config)
+        if self.turn_factor is not None:
+            _check_turning(self.turn_factor, config)
+        if self.latency is not None:
+            _check_latency(self.latency, config, step)
+        lags = config.motor.time_constant
+        instant = [f"motor_lag_{w}" for i, w in enumerate("abcd") if value_of_wheel(lags, i) == 0.0]
+        pairs = {
+            number: (0.0, 1.0) if name == "delay_samples" else getattr(self, name)
+            for name in self.names
+            for number in number_names(name)
+            if number not in instant
+        }
+        low = {number: pair[0] for number, pair in pairs.items()}
+        high = {number: pair[1] for number, pair in pairs.items()}
+        return DrawnRanges(Drawn(**low), Drawn(**high), self.delay_samples or (0.0,))
+
+
+LEAST_VALUES = {
+    "deadband": 0.0,
+    "latency": 0.0,
+    "feedback_rate": 0.1,
+    "command_delay": 0.0,
+    "deadband_offset": -1e3,
+}
+LARGEST_VALUES = {"latency": 10.0, "feedback_rate": 1e4, "command_delay": 1.0}
+"""Limits of parameters that aren't factors from 1e-6 to 1,000. The rate and the latency are
+limited because lines on their way are held in memory."""
+
+
+def _checked(name: str, value: Range) -> Range:
+    """Check a range; ConfigError where it is malformed or out of bounds."""
+    least, most = LEAST_VALUES.get(name, 1e-6), LARGEST_VALUES.get(name, 1e3)
+    try:
+        low, high = (float(limit) for limit in value)
+    except (TypeError, ValueError, OverflowError):
+        low, high = math.nan, math.nan
+    if not least <= low <= high <= most:
+        text = f"{least:g} <= low <= high <= {most:g}"
+        raise ConfigError(
+            f"randomization {name} = {show_value(value)}: must be (low, high) with {text}"
+        )
+    return low, high
+
+
+def _delays(name: str, value: Any) -> tuple[float, ...]:
+    """Check delays [s]; ConfigError where they are malformed or out of bounds."""
+    try:
+        delays = tuple(float(delay) for delay in value)
+    except (TypeError, ValueError, OverflowError):
+        delays = ()
+    if not delays or not all(0.0 <= delay <= 1.0 for delay in delays):
+        raise ConfigError(
+            f"randomization {name} = {show_value(value)}: must be delays from 0 to 1 s"
+        )
+    return delays
+
+
+def _check_latency(latency: Range, config: RobotConfig, step: float) -> None:
+    """ConfigError where feedback can take as long as an env step to reach the driver."""
+    dt = loop_period(config)
+    slowest = wire_loops(config) * dt + latency[1]
+    if slowest > step - dt / 2.0:
+        raise ConfigError(
+            f"randomization latency = {latency}: on this wire a line takes up to {slowest:g} s; "
+            f"must be shorter than a step of the policy ({step:g} s); a lower policy_rate makes it "
+            "longer"
+        )
+
+
+def longest_delay(ranges: DrawnRanges, config: RobotConfig) -> float:
+    """Longest `command_delay` that an episode can have [s]."""
+    drawn = ranges.high.command_delay
+    longest = config.firmware.command_delay if math.isnan(drawn) else drawn
+    return longest + max(ranges.delays)
+
+
+def _check_turning(factors: Range, config: RobotConfig) -> None:
+    """ConfigError where a robot would turn as fast as the formula says, or faster."""
+    least = factors[0] * turn_factor(config)
+    if least <= 1.0:
+        raise ConfigError(
+            f"randomization turn_factor = {factors}: makes this robot's turn factor {least:g}: "
+            "must stay above 1"
+        )
+
+
+def _check_feedback(rates: Range, config: RobotConfig) -> None:
+    """ConfigError where lines don't fit on the wire, or come too rarely for `feedback_timeout`."""
+    dt = loop_period(config)
+    for rate in rates:
+        applied = 1.0 / (loops_between(rate, dt) * dt)
+        try:
+            config.with_(firmware={"feedback_rate": applied})
+        except ConfigError as error:
+            raise ConfigError(f"randomization feedback_rate = {rates}: {error}") from None
+
+
+DRAWN_SIZE = len(Drawn._fields)
+LATENCY, FEEDBACK_RATE = Drawn._fields.index("latency"), Drawn._fields.index("feedback_rate")
+DELAY_SAMPLES = Drawn._fields.index("delay_samples")
+
+
+@jit
+def loops_between(rate: float, dt: float) -> float:
+    """Whole firmware loops between lines at this rate [Hz], at least one; NaN for NaN."""
+    loops: float = np.rint(1.0 / (rate * dt))
+    return 1.0 if loops < 1.0 else loops
+
+
+@jit
+def replace_nan(configured: float, value: float) -> float:
+    """The value, or the configured one where the value is NaN."""
+    return configured if np.isnan(value) else value
+
+
+@jit
+def scale_lag(blend: float, factor: float, dt: float) -> float:
+    """A wheel's `blend` after its time constant is multiplied by a factor."""
+    if factor == 1.0 or blend >= 1.0:
+        return blend
+    return 1.0 - math.exp(math.log(1.0 - blend) / factor)
+
+
+@jit
+def compute_deadband(configured: float, drawn: float, offset: float) -> float:
+    """A wheel's deadband [rad/s]: configured or drawn, plus an offset, at least zero."""
+    return max(replace_nan(configured, drawn) + offset, 0.0)
+
+
+@jit
+def scale_kappa(nominal: Physics, factor: float) -> float:
+    """The tyres' `kappa` after the robot's turn factor is multiplied by a factor."""
+    if factor == 1.0:
+        return nominal.kappa
+    ratio = (nominal.half_wheelbase / nominal.half_track) ** 2
+    return ((1.0 + nominal.kappa * ratio) * factor - 1.0) / ratio
+
+
+@jit
+def vary_physics(nominal: Physics, drawn: Drawn, dt: float) -> Physics:
+    """Apply what was drawn to a robot's physics.
+
+    Args:
+        nominal: physics of the configured robot.
+        drawn: numbers of the episode.
+        dt: firmware loop period [s].
+    """
+    return Physics(
+        left_radius=nominal.left_radius * drawn.wheel_radius * drawn.left_wheel_radius,
+        right_radius=nominal.right_radius * drawn.wheel_radius * drawn.right_wheel_radius,
+        half_wheelbase=nominal.half_wheelbase,
+        half_track=nominal.half_track * drawn.track_width,
+        mass=nominal.mass * drawn.mass,
+        yaw_inertia=nominal.yaw_inertia * drawn.mass,
+        grip=nominal.grip * drawn.mass * drawn.friction,
+        kappa=scale_kappa(nominal, drawn.turn_factor),
+        slip_speed=nominal.slip_speed,
+        max_speed=nominal.max_speed,
+        deadband_a=compute_deadband(nominal.deadband_a, drawn.deadband, drawn.deadband_offset_a),
+        deadband_b=compute_deadband(nominal.deadband_b, drawn.deadband, drawn.deadband_offset_b),
+        deadband_c=compute_deadband(nominal.deadband_c, drawn.deadband, drawn.deadband_offset_c),
+        deadband_d=compute_deadband(nominal.deadband_d, drawn.deadband, drawn.deadband_offset_d),
+        blend_a=scale_lag(nominal.blend_a, drawn.motor_lag_a, dt),
+        blend_b=scale_lag(nominal.blend_b, drawn.motor_lag_b, dt),
+        blend_c=scale_lag(nominal.blend_c, drawn.motor_lag_c, dt),
+        blend_d=scale_lag(nominal.blend_d, drawn.motor_lag_d, dt),
+        gain_a=nominal.gain_a * drawn.motor_gain_a,
+        gain_b=nominal.gain_b * drawn.motor_gain_b,
+        gain_c=nominal.gain_c * drawn.motor_gain_c,
+        gain_d=nominal.gain_d * drawn.motor_gain_d,
+        latency_loops=nominal.latency_loops + np.rint(drawn.latency / dt),
+        command_delay=replace_nan(nominal.command_delay, drawn.command_delay) + drawn.delay_samples,
+        feedback_loops=replace_nan(nominal.feedback_loops, loops_between(drawn.feedback_rate, dt)),
+    )
+
+
+@loop
+def draw_robot(
+    nominal: Any, low: Floats, high: Floats, delays: Floats, samples: Floats, dt: float
+) -> tuple[Physics, Drawn]:
+    """Draw a robot's physics for one episode.
+
+    Args:
+        nominal: the configured robot's, a record of `Physics`.
+        low: Least value of each number of `Drawn`.
+        high: Largest value of each.
+        delays: What `delay_samples` is drawn from [s].
+        samples: A uniform sample of [0, 1) for each; ignored where low == high.
+        dt: The firmware's loop period [s].
+
+    Returns:
+        The physics, and the numbers that were drawn, as applied.
+    """
+    numbers = np.empty(DRAWN_SIZE)
+    for k in range(DRAWN_SIZE):
+        numbers[k] = low[k] + (high[k] - low[k]) * samples[k] if high[k] > low[k] else low[k]
+    numbers[LATENCY] = np.rint(numbers[LATENCY] / dt) * dt
+    place = min(int(numbers[DELAY_SAMPLES] * len(delays)), len(delays) - 1)
+    numbers[DELAY_SAMPLES] = delays[place]
+    numbers[FEEDBACK_RATE] = 1.0 / (loops_between(numbers[FEEDBACK_RATE], dt) * dt)
+    drawn = Drawn(*leading_numbers(numbers, DRAWN_SIZE))
+    return vary_physics(nominal[0], drawn, dt), drawn
+
+
+def drawn_places(name: str) -> tuple[int, ...]:
+    """Indices of a parameter's numbers in `Drawn`: one, or four in the order of the wheels."""
+    return tuple(Drawn._fields.index(number) for number in number_names(name))
+
+
+def number_names(name: str) -> tuple[str, ...]:
+    """Names of a parameter's numbers in `Drawn`."""
+    return (name,) if name in Drawn._fields else tuple(f"{name}_{wheel}" for wheel in "abcd")
+
+
+class Randomizer:
+    """Draws the physics of one robot, episode by episode."""
+
+    def __init__(self, given: Any, config: RobotConfig, step: float, *, simulated: bool) -> None:
+        """Check the ranges.
+
+        Args:
+            given: As for `Randomization.of`.
+            config: The robot.
+            step: Duration of an env step [s].
+            simulated: Whether the link is simulated, so that physics can vary.
+
+        Raises:
+            ConfigError: Physics can't vary on this link, or as `Randomization.of` and
+                `Randomization.ranges`.
+        """
+        randomization = Randomization.of(given, config)
+        self._names = randomization.names
+        if self._names and not simulated:
+            raise ConfigError(
+                f"randomization of {', '.join(self._names)}: only a simulated robot's physics can "
+                "vary, and this link is real or a recording"
+            )
+        ranges = randomization.ranges(config, step)
+        self._low, self._high = np.array(ranges.low), np.array(ranges.high)
+        self._delays = np.array(ranges.delays)
+        self._nominal, self._dt = record_of(compute_physics(config)), loop_period(config)
+        self._drawn = Drawn()
+
+    def draw(self, rng: np.random.Generator) -> Physics | None:
+        """Draw the physics of an episode.
+
+        Args:
+            rng: the env's generator; one sample is taken for each number that varies.
+
+        Returns:
+            The physics; None where nothing varies.
+        """
+        if not self._names:
+            return None
+        samples, varies = np.zeros(DRAWN_SIZE), self._high > self._low
+        samples[varies] = rng.random(int(varies.sum()))
+        own, drawn = draw_robot(
+            self._nominal, self._low, self._high, self._delays, samples, self._dt
+        )
+        self._drawn = Drawn(*map(float, drawn))
+        return Physics(*map(float, own))
+
+    def info(self) -> dict[str, Any]:
+        """What was drawn last, as applied: a float, or an array of four in the order of wheels."""
+        return {f"drawn_{name}": _told(self._drawn, name) for name in self._names}
+
+
+def _told(drawn: Drawn, name: str) -> float | Floats:
+    """One parameter's value for info."""
+    numbers = np.array([drawn[k] for k in drawn_places(name)])
+    return float(numbers[0]) if len(numbers) == 1 else numbers
+
+
+# Three levels of domain randomization for one robot: narrow, as in training, and beyond that.
+
+LEVEL_WIDTHS = {1: 0.5, 2: 1.0, 3: 2.0}
+"""Widths of the levels, relative to what `acsar-gym train` randomizes."""
+LEAST_FACTOR = 0.05
+"""Least factor of a range that is widened."""
+FROM_ZERO = ("latency", "deadband_offset")
+"""Parameters whose ranges are scaled about zero; those of factors are scaled about one."""
+
+
+def randomization_level(config: RobotConfig, number: int) -> Randomization:
+    """Return the randomization of a level: half, all, or twice of what a robot is trained with.
+
+    Measured delays (`command_delay`, `delay_samples`) are the same on all levels.
+
+    Args:
+        config: the robot.
+        number: 1, 2 or 3.
+
+    Raises:
+        ConfigError: there is no such level.
+    """
+    if number not in LEVEL_WIDTHS:
+        raise ConfigError(f"randomization level {show_value(number)}: must be 1, 2 or 3")
+    least = LEAST_TURN / turn_factor(config)
+    widened = {
+        name: _scaled(name, width, LEVEL_WIDTHS[number])
+        for name, width in measured_or_usual(config).items()
+    }
+    low, high = widened["turn_factor"]
+    return Randomization.of(widened | {"turn_factor": (max(low, least), high)})  # type: ignore[arg-type]
+
+
+def _scaled(name: str, width: tuple[float, ...], scale: float) -> tuple[float, ...]:
+    """Scale a range about one, or about zero."""
+    if name in ("command_delay", "delay_samples"):
+        return width
+    if name in FROM_ZERO:
+        return tuple(scale * end for end in width)
+    low, high = (1.0 + scale * (end - 1.0) for end in width)
+    narrowed: Range = (max(low, LEAST_FACTOR), high)
+    return narrowed

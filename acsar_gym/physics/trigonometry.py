@@ -1,0 +1,84 @@
+"""Sine and cosine for compiled loops, several times as fast as the C library's."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from acsar_gym.jit import jit, overloads
+
+
+@jit
+def sincos(theta: float) -> tuple[float, float]:
+    """Sine and cosine to 1e-15 for |theta| below 1e4 rad, branchless so that loops vectorize.
+
+    The angle is reduced to a quarter turn in two parts, then the usual minimax polynomials are
+    used.
+    """
+    turns = np.floor(theta * (2.0 / math.pi) + 0.5)
+    r = (theta - turns * 1.5707963267341256) - turns * 6.077100506506192e-11
+    z = r * r
+    s = r + r * z * (
+        -1.66666666666666324348e-01
+        + z
+        * (
+            8.33333333332248946124e-03
+            + z
+            * (
+                -1.98412698298579493134e-04
+                + z
+                * (
+                    2.75573137070700676789e-06
+                    + z * (-2.50507602534068634195e-08 + z * 1.58969099521155010221e-10)
+                )
+            )
+        )
+    )
+    c = (
+        1.0
+        - 0.5 * z
+        + z
+        * z
+        * (
+            4.16666666666666019037e-02
+            + z
+            * (
+                -1.38888888888741095749e-03
+                + z
+                * (
+                    2.48015872894767294178e-05
+                    + z
+                    * (
+                        -2.75573143513906633035e-07
+                        + z * (2.08757232129817482790e-09 - z * 1.13596475577881948265e-11)
+                    )
+                )
+            )
+        )
+    )
+    quarter = turns - 4.0 * np.floor(turns * 0.25)
+    swap = quarter in (1.0, 3.0)
+    sine, cosine = (c if swap else s), (s if swap else c)
+    return (
+        -sine if quarter >= 2.0 else sine,
+        -cosine if quarter in (1.0, 2.0) else cosine,
+    )
+
+
+def cos_sin(theta: float) -> tuple[float, float]:
+    """Cosine and sine of a heading [rad]."""
+    return math.cos(theta), math.sin(theta)
+
+
+@overloads(cos_sin)
+def _direction(theta: Any) -> Callable[..., Any]:
+    """Replacement for `direction` in compiled functions; equal to 1e-15."""
+
+    def compiled(theta: Any) -> Any:
+        sine, cosine = sincos(theta)
+        return cosine, sine
+
+    return compiled

@@ -1,0 +1,383 @@
+"""Untrusted files, JSON and YAML within limits of size and depth.
+
+Files written whole or not at all.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import json
+import math
+import os
+import re
+import secrets
+import shutil
+import stat
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import FunctionType
+from typing import IO, Any
+
+import yaml
+
+from acsar_gym.errors import AcsarError, ConfigError, shorten_text, show_value
+
+OPEN_FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+"""Flags for opening; non-blocking, as a pipe may replace the file after it was checked."""
+READ_CHUNK = 1 << 20
+"""Bytes read by one system call."""
+STREAM_PATHS = ("/dev/std", "/dev/fd/", "/proc/")
+"""Names of what the program has open already: the shell's "> FILE" must not be replaced."""
+
+
+def read_file(path: Path, limit: int, error: type[AcsarError] = ConfigError) -> bytes:
+    """Read a regular file.
+
+    Args:
+        path: the file.
+        limit: largest accepted size [bytes].
+        error: class of the exception.
+
+    Raises:
+        AcsarError: as `error`, if the file isn't regular, too large, or can't be read. The
+            message begins with the path.
+    """
+    try:
+        return read_content(path, limit, error)
+    except error as problem:
+        raise error(f"{shorten_text(str(path))}: {problem}") from None
+
+
+def read_content(path: Path, limit: int, error: type[AcsarError] = ConfigError) -> bytes:
+    """Read as `read` does; error messages don't contain the path."""
+    try:
+        _check(os.stat(path), limit, error)  # noqa: PTH116 - before opening: that resets some boards
+        file = os.open(path, OPEN_FLAGS)
+        try:
+            _check(os.fstat(file), limit, error)
+            data = _chunks(file, limit)
+        finally:
+            os.close(file)
+    except FileNotFoundError:
+        raise error("there is no such file") from None
+    except (OSError, ValueError) as problem:
+        raise error(f"can't be read: {explain_error(problem)}") from None
+    if len(data) > limit:
+        raise error(_too_large(limit))
+    return data
+
+
+@contextlib.contextmanager
+def open_file(path: Path, limit: int, error: type[AcsarError] = ConfigError) -> Iterator[IO[bytes]]:
+    """Open a regular file to read it piece by piece, as a context manager.
+
+    Args:
+        path: the file.
+        limit: largest accepted size [bytes].
+        error: class of the exception.
+
+    Raises:
+        AcsarError: as `error`, as by `read`; also for errors inside the block.
+    """
+    try:
+        _check(os.stat(path), limit, error)  # noqa: PTH116 - as in `content`
+        with os.fdopen(os.open(path, OPEN_FLAGS), "rb") as file:
+            _check(os.fstat(file.fileno()), limit, error)
+            yield file
+    except error as problem:
+        raise error(f"{shorten_text(str(path))}: {problem}") from None
+    except FileNotFoundError:
+        raise error(f"{shorten_text(str(path))}: there is no such file") from None
+    except (OSError, ValueError) as problem:
+        raise error(f"{shorten_text(str(path))}: can't be read: {explain_error(problem)}") from None
+
+
+def write_atomically(path: Path, data: bytes, error: type[AcsarError] = ConfigError) -> None:
+    """Write a file so that it is either whole, or what it was before; see `replacing`.
+
+    Args:
+        path: the file.
+        data: its content.
+        error: class of the exception.
+
+    Raises:
+        AcsarError: as `error`, if it can't be written, or is a pipe that nobody reads.
+    """
+    try:
+        with replace_file(path) as new, open(new, "wb", opener=open_nonblocking) as file:
+            file.write(data)
+    except (OSError, ValueError) as problem:
+        raise error(
+            f"{shorten_text(str(path))}: can't be written: {explain_error(problem)}"
+        ) from None
+
+
+@contextlib.contextmanager
+def replace_file(path: Path) -> Iterator[Path]:
+    """Replace a file atomically, as a context manager: the old one stays until the block ends.
+
+    So a full disk, a signal or a power failure leaves the old file or the new one, never half of
+    it. The new file keeps the old one's permissions and, where the system allows it, its owner.
+    Links stay links to it. Devices and pipes can't be replaced: they are written in place.
+
+    Args:
+        path: the file.
+
+    Yields:
+        The path to write to: an empty file in the same folder, of the same kind by its suffix.
+
+    Raises:
+        OSError: it can't be replaced, as it is write-protected or its folder can't be written.
+    """
+    try:
+        before = os.stat(path)  # noqa: PTH116 - follows links without resolving them
+    except FileNotFoundError:
+        before = None
+    if before and (not stat.S_ISREG(before.st_mode) or str(path).startswith(STREAM_PATHS)):
+        yield path
+        return
+    place = Path(os.path.realpath(path))
+    if before:
+        os.close(os.open(place, os.O_WRONLY))  # raises where it is write-protected
+    new = place.with_name(f".{place.stem[:32]}-{secrets.token_hex(4)}{place.suffix}")
+    os.close(os.open(new, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+    try:
+        if before:
+            with contextlib.suppress(PermissionError, AttributeError):  # Windows has no owners
+                shutil.chown(new, before.st_uid, before.st_gid)
+            new.chmod(stat.S_IMODE(before.st_mode))
+        yield new
+        with new.open("ab") as file:
+            os.fsync(file.fileno())
+        new.replace(place)
+    finally:
+        new.unlink(missing_ok=True)
+
+
+def open_nonblocking(path: str, flags: int) -> int:
+    """Open without blocking, for `open(opener=...)`; a pipe without a peer is an error."""
+    blocking = getattr(os, "O_NONBLOCK", 0)
+    file = os.open(path, flags | blocking, 0o666)
+    if blocking:
+        os.set_blocking(file, True)
+    return file
+
+
+def explain_error(problem: Exception) -> str:
+    """Return the message of an exception as one short line."""
+    return getattr(problem, "strerror", None) or " ".join(str(problem).split())[:200]
+
+
+def _check(status: os.stat_result, limit: int, error: type[AcsarError]) -> None:
+    """Raise `error` unless it is a regular file within the limit."""
+    if not stat.S_ISREG(status.st_mode):
+        raise error("isn't a regular file")
+    if status.st_size > limit:
+        raise error(_too_large(limit))
+
+
+def _chunks(file: int, limit: int) -> bytes:
+    """Read up to limit + 1 bytes; the size may be unknown, as in /proc, or grow."""
+    data = bytearray()
+    while len(data) <= limit:
+        chunk = os.read(file, min(READ_CHUNK, limit + 1 - len(data)))
+        if not chunk:
+            break
+        data += chunk
+    return bytes(data)
+
+
+def _too_large(limit: int) -> str:
+    size = f"{limit / 1e6:g} MB" if limit >= 100_000 else f"{limit:,} bytes"
+    return f"is larger than {size}, the most that is read"
+
+
+def import_object(what: str, name: str) -> Any:
+    """The object of a module that is named "module:Class".
+
+    Args:
+        what: it is for, in the error's words, such as "task".
+        name: of the module, which is imported, and of the object in it.
+
+    Raises:
+        ConfigError: there is none of that name, or its module can't be imported.
+    """
+    module, _, attribute = name.partition(":")
+    if not all(part.isidentifier() for part in (*module.split("."), *attribute.split("."))):
+        raise ConfigError(f"{what} = {show_value(name)}: must be like 'module:Class'")
+    try:
+        found: Any = importlib.import_module(module)
+        for part in attribute.split("."):
+            found = getattr(found, part)
+    except AcsarError:
+        raise
+    except (ImportError, AttributeError) as error:
+        raise ConfigError(
+            f"{what} = {show_value(name)}: {_one_line(error)}; must be like 'module:Class'"
+        ) from None
+    except (Exception, SystemExit) as error:
+        said = f"{type(error).__name__}: {_one_line(error)}"
+        raise ConfigError(
+            f"{what} = {show_value(name)}: the module {module} can't be imported: {said}"
+        ) from error
+    return found
+
+
+def _one_line(error: BaseException) -> str:
+    """The message of an error, shortened and without line breaks."""
+    return shorten_text(" ".join(str(error).split()), 300)
+
+
+def object_name(kind: type | FunctionType) -> str | None:
+    """The "module:name" that imports a class or function; None where none does: a local one."""
+    found: Any = sys.modules.get(kind.__module__)
+    for part in kind.__qualname__.split("."):
+        found = getattr(found, part, None)
+    importable = found is kind and kind.__module__ != "__main__"
+    return f"{kind.__module__}:{kind.__qualname__}" if importable else None
+
+
+def open_lines(path: Path) -> IO[str]:
+    """Open a text file for writing line by line; ConfigError if that fails."""
+    try:
+        return open(path, "w", buffering=1, encoding="ascii", opener=open_nonblocking)
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: can't be written: {explain_error(error)}") from None
+
+
+def write_line(file: IO[str], line: str) -> None:
+    """Write a line; ConfigError if that fails, as on a full disk."""
+    try:
+        file.write(line)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            file.close()
+        raise ConfigError(f"{file.name}: can't be written: {error.strerror}") from None
+
+
+MAX_JSON_VALUES = 1_000_000
+"""Most values in JSON, counted by the brackets and commas; they take up to 230 MB."""
+MAX_YAML_EVENTS = 20_000
+"""Most parser events in YAML: beginning or end of a list or mapping, key, value."""
+MAX_YAML_TEXT = 10_000
+"""Longest string or number in YAML [characters]; numbers in base 60 take quadratic time."""
+MAX_YAML_DEPTH = 20
+"""Deepest nesting of lists and mappings in YAML."""
+YAML_ERRORS = (yaml.YAMLError, ValueError, LookupError, AttributeError, RecursionError)
+"""Exceptions of the YAML library; malformed scalars raise the built-in ones."""
+
+
+def decode_text(data: bytes, error: type[AcsarError] = ConfigError) -> str:
+    """Decode UTF-8; raises `error` if it isn't UTF-8."""
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise error("isn't UTF-8 text: save it as UTF-8") from None
+
+
+def parse_json(
+    text: str | bytes, error: type[AcsarError] = ConfigError, most: int = MAX_JSON_VALUES
+) -> Any:
+    """Parse JSON.
+
+    Args:
+        text: the JSON.
+        error: class of the exception.
+        most: values that it may have.
+
+    Raises:
+        AcsarError: as `error`, for invalid JSON, NaN, too long numbers, and too many values.
+    """
+    try:
+        text = text if isinstance(text, str) else str(text, "utf-8")
+        if sum(map(text.count, "[{,")) > most:
+            raise error(f"has more than {most:,} values, the most that are read")
+        return _JSON.decode(text)
+    except (ValueError, RecursionError) as problem:
+        raise error(f"not valid JSON: {explain_error(problem)}") from None
+
+
+def parse_yaml(
+    text: str, error: type[AcsarError] = ConfigError, most: int = MAX_YAML_EVENTS
+) -> Any:
+    """Parse a YAML document.
+
+    Args:
+        text: the YAML.
+        error: class of the exception.
+        most: parser events that it may have.
+
+    Raises:
+        AcsarError: as `error`, for invalid YAML, several documents, aliases, keys that aren't text,
+            too long numbers or strings, too many values, and too deep nesting.
+    """
+    depth = 0
+    try:
+        events: Iterator[Any] = yaml.parse(text, Loader=_Loader)
+        for count, event in enumerate(events):
+            depth += isinstance(event, yaml.CollectionStartEvent)
+            depth -= isinstance(event, yaml.CollectionEndEvent)
+            where = f"line {event.start_mark.line + 1}"
+            if isinstance(event, yaml.AliasEvent):
+                raise error(f"{where}: has an alias (*), which is refused: write the value out")
+            if depth > MAX_YAML_DEPTH or count > most:
+                raise error(f"{where}: is nested too deeply or has too many values")
+            if isinstance(event, yaml.ScalarEvent) and len(event.value) > MAX_YAML_TEXT:
+                raise error(
+                    f"{where}: a text of {len(event.value):,} characters, which is too long"
+                )
+        return yaml.load(text, Loader=_Loader)  # noqa: S506 -- derived from the safe loader
+    except YAML_ERRORS as problem:
+        raise error(f"not valid YAML: {explain_error(problem)}") from None
+
+
+def format_yaml(data: Any) -> str:
+    """Format mappings, lists and scalars as YAML that `from_yaml` reads back equal."""
+    return yaml.dump(
+        data, Dumper=_Dumper, sort_keys=False, default_flow_style=None, allow_unicode=True
+    )
+
+
+def _finite(text: str) -> float:
+    """Parse a float; ValueError for NaN, and for one that is too large, as 1e999 is."""
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError(f"{text[:20]} is no number")
+    return number
+
+
+_JSON = json.JSONDecoder(parse_float=_finite, parse_constant=_finite)
+
+
+class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+    """The safe loader, in C if available, that reads 1e-3 as a number as YAML 1.2 does."""
+
+    def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        """Refuse keys that aren't strings; called for every mapping.
+
+        Hashes of strings are randomized; numeric keys could be chosen to collide.
+        """
+        for key, _ in node.value:
+            if key.tag != "tag:yaml.org,2002:str":
+                merge = " (<< is refused: write the values out)" if key.value == "<<" else ""
+                line = key.start_mark.line + 1
+                raise ValueError(f"line {line}: a key must be text, in quotes if need be{merge}")
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)[eE][-+]?[0-9]+$"),
+    list("-+.0123456789"),
+)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Quotes text that `_Loader` would read as a number."""
+
+    yaml_implicit_resolvers = _Loader.yaml_implicit_resolvers
+
+    def ignore_aliases(self, data: Any) -> bool:
+        """Write equal values out: aliases are refused."""
+        return True

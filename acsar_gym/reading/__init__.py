@@ -1,1 +1,0 @@
-"""Reads untrusted files within limits of size and depth."""

@@ -1,0 +1,356 @@
+"""LiDARs: the contract, the sensor that observes their ranges.
+
+The simulated and the replayed one, and how a URL names one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym.config import LidarConfig, RobotConfig
+from acsar_gym.config.footprint import Outline, outline_reach
+from acsar_gym.errors import ConfigError, LidarError, show_value, suggest_name
+from acsar_gym.jit import loop
+from acsar_gym.links.base import Link, ScannedLink, tape_of
+from acsar_gym.odometry import Odometry
+from acsar_gym.physics.body import GroundTruth
+from acsar_gym.reading import import_object
+from acsar_gym.sensors import LIDAR, Factory, Sensor
+from acsar_gym.worlds import Scene
+from acsar_gym.worlds.geometry import Obstacles, RaySpec, cast_rays, make_surroundings
+
+STALE_PERIODS = 2.0
+"""A scan that is older than this many periods of the LiDAR counts as stale."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Scan:
+    """One revolution of a LiDAR."""
+
+    ranges: NDArray[np.float64]
+    """(rays,): range in each direction [m], within min_range to max_range, counter-clockwise from
+    -field_of_view / 2 of the robot's x axis; max_range where nothing was measured."""
+    stamp: float
+    """When the revolution ended, on the link's clock [s]."""
+
+
+class Lidar(Protocol):
+    """A LiDAR, simulated or real. Its scans are stamped on the clock of the robot's link."""
+
+    def reset(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Begin an episode; opens a device that is closed.
+
+        Args:
+            scene: the world, and the robot's start in it.
+            rng: for the noise.
+
+        Raises:
+            LidarError: the device can't be opened, or doesn't measure.
+        """
+
+    def scan(self) -> Scan:
+        """Return the newest scan; doesn't wait for one.
+
+        Raises:
+            LidarError: it is older than the configured time-out, or the device is gone.
+        """
+
+    def close(self) -> None:
+        """Stop the motor and close the device; idempotent."""
+
+
+class LidarSensor(Sensor):
+    """Adds a LiDAR's ranges to the observation: range / `max_range`, 0 to 1, one for each ray.
+
+    Attributes: `lidar`, which measures, at its own rate; `scan`, its newest scan.
+    """
+
+    name, low, high = LIDAR, 0.0, 1.0
+    uses_truth = False
+
+    def __init__(self, lidar: Lidar, config: RobotConfig) -> None:
+        self.lidar = lidar
+        self.config = config
+        self.size = config.lidar.rays
+        self._scan: Scan | None = None
+
+    @property
+    def scan(self) -> Scan:
+        """The newest scan at the end of the last tick. LidarError before a reset."""
+        if self._scan is None:
+            raise LidarError("the LiDAR has no scan yet", "call reset() first")
+        return self._scan
+
+    def follow(self, odometry: Odometry) -> None:
+        """Tell a LiDAR that has a method `follow` how the robot moves."""
+        if callable(follow := getattr(self.lidar, "follow", None)):
+            follow(odometry)
+
+    def reset(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Begin an episode; opens a device that is closed. LidarError where that fails."""
+        self.lidar.reset(scene, rng)
+
+    def poll(self, truth: GroundTruth | None, now: float) -> None:
+        """Take the newest scan. LidarError where it is too old, or the device is gone."""
+        self._scan = self.lidar.scan()
+
+    def read(self, truth: GroundTruth | None, now: float) -> NDArray[np.float64]:
+        """Return range / `max_range` of each ray, (rays,)."""
+        return self.scan.ranges / self.config.lidar.max_range
+
+    def info(self, now: float) -> dict[str, float]:
+        """`scan_age` [s], and `scan_stale`: 1 where the age is over two periods of the LiDAR."""
+        age = now - self.scan.stamp
+        return {"scan_age": age, "scan_stale": float(age > stale_after(self.config))}
+
+    def close(self) -> None:
+        """Stop the motor and close the device; idempotent."""
+        self.lidar.close()
+
+    @property
+    def layout(self) -> str:
+        """Number of rays, field of view and longest range, in words."""
+        lidar = self.config.lidar
+        return f"{lidar.rays} ranges over {lidar.field_of_view:.4g} rad to {lidar.max_range:g} m"
+
+
+def newest_scan(sensors: Sequence[Sensor]) -> Scan | None:
+    """The newest scan of the LiDAR among a robot's sensors; None without a LiDAR."""
+    first = sensors[0] if sensors else None
+    return first.scan if isinstance(first, LidarSensor) else None
+
+
+def ray_spec(config: RobotConfig) -> RaySpec:
+    """The rays of a robot's LiDAR."""
+    lidar = config.lidar
+    return RaySpec(lidar.rays, lidar.max_range, lidar.field_of_view)
+
+
+def footprint_edges(config: RobotConfig) -> NDArray[np.float64]:
+    """Distance from the LiDAR to the edge of the footprint along each ray, (rays,) [m]."""
+    return _edges(config.outline, ray_spec(config), config.lidar_x_offset, config.lidar_y_offset)
+
+
+@lru_cache(maxsize=16)
+def _edges(outline: Outline, rays: RaySpec, x: float, y: float) -> NDArray[np.float64]:
+    """As `edges`; the same array for the same robot."""
+    found: NDArray[np.float64] = np.array(
+        [outline_reach(outline, (x, y), angle) for angle in rays.angles().tolist()]
+    )
+    return found
+
+
+def stale_after(config: RobotConfig) -> float:
+    """Age from which a scan counts as stale [s]."""
+    return STALE_PERIODS / config.lidar.rate
+
+
+class SimulatedLidar:
+    """Exact rays from the true pose of a simulated robot, with noise and drop-outs.
+
+    A scan is taken at the reset and then at the first tick of every period of the LiDAR. All rays
+    of
+    a scan start from the same pose.
+    """
+
+    def __init__(self, link: Link, config: RobotConfig) -> None:
+        self._link = link
+        self._config = config
+        self._settings = config.lidar
+        self._around = make_surroundings(Obstacles(), ray_spec(config), 1, config)
+        self._rng = np.random.default_rng(0)
+        self._scan = Scan(np.full(config.lidar.rays, config.lidar.max_range), 0.0)
+        self._first, self._taken = 0.0, 0
+
+    def reset(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Take over the scene's obstacles, and the generator for the noise."""
+        world = scene.world
+        obstacles = Obstacles() if world is None else Obstacles(world.circles, world.segments)
+        self._around = make_surroundings(obstacles, ray_spec(self._config), 1, self._config)
+        self._rng = rng
+        self._first, self._taken = self._link.now(), 0
+
+    def scan(self) -> Scan:
+        """Return the newest scan; takes one where it is due."""
+        now = self._link.now()
+        if now - self._first > self._taken / self._settings.rate - 1e-9:
+            self._taken = 1 + math.floor((now - self._first) * self._settings.rate + 1e-9)
+            self._scan = Scan(self._ranges(), now)
+        return self._scan
+
+    def _ranges(self) -> NDArray[np.float64]:
+        """Ranges of a scan at the robot's true pose [m]."""
+        truth = self._link.truth
+        x, y, theta = truth.pose if truth else (0.0, 0.0, 0.0)
+        ranges = np.empty(self._settings.rays)
+        cast_rays(x, y, math.cos(theta), math.sin(theta), 0, self._around, ranges)
+        if noise_draws(self._settings):
+            uniforms = self._rng.random(noise_draws(self._settings))
+            add_noise(ranges, uniforms, *noise_settings(self._settings))
+        else:
+            np.maximum(ranges, self._settings.min_range, out=ranges)
+        return ranges
+
+    def close(self) -> None:
+        """Do nothing: there is no device."""
+
+
+def noise_draws(lidar: LidarConfig) -> int:
+    """How many uniform samples one noisy scan consumes."""
+    pairs = (lidar.rays + 1) // 2 if lidar.noise > 0.0 else 0
+    return 2 * pairs + (lidar.rays if lidar.dropouts > 0.0 else 0)
+
+
+def noise_settings(lidar: LidarConfig) -> tuple[float, float, float, float]:
+    """Noise [m], drop-out share, and least and longest range [m], as `measure` takes them."""
+    return lidar.noise, lidar.dropouts, lidar.min_range, lidar.max_range
+
+
+@loop
+def add_noise(
+    ranges: NDArray[np.float64],
+    uniforms: NDArray[np.float64],
+    noise: float,
+    dropouts: float,
+    nearest: float,
+    farthest: float,
+) -> None:
+    """Apply noise, drop-outs and limits to true ranges, in place.
+
+    Args:
+        ranges: (rays,), true ranges [m]; changed.
+        uniforms: samples of [0, 1), as many as `draws` says: two for each pair of rays (Box and
+            Muller 1958), then one for each ray that may drop out.
+        noise: standard deviation of ranges that meet something [m].
+        dropouts: share of rays that measure nothing, which read `farthest`.
+        nearest: least range [m].
+        farthest: longest range [m].
+    """
+    rays, used = len(ranges), 0
+    if noise > 0.0:
+        for pair in range((rays + 1) // 2):
+            radius = noise * math.sqrt(-2.0 * math.log(1.0 - uniforms[2 * pair]))
+            angle = 2.0 * math.pi * uniforms[2 * pair + 1]
+            for k in range(2 * pair, min(2 * pair + 2, rays)):
+                if ranges[k] < farthest:
+                    turned = math.cos(angle) if k == 2 * pair else math.sin(angle)
+                    ranges[k] += radius * turned
+        used = 2 * ((rays + 1) // 2)
+    for k in range(rays):
+        ranges[k] = min(max(ranges[k], nearest), farthest)
+        if dropouts > 0.0 and uniforms[used + k] < dropouts:
+            ranges[k] = farthest
+
+
+class ReplayedLidar:
+    """Plays the scans of a recording, beside the bytes of its wire.
+
+    Args:
+        tape: the link that replays it.
+        link: the robot's link, with the recorded ground truth where the recording was a simulation.
+        config: of the robot.
+    """
+
+    def __init__(self, tape: ScannedLink, link: Link, config: RobotConfig) -> None:
+        self._tape = tape
+        self._link = link
+        self._config = config
+        self._rng = np.random.default_rng(0)
+        self._scan: Scan | None = None
+
+    def reset(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Begin an episode."""
+        self._rng = rng
+        self._scan = None
+
+    def scan(self) -> Scan:
+        """Return the scan that was the newest one; LidarError where none was recorded."""
+        found = self._tape.scan()
+        if found is None:
+            raise LidarError("the recording has no scan", "was it made with a LiDAR?")
+        stamp, ranges = found
+        rays = self._config.lidar.rays
+        if len(ranges) != rays:
+            raise LidarError(
+                f"the recording's scans have {len(ranges)} rays, the robot's LiDAR {rays}",
+                "replay it with the robot that was recorded",
+            )
+        if self._scan is None or stamp != self._scan.stamp:
+            self._scan = Scan(ranges, stamp)
+            if self._link.truth is not None:  # a simulated LiDAR drew noise here
+                self._rng.random(noise_draws(self._config.lidar))
+        return self._scan
+
+    def close(self) -> None:
+        """Do nothing: there is no device."""
+
+
+def open_lidar(url: Any, link: Link, config: RobotConfig) -> Lidar:
+    """Make the LiDAR that a user names; nothing is opened before its `reset`.
+
+    Args:
+        url: None or "simulated" for rays in the world of a simulated link, or the scans of a
+            recording, or
+            "rplidar:///dev/ttyUSB1" for an RPLIDAR on a serial device, or a Lidar.
+        link: of the robot.
+        config: of the robot.
+
+    Raises:
+        ConfigError: for anything else, and for a simulated LiDAR on a link without a simulation.
+    """
+    if hasattr(url, "scan"):
+        ready: Lidar = url
+        return ready
+    if url is None or (isinstance(url, str) and url == "simulated"):
+        if (tape := tape_of(link)) is not None:
+            return ReplayedLidar(tape, link, config)
+        if link.truth is None:
+            raise ConfigError(
+                "this env needs a LiDAR and this link simulates none: "
+                "pass lidar='rplidar:///dev/ttyUSB1'"
+            )
+        return SimulatedLidar(link, config)
+    if isinstance(url, str) and url.startswith("rplidar://") and len(url) > len("rplidar://"):
+        from acsar_gym.sensors.rplidar import RplidarLidar  # noqa: PLC0415 - optional
+
+        clock = getattr(link, "clock", link.now)
+        return RplidarLidar(url.removeprefix("rplidar://"), config, clock)
+    raise ConfigError(
+        f"lidar = {show_value(url)}: must be like 'rplidar:///dev/ttyUSB1', or 'simulated'"
+    )
+
+
+def sensor_factories(
+    sensors: Iterable[str | Sensor | Factory], lidar: Any = None
+) -> list[Sensor | Factory]:
+    """Replace names among the sensors of a task or an env by factories.
+
+    Args:
+        sensors: "lidar", names like "mine.rays:ThreeRays", factories and ready sensors.
+        lidar: What "lidar" means, as `open_lidar` takes it.
+
+    Raises:
+        ConfigError: A name is unknown.
+    """
+    return [_named(one, lidar) if isinstance(one, str) else one for one in sensors]
+
+
+def _named(name: str, lidar: Any) -> Factory:
+    """The factory that a name stands for."""
+    if ":" in name:
+        made: Factory = import_object("sensor", name)
+        return made
+    if name != LIDAR:
+        raise ConfigError(f"unknown sensor {show_value(name)}{suggest_name(name, [LIDAR])}")
+
+    def make(link: Link, config: RobotConfig) -> Sensor:
+        return LidarSensor(open_lidar(lidar, link, config), config)
+
+    return make

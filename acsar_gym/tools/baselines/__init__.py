@@ -1,0 +1,53 @@
+"""Policies that nobody trained, from the textbooks: floors that a learned policy must beat.
+
+`acsar-gym evaluate --policy dwa --env obstacle_goal`; docs/baselines.md describes each.
+"""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+
+from acsar_gym.errors import PolicyError
+from acsar_gym.resources import AGENTS
+from acsar_gym.tools.baselines.base import BaselinePolicy
+
+__all__ = ["BASELINES", "BaselinePolicy", "is_baseline", "load_baseline"]
+BASELINES = {
+    "random": "random_actions:RandomActions",
+    "turn_drive": "turn_drive:TurnDrive",
+    "smooth": "smooth:Smooth",
+    "pure_pursuit": "pure_pursuit:PurePursuit",
+    "stanley": "stanley:Stanley",
+    "follow_gap": "follow_gap:FollowGap",
+    "dwa": "dwa:Dwa",
+    "mppi": "mppi:Mppi",
+    "navfn": "navfn:Navfn",
+}
+"""What `--policy` calls each, and its module in this package and class."""
+
+
+def is_baseline(policy: str) -> bool:
+    """Whether a policy argument names a baseline; files and packaged policies come first."""
+    packaged = AGENTS / "policies" / f"{policy}.onnx"
+    return policy in BASELINES and not Path(policy).exists() and not packaged.exists()
+
+
+def load_baseline(name: str, env_id: str) -> BaselinePolicy:
+    """Make a baseline.
+
+    Args:
+        name: one of `BASELINES`.
+        env_id: id of the env that it will drive.
+
+    Raises:
+        PolicyError: no env is named.
+    """
+    if not env_id:
+        raise PolicyError(
+            f"{name}: a baseline, which can drive more than one environment: name it, as in "
+            f"--policy {name} --env obstacle_goal"
+        )
+    module, _, kind = BASELINES[name].partition(":")
+    made: BaselinePolicy = getattr(importlib.import_module(f"{__name__}.{module}"), kind)(env_id)
+    return made

@@ -1,0 +1,127 @@
+"""Follow the gap.
+
+Sezer & Gokasan, "A novel obstacle avoidance algorithm: follow the gap method", Robotics and
+Autonomous Systems 60 (2012).
+
+Obstacles are circles, enlarged by the robot's radius. Of the gaps between them the robot takes one,
+and heads for
+
+    phi = (alpha / d_min phi_gap + phi_goal) / (alpha / d_min + 1)
+
+(their equation 10), between the gap's centre and the goal, nearer to the centre where the nearest
+obstacle is near. The paper takes the widest gap; this takes the one whose edge turns least from
+the goal, among those that the robot fits through.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym.config import footprint
+from acsar_gym.sensors.lidar import ray_spec
+from acsar_gym.tasks.base import Floats
+from acsar_gym.tools.baselines.base import BaselinePolicy
+from acsar_gym.tools.baselines.mapping import scan_points
+from acsar_gym.tools.policies.base import GOAL_NUMBERS, DecodedObservation, PolicyContext
+
+CENTRE_WEIGHT = 0.35
+"""Weight of the gap's centre [m]."""
+RADIUS_MARGIN = 0.04
+"""How much the robot's radius is enlarged [m]."""
+OBSTACLE_REACH = 1.5
+"""Obstacles farther away than this are no obstacles yet [m]."""
+DIRECTION_BINS = 360
+"""Directions that are distinguished."""
+MAX_COURSE = 0.6
+"""It turns on the spot while its course is farther off than this [rad]."""
+
+
+class FollowGap(BaselinePolicy):
+    """Heads between the centre of a gap and the goal; knows only the newest scan."""
+
+    name = "follow_gap"
+    needs = GOAL_NUMBERS
+    lidar = True
+
+    def equip(self, setting: PolicyContext) -> None:
+        """Prepare for a robot and a task."""
+        super().equip(setting)
+        self._angles = ray_spec(setting.config).angles()
+        self._radius = footprint.outline_radius(setting.config.outline) + RADIUS_MARGIN
+
+    def act(self, seen: DecodedObservation) -> tuple[float, float]:
+        """Return the velocity command [m/s, rad/s]."""
+        points = scan_points(seen.ranges, self._angles, self.setting.config)
+        course, nearest = choose_course(points, self._radius, seen.bearing, seen.distance)
+        config = self.setting.config
+        free = max(nearest - self._radius, 0.0)
+        speed = config.max_linear * min(1.0, 0.3 + free / 0.3) * max(math.cos(course), 0.0)
+        return (0.0 if abs(course) > MAX_COURSE else speed), 2.5 * course
+
+
+def choose_course(
+    points: Floats, radius: float, bearing: float, distance: float
+) -> tuple[float, float]:
+    """Choose a gap and a course.
+
+    Args:
+        points: (n, 2), obstacles in the base frame [m].
+        radius: of the robot, with a margin [m].
+        bearing: of the goal [rad].
+        distance: of the goal [m].
+
+    Returns:
+        The course [rad], and the distance of the nearest obstacle [m].
+    """
+    far = np.hypot(points[:, 0], points[:, 1])
+    reach = min(OBSTACLE_REACH, distance)
+    near, to = far[far < reach], np.arctan2(points[:, 1], points[:, 0])[far < reach]
+    if len(near) == 0:
+        return bearing, math.inf
+    wide = np.arcsin(np.clip(radius / np.maximum(near, 1e-6), 0.0, 1.0))
+    middles: Floats = np.linspace(-math.pi, math.pi, DIRECTION_BINS, endpoint=False)
+    apart = np.abs((middles[:, None] - to + math.pi) % (2.0 * math.pi) - math.pi)
+    free: NDArray[np.bool_] = np.all(apart > wide, axis=1)
+    if not free.any():
+        return float(to[near.argmax()]), float(near.min())
+    centre = min(find_gaps(free, middles), key=lambda gap: angle_off_gap(gap, bearing))[0]
+    weight = CENTRE_WEIGHT / float(near.min())
+    course = centre + wrap_angle(bearing - centre) / (weight + 1.0)
+    return wrap_angle(course), float(near.min())
+
+
+def find_gaps(free: NDArray[np.bool_], middles: Floats) -> list[tuple[float, float]]:
+    """Find the runs of free directions around the robot.
+
+    Args:
+        free: (n,), whether each direction is free.
+        middles: (n,), the directions, evenly around [rad].
+
+    Returns:
+        Centre and half the width of each gap [rad].
+    """
+    if free.all():
+        return [(0.0, math.pi)]
+    first = int(np.flatnonzero(~free)[0])
+    turned = np.roll(free, -first).astype(np.int8)
+    edges = np.diff(np.concatenate([turned, [0]]))
+    starts, ends = np.flatnonzero(edges > 0) + 1, np.flatnonzero(edges < 0)
+    step = float(middles[1] - middles[0])
+    begin = float(middles[first])
+    return [
+        (wrap_angle(begin + step * (start + end) / 2.0), step * (end - start) / 2.0)
+        for start, end in zip(starts.tolist(), ends.tolist(), strict=True)
+    ]
+
+
+def angle_off_gap(gap: tuple[float, float], bearing: float) -> float:
+    """How far a bearing lies outside a gap; negative within it [rad]."""
+    return abs(wrap_angle(bearing - gap[0])) - gap[1]
+
+
+def wrap_angle(angle: float) -> float:
+    """The same angle within [-pi, pi) [rad]."""
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi

@@ -1,0 +1,497 @@
+"""Statistics over few training seeds and many scenes, after Agarwal et al. 2021.
+
+"Deep Reinforcement Learning at the Edge of the Statistical Precipice", NeurIPS 2021. Scores are
+matrices (seeds, scenes): a row for each trained policy of an agent, a column for each scene. An
+agent without training has one row.
+
+The bootstrap is stratified: every matrix of a list, one for each id, is resampled on its own. In
+each, seeds are resampled, and scenes too (their `task_bootstrap`), because the scenes are a sample
+of what a generator makes. A drawn seed keeps its scores in all drawn scenes: one trained policy
+drove them all, so its scores aren't independent of each other.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from acsar_gym.tasks.navigation import BARN_SCORES
+from acsar_gym.tools.benchmark.plan import BASELINE, LEARNED, NOMINAL
+from acsar_gym.tools.benchmark.store import Cell, EpisodeRecord, Part
+from acsar_gym.tools.evaluation import metrics
+from acsar_gym.tools.evaluation.episodes import EpisodeResult
+
+Floats = NDArray[np.float64]
+Interval = tuple[float, float]
+Statistic = Callable[[Floats], Floats]
+"""Maps rows of scores (..., n) to one figure a row (...)."""
+
+CONFIDENCE = 0.95
+RESAMPLES = 2000
+"""Bootstrap samples of an interval; their seed is fixed, so equal scores give equal intervals."""
+MAX_RESAMPLED = 4_000_000
+"""Scores that are resampled at once, at most; limits the memory."""
+TAUS = tuple(np.linspace(0.0, 1.0, 21).round(2).tolist())
+"""Thresholds of performance profiles."""
+
+
+def interquartile_mean(rows: Floats) -> Floats:
+    """Return the mean of the middle half of each row, a 25 % trimmed mean.
+
+    Args:
+        rows: (..., n), with n of at least one.
+    """
+    count = rows.shape[-1]
+    cut = count // 4
+    trimmed: Floats = np.sort(rows, axis=-1)[..., cut : count - cut].mean(axis=-1)
+    return trimmed
+
+
+def row_means(rows: Floats) -> Floats:
+    """Return the mean of each row (..., n)."""
+    means: Floats = rows.mean(axis=-1)
+    return means
+
+
+def overall_figure(scores: Sequence[Floats], statistic: Statistic = interquartile_mean) -> float:
+    """Return a statistic of all scores of some matrices, put together.
+
+    Args:
+        scores: a matrix (seeds, scenes) for each id.
+        statistic: `iqm` or `mean`.
+    """
+    return float(statistic(np.concatenate([np.ravel(each) for each in scores])))
+
+
+def probability_of_improvement(x: ArrayLike, y: ArrayLike) -> float:
+    """Return the probability that a run of X scores more than a run of Y in the same scene.
+
+    The mean over scenes of the Mann-Whitney U statistic divided by the number of pairs; equal
+    scores count half.
+
+    Args:
+        x: (seeds of X, scenes).
+        y: (seeds of Y, scenes), of the same scenes.
+    """
+    return float(_better(x, y).mean())
+
+
+def _better(x: ArrayLike, y: ArrayLike) -> Floats:
+    """(seeds of X, seeds of Y, scenes): 1 where X scores more, 0.5 where both are equal."""
+    ours, others = np.asarray(x, np.float64)[:, None], np.asarray(y, np.float64)[None]
+    better: Floats = (ours > others) + 0.5 * (ours == others)
+    return better
+
+
+def performance_profile(scores: ArrayLike, taus: Sequence[float] = TAUS) -> list[float]:
+    """Return the share of runs, over seeds and scenes, whose score is above each threshold."""
+    flat = np.asarray(scores, np.float64).ravel()
+    return [float((flat > tau).mean()) for tau in taus]
+
+
+def stratified_interval(
+    scores: Sequence[Floats],
+    statistic: Statistic = interquartile_mean,
+    *,
+    resamples: int = RESAMPLES,
+    seed: int = 0,
+) -> Interval:
+    """Return the 95 % percentile interval of a statistic, by the stratified bootstrap.
+
+    Args:
+        scores: a matrix (seeds, scenes) for each id.
+        statistic: of rows with all scores.
+        resamples: bootstrap samples.
+        seed: of the resampling.
+
+    Returns:
+        Low and high end.
+    """
+    rng = np.random.default_rng(seed)
+    chunk = max(1, MAX_RESAMPLED // sum(each.size for each in scores))
+    found = [
+        statistic(np.concatenate([_resampled(each, count, rng) for each in scores], axis=1))
+        for count in _chunks(resamples, chunk)
+    ]
+    return _percentiles(np.concatenate(found))
+
+
+def _chunks(total: int, most: int) -> list[int]:
+    """Cut a number into parts of at most `most`."""
+    whole, rest = divmod(total, most)
+    return [most] * whole + ([rest] if rest else [])
+
+
+def _resampled(scores: Floats, count: int, rng: np.random.Generator) -> Floats:
+    """(count, seeds * scenes): draw as many seeds and scenes as there are, with replacement."""
+    seeds, scenes = (rng.integers(size, size=(count, size)) for size in scores.shape)
+    return scores[seeds[:, :, None], scenes[:, None, :]].reshape(count, -1)
+
+
+def improvement_interval(
+    x: Floats, y: Floats, *, resamples: int = RESAMPLES, seed: int = 0
+) -> Interval:
+    """Return the 95 % interval of `probability_of_improvement`.
+
+    Seeds of X and Y are resampled apart, the scenes together, as both drove the same ones.
+    """
+    rng = np.random.default_rng(seed)
+    better = _better(x, y)
+    ours, others, scenes = (
+        rng.multinomial(size, np.full(size, 1.0 / size), resamples) / size for size in better.shape
+    )  # how often each was drawn, as shares
+    return _percentiles(np.einsum("ri,rj,rk,ijk->r", ours, others, scenes, better, optimize=True))
+
+
+def _percentiles(values: Floats) -> Interval:
+    """The middle 95 % of some values."""
+    tail = 50.0 * (1.0 - CONFIDENCE)
+    low, high = np.percentile(values, [tail, 100.0 - tail])
+    return float(low), float(high)
+
+
+def intervals_apart(one: Interval, other: Interval) -> bool:
+    """Whether two intervals have no point in common."""
+    return one[1] < other[0] or other[1] < one[0]
+
+
+# The figures of an episode and of many: what each id is scored by, and means over episodes.
+
+WORST_CROSS_TRACK = 0.1
+"""Mean cross-track error at which following a path scores nothing [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scoring:
+    """What the score of an episode depends on besides its result."""
+
+    id: str
+    """Id of the env, without its namespace."""
+    top_speed: float
+    """Of the robot [m/s]."""
+    tolerance: float
+    """Distance to the goal that is a success [m]."""
+
+
+def record_episode(result: EpisodeResult, scene: int, scoring: Scoring) -> EpisodeRecord:
+    """Flatten a result.
+
+    Args:
+        result: of the episode.
+        scene: its number.
+        scoring: how it is scored.
+    """
+    scores = dict(zip(BARN_SCORES, result.scores, strict=False))
+    return EpisodeRecord(
+        scene=scene,
+        seed=result.seed or 0,
+        success=bool(result.success),
+        collision=bool(result.collision),
+        score=score_episode(result, scoring),
+        spl=metrics.episode_spl(result),
+        soft_spl=metrics.episode_soft_spl(result),
+        time=result.ended - result.started,
+        steps=result.length,
+        path=result.path,
+        driven=result.driven,
+        shortest=result.shortest,
+        turning=result.turning,
+        jerk=result.jerk,
+        clearance=result.clearance,
+        energy=result.energy,
+        odometry_error=result.odometry_error,
+        cross_track=result.cross_track,
+        barn_score=scores.get("barn_score", math.nan),
+        barn_score_own=scores.get("barn_score_own", math.nan),
+        episode_return=result.episode_return,
+        late_ticks=result.late_ticks,
+        fault=result.fault,
+    )
+
+
+def score_episode(result: EpisodeResult, scoring: Scoring) -> float:
+    """Return the score of an episode, 0 to 1, 0 without success.
+
+    For path following 1 - mean cross-track error / 10 cm. Otherwise success weighted by completion
+    time (Yokoyama, Ha & Batra 2021): T* / max(T, T*), where T is the time that it took, and T* that
+    of the shortest path, up to the goal's tolerance, at the robot's top speed.
+    """
+    if not result.success:
+        return 0.0
+    if scoring.id.startswith("PathFollow-"):
+        return max(0.0, 1.0 - result.cross_track / WORST_CROSS_TRACK)
+    fastest = max(result.shortest - scoring.tolerance, 0.0) / scoring.top_speed
+    return fastest / max(result.ended - result.started, fastest, 1e-9)
+
+
+def _won(value: Callable[[EpisodeRecord], float]) -> Callable[[EpisodeRecord], float]:
+    """Count successful episodes only."""
+    return lambda episode: value(episode) if episode.success else math.nan
+
+
+EPISODE_FIGURES: dict[str, Callable[[EpisodeRecord], float]] = {
+    "success_rate": lambda e: float(e.success),
+    "collision_rate": lambda e: float(e.collision),
+    "fault_rate": lambda e: float(bool(e.fault)),
+    "score": lambda e: e.score,
+    "spl": lambda e: e.spl,
+    "soft_spl": lambda e: e.soft_spl,
+    "barn_score": lambda e: e.barn_score,
+    "barn_score_own": lambda e: e.barn_score_own,
+    "time_to_goal": _won(lambda e: e.time),
+    "path": _won(lambda e: e.path),
+    "clearance": lambda e: e.clearance,
+    "smoothness": lambda e: e.turning / max(e.path, 1e-9),
+    "jerk": lambda e: e.jerk,
+    "energy": _won(lambda e: e.energy),
+    "odometry_error": lambda e: e.odometry_error,
+    "odometry_drift": lambda e: e.odometry_error / max(_longer(e), 1e-9),
+    "cross_track": lambda e: e.cross_track,
+    "episode_return": lambda e: e.episode_return,
+    "late_ticks": lambda e: float(e.late_ticks),
+}
+"""Values whose means over episodes are given; NaN where an episode has none. Units as in `Episode`;
+smoothness is the heading change per metre [rad/m], odometry_drift the error per metre driven."""
+
+
+def _longer(episode: EpisodeRecord) -> float:
+    """Length driven [m], by ground truth if known."""
+    return episode.path if math.isnan(episode.driven) else episode.driven
+
+
+def summarise_records(episodes: Sequence[EpisodeRecord]) -> dict[str, Any]:
+    """Return the mean of every figure over the episodes that have it, None where none has.
+
+    `success_interval` is Wilson's.
+    """
+    means = {
+        name: _mean([value(each) for each in episodes]) for name, value in EPISODE_FIGURES.items()
+    }
+    wins = sum(each.success for each in episodes)
+    interval = metrics.wilson_interval(wins, len(episodes))
+    told = {"episodes": len(episodes), **means, "success_interval": interval}
+    cleaned: dict[str, Any] = metrics.replace_nonfinite(told)
+    return cleaned
+
+
+def _mean(values: Sequence[float]) -> float:
+    """Mean of the finite values, or NaN."""
+    known = [value for value in values if math.isfinite(value)]
+    return math.fsum(known) / len(known) if known else math.nan
+
+
+# Rows of the table: an agent's figures on an id over all its training seeds.
+
+Place = tuple[str, str, str, str]
+"""Id, set of scenes, link and condition, which the rows to be compared share."""
+
+
+@dataclass
+class CellResult:
+    """All finished episodes of a cell, in the order of the scenes."""
+
+    cell: Cell
+    episodes: list[EpisodeRecord] = field(default_factory=list)
+    seconds: float = 0.0
+    refused: str = ""
+
+
+@dataclass
+class AgentRow:
+    """An agent behind one link, with all its training seeds."""
+
+    agent: str
+    kind: str
+    place: Place
+    seeds: list[CellResult] = field(default_factory=list)
+
+    @property
+    def refused(self) -> str:
+        """Why none of its seeds could drive here; empty if one could."""
+        return "" if self.driven else self.seeds[0].refused
+
+    @property
+    def driven(self) -> list[CellResult]:
+        """The seeds that drove."""
+        return [each for each in self.seeds if each.episodes]
+
+    @property
+    def episodes(self) -> list[EpisodeRecord]:
+        """Episodes of all seeds."""
+        return [episode for each in self.driven for episode in each.episodes]
+
+    def matrix(self, figure: str) -> Floats:
+        """(seeds, scenes) of a field of `Episode`; as many scenes as all seeds have."""
+        every = [[float(getattr(e, figure)) for e in each.episodes] for each in self.driven]
+        common = min(map(len, every), default=0)
+        return np.array([row[:common] for row in every]).reshape(len(every), common)
+
+    @property
+    def worst_seed(self) -> float:
+        """Least success rate of a seed."""
+        return float(self.matrix("success").mean(axis=1).min())
+
+    @property
+    def median_seed(self) -> float:
+        """Median success rate of the seeds."""
+        return float(np.median(self.matrix("success").mean(axis=1)))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the figures with their intervals, for JSON."""
+        env_id, scenes, link, condition = self.place
+        told: dict[str, Any] = {
+            "agent": self.agent,
+            "kind": self.kind,
+            "id": env_id,
+            "scenes": scenes,
+            "link": link,
+            "condition": condition,
+            "refused": self.refused,
+        }
+        if self.refused:
+            return told
+        score = self.matrix("score")
+        return told | {
+            "training_seeds": [each.cell.training_seed for each in self.driven],
+            "scene_count": score.shape[1],
+            **summarise_records(self.episodes),
+            "success_worst_seed": self.worst_seed,
+            "success_median_seed": self.median_seed,
+            "score_iqm": overall_figure([score]),
+            "intervals": self._intervals(score),
+            "profile": performance_profile(score),
+        }
+
+    def _intervals(self, score: Floats) -> dict[str, Any]:
+        """Stratified bootstrap intervals; of all but the score under nominal conditions only."""
+        found: dict[str, Any] = {"score_iqm": stratified_interval([score])}
+        fields = {"success_rate": "success", "spl": "spl", "barn_score_own": "barn_score_own"}
+        for name, figure in fields.items():
+            values = self.matrix(figure)
+            if self.place[3] == NOMINAL and np.isfinite(values).all():
+                found[name] = stratified_interval([values], row_means)
+        return found
+
+
+def group_cells(parts: Iterable[Part]) -> list[CellResult]:
+    """Put the parts of each cell together."""
+    found: dict[Cell, CellResult] = {}
+    for part in sorted(parts, key=lambda part: part.first):
+        cell = found.setdefault(part.cell, CellResult(part.cell))
+        cell.episodes += part.episodes
+        cell.seconds += part.seconds
+        cell.refused = cell.refused or part.refused
+    return list(found.values())
+
+
+def group_rows(found: Sequence[CellResult], kinds: Mapping[str, str]) -> list[AgentRow]:
+    """Group cells by agent and place.
+
+    Args:
+        found: the cells.
+        kinds: "learned" or "baseline" by agent.
+    """
+    grouped: dict[tuple[str, Place], AgentRow] = {}
+    for each in found:
+        cell = each.cell
+        place = cell.id, cell.scenes, cell.link, cell.condition
+        row = AgentRow(cell.agent, kinds.get(cell.agent, LEARNED), place)
+        grouped.setdefault((cell.agent, place), row).seeds.append(each)
+    return list(grouped.values())
+
+
+# Comparisons between agents in the same scenes: who is better, and how surely.
+
+
+def group_by_place(some: Iterable[AgentRow]) -> dict[Place, list[AgentRow]]:
+    """Group the rows that drove by place, the best score first."""
+    found: dict[Place, list[AgentRow]] = {}
+    for row in some:
+        if row.driven:
+            found.setdefault(row.place, []).append(row)
+    for group in found.values():
+        group.sort(key=lambda row: -overall_figure([row.matrix("score")]))
+    return found
+
+
+COMPARED_FIGURES = {
+    "success_rate": ("success", row_means),
+    "score_iqm": ("score", interquartile_mean),
+}
+"""The figures that the best are compared by: a field of `Episode`, and the statistic of it."""
+
+
+def compare_best(some: Sequence[AgentRow]) -> list[dict[str, Any]]:
+    """Compare the best learned agent with the best baseline of each nominal place.
+
+    Each figure has its own best agents: the baseline with the highest score may not be the one that
+    succeeds most often.
+    """
+    found = []
+    for place, group in group_by_place(some).items():
+        for figure in COMPARED_FIGURES if place[3] == NOMINAL else ():
+            ours, other = (_first(group, kind, figure) for kind in (LEARNED, BASELINE))
+            if ours is not None and other is not None:
+                found.append(_compared(figure, ours, other))
+    return found
+
+
+def _first(group: Iterable[AgentRow], kind: str, figure: str) -> AgentRow | None:
+    """The row of a kind with the highest figure; None where there is none."""
+    own = (row for row in group if row.kind == kind)
+    return max(own, key=lambda row: _value(row, figure), default=None)
+
+
+def _value(row: AgentRow, figure: str) -> float:
+    """A figure of COMPARED over all seeds and scenes of a row."""
+    name, statistic = COMPARED_FIGURES[figure]
+    return overall_figure([row.matrix(name)], statistic)
+
+
+def _compared(figure: str, ours: AgentRow, other: AgentRow) -> dict[str, Any]:
+    """Compare two rows of one place by a figure."""
+    name, statistic = COMPARED_FIGURES[figure]
+    values = [_value(row, figure) for row in (ours, other)]
+    ends = [stratified_interval([row.matrix(name)], statistic) for row in (ours, other)]
+    return {
+        "id": ours.place[0],
+        "scenes": ours.place[1],
+        "link": ours.place[2],
+        "figure": figure,
+        "learned": ours.agent,
+        "baseline": other.agent,
+        "learned_value": values[0],
+        "baseline_value": values[1],
+        "better": values[0] > values[1],
+        "learned_interval": ends[0],
+        "baseline_interval": ends[1],
+        "apart": intervals_apart(*ends),
+    }
+
+
+def compare_pairs(some: Sequence[AgentRow]) -> list[dict[str, Any]]:
+    """Return the probability that each learned agent improves on each other agent, by score."""
+    found = []
+    for place, group in group_by_place(some).items():
+        for ours in (row for row in group if row.kind == LEARNED and place[3] == NOMINAL):
+            for other in (row for row in group if row is not ours):
+                x, y = ours.matrix("score"), other.matrix("score")
+                common = min(x.shape[1], y.shape[1])
+                x, y = x[:, :common], y[:, :common]
+                found.append(
+                    {
+                        "id": place[0],
+                        "scenes": place[1],
+                        "link": place[2],
+                        "agent": ours.agent,
+                        "over": other.agent,
+                        "probability": probability_of_improvement(x, y),
+                        "interval": improvement_interval(x, y),
+                    }
+                )
+    return found

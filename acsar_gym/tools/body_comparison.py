@@ -1,0 +1,140 @@
+"""Compares the planar robot with PyBullet's: same commands, same emulated firmware."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import ConfigError, MissingExtraError
+from acsar_gym.links import open_link
+from acsar_gym.links.simulated import SimulatedLink
+from acsar_gym.protocol import ZERO, Speeds, encode
+from acsar_gym.worlds import Pose, Scene
+
+DRIVE_SECONDS = 10.0
+
+WheelCommand = Callable[[float], Speeds]
+
+
+def _slalom(now: float) -> Speeds:
+    """Commanded wheel speeds of the slalom."""
+    swing = 3.0 * math.sin(2.0 * now)
+    return (6.0 + swing, 6.0 - swing, 6.0 - swing, 6.0 + swing)
+
+
+COMPARED_DRIVES: dict[str, WheelCommand] = {
+    "straight": lambda _: (8.0, 8.0, 8.0, 8.0),
+    "arc": lambda _: (8.0, 5.0, 5.0, 8.0),
+    "spin": lambda _: (4.0, -4.0, -4.0, 4.0),
+    "slalom": _slalom,
+    "stop": lambda now: (7.0, 4.0, 4.0, 7.0) if now < 5.0 else ZERO,
+    "saturated": lambda _: (99.0, 20.0, 20.0, 99.0),
+    "saturated spin": lambda _: (99.0, -99.0, -99.0, 99.0),
+}
+"""Commanded wheel speeds [rad/s] as functions of time [s], by name."""
+
+
+@dataclass(frozen=True, slots=True)
+class DriveTrace:
+    """Poses and wheel speeds of a drive, one per tick."""
+
+    poses: list[Pose]
+    wheels: list[Speeds]
+    turned: float
+    """Sum of absolute heading changes [rad]."""
+
+
+@dataclass(frozen=True, slots=True)
+class TraceDifference:
+    """Largest differences between two traces of the same drive."""
+
+    position: float
+    """Largest distance [m]."""
+    heading: float
+    """Largest difference of headings [rad]."""
+    wheels: float
+    """Largest difference of wheel speeds [rad/s]."""
+    turned: float
+    """Sum of absolute heading changes of the first trace [rad]."""
+
+
+def record_trace(link_name: str, drive: WheelCommand, config: RobotConfig) -> DriveTrace:
+    """Drive a simulated robot for SECONDS.
+
+    Args:
+        link_name: "planar" or "bullet".
+        drive: commanded wheel speeds [rad/s] as a function of time [s].
+        config: configuration of the robot.
+    """
+    link = open_link(link_name, config)
+    if not isinstance(link, SimulatedLink):
+        raise ConfigError(f"link {link_name!r}: only simulated robots can be compared")
+    poses, wheels, turned = [], [], 0.0
+    link.reset(Scene())
+    for tick in range(round(DRIVE_SECONDS * config.control_rate)):
+        link.write(encode(drive(tick * config.period)))
+        link.advance(config.period)
+        poses.append(link.truth.pose)
+        wheels.append(link.body.wheel_speeds if link.body else ZERO)
+        turned += abs(link.truth.twist[1]) * config.period
+    link.close()
+    return DriveTrace(poses, wheels, turned)
+
+
+def compare_traces(one: DriveTrace, other: DriveTrace) -> TraceDifference:
+    """Compute the largest differences over all ticks."""
+    pairs = list(zip(one.poses, other.poses, strict=True))
+    speeds = zip(one.wheels, other.wheels, strict=True)
+    return TraceDifference(
+        position=max(math.dist(p[:2], q[:2]) for p, q in pairs),
+        heading=max(abs(math.remainder(p[2] - q[2], 2.0 * math.pi)) for p, q in pairs),
+        wheels=max(abs(a - b) for p, q in speeds for a, b in zip(p, q, strict=True)),
+        turned=one.turned,
+    )
+
+
+def plot_drives(folder: Path, config: RobotConfig) -> list[Path]:
+    """Plot paths and headings of both robots, one PNG per drive.
+
+    Args:
+        folder: folder of the files; created if missing.
+        config: configuration of the robot.
+
+    Returns:
+        The files written.
+
+    Raises:
+        MissingExtraError: matplotlib isn't installed.
+    """
+    try:
+        import matplotlib.pyplot as plt  # noqa: PLC0415 - optional
+    except ImportError:
+        raise MissingExtraError("drawing plots", "plot") from None
+    folder.mkdir(parents=True, exist_ok=True)
+    files = []
+    for name, drive in COMPARED_DRIVES.items():
+        figure, axes = plt.subplots(1, 2, figsize=(9.0, 4.0), layout="constrained")
+        for link, style in (("bullet", "-"), ("planar", "--")):
+            _draw(axes, record_trace(link, drive, config), link, style, config.period)
+        figure.suptitle(f"{name}: PyBullet against the planar robot, {DRIVE_SECONDS:g} s")
+        files.append(folder / f"{name.replace(' ', '_')}.png")
+        figure.savefig(files[-1], dpi=110)
+        plt.close(figure)
+    return files
+
+
+def _draw(axes: Any, drawn: DriveTrace, label: str, style: str, period: float) -> None:
+    """Draw the path and heading of one robot."""
+    path, heading = axes
+    path.plot([p[0] for p in drawn.poses], [p[1] for p in drawn.poses], style, label=label)
+    path.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", adjustable="datalim")
+    times = [tick * period for tick in range(len(drawn.poses))]
+    heading.plot(times, [p[2] for p in drawn.poses], style, label=label)
+    heading.set(xlabel="time [s]", ylabel="heading [rad]")
+    for axis in axes:
+        axis.grid(visible=True, alpha=0.3)
+        axis.legend()

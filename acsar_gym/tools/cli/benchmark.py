@@ -1,0 +1,129 @@
+"""The command `benchmark`: agents compared over fixed scenes, and checks of submissions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from acsar_gym.errors import ConfigError
+from acsar_gym.tools.cli.options import Json
+
+if TYPE_CHECKING:
+    from acsar_gym.tools.benchmark.plan import BenchmarkPlan
+
+Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")]
+Folder = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
+Folders = Annotated[tuple[Path, ...], tyro.conf.arg(metavar="FOLDER [FOLDER ...]")]
+
+
+@dataclass(frozen=True)
+class BenchmarkChoice:
+    """What is compared."""
+
+    ids: Names = ()
+    """Ids: point_goal, obstacle_goal, barn, path_follow; default: all."""
+    agents: Names = ()
+    """Agents: packaged, baselines such as dwa, names in --trained; default: all."""
+    trained: Folder = None
+    """Trained policies, NAME/SEED/policy.onnx."""
+    seeds: int = 5
+    """Most training seeds of each trained agent."""
+    links: Names = ("planar", "bullet")
+    """planar, bullet, port: the emulated board in real time."""
+    scenes: int = 200
+    """Scenes of every cell, at most 1,000."""
+    port_scenes: int = 40
+    """Scenes of every cell behind the emulated port."""
+    conditions: Names = ("nominal",)
+    """Conditions: nominal, randomization-1 to -3, dropped-2, husky, ...; a wrong name lists all."""
+    profile: bool = False
+    """All conditions: the robustness profile."""
+    barn: Folder = None
+    """Folder of the published BARN worlds, a set of scenes of their own."""
+
+
+@dataclass(frozen=True)
+class BenchmarkOutput:
+    """Where it runs, and what it writes."""
+
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("runs/benchmark")
+    """Folder of results, table and JSON."""
+    resume: bool = True
+    """Go on where the folder's benchmark ended; --no-resume begins anew."""
+    workers: int | None = None
+    """Processes at a time; default: 1, on a cluster one per CPU."""
+    address: str | None = None
+    """Ray cluster: auto, local, host:port or ray://host:port."""
+    table: Json = None
+    """Also write the Markdown tables to this file."""
+    json: Json = None
+    """Also write the JSON to this file."""
+    html: Json = None
+    """Also write an HTML report with films of the worst episodes, which are driven again."""
+    worst: int = 10
+    """How many of these episodes."""
+
+
+_flat = tyro.conf.arg(name="")
+
+
+def run_benchmark(
+    what: Annotated[BenchmarkChoice, _flat],
+    how: Annotated[BenchmarkOutput, _flat],
+    policy: str = "",
+    combine: Folders = (),
+    cards: Folder = None,
+    check: Json = None,
+) -> int:
+    """Compare agents over fixed scenes: success, scores and intervals.
+
+    Ctrl-C keeps what is finished; the same command goes on.
+
+    Args:
+        what: ids, agents, links, scenes and conditions.
+        how: folder, processes and output.
+        policy: benchmark this policy alone: an ONNX file, or a function such as mine.py:act.
+        combine: write tables from these folders; runs nothing.
+        cards: also write a page for each packaged policy into this folder.
+        check: check such a row of --policy, and run nothing.
+    """
+    from acsar_gym.tools.benchmark import result  # noqa: PLC0415
+    from acsar_gym.tools.benchmark.result import BenchmarkOutput  # noqa: PLC0415
+    from acsar_gym.tools.evaluation import report  # noqa: PLC0415
+
+    if check is not None:
+        print(result.check_row(check))
+        return 0
+    for path in (how.table, how.json, how.html):
+        report.check_writable(path)
+    if policy and (what.agents or what.trained or combine):
+        raise ConfigError(
+            "--policy: benchmarks one policy; leave out --agents, --trained, --combine"
+        )
+    command = BenchmarkOutput(how.out, how.table, how.json, cards, how.html, how.worst)
+    if combine:
+        command.combine(combine, what.trained, what.seeds)
+    else:
+        command.run(_plan(what, policy), policy, how.workers, how.address, resume=how.resume)
+    return 0
+
+
+def _plan(what: BenchmarkChoice, policy: str) -> BenchmarkPlan:
+    """Make the plan of these options."""
+    from acsar_gym.registration import IDS  # noqa: PLC0415
+    from acsar_gym.tools.benchmark import plan  # noqa: PLC0415
+    from acsar_gym.tools.benchmark.plan import BenchmarkPlan  # noqa: PLC0415
+
+    named = tuple(plan.CONDITIONS) if what.profile else plan.choose_conditions(what.conditions)
+    if policy:
+        found = [plan.submitted_agent(policy)]
+        ids: tuple[str, ...] = (found[0].id,)
+    else:
+        ids = tuple(dict.fromkeys(plan.short_id(name) for name in what.ids)) or tuple(IDS)
+        found = plan.choose_agents(what.agents, ids, what.trained, what.seeds)
+    return BenchmarkPlan(
+        tuple(found), ids, what.links, named, what.scenes, what.port_scenes, what.barn
+    )

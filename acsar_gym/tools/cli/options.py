@@ -1,0 +1,291 @@
+"""Options that several commands share, and the countdown before wheels turn."""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from acsar_gym.errors import CancelledError, ConfigError, escape_unprintable
+from acsar_gym.tools.cli.recording import RecordOptions
+
+COUNTDOWN = 3.0
+"""Usual length of a countdown [s]."""
+
+
+def countdown(what: str, seconds: float = COUNTDOWN, *, yes: bool = False) -> None:
+    """Say what is about to move, and count down; any key ends it.
+
+    Args:
+        what: what will move, and what the user should have done, such as "the wheels of
+            /dev/ttyUSB0 will turn: lift the robot".
+        seconds: length of the countdown [s].
+        yes: don't wait and don't ask, for scripts.
+
+    Raises:
+        CancelledError: a key was pressed; nothing has moved.
+        ConfigError: standard input is no terminal, so nobody could press a key.
+    """
+    if yes:
+        return
+    if not sys.stdin.isatty():
+        raise ConfigError(f"{what}: no terminal to ask on; add --yes if that is safe")
+    print(f"{escape_unprintable(what)}. Any key cancels.", flush=True)
+    _count(seconds)
+
+
+def ask_user(question: str) -> str:
+    """Ask on the terminal; CancelledError where it ends."""
+    try:
+        return input(escape_unprintable(question))
+    except EOFError:
+        raise CancelledError("cancelled: no answer") from None
+
+
+def _count(seconds: float) -> None:
+    """Count down once a second; CancelledError at any key."""
+    left = seconds
+    with _single_keys() as pressed:
+        while left > 0.0:
+            print(f"\r{left:.0f} ", end="", flush=True)
+            if pressed(min(left, 1.0)):
+                raise CancelledError("cancelled by a key; nothing has moved")
+            left -= 1.0
+
+
+@contextlib.contextmanager
+def _single_keys() -> Iterator[Callable[[float], bool]]:
+    """Read single keys; yields a function that waits so long [s] and says whether one came.
+
+    Whether standard output is a terminal doesn't matter: it may be piped into a file.
+    """
+    try:
+        import termios  # noqa: PLC0415
+        import tty  # noqa: PLC0415
+    except ImportError:
+        yield _windows_key
+        return
+    number = sys.stdin.fileno()
+    before = termios.tcgetattr(number)
+    try:
+        tty.setcbreak(number, termios.TCSANOW)
+        yield lambda wait: bool(select.select([number], [], [], wait)[0])
+    finally:
+        termios.tcsetattr(number, termios.TCSAFLUSH, before)  # the key isn't for the shell
+        print(flush=True)
+
+
+def _windows_key(wait: float) -> bool:
+    """Wait for a key on Windows [s]."""
+    import msvcrt  # noqa: PLC0415
+
+    pressed: Callable[[], bool] = getattr(msvcrt, "kbhit")  # noqa: B009 - unknown on Linux
+    deadline = time.monotonic() + wait
+    while not pressed() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    return pressed()
+
+
+if TYPE_CHECKING:
+    from acsar_gym.tools.evaluation.episodes import EpisodeResult
+
+Json = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
+File = Json
+Seconds = Annotated[float | None, tyro.conf.arg(metavar="SECONDS")]
+OutFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
+Worlds = Annotated[str | None, tyro.conf.arg(metavar="KIND|PATH")]
+LidarArg = Annotated[str | None, tyro.conf.arg(metavar="URL")]
+EnvArg = Annotated[str, tyro.conf.arg(metavar="NAME|ID")]
+RobotArg = Annotated[str | None, tyro.conf.arg(metavar="PRESET|FILE")]
+
+
+@dataclass(frozen=True)
+class HostOptions:
+    """Process priority and cores."""
+
+    realtime: Annotated[int | None, tyro.conf.arg(metavar="PRIORITY")] = None
+    """Real-time priority (SCHED_FIFO), 1 to 98."""
+    cores: Annotated[tuple[int, ...] | None, tyro.conf.arg(metavar="N [N ...]")] = None
+    """Numbers of the cores to run on."""
+
+    def prepare(self) -> None:
+        """Set priority and cores; ConfigError if that isn't allowed."""
+        from acsar_gym.tools.doctor import host  # noqa: PLC0415
+
+        host.prepare_realtime(self.realtime, self.cores)
+
+
+@dataclass(frozen=True)
+class PolicyOptions:
+    """The policy."""
+
+    policy: str = "point_goal"
+    """ONNX file, name of a packaged policy, or a Python function such as mine.py:act."""
+    trust: bool = False
+    """Allow a stable-baselines3 zip, which can run code: only zips from people you trust."""
+    env: EnvArg = ""
+    """Overrides the env that the policy names: point_goal, ..., or mine.module:mine/Task-v0."""
+
+
+@dataclass(frozen=True)
+class RobotOptions(RecordOptions):
+    """The robot and its devices, and recording."""
+
+    link: str = "bullet"
+    """bullet, planar, or a serial device."""
+    robot: RobotArg = None
+    """Preset or config file."""
+    lidar: LidarArg = None
+    """On hardware, if the policy needs a LiDAR: such as rplidar:///dev/ttyUSB1."""
+
+
+@dataclass(frozen=True)
+class WorldOptions:
+    """The worlds of an evaluation."""
+
+    worlds: Worlds = None
+    """Overrides the test split: rooms:test, barn:1000-1099, ..., a file, or a folder."""
+    in_order: bool = False
+    """Use every world once, in order, instead of random ones."""
+    difficulty: float | None = None
+    """Difficulty of generated worlds, 0 to 1."""
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """Arguments of the env."""
+        return {"worlds": self.worlds, "difficulty": self.difficulty}
+
+
+@dataclass(frozen=True)
+class EpisodeOptions:
+    """The episodes of an evaluation."""
+
+    episodes: int = 100
+    """Number of episodes."""
+    seed: int = 0
+    """Seed of the first episode; the next ones count up."""
+    late_share: float = 0.01
+    """Largest share of late ticks in a valid episode."""
+
+
+@dataclass(frozen=True)
+class VideoOptions:
+    """Videos of episodes."""
+
+    video: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER|FILE.mp4")] = None
+    """Write a video and a picture of each of the worst episodes into this folder; or all of them
+    as one video, and the pictures beside it."""
+    video_episodes: int = 10
+    """Most episodes of --video, the worst first; 0: all."""
+
+    def prepare(self) -> None:
+        """Check before the episodes that --video can be written; see `pictures.prepare`."""
+        from acsar_gym.tools.evaluation import pictures  # noqa: PLC0415
+
+        if self.video is not None:
+            pictures.check_video_output(self.video)
+
+    def write(self, results: Sequence[EpisodeResult]) -> None:
+        """Write the worst of these episodes, and say where."""
+        from acsar_gym.tools.evaluation import pictures  # noqa: PLC0415
+
+        if self.video is not None:
+            chosen = pictures.worst_episodes(results, self.video_episodes or None)
+            for path in pictures.write_videos(chosen, self.video):
+                print(escape_unprintable(f"written: {path}"))
+
+
+@dataclass(frozen=True)
+class ScaleOptions:
+    """Parallel processes, and other machines."""
+
+    workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """Processes to use; default: one, or with --address one for each CPU of the cluster."""
+    address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT|auto|local")] = None
+    """Ray cluster to run on: host:port, ray://host:port, auto, or local to start one here."""
+
+
+@dataclass(frozen=True)
+class BoardOptions:
+    """How an emulated board behaves."""
+
+    silent: bool = False
+    """Never answer, as a board without power."""
+    quirk: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")] = ()
+    """How it differs: at-comma, no-comma, unpadded, padded-space, reversed-encoder=WHEEL,
+    reversed-motor=WHEEL, swapped-encoders, swapped-motors, dead-wheel=WHEEL, dead-encoder=WHEEL,
+    runaway=WHEEL, feedback-factor=NUMBER, frozen, resets, command-timeout=SECONDS, no-timeout,
+    feedback-rate=HZ."""
+
+
+@dataclass(frozen=True)
+class SpinOptions(RecordOptions):
+    """Turning of the wheels, and recording."""
+
+    spin: bool = False
+    """Turn the wheels, one after the other and together, to find how they are wired: lift the
+    robot!"""
+    yes: bool = False
+    """Turn them without a countdown, and don't ask which one turned."""
+    saw: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="A B C D")] = None
+    """The wheel that was seen to turn (a front right, b front left, c rear left, d rear right) when
+    the board's wheel letters a, b, c, d were commanded forward, such as b a d c; with an n behind
+    one that turned backward, none if none did. It counts where the robot's file says otherwise:
+    --out writes it."""
+    out: File = None
+    """Write a robot file with what was found to differ."""
+
+
+@dataclass(frozen=True)
+class TimingOptions:
+    """Timing of the control loop."""
+
+    timing: bool = False
+    """Measure how late the control loop's ticks are, compared with a bare loop."""
+    duration: float = 10.0
+    """Duration of --timing [s]."""
+
+
+@dataclass(frozen=True)
+class StoppingOptions:
+    """Stopping of an emulated robot."""
+
+    stopping: bool = False
+    """Measure how soon an emulated robot is commanded to stop after faults of its program."""
+    trials: int = 100
+    """Trials of each kind of fault, for --stopping."""
+    kinds: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="KIND [KIND ...]")] = None
+    """Kinds of faults for --stopping, such as kill, stop, watchdog; default: all."""
+    board: str | None = None
+    """Command that --stopping emulates the board with; default: acsar-gym emulate."""
+
+
+def check_out(path: Path | None) -> None:
+    """Check an --out before a robot drives; ConfigError where no robot can be written there."""
+    from acsar_gym.config import files  # noqa: PLC0415
+    from acsar_gym.tools.evaluation import report  # noqa: PLC0415
+
+    if path is not None:
+        report.check_writable(files.check_target(path))
+
+
+_flat = tyro.conf.arg(name="")
+"""Makes the fields options of the command itself, without a prefix."""
+VideoArgs = Annotated[VideoOptions, _flat]
+HostArgs = Annotated[HostOptions, _flat]
+PolicyArgs = Annotated[PolicyOptions, _flat]
+RobotArgs = Annotated[RobotOptions, _flat]
+WorldArgs = Annotated[WorldOptions, _flat]
+EpisodeArgs = Annotated[EpisodeOptions, _flat]
+ScaleArgs = Annotated[ScaleOptions, _flat]
+BoardArgs = Annotated[BoardOptions, _flat]
+SpinArgs = Annotated[SpinOptions, _flat]
+TimingArgs = Annotated[TimingOptions, _flat]
+StoppingArgs = Annotated[StoppingOptions, _flat]

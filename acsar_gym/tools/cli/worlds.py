@@ -1,0 +1,97 @@
+"""The command `acsar-gym worlds`: show, check or convert worlds."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from acsar_gym.errors import escape_unprintable
+from acsar_gym.tools.cli.options import Json, OutFile, RobotArg
+
+Source = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="KIND|PATH")]
+
+
+def show_worlds(
+    source: Source,
+    out: Path = Path("worlds.png"),
+    columns: int = 4,
+    size: int = 320,
+    difficulty: float | None = None,
+    robot: RobotArg = None,
+) -> int:
+    """Draw a world, or a sheet of several, as a PNG file.
+
+    Args:
+        source: kind of generated worlds (clutter:12, mine.module:halls:0-9), file or folder.
+        out: the picture.
+        columns: worlds side by side.
+        size: width and height of each world [pixels].
+        difficulty: difficulty of generated worlds, 0 to 1.
+        robot: preset or config file; generated worlds fit its footprint.
+    """
+    from acsar_gym.tools import atlas  # noqa: PLC0415
+
+    most = atlas.max_drawn(columns, size, out)
+    atlas.draw_worlds(atlas.collect_worlds(source, difficulty, robot, 12, most), columns, size, out)
+    print(escape_unprintable(f"drawn: {out}"))
+    return 0
+
+
+def check_worlds(
+    source: Source, difficulty: float | None = None, robot: RobotArg = None, json: Json = None
+) -> int:
+    """Check whether the robot can cross worlds; print path lengths and BARN's difficulty.
+
+    Args:
+        source: kind of generated worlds (clutter:12, mine.module:halls:0-9), file or folder.
+        difficulty: of generated worlds, 0 to 1.
+        robot: preset or config file, for its footprint.
+        json: also write the findings to this file.
+    """
+    from acsar_gym.tools import atlas  # noqa: PLC0415
+    from acsar_gym.tools.evaluation import report  # noqa: PLC0415
+
+    report.check_writable(json)
+    findings = atlas.check_worlds(atlas.collect_worlds(source, difficulty, robot, 12), robot)
+    told = atlas.describe_source(source, 12)
+    report.print_tables(atlas.findings_table(str(told["source"]), findings))
+    report.write_json(json, told | {"worlds": [finding.as_dict() for finding in findings]})
+    return int(any(finding.fault for finding in findings))
+
+
+def convert_world(
+    source: Source, out: OutFile, difficulty: float | None = None, robot: RobotArg = None
+) -> int:
+    """Write a world to a file of this project's format, .json or .yaml.
+
+    Args:
+        source: a .world file, the YAML of a ROS map, or a generated world like barn:7-7.
+        out: .json or .yaml file.
+        difficulty: difficulty of generated worlds, 0 to 1.
+        robot: preset or config file; generated worlds fit its footprint.
+    """
+    from acsar_gym.tools import atlas  # noqa: PLC0415
+
+    atlas.convert_world(source, out, difficulty, robot)
+    print(escape_unprintable(f"written: {out}"))
+    return 0
+
+
+WORLD_COMMANDS: dict[str, Callable[..., Any]] = {
+    "show": show_worlds,
+    "check": check_worlds,
+    "convert": convert_world,
+}
+
+
+def run_worlds_group() -> int:
+    """Draw, check or convert worlds: acsar-gym worlds show|check|convert SOURCE."""
+    return int(
+        tyro.extras.subcommand_cli_from_dict(
+            WORLD_COMMANDS, prog="acsar-gym worlds", args=sys.argv[2:]
+        )
+    )

@@ -1,0 +1,96 @@
+"""The demo: train in simulation, then run the same policy file over a serial device."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Sequence
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+
+from acsar_gym.errors import MissingExtraError
+from acsar_gym.tools.emulation.board import run_emulator
+from acsar_gym.tools.evaluation import episodes as evaluation
+from acsar_gym.tools.evaluation import report, runs
+from acsar_gym.tools.evaluation.episodes import EpisodeResult
+from acsar_gym.tools.evaluation.runs import EvaluationRun
+from acsar_gym.tools.policies import OnnxPolicy
+
+
+def run_demo(
+    steps: int, episodes: int, serial_episodes: int, out: Path
+) -> list[tuple[str, EvaluationRun]]:
+    """Train a policy, then evaluate it in PyBullet and over a pseudo-terminal.
+
+    Args:
+        steps: env steps of the training.
+        episodes: episodes in PyBullet.
+        serial_episodes: episodes over the pseudo-terminal.
+        out: folder for policy and logs.
+
+    Returns:
+        Name of the link and results of the run on it, one row each.
+
+    Raises:
+        MissingExtraError: a library is missing; checked before the training starts.
+        SystemExit: a signal ended the training.
+    """
+    for module, extra in (("pybullet", "bullet"), ("onnxruntime", "deploy")):
+        if find_spec(module) is None:
+            raise MissingExtraError("the demo", extra)
+    console = report.SafeConsole()
+    console.rule("1. train PPO on simulated robots", align="left")
+    policy_file = train_demo_policy(steps, out)
+    policy = OnnxPolicy(policy_file)
+    gc.freeze()  # keeps garbage collection short while the robot drives
+    console.rule(f"2. drive {policy_file.name} in PyBullet", align="left")
+    simulated = _check_whole(
+        runs.evaluate_policy(policy, "bullet", None, range(10_000, 10_000 + episodes))
+    )
+    console.rule(f"3. drive {policy_file.name} over a serial device", align="left")
+    serial = _over_serial(policy, serial_episodes, out / "emulator.jsonl")
+    return [("PyBullet", simulated), ("serial device (emulator)", serial)]
+
+
+def train_demo_policy(steps: int, out: Path) -> Path:
+    """Train in this process.
+
+    Args:
+        steps: env steps of the training.
+        out: folder for policy and logs.
+
+    Returns:
+        Path of the ONNX file.
+
+    Raises:
+        SystemExit: a signal ended the training.
+    """
+    from acsar_gym.tools.training import run as training  # noqa: PLC0415 - imports torch
+    from acsar_gym.tools.training.plan import TrainingOptions  # noqa: PLC0415
+
+    code = training.train(TrainingOptions(steps=steps, out=out))
+    if code != 0:
+        raise SystemExit(code)
+    return out / "policy.onnx"
+
+
+def _over_serial(policy: OnnxPolicy, count: int, log: Path) -> EvaluationRun:
+    """Evaluate with an emulator in another process, whose log provides the odometry errors."""
+    with run_emulator("--body", "bullet", "--log", str(log)) as devices:
+        run = _check_whole(
+            runs.evaluate_policy(policy, devices.robot, None, range(20_000, 20_000 + count))
+        )
+    return replace(run, results=add_odometry_errors(run.results, log))
+
+
+def _check_whole(run: EvaluationRun) -> EvaluationRun:
+    """Return an evaluation that wasn't ended early; raises what ended it."""
+    if run.ended is not None:
+        raise run.ended
+    return run
+
+
+def add_odometry_errors(results: Sequence[EpisodeResult], log: Path) -> list[EpisodeResult]:
+    """Return the results with odometry errors from the emulator's log."""
+    errors = evaluation.odometry_errors(results, log)
+    return [replace(r, odometry_error=e) for r, e in zip(results, errors, strict=True)]

@@ -1,0 +1,217 @@
+"""Checks of one serial device: opening, baud rate, feedback, and optionally turning wheels."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+
+from acsar_gym.config import BAUD_RATES, RobotConfig
+from acsar_gym.config.robot import USUAL_RATES
+from acsar_gym.errors import (
+    BoardGarbledError,
+    BoardSilentError,
+    ConfigError,
+    EmergencyStopError,
+    LinkError,
+)
+from acsar_gym.links.base import Link
+from acsar_gym.links.recorded import record_link
+from acsar_gym.links.serial import SerialLink
+from acsar_gym.protocol import ZERO, encode
+from acsar_gym.recording import Recorder
+from acsar_gym.safety.estop import StopListener
+from acsar_gym.tools.doctor import board
+from acsar_gym.tools.doctor.board import BoardProbe
+from acsar_gym.tools.doctor.checks import Check
+from acsar_gym.tools.doctor.commission import Commission
+from acsar_gym.worlds import Scene
+
+BAUD_TIMEOUT = 3.0
+"""Longest wait for a valid line at each rate [s]; boards take 1 to 3 s to start."""
+USUAL_POLICY_RATE = 10.0
+"""Usual rate of a policy; a control rate must be a multiple of it [Hz]."""
+
+
+def at_baud_rate(config: RobotConfig, baud: int) -> RobotConfig:
+    """Return a robot at a baud rate; a line that is too slow for its control rate lowers that, too.
+
+    Args:
+        config: the robot.
+        baud: baud rate [bit/s].
+
+    Raises:
+        ConfigError: boards don't use that rate, or it is too slow for the board's feedback.
+    """
+    try:
+        return config.with_(baud_rate=baud)
+    except ConfigError as error:
+        for rate in USUAL_RATES:
+            if rate >= config.control_rate or rate % USUAL_POLICY_RATE or baud not in BAUD_RATES:
+                continue
+            try:
+                return config.with_(baud_rate=baud, control_rate=rate)
+            except ConfigError:
+                continue
+        raise error from None
+
+
+def search_baud_rate(device: str, config: RobotConfig) -> Check:
+    """Try the other baud rates, fastest first, and say which one gives valid lines.
+
+    Args:
+        device: the serial device, closed.
+        config: of the robot, whose own rate gave none.
+    """
+    for baud in sorted(BAUD_RATES, reverse=True):
+        if baud != config.baud_rate and _answers(device, config, baud):
+            return Check(
+                "baud rate",
+                "warn",
+                f"valid lines at {baud} baud",
+                f"use --baud-rate {baud}, and baud_rate: {baud} in the robot's file",
+            )
+    return Check(
+        "baud rate",
+        "fail",
+        "no valid line at any other baud rate either",
+        "look up in the board's program what it sends: it must be like ap12.50,bn08.75,cp15.00,"
+        "dn10.25 with CR LF",
+    )
+
+
+def _answers(device: str, config: RobotConfig, baud: int) -> bool:
+    """Whether a valid line arrives at a baud rate; nothing is commanded but zero."""
+    try:
+        tried = at_baud_rate(config, baud).with_(
+            connect_timeout=min(BAUD_TIMEOUT, config.connect_timeout)
+        )
+    except ConfigError:  # too slow for the feedback rate that the robot's file says
+        return False
+    link = SerialLink(device, tried)
+    try:
+        link.open()
+    except LinkError:
+        return False
+    finally:
+        link.close()
+    return True
+
+
+def examine_device(
+    device: str,
+    config: RobotConfig,
+    commission: Commission | None = None,
+    recorder: Recorder | None = None,
+) -> Iterator[Check]:
+    """Check one device; the first failure of the connection ends the checks.
+
+    Args:
+        device: the serial device.
+        config: configuration of the robot.
+        commission: turns the wheels, too, and takes what was found; None: the robot stands.
+        recorder: records the wire; closed at the end.
+
+    Yields:
+        The results in order.
+
+    Raises:
+        EmergencyStopError: after the last result.
+    """
+    link = record_link(_Stoppable(device, config), recorder, config)
+    begin = time.monotonic()
+    try:
+        failed = _failure_of_opening(link, recorder)
+        if failed is not None:
+            yield from _not_opened(link, failed, device, config)
+            return
+        took = time.monotonic() - begin
+        wire = f"{config.baud_rate} baud, {config.control_rate:g} commands/s"
+        yield Check("open", "ok", f"{device}, {wire}, held exclusively")
+        yield Check("first valid line", "ok", f"after {took:.2f} s")
+        yield from examine_board(link, config, commission)
+    except LinkError as error:
+        yield Check("connection", "fail", error.found, error.fix)
+        if isinstance(error, EmergencyStopError):
+            raise
+    finally:
+        link.close()
+        if recorder is not None:
+            recorder.close()
+
+
+def _failure_of_opening(link: Link, recorder: Recorder | None) -> LinkError | None:
+    """Open the link; returns what failed. EmergencyStopError as it is."""
+    try:
+        link.open()
+        if recorder is not None:
+            link.reset(Scene())
+    except EmergencyStopError:
+        raise
+    except LinkError as error:
+        return error
+    return None
+
+
+def _not_opened(link: Link, error: LinkError, device: str, config: RobotConfig) -> Iterator[Check]:
+    """Say why a link can't be opened; look for the baud rate of a board that is garbled."""
+    name = "first valid line" if isinstance(error, BoardSilentError) else "open"
+    garbled = isinstance(error, BoardGarbledError)
+    yield Check(name, "fail", error.found, "see the next row" if garbled else error.fix)
+    if garbled:
+        link.close()
+        yield search_baud_rate(device, config)
+
+
+def examine_board(
+    link: Link, config: RobotConfig, commission: Commission | None
+) -> Iterator[Check]:
+    """Check the board behind an open link.
+
+    Args:
+        link: to the board, or to a simulated one.
+        config: configuration of the robot.
+        commission: as for `examine`.
+
+    Raises:
+        LinkError: the board is lost or silent, or its wheels keep turning.
+    """
+    ear = BoardProbe(link, config)
+    lines = board.listen_standing(ear, config)
+    yield from board.check_feedback(ear, lines, config)
+    if commission is None:
+        yield from _standing()
+    elif not ear.gaps:
+        yield from commission.run(ear, config)
+
+
+class _Stoppable(SerialLink):
+    """A link that obeys `acsar-gym estop`, as a Robot does.
+
+    Its zero commands, and those of its watchdog, come without and with a trailing comma, as it
+    isn't known yet which of them the board takes.
+    """
+
+    def __init__(self, device: str, config: RobotConfig) -> None:
+        super().__init__(device, config, [encode(ZERO, trailing_comma=c) for c in (False, True)])
+        self._listener = StopListener(device, config.name)
+
+    def read_now(self) -> bytes:
+        """Return what has arrived; LinkError at an emergency stop."""
+        if self._listener.is_requested():
+            self.stop()
+            self._listener.confirm()
+            raise EmergencyStopError
+        return super().read_now()
+
+    def close(self) -> None:
+        """Command zero and close, also for `acsar-gym estop`."""
+        try:
+            super().close()
+        finally:
+            self._listener.close()
+
+
+def _standing() -> Iterator[Check]:
+    """Name the checks that need turning wheels."""
+    for name in ("wiring", "command to feedback", "stops when commands stop"):
+        yield Check(name, "skip", "needs turning wheels", "lift the robot and add --spin")

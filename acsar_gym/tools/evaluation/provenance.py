@@ -1,0 +1,165 @@
+"""Records what is needed to repeat an evaluation.
+
+This is the `header` in the JSON of `evaluate`, `run` and `demo`:
+
+| key | content |
+|---|---|
+| `versions` | of acsar_gym, gymnasium, numpy, python, and, where they are installed, of |
+| | onnxruntime, torch and pybullet |
+| `policy` | `file`, `sha256` of what was read from it (null where nothing was), the `function` of |
+| | a Python file (else null), the `env` that it was made for, and the `differences` between |
+| | the robot and those of its training |
+| `env` | `id`, `kwargs` as in its spec, `max_episode_steps` |
+| `robot` | `sha256` of its whole config |
+| `link` | name of the link |
+| `worlds` | `kind` ("none" on an open floor), `split` ("train", "test" or null), numbers of the |
+| | `first` and `last` one, `difficulty`, footprint `radius` [m], `sha256` of what defines them: |
+| | their contents, or, where they are generated, all of these and the generators' source, the |
+| | versions of python, numpy and scipy, and the kind of machine |
+| `seeds` | of the `first` and `last` episode |
+| `options` | of the resets, and `in_order`, `late_share` |
+| `workers` | how many episodes ran at a time; null for one per CPU of the cluster |
+| `address` | of the Ray cluster that they ran on; null for this machine |
+
+The JSON also has the means of `metrics.Summary` with their `intervals`, and in `per_episode` the
+fields of every `EpisodeResult`: seed, world, episode_return, length, and so on.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import platform
+from collections.abc import Mapping
+from importlib import metadata
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+import acsar_gym
+from acsar_gym.config.robot import hash_config
+from acsar_gym.envs.base import RobotEnv
+from acsar_gym.tasks.factory import to_plain
+from acsar_gym.tools.policies import FilePolicy
+from acsar_gym.worlds import World
+from acsar_gym.worlds.cache import hash_source
+from acsar_gym.worlds.pool import Pool
+
+DRIVING_LIBRARIES = ("onnxruntime", "torch", "pybullet")
+"""Libraries that the results of episodes depend on, where they are installed."""
+HIDDEN_ARGUMENTS = ("link", "record")
+"""Arguments of an env that say nothing about its episodes."""
+
+
+def make_header(
+    env: gymnasium.Env[Any, Any],
+    policy: FilePolicy,
+    link: str,
+    seeds: range,
+    options: Mapping[str, Any],
+) -> dict[str, Any]:
+    """Collect everything that is needed to repeat an evaluation.
+
+    Args:
+        env: the env that was used.
+        policy: the policy that was evaluated.
+        link: name of the link.
+        seeds: seeds of the episodes, at least one.
+        options: options of the resets and of the evaluation.
+
+    Returns:
+        The header, ready for JSON; the table above lists its keys.
+    """
+    inner: Any = env.unwrapped
+    return {
+        "versions": library_versions(*DRIVING_LIBRARIES),
+        "policy": policy.about | {"differences": list(policy.differences)},
+        "env": _env(env),
+        "robot": {"sha256": hash_config(inner.robot.config)},
+        "link": link,
+        "worlds": _worlds(worlds_of(inner)),
+        "seeds": {"first": seeds[0], "last": seeds[-1]},
+        "options": to_plain(options),
+        "workers": 1,
+        "address": None,
+    }
+
+
+def library_versions(*libraries: str) -> dict[str, str]:
+    """Return the versions of this package, of what it always needs, and of installed libraries.
+
+    Args:
+        libraries: distributions whose versions matter; those that aren't installed are left out.
+    """
+    versions = {
+        "acsar_gym": acsar_gym.__version__,
+        "gymnasium": gymnasium.__version__,
+        "numpy": np.__version__,
+        "python": platform.python_version(),
+    }
+    for name in libraries:
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            versions[name] = metadata.version(name)
+    return versions
+
+
+def worlds_of(env: RobotEnv) -> Pool | None:
+    """Return the worlds of an env; None on an open floor."""
+    return env.pool
+
+
+def _env(env: gymnasium.Env[Any, Any]) -> dict[str, Any]:
+    """Describe the env by its spec."""
+    spec = env.spec
+    if spec is None:
+        return {"id": None, "kwargs": {}, "max_episode_steps": None}
+    kwargs = {
+        name: _shown(value) for name, value in spec.kwargs.items() if name not in HIDDEN_ARGUMENTS
+    }
+    return {"id": spec.id, "kwargs": kwargs, "max_episode_steps": spec.max_episode_steps}
+
+
+def _shown(value: Any) -> Any:
+    """Return the value if JSON can hold it, otherwise its repr()."""
+    try:
+        json.dumps(value, allow_nan=False)
+    except (TypeError, ValueError):
+        return repr(value)
+    return value
+
+
+def _worlds(pool: Pool | None) -> dict[str, Any]:
+    """Describe the worlds; their hash changes whenever any of them does."""
+    if pool is None:
+        keys = ("split", "first", "last", "difficulty", "radius", "sha256")
+        return {"kind": "none", **dict.fromkeys(keys)}
+    told = {
+        "kind": pool.kind,
+        "split": pool.split or None,
+        "first": pool.numbers[0],
+        "last": pool.numbers[-1],
+        "difficulty": pool.difficulty,
+        "radius": pool.radius,
+    }
+    known: list[Any] = [told, hash_source(pool.kind)]
+    if not (pool.generated and hash_source(pool.kind)):
+        known = [_contents(world) for world in pool]
+    return told | {"sha256": _sha256(json.dumps(known, sort_keys=True))}
+
+
+def _contents(world: World) -> list[Any]:
+    """Return what defines a world, as lists."""
+    path = None if world.path is None else world.path.tolist()
+    return [
+        world.circles.tolist(),
+        world.segments.tolist(),
+        repr(world.start),
+        repr(world.goal),
+        path,
+    ]
+
+
+def _sha256(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()

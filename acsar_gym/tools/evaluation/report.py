@@ -1,0 +1,227 @@
+"""Output of results: tables in the terminal, and JSON files."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, TypeVar
+
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.markup import escape
+from rich.progress import Progress
+from rich.segment import Segment
+from rich.table import Table
+
+from acsar_gym import reading
+from acsar_gym.errors import ConfigError, escape_unprintable
+from acsar_gym.tools.evaluation.metrics import TOLD_PREFIX, Summary
+
+Item = TypeVar("Item")
+PROGRESS_DELAY = 2.0
+"""Duration after which a progress bar appears [s]."""
+ODOMETRY_ALARM = 0.15
+"""Mean odometry error above which a table warns [m]; the default tolerance of a goal."""
+
+
+class SafeConsole(Console):
+    """A console that escapes control characters, so that names from files can't send any."""
+
+    def render(
+        self, renderable: RenderableType, options: ConsoleOptions | None = None
+    ) -> Iterable[Segment]:
+        """Render with control characters escaped, as they are in source code."""
+        for text, style, control in super().render(renderable, options):
+            yield Segment(text if control else _lines(text), style, control)
+
+
+def escape_text(text: str) -> str:
+    """Escape markup and control characters, for text from files in a cell or a title."""
+    return escape(escape_unprintable(text))
+
+
+def _lines(text: str) -> str:
+    """Escape control characters, but keep line breaks."""
+    return text if text.isprintable() else "\n".join(map(escape_unprintable, text.split("\n")))
+
+
+def print_tables(*tables: Table) -> None:
+    """Print tables; piped output is wide enough for all columns, unless COLUMNS says otherwise."""
+    console = SafeConsole()
+    if not console.is_terminal and not os.environ.get("COLUMNS", "").strip("0").isdecimal():
+        console = SafeConsole(width=160)
+    for table in tables:
+        console.print(table)
+
+
+def watch_progress(what: str, items: Iterable[Item], total: int) -> Iterator[Item]:
+    """Yield items, with a progress bar on stderr once it takes longer than PATIENCE.
+
+    Args:
+        what: label of the bar.
+        items: the items.
+        total: number of items.
+    """
+    begin = time.monotonic()
+    with contextlib.ExitStack() as stack:
+        bar: Progress | None = None
+        for number, item in enumerate(items, start=1):
+            yield item
+            if bar is None and time.monotonic() - begin > PROGRESS_DELAY:
+                bar = stack.enter_context(
+                    Progress(console=SafeConsole(stderr=True), transient=True)
+                )
+                bar.add_task(what, total=total)
+            if bar is not None:
+                bar.update(bar.task_ids[0], completed=number)
+
+
+def check_writable(path: Path | None) -> None:
+    """Check before a long run that its result can be written.
+
+    Args:
+        path: file to write; None is accepted.
+
+    Raises:
+        ConfigError: it is a folder, or its folder is missing or not writable.
+    """
+    if path is None:
+        return
+    if path.is_dir() or not (path.parent.is_dir() and os.access(path.parent, os.W_OK)):
+        raise ConfigError(f"{path}: can't be written: must be a file in a folder of yours")
+
+
+def make_folder(path: Path) -> None:
+    """Create a folder and its parents, unless it exists.
+
+    Raises:
+        ConfigError: it can't be created.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:
+        raise ConfigError(
+            f"{path}: can't be made a folder: {reading.explain_error(error)}"
+        ) from None
+
+
+def write_json(path: Path | None, data: Mapping[str, Any]) -> None:
+    """Write a JSON file; do nothing if `path` is None.
+
+    Raises:
+        ConfigError: the file can't be written.
+    """
+    if path is None:
+        return
+    reading.write_atomically(path, (json.dumps(data, indent=2, allow_nan=False) + "\n").encode())
+
+
+def summary_table(
+    title: str, rows: Sequence[tuple[str, Summary]], notes: Sequence[str] = ()
+) -> Table:
+    """Format summaries as a table; columns without any value are left out.
+
+    Args:
+        title: title of the table.
+        rows: name of the link, and summary of the run on it.
+        notes: lines below the table.
+    """
+    table = Table(title=escape_text(title), title_justify="left")
+    columns = {
+        name: [cell(summary) for _, summary in rows] for name, cell in SUMMARY_COLUMNS.items()
+    }
+    told = {name: cells for name, cells in columns.items() if any(cells)}
+    table.add_column("behind the wire")
+    for name in told:
+        table.add_column(name, justify="right")
+    for number, (wire, _) in enumerate(rows):
+        table.add_row(escape_text(wire), *(cells[number] or "-" for cells in told.values()))
+    worst = max(
+        (s.odometry_error for _, s in rows if not math.isnan(s.odometry_error)), default=0.0
+    )
+    captions = [escape_text(note) for note in notes]
+    if worst > ODOMETRY_ALARM:
+        captions.append(
+            f"Odometry is off by {worst:.2f} m, so success by odometry means little: "
+            "calibrate wheel_radius and wheel_separation_multiplier."
+        )
+    if any(summary.invalid for _, summary in rows):
+        captions.append(
+            "Invalid: ended by a fault, or with too many late ticks; --json tells each."
+        )
+    table.caption = "\n".join(captions) or None
+    return table
+
+
+def interval_table(title: str, summary: Summary) -> Table:
+    """Format the figures of one run with their 95 % intervals as a table."""
+    table = Table(title=escape_text(f"95 % intervals: {title}"), title_justify="left")
+    for column in ("figure", "value", "low", "high"):
+        table.add_column(column, justify="left" if column == "figure" else "right")
+    told = {f"{TOLD_PREFIX}{name}": value for name, value in summary.told.items()}
+    values = {**asdict(summary), **summary.scores, **told}
+    for name, interval in summary.intervals.items():
+        figures = (values[name], *interval)
+        if math.isfinite(values[name]):
+            table.add_row(name, *("-" if math.isnan(f) else f"{f:.4g}" for f in figures))
+    return table
+
+
+def fact_table(title: str, rows: Iterable[tuple[str, str]]) -> Table:
+    """Format names and values as a table of two columns."""
+    table = Table(title=escape_text(title), title_justify="left", show_header=False)
+    table.add_column()
+    table.add_column(overflow="fold")
+    for name, value in rows:
+        table.add_row(
+            escape_text(name), escape("".join(c if c.isprintable() else "?" for c in value))
+        )
+    return table
+
+
+def _success(summary: Summary) -> str:
+    wins = round(summary.success_rate * summary.episodes)
+    return f"{wins}/{summary.episodes} ({summary.success_rate:.1%})"
+
+
+def _rate(share: float) -> str:
+    return f"{share:.1%}" if share > 0.0 else ""
+
+
+def _number(value: float, unit: str = "") -> str:
+    return "" if math.isnan(value) else f"{value:.2f} {unit}".strip()
+
+
+def _score(summary: Summary) -> str:
+    return f"{summary.scores['barn_score']:.3f}" if summary.scores else ""
+
+
+def _late(summary: Summary) -> str:
+    """Format the number of late ticks and the largest lateness."""
+    worst = _number(summary.worst_lateness * 1000.0, "ms")
+    return f"{summary.late_ticks} of {summary.ticks}" + (f", {worst}" if worst else "")
+
+
+SUMMARY_COLUMNS: dict[str, Callable[[Summary], str]] = {
+    "success": _success,
+    "collision": lambda summary: _rate(summary.collision_rate),
+    "time-out": lambda summary: _rate(summary.timeout_rate),
+    "fault": lambda summary: _rate(summary.fault_rate),
+    "SPL": lambda summary: _number(summary.spl),
+    "BARN score": _score,
+    "time to goal": lambda summary: _number(summary.time_to_goal, "s"),
+    "path": lambda summary: _number(summary.path, "m"),
+    "clearance": lambda summary: _number(summary.clearance * 100.0, "cm"),
+    "energy": lambda summary: _number(summary.energy, "J"),
+    "beside path": lambda summary: _number(summary.cross_track * 100.0, "cm"),
+    "odometry error": lambda summary: _number(summary.odometry_error * 100.0, "cm"),
+    "late ticks": _late,
+    "round trip": lambda summary: _number(summary.round_trip * 1000.0, "ms"),
+    "invalid": lambda summary: f"{summary.invalid}" if summary.invalid else "",
+}
+"""Functions that format the cells of each column; empty text means no value."""

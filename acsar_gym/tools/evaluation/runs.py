@@ -1,0 +1,413 @@
+"""The commands `evaluate`, `run` and `export`: run policy files on any link."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.envs.base import RobotEnv
+from acsar_gym.envs.ids import find_id, strip_module
+from acsar_gym.errors import (
+    ConfigError,
+    EmergencyStopError,
+    LinkError,
+    PolicyError,
+    PolicyWarning,
+    require_extra,
+    show_value,
+)
+from acsar_gym.links import Link, open_link
+from acsar_gym.tools import baselines
+from acsar_gym.tools.evaluation import episodes as evaluation
+from acsar_gym.tools.evaluation import metrics, provenance, report
+from acsar_gym.tools.evaluation.episodes import EpisodeResult, TrackedEnv
+from acsar_gym.tools.evaluation.metrics import Summary
+from acsar_gym.tools.policies import (
+    CallablePolicy,
+    FilePolicy,
+    OnnxPolicy,
+    ZipPolicy,
+    is_callable,
+    resolve,
+    statistics_beside,
+)
+from acsar_gym.tools.policies.base import format_error, quote_text
+from acsar_gym.tools.policies.describe import describe_policy, env_policy_rate
+from acsar_gym.worlds import registry
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluationRun:
+    """Results of an evaluation, and what it was run with."""
+
+    header: dict[str, Any]
+    """What is needed to repeat it; see `provenance`."""
+    worlds: str
+    """Description of the worlds, such as "clutter 0 to 199 (test split)" or "none"."""
+    results: list[EpisodeResult]
+    ended: LinkError | KeyboardInterrupt | None = None
+    """What ended it before its last episode; None for an evaluation that is complete."""
+
+    @property
+    def faults(self) -> list[str]:
+        """The faults that ended episodes."""
+        return [result.fault for result in self.results if result.fault]
+
+    @property
+    def late(self) -> int:
+        """Number of episodes with too many late ticks."""
+        return sum(not result.valid and not result.fault for result in self.results)
+
+    @property
+    def notes(self) -> list[str]:
+        """Faults, and an end before the last episode, as lines for people."""
+        notes = []
+        if self.faults:
+            notes.append(f"Faults: {len(self.faults)} of {len(self.results)}: {self.faults[0]}")
+        if self.ended is not None:
+            asked = self.header["seeds"]
+            count = asked["last"] - asked["first"] + 1
+            notes.append(f"Ended after {len(self.results)} of {count} episodes: {self._why}.")
+        return notes
+
+    @property
+    def _why(self) -> str | None:
+        """Why it ended early."""
+        return None if self.ended is None else str(self.ended) or "interrupted"
+
+    @property
+    def summary(self) -> Summary:
+        """Rates and means over the episodes."""
+        return metrics.summarise_episodes(self.results)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return header, means and every episode, for JSON."""
+        episodes = metrics.describe_episodes(self.results)
+        early = {"ended_early": self._why}
+        return {"header": self.header, **self.summary.as_dict(), **early, "per_episode": episodes}
+
+
+def collect_results(
+    running: Iterator[EpisodeResult], results: list[EpisodeResult]
+) -> LinkError | KeyboardInterrupt | None:
+    """Collect results; returns what ended the evaluation early, None where nothing did.
+
+    A link's error before the first result is raised, unless it is an emergency stop.
+    """
+    try:
+        for result in running:
+            results.append(result)  # noqa: PERF402 - what is there counts where the rest fails
+    except (EmergencyStopError, KeyboardInterrupt) as error:
+        return error
+    except LinkError as error:
+        if not results:
+            raise
+        return error
+    return None
+
+
+def show_progress(
+    name: str, running: Iterator[EpisodeResult], count: int
+) -> Iterator[EpisodeResult]:
+    """Yield results, with a progress bar that shows the success rate."""
+    wins = 0
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("episodes, success {task.fields[rate]}"),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=report.SafeConsole()) as progress:
+        task = progress.add_task(report.escape_text(name), total=count, rate="-")
+        for number, result in enumerate(running, start=1):
+            yield result
+            wins += result.success
+            progress.update(task, advance=1, rate=f"{wins / number:.0%}")
+
+
+Env = gymnasium.Env[Any, Any]
+MAX_EPISODES = 10**6
+"""Most episodes of one evaluation; all results are kept in memory."""
+SEED_LIMIT = 2**63
+"""The first seed must be below this."""
+
+
+def load_policy(policy: str, *, trust: bool, env: str = "") -> FilePolicy:
+    """Load a policy file, packaged policy, baseline, or function such as "mine.py:act".
+
+    Args:
+        policy: its path or name; files come first, then packaged policies, then baselines.
+        trust: whether it may be a stable-baselines3 zip, which can run code when it is loaded.
+        env: id or short name of the env that it is for; by default the one that the file names.
+
+    Raises:
+        PolicyError: there is no such policy, or it is a zip without `trust`, or a zip beside a
+            saved VecNormalize, which must be converted with `export` first.
+        ConfigError: there is no such `env`.
+    """
+    env_id = find_id(env) if env else ""
+    if is_callable(policy):
+        return CallablePolicy(policy, env_id)
+    if baselines.is_baseline(policy):
+        return baselines.load_baseline(policy, env_id)
+    path = resolve(policy, baselines.BASELINES)
+    if path.suffix == ".zip":
+        loaded = ZipPolicy(path, trust=trust, env_id=env_id)
+        _statistics(loaded, None)
+        return loaded
+    file = OnnxPolicy(path)
+    file.env_id, file.env_named = env_id or file.env_id, bool(env_id)
+    return file
+
+
+def make_env(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[str, Any]) -> Env:
+    """Make the env that a policy was trained for, and check that it gives the same observation.
+
+    Args:
+        policy: the policy. Only the user, not the file, may name an env of another package.
+        link: name of the link, or an open link.
+        robot: preset, file or config of the robot.
+        options: other arguments of the env; None means the env's default, and a true `tracked`
+            that episodes get a track (see `tracks.TrackedEnv`). Worlds such as
+            "clutter", and those of an env that trains in a training split, become their test
+            split; "clutter:train" means the training split.
+
+    Raises:
+        PolicyError: no env is named, it can't be made, or its observation is another one.
+        ConfigError: the env doesn't have one of the arguments.
+    """
+    env_id = _allowed(policy)
+    given = {name: value for name, value in options.items() if value is not None}
+    tracked = given.pop("tracked", False)
+    given = {"link": link, "robot": robot, **given}
+    if "worlds" in given:
+        given["worlds"] = registry.add_test_split(given["worlds"])
+    env = _made(policy, env_id, given)
+    pool = getattr(env.unwrapped, "pool", None)
+    if "worlds" not in given and pool is not None and pool.split == registry.TRAIN:
+        env.close()
+        env = _made(policy, env_id, given | {"worlds": f"{pool.kind}:{registry.TEST}"})
+    inner = env.unwrapped
+    if isinstance(inner, RobotEnv):
+        config = inner.robot.config
+        policy.check(inner.task, inner.sensors, env_policy_rate(inner), config)
+        policy.bind(inner)
+    return TrackedEnv(env) if tracked else env
+
+
+def warn_differences(policy: FilePolicy) -> None:
+    """Issue a PolicyWarning for each way in which the robot differs from those of the training."""
+    for line in policy.differences:
+        warnings.warn(f"{policy.path}: {line}", PolicyWarning, stacklevel=3)
+
+
+def _allowed(policy: FilePolicy) -> str:
+    """Return the id of the env that a policy is for; PolicyError if it may not name it."""
+    env_id = quote_text(policy.env_id)
+    if not env_id:
+        raise PolicyError(
+            f"{policy.path}: doesn't say which environment it is for: convert it with "
+            f"'acsar-gym export {policy.path} policy.onnx --trust --env point_goal' or another env"
+        )
+    if not policy.env_named and not env_id.startswith("acsar_gym/"):
+        raise PolicyError(
+            f"{policy.path}: made for {env_id}, which isn't acsar_gym's: if you trust that "
+            "package, name it with --env"
+        )
+    try:
+        return find_id(env_id)
+    except ConfigError as error:
+        raise PolicyError(f"{policy.path}: {error}") from None
+
+
+def _made(policy: FilePolicy, env_id: str, options: Mapping[str, Any]) -> Env:
+    """Make an env; errors name the policy."""
+    try:
+        return gymnasium.make(env_id, **options)
+    except (gymnasium.error.Error, ImportError) as error:
+        raise PolicyError(f"{policy.path}: made for {env_id}: {error}") from None
+    except TypeError as error:
+        names = ", ".join(options)
+        raise ConfigError(
+            f"{env_id} doesn't take all of: {names} ({format_error(error)})"
+        ) from None
+
+
+def seed_range(first: int, count: int) -> range:
+    """Return the seeds of `count` episodes from `first` on; ConfigError if out of range."""
+    if not 1 <= count <= MAX_EPISODES:
+        raise ConfigError(f"--episodes {show_value(count)}: must be 1 to {MAX_EPISODES:,}")
+    if not 0 <= first < SEED_LIMIT:
+        raise ConfigError(f"--seed {show_value(first)}: must be 0 to 2^63 - 1")
+    return range(first, first + count)
+
+
+def evaluate_policy(
+    policy: FilePolicy,
+    link: str,
+    robot: str | None,
+    seeds: range,
+    *,
+    how: Mapping[str, Any] | None = None,
+    elsewhere: Iterator[EpisodeResult] | None = None,
+    **options: Any,
+) -> EvaluationRun:
+    """Evaluate a policy in worlds of the test split, with a progress bar; closes the link.
+
+    An emergency stop, an interrupt, and a link that can't be opened again end it after an episode;
+    the finished episodes are kept.
+
+    Args:
+        policy: the policy.
+        link: name of the link.
+        robot: preset or file of the robot; None for the default.
+        seeds: seeds of the episodes.
+        how: keyword arguments of `episodes.episodes`.
+        elsewhere: results of these episodes, in any order, if other processes run them.
+        **options: other arguments of the env.
+
+    Raises:
+        AcsarError: see `made` and `episodes.episodes`.
+        MissingExtraError: scipy isn't installed.
+    """
+    with require_extra("an evaluation", "scipy"):  # before the first episode, not after the last
+        import scipy  # noqa: F401, PLC0415
+    env, how, count = make_env(policy, link, robot, options), how or {}, len(seeds)
+    warn_differences(policy)
+    results: list[EpisodeResult] = []
+    try:
+        running = elsewhere or evaluation.run_episodes(env, policy, count, seeds.start, **how)
+        ended = collect_results(show_progress(link, running, count), results)
+        env.close()  # before the files are hashed
+        return _run(env, policy, link, seeds, how, results, ended)
+    finally:
+        env.close()
+
+
+def _run(
+    env: Env,
+    policy: FilePolicy,
+    link: str,
+    seeds: range,
+    options: Mapping[str, Any],
+    results: list[EpisodeResult],
+    ended: LinkError | KeyboardInterrupt | None = None,
+) -> EvaluationRun:
+    """Combine results and header."""
+    inner: Any = env.unwrapped
+    worlds = provenance.worlds_of(inner)
+    header = provenance.make_header(env, policy, link, seeds, options)
+    return EvaluationRun(header, "none" if worlds is None else str(worlds), results, ended)
+
+
+def drive_to_goal(
+    policy: FilePolicy,
+    link: str,
+    robot: str | None,
+    goal: tuple[float, float],
+    ready: Callable[[], object] = lambda: None,
+    **options: Any,
+) -> EvaluationRun:
+    """Run one episode to `goal` (x, y) [m] in the odometry frame; arguments as for `drive`.
+
+    `ready` is called before anything moves, when all that can be known of the policy is told.
+
+    With `goal_distance`, goals may be nearer or farther than those that the policy was trained for;
+    the time limit grows with the distance.
+    """
+    if options.get("goal_distance") is not None:
+        options |= _farther(policy, goal)
+    config = RobotConfig.of(robot)
+    env = make_env(policy, open_link(link, config), config, options)
+    warn_differences(policy)
+    results: list[EpisodeResult] = []
+    try:
+        ready()
+        running = evaluation.run_episodes(env, policy, 1, seed=0, goal=goal)
+        ended = collect_results(running, results)
+        env.close()
+        return _run(env, policy, link, range(1), {"goal": goal}, results, ended)
+    finally:
+        env.close()
+
+
+def _farther(policy: FilePolicy, goal: tuple[float, float]) -> dict[str, Any]:
+    """Return the env's options for a goal at any distance: the policy's scale, and enough steps."""
+    if not policy.scale:
+        return {}
+    steps = gymnasium.spec(_allowed(policy)).max_episode_steps
+    longer = max(1.0, math.hypot(*goal) / policy.scale)
+    more = {} if steps is None else {"max_episode_steps": math.ceil(steps * longer)}
+    return {"distance_scale": policy.scale, **more}
+
+
+def export_policy(
+    model: Path,
+    out: Path,
+    env_id: str,
+    robot: str | None,
+    *,
+    trust: bool,
+    vecnormalize: str | None = None,
+) -> None:
+    """Convert a stable-baselines3 zip to an ONNX policy.
+
+    Args:
+        model: the zip.
+        out: ONNX file to write.
+        env_id: id or short name of the env; empty for the one stored in the zip.
+        robot: preset or file of the robot; None for the default.
+        trust: whether the zip may be loaded, which can run code in it.
+        vecnormalize: file of the VecNormalize that it was trained with, or "none".
+
+    Raises:
+        PolicyError: the zip can't be used, or a VecNormalize lies beside it but none is given.
+    """
+    policy = ZipPolicy(model, trust=trust, env_id=find_id(env_id) if env_id else "")
+    statistics = _statistics(policy, vecnormalize)
+    env = make_env(policy, "planar", robot, {})
+    from acsar_gym.tools.policies import sb3_export  # noqa: PLC0415 - optional
+
+    inner: Any = env.unwrapped
+    try:
+        known = policy.bundle
+        if known is None or known.env.id != strip_module(policy.env_id):
+            known = describe_policy(inner, policy.env_id)
+        before = (
+            sb3_export.read_normalizer(statistics, known.observation.width) if statistics else None
+        )
+        sb3_export.export_policy(policy.network, out, known, before)
+    finally:
+        env.close()
+
+
+def _statistics(policy: ZipPolicy, named: str | None) -> Path | None:
+    """Return the VecNormalize file to use.
+
+    PolicyError if none is named, but one lies beside the zip, or the model was trained with one.
+    """
+    if named is not None:
+        return None if named == "none" else Path(named)
+    model, found = policy.path, statistics_beside(policy.path)
+    convert = f"'acsar-gym export {model} policy.onnx --trust --vecnormalize"
+    if found is not None:
+        raise PolicyError(
+            f"{model}: {found} is beside it: if it was trained with that VecNormalize, use "
+            f"{convert} {found}', otherwise --vecnormalize none"
+        )
+    if policy.normalized:
+        raise PolicyError(
+            f"{model}: was trained with a VecNormalize, whose file isn't beside it: use {convert} "
+            "FILE' with the file that it was saved to, or --vecnormalize none if it changed only "
+            "rewards"
+        )
+    return None

@@ -1,0 +1,386 @@
+"""Policies: their interface, those of Python files, and observations by name in SI units."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import math
+import sys
+import textwrap
+import traceback
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym import reading
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import AcsarError, PolicyError, suggest_name
+from acsar_gym.resources import AGENTS
+from acsar_gym.sensors import LIDAR, Sensor
+from acsar_gym.tasks import Observation, Task
+from acsar_gym.tasks.base import Floats
+from acsar_gym.tasks.factory import task_name
+from acsar_gym.tasks.path import LENGTH_SCALE, LOOKAHEAD
+from acsar_gym.tools.policies import describe
+from acsar_gym.tools.policies.bundle import Bundle
+from acsar_gym.tools.policies.describe import observation_scale
+
+if TYPE_CHECKING:
+    from acsar_gym.envs.base import RobotEnv
+
+
+class Policy(Protocol):
+    """A callable that maps one observation to one action."""
+
+    def __call__(self, observation: Observation) -> NDArray[np.float32]:
+        """Choose the action for one observation.
+
+        Args:
+            observation: float32, shape and range of the env's observation space.
+
+        Returns:
+            The action, shape (2,), within the env's action space.
+        """
+
+
+class FilePolicy(ABC):
+    """Base class of the policies that are loaded from a file."""
+
+    path: Path
+    env_id: str
+    """Id of the env that it was trained for; empty if the file doesn't name one."""
+    env_named: bool = False
+    """Whether `env_id` was given by the user (True) or by the file (False)."""
+    bundle: Bundle | None = None
+    """What the file says about the policy; None if it can't hold that, as Python code."""
+    differences: tuple[str, ...] = ()
+    """How the robot of the last `check` differs from those of the training, a line each."""
+    sha256: str | None = None
+    """SHA-256 of the file's content, in hexadecimal as `sha256sum` prints it."""
+    function: str | None = None
+    """Name of the function, if the file is a Python file."""
+
+    @property
+    def about(self) -> dict[str, str | None]:
+        """What headers of results and recordings say about it."""
+        return {
+            "file": str(self.path),
+            "sha256": self.sha256,
+            "function": self.function,
+            "env": self.env_id,
+        }
+
+    def check(
+        self,
+        task: Task,
+        sensors: Sequence[Sensor],
+        policy_rate: float | None = None,
+        config: RobotConfig | None = None,
+    ) -> None:
+        """Check that the policy can drive in an env; `differences` has how its robot differs.
+
+        A policy without a bundle fits every env.
+
+        Args:
+            task: task of the env.
+            sensors: sensors of the env, in the order of the observation.
+            policy_rate: policy steps per second of the env [Hz]; None to skip this check.
+            config: of the robot; None to skip what depends on it.
+
+        Raises:
+            PolicyError: names the first field that doesn't match; see `matching`.
+        """
+        if self.bundle is None:
+            return
+        try:
+            describe.check_bundle(self.bundle, task, sensors, config, policy_rate)
+        except PolicyError as error:
+            raise PolicyError(f"{self.path}: {error}") from None
+        if config is not None:
+            self.differences = tuple(describe.robot_differences(self.bundle, sensors, config))
+
+    @property
+    def scale(self) -> float | None:
+        """Length that distances in its observation are divided by [m]; None if unknown."""
+        return None if self.bundle is None else self.bundle.observation.scale
+
+    def bind(self, env: RobotEnv) -> None:  # noqa: B027 - most policies need nothing of it
+        """Take what the policy needs of the env that it will drive; by default nothing.
+
+        Args:
+            env: made and checked for this policy, not reset yet.
+        """
+
+    def reset(self) -> None:  # noqa: B027 - most policies have no memory
+        """Begin an episode, right after the env's reset; by default nothing changes."""
+
+    @abstractmethod
+    def __call__(self, observation: Observation) -> NDArray[np.float32]:
+        """Compute the deterministic action for one observation.
+
+        Args:
+            observation: float32, shape of the env's observation space.
+
+        Returns:
+            The action in [-1, 1], float32, shape (2,).
+        """
+
+
+def resolve(path: str | Path, baselines: Iterable[str] = ()) -> Path:
+    """Find a policy file.
+
+    Args:
+        path: a file, or the name of a policy that comes with the package, such as "point_goal".
+        baselines: names that the error tells, beside those of the packaged policies.
+
+    Returns:
+        Path of an existing file.
+
+    Raises:
+        PolicyError: there is neither a file nor a packaged policy of that name.
+    """
+    path = Path(path)
+    if path.exists():
+        return path
+    packaged = AGENTS / "policies" / f"{path}.onnx"
+    if packaged.exists():
+        return packaged
+    known = ", ".join(sorted(p.stem for p in packaged.parent.glob("*.onnx"))) or "none"
+    others = f"; baselines: {', '.join(baselines)}" if baselines else ""
+    raise PolicyError(f"{path}: no such policy file; policies that come along: {known}{others}")
+
+
+def quote_text(text: str) -> str:
+    """Shorten text from a file to one line with escaped control characters, for messages."""
+    return textwrap.shorten(text.encode("unicode_escape").decode("ascii"), 300, placeholder="...")
+
+
+def format_error(error: BaseException) -> str:
+    """Format an exception as one short line: its type and its message."""
+    return textwrap.shorten(f"{type(error).__name__}: {quote_text(str(error))}", 200)
+
+
+if TYPE_CHECKING:
+    from acsar_gym.envs.base import RobotEnv
+
+GOAL_NUMBERS = ("goal_distance", "goal_cos", "goal_sin")
+PATH_NUMBERS = ("cross_track_error", "heading_cos", "heading_sin", "remaining", "ahead_1", "left_1")
+MOVING_NUMBERS = ("linear_velocity", "angular_velocity")
+"""Names of the numbers that a policy may need of a task's observation."""
+
+
+@dataclass(frozen=True, slots=True)
+class DecodedObservation:
+    """One observation in SI units, in the base frame (x ahead, y to the left)."""
+
+    linear: float
+    """Velocity by odometry [m/s]."""
+    angular: float
+    """Yaw rate by odometry [rad/s]."""
+    distance: float = math.nan
+    """To the goal [m]; NaN without one."""
+    bearing: float = math.nan
+    """Of the goal, positive to the left [rad]."""
+    ranges: Floats | None = None
+    """(rays,): the newest scan [m]; None without a LiDAR."""
+    cross_track: float = math.nan
+    """Distance from the path [m], positive where the robot is to the left of it."""
+    heading_error: float = math.nan
+    """Heading minus the path's direction [rad]."""
+    remaining: float = math.nan
+    """Length of the path ahead [m]."""
+    points: Floats | None = None
+    """(4, 2): points of the path ahead [m]."""
+
+    @property
+    def goal(self) -> tuple[float, float]:
+        """The goal (x, y) in the base frame [m]."""
+        return self.distance * math.cos(self.bearing), self.distance * math.sin(self.bearing)
+
+
+@dataclass(frozen=True)
+class PolicyContext:
+    """Robot, period and layout of the observation: what a deployed policy may know."""
+
+    config: RobotConfig
+    task: str
+    """Name of the task, for messages."""
+    period: float
+    """Time between two decisions [s]."""
+    tolerance: float
+    """Distance from the goal that counts as success [m]."""
+    places: dict[str, int]
+    """Index of each of the task's numbers in the observation."""
+    scale: float | None
+    """What distances are divided by [m]."""
+    rays: slice | None
+    """Where the LiDAR's ranges are in the observation; None without a LiDAR."""
+
+    @classmethod
+    def of(cls, env: RobotEnv) -> PolicyContext:
+        """Read the setting of an env."""
+        config, task = env.robot.config, env.task
+        first, rays = len(task.observation), None
+        for sensor in env.sensors:
+            if sensor.name == LIDAR:
+                rays = slice(first, first + sensor.size)
+            first += sensor.size
+        return cls(
+            config=config,
+            task=task_name(task),
+            period=env.ticks_per_step * config.period,
+            tolerance=task.goal_tolerance,
+            places={name: n for n, name in enumerate(task.observation)},
+            scale=observation_scale(task),
+            rays=rays,
+        )
+
+    def need(self, policy: str, names: tuple[str, ...], what: str, instead: str) -> None:
+        """Check that the task observes what a policy needs.
+
+        Args:
+            policy: its name.
+            names: of the numbers that it needs; () for the LiDAR.
+            what: what they are in words, such as "a path".
+            instead: an env that has it.
+
+        Raises:
+            PolicyError: it doesn't.
+        """
+        found = all(name in self.places for name in names) if names else self.rays is not None
+        if not found:
+            raise PolicyError(
+                f"{policy}: needs {what}, which {self.task} doesn't observe: use --env {instead}, "
+                "or another policy"
+            )
+
+    def seen(self, observation: Observation) -> DecodedObservation:
+        """Take an observation apart, and convert it to SI units."""
+        numbers, config = observation.astype(np.float64), self.config
+        at, scale = self.places, self.scale or 1.0
+        told: dict[str, float | Floats | None] = {
+            "linear": numbers[at["linear_velocity"]] * config.max_linear,
+            "angular": numbers[at["angular_velocity"]] * config.max_angular,
+        }
+        if "goal_distance" in at:
+            told["distance"] = numbers[at["goal_distance"]] * scale
+            told["bearing"] = math.atan2(numbers[at["goal_sin"]], numbers[at["goal_cos"]])
+        if "cross_track_error" in at:
+            told["cross_track"] = numbers[at["cross_track_error"]] * scale
+            told["heading_error"] = math.atan2(
+                numbers[at["heading_sin"]], numbers[at["heading_cos"]]
+            )
+            told["remaining"] = numbers[at["remaining"]] * LENGTH_SCALE
+            first = at["ahead_1"]
+            told["points"] = numbers[first : first + 2 * LOOKAHEAD].reshape(LOOKAHEAD, 2)
+        if self.rays is not None:
+            told["ranges"] = numbers[self.rays] * config.lidar.max_range
+        return DecodedObservation(**told)  # type: ignore[arg-type]  # its own fields
+
+
+MAX_SOURCE_BYTES = 10_000_000
+
+
+def is_callable(policy: str) -> bool:
+    """Return whether a policy argument names a Python file.
+
+    Args:
+        policy: such as "mine.py" or "mine.py:act".
+    """
+    return policy.endswith(".py") or policy.rpartition(":")[0].endswith(".py")
+
+
+class CallablePolicy(FilePolicy):
+    """A policy that is a function of a Python file, observation (n,) to action (2,).
+
+    Loading it runs the code of the file.
+
+    Args:
+        policy: "FILE.py:FUNCTION".
+        env_id: id of the env that it is for; by default the file's own global ENV_ID.
+
+    Raises:
+        PolicyError: there is no such file or function, its code raises an exception, no env is
+            named, or (when called) the action isn't two finite numbers.
+    """
+
+    def __init__(self, policy: str, env_id: str = "") -> None:
+        file, _, self._name = (
+            policy.rpartition(":") if not policy.endswith(".py") else (policy, "", "")
+        )
+        self.path = Path(file)
+        source = reading.read_file(self.path, MAX_SOURCE_BYTES, PolicyError)
+        self.sha256, self.function = hashlib.sha256(source).hexdigest(), self._name
+        module = self._imported(source)
+        self._act = self._found(module)
+        self.env_id = env_id or str(getattr(module, "ENV_ID", ""))
+        self.env_named = True  # the user runs this file's code, so its ENV_ID is trusted
+        if not self.env_id:
+            raise PolicyError(
+                f"{self.path}: doesn't say which environment it is for: pass --env point_goal or "
+                "another, or set ENV_ID in it"
+            )
+
+    def _imported(self, source: bytes) -> ModuleType:
+        """Run the file's source as a module."""
+        name = f"acsar_gym_policy_{self.path.stem}"
+        spec = importlib.util.spec_from_file_location(name, self.path)
+        if spec is None:
+            raise PolicyError(f"{self.path}: not a Python file")
+        module = importlib.util.module_from_spec(spec)
+        folder = str(self.path.resolve().parent)
+        if folder not in sys.path:
+            sys.path.append(folder)  # the file may import modules of its own folder
+        sys.modules[name] = module  # dataclasses and pickle look modules up there
+        try:
+            exec(compile(source, self.path, "exec"), module.__dict__)  # noqa: S102 - named by the user
+        except AcsarError:
+            raise
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a user's code raises
+            raise self._failure("can't be run", error) from None
+        return module
+
+    def _found(self, module: ModuleType) -> Any:
+        """Return the named function; the error names the functions that the file does have."""
+        known = [n for n, value in vars(module).items() if callable(value) and n[:1] != "_"]
+        act = getattr(module, self._name, None) if self._name else None
+        if not callable(act):
+            named = f"has no function {self._name!r}" if self._name else "name a function of it"
+            hint = suggest_name(self._name, known) if known else ""
+            raise PolicyError(f"{self.path}: {named}, as in {self.path.name}:act{hint}")
+        return act
+
+    def _failure(self, what: str, error: BaseException) -> PolicyError:
+        """Build the error for an exception in the user's code, with the line of the file."""
+        frames = traceback.extract_tb(error.__traceback__)
+        lines = [f.lineno for f in frames if f.filename == str(self.path)]
+        line = getattr(error, "lineno", None) or (lines[-1] if lines else 0)
+        return PolicyError(f"{self.path}, line {line}: {what}: {format_error(error)}")
+
+    def __call__(self, observation: Observation) -> NDArray[np.float32]:
+        """Call the function; returns its action, shape (2,).
+
+        Raises:
+            PolicyError: the function raises an exception, or gives anything but two finite
+                numbers.
+        """
+        try:
+            given = self._act(observation)
+        except AcsarError:
+            raise
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a user's code raises
+            raise self._failure(f"{self._name} failed", error) from None
+        try:
+            action = np.asarray(given, np.float32)
+        except Exception:  # noqa: BLE001 - torch has errors of its own for tensors with gradients
+            action = np.full(0, np.nan, np.float32)
+        if action.shape != (2,) or not np.isfinite(action).all():
+            said = repr(given).replace("\n", " ")[:100]
+            raise PolicyError(f"{self.path}: {self._name} gave {said}: must be two finite numbers")
+        return action

@@ -1,0 +1,180 @@
+"""Policies in stable-baselines3 zips. Loading one can run code, so the user must trust the file."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import warnings
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym import reading
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import AcsarError, MissingExtraError, PolicyError
+from acsar_gym.sensors import Sensor
+from acsar_gym.tasks import Observation, Task
+from acsar_gym.tasks.factory import task_name, task_spaces
+from acsar_gym.tools.policies.base import FilePolicy, format_error, resolve
+from acsar_gym.tools.policies.bundle import BUNDLE_KEY, Bundle, parse_bundle
+
+if TYPE_CHECKING:
+    from stable_baselines3.common.policies import BasePolicy
+
+MAX_ZIP_BYTES = 500_000_000
+MAX_UNPACKED_BYTES = 50_000_000
+"""Most bytes of a zip that was packed, once it is unpacked."""
+ZIP_ALGORITHMS = "PPO, A2C, SAC, TD3, DDPG, TQC or RecurrentPPO"
+POLICY_FAMILIES = {"ActorCriticPolicy", "SACPolicy", "TD3Policy", "TQCPolicy"}
+"""Base classes of their policies."""
+_UNUSED = {"lr_schedule": None, "clip_range": None}
+"""Replacements of pickled functions that only training needs; other Python versions may not be
+able to unpickle them."""
+
+
+class ZipPolicy(FilePolicy):
+    """A policy from a zip of PPO, A2C, SAC, TD3, DDPG, TQC or RecurrentPPO.
+
+    Loading a zip can run any code in it. Statistics of a VecNormalize aren't part of a zip.
+
+    Args:
+        path: the zip.
+        trust: whether the user trusts the zip; without it, nothing in it is read.
+        env_id: id of the env that it is for; by default the one that `sb3.label` stored in it.
+
+    Raises:
+        PolicyError: `trust` is False, or the file is missing, broken or of another algorithm.
+        MissingExtraError: stable-baselines3 isn't installed.
+    """
+
+    def __init__(self, path: str | Path, *, trust: bool = False, env_id: str = "") -> None:
+        self.path = resolve(path)
+        if not trust:
+            raise PolicyError(
+                f"{self.path}: a stable-baselines3 zip can run any code when it's loaded: pass "
+                "--trust if you made it or trust whoever did, or convert it once with "
+                f"'acsar-gym export {self.path} policy.onnx --trust'"
+            )
+        try:
+            content = reading.read_file(self.path, MAX_ZIP_BYTES, PolicyError)
+            _check_size(self.path, content)
+            data, self.network = _load(self.path, content)
+        except AcsarError:
+            raise
+        except Exception as error:  # noqa: BLE001 - whatever pickle and torch raise on such a file
+            said = format_error(error)
+            raise PolicyError(f"{self.path}: not a stable-baselines3 model: {said}") from None
+        self.sha256 = hashlib.sha256(content).hexdigest()
+        self.bundle = _bundle(self.path, data)
+        self.normalized = data.get("_last_original_obs") is not None
+        """Whether it was trained with a VecNormalize; only then are both observations saved."""
+        own = "" if self.bundle is None else self.bundle.env.id
+        self.env_id, self.env_named = env_id or own, bool(env_id)
+        self._state: tuple[NDArray[Any], ...] | None = None
+
+    def check(
+        self,
+        task: Task,
+        sensors: Sequence[Sensor],
+        policy_rate: float | None = None,
+        config: RobotConfig | None = None,
+    ) -> None:
+        """As FilePolicy.check; also compares the spaces.
+
+        Args:
+            task: of the env.
+            sensors: of the env's robot.
+            policy_rate: env steps per second [Hz]; None where it isn't known.
+            config: of the env's robot; None where it isn't known.
+
+        Raises:
+            PolicyError: the policy was made for other spaces than this env has.
+        """
+        super().check(task, sensors, policy_rate, config)
+        for space, wanted in zip(self._spaces, task_spaces(task, sensors), strict=True):
+            if space != wanted:
+                raise PolicyError(
+                    f"{self.path}: made for {space}, but {task_name(task)} has {wanted}"
+                )
+
+    @property
+    def _spaces(self) -> tuple[Any, Any]:
+        return self.network.action_space, self.network.observation_space
+
+    def reset(self) -> None:
+        """Begin an episode: the state of a recurrent policy becomes zero."""
+        self._state = None
+
+    def __call__(self, observation: Observation) -> NDArray[np.float32]:
+        """Compute the deterministic action in [-1, 1], shape (2,), for one observation."""
+        begun = np.array([self._state is None])
+        action, self._state = self.network.predict(
+            observation, self._state, begun, deterministic=True
+        )
+        return np.asarray(action, np.float32)
+
+
+def statistics_beside(path: Path) -> Path | None:
+    """Find a saved VecNormalize in a model's folder or, as RL Zoo stores it, one folder deeper.
+
+    Args:
+        path: the model's zip.
+
+    Returns:
+        The first such file; None where there is none.
+    """
+    patterns = ("*vecnormalize*.pkl", "*/vecnormalize.pkl")
+    return next((f for p in patterns for f in sorted(path.parent.glob(p))), None)
+
+
+def _check_size(path: Path, content: bytes) -> None:
+    """Refuse a zip that unpacks to far more than it is; stable-baselines3 doesn't pack anything."""
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        size = sum(entry.file_size for entry in archive.infolist())
+    if size > max(MAX_UNPACKED_BYTES, len(content)):
+        raise PolicyError(f"{path}: unpacks to {size / 1e6:,.0f} MB, too much for what it is")
+
+
+def _load(path: Path, content: bytes) -> tuple[dict[str, Any], BasePolicy]:
+    """Read a zip without constructing the algorithm; returns its data and the network."""
+    try:
+        from stable_baselines3.common.save_util import load_from_zip_file  # noqa: PLC0415 - optional
+    except ImportError:
+        raise MissingExtraError("loading a stable-baselines3 zip", "train") from None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about objects that can't be unpickled and aren't needed
+        file = io.BytesIO(content)
+        data, weights, _ = load_from_zip_file(file, device="cpu", custom_objects=_UNUSED)
+    kept: dict[str, Any] = data or {}
+    network = _network(path, kept)
+    state: Any = weights["policy"]  # a dict of tensors
+    network.load_state_dict(state)
+    return kept, network
+
+
+def _bundle(path: Path, data: dict[str, Any]) -> Bundle | None:
+    """Return the bundle that `sb3.label` stored in a model; None if it has none."""
+    said = data.get(BUNDLE_KEY)
+    try:
+        return None if said is None else parse_bundle(str(said))
+    except PolicyError as error:
+        raise PolicyError(f"{path}: {error}") from None
+
+
+def _network(path: Path, data: dict[str, Any]) -> BasePolicy:
+    """Construct the network from the saved classes and arguments."""
+    from stable_baselines3.common.policies import ActorCriticPolicy  # noqa: PLC0415 - optional
+
+    kind, options = data["policy_class"], dict(data["policy_kwargs"])
+    if not {base.__name__ for base in kind.__mro__} & POLICY_FAMILIES:
+        raise PolicyError(f"{path}: holds a {kind.__name__}, not one of {ZIP_ALGORITHMS}")
+    if issubclass(kind, ActorCriticPolicy):
+        options["use_sde"] = data["use_sde"]
+    network: BasePolicy = kind(
+        data["observation_space"], data["action_space"], lambda _: 0.0, **options
+    )
+    return network

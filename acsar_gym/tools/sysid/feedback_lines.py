@@ -1,0 +1,195 @@
+"""What the feedback lines show by themselves.
+
+Their rate and jitter, and the step of the printed speeds.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import require_extra
+from acsar_gym.tools.sysid.tracks import BoardTrack
+
+with require_extra("identification", "scipy"):
+    from scipy import stats
+
+
+LEAST_RATE_SHARE = 0.002
+"""Least half width of the rate's interval, as a share: clocks differ by that much."""
+
+MOST_SLOPE_LINES = 400
+"""Lines of a log between which slopes are computed."""
+
+
+@dataclass(frozen=True)
+class LineRate:
+    """Rate of feedback lines [Hz], half width of its interval, and their jitter [s]."""
+
+    rate: float
+    half: float
+    jitter: float
+
+
+def measure_line_rate(tracks: Sequence[BoardTrack]) -> LineRate:
+    """Measure the lines, where a stalled host may have read some late and in bursts.
+
+    The rate is the Theil-Sen slope of the lines' numbers over their times, whatever a few pauses,
+    bursts or lost lines do to the intervals between them.
+
+    Args:
+        tracks: at least one with two lines.
+    """
+    slopes = [_slope(track) for track in tracks if len(track.stamps) > 1]
+    spans = [float(np.ptp(track.stamps)) for track in tracks if len(track.stamps) > 1]
+    rate = float(np.average(slopes, weights=spans))
+    gaps = np.concatenate([np.diff(track.stamps) for track in tracks])
+    steps = np.maximum(1.0, np.round(gaps * rate))
+    jitter = float(np.std(gaps - steps / rate))
+    half = rate * max(LEAST_RATE_SHARE, 2.0 * jitter * rate / max(1.0, len(gaps) - 1.0))
+    return LineRate(rate, half, jitter)
+
+
+def _slope(track: BoardTrack) -> float:
+    """Lines per second, of evenly chosen lines."""
+    chosen = np.unique(np.linspace(0, len(track.stamps) - 1, MOST_SLOPE_LINES).astype(np.intp))
+    return float(stats.theilslopes(track.numbers[chosen], track.stamps[chosen]).slope)
+
+
+Floats = NDArray[np.float64]
+
+PRINTED_STEP = 0.01
+"""Resolution of the protocol's numbers [rad/s]."""
+FINEST_QUANTUM = 0.025
+"""Smallest step that two decimals show for sure [rad/s]."""
+LARGEST_QUANTUM = 2.0
+"""Largest step that is looked for [rad/s]."""
+FEWEST_SPEEDS = 20
+"""Different speeds that are needed."""
+ROUNDING_SLACK = 0.001
+"""Tolerance on top of the rounding to two decimals [rad/s]."""
+SAME_QUANTUM = 0.01
+"""Steps that differ by less than this share are one."""
+CHANCE_LIMIT = 1e-6
+"""Probability below which an explanation isn't luck."""
+OUTLIER_SHARE = 0.01
+"""Share of numbers that may be off the steps: damaged lines."""
+
+
+@dataclass(frozen=True)
+class Quantum:
+    """The step of the printed speeds.
+
+    Attributes:
+        step: [rad/s].
+        low: end of the interval in which it lies [rad/s].
+        high: other end [rad/s].
+    """
+
+    step: float
+    low: float
+    high: float
+
+
+def find_quantum(speeds: Floats) -> Quantum | None:
+    """Find the largest step of which all speeds are multiples, rounded to two decimals.
+
+    Args:
+        speeds: printed [rad/s], any shape.
+
+    Returns:
+        The step; None where too few different speeds were seen.
+    """
+    printed: Floats = np.round(np.abs(speeds[np.isfinite(speeds)]), 2).astype(np.float64)
+    values, counts = np.unique(printed, return_counts=True)
+    shares = np.asarray(counts[values > 0.0] / counts[values > 0.0].sum(), np.float64)
+    values = np.asarray(values[values > 0.0], np.float64)
+    if len(values) < FEWEST_SPEEDS:
+        return None
+    steps = _candidates(values)
+    fitting = steps[_fitting(values, shares, steps)]
+    if not len(fitting) or fitting[-1] < FINEST_QUANTUM:
+        return Quantum(PRINTED_STEP, 0.0, FINEST_QUANTUM)
+    near = fitting[fitting > 0.98 * fitting[-1]]
+    return Quantum(
+        float(near.mean()),
+        float(near[0]) - ROUNDING_SLACK / 2.0,
+        float(near[-1]) + ROUNDING_SLACK / 2.0,
+    )
+
+
+def _candidates(values: Floats) -> Floats:
+    """Steps from twice the printed resolution on, so dense that none is missed."""
+    ratio = 2.0 * ROUNDING_SLACK / values.max()
+    largest = min(LARGEST_QUANTUM, values.max() / 5.0)
+    return np.exp(np.arange(math.log(2.0 * PRINTED_STEP), math.log(largest), ratio))
+
+
+def _fitting(values: Floats, shares: Floats, steps: Floats) -> NDArray[np.bool_]:
+    """Whether the values are multiples of each step, rounded, or cut to two decimals."""
+    few = np.linspace(0, len(values) - 1, 12).astype(int)
+    fitting = np.zeros(len(steps), bool)
+    for low, high in ((-PRINTED_STEP / 2.0, PRINTED_STEP / 2.0), (-PRINTED_STEP, 0.0)):
+        hopeful = np.flatnonzero(_off(values[few], steps, low, high).sum(1) <= 2)
+        off = _off(values, steps[hopeful], low, high)
+        fitting[hopeful] |= off @ shares <= OUTLIER_SHARE
+    return fitting
+
+
+def _off(values: Floats, steps: Floats, low: float, high: float) -> NDArray[np.bool_]:
+    """Which values (columns) lie further than low to high from a multiple of each step (rows)."""
+    middle, half = (low + high) / 2.0, (high - low) / 2.0 + ROUNDING_SLACK
+    shifted = values - middle
+    away = shifted - steps[:, None] * np.round(shifted / steps[:, None])
+    return np.asarray(np.abs(away) > half)
+
+
+def count_speed(config: RobotConfig, window: float) -> float:
+    """Speed of one encoder count in the averaging window [rad/s]."""
+    return 2.0 * math.pi / (config.encoder.counts_per_revolution * window)
+
+
+def is_explained_by_counts(speeds: Floats, config: RobotConfig, window: float, step: float) -> bool:
+    """Whether only whole encoder counts, as configured, explain which numbers were printed.
+
+    Args:
+        speeds: printed [rad/s], any shape.
+        config: of the robot; tells counts_per_revolution.
+        window: averaging time of the encoders [s].
+        step: to which the board rounds [rad/s].
+
+    Returns:
+        False also where any numbers would be explained, as where counts are finer than the step.
+    """
+    values = np.unique(np.round(np.abs(speeds[np.isfinite(speeds)]), 2))
+    counts = count_speed(config, window)
+    near = np.round(values / counts) + np.array([[-1.0], [0.0], [1.0]])
+    possible = _rounded(near * counts, step)
+    hit = np.abs(possible - values).min(0) <= PRINTED_STEP / 2.0 + ROUNDING_SLACK
+    chance = min(1.0, max(step, PRINTED_STEP) / counts)
+    return bool(hit.mean() >= 1.0 - OUTLIER_SHARE and chance ** len(values) < CHANCE_LIMIT)
+
+
+def mean_printed_speeds(speeds: Floats, counts: float, step: float) -> Floats:
+    """Mean of what is printed for true speeds, given the encoder's counts and the step.
+
+    Args:
+        speeds: true mean speeds of windows [rad/s].
+        counts: speed of one encoder count [rad/s]; 0 for an encoder without counts.
+        step: of the printed numbers [rad/s]; 0 for none.
+    """
+    if counts <= 0.0:
+        return _rounded(speeds, step)
+    whole = np.floor(speeds / counts)
+    share = speeds / counts - whole
+    low, high = _rounded(whole * counts, step), _rounded((whole + 1.0) * counts, step)
+    return (1.0 - share) * low + share * high
+
+
+def _rounded(speeds: Floats, step: float) -> Floats:
+    return step * np.round(speeds / step) if step > 0.0 else speeds

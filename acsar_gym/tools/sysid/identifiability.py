@@ -1,0 +1,218 @@
+"""What a log can tell, judged before anything is fitted.
+
+And whether each wheel answers its own command.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym.errors import IdentificationError
+from acsar_gym.protocol import MOTORS, WHEELS
+from acsar_gym.tools.sysid.tracks import PAUSE_GAP, BoardTrack
+
+Floats = NDArray[np.float64]
+
+SHORTEST_LOG = 4.0
+"""Log that is needed for anything but the lines themselves [s]."""
+STEP_JUMP = 2.0
+"""Change of a command that counts as a step [rad/s]."""
+STEP_TIME = 0.25
+"""Time within which it must happen [s]."""
+STEP_DISTANCE = 0.2
+"""Steps are at least this far from each other [s]."""
+FEWEST_STEPS = 4
+RAMP_JUMP = 4.0
+"""Change within two ticks that shows a ramp [rad/s]."""
+TURNING_SPEED = 1.0
+"""Speed from which a wheel turns for sure [rad/s]."""
+STEADY_TIME = 1.0
+"""Time above TURNING that a gain needs [s]."""
+SLOW_BIN = 0.1
+LARGEST_SLOW_RANGE = 3.0
+SLOW_BIN_TIME = 0.06
+"""Slow commands must cover each 0.1 rad/s for so long [s], up to the largest deadband."""
+SMALLEST_SLOW_RANGE = 0.3
+"""Smallest such range [rad/s]."""
+LONG_PAUSE = 2.0
+"""A board that keeps turning so long without commands has no time-out [s]."""
+FEWEST_LINES = 20
+HANGS_ON_LAG = (
+    "hangs on the lag, which this log can't tell: command sudden changes of 2 rad/s or more"
+)
+NEVER_TURNED = "this wheel never turned"
+
+
+@dataclass
+class Identifiability:
+    """What a log can tell, and why not the rest.
+
+    Attributes:
+        missing: parameter (such as "motor.deadband") and wheel ("a" to "d", or "") of what can't
+            be told, with the reason and the manoeuvre that is missing.
+        slowest: range of slow commands that shows a deadband, for each wheel [rad/s].
+    """
+
+    missing: dict[tuple[str, str], str] = field(default_factory=dict)
+    slowest: list[float] = field(default_factory=lambda: [0.0] * 4)
+
+    def can(self, name: str, wheel: str = "") -> bool:
+        """Whether the log can tell a parameter."""
+        return (name, wheel) not in self.missing
+
+
+WHEEL_PARAMETERS = ("motor.time_constant", "motor.gain", "motor.acceleration", "motor.deadband")
+SHARED_PARAMETERS = ("firmware.command_delay", "encoder.window", "firmware.command_timeout")
+
+
+def check_identifiability(tracks: Sequence[BoardTrack]) -> Identifiability:
+    """Judge what the tracks of one robot can tell."""
+    known = Identifiability()
+    duration = sum(track.duration for track in tracks)
+    for k, letter in enumerate(MOTORS):
+        known.slowest[k] = _slow_range(tracks, k)
+        for name, reason in _wheel(tracks, k, known.slowest[k]).items():
+            known.missing[name, letter] = reason
+    if duration < SHORTEST_LOG:
+        short = f"{duration:.1f} s of log: needs {SHORTEST_LOG:g} s or more"
+        known.missing |= {(name, letter): short for name in WHEEL_PARAMETERS for letter in MOTORS}
+        known.missing |= {(name, ""): short for name in SHARED_PARAMETERS}
+    _hide_delays(known)
+    if not any(_active(track, k) for track in tracks for k in track.pauses):
+        reason = "no pause: stop sending commands for 2 s while wheels turn"
+        known.missing.setdefault(("firmware.command_timeout", ""), reason)
+    if sum(len(track.stamps) for track in tracks) < FEWEST_LINES or duration < 1.0:
+        known.missing["firmware.feedback_rate", ""] = "too few lines of feedback"
+    return known
+
+
+def _hide_delays(known: Identifiability) -> None:
+    """Note that delays can't be told where no wheel's lag or ramp can: slow answers hide them."""
+    for name in ("motor.time_constant", "motor.acceleration"):
+        if not any(known.can(name, letter) for letter in MOTORS):
+            for shared in SHARED_PARAMETERS[:2]:
+                known.missing.setdefault((shared, ""), known.missing[name, "a"])
+
+
+def _wheel(tracks: Sequence[BoardTrack], k: int, slow: float) -> dict[str, str]:
+    """What the log can't tell of one wheel."""
+    if not any((np.abs(track.speeds[:, k]) > TURNING_SPEED / 2.0).any() for track in tracks):
+        return dict.fromkeys(WHEEL_PARAMETERS, NEVER_TURNED)
+    missing = {}
+    if sum(_steps(track, k, STEP_JUMP, STEP_TIME) for track in tracks) < FEWEST_STEPS:
+        missing["motor.time_constant"] = "no steps: command sudden changes of 2 rad/s or more"
+    if sum(_steps(track, k, RAMP_JUMP, 2.5 * _tick(track)) for track in tracks) < FEWEST_STEPS:
+        missing["motor.acceleration"] = "no large steps: jump by 4 rad/s or more in one tick"
+    if sum(_time_above(track, k) for track in tracks) < STEADY_TIME:
+        missing["motor.gain"] = "no steady turning: hold 1 rad/s or more for a second"
+    both = min(
+        max(float((sign * track.commands[:, k]).max()) for track in tracks) for sign in (1.0, -1.0)
+    )
+    if both < SMALLEST_SLOW_RANGE:
+        missing["motor.deadband"] = "no reversal: command both directions, slowly through zero"
+    elif slow < SMALLEST_SLOW_RANGE:
+        missing["motor.deadband"] = "no staircase: command slow speeds, through zero and back"
+    elif "motor.time_constant" in missing:  # a lag delays what a deadband does, too
+        missing["motor.deadband"] = HANGS_ON_LAG
+    return missing
+
+
+def _tick(track: BoardTrack) -> float:
+    return float(np.median(np.diff(track.arrivals)))
+
+
+def _steps(track: BoardTrack, k: int, jump: float, within: float) -> int:
+    """Number of sudden changes of a wheel's command."""
+    times, values = track.arrivals, track.commands[:, k]
+    later = np.searchsorted(times, times + within, side="right") - 1
+    big = np.flatnonzero(np.abs(values[later] - values) >= jump)
+    count, last = 0, -np.inf
+    for time in times[big]:
+        if time - last > STEP_DISTANCE:
+            count, last = count + 1, time
+    return count
+
+
+def _time_above(track: BoardTrack, k: int) -> float:
+    """Time for which a wheel was commanded to turn [s]."""
+    held = np.minimum(np.diff(track.arrivals), PAUSE_GAP)
+    return float(held[np.abs(track.commands[:-1, k]) >= TURNING_SPEED].sum())
+
+
+def _slow_range(tracks: Sequence[BoardTrack], k: int) -> float:
+    """Top of the slow commands that are covered without a hole, in both directions [rad/s]."""
+    edges = np.arange(0.0, LARGEST_SLOW_RANGE + SLOW_BIN / 2.0, SLOW_BIN)
+    tops = []
+    for sign in (1.0, -1.0):
+        covered = np.zeros(len(edges) - 1)
+        for track in tracks:
+            held = np.minimum(np.diff(track.arrivals), PAUSE_GAP)
+            slow = sign * track.commands[:-1, k]
+            covered += np.histogram(slow[slow > 0.0], edges, weights=held[slow > 0.0])[0]
+        holes = np.flatnonzero(covered < SLOW_BIN_TIME)
+        tops.append(edges[holes[0]] if len(holes) else LARGEST_SLOW_RANGE)
+    return float(min(tops))
+
+
+def _active(track: BoardTrack, k: int) -> bool:
+    """Whether wheels were commanded to turn before a pause."""
+    return bool(np.abs(track.commands[k]).max() >= TURNING_SPEED)
+
+
+ANSWER_LAGS = np.arange(0.0, 0.5, 0.02)
+"""Delays of an answer that are tried [s]."""
+DEAD_SPEED = 0.5
+"""A wheel that never exceeds this is dead; that is said elsewhere [rad/s]."""
+ANSWER_CORRELATION = 0.5
+"""A wheel answers a command from this correlation on."""
+ANSWER_ADVANTAGE = 0.3
+"""By how much another wheel's command must explain it better than its own."""
+WIRING_ADVICE = (
+    "run 'acsar-gym doctor DEVICE --spin --out FILE' first, and give the file as --robot; nothing "
+    "was fitted"
+)
+
+
+def check_wheel_order(tracks: Sequence[BoardTrack]) -> None:
+    """Check that no wheel is reversed or swapped; IdentificationError names the first that is.
+
+    Short logs, from which nothing is fitted, aren't checked.
+    """
+    if sum(track.duration for track in tracks) < SHORTEST_LOG:
+        return
+    for wheel, name in enumerate(WHEELS):
+        found = correlate_wheel(tracks, wheel)
+        best = int(np.argmax(np.abs(found)))
+        if abs(found[best]) > max(ANSWER_CORRELATION, abs(found[wheel]) + ANSWER_ADVANTAGE):
+            way = " backward" if found[best] < 0.0 else ""
+            raise IdentificationError(
+                f"{name} answers {WHEELS[best]}'s command{way}: {WIRING_ADVICE}"
+            )
+        if found[wheel] < -ANSWER_CORRELATION:
+            raise IdentificationError(f"{name} turns backward at forward commands: {WIRING_ADVICE}")
+
+
+def correlate_wheel(tracks: Sequence[BoardTrack], wheel: int) -> Floats:
+    """Correlation of a wheel's speed with each wheel's command, at its best delay, (4,)."""
+    speeds = np.concatenate([track.speeds[:, wheel] for track in tracks])
+    if np.abs(speeds).max() < DEAD_SPEED:
+        return np.zeros(4)
+    rows = []
+    for lag in ANSWER_LAGS:
+        commands = np.concatenate([_commands(track, float(lag)) for track in tracks])
+        norm = np.sqrt((commands**2).sum(0) * (speeds @ speeds))
+        rows.append(speeds @ commands / np.maximum(norm, 1e-9))
+    high, low = np.max(rows, 0), np.min(rows, 0)
+    return np.asarray(
+        np.where(high >= -low - ANSWER_ADVANTAGE, high, low)
+    )  # periodic commands have both signs
+
+
+def _commands(track: BoardTrack, lag: float) -> Floats:
+    """Commands that held this long before each line, (m, 4) [rad/s]; zero before the first."""
+    newest = np.searchsorted(track.arrivals, track.stamps - lag, side="right") - 1
+    return np.where(newest[:, None] < 0, 0.0, track.commands[newest])

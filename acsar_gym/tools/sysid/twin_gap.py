@@ -1,0 +1,535 @@
+"""The gap between recorded robots and their twins, before and after fitting.
+
+Figures, tables, limits.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import ConfigError, show_value, suggest_name
+from acsar_gym.recording.replay import check_same_robot, find_difference, remove_jitter
+from acsar_gym.recording.types import Episode, Recording
+from acsar_gym.tools.evaluation.metrics import Interval, bootstrap_interval, replace_nonfinite
+from acsar_gym.tools.evaluation.report import escape_text
+from acsar_gym.tools.sysid import tracks
+from acsar_gym.tools.sysid.delays import (
+    DelayComparison,
+    Floats,
+    compare_delays,
+    explain_few_steps,
+    format_lag,
+)
+from acsar_gym.tools.sysid.tracks import EpisodeTrack
+
+TIME_SHIFTS = np.arange(-0.2, 0.2001, 0.001)
+"""Time shifts that are tried [s]."""
+MOVING_SPEED = 0.2
+"""Wheels that never differ by more than this from their mean don't tell a time shift [rad/s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class GapMetric:
+    """One figure of the gap: what it is called, and how it is shown."""
+
+    label: str
+    unit: str
+    scale: float
+    """Factor from SI to the unit."""
+    resolution: float
+    """Smaller values are nothing that a log shows, in SI units."""
+    rms: bool = False
+    """Whether it is a root mean square, and pooled as one; otherwise a mean of sizes."""
+
+
+GAP_METRICS = {
+    "wheel_speed_rms": GapMetric("wheel speeds, RMS", "rad/s", 1.0, 1e-3, rms=True),
+    "linear_rms": GapMetric("linear velocity, RMS", "m/s", 1.0, 1e-4, rms=True),
+    "angular_rms": GapMetric("angular velocity, RMS", "rad/s", 1.0, 1e-3, rms=True),
+    "yaw_rms": GapMetric("yaw, RMS", "deg", 180.0 / math.pi, 1e-3, rms=True),
+    "end_pose": GapMetric("position at the end", "cm", 100.0, 1e-3),
+    "end_yaw": GapMetric("yaw at the end", "deg", 180.0 / math.pi, 1e-3),
+    "end_odometry": GapMetric("position at the end, odometry of both", "cm", 100.0, 1e-3),
+    "time_shift": GapMetric("time shift of the wheel speeds", "ms", 1000.0, 1e-3),
+}
+"""The figures by name, in SI units; `--fail-over` takes these names."""
+
+GapFigures = dict[str, float]
+"""Values of METRICS in SI units; NaN for what a log can't tell."""
+
+
+def measure_figures(recorded: EpisodeTrack, twin: EpisodeTrack, period: float) -> GapFigures:
+    """Compute the gap between a recorded track and a twin's that got the same commands.
+
+    Args:
+        recorded: the recorded track.
+        twin: the twin's, on the same clock.
+        period: nominal period of the recorded feedback [s].
+
+    Returns:
+        A value for every metric, in SI units. `time_shift` is positive where the recorded robot
+        is later than the twin; the others are sizes.
+    """
+    wheels = speed_residuals(recorded, twin, period)
+    stamps, own = (
+        remove_jitter(recorded.feedback_stamps, period),
+        remove_jitter(twin.feedback_stamps, period),
+    )
+    twists = recorded.twists - _between(stamps, own, twin.twists)
+    yaw = recorded.poses[:, 2] - twin.poses[:, 2]
+    return {
+        "wheel_speed_rms": root_mean_square(wheels),
+        "linear_rms": root_mean_square(twists[:, 0]),
+        "angular_rms": root_mean_square(twists[:, 1]),
+        "yaw_rms": root_mean_square(yaw),
+        "end_pose": _apart(recorded.poses, twin.poses),
+        "end_yaw": abs(float(yaw[-1])) if len(yaw) else math.nan,
+        "end_odometry": _apart(recorded.odometry, twin.odometry),
+        "time_shift": find_time_shift(stamps, recorded.feedback, own, twin.feedback),
+    }
+
+
+def speed_residuals(recorded: EpisodeTrack, twin: EpisodeTrack, period: float) -> Floats:
+    """Return recorded minus the twin's wheel speeds at each recorded line, (k, 4) [rad/s]."""
+    stamps, own = (
+        remove_jitter(recorded.feedback_stamps, period),
+        remove_jitter(twin.feedback_stamps, period),
+    )
+    return recorded.feedback - _between(stamps, own, twin.feedback)
+
+
+def root_mean_square(values: Floats) -> float:
+    """Return the root mean square; NaN without values."""
+    return float(np.sqrt(np.mean(np.square(values)))) if values.size else math.nan
+
+
+def _between(wanted: Floats, stamps: Floats, values: Floats) -> Floats:
+    """Interpolate rows linearly; NaN if there are none."""
+    if not len(stamps):
+        return np.full((len(wanted), values.shape[1]), np.nan)
+    return np.column_stack([np.interp(wanted, stamps, column) for column in values.T])
+
+
+def _apart(one: Floats, other: Floats) -> float:
+    """Return the distance of the last positions [m]; NaN if there are none."""
+    if not len(one) or not len(other):
+        return math.nan
+    return float(np.hypot(*(one[-1, :2] - other[-1, :2])))
+
+
+def find_time_shift(
+    stamps: Floats, speeds: Floats, twin_stamps: Floats, twin_speeds: Floats
+) -> float:
+    """Return by how much the twin's wheel speeds must be delayed to fit the recorded ones best [s].
+
+    NaN if the wheels hardly move, or nothing within +-0.2 s fits best.
+    """
+    if len(stamps) < 3 or len(twin_stamps) < 3 or np.ptp(speeds, axis=0).max() < MOVING_SPEED:
+        return math.nan
+    costs = np.array(
+        [
+            root_mean_square(speeds - _between(stamps - shift, twin_stamps, twin_speeds))
+            for shift in TIME_SHIFTS
+        ]
+    )
+    best = int(np.argmin(costs))
+    if not 0 < best < len(TIME_SHIFTS) - 1:
+        return math.nan
+    left, middle, right = np.square(costs[best - 1 : best + 2])
+    bend = left - 2.0 * middle + right
+    part = 0.5 * (left - right) / bend if bend > 0.0 else 0.0
+    return float(TIME_SHIFTS[best] + part * (TIME_SHIFTS[1] - TIME_SHIFTS[0]))
+
+
+def pool_figures(rows: Sequence[GapFigures], weights: Sequence[float]) -> GapFigures:
+    """Combine figures of several episodes.
+
+    Args:
+        rows: figures of each episode.
+        weights: their durations [s], for root mean squares; the others are means over episodes.
+    """
+    return {name: _pooled(name, [row[name] for row in rows], weights) for name in GAP_METRICS}
+
+
+def _pooled(name: str, values: Sequence[float], weights: Sequence[float]) -> float:
+    known = [(v, w) for v, w in zip(values, weights, strict=True) if math.isfinite(v)]
+    if not known:
+        return math.nan
+    if GAP_METRICS[name].rms:
+        total = sum(weight for _, weight in known)
+        return math.sqrt(sum(value * value * weight for value, weight in known) / total)
+    return sum(value for value, _ in known) / len(known)
+
+
+def bootstrap_figures(rows: Sequence[GapFigures]) -> dict[str, Interval]:
+    """Return bootstrap intervals of the means over episodes; NaN for fewer than two."""
+    return {name: bootstrap_interval([row[name] for row in rows]) for name in GAP_METRICS}
+
+
+def parse_limits(given: Sequence[str], known: Sequence[str]) -> dict[str, float]:
+    """Parse limits such as "wheel_speed_rms=0.5".
+
+    Args:
+        given: the limits.
+        known: names of the metrics.
+
+    Returns:
+        Metrics and their limits, in SI units.
+
+    Raises:
+        ConfigError: an unknown metric, or a value that isn't a number from 0 up.
+    """
+    limits = {}
+    for text in given:
+        name, equals, value = text.partition("=")
+        if name not in known:
+            raise ConfigError(
+                f"--fail-over: unknown metric {show_value(name)}{suggest_name(name, known)}"
+            )
+        try:
+            limit = float(value) if equals else math.nan
+        except ValueError:
+            limit = math.nan
+        if not 0.0 <= limit < math.inf:
+            raise ConfigError(
+                f"--fail-over {show_value(text)}: must be METRIC=VALUE with a value of at least 0, "
+                "such as wheel_speed_rms=0.5"
+            )
+        limits[name] = limit
+    return limits
+
+
+def find_exceeded(limits: Mapping[str, float], figures: Mapping[str, float]) -> list[str]:
+    """Return a line for each limit that isn't kept; what couldn't be measured isn't, either."""
+    lines = []
+    for name, limit in limits.items():
+        size = abs(figures[name])
+        if math.isnan(size):
+            lines.append(f"{name}: couldn't be measured, the limit is {limit:g}")
+        elif size > limit:
+            lines.append(f"{name} = {size:.4g}: over the limit of {limit:g}")
+    return lines
+
+
+TWIN_SIDES = ("before", "after")
+NOTED_PAUSE = 0.1
+"""Longer pauses between commands are noted [s]."""
+SHORTEST_EPISODE = 1.0
+"""Shorter episodes are left out [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class EpisodeReplay:
+    """One recorded episode, and both twins that got the same commands."""
+
+    log: str
+    episode: int
+    fitted: bool
+    """Whether the robot's parameters were measured on this log."""
+    seconds: float
+    recorded: EpisodeTrack
+    twins: Mapping[str, EpisodeTrack]
+    """By side: "before" and "after"."""
+    figures: Mapping[str, GapFigures]
+
+    @property
+    def name(self) -> str:
+        """Log and number of the episode."""
+        return f"{self.log} #{self.episode}"
+
+    def delays(self, side: str) -> tuple[Floats, Floats]:
+        """Return the delays of the twin and of the robot [s], for steps that both show."""
+        twin, robot = self.twins[side].delays, self.recorded.delays
+        both = np.isfinite(twin) & np.isfinite(robot)
+        return twin[both], robot[both]
+
+
+@dataclass(frozen=True, eq=False)
+class TwinGap:
+    """The gaps of all logs."""
+
+    robot: str
+    """What the fitted twin was made of."""
+    before: str
+    """What the unfitted twin was made of."""
+    body: str
+    replays: tuple[EpisodeReplay, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def held_out(self) -> bool:
+        """Whether there is any log that the robot wasn't fitted to."""
+        return any(not replay.fitted for replay in self.replays)
+
+    @property
+    def judged(self) -> tuple[EpisodeReplay, ...]:
+        """The held-out episodes, or all where none is held out."""
+        return tuple(r for r in self.replays if not (self.held_out and r.fitted))
+
+    def figures(self, side: str) -> GapFigures:
+        """Return the figures of "before" or "after" over all judged episodes."""
+        judged = self.judged
+        return pool_figures([r.figures[side] for r in judged], [r.seconds for r in judged])
+
+    def intervals(self, side: str) -> dict[str, Interval]:
+        """Return bootstrap intervals of the figures' means over the judged episodes."""
+        return bootstrap_figures([replay.figures[side] for replay in self.judged])
+
+    def delays(self, side: str) -> DelayComparison:
+        """Test whether the robot's delays differ from the twin's, over the judged episodes."""
+        pairs = [replay.delays(side) for replay in self.judged]
+        return compare_delays(*(np.concatenate(samples) for samples in zip(*pairs, strict=True)))
+
+
+def measure_gap(
+    logs: Sequence[tuple[str, Recording]],
+    robot: tuple[str, RobotConfig],
+    before: tuple[str, RobotConfig | None],
+    body: str = "planar",
+) -> TwinGap:
+    """Replay the commands of logs through two twins, and compare both with what was recorded.
+
+    Args:
+        logs: names and recordings.
+        robot: name and config of the fitted twin.
+        before: name and config of the unfitted one; None for the config in each recording.
+        body: physics of both, "planar" or "bullet".
+
+    Raises:
+        ConfigError: the logs are of different robots, or hold nothing that can be compared.
+    """
+    check_same_robot(logs, "compare logs of")
+    fitted_on = {sha256 for one in robot[1].measured.values() for sha256 in one.logs}
+    replays, notes = [], _notes(logs, robot)
+    for name, recording in logs:
+        twins = {"before": before[1] or recording.config, "after": robot[1]}
+        for number, episode in enumerate(recording.episodes):
+            if why := _unusable(episode, robot[1]):
+                notes.append(f"{name} #{number}: left out, {why}")
+                continue
+            notes += _paused(f"{name} #{number}", episode)
+            fitted = recording.sha256 in fitted_on
+            replays.append(_replay(name, number, fitted, episode, twins, body))
+    if not replays:
+        raise ConfigError(notes[-1] if notes else f"{logs[0][0]}: holds no episode")
+    if all(replay.fitted for replay in replays):
+        notes.append("the robot was fitted to all of these logs: none is held out")
+    return TwinGap(robot[0], before[0], body, tuple(replays), tuple(notes))
+
+
+def _cut(name: str, robot: tuple[str, RobotConfig]) -> str:
+    """Say that a recording was cut, and that it isn't recognized as one that was fitted."""
+    told = f"{name}: its end is missing; the rest was used"
+    if not any(one.logs for one in robot[1].measured.values()):
+        return told
+    return f"{told}, as held out: it can't be told whether {robot[0]} was fitted to the whole of it"
+
+
+def _is_true(episode: Episode) -> bool:
+    """Whether the true poses of an episode are known."""
+    return bool(np.isfinite(episode.truth).all())
+
+
+def _notes(logs: Sequence[tuple[str, Recording]], robot: tuple[str, RobotConfig]) -> list[str]:
+    """Say what limits the comparison."""
+    notes = []
+    for name, recording in logs:
+        if recording.cut:
+            notes.append(_cut(name, robot))
+        if recording.dropped:
+            notes.append(f"{name}: {recording.dropped:,} ticks are missing")
+        found = find_difference(recording.config, robot[1], wire=True)
+        if found is not None:
+            field, own, other = found
+            notes.append(f"{name}: recorded with {field} = {own}, {robot[0]}: {other}")
+    if not all(_is_true(episode) for _, recording in logs for episode in recording.episodes):
+        notes.append(
+            f"where no true pose was recorded, positions are by odometry of both, computed anew "
+            f"from the wheel speeds with the geometry of {robot[0]}"
+        )
+    return notes
+
+
+def _paused(name: str, episode: Episode) -> list[str]:
+    """Say where commands stopped for long, as on a computer that was busy."""
+    longest = float(np.diff(episode.wire.sent_stamps).max(initial=0.0))
+    return [f"{name}: no command was sent for {longest:.2f} s"] if longest > NOTED_PAUSE else []
+
+
+def _unusable(episode: Episode, config: RobotConfig) -> str:
+    """Say why an episode can't be replayed; empty if it can."""
+    if why := tracks.find_damage(episode):
+        return why
+    lasts = float(episode.stamps[-1] - episode.stamps[0])
+    if lasts < SHORTEST_EPISODE - 2.0 * config.period:
+        return f"holds less than {SHORTEST_EPISODE:g} s"
+    if not len(episode.wire.sent_stamps) or len(episode.wire.feedback(config)[0]) < 3:
+        return "holds no commands, or no feedback"
+    return ""
+
+
+def _replay(
+    log: str,
+    number: int,
+    fitted: bool,
+    episode: Episode,
+    twins: Mapping[str, RobotConfig],
+    body: str,
+) -> EpisodeReplay:
+    """Replay one episode through both twins."""
+    robot = twins["after"]
+    recorded = tracks.make_recorded_track(episode, robot)
+    own = {side: tracks.make_twin_track(episode, robot, twins[side], body) for side in TWIN_SIDES}
+    if not recorded.known:  # like with like
+        own = {side: track.by_odometry() for side, track in own.items()}
+    period = 1.0 / robot.feedback_rate
+    found = {side: measure_figures(recorded, track, period) for side, track in own.items()}
+    seconds = float(episode.stamps[-1] - episode.stamps[0])
+    return EpisodeReplay(log, number, fitted, seconds, recorded, own, found)
+
+
+def conclude_gap(gap: TwinGap) -> list[str]:
+    """Say in a few lines how far the twin is from the robot."""
+    judged = gap.judged
+    seconds = sum(replay.seconds for replay in judged)
+    kind = "held-out" if gap.held_out else "fitted"
+    before, after = gap.figures("before"), gap.figures("after")
+    episodes = f"{len(judged)} {kind} episode{'s' * (len(judged) != 1)}, {seconds:.0f} s"
+    wheels = _fall(before, after, "wheel_speed_rms", "rad/s", 1.0)
+    ends = _fall(before, after, "end_pose", "cm", 100.0)
+    return [
+        f"{episodes}: wheel speeds {wheels} RMS, position at the end {ends}",
+        _conclude_delays(gap.delays("after")),
+    ]
+
+
+def _fall(before: GapFigures, after: GapFigures, name: str, unit: str, scale: float) -> str:
+    """Format the change of a figure."""
+    return f"from {before[name] * scale:.2f} to {after[name] * scale:.2f} {unit}"
+
+
+def _conclude_delays(test: DelayComparison) -> str:
+    """Say whether the fitted twin's delays are those of the robot."""
+    if math.isnan(test.p_value):
+        return explain_few_steps(test)
+    by = format_lag(test.difference)
+    if test.differs:
+        return f"delays differ: the robot answers {by} than its twin (p = {test.p_value:.2g})"
+    return f"delays don't differ measurably: {by} than the twin on average (p = {test.p_value:.2g})"
+
+
+LIMIT_NAMES = (*GAP_METRICS, "delay")
+"""What `--fail-over` takes; the delay is the difference of the means [s]."""
+
+
+def format_cell(value: float, scale: float = 1.0) -> str:
+    """Format a number with three digits; "-" for NaN."""
+    if math.isnan(value):
+        return "-"
+    return "0" if abs(value * scale) < 1e-6 else f"{value * scale:.3g}"
+
+
+def format_interval(interval: Interval, scale: float = 1.0) -> str:
+    """Format an interval; empty if it isn't known."""
+    return (
+        "" if math.isnan(interval[0]) else " to ".join(format_cell(end, scale) for end in interval)
+    )
+
+
+def format_ratio(before: float, after: float, resolution: float) -> str:
+    """Format how much of a figure is left after fitting; "-" where there was nothing to lose."""
+    known = math.isfinite(before) and math.isfinite(after) and abs(before) >= resolution
+    return f"{abs(after / before):.1%}" if known else "-"
+
+
+def gap_rows(gap: TwinGap) -> list[tuple[str, str, str, str, str, str]]:
+    """Return label, unit, before, after, the interval after, and what is left, per metric."""
+    before, after, around = gap.figures("before"), gap.figures("after"), gap.intervals("after")
+    return [
+        (
+            metric.label,
+            metric.unit,
+            format_cell(before[name], metric.scale),
+            format_cell(after[name], metric.scale),
+            format_interval(around[name], metric.scale),
+            format_ratio(before[name], after[name], metric.resolution),
+        )
+        for name, metric in GAP_METRICS.items()
+    ]
+
+
+def gap_tables(gap: TwinGap) -> list[Table]:
+    """Make the tables of a gap: figures, and the logs."""
+    kind = "held-out logs" if gap.held_out else "logs that the robot was fitted to"
+    title = f"Gap of {gap.robot} (before: {gap.before}) on {kind}, twin: {gap.body}"
+    figures = Table(title=escape_text(title), title_justify="left")
+    for name in ("figure", "unit", "before", "after", "95 % interval", "after / before"):
+        figures.add_column(name, justify="left" if name in ("figure", "unit") else "right")
+    for row in gap_rows(gap):
+        figures.add_row(*row)
+    return [figures, _logs(gap)]
+
+
+def _logs(gap: TwinGap) -> Table:
+    """Make the table of the logs."""
+    table = Table(title="Each episode, before -> after", title_justify="left")
+    for name in ("log", "use", "duration", "wheel speeds", "end position", "against"):
+        table.add_column(name, justify="right" if name == "duration" else "left")
+    for replay in gap.replays:
+        ends = [
+            " -> ".join(format_cell(replay.figures[side][name], scale) for side in TWIN_SIDES)
+            for name, scale in (("wheel_speed_rms", 1.0), ("end_pose", 100.0))
+        ]
+        use = "fitted" if replay.fitted else "held out"
+        against = "truth" if replay.recorded.known else "odometry"
+        cells = (f"{replay.seconds:.1f} s", f"{ends[0]} rad/s", f"{ends[1]} cm", against)
+        table.add_row(escape_text(replay.name), use, *cells)
+    return table
+
+
+def limit_sizes(gap: TwinGap) -> dict[str, float]:
+    """Return the figures of the fitted twin by the names of LIMITS, in SI units."""
+    return gap.figures("after") | {"delay": gap.delays("after").difference}
+
+
+def format_gap(gap: TwinGap) -> dict[str, Any]:
+    """Return the gap for JSON, in SI units; what isn't known is null."""
+    sides = {
+        side: {
+            "figures": gap.figures(side),
+            "intervals": gap.intervals(side),
+            "delays": asdict(gap.delays(side)),
+        }
+        for side in TWIN_SIDES
+    }
+    logs = [
+        {
+            "log": replay.log,
+            "episode": replay.episode,
+            "fitted": replay.fitted,
+            "seconds": replay.seconds,
+            "truth": replay.recorded.known,
+            **{side: replay.figures[side] for side in TWIN_SIDES},
+        }
+        for replay in gap.replays
+    ]
+    told: dict[str, Any] = replace_nonfinite(
+        {
+            "robot": gap.robot,
+            "unfitted": gap.before,
+            "body": gap.body,
+            "held_out": gap.held_out,
+            **sides,
+            "logs": logs,
+            "notes": list(gap.notes),
+            "conclusion": conclude_gap(gap),
+        }
+    )
+    return told

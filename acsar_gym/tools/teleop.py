@@ -1,0 +1,151 @@
+"""Driving by keyboard or with a fixed twist, on any link."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import sys
+
+from blessed import Terminal
+
+from acsar_gym.errors import CommandError
+from acsar_gym.robot import Robot
+from acsar_gym.safety.rules import Reason
+from acsar_gym.worlds import Scene
+
+KEY_TIMEOUT = 0.5
+"""How long a key drives; a key that is held comes again, by the terminal's repetition [s]."""
+SPEED_SHARE = 0.2
+"""Speed at the start, as a share of the full speed."""
+SHOW_EVERY = 10
+"""Ticks between two updates of the status line."""
+KEY_HELP = (
+    "hold w/s to drive forward/back, a/d to turn left/right (arrows work too): "
+    f"{KEY_TIMEOUT:g} s without them stops,\n"
+    "1 to 9 and 0 set the speed, 10 % to 100 % (now "
+    f"{SPEED_SHARE:.0%}), space stops, q quits,\n"
+    "e or Esc emergency stop; after one, here or by acsar-gym estop, r releases it "
+    "and sets the odometry to zero"
+)
+AHEAD_KEYS = {"w": 1.0, "KEY_UP": 1.0, "s": -1.0, "KEY_DOWN": -1.0}
+"""Keys that drive, and the direction."""
+TURN_KEYS = {"a": 1.0, "KEY_LEFT": 1.0, "d": -1.0, "KEY_RIGHT": -1.0}
+"""Keys that turn, and the direction."""
+SPEED_KEYS = {str(tenth % 10): tenth / 10.0 for tenth in range(1, 11)}
+"""Keys that set the speed."""
+
+
+def drive_twist(robot: Robot, linear: float, angular: float, duration: float | None) -> None:
+    """Drive with a constant twist.
+
+    Args:
+        robot: an open robot.
+        linear: linear velocity [m/s].
+        angular: angular velocity [rad/s].
+        duration: time [s]; None until interrupted.
+
+    Raises:
+        CommandError: a velocity isn't finite.
+        LinkError: the robot was stopped, or its link failed.
+    """
+    if not (math.isfinite(linear + angular) and 0.0 <= (duration or 0.0) < math.inf):
+        raise CommandError(
+            "--linear and --angular must be finite numbers, --duration finite and not negative"
+        )
+    ticks = math.inf if duration is None else round(duration * robot.config.control_rate)
+    done = 0
+    with robot:
+        begin = robot.link.now()
+        while done < ticks:
+            robot.drive(linear, angular)
+            robot.safety.check(robot.link.now() - begin)
+            done += 1
+            if done % SHOW_EVERY == 0:
+                _show(robot)
+        _print_status(robot)
+    sys.stdout.write("\n")
+
+
+def drive_keyboard(robot: Robot) -> None:
+    """Drive from the keyboard, until q or Ctrl-C.
+
+    Args:
+        robot: an open robot.
+    """
+    if not sys.stdin.isatty():
+        raise CommandError("no keyboard here: give a fixed twist with --linear and --angular")
+    terminal = Terminal(force_styling=None)  # only read keys; don't query the terminal
+    config, keys = robot.config, DriveKeys()
+    print(KEY_HELP)
+    with robot, terminal.cbreak():
+        for tick in itertools.count():
+            while key := terminal.inkey(timeout=0, esc_delay=0):  # no waiting in the control loop
+                if key == "q":
+                    sys.stdout.write("\n")
+                    return
+                if key == "e" or key.name == "KEY_ESCAPE":
+                    robot.estop()
+                elif key == "r" and robot.safety.stopped:
+                    robot.release_estop()
+                    robot.reset(Scene())
+                    keys.press(" ", robot.link.now())
+                keys.press(str(key.name or key), robot.link.now())
+            linear, angular = keys.twist(robot.link.now())
+            robot.drive(linear * config.max_linear, angular * config.max_angular)
+            if tick % SHOW_EVERY == 0:
+                _show(robot)
+
+
+class DriveKeys:
+    """What the keys ask for: each drives or turns until `KEY_TIMEOUT` after it came last."""
+
+    def __init__(self) -> None:
+        self._share = SPEED_SHARE
+        self._ahead = self._around = (0.0, -math.inf)
+
+    def press(self, key: str, now: float) -> None:
+        """Take a key.
+
+        Args:
+            key: its name; unknown ones change nothing.
+            now: time [s].
+        """
+        self._share = SPEED_KEYS.get(key, self._share)
+        if key in AHEAD_KEYS:
+            self._ahead = AHEAD_KEYS[key], now
+        elif key in TURN_KEYS:
+            self._around = TURN_KEYS[key], now
+        elif key == " ":
+            self._ahead = self._around = (0.0, now)
+
+    def twist(self, now: float) -> tuple[float, float]:
+        """Return shares of the full linear and angular speed, -1 to 1.
+
+        Args:
+            now: time, as for `press` [s].
+        """
+        asked = (self._ahead, self._around)
+        linear, angular = (way if now - since < KEY_TIMEOUT else 0.0 for way, since in asked)
+        return linear * self._share, angular * self._share
+
+
+def _show(robot: Robot) -> None:
+    """Print the status line if stdout is a terminal."""
+    if not sys.stdout.isatty():
+        return
+    _print_status(robot)
+
+
+def _print_status(robot: Robot) -> None:
+    """Write pose, twist, age of the feedback and the safety state to stdout."""
+    x, y, theta = robot.odometry.pose
+    linear, angular = robot.odometry.twist
+    age = robot.feedback_age * 1000.0
+    reason = robot.safety.reason.name if robot.safety.reason else ""
+    if robot.safety.reason is Reason.EMERGENCY_STOP:
+        reason += ": r releases it"
+    sys.stdout.write(
+        f"\rx {x:7.3f} m  y {y:7.3f} m  theta {math.degrees(theta):7.1f} deg  "
+        f"v {linear:6.3f} m/s  w {angular:6.3f} rad/s  feedback {age:4.0f} ms old  {reason:29} "
+    )
+    sys.stdout.flush()

@@ -1,0 +1,172 @@
+"""Evaluates a policy during training, in worlds and with seeds that aren't trained on.
+
+And keeps its learning curve.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym import reading
+from acsar_gym.vector.env import RobotVectorEnv
+from acsar_gym.worlds import registry
+from acsar_gym.worlds.pool import Pool
+
+HELD_OUT_ROBOTS = 64
+"""Robots in an evaluation during training; each runs one episode."""
+TARGET_ROBOTS = 512
+"""Robots in an evaluation that decides whether a target is reached."""
+FIRST_HELD_OUT_SEED = 2**32
+"""First seed of held-out episodes; seeds of a training are smaller."""
+
+Decide = Callable[[NDArray[np.float32]], NDArray[Any]]
+"""Maps observations (n, m) to actions (n, 2); one that has a state begins at its first call."""
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOutScore:
+    """Result of an evaluation with one episode per robot."""
+
+    episodes: int
+    success_rate: float
+    collision_rate: float
+    """Share of unsuccessful episodes that ended in contact with an obstacle."""
+    mean_return: float
+    mean_length: float
+    """Mean length of an episode [steps]."""
+
+
+def evaluate_held_out(batch: RobotVectorEnv, decide: Decide) -> HeldOutScore:
+    """Run the first episode of every robot to its end, always from the same seeds.
+
+    One episode per robot avoids a bias: the first n finished episodes of a batch would contain too
+    many quick ones.
+
+    Args:
+        batch: the robots; needs a time limit.
+        decide: the policy.
+
+    Returns:
+        Rates and means over the episodes.
+    """
+    observations, _ = batch.reset(seed=FIRST_HELD_OUT_SEED)
+    robots = batch.num_envs
+    running = np.ones(robots, np.bool_)
+    success, collision = np.zeros((2, robots), np.bool_)
+    returns, lengths = np.zeros((2, robots))
+    while running.any():
+        observations, rewards, terminated, truncated, info = batch.step(decide(observations))
+        returns += rewards * running
+        lengths += running
+        ended = running & (terminated | truncated)
+        success |= ended & (info["is_success"] == 1.0)
+        collision |= ended & ~success & (info["true_contact"] == 1.0)
+        running &= ~ended
+    return HeldOutScore(
+        robots,
+        float(success.mean()),
+        float(collision.mean()),
+        float(returns.mean()),
+        float(lengths.mean()),
+    )
+
+
+def success_label(batch: RobotVectorEnv) -> str:
+    """Return the label of a success rate measured with this batch."""
+    if _others(batch):
+        return "held-out success"
+    return "success in the same worlds, other seeds"
+
+
+def describe_worlds(learning: RobotVectorEnv, batch: RobotVectorEnv) -> str:
+    """Describe the worlds of training and evaluation in one line.
+
+    Args:
+        learning: robots of the training.
+        batch: robots of the evaluation.
+    """
+    pools = [one.pool for one in (learning, batch)]
+    if pools[0] is None:
+        return "training on an open floor, held out: other seeds"
+    apart = (
+        f"held out: {pools[1]}" if _others(batch) else "evaluated in the same worlds, other seeds"
+    )
+    return f"training in {pools[0]}, {apart}"
+
+
+def _others(batch: RobotVectorEnv) -> bool:
+    """Return whether the evaluation has other worlds, or other goals on the open floor."""
+    pool = batch.pool
+    return pool is None or pool.generated
+
+
+def choose_held_out_worlds(pool: Pool | None, robots: int = HELD_OUT_ROBOTS) -> str | None:
+    """Choose held-out worlds.
+
+    Args:
+        pool: worlds of the training; None for an open floor.
+        robots: how many worlds.
+
+    Returns:
+        Generated worlds of the same kind, none of which is in `pool`: those of the validation
+        split, or those behind the pool's where it holds some of them. None for files and an open
+        floor, which have no others, so that only the seeds differ.
+    """
+    if pool is None or not pool.generated:
+        return None
+    own = registry.split_numbers(pool.kind, registry.VALIDATION)
+    apart = pool.numbers[0] > own[-1] or pool.numbers[-1] < own[0]
+    first = own[0] if apart else pool.numbers[-1] + 1
+    return f"{pool.kind}:{first}-{first + robots - 1}"
+
+
+CURVE_COLUMNS = ("steps", "seconds", "success_rate", "collision_rate", "mean_return", "mean_length")
+"""`seconds` since the beginning of the training, all others of the held-out episodes."""
+Rows = list[dict[str, float]]
+_SHOWN = {"success_rate": "success", "mean_return": "return", "collision_rate": "collisions"}
+_AXES = {"steps": "env steps", "seconds": "time [s]"}
+
+
+def write_curve(path: Path, rows: Rows) -> None:
+    """Write the curve as CSV, whole or not at all."""
+    with reading.replace_file(path) as new, new.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, CURVE_COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def draw_curve(path: Path, rows: Rows, title: str) -> None:
+    """Draw success, return and collisions over steps and over time as PNG.
+
+    Args:
+        path: file to write.
+        rows: the curve; at least one row.
+        title: what was trained.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - optional, slow
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    figure = Figure(figsize=(9.0, 8.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(title)
+    places = figure.subplots(len(_SHOWN), len(_AXES), sharey="row", sharex="col")
+    for line, (column, label) in enumerate(_SHOWN.items()):
+        for side, (axis, name) in enumerate(_AXES.items()):
+            place = places[line][side]
+            place.plot([row[axis] for row in rows], [row[column] for row in rows], marker=".")
+            place.grid(visible=True)
+            if column.endswith("_rate"):
+                place.set_ylim(-0.02, 1.02)
+            if side == 0:
+                place.set_ylabel(label)
+            if line == len(_SHOWN) - 1:
+                place.set_xlabel(name)
+    with reading.replace_file(path) as new:
+        figure.savefig(new, format="png", dpi=100)

@@ -1,0 +1,146 @@
+"""Makes and loads the models of a training, and decides with them. Imports torch."""
+
+from __future__ import annotations
+
+from inspect import signature
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from stable_baselines3.common.base_class import BaseAlgorithm
+
+from acsar_gym.errors import AcsarError, ConfigError, PolicyError
+from acsar_gym.tools.policies import ZipPolicy, sb3
+from acsar_gym.tools.policies.base import format_error
+from acsar_gym.tools.training import recipes
+from acsar_gym.tools.training.held_out import Decide
+from acsar_gym.tools.training.plan import TrainingPlan
+from acsar_gym.vector.env import RobotVectorEnv
+
+
+def make_decider(model: BaseAlgorithm) -> Decide:
+    """Return a function from observations (n, m) to deterministic actions (n, 2).
+
+    A recurrent policy's state begins at the first call, and is kept for all robots from then on.
+
+    Args:
+        model: of any algorithm that `train` knows.
+    """
+    policy: Any = model.policy
+    if hasattr(policy, "lstm_actor"):
+        return _Recurrent(model)
+    device = policy.device
+
+    def decide(seen: NDArray[np.float32]) -> NDArray[np.float32]:
+        """As the policy's `predict`, in half the time."""
+        with torch.no_grad():
+            action = policy._predict(torch.from_numpy(seen).to(device), deterministic=True)  # noqa: SLF001
+        clipped: NDArray[np.float32] = np.clip(action.cpu().numpy(), -1.0, 1.0)
+        return clipped
+
+    return decide
+
+
+class _Recurrent:
+    """Decides with the state that the policy has returned with its last decision."""
+
+    def __init__(self, model: BaseAlgorithm) -> None:
+        self._model, self._state = model, None
+
+    def __call__(self, seen: NDArray[np.float32]) -> NDArray[np.float32]:
+        begun = np.full(len(seen), self._state is None)
+        action, state = self._model.predict(seen, self._state, begun, deterministic=True)
+        self._state = state  # type: ignore[assignment]
+        return np.asarray(action, np.float32)
+
+
+MAX_TORCH_THREADS = 2
+"""Default limit of torch's threads; more don't help with networks this small."""
+
+
+def prepare_torch(plan: TrainingPlan) -> None:
+    """Set the number of torch's threads, and check the device.
+
+    Raises:
+        ConfigError: torch can't use the device.
+    """
+    torch.set_num_threads(min(plan.threads, plan.options.threads or MAX_TORCH_THREADS))
+    if plan.options.device == "cuda" and not torch.cuda.is_available():
+        why = (
+            "has no CUDA device that it can use" if torch.version.cuda else "is built without CUDA"
+        )
+        raise ConfigError(f"--device cuda: torch {torch.__version__} {why}: leave --device away")
+
+
+def make_model(plan: TrainingPlan, env: RobotVectorEnv) -> BaseAlgorithm:
+    """Make a new model by the recipe.
+
+    Args:
+        plan: the training.
+        env: the robots to train on.
+
+    Raises:
+        ConfigError: a hyperparameter can't be used; the message names the file.
+    """
+    recipe = plan.recipe
+    arguments = recipe.built()
+    steps, size = (arguments.get(name) for name in ("n_steps", "batch_size"))
+    if isinstance(steps, int) and isinstance(size, int):
+        arguments["batch_size"] = min(size, steps * env.num_envs)
+    _tell_robot(arguments.get("policy_kwargs") or {}, arguments["policy"], plan)
+    given: dict[str, Any] = {"stats_window_size": env.num_envs} | arguments | _always(plan)
+    try:
+        return plan.algorithm.load()(env=recipe.wrapped(sb3.BatchVecEnv(env)), **given)
+    except AcsarError:
+        raise
+    except Exception as error:  # noqa: BLE001 - whatever a constructor makes of bad values
+        raise ConfigError(f"{recipe.file}: {recipe.key}: {format_error(error)}") from None
+
+
+def load_model(
+    plan: TrainingPlan, env: RobotVectorEnv, saved: ZipPolicy, *, go_on: bool = False
+) -> BaseAlgorithm:
+    """Load a model, with the hyperparameters that it was saved with.
+
+    Args:
+        plan: the training.
+        env: the robots to train on.
+        saved: the zip.
+        go_on: whether the state of the robots will be restored, too; otherwise they are reset.
+
+    Raises:
+        PolicyError: it was made for another observation, or by another algorithm.
+    """
+    saved.check(env.task, env.sensors)
+    found = recipes.policy_algorithm(saved.network)
+    if found != plan.algorithm.name:
+        wanted, is_of = plan.algorithm, found or "an algorithm that train doesn't know"
+        raise PolicyError(
+            f"{saved.path}: is of {is_of}, but with --algo {wanted.name} only "
+            f"{wanted.kind}'s models can be trained on"
+        )
+    batch = plan.recipe.wrapped(sb3.BatchVecEnv(env))
+    return plan.algorithm.load().load(saved.path, batch, force_reset=not go_on, **_always(plan))
+
+
+def _tell_robot(policy_kwargs: dict[str, Any], policy: Any, plan: TrainingPlan) -> None:
+    """Give the robot to a policy or features extractor that takes one: those of `networks`."""
+    if not plan.options.robot:
+        return
+    if _takes_robot(policy):
+        policy_kwargs.setdefault("robot", plan.robot)
+    if _takes_robot(policy_kwargs.get("features_extractor_class")):
+        own = policy_kwargs.get("features_extractor_kwargs") or {}
+        policy_kwargs["features_extractor_kwargs"] = {"robot": plan.robot} | own
+
+
+def _takes_robot(kind: Any) -> bool:
+    """Return whether a class has a parameter `robot`; False for a name such as "MlpPolicy"."""
+    return isinstance(kind, type) and "robot" in signature(kind).parameters
+
+
+def _always(plan: TrainingPlan) -> dict[str, Any]:
+    """Return the arguments of a model that don't come from recipes."""
+    logs = str(plan.out / "tensorboard")
+    return {"device": plan.options.device, "seed": plan.options.seed, "tensorboard_log": logs}

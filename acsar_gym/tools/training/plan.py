@@ -1,0 +1,239 @@
+"""What a training does: the user's options, and the settings that follow from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Annotated, Any
+
+import gymnasium
+import tyro
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.envs import ids
+from acsar_gym.errors import ConfigError, MissingExtraError, show_value, suggest_name
+from acsar_gym.physics import Randomization, randomization
+from acsar_gym.tools.training import held_out, recipes, threads
+from acsar_gym.tools.training.recipes import Algorithm, Recipe, find_algorithm
+from acsar_gym.vector.env import ROBOTS_PER_THREAD, RobotVectorEnv
+
+MAX_STEPS = 10**10
+MAX_ROBOTS = 16_384
+"""Most robots; a rollout of this many takes 0.2 to 1 GB."""
+MAX_LAYER_WIDTH = 4096
+"""Largest width of a layer."""
+TORCH_DEVICES = ("cpu", "cuda")
+
+
+@dataclass(frozen=True)
+class TrainingOptions:
+    """Train a policy on one of the environments and export it as one ONNX file."""
+
+    env: Annotated[str, tyro.conf.arg(metavar="NAME|ID")] = "point_goal"
+    """point_goal, path_follow, obstacle_goal, barn, or an id as in mine.module:mine/Task-v0."""
+    algo: Annotated[str, tyro.conf.arg(metavar="ppo|sac|tqc|ppo_lstm")] = "ppo"
+    """Algorithm, by RL Zoo's names."""
+    conf_file: Path | None = None
+    """Recipe file in RL Zoo's format, or the config.yml of an earlier training; default:
+    agents/recipes/ALGO.yml."""
+    modules: tuple[str, ...] = ()
+    """Modules of your own whose classes the recipe names, such as mine.networks; they are imported,
+    which a recipe alone can't do. The module of --env is one of them."""
+    steps: int | None = None
+    """Env steps to train, at most 10 billion; default: the recipe's."""
+    target: float | None = None
+    """End once this share of 512 held-out episodes succeeds, such as 0.97; default: never."""
+    out: Path | None = None
+    """Folder for the policy, checkpoints and logs; default: runs/ENV."""
+    robots: int | None = None
+    """Robots stepped together, at most 16,384; default: the recipe's."""
+    seed: int = 0
+    """Seed of everything random, 0 to 2^32 - 1."""
+    seeds: Annotated[str | None, tyro.conf.arg(metavar="0-4|1,5,9")] = None
+    """Train these seeds instead of one, each in a folder of its own, and compare them."""
+    workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """With --seeds: trainings at a time; default: one, or with --address one for each CPU."""
+    address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT|auto|local")] = None
+    """With --seeds: Ray cluster to train on."""
+    device: Annotated[str, tyro.conf.arg(metavar="cpu|cuda")] = "cpu"
+    """Where the networks are trained; the robots are simulated on the CPU."""
+    threads: int | None = None
+    """Cores to use; default: as many as are free when the training begins."""
+    worlds: str | None = None
+    """Generator, file or folder of worlds, instead of the env's own."""
+    robot: str | None = None
+    """Preset or config file."""
+    randomize: bool = True
+    """Randomize the robots' physics, within what was measured (`measured` in the robot's file) and
+    default widths for the rest."""
+    gamma: float | None = None
+    """Discount factor, 0 to 1; default: the recipe's."""
+    learning_rate: float | None = None
+    """Learning rate of Adam, up to 1; default: the recipe's."""
+    net: tuple[int, ...] | None = None
+    """Widths of the hidden layers, such as 64 64; default: the recipe's."""
+    progress: bool = True
+    """Show a progress bar."""
+    checkpoint_seconds: float = 60.0
+    """Time between two checkpoints [s]."""
+    resume: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER|model.zip")] = None
+    """Folder of a training that was killed, to go on where its newest checkpoint is; or a model.zip
+    to train on in a new training, with the hyperparameters in it. Needs --trust."""
+    trust: bool = False
+    """Allow the zips of --resume to run code in them: only for zips from people you trust."""
+
+    def check(self) -> None:
+        """Check all options before the training starts.
+
+        Raises:
+            ConfigError: a number is out of its range, or a name is unknown.
+            MissingExtraError: a library that training needs isn't installed.
+        """
+        ranges = (
+            ("steps", self.steps, 1, MAX_STEPS),
+            ("robots", self.robots, 1, MAX_ROBOTS),
+            ("seed", self.seed, 0, held_out.FIRST_HELD_OUT_SEED - 1),
+            ("gamma", self.gamma, 0, 1),
+            ("learning-rate", self.learning_rate, 0, 1),
+            ("target", self.target, 0, 1),
+            ("checkpoint-seconds", self.checkpoint_seconds, 0, 86_400),
+            *(("net", width, 1, MAX_LAYER_WIDTH) for width in self.net or ()),
+        )
+        for name, value, least, most in ranges:
+            number = isinstance(value, int | float)  # config.yml may have been edited
+            if value is not None and not (number and least <= value <= most):
+                raise ConfigError(f"--{name} {show_value(value)}: must be {least:,} to {most:,}")
+        find_algorithm(self.algo)
+        if self.seeds is None and (self.workers, self.address) != (None, None):
+            raise ConfigError("--workers and --address: train several seeds: give --seeds, too")
+        if self.device not in TORCH_DEVICES:
+            raise ConfigError(
+                f"--device {self.device}: unknown{suggest_name(self.device, TORCH_DEVICES)}"
+            )
+        for module in ("torch", "stable_baselines3", "tensorboard", "onnx", "onnxscript"):
+            try:
+                missing = find_spec(module) is None
+            except ImportError:
+                missing = True
+            if missing:
+                raise MissingExtraError("training", "train")
+
+
+RANDOMIZATION_KEY = "randomization"
+"""Argument of an env that only the robots of the training get."""
+MAX_EVALUATIONS = 16
+MIN_STEPS_BETWEEN = 100_000
+"""Least env steps between two held-out evaluations, which take up to 5 % of the time."""
+TARGET_EVALUATIONS = 3
+"""How many times more often is evaluated to end at a target."""
+
+
+@dataclass(frozen=True)
+class TrainingPlan:
+    """A training."""
+
+    options: TrainingOptions
+    env_id: str
+    algorithm: Algorithm
+    recipe: Recipe
+    episode_steps: int
+    """Time limit of an episode [steps]."""
+    threads: int
+    out: Path
+    robot: RobotConfig
+
+    @classmethod
+    def of(cls, options: TrainingOptions) -> TrainingPlan:
+        """Derive the settings of a training and create its folder.
+
+        Args:
+            options: the user's options.
+
+        Raises:
+            ConfigError: the env isn't registered, has no time limit or no worlds, the recipe
+                can't be used, or the folder or the number of threads can't be used.
+        """
+        env_id = ids.find_id(options.env)
+        own = ids.strip_module(env_id)
+        limit = gymnasium.spec(own).max_episode_steps
+        if limit is None:
+            raise ConfigError(f"env {options.env}: has no max_episode_steps, training needs one")
+        if options.worlds is not None and own == "acsar_gym/PointGoal-v0":
+            raise ConfigError("--worlds: point_goal has none")
+        count = threads.choose_threads(options.threads)
+        robot = RobotConfig.of(options.robot)
+        out, kind = _folder(options, own), find_algorithm(options.algo)
+        modules = [*options.modules, *filter(None, [env_id.rpartition(":")[0]])]
+        recipe = recipes.read_recipe(kind, own, options.conf_file, modules).with_(
+            steps=options.steps,
+            robots=options.robots,
+            gamma=options.gamma,
+            learning_rate=options.learning_rate,
+            net=options.net,
+        )
+        return cls(options, env_id, kind, recipe, limit, count, out, robot)
+
+    @property
+    def randomization(self) -> Randomization:
+        """What every episode of the training draws anew: the recipe's ranges if it has any."""
+        if not self.options.randomize:
+            return Randomization()
+        ranges = self.recipe.env_kwargs.get(RANDOMIZATION_KEY)
+        return Randomization.of(True if ranges is None else ranges, self.robot)
+
+    @property
+    def evaluations(self) -> int:
+        """Held-out evaluations during the training, at most."""
+        most = MAX_EVALUATIONS * (1 if self.options.target is None else TARGET_EVALUATIONS)
+        return max(1, min(most, self.recipe.steps // MIN_STEPS_BETWEEN))
+
+    def learning(self) -> RobotVectorEnv:
+        """Make the batch of robots to train on."""
+        robots = self.recipe.robots
+        return ids.make_vec(
+            self.env_id,
+            robots,
+            robot=self.options.robot,
+            autoreset_mode="SameStep",
+            threads=max(1, min(self.threads, robots // ROBOTS_PER_THREAD)),
+            randomization=self.randomization,
+            **self._arguments,
+        )
+
+    def held_out(self, learning: RobotVectorEnv) -> RobotVectorEnv:
+        """Make the batch to evaluate on: no randomization, and worlds that aren't trained in."""
+        few = self.options.target is None
+        robots = held_out.HELD_OUT_ROBOTS if few else held_out.TARGET_ROBOTS
+        arguments = self._arguments
+        beside = held_out.choose_held_out_worlds(learning.pool, robots)
+        if beside is not None:
+            arguments["worlds"] = beside
+        count = 1 if few else max(1, min(self.threads, robots // ROBOTS_PER_THREAD))
+        robot = self.options.robot
+        return ids.make_vec(self.env_id, robots, robot=robot, threads=count, **arguments)
+
+    @property
+    def _arguments(self) -> dict[str, Any]:
+        """Arguments of the env: the recipe's, and the worlds if the user gave some."""
+        worlds = self.options.worlds
+        given = {
+            key: each for key, each in self.recipe.env_kwargs.items() if key != RANDOMIZATION_KEY
+        }
+        return given | ({} if worlds is None else {"worlds": worlds})
+
+    def __str__(self) -> str:
+        cores = "1 thread" if self.threads == 1 else f"{self.threads} threads"
+        found = self.options.randomize and randomization.describe_ranges(self.robot)
+        return f"{cores}, seed {self.options.seed}" + (f"; {found}" if found else "")
+
+
+def _folder(options: TrainingOptions, env_id: str) -> Path:
+    """Create the folder of a training."""
+    short = options.env if "/" not in options.env else env_id.rpartition("/")[2]
+    out = options.out or Path("runs") / short
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"--out {out}: can't be written: {error.strerror}") from None
+    return out

@@ -1,0 +1,475 @@
+"""Recipes: hyperparameters by env in RL Zoo's YAML format, the algorithms.
+
+And the classes that they may name.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import inspect
+import math
+import sys
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, get_args
+
+from acsar_gym import reading
+from acsar_gym.errors import ConfigError, MissingExtraError, shorten_text, show_value, suggest_name
+from acsar_gym.resources import AGENTS
+from acsar_gym.tools.policies.base import format_error
+from acsar_gym.worlds import registry
+
+if TYPE_CHECKING:
+    from stable_baselines3.common.base_class import BaseAlgorithm
+
+TRAIN_ARGUMENTS = {"self", "policy", "env", "seed", "device", "verbose", "tensorboard_log"}
+"""Arguments of an algorithm that a recipe doesn't give: `train` does."""
+
+
+@dataclass(frozen=True)
+class Algorithm:
+    """One algorithm of stable-baselines3 or sb3-contrib."""
+
+    name: str
+    """As RL Zoo names it."""
+    module: str
+    kind: str
+    """Name of its class."""
+    policy: str
+    """Base class of its policies."""
+    replays: bool = False
+    """Whether it is off-policy, and so has a replay buffer."""
+
+    def load(self) -> type[BaseAlgorithm]:
+        """Import its class.
+
+        Raises:
+            MissingExtraError: its library isn't installed.
+        """
+        try:
+            found: type[BaseAlgorithm] = getattr(importlib.import_module(self.module), self.kind)
+        except ImportError:
+            raise MissingExtraError(f"training with {self.name}", "train") from None
+        return found
+
+    def types(self) -> dict[str, Any]:
+        """Annotations of the hyperparameters that it takes, by name."""
+        given = inspect.signature(self.load().__init__).parameters
+        return {
+            name: one.annotation
+            for name, one in given.items()
+            if name not in TRAIN_ARGUMENTS and name[0] != "_"
+        }
+
+
+ALGORITHMS = {
+    each.name: each
+    for each in (
+        Algorithm("ppo", "stable_baselines3", "PPO", "ActorCriticPolicy"),
+        Algorithm("sac", "stable_baselines3", "SAC", "SACPolicy", replays=True),
+        Algorithm("tqc", "sb3_contrib", "TQC", "TQCPolicy", replays=True),
+        Algorithm("ppo_lstm", "sb3_contrib", "RecurrentPPO", "RecurrentActorCriticPolicy"),
+    )
+}
+
+
+def find_algorithm(name: str) -> Algorithm:
+    """Find an algorithm by its name.
+
+    Raises:
+        ConfigError: there is none of that name.
+    """
+    if name not in ALGORITHMS:
+        raise ConfigError(f"--algo {name}: unknown{suggest_name(name, ALGORITHMS)}")
+    return ALGORITHMS[name]
+
+
+def policy_algorithm(policy: Any) -> str | None:
+    """Return the name of the algorithm that a policy is of; None where `train` doesn't know it."""
+    names = {each.policy: each.name for each in ALGORITHMS.values()}
+    bases = (names.get(kind.__name__) for kind in type(policy).__mro__)
+    return next((name for name in bases if name is not None), None)
+
+
+BATCH_WRAPPER = "acsar_gym.tools.training.wrappers.batch"
+"""The wrapper that makes a batch for RL Zoo; `train` makes it itself."""
+NORMALIZE_WRAPPER = "stable_baselines3.common.vec_env.VecNormalize"
+ACTIVATIONS = (
+    *("CELU", "ELU", "GELU", "Hardswish", "Hardtanh", "Identity", "LeakyReLU", "Mish", "ReLU"),
+    *("ReLU6", "SELU", "SiLU", "Sigmoid", "Softplus", "Softsign", "Tanh"),
+)
+KNOWN_CLASSES: Mapping[str, tuple[str, ...]] = {
+    "policy": ("acsar_gym.tools.training.networks.MirrorPolicy",),
+    "vec_env_wrapper": (
+        BATCH_WRAPPER,
+        "acsar_gym.tools.training.wrappers.Detours",
+        "acsar_gym.tools.training.wrappers.detours",
+        NORMALIZE_WRAPPER,
+    ),
+    "activation_fn": tuple(f"torch.nn.{name}" for name in ACTIVATIONS),
+    "features_extractor_class": (
+        "acsar_gym.tools.training.networks.ArcClearance",
+        "acsar_gym.tools.training.networks.RayClearance",
+        "stable_baselines3.common.torch_layers.FlattenExtractor",
+    ),
+    "optimizer_class": tuple(f"torch.optim.{name}" for name in ("Adam", "AdamW", "RMSprop", "SGD")),
+}
+"""What may be named at each place of a recipe: nothing that writes files or takes code."""
+POLICY_PLACES = ("activation_fn", "features_extractor_class", "optimizer_class")
+"""The places in policy_kwargs."""
+
+
+def check_class(place: str, name: str, modules: Collection[str] = ()) -> None:
+    """Check that a recipe may name a class. Imports nothing.
+
+    Args:
+        place: where it is named, one of `KNOWN`.
+        name: such as "torch.nn.ReLU".
+        modules: of the user's own, such as "mine.networks", whose classes may be named, too.
+
+    Raises:
+        ConfigError: it may not.
+    """
+    if name not in KNOWN_CLASSES[place] and name.rpartition(".")[0] not in modules:
+        raise ConfigError(
+            f"{place}: {show_value(name)}: not a class that recipes may name"
+            f"{suggest_name(shorten_text(name), KNOWN_CLASSES[place])}; a module of your "
+            "own is named with "
+            "--modules"
+        )
+
+
+def find_class(place: str, name: str, modules: Collection[str] = ()) -> Any:
+    """Import a class that `check_class` accepts; a module in the current folder is found, too.
+
+    Args:
+        place: as of `check_class`.
+        name: as of `check_class`.
+        modules: as of `check_class`.
+
+    Raises:
+        ConfigError: a recipe may not name it, or it can't be imported.
+    """
+    check_class(place, name, modules)
+    module, _, kind = name.rpartition(".")
+    if name not in KNOWN_CLASSES[place] and "" not in sys.path:
+        sys.path.append("")
+    try:
+        return getattr(importlib.import_module(module), kind)
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a user's module raises
+        said = shorten_text(" ".join(f"{type(error).__name__}: {error}".split()), 300)
+        raise ConfigError(f"{place}: {name}: can't be imported: {said}") from None
+
+
+def find_classes(policy_kwargs: Mapping[str, Any], modules: Collection[str] = ()) -> dict[str, Any]:
+    """Return the arguments of a policy with classes for their names; see `find_class`."""
+    found = dict(policy_kwargs)
+    for place in POLICY_PLACES:
+        if isinstance(found.get(place), str):
+            found[place] = find_class(place, found[place], modules)
+    return found
+
+
+if TYPE_CHECKING:  # imports torch
+    from stable_baselines3.common.vec_env import VecEnv
+
+MAX_RECIPE_BYTES = 1_000_000
+DEFAULT_KEY = "default"
+"""Key of the hyperparameters for envs that have none of their own."""
+OWN_KEYS = {"n_timesteps", "n_envs", "policy", "env_kwargs", "vec_env_wrapper"}
+"""Keys of RL Zoo that `train` reads, besides the arguments of the algorithm."""
+RL_ZOO_KEYS = {
+    "callback",
+    "env_wrapper",
+    "frame_stack",
+    "monitor_kwargs",
+    "noise_std",
+    "noise_type",
+    "normalize",
+    "replay_buffer_class",
+}
+"""Keys that only RL Zoo itself knows."""
+MAPPING_KEYS = ("env_kwargs", "policy_kwargs", "replay_buffer_kwargs")
+"""Arguments by name, which RL Zoo also takes as Python code in a text."""
+SCHEDULE_KEYS = ("learning_rate", "clip_range", "clip_range_vf")
+OPTION_ARGUMENTS = ("autoreset_mode", "defaults", "env_id", "num_envs", "robot", "task", "threads")
+"""Arguments of an env that `train` gives, by its own options, and a recipe may not."""
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Hyperparameters for one env and one algorithm."""
+
+    file: Path
+    key: str
+    """The key in the file, for messages."""
+    steps: int
+    robots: int
+    policy: str
+    arguments: dict[str, Any] = field(default_factory=dict)
+    """Arguments of the algorithm, as in the file."""
+    env_kwargs: dict[str, Any] = field(default_factory=dict)
+    """Arguments of the env, without the link."""
+    wrappers: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """Wrappers of the batch, with their arguments, in their order."""
+    modules: tuple[str, ...] = ()
+    """Modules of the user's own, whose classes the file may name."""
+
+    def with_(self, **changes: Any) -> Recipe:
+        """Return a recipe with some hyperparameters changed; None leaves one as it is.
+
+        Args:
+            **changes: steps, robots, net (widths of the hidden layers), or any argument of the
+                algorithm.
+        """
+        wanted = {name: value for name, value in changes.items() if value is not None}
+        own = {name: wanted.pop(name) for name in ("steps", "robots") if name in wanted}
+        net = wanted.pop("net", None)
+        arguments = self.arguments | wanted
+        if net is not None:
+            kwargs = arguments.get("policy_kwargs") or {}
+            arguments["policy_kwargs"] = {**kwargs, "net_arch": list(net)}
+        return replace(self, arguments=arguments, **own)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the hyperparameters as a recipe file has them."""
+        return {
+            "n_timesteps": self.steps,
+            "n_envs": self.robots,
+            "policy": self.policy,
+            "env_kwargs": self.env_kwargs | {"link": "planar"},
+            "vec_env_wrapper": [
+                BATCH_WRAPPER,
+                *({name: given} for name, given in self.wrappers.items()),
+            ],
+            **self.arguments,
+        }
+
+    def built(self) -> dict[str, Any]:
+        """Return the arguments of the algorithm, with schedules and classes for their names.
+
+        Raises:
+            ConfigError: a value can't be read, or a class may not be named or isn't there.
+        """
+        built = dict(self.arguments)
+        for name in SCHEDULE_KEYS:
+            if isinstance(built.get(name), str):
+                with self.named(name):
+                    built[name] = _schedule(built[name])
+        if isinstance(built.get("train_freq"), list):
+            built["train_freq"] = tuple(built["train_freq"])
+        if "policy_kwargs" in built:
+            with self.named("policy_kwargs"):
+                built["policy_kwargs"] = find_classes(built["policy_kwargs"] or {}, self.modules)
+        built["policy"] = self.policy
+        if "." in self.policy:
+            with self.named():
+                built["policy"] = find_class("policy", self.policy, self.modules)
+        return built
+
+    def check(self) -> None:
+        """Check what the file names, before anything is imported.
+
+        Raises:
+            ConfigError: a class or module may not be named, or a wrapper's arguments are refused.
+        """
+        with self.named():
+            if "." in self.policy:
+                check_class("policy", self.policy, self.modules)
+            for place in POLICY_PLACES:
+                if (kind := (self.arguments.get("policy_kwargs") or {}).get(place)) is not None:
+                    check_class(place, str(kind), self.modules)
+            for name, given in self.wrappers.items():
+                check_class("vec_env_wrapper", name, self.modules)
+                if name == NORMALIZE_WRAPPER and given.get("norm_obs") is not False:
+                    raise ConfigError(
+                        "VecNormalize: norm_obs must be false: policy files have no statistics"
+                    )
+            for name, value in self.env_kwargs.items():
+                if name in OPTION_ARGUMENTS:
+                    raise ConfigError(f"env_kwargs: {name}: leave it out: train's options give it")
+                _check_modules(name, value, self.modules)
+
+    def wrapped(self, batch: VecEnv) -> VecEnv:
+        """Return the batch in the recipe's wrappers.
+
+        Raises:
+            ConfigError: a wrapper may not be named, or doesn't take its arguments or the batch.
+        """
+        for name, given in self.wrappers.items():
+            with self.named():
+                try:
+                    batch = find_class("vec_env_wrapper", name, self.modules)(batch, **given)
+                except TypeError as error:
+                    raise ConfigError(f"vec_env_wrapper: {name}: {format_error(error)}") from None
+        return batch
+
+    def named(self, *keys: str) -> contextlib.AbstractContextManager[None]:
+        """Name file and keys in every ConfigError that is raised in this context."""
+        return _named(": ".join([str(self.file), self.key, *keys]))
+
+
+@contextlib.contextmanager
+def _named(name: str) -> Iterator[None]:
+    """Put a name in front of every ConfigError."""
+    try:
+        yield
+    except ConfigError as error:
+        raise ConfigError(f"{name}: {error}") from None
+
+
+def _schedule(text: str) -> Any:
+    """Read "lin_VALUE", a number that falls linearly to zero over the training."""
+    from stable_baselines3.common.utils import LinearSchedule  # noqa: PLC0415 - imports torch
+
+    kind, _, value = text.partition("_")
+    try:
+        number = float(value) if kind == "lin" else math.nan
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise ConfigError(f"{show_value(text)}: must be a number, or like lin_0.001")
+    return LinearSchedule(number, 0.0, 1.0)
+
+
+def read_recipe(
+    algorithm: Algorithm, env_id: str, file: Path | None = None, modules: Sequence[str] = ()
+) -> Recipe:
+    """Read the recipe of an env.
+
+    Args:
+        algorithm: the algorithm.
+        env_id: id of the env, without its module.
+        file: recipe file; default: the packaged one of the algorithm.
+        modules: of the user's own, such as "mine.networks", whose classes the file may name.
+
+    Raises:
+        ConfigError: the file can't be read, has neither this env nor a default, or has unknown
+            keys; the message names file and key.
+    """
+    path = file or AGENTS / "recipes" / f"{algorithm.name}.yml"
+    recipes = read_recipe_file(path)
+    key = env_id if env_id in recipes else DEFAULT_KEY
+    if key not in recipes:
+        raise ConfigError(f"{path}: has no recipe for {env_id}, and no {DEFAULT_KEY!r}")
+    given = recipes[key]
+    if not isinstance(given, dict):
+        raise ConfigError(f"{path}: {key}: must be hyperparameters by name")
+    _check_keys(path, key, given, algorithm)
+    env_kwargs: dict[str, Any] = given.get("env_kwargs") or {}
+    found = Recipe(
+        path,
+        key,
+        _count(path, key, given, "n_timesteps"),
+        _count(path, key, given, "n_envs"),
+        str(given.get("policy", "MlpPolicy")),
+        {name: value for name, value in given.items() if name not in OWN_KEYS},
+        {name: value for name, value in env_kwargs.items() if name != "link"},  # a batch has none
+        _wrappers(path, key, given),
+        tuple(modules),
+    )
+    found.check()
+    return found
+
+
+def read_recipe_file(path: Path) -> dict[str, Any]:
+    """Read a YAML file that holds a mapping."""
+    data = reading.read_file(path, MAX_RECIPE_BYTES, ConfigError)
+    with _named(str(path)):
+        found = reading.parse_yaml(reading.decode_text(data))
+    if not isinstance(found, dict):
+        raise ConfigError(f"{path}: must be hyperparameters by env id")
+    return found
+
+
+CHECKED_TYPES: dict[Any, str] = {
+    float: "a number",
+    int: "a whole number",
+    bool: "true or false",
+    str: "a word",
+    type(None): "null",
+}
+"""Types of hyperparameters that are checked, in the words of messages; algorithms that get another
+one fail only in the middle of a training."""
+
+
+def _check_keys(path: Path, key: str, given: dict[Any, Any], algorithm: Algorithm) -> None:
+    """Refuse hyperparameters that the algorithm doesn't have, and those of a wrong type."""
+    types = algorithm.types()
+    known = OWN_KEYS | set(types)
+    for name, value in given.items():
+        if name in RL_ZOO_KEYS:
+            raise ConfigError(f"{path}: {key}: {name}: only rl_zoo3 knows it; remove it to train")
+        if name not in known:
+            hint = suggest_name(str(name), known)
+            raise ConfigError(
+                f"{path}: {key}: {show_value(name)}: not a hyperparameter of {algorithm.name}{hint}"
+            )
+        if name in MAPPING_KEYS and not isinstance(value or {}, dict):
+            raise ConfigError(
+                f"{path}: {key}: {name}: {show_value(value)}: must be arguments by name, as in "
+                "{net_arch: [64, 64]}: a text isn't evaluated"
+            )
+        kinds = get_args(types.get(name)) or (types.get(name),)
+        if set(kinds) <= set(CHECKED_TYPES) and not _fits(value, kinds):
+            wanted = " or ".join(CHECKED_TYPES[kind] for kind in kinds)
+            raise ConfigError(f"{path}: {key}: {name}: {show_value(value)}: must be {wanted}")
+
+
+def _fits(value: Any, kinds: Sequence[type]) -> bool:
+    """Whether a value is of one of these types; a whole number is a number, true is none."""
+    return any(type(value) is kind or (kind is float and type(value) is int) for kind in kinds)
+
+
+def _count(path: Path, key: str, given: dict[Any, Any], name: str) -> int:
+    """Read a whole number of at least 1; RL Zoo's files have floats such as 1e6, too."""
+    value = given.get(name)
+    try:
+        number = int(float(value)) if isinstance(value, int | float | str) else 0
+    except (ValueError, OverflowError):
+        number = 0
+    if number < 1:
+        raise ConfigError(
+            f"{path}: {key}: {name}: {show_value(value)}: must be a number of at least 1"
+        )
+    return number
+
+
+def _check_modules(name: str, value: Any, modules: Sequence[str]) -> None:
+    """Refuse what would import a module that the user hasn't named, such as "evil:Sonar"."""
+    if isinstance(value, dict):
+        value = [*value, *value.values()]
+    if isinstance(value, list):
+        for each in value:
+            _check_modules(name, each, modules)
+    elif isinstance(value, str):
+        module = value.partition(":")[0] if ":" in value else ""
+        if name == "worlds":  # may also be a path, or one of our generators: "clutter:0-99"
+            generator = registry.parse_name(value)
+            module = "" if generator is None else generator.module
+        if module and module not in modules:
+            raise ConfigError(
+                f"env_kwargs: {name}: {show_value(value)}: a recipe imports nothing: name "
+                "the module "
+                "with --modules"
+            )
+
+
+def _wrappers(path: Path, key: str, given: dict[Any, Any]) -> dict[str, dict[str, Any]]:
+    """Read the wrappers: a name, or a list of names and of `{name: arguments}`, as in RL Zoo."""
+    asked = given.get("vec_env_wrapper") or []
+    found: dict[str, dict[str, Any]] = {}
+    for one in asked if isinstance(asked, list) else [asked]:
+        pairs = list(one.items()) if isinstance(one, dict) else [(one, {})]
+        name, arguments = pairs[0] if len(pairs) == 1 else (None, None)
+        if not isinstance(name, str) or not isinstance(arguments, dict) or name in found:
+            raise ConfigError(
+                f"{path}: {key}: vec_env_wrapper: {show_value(one)}: must be module.name, "
+                "or that with "
+                "its arguments, and only once"
+            )
+        if one != BATCH_WRAPPER:
+            found[name] = arguments
+    return found

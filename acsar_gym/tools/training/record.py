@@ -1,0 +1,337 @@
+"""The folder of a training.
+
+Config.yml, policy.onnx and model.zip, and what `--resume` takes from it.
+"""
+
+from __future__ import annotations
+
+import platform
+import shlex
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import acsar_gym
+from acsar_gym import reading
+from acsar_gym.envs import ids
+from acsar_gym.errors import ConfigError
+from acsar_gym.recording.messages import to_plain_json
+from acsar_gym.tools.evaluation import provenance
+from acsar_gym.tools.policies import ZipPolicy
+from acsar_gym.tools.policies.bundle import Bundle, TrainingSummary
+from acsar_gym.tools.training import checkpoints
+from acsar_gym.tools.training.checkpoints import TrainingState
+from acsar_gym.tools.training.plan import TrainingOptions, TrainingPlan
+from acsar_gym.vector.env import usable_cores
+
+CONFIG_FILE = "config.yml"
+RUN_KEY = "run"
+"""Key of what isn't a recipe. The recipe is beside it, so that the file can be a --conf-file."""
+RECORDED_LIBRARIES = ("torch", "stable-baselines3", "sb3-contrib", "numba")
+"""Their versions are recorded, besides those of every result."""
+MAX_CONFIG_BYTES = 1_000_000
+"""Largest accepted config.yml [bytes]."""
+GIT_TIMEOUT = 5.0
+"""Time limit of git [s]."""
+
+
+def git_revision() -> str | None:
+    """Return the git revision of the package, with "-dirty" where files differ; None outside."""
+    folder = Path(acsar_gym.__file__).resolve().parent.parent
+    if not (folder / ".git").exists():
+        return None
+    command = ["git", "-C", str(folder), "describe", "--always", "--dirty", "--abbrev=40"]
+    try:
+        told = subprocess.run(
+            [*command, "--exclude=*"],
+            capture_output=True,
+            text=True,
+            timeout=GIT_TIMEOUT,
+            check=True,
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return told.stdout.strip() or None
+
+
+def begin_record(plan: TrainingPlan) -> dict[str, Any]:
+    """Write config.yml at the beginning of a training.
+
+    Args:
+        plan: the training.
+
+    Returns:
+        Its content, for `finish`.
+    """
+    options = {
+        each.name: _plain(getattr(plan.options, each.name)) for each in fields(TrainingOptions)
+    }
+    options |= {"threads": plan.threads, "steps": plan.recipe.steps, "out": str(plan.out)}
+    content = {
+        ids.strip_module(plan.env_id): plan.recipe.as_dict(),
+        RUN_KEY: {
+            "commands": [*_before(plan), training_command()],
+            "options": options,
+            "versions": provenance.library_versions(*RECORDED_LIBRARIES),
+            "revision": git_revision(),
+            "cores": usable_cores(),
+            "machine": f"{platform.system()} {platform.machine()}",
+            "steps": 0,
+            "seconds": 0.0,
+        },
+    }
+    _write(plan.out, content)
+    return content
+
+
+def training_command() -> list[str]:
+    """Return the command that began this training, without the folders of one machine.
+
+    Neither has it the folder that it writes to, and of files elsewhere only their names. Of another
+    program than this package's own, such as a notebook's or a worker's of Ray, only its name is
+    told: its options aren't those of the training, and may hold addresses and passwords.
+    """
+    program, begin = Path(sys.argv[0]), sys.argv[1:]
+    if program.name != "acsar-gym" and program.parts[-2:] != ("acsar_gym", "__main__.py"):
+        return [program.name]
+    words, kept = iter(begin), list[str]()
+    for word in words:
+        name, equals, value = word.partition("=")
+        if name == "--out":
+            _ = equals or next(words, "")
+        else:
+            kept.append(f"{name}={_file(value)}" if equals else _file(word))
+    return ["acsar-gym", *kept]
+
+
+def _file(word: str) -> str:
+    """Shorten an absolute path to its name."""
+    return Path(word).name if Path(word).is_absolute() else word
+
+
+def _before(plan: TrainingPlan) -> list[Any]:
+    """Return the commands of a training that goes on."""
+    if plan.options.resume != plan.out:
+        return []
+    commands: list[Any] = read_record(plan.out)["commands"]
+    return commands
+
+
+def finish_record(plan: TrainingPlan, content: dict[str, Any], **facts: Any) -> None:
+    """Write config.yml again at the end of a training, with more facts about the run."""
+    content[RUN_KEY] |= facts
+    _write(plan.out, content)
+
+
+def is_finished(folder: Path) -> bool:
+    """Return whether a training wrote all that it leaves; `options` has read its folder."""
+    return bool(read_record(folder).get("finished"))
+
+
+def read_record(folder: Path) -> dict[str, Any]:
+    """Read what a training has recorded of itself, besides its recipe.
+
+    Raises:
+        ConfigError: the folder has no config.yml of a training.
+    """
+    path = folder / CONFIG_FILE
+    data = reading.read_file(path, MAX_CONFIG_BYTES)
+    try:
+        found: dict[str, Any] = dict(reading.parse_yaml(reading.decode_text(data))[RUN_KEY])
+    except (ConfigError, KeyError, TypeError, ValueError) as error:
+        raise ConfigError(
+            f"{path}: not of 'acsar-gym train': {reading.explain_error(error)}"
+        ) from None
+    return found
+
+
+def read_options(folder: Path) -> TrainingOptions:
+    """Read the options of a training from its folder.
+
+    Raises:
+        ConfigError: it has no config.yml of a training.
+    """
+    path = folder / CONFIG_FILE
+    try:
+        given = read_record(folder)["options"]
+        paths = ("conf_file", "out", "resume")
+        given |= {name: Path(given[name]) for name in paths if given[name] is not None}
+        given |= {name: tuple(each) for name, each in given.items() if isinstance(each, list)}
+        return TrainingOptions(**given)
+    except (KeyError, TypeError, ValueError) as error:
+        raise ConfigError(
+            f"{path}: not of 'acsar-gym train': {reading.explain_error(error)}"
+        ) from None
+
+
+def _write(out: Path, content: Mapping[str, Any]) -> None:
+    """Write config.yml, whole or not at all."""
+    text = reading.format_yaml(content)
+    with reading.replace_file(out / CONFIG_FILE) as new:
+        new.write_text(text, encoding="utf-8")
+
+
+def _plain(value: Any) -> Any:
+    """Convert a value to one that YAML has."""
+    if isinstance(value, tuple):
+        return list(value)
+    return str(value) if isinstance(value, Path) else value
+
+
+if TYPE_CHECKING:
+    from stable_baselines3.common.base_class import BaseAlgorithm
+
+
+RESULT_FILES = ("policy.onnx", "model.zip")
+"""What a training leaves: the policy to drive with, and the model to train on."""
+
+
+def save_results(model: BaseAlgorithm, bundle: Bundle, out: Path) -> tuple[Path, Path]:
+    """Write policy.onnx and model.zip into a folder.
+
+    Args:
+        model: the trained model.
+        bundle: what it was trained for and how.
+        out: an existing folder.
+
+    Returns:
+        Paths of policy.onnx and model.zip.
+
+    Raises:
+        PolicyError: the policy can't be exported.
+    """
+    from acsar_gym.tools.policies import sb3, sb3_export  # noqa: PLC0415 - imports torch
+
+    sb3.label(model, bundle)
+    policy, zipped = (out / name for name in RESULT_FILES)
+    with reading.replace_file(zipped) as new:
+        model.save(new)
+    sb3_export.export_policy(model.policy, policy, bundle)
+    return policy, zipped
+
+
+def describe_training(
+    model: BaseAlgorithm,
+    commands: Sequence[Sequence[str]],
+    hyperparameters: Mapping[str, Any],
+    seconds: float,
+) -> TrainingSummary:
+    """Describe a training that has just ended, for the bundle of its policy.
+
+    Args:
+        model: the trained model.
+        commands: that began the training and went on with it.
+        hyperparameters: of the algorithm, by name.
+        seconds: how long it took [s].
+    """
+    return TrainingSummary(
+        algorithm=type(model).__name__,
+        hyperparameters=to_plain_json(dict(hyperparameters)),
+        steps=model.num_timesteps,
+        seed=model.seed,
+        command="; ".join(map(shlex.join, commands))[:2_000],
+        versions=provenance.library_versions(*RECORDED_LIBRARIES),
+        revision=git_revision() or "",
+        seconds=seconds,
+        finished=datetime.now(UTC).isoformat(timespec="seconds"),
+    )
+
+
+CHECKPOINTS_FOLDER = "checkpoints"
+CHANGEABLE_OPTIONS = (
+    "steps",
+    "target",
+    "threads",
+    "progress",
+    "checkpoint_seconds",
+    "resume",
+    "trust",
+    "device",
+)
+"""Options that may change when a training goes on."""
+
+
+@dataclass(frozen=True)
+class TrainingStart:
+    """What a training begins with."""
+
+    options: TrainingOptions
+    """The user's; those of the folder where one is resumed."""
+    saved: ZipPolicy | None = None
+    """The model to load; None for a new one."""
+    state: TrainingState | None = None
+    """What to restore besides the model; None to begin anew."""
+
+
+def find_start(options: TrainingOptions) -> TrainingStart:
+    """Find out what a training begins with.
+
+    One whose steps are done, but whose policy couldn't be written, as on a full disk, goes on with
+    no more steps.
+
+    Args:
+        options: the user's options.
+
+    Raises:
+        ConfigError: the folder has no checkpoint, all its steps are done, or the options are of
+            another training.
+        PolicyError: the zip can't be read, or isn't trusted.
+    """
+    if options.resume is None:
+        return TrainingStart(options)
+    if not options.resume.is_dir():
+        return TrainingStart(options, ZipPolicy(options.resume, trust=options.trust))
+    folder = options.resume
+    merged = _merged(folder, options)
+    merged.check()
+    found = checkpoints.find_checkpoints(folder / CHECKPOINTS_FOLDER)
+    if not found:
+        raise ConfigError(f"{folder}: has no checkpoint yet: train anew, without --resume")
+    saved, state = _read(found, trust=options.trust)
+    done = merged.steps is not None and state.steps >= merged.steps
+    if done and is_finished(folder) and all((folder / name).exists() for name in RESULT_FILES):
+        raise ConfigError(
+            f"{folder}: its {merged.steps:,} steps are done: ask for more with --steps"
+        )
+    return TrainingStart(merged, saved, state)
+
+
+def _read(found: list[Path], *, trust: bool) -> tuple[ZipPolicy, TrainingState]:
+    """Read the newest checkpoint; the error names an older one, if there is one."""
+    *older, newest = found
+    try:
+        state = checkpoints.read_state(newest)
+    except ConfigError as error:
+        instead = f": delete it to go on from {older[-1]}" if older else ""
+        raise ConfigError(f"{error}{instead}") from None
+    return ZipPolicy(newest, trust=trust), state
+
+
+def _merged(folder: Path, options: TrainingOptions) -> TrainingOptions:
+    """Return the options of a folder, changed by what the user gave.
+
+    Raises:
+        ConfigError: the user gave what can't be changed.
+    """
+    before, changes = read_options(folder), _given(options)
+    for name, value in changes.items():
+        if name not in CHANGEABLE_OPTIONS and value != getattr(before, name) and name != "out":
+            flag = name.replace("_", "-")
+            raise ConfigError(
+                f"--{flag} {value}: {folder} is of a training with "
+                f"{getattr(before, name)}: leave --{flag} away, or train anew"
+            )
+    changes |= {"out": folder, "conf_file": folder / CONFIG_FILE}
+    changes |= dict.fromkeys(("gamma", "learning_rate", "net"))  # in config.yml already
+    return replace(before, **changes)
+
+
+def _given(options: TrainingOptions) -> dict[str, Any]:
+    """Return the options that aren't the defaults."""
+    usual = TrainingOptions()
+    pairs = {each.name: getattr(options, each.name) for each in fields(TrainingOptions)}
+    return {name: value for name, value in pairs.items() if value != getattr(usual, name)}

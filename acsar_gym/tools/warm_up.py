@@ -1,0 +1,75 @@
+"""Compile and generate ahead of time what the first use of an environment needs.
+
+That is the compiled loops and the worlds of a batch, which are kept on disk.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import gymnasium
+import numpy as np
+
+from acsar_gym import jit as compiled
+from acsar_gym.config import RobotConfig
+from acsar_gym.envs import ids
+from acsar_gym.errors import MissingExtraError
+from acsar_gym.registration import IDS, snake_case
+
+ENV_NAMES = tuple(snake_case(name.partition("-")[0]) for name in IDS)
+"""Names of the ids that are warmed up where none is given."""
+
+
+class WarmUp(NamedTuple):
+    """Counts and duration of a warm-up of one id."""
+
+    functions: int
+    """How many functions were compiled."""
+    worlds: int
+    """How many worlds are kept on disk now."""
+    seconds: float
+    """How long it took [s]."""
+
+
+def warm_env(
+    name: str, robot: RobotConfig | str | Path | None = None, options: Mapping[str, Any] = {}
+) -> WarmUp:
+    """Reset and step an env and a batch of one id once.
+
+    Args:
+        name: such as "point_goal" or "mine.module:mine/Clearance-v0".
+        robot: preset or config file.
+        options: of the env, such as worlds.
+
+    Raises:
+        MissingExtraError: numba isn't installed, so nothing can be compiled.
+        ConfigError: there is no such env.
+    """
+    if not compiled.COMPILED:
+        raise MissingExtraError("compiling ahead of time", "fast")
+    before, begin = len(compiled.NEWLY_COMPILED), time.perf_counter()
+    level = compiled.LOG.level
+    compiled.LOG.setLevel(logging.ERROR)  # no warning that compiling takes a minute
+    try:
+        worlds = _use(name, robot, options)
+    finally:
+        compiled.LOG.setLevel(level)
+    return WarmUp(len(compiled.NEWLY_COMPILED) - before, worlds, time.perf_counter() - begin)
+
+
+def _use(name: str, robot: RobotConfig | str | Path | None, options: Mapping[str, Any]) -> int:
+    """Use an env and a batch once; returns the number of the batch's worlds."""
+    env_id = ids.find_id(name)
+    one = gymnasium.make(env_id, link="planar", robot=robot, **options)
+    one.reset(seed=0)
+    one.step(np.zeros(2, np.float32))
+    one.close()
+    many = ids.make_vec(env_id, 2, robot=robot, **options)
+    many.reset(seed=0)
+    many.step(np.zeros((2, 2)))
+    many.close()
+    return 0 if many.pool is None else len(many.pool)
