@@ -204,13 +204,13 @@ def save_results(model: BaseAlgorithm, bundle: Bundle, out: Path) -> tuple[Path,
     Raises:
         PolicyError: the policy can't be exported.
     """
-    from acsar_gym.tools.policies import sb3, sb3_export  # noqa: PLC0415 - imports torch
+    from acsar_gym.tools.policies import sb3  # noqa: PLC0415 - imports torch
 
     sb3.label(model, bundle)
     policy, zipped = (out / name for name in RESULT_FILES)
     with reading.replace_file(zipped) as new:
         model.save(new)
-    sb3_export.export_policy(model.policy, policy, bundle)
+    sb3.export_policy(model.policy, policy, bundle)
     return policy, zipped
 
 

@@ -95,9 +95,9 @@ class _Training:
 
     def _bundle(self, model: BaseAlgorithm, **facts: Any) -> Bundle:
         """Describe the policy; `facts` are what is known at the end."""
-        from acsar_gym.tools.policies import sb3_export  # noqa: PLC0415
+        from acsar_gym.tools.policies import sb3  # noqa: PLC0415
 
-        varied, state = self.plan.randomization, sb3_export.recurrent_states(model.policy)
+        varied, state = self.plan.randomization, sb3.recurrent_states(model.policy)
         return describe_policy(
             self.env, self.plan.env_id, randomization=varied, state=state, **facts
         )
