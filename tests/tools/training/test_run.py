@@ -86,7 +86,7 @@ def test_a_target_ends_the_training_with_the_policy_that_reached_it(
     [
         ("--algo dqn", "--algo dqn: unknown"),
         ("--device tpu", "--device tpu: unknown"),
-        ("--target 1.5", "--target 1.5: must be 0 to 1"),
+        ("--target 1.5", "train.target = 1.5"),
         ("--conf-file /no/such.yml", "/no/such.yml"),
     ],
 )
