@@ -312,7 +312,12 @@ class CallablePolicy(FilePolicy):
         source = reading.read_file(self.path, MAX_SOURCE_BYTES, PolicyError)
         self.sha256, self.function = hashlib.sha256(source).hexdigest(), self._name
         module = self._run_source(source)
-        self._act = self._find_function(module)
+        known = [n for n, value in vars(module).items() if callable(value) and n[:1] != "_"]
+        self._act: Any = getattr(module, self._name, None) if self._name else None
+        if not callable(self._act):
+            named = f"has no function {self._name!r}" if self._name else "name a function of it"
+            hint = suggest_name(self._name, known) if known else ""
+            raise PolicyError(f"{self.path}: {named}, as in {self.path.name}:act{hint}")
         self.env_id = env_id or str(getattr(module, "ENV_ID", ""))
         self.env_named = True  # the user runs this file's code, so its ENV_ID is trusted
         if not self.env_id:
@@ -339,16 +344,6 @@ class CallablePolicy(FilePolicy):
         except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a user's code raises
             raise self._explain_failure("can't be run", error) from None
         return module
-
-    def _find_function(self, module: ModuleType) -> Any:
-        """Return the named function; the error names the functions that the file does have."""
-        known = [n for n, value in vars(module).items() if callable(value) and n[:1] != "_"]
-        act = getattr(module, self._name, None) if self._name else None
-        if not callable(act):
-            named = f"has no function {self._name!r}" if self._name else "name a function of it"
-            hint = suggest_name(self._name, known) if known else ""
-            raise PolicyError(f"{self.path}: {named}, as in {self.path.name}:act{hint}")
-        return act
 
     def _explain_failure(self, what: str, error: BaseException) -> PolicyError:
         """Build the error for an exception in the user's code, with the line of the file."""

@@ -45,42 +45,30 @@ from acsar_gym.vector.env import RobotVectorEnv
 
 AnyEnv = RobotEnv | RobotVectorEnv
 Range = tuple[float, float]
+_LIMITS = ("max_acceleration", "min_acceleration", "max_deceleration", "max_velocity", "max_jerk")
+
+
+def _read_fields(*names: str) -> dict[str, Callable[[RobotConfig], Any]]:
+    """Return functions that read dotted fields of a robot, by name."""
+    return {name: attrgetter(name) for name in names}
+
 
 ROBOT_FIELDS: Mapping[str, Callable[[RobotConfig], Any]] = {
-    **{name: attrgetter(name) for name in ("max_linear", "max_angular", "max_wheel_speed")},
-    **{
-        name: attrgetter(name)
-        for axis in ("linear_limits", "angular_limits")
-        for name in (
-            f"{axis}.max_acceleration",
-            f"{axis}.min_acceleration",
-            f"{axis}.max_deceleration",
-            f"{axis}.max_velocity",
-            f"{axis}.max_jerk",
-        )
-    },
-    "wheel_radius": attrgetter("wheel_radius"),
-    "wheel_separation": attrgetter("wheel_separation"),
-    "wheelbase": attrgetter("wheelbase"),
-    "wheel_separation_multiplier": attrgetter("wheel_separation_multiplier"),
+    **_read_fields("max_linear", "max_angular", "max_wheel_speed"),
+    **_read_fields(
+        *(f"{axis}_limits.{name}" for axis in ("linear", "angular") for name in _LIMITS)
+    ),
+    **_read_fields("wheel_radius", "wheel_separation", "wheelbase", "wheel_separation_multiplier"),
     "turn_factor": turn_factor,
-    "body.mass": attrgetter("body.mass"),
-    "body.friction": attrgetter("body.friction"),
-    "motor.gain": attrgetter("motor.gain"),
-    "motor.time_constant": attrgetter("motor.time_constant"),
-    "motor.deadband": attrgetter("motor.deadband"),
-    "motor.max_speed": attrgetter("motor.max_speed"),
-    "firmware.command_delay": attrgetter("firmware.command_delay"),
-    "feedback_rate": attrgetter("feedback_rate"),
+    **_read_fields("body.mass", "body.friction"),
+    **_read_fields("motor.gain", "motor.time_constant", "motor.deadband", "motor.max_speed"),
+    **_read_fields("firmware.command_delay", "feedback_rate"),
     "footprint.radius": lambda config: outline_radius(config.outline),
 }
 """What a bundle says of every robot: names, and how they are read from its config."""
 LIDAR_FIELDS: Mapping[str, Callable[[RobotConfig], Any]] = {
-    **{
-        name: attrgetter(name)
-        for name in ("lidar.rays", "lidar.field_of_view", "lidar.min_range", "lidar.max_range")
-    },
-    **{name: attrgetter(name) for name in ("lidar.rate", "lidar_x_offset", "lidar_y_offset")},
+    **_read_fields("lidar.rays", "lidar.field_of_view", "lidar.min_range", "lidar.max_range"),
+    **_read_fields("lidar.rate", "lidar_x_offset", "lidar_y_offset"),
 }
 """What it also says where the policy observes a LiDAR."""
 LAYOUT_FIELDS = ("lidar.rays", "lidar.field_of_view", "lidar.max_range")
@@ -309,17 +297,16 @@ def _compare(
     yield sizes[0] == sizes[1], "observation.sensors", texts, here
     texts = [format_value(one) for one in (file.scale, own.scale)]
     yield equal_values(file.scale, own.scale), "observation.scale", texts, in_this
-    actions = [_format_action(action) for action in (bundle.action, ActionLayout())]
-    yield actions[0] == actions[1], "action", actions, here
+    texts = []
+    for action in (bundle.action, ActionLayout()):
+        of_one = zip(action.names, action.low, action.high, action.units, strict=False)
+        texts.append(
+            ", ".join(f"{name} {low:g} to {high:g} {of}" for name, low, high, of in of_one)
+        )
+    yield texts[0] == texts[1], "action", texts, here
     if rate is not None:
         texts = [f"{one:g}" for one in (bundle.rates.policy, rate)]
         yield equal_values(bundle.rates.policy, rate), "rates.policy", texts, in_this
-
-
-def _format_action(action: ActionLayout) -> str:
-    """Format names, ranges and units of an action."""
-    parts = zip(action.names, action.low, action.high, action.units, strict=False)
-    return ", ".join(f"{name} {low:g} to {high:g} {unit}" for name, low, high, unit in parts)
 
 
 def _quote(text: str) -> str:

@@ -134,7 +134,14 @@ def write_network(
     weight = next(network.parameters(), torch.zeros(0))
     if normalizer is not None:
         normalizer.to(weight.device)
-        bundle = _add_normalizer(bundle, normalizer)
+        summary = NormalizerSummary(kind=type(normalizer).__name__)
+        if isinstance(normalizer, Normalizer):
+            ends = [(float(v.min()), float(v.max())) for v in (normalizer.mean, normalizer.std)]
+            summary = NormalizerSummary(
+                kind="running", clip=normalizer.clip, mean=ends[0], std=ends[1]
+            )
+        seen = bundle.observation.model_copy(update={"normalizer": summary})
+        bundle = bundle.model_copy(update={"observation": seen})
     module = (_RecurrentModule if bundle.state else _PolicyModule)(network, normalizer)
     shapes = [(1, bundle.observation.width), *(state.shape for state in bundle.state)]
     example = tuple(torch.zeros(*shape, device=weight.device) for shape in shapes)
@@ -171,19 +178,6 @@ def write_network(
         raise PolicyError(f"{path}: {len(data) / 1e6:,.0f} MB: must be {MAX_POLICY_BYTES / 1e6:g}")
     path.parent.mkdir(parents=True, exist_ok=True)
     reading.write_atomically(path, data, PolicyError)
-
-
-def _add_normalizer(bundle: Bundle, normalizer: torch.nn.Module) -> Bundle:
-    """Describe the normalizer, which becomes part of the graph."""
-    if isinstance(normalizer, Normalizer):
-        mean, std = (
-            (float(one.min()), float(one.max())) for one in (normalizer.mean, normalizer.std)
-        )
-        summary = NormalizerSummary(kind="running", clip=normalizer.clip, mean=mean, std=std)
-    else:
-        summary = NormalizerSummary(kind=type(normalizer).__name__)
-    seen = bundle.observation.model_copy(update={"normalizer": summary})
-    return bundle.model_copy(update={"observation": seen})
 
 
 def _check_module(module: torch.nn.Module, example: tuple[torch.Tensor, ...]) -> None:

@@ -8,6 +8,7 @@ would take longer than the trial itself.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import signal
@@ -152,7 +153,16 @@ def _run_trial() -> None:
     import onnxruntime  # noqa: F401, PLC0415 - before the limits: it isn't the network's cost
 
     data = sys.stdin.buffer.read()
-    _limit_process()
+    with contextlib.suppress(ImportError):  # Windows has no limits
+        import resource  # noqa: PLC0415
+
+        signal.setitimer(signal.ITIMER_PROF, CPU_TIME_LIMIT)  # SIGPROF ends the process
+        try:  # current use on Linux: ru_maxrss there includes the peak of the parent process
+            used = int(Path("/proc/self/statm").read_text().split()[5]) * resource.getpagesize()
+        except OSError:
+            used = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        resource.setrlimit(resource.RLIMIT_DATA, (used + MEMORY_LIMIT, used + MEMORY_LIMIT))
+        resource.setrlimit(resource.RLIMIT_NOFILE, (0, 0))  # no weights from other files
     try:
         network = load_network(data)
         check_decisions(network)
@@ -164,21 +174,6 @@ def _run_trial() -> None:
                     raise
     except Exception as error:  # noqa: BLE001 - onnxruntime's errors have no common base of their own
         sys.exit(" ".join(str(error).split()) or type(error).__name__)
-
-
-def _limit_process() -> None:
-    """Limit CPU time, memory and files of this process, where the platform supports it."""
-    try:
-        import resource  # noqa: PLC0415 - not on Windows
-    except ImportError:
-        return
-    signal.setitimer(signal.ITIMER_PROF, CPU_TIME_LIMIT)  # SIGPROF ends the process
-    try:  # current use on Linux: ru_maxrss there includes the peak of the parent process
-        used = int(Path("/proc/self/statm").read_text().split()[5]) * resource.getpagesize()
-    except OSError:
-        used = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    resource.setrlimit(resource.RLIMIT_DATA, (used + MEMORY_LIMIT, used + MEMORY_LIMIT))
-    resource.setrlimit(resource.RLIMIT_NOFILE, (0, 0))  # no weights from other files
 
 
 if __name__ == "__main__":
