@@ -9,53 +9,18 @@ robust, and how much its seeds differ. A trial takes one CPU; `--address` runs t
 and a trial whose machine dies is started again.
 """
 
-import tempfile
-from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import tyro
 
-from acsar_gym import RobotConfig, reading
-from acsar_gym.envs import ids
-from acsar_gym.physics.randomization import LEVEL_WIDTHS, randomization_level
-from acsar_gym.tools.evaluation import runs
-from acsar_gym.tools.evaluation.episodes import run_episodes
-from acsar_gym.tools.evaluation.metrics import summarise_episodes
 from acsar_gym.tools.jobs.cluster import connect_cluster
-from acsar_gym.tools.training import recipes
-from acsar_gym.tools.training.plan import TrainingOptions
-from acsar_gym.tools.training.run import train
-from acsar_gym.tools.training.seeds import parse_seeds
-
-
-def randomized_recipe(env: str, level: int) -> dict[str, Any]:
-    """The env's recipe for PPO with the randomization of a level, as a recipe file has it."""
-    env_id = ids.strip_module(ids.find_id(env))
-    found = recipes.read_recipe(recipes.find_algorithm("ppo"), env_id).as_dict()
-    if level:
-        ranges = asdict(randomization_level(RobotConfig.of(None), level))
-        known = {name: list(each) for name, each in ranges.items() if each is not None}
-        found["env_kwargs"] = {**found["env_kwargs"], "randomization": known}
-    return {env_id: found}
+from acsar_gym.tools.training.seeds import parse_seeds, run_trial
 
 
 def trial(config: dict[str, int], env: str, steps: int | None, episodes: int) -> dict[str, float]:
-    """Train one seed at one level of randomization, and evaluate the policy at the hardest."""
-    level = config["level"]
-    with tempfile.TemporaryDirectory() as folder:
-        out, recipe = Path(folder), Path(folder, "recipe.yml")
-        recipe.write_text(reading.format_yaml(randomized_recipe(env, level)), encoding="utf-8")
-        asked: dict[str, Any] = {"steps": steps, "conf_file": recipe, "randomize": level > 0}
-        asked |= {"seed": config["seed"], "out": out, "threads": 1, "progress": False}
-        train(TrainingOptions(env=env, **asked))
-        policy = runs.load_policy(str(out / "policy.onnx"), trust=False)
-    hardest = randomization_level(RobotConfig.of(None), max(LEVEL_WIDTHS))
-    harder = runs.make_env(policy, "planar", None, {"randomization": hardest})
-    results = list(run_episodes(harder, policy, episodes, 0))
-    harder.close()
-    return {"success": summarise_episodes(results).success_rate}
+    """Train one seed at one level of randomization, and evaluate the policy."""
+    return {"success": run_trial(env, config["level"], config["seed"], steps, episodes)}
 
 
 def main(

@@ -39,7 +39,6 @@ MAX_POLICY_BYTES = 32_000_000
 MAX_SOURCE_BYTES = 10_000_000
 GOAL_NUMBERS = ("goal_distance", "goal_cos", "goal_sin")
 PATH_NUMBERS = ("cross_track_error", "heading_cos", "heading_sin", "remaining", "ahead_1", "left_1")
-MOVING_NUMBERS = ("linear_velocity", "angular_velocity")
 """Names of the numbers that a policy may need of a task's observation."""
 
 

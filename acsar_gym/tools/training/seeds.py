@@ -28,10 +28,14 @@ import tyro
 from rich.table import Table
 
 from acsar_gym import reading
+from acsar_gym.config import RobotConfig
+from acsar_gym.envs import ids
 from acsar_gym.errors import ConfigError, show_value
-from acsar_gym.tools.evaluation import metrics, report
+from acsar_gym.physics.randomization import LEVEL_WIDTHS, randomization_level
+from acsar_gym.tools.evaluation import episodes as evaluation
+from acsar_gym.tools.evaluation import metrics, report, runs
 from acsar_gym.tools.jobs import completed
-from acsar_gym.tools.training import checkpoints, held_out, record
+from acsar_gym.tools.training import checkpoints, held_out, recipes, record
 from acsar_gym.tools.training.checkpoints import CHECKPOINTS_FOLDER
 from acsar_gym.tools.training.plan import TrainingOptions, TrainingPlan, require_training
 from acsar_gym.tools.training.run import train
@@ -237,6 +241,58 @@ def _print_results(options: TrainingOptions, results: Sequence[SeedResult], out:
     rows = [asdict(each) for each in results]
     data["seeds"] = [{n: value for n, value in row.items() if n != "files"} for row in rows]
     report.write_json(out / TABLE_FILE, metrics.replace_nonfinite(data))
+
+
+def run_trial(env: str, level: int, seed: int, steps: int | None = None, count: int = 200) -> float:
+    """Train PPO with the env's recipe at one level of randomization, and evaluate the policy.
+
+    It takes one core, and leaves no files.
+
+    Args:
+        env: short name or id of the env.
+        level: of randomization in the training: 0 is none, 2 that of `acsar-gym train`, 1 and 3
+            half and twice of it; see `physics.randomization`.
+        seed: of the training.
+        steps: env steps of the training; None for the recipe's.
+        count: episodes of the evaluation, with the seeds from 0 on, on planar robots.
+
+    Returns:
+        Success rate at the hardest level, 0 to 1.
+
+    Raises:
+        AcsarError: see `run.train` and `evaluation.runs.make_env`.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        out, file = Path(folder), Path(folder, "recipe.yml")
+        file.write_text(reading.format_yaml(randomized_recipe(env, level)), encoding="utf-8")
+        asked: dict[str, Any] = {"steps": steps, "conf_file": file, "randomize": level > 0}
+        asked |= {"seed": seed, "out": out, "threads": 1, "progress": False}
+        train(TrainingOptions(env=env, **asked))
+        policy = runs.load_policy(str(out / "policy.onnx"), trust=False)
+    hardest = randomization_level(RobotConfig.of(None), max(LEVEL_WIDTHS))
+    harder = runs.make_env(policy, "planar", None, {"randomization": hardest})
+    with contextlib.closing(harder):
+        results = list(evaluation.run_episodes(harder, policy, count, 0))
+    return metrics.summarise_episodes(results).success_rate
+
+
+def randomized_recipe(env: str, level: int) -> dict[str, Any]:
+    """Return the env's recipe for PPO with the randomization of a level, as a recipe file has it.
+
+    Args:
+        env: short name or id of the env.
+        level: 0 to 3.
+
+    Raises:
+        ConfigError: there is no such env or level.
+    """
+    env_id = ids.strip_module(ids.find_id(env))
+    found = recipes.read_recipe(recipes.find_algorithm("ppo"), env_id).as_dict()
+    if level:
+        ranges = asdict(randomization_level(RobotConfig.of(None), level))
+        known = {name: list(each) for name, each in ranges.items() if each is not None}
+        found["env_kwargs"] = {**found["env_kwargs"], "randomization": known}
+    return {env_id: found}
 
 
 def main(arguments: Sequence[str]) -> int:
