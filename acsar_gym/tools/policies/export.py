@@ -175,7 +175,8 @@ def write_network(
     onnx.helper.set_model_props(model, {BUNDLE_KEY: bundle.as_json()})
     data = model.SerializeToString()
     if len(data) > MAX_POLICY_BYTES:
-        raise PolicyError(f"{path}: {len(data) / 1e6:,.0f} MB: must be {MAX_POLICY_BYTES / 1e6:g}")
+        most = f"must be {MAX_POLICY_BYTES / 1e6:g} MB at most"
+        raise PolicyError(f"{path}: {len(data) / 1e6:,.0f} MB: {most}")
     path.parent.mkdir(parents=True, exist_ok=True)
     reading.write_atomically(path, data, PolicyError)
 
