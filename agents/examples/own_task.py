@@ -13,9 +13,8 @@ from stable_baselines3 import PPO
 
 import acsar_gym
 from acsar_gym import Outcome, State
-from acsar_gym.tools import policies
 from acsar_gym.tools.evaluation.episodes import run_episodes
-from acsar_gym.tools.policies import sb3
+from acsar_gym.tools.policies import OnnxPolicy, save, sb3
 
 
 class Parking(acsar_gym.Task):
@@ -49,8 +48,8 @@ def main(steps: int = 500_000, link: str = "planar", count: int = 100) -> None:
     batch = sb3.make_batch("mine/Parking-v0", 256)
     actor = PPO("MlpPolicy", batch, 1e-3, n_steps=64, batch_size=4096, seed=0).learn(steps).policy
     network = torch.nn.Sequential(actor.mlp_extractor.policy_net, actor.action_net)
-    policies.save(network, "mine/Parking-v0", "parking.onnx")
-    env, policy = gymnasium.make("mine/Parking-v0", link=link), policies.OnnxPolicy("parking.onnx")
+    save(network, "mine/Parking-v0", "parking.onnx")
+    env, policy = gymnasium.make("mine/Parking-v0", link=link), OnnxPolicy("parking.onnx")
     results = list(run_episodes(env, policy, count, seed=0))
     env.close()
     print(f"{link}: parked in {sum(each.success for each in results)} of {count} episodes")

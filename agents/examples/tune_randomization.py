@@ -15,13 +15,12 @@ from pathlib import Path
 import tyro
 
 from acsar_gym.tools.jobs.cluster import connect_cluster
-from acsar_gym.tools.training import seeds
-from acsar_gym.tools.training import seeds as ranges
+from acsar_gym.tools.training.seeds import parse_seeds, run_trial
 
 
 def trial(config: dict[str, int], env: str, steps: int | None, episodes: int) -> dict[str, float]:
     """Train one seed at one level of randomization, and evaluate the policy."""
-    return {"success": seeds.run_trial(env, config["level"], config["seed"], steps, episodes)}
+    return {"success": run_trial(env, config["level"], config["seed"], steps, episodes)}
 
 
 def main(
@@ -35,9 +34,9 @@ def main(
 ) -> None:
     """Run the sweep and print its table; `steps` of each training are the recipe's by default."""
     with connect_cluster(address):
-        from ray import tune  # noqa: PLC0415 - `connected` keeps Ray from sending statistics
+        from ray import tune  # noqa: PLC0415 - `connect_cluster` keeps Ray from sending statistics
 
-        grid = {"level": list(levels), "seed": ranges.parse_seeds(seeds)}
+        grid = {"level": list(levels), "seed": parse_seeds(seeds)}
         tuner = tune.Tuner(
             partial(trial, env=env, steps=steps, episodes=episodes),
             param_space={name: tune.grid_search(values) for name, values in grid.items()},

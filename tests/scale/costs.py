@@ -80,7 +80,7 @@ def training(name: str) -> tuple[int, float, float]:
         options = TrainingOptions(env=name, threads=1, progress=False, out=Path(folder))
         plan = TrainingPlan.of(options)
         models.prepare_torch(plan)
-        env = plan.learning()
+        env = plan.make_training_batch()
         with contextlib.closing(env):
             model: Any = models.make_model(plan, env)
             for method in spent:

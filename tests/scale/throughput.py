@@ -75,7 +75,7 @@ def training(env: str, steps: int, seeds: int) -> Task:
     """Trainings of several seeds, one thread each."""
 
     def options(seed: int, steps: int) -> TrainingOptions:
-        return TrainingOptions(env, steps=steps, seed=seed, threads=1, progress=False)
+        return TrainingOptions(env=env, steps=steps, seed=seed, threads=1, progress=False)
 
     jobs = [options(seed, steps) for seed in range(seeds)]
     before = [options(99, 40_000)] * 4

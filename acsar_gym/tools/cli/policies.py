@@ -37,11 +37,11 @@ def show_policy(
         json: also write all of it to this file.
     """
     from acsar_gym.tools.evaluation import report  # noqa: PLC0415
-    from acsar_gym.tools.policies import showing  # noqa: PLC0415
+    from acsar_gym.tools.policies import describe, onnx  # noqa: PLC0415
 
     report.check_writable(json)
-    path, bundle = showing.read_bundle(file)
-    report.print_tables(report.fact_table(str(path), showing.bundle_rows(bundle)))
+    path, bundle = onnx.read_bundle(file)
+    report.print_tables(report.fact_table(str(path), describe.bundle_rows(bundle)))
     report.write_json(json, bundle.model_dump(mode="json"))
     return 0
 

@@ -375,17 +375,15 @@ def export_policy(
     policy = ZipPolicy(model, trust=trust, env_id=find_id(env_id) if env_id else "")
     statistics = _statistics(policy, vecnormalize)
     env = make_env(policy, "planar", robot, {})
-    from acsar_gym.tools.policies import sb3_export  # noqa: PLC0415 - optional
+    from acsar_gym.tools.policies import sb3  # noqa: PLC0415 - optional
 
     inner: Any = env.unwrapped
     try:
         known = policy.bundle
         if known is None or known.env.id != strip_module(policy.env_id):
             known = describe_policy(inner, policy.env_id)
-        before = (
-            sb3_export.read_normalizer(statistics, known.observation.width) if statistics else None
-        )
-        sb3_export.export_policy(policy.network, out, known, before)
+        before = sb3.read_normalizer(statistics, known.observation.width) if statistics else None
+        sb3.export_policy(policy.network, out, known, before)
     finally:
         env.close()
 

@@ -4,8 +4,7 @@ Importing this package imports neither torch nor onnxruntime.
 """
 
 from acsar_gym.tools.policies.base import CallablePolicy, FilePolicy, Policy, is_callable, resolve
-from acsar_gym.tools.policies.onnx import OnnxPolicy
-from acsar_gym.tools.policies.saving import actor, save
+from acsar_gym.tools.policies.onnx import OnnxPolicy, actor, save
 from acsar_gym.tools.policies.sb3_zip import ZipPolicy, statistics_beside
 
 __all__ = [

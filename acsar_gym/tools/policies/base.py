@@ -34,6 +34,13 @@ from acsar_gym.tools.policies.describe import observation_scale
 if TYPE_CHECKING:
     from acsar_gym.envs.base import RobotEnv
 
+MAX_POLICY_BYTES = 32_000_000
+"""Largest accepted ONNX file [bytes]; 8 million float32 weights."""
+MAX_SOURCE_BYTES = 10_000_000
+GOAL_NUMBERS = ("goal_distance", "goal_cos", "goal_sin")
+PATH_NUMBERS = ("cross_track_error", "heading_cos", "heading_sin", "remaining", "ahead_1", "left_1")
+"""Names of the numbers that a policy may need of a task's observation."""
+
 
 class Policy(Protocol):
     """A callable that maps one observation to one action."""
@@ -94,7 +101,7 @@ class FilePolicy(ABC):
             config: of the robot; None to skip what depends on it.
 
         Raises:
-            PolicyError: names the first field that doesn't match; see `matching`.
+            PolicyError: names the first field that doesn't match; see `describe`.
         """
         if self.bundle is None:
             return
@@ -166,15 +173,6 @@ def format_error(error: BaseException) -> str:
     return textwrap.shorten(f"{type(error).__name__}: {quote_text(str(error))}", 200)
 
 
-if TYPE_CHECKING:
-    from acsar_gym.envs.base import RobotEnv
-
-GOAL_NUMBERS = ("goal_distance", "goal_cos", "goal_sin")
-PATH_NUMBERS = ("cross_track_error", "heading_cos", "heading_sin", "remaining", "ahead_1", "left_1")
-MOVING_NUMBERS = ("linear_velocity", "angular_velocity")
-"""Names of the numbers that a policy may need of a task's observation."""
-
-
 @dataclass(frozen=True, slots=True)
 class DecodedObservation:
     """One observation in SI units, in the base frame (x ahead, y to the left)."""
@@ -224,7 +222,7 @@ class PolicyContext:
 
     @classmethod
     def of(cls, env: RobotEnv) -> PolicyContext:
-        """Read the setting of an env."""
+        """Read what a policy may know from an env."""
         config, task = env.robot.config, env.task
         first, rays = len(task.observation), None
         for sensor in env.sensors:
@@ -284,9 +282,6 @@ class PolicyContext:
         return DecodedObservation(**told)  # type: ignore[arg-type]  # its own fields
 
 
-MAX_SOURCE_BYTES = 10_000_000
-
-
 def is_callable(policy: str) -> bool:
     """Return whether a policy argument names a Python file.
 
@@ -311,14 +306,17 @@ class CallablePolicy(FilePolicy):
     """
 
     def __init__(self, policy: str, env_id: str = "") -> None:
-        file, _, self._name = (
-            policy.rpartition(":") if not policy.endswith(".py") else (policy, "", "")
-        )
+        file, _, self._name = (policy, "", "") if policy.endswith(".py") else policy.rpartition(":")
         self.path = Path(file)
         source = reading.read_file(self.path, MAX_SOURCE_BYTES, PolicyError)
         self.sha256, self.function = hashlib.sha256(source).hexdigest(), self._name
-        module = self._imported(source)
-        self._act = self._found(module)
+        module = self._run_source(source)
+        known = [n for n, value in vars(module).items() if callable(value) and n[:1] != "_"]
+        self._act: Any = getattr(module, self._name, None) if self._name else None
+        if not callable(self._act):
+            named = f"has no function {self._name!r}" if self._name else "name a function of it"
+            hint = suggest_name(self._name, known) if known else ""
+            raise PolicyError(f"{self.path}: {named}, as in {self.path.name}:act{hint}")
         self.env_id = env_id or str(getattr(module, "ENV_ID", ""))
         self.env_named = True  # the user runs this file's code, so its ENV_ID is trusted
         if not self.env_id:
@@ -327,7 +325,7 @@ class CallablePolicy(FilePolicy):
                 "another, or set ENV_ID in it"
             )
 
-    def _imported(self, source: bytes) -> ModuleType:
+    def _run_source(self, source: bytes) -> ModuleType:
         """Run the file's source as a module."""
         name = f"acsar_gym_policy_{self.path.stem}"
         spec = importlib.util.spec_from_file_location(name, self.path)
@@ -343,20 +341,10 @@ class CallablePolicy(FilePolicy):
         except AcsarError:
             raise
         except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a user's code raises
-            raise self._failure("can't be run", error) from None
+            raise self._explain_failure("can't be run", error) from None
         return module
 
-    def _found(self, module: ModuleType) -> Any:
-        """Return the named function; the error names the functions that the file does have."""
-        known = [n for n, value in vars(module).items() if callable(value) and n[:1] != "_"]
-        act = getattr(module, self._name, None) if self._name else None
-        if not callable(act):
-            named = f"has no function {self._name!r}" if self._name else "name a function of it"
-            hint = suggest_name(self._name, known) if known else ""
-            raise PolicyError(f"{self.path}: {named}, as in {self.path.name}:act{hint}")
-        return act
-
-    def _failure(self, what: str, error: BaseException) -> PolicyError:
+    def _explain_failure(self, what: str, error: BaseException) -> PolicyError:
         """Build the error for an exception in the user's code, with the line of the file."""
         frames = traceback.extract_tb(error.__traceback__)
         lines = [f.lineno for f in frames if f.filename == str(self.path)]
@@ -375,7 +363,7 @@ class CallablePolicy(FilePolicy):
         except AcsarError:
             raise
         except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a user's code raises
-            raise self._failure(f"{self._name} failed", error) from None
+            raise self._explain_failure(f"{self._name} failed", error) from None
         try:
             action = np.asarray(given, np.float32)
         except Exception:  # noqa: BLE001 - torch has errors of its own for tensors with gradients

@@ -1,8 +1,8 @@
 """What a policy file says about itself: one JSON document in the metadata of its ONNX network.
 
-`Bundle` is the document; `KEY` names it in the metadata. It says what the policy observes and how
-its actions are meant, on which robot and in which task it was trained, and how. `matching` compares
-it with an env, `describing` makes it from one. Nothing in it is run.
+`Bundle` is the document; `BUNDLE_KEY` names it in the metadata. It says what the policy observes
+and how its actions are meant, on which robot and in which task it was trained, and how. `describe`
+makes it from an env, and compares it with another one. Nothing in it is run.
 """
 
 from __future__ import annotations
@@ -150,7 +150,7 @@ class RobotSummary(Section):
     calibration_sha256: Sha256 | None = None
     """Of its measured intervals; None: nothing was measured."""
     values: dict[Label, Value] = Field(default_factory=dict, max_length=200)
-    """Its limits, physics and LiDAR by dotted name, in SI units; see `describing.FIELDS`."""
+    """Its limits, physics and LiDAR by dotted name, in SI units; see `describe.ROBOT_FIELDS`."""
 
 
 class TrainingSummary(Section):
@@ -222,8 +222,7 @@ def parse_bundle(text: str) -> Bundle:
     if version != BUNDLE_VERSION or isinstance(version, bool | float):
         raise PolicyError(
             f"its bundle has version {show_value(version)}, this acsar_gym reads "
-            f"{BUNDLE_VERSION}: update "
-            "acsar_gym, or export the policy again with this one"
+            f"{BUNDLE_VERSION}: update acsar_gym, or export the policy again with this one"
         )
     try:
         return Bundle.model_validate(found)

@@ -1,23 +1,20 @@
-"""Exports torch modules as ONNX policies. Imports torch and onnx."""
+"""Exports torch modules to ONNX. Imports torch and onnx."""
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from acsar_gym import reading
 from acsar_gym.errors import MissingExtraError, PolicyError
-from acsar_gym.tools.policies import bundle as bundles
-from acsar_gym.tools.policies.base import format_error
-from acsar_gym.tools.policies.bundle import Bundle
-from acsar_gym.tools.policies.onnx import inspect_network
+from acsar_gym.tools.policies.base import MAX_POLICY_BYTES, format_error
+from acsar_gym.tools.policies.bundle import BUNDLE_KEY, Bundle, NormalizerSummary
 
 try:
     import onnx
@@ -43,15 +40,20 @@ class Normalizer(torch.nn.Module):
         super().__init__()
         self.mean: torch.Tensor
         self.std: torch.Tensor
-        for name, values in (("mean", mean), ("std", std)):
-            numbers = _numbers(values)
+        self.clip: float | None = None
+        for name, values in (("mean", mean), ("std", std), ("clip", 1.0 if clip is None else clip)):
+            try:
+                numbers = np.atleast_1d(np.asarray(values, np.float32))
+            except (TypeError, ValueError):
+                numbers = np.full(1, np.nan, np.float32)
             if numbers.ndim > 1 or not np.isfinite(numbers).all():
                 raise PolicyError(f"normalizer: {name} must be finite numbers, one each")
-            self.register_buffer(name, torch.from_numpy(np.atleast_1d(numbers).copy()))
-        limit = np.ones(()) if clip is None else _numbers(clip)
-        if not bool((self.std > 0.0).all()) or limit.ndim or not limit > 0.0:
-            raise PolicyError("normalizer: std and clip must be positive")
-        self.clip = None if clip is None else float(limit)
+            if name != "mean" and not (numbers > 0.0).all():
+                raise PolicyError(f"normalizer: {name} must be positive")
+            if name != "clip":
+                self.register_buffer(name, torch.from_numpy(numbers.copy()))
+            elif clip is not None:
+                self.clip = float(numbers.max())
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         """Normalize observations, shape (batch, n)."""
@@ -71,6 +73,29 @@ class Actor(torch.nn.Module):
         return self.call(self.network, observation)
 
 
+class _PolicyModule(torch.nn.Module):
+    """The exported module: normalizer, then network, then clipping to [-1, 1]."""
+
+    def __init__(self, network: torch.nn.Module, normalizer: torch.nn.Module | None) -> None:
+        super().__init__()
+        self.normalizer, self.network = normalizer, network
+
+    def forward(self, observation: torch.Tensor) -> Any:
+        if self.normalizer is not None:
+            observation = self.normalizer(observation)
+        return torch.clamp(self.network(observation), -1.0, 1.0)
+
+
+class _RecurrentModule(_PolicyModule):
+    """The same for a recurrent network, which maps each state to the next one, too."""
+
+    def forward(self, observation: torch.Tensor, *states: torch.Tensor) -> Any:
+        if self.normalizer is not None:
+            observation = self.normalizer(observation)
+        action, *after = self.network(observation, *states)
+        return torch.clamp(action, -1.0, 1.0), *after
+
+
 def make_normalizer(given: Any) -> torch.nn.Module | None:
     """Convert the `normalizer` argument of `save` to a module.
 
@@ -87,49 +112,10 @@ def make_normalizer(given: Any) -> torch.nn.Module | None:
     return Normalizer(*given)
 
 
-def _numbers(values: ArrayLike) -> NDArray[np.float32]:
-    """Convert to a float32 array; a single NaN if the values aren't numbers."""
-    try:
-        return np.asarray(values, np.float32)
-    except (TypeError, ValueError):
-        return np.full((), np.nan, np.float32)
-
-
-def _summary(module: torch.nn.Module) -> bundles.NormalizerSummary:
-    """Describe a normalizer, which becomes part of the graph."""
-    if not isinstance(module, Normalizer):
-        return bundles.NormalizerSummary(kind=type(module).__name__)
-    mean, std = ((float(v.min()), float(v.max())) for v in (module.mean, module.std))
-    return bundles.NormalizerSummary(kind="running", clip=module.clip, mean=mean, std=std)
-
-
-class _Whole(torch.nn.Module):
-    """The exported module: normalizer, then network, then clipping to [-1, 1]."""
-
-    def __init__(self, network: torch.nn.Module, normalizer: torch.nn.Module | None) -> None:
-        super().__init__()
-        self.normalizer, self.network = normalizer, network
-
-    def forward(self, observation: torch.Tensor) -> Any:
-        if self.normalizer is not None:
-            observation = self.normalizer(observation)
-        return torch.clamp(self.network(observation), -1.0, 1.0)
-
-
-class _Recurrent(_Whole):
-    """The same for a recurrent network, which maps each state to the next one, too."""
-
-    def forward(self, observation: torch.Tensor, *states: torch.Tensor) -> Any:
-        if self.normalizer is not None:
-            observation = self.normalizer(observation)
-        action, *after = self.network(observation, *states)
-        return torch.clamp(action, -1.0, 1.0), *after
-
-
 def write_network(
     network: torch.nn.Module, path: Path, bundle: Bundle, normalizer: torch.nn.Module | None
 ) -> None:
-    """Write a network as an ONNX file that `OnnxPolicy` reads.
+    """Write a network as an ONNX file that `OnnxPolicy` reads, with its bundle as metadata.
 
     The file maps `observation` (batch, n) to `action` (batch, 2) in float32. A recurrent one, with
     a batch of one, also maps each state of the bundle to the next one.
@@ -142,61 +128,70 @@ def write_network(
         normalizer: module that is applied to observations (batch, n) first; None for none.
 
     Raises:
-        PolicyError: the network doesn't fit the env, or has operations that OnnxPolicy rejects.
+        PolicyError: the network doesn't fit the env, its weights aren't finite, or they are more
+            than what is read.
     """
-    whole = (_Recurrent if bundle.state else _Whole)(network, normalizer)
-    with _evaluating(whole):
-        _check_weights(whole)
-        shapes = [(1, bundle.observation.width), *(state.shape for state in bundle.state)]
-        example = tuple(torch.zeros(*shape, device=_device(whole)) for shape in shapes)
-        _check(whole, example)
-        model: Any = _exported(whole, example, bundle)
-    _forget_sources(model)
+    weight = next(network.parameters(), torch.zeros(0))
     if normalizer is not None:
-        seen = bundle.observation.model_copy(update={"normalizer": _summary(normalizer)})
+        normalizer.to(weight.device)
+        summary = NormalizerSummary(kind=type(normalizer).__name__)
+        if isinstance(normalizer, Normalizer):
+            ends = [(float(v.min()), float(v.max())) for v in (normalizer.mean, normalizer.std)]
+            summary = NormalizerSummary(
+                kind="running", clip=normalizer.clip, mean=ends[0], std=ends[1]
+            )
+        seen = bundle.observation.model_copy(update={"normalizer": summary})
         bundle = bundle.model_copy(update={"observation": seen})
-    onnx.helper.set_model_props(model, {bundles.BUNDLE_KEY: bundle.as_json()})
-    data = model.SerializeToString()
+    module = (_RecurrentModule if bundle.state else _PolicyModule)(network, normalizer)
+    shapes = [(1, bundle.observation.width), *(state.shape for state in bundle.state)]
+    example = tuple(torch.zeros(*shape, device=weight.device) for shape in shapes)
+    modes = [(part, part.training) for part in module.modules()]
+    module.eval()  # no dropout
     try:
-        inspect_network(data)
-    except PolicyError as error:
-        raise PolicyError(f"{path}: can't be written: it {error}") from None
+        _check_module(module, example)
+        logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # torchvision isn't needed
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # deprecations inside torch's own exporter
+            program: Any = torch.onnx.export(
+                module,
+                example,
+                input_names=["observation", *(state.input for state in bundle.state)],
+                output_names=["action", *(state.output for state in bundle.state)],
+                dynamic_shapes=None if bundle.state else ({0: "batch"},),
+                dynamo=True,
+                verbose=False,
+            )
+    finally:
+        for part, training in modes:
+            part.training = training
+    model: Any = program.model_proto  # made anew by each access
+    graph = model.graph
+    # torch's stack traces contain paths of the training machine
+    for part in (
+        *(model, graph, *graph.node, *graph.input, *graph.output, *graph.value_info),
+        *graph.initializer,
+    ):
+        del part.metadata_props[:]
+    onnx.helper.set_model_props(model, {BUNDLE_KEY: bundle.as_json()})
+    data = model.SerializeToString()
+    if len(data) > MAX_POLICY_BYTES:
+        most = f"must be {MAX_POLICY_BYTES / 1e6:g} MB at most"
+        raise PolicyError(f"{path}: {len(data) / 1e6:,.0f} MB: {most}")
     path.parent.mkdir(parents=True, exist_ok=True)
     reading.write_atomically(path, data, PolicyError)
 
 
-def _exported(whole: torch.nn.Module, example: tuple[torch.Tensor, ...], bundle: Bundle) -> Any:
-    """Export the module to an ONNX model, with a free batch size unless it is recurrent."""
-    logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # torchvision isn't needed
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # deprecations inside torch's own exporter
-        program: Any = torch.onnx.export(
-            whole,
-            example,
-            input_names=["observation", *(state.input for state in bundle.state)],
-            output_names=["action", *(state.output for state in bundle.state)],
-            dynamic_shapes=None if bundle.state else ({0: "batch"},),
-            dynamo=True,
-            verbose=False,
-        )
-    return program.model_proto
-
-
-def _check_weights(whole: torch.nn.Module) -> None:
-    """Raise PolicyError for weights that are NaN or infinite, as after a training that diverged."""
-    for name, weight in whole.named_parameters():
+def _check_module(module: torch.nn.Module, example: tuple[torch.Tensor, ...]) -> None:
+    """Run the module once; PolicyError unless weights, action and states are as they must be."""
+    for name, weight in module.named_parameters():
         if not torch.isfinite(weight).all():
             raise PolicyError(
                 f"the module's weights {name} hold NaN or infinity: its training diverged: train "
                 "anew, for instance with a lower learning rate, or save an earlier state"
             )
-
-
-def _check(whole: torch.nn.Module, example: tuple[torch.Tensor, ...]) -> None:
-    """Run the module once; PolicyError unless it gives an action (1, 2) and the same states."""
     try:
         with torch.no_grad():
-            given = whole(*example)
+            given = module(*example)
     except Exception as error:  # noqa: BLE001 - whatever a user's module raises
         said = f"observations of shape (batch, {example[0].shape[1]}): {format_error(error)}"
         raise PolicyError(f"the module doesn't take {said}") from None
@@ -208,32 +203,3 @@ def _check(whole: torch.nn.Module, example: tuple[torch.Tensor, ...]) -> None:
     if [one.shape for one in after] != [one.shape for one in example[1:]]:
         shapes = [tuple(one.shape) for one in after]
         raise PolicyError(f"the module gives states of shape {shapes}: must be as they came in")
-
-
-@contextlib.contextmanager
-def _evaluating(module: torch.nn.Module) -> Iterator[None]:
-    """Switch all parts to evaluation mode (no dropout), and restore each one's mode at the end."""
-    modes = [(part, part.training) for part in module.modules()]
-    module.eval()
-    try:
-        yield
-    finally:
-        for part, training in modes:
-            part.training = training
-
-
-def _device(module: _Whole) -> torch.device:
-    """Return the device of the network's weights, and move the normalizer to it."""
-    weight = next(module.network.parameters(), torch.zeros(0))
-    if module.normalizer is not None:
-        module.normalizer.to(weight.device)
-    return weight.device
-
-
-def _forget_sources(model: Any) -> None:
-    """Remove torch's stack traces from the model; they contain paths of the training machine."""
-    graph = model.graph
-    for part in (model, graph, *graph.node, *graph.input, *graph.output, *graph.value_info):
-        del part.metadata_props[:]
-    for weight in graph.initializer:
-        del weight.metadata_props[:]

@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 
 from acsar_gym.envs import ids
 from acsar_gym.errors import ConfigError
-from acsar_gym.tools.policies.saving import actor as adapted
+from acsar_gym.tools.policies.onnx import actor as adapt_actor
 
 if TYPE_CHECKING:
     import torch
@@ -76,9 +76,8 @@ def actor(module: torch.nn.Module) -> torch.nn.Module:
     Raises:
         MissingExtraError: torch, onnx or onnxscript isn't installed.
     """
-    return adapted(module, _mean)
-
-
-def _mean(module: Any, observations: torch.Tensor) -> Any:
-    """The first two of what the network gives: means, then logarithms of deviations."""
-    return module.forward_inference({"obs": observations})["action_dist_inputs"][:, :2]
+    # the network gives two means, then two logarithms of deviations
+    return adapt_actor(
+        module,
+        lambda net, seen: net.forward_inference({"obs": seen})["action_dist_inputs"][:, :2],
+    )

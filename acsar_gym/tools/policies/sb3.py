@@ -1,25 +1,36 @@
-"""Training with stable-baselines3: batches of robots as a VecEnv, and labels for saved models."""
+"""Training with stable-baselines3: batches of robots as a VecEnv, and the export of its models."""
 
 from __future__ import annotations
 
+import pickle
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
+from acsar_gym import reading
 from acsar_gym.envs import ids
-from acsar_gym.errors import ConfigError, MissingExtraError
-from acsar_gym.tools.policies.bundle import BUNDLE_KEY, Bundle
+from acsar_gym.errors import ConfigError, MissingExtraError, PolicyError
+from acsar_gym.tools.policies.base import format_error
+from acsar_gym.tools.policies.bundle import BUNDLE_KEY, Bundle, StateLayout
 from acsar_gym.vector.env import RobotVectorEnv
 
 try:
+    import torch
     from stable_baselines3.common.base_class import BaseAlgorithm
-    from stable_baselines3.common.vec_env import VecEnv
+    from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
+    from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 except ImportError:
     raise MissingExtraError("stable-baselines3", "train") from None
+
+MAX_STATISTICS_BYTES = 100_000_000
+"""Largest accepted VecNormalize file [bytes]; it can contain old observations."""
+_GOES_ON: dict[str, Any] = {}
+"""Info of a robot whose episode goes on."""
 
 
 class BatchVecEnv(VecEnv):
@@ -62,8 +73,8 @@ class BatchVecEnv(VecEnv):
             Observations, float32 (robots, n).
         """
         seeded = any(seed is not None for seed in self._seeds)
-        observations: NDArray[np.float32]
         seeds = self._seeds if seeded else None
+        observations: NDArray[np.float32]
         observations, _ = self._batch.reset(seed=seeds, options=self._asked)
         self._reset_seeds()
         return observations
@@ -106,24 +117,20 @@ class BatchVecEnv(VecEnv):
         done = terminated | truncated
         infos = [_GOES_ON] * self.num_envs
         for index in np.flatnonzero(done):
-            infos[index] = self._ended(info, int(index))
-            infos[index]["TimeLimit.truncated"] = bool(truncated[index] and not terminated[index])
+            final = info["final_info"]
+            infos[index] = {
+                "terminal_observation": info["final_obs"][index],
+                "is_success": bool(final["is_success"][index]),
+                "TimeLimit.truncated": bool(truncated[index] and not terminated[index]),
+                "episode": {
+                    "r": float(final["episode_return"][index]),
+                    "l": int(final["episode_length"][index]),
+                    "t": time.monotonic() - self._started,
+                },
+                **{name: final[name][index] for name in final if name.startswith("drawn_")},
+                **({"world": int(final["world"][index])} if "world" in final else {}),
+            }
         return observations, rewards.astype(np.float32), done, infos
-
-    def _ended(self, info: dict[str, Any], index: int) -> dict[str, Any]:
-        """Build the info of a robot whose episode has ended."""
-        final = info["final_info"]
-        return {
-            "terminal_observation": info["final_obs"][index],
-            "is_success": bool(final["is_success"][index]),
-            "episode": {
-                "r": float(final["episode_return"][index]),
-                "l": int(final["episode_length"][index]),
-                "t": time.monotonic() - self._started,
-            },
-            **{name: final[name][index] for name in final if name.startswith("drawn_")},
-            **({"world": int(final["world"][index])} if "world" in final else {}),
-        }
 
     def close(self) -> None:
         """Close the batch."""
@@ -132,7 +139,7 @@ class BatchVecEnv(VecEnv):
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """Return an attribute of the batch, repeated for each index."""
         holder = self._batch if hasattr(self._batch, attr_name) else self._batch.unwrapped
-        return [getattr(holder, attr_name)] * len(self._indices(indices))
+        return [getattr(holder, attr_name)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
         """Not supported: robots of a batch have no attributes of their own."""
@@ -146,14 +153,11 @@ class BatchVecEnv(VecEnv):
 
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
         """Return True for Monitor, whose episode statistics are included, and False for others."""
-        return [wrapper_class.__name__ == "Monitor"] * len(self._indices(indices))
+        return [wrapper_class.__name__ == "Monitor"] * len(list(self._get_indices(indices)))
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
         """Return None for every robot: a batch renders no pictures."""
         return [None] * self.num_envs
-
-    def _indices(self, indices: int | Iterable[int] | None) -> list[int]:
-        return list(self._get_indices(indices))
 
 
 def make_batch(env_id: str, num_envs: int, **options: Any) -> BatchVecEnv:
@@ -176,9 +180,119 @@ def make_batch(env_id: str, num_envs: int, **options: Any) -> BatchVecEnv:
     return BatchVecEnv(ids.make_vec(ids.find_id(env_id), num_envs, **options))
 
 
-_GOES_ON: dict[str, Any] = {}
-
-
 def label(model: BaseAlgorithm, bundle: Bundle) -> None:
     """Store in a model what it was trained for and how; `model.save` keeps this."""
     setattr(model, BUNDLE_KEY, bundle.as_json())
+
+
+class _Actor(torch.nn.Module):
+    """The deterministic actor of a policy: observation to mean action in [-1, 1]."""
+
+    def __init__(self, policy: BasePolicy) -> None:
+        super().__init__()
+        self.policy = policy
+        plain: Any = getattr(policy, "plain_actor", None)
+        self.plain: torch.nn.Module | None = None if plain is None else plain()
+        """Layers that do the same in less time, of a policy that has them (`MirrorPolicy`)."""
+
+    def forward(self, observation: torch.Tensor) -> torch.Tensor:
+        """Map observations (batch, n) to mean actions (batch, 2)."""
+        policy: Any = self.policy
+        if isinstance(policy, ActorCriticPolicy):
+            features: Any = policy.extract_features(observation, policy.pi_features_extractor)
+            if self.plain is not None:
+                mean = self.plain(features)
+            else:
+                mean = policy.action_net(policy.mlp_extractor.forward_actor(features))
+            return torch.tanh(mean) if policy.squash_output else mean
+        if hasattr(policy.actor, "get_action_dist_params"):  # SAC, TQC
+            return torch.tanh(policy.actor.get_action_dist_params(observation)[0])
+        action: torch.Tensor = policy.actor(observation)  # TD3's is deterministic
+        return action
+
+
+class _RecurrentActor(torch.nn.Module):
+    """The same for a policy of RecurrentPPO, whose state is that of the actor's LSTM."""
+
+    def __init__(self, policy: BasePolicy) -> None:
+        super().__init__()
+        self.policy = policy
+
+    def forward(
+        self, observation: torch.Tensor, hidden: torch.Tensor, cell: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Map an observation (1, n) and the states to the mean action (1, 2) and next states."""
+        policy: Any = self.policy
+        features = policy.extract_features(observation, policy.pi_features_extractor)
+        latent, (hidden, cell) = policy.lstm_actor(features.unsqueeze(0), (hidden, cell))
+        mean = policy.action_net(policy.mlp_extractor.forward_actor(latent.squeeze(0)))
+        return torch.tanh(mean) if policy.squash_output else mean, hidden, cell
+
+
+def recurrent_states(policy: BasePolicy) -> tuple[StateLayout, ...]:
+    """Describe the states of a policy of RecurrentPPO; none for others."""
+    lstm = getattr(policy, "lstm_actor", None)
+    if lstm is None:
+        return ()
+    shape = (lstm.num_layers, 1, lstm.hidden_size)
+    names = (("hidden", "next_hidden"), ("cell", "next_cell"))
+    return tuple(StateLayout(input=old, output=new, shape=shape) for old, new in names)
+
+
+def export_policy(
+    policy: BasePolicy, path: Path, bundle: Bundle, normalizer: torch.nn.Module | None = None
+) -> None:
+    """Write the deterministic actor of a model to one ONNX file.
+
+    The model is of PPO, A2C, SAC, TD3, DDPG, TQC or RecurrentPPO.
+
+    Args:
+        policy: the policy of the model.
+        path: file to write.
+        bundle: what it was trained for and how.
+        normalizer: module that is applied to observations (batch, n) first.
+
+    Raises:
+        PolicyError: the policy doesn't fit the env, or can't be exported.
+    """
+    from acsar_gym.tools.policies import export  # noqa: PLC0415 - optional: onnx
+
+    states = recurrent_states(policy)
+    actor = (_RecurrentActor if states else _Actor)(policy)
+    bundle = bundle.model_copy(update={"state": states})
+    export.write_network(actor, path, bundle, normalizer)
+
+
+def read_normalizer(path: Path, width: int) -> torch.nn.Module | None:
+    """Read the normalization of observations from a saved VecNormalize.
+
+    The file is a pickle: reading it can run any code in it.
+
+    Args:
+        path: the pickle file.
+        width: size of the observation.
+
+    Returns:
+        A module for observations (batch, width); None if the VecNormalize doesn't change
+        observations.
+
+    Raises:
+        PolicyError: the file can't be read, isn't a VecNormalize, or is for other observations.
+    """
+    from acsar_gym.tools.policies import export  # noqa: PLC0415 - optional: onnx
+
+    data = reading.read_file(path, MAX_STATISTICS_BYTES, PolicyError)
+    try:
+        saved: Any = pickle.loads(data)  # noqa: S301 - only with --trust
+    except Exception as error:  # noqa: BLE001 - whatever a pickle raises
+        raise PolicyError(f"{path}: not a VecNormalize: {format_error(error)}") from None
+    if not isinstance(saved, VecNormalize):
+        raise PolicyError(f"{path}: holds a {type(saved).__name__}, not a VecNormalize")
+    if not saved.norm_obs:
+        return None
+    rms: Any = saved.obs_rms
+    mean: Any = getattr(rms, "mean", None)
+    shape = np.shape(mean)
+    if shape != (width,):
+        raise PolicyError(f"{path}: for observations of shape {shape}, the model takes ({width},)")
+    return export.Normalizer(mean, np.sqrt(rms.var + saved.epsilon), saved.clip_obs)

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from acsar_gym import reading
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import AcsarError, MissingExtraError, PolicyError
+from acsar_gym.errors import MissingExtraError, PolicyError
 from acsar_gym.sensors import Sensor
 from acsar_gym.tasks import Observation, Task
 from acsar_gym.tasks.factory import task_name, task_spaces
 from acsar_gym.tools.policies.base import FilePolicy, format_error, resolve
-from acsar_gym.tools.policies.bundle import BUNDLE_KEY, Bundle, parse_bundle
+from acsar_gym.tools.policies.bundle import BUNDLE_KEY, parse_bundle
 
 if TYPE_CHECKING:
     from stable_baselines3.common.policies import BasePolicy
@@ -59,17 +59,19 @@ class ZipPolicy(FilePolicy):
                 "--trust if you made it or trust whoever did, or convert it once with "
                 f"'acsar-gym export {self.path} policy.onnx --trust'"
             )
+        content = reading.read_file(self.path, MAX_ZIP_BYTES, PolicyError)
         try:
-            content = reading.read_file(self.path, MAX_ZIP_BYTES, PolicyError)
-            _check_size(self.path, content)
-            data, self.network = _load(self.path, content)
-        except AcsarError:
+            data, self.network = _load_zip(content)
+            said = data.get(BUNDLE_KEY)
+            self.bundle = None if said is None else parse_bundle(str(said))
+        except MissingExtraError:
             raise
+        except PolicyError as error:
+            raise PolicyError(f"{self.path}: {error}") from None
         except Exception as error:  # noqa: BLE001 - whatever pickle and torch raise on such a file
             said = format_error(error)
             raise PolicyError(f"{self.path}: not a stable-baselines3 model: {said}") from None
         self.sha256 = hashlib.sha256(content).hexdigest()
-        self.bundle = _bundle(self.path, data)
         self.normalized = data.get("_last_original_obs") is not None
         """Whether it was trained with a VecNormalize; only then are both observations saved."""
         own = "" if self.bundle is None else self.bundle.env.id
@@ -95,15 +97,12 @@ class ZipPolicy(FilePolicy):
             PolicyError: the policy was made for other spaces than this env has.
         """
         super().check(task, sensors, policy_rate, config)
-        for space, wanted in zip(self._spaces, task_spaces(task, sensors), strict=True):
+        spaces = self.network.action_space, self.network.observation_space
+        for space, wanted in zip(spaces, task_spaces(task, sensors), strict=True):
             if space != wanted:
                 raise PolicyError(
                     f"{self.path}: made for {space}, but {task_name(task)} has {wanted}"
                 )
-
-    @property
-    def _spaces(self) -> tuple[Any, Any]:
-        return self.network.action_space, self.network.observation_space
 
     def reset(self) -> None:
         """Begin an episode: the state of a recurrent policy becomes zero."""
@@ -131,50 +130,29 @@ def statistics_beside(path: Path) -> Path | None:
     return next((f for p in patterns for f in sorted(path.parent.glob(p))), None)
 
 
-def _check_size(path: Path, content: bytes) -> None:
-    """Refuse a zip that unpacks to far more than it is; stable-baselines3 doesn't pack anything."""
+def _load_zip(content: bytes) -> tuple[dict[str, Any], BasePolicy]:
+    """Read a zip without constructing the algorithm; returns its data and the network."""
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         size = sum(entry.file_size for entry in archive.infolist())
-    if size > max(MAX_UNPACKED_BYTES, len(content)):
-        raise PolicyError(f"{path}: unpacks to {size / 1e6:,.0f} MB, too much for what it is")
-
-
-def _load(path: Path, content: bytes) -> tuple[dict[str, Any], BasePolicy]:
-    """Read a zip without constructing the algorithm; returns its data and the network."""
+    if size > max(MAX_UNPACKED_BYTES, len(content)):  # stable-baselines3 doesn't pack anything
+        raise PolicyError(f"unpacks to {size / 1e6:,.0f} MB, too much for what it is")
     try:
-        from stable_baselines3.common.save_util import load_from_zip_file  # noqa: PLC0415 - optional
+        from stable_baselines3.common.policies import ActorCriticPolicy  # noqa: PLC0415 - optional
+        from stable_baselines3.common.save_util import load_from_zip_file  # noqa: PLC0415
     except ImportError:
         raise MissingExtraError("loading a stable-baselines3 zip", "train") from None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about objects that can't be unpickled and aren't needed
         file = io.BytesIO(content)
-        data, weights, _ = load_from_zip_file(file, device="cpu", custom_objects=_UNUSED)
-    kept: dict[str, Any] = data or {}
-    network = _network(path, kept)
-    state: Any = weights["policy"]  # a dict of tensors
-    network.load_state_dict(state)
-    return kept, network
-
-
-def _bundle(path: Path, data: dict[str, Any]) -> Bundle | None:
-    """Return the bundle that `sb3.label` stored in a model; None if it has none."""
-    said = data.get(BUNDLE_KEY)
-    try:
-        return None if said is None else parse_bundle(str(said))
-    except PolicyError as error:
-        raise PolicyError(f"{path}: {error}") from None
-
-
-def _network(path: Path, data: dict[str, Any]) -> BasePolicy:
-    """Construct the network from the saved classes and arguments."""
-    from stable_baselines3.common.policies import ActorCriticPolicy  # noqa: PLC0415 - optional
-
+        found, weights, _ = load_from_zip_file(file, device="cpu", custom_objects=_UNUSED)
+    data: dict[str, Any] = found or {}
     kind, options = data["policy_class"], dict(data["policy_kwargs"])
     if not {base.__name__ for base in kind.__mro__} & POLICY_FAMILIES:
-        raise PolicyError(f"{path}: holds a {kind.__name__}, not one of {ZIP_ALGORITHMS}")
+        raise PolicyError(f"holds a {kind.__name__}, not one of {ZIP_ALGORITHMS}")
     if issubclass(kind, ActorCriticPolicy):
         options["use_sde"] = data["use_sde"]
-    network: BasePolicy = kind(
-        data["observation_space"], data["action_space"], lambda _: 0.0, **options
-    )
-    return network
+    spaces = data["observation_space"], data["action_space"]
+    network: BasePolicy = kind(*spaces, lambda _: 0.0, **options)
+    state: Any = weights["policy"]  # a dict of tensors
+    network.load_state_dict(state)
+    return data, network

@@ -1,4 +1,4 @@
-"""Callbacks for training with stable-baselines3: held-out scores, progress, and early end."""
+"""Callbacks of a training: held-out scores, checkpoints, progress, and early end."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import Any
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from stable_baselines3.common.callbacks import BaseCallback
 
-from acsar_gym.tools.training import held_out, models
-from acsar_gym.tools.training.checkpoints import StopRequest
+from acsar_gym.tools.training import checkpoints, held_out, models
+from acsar_gym.tools.training.checkpoints import StopRequest, TrainingState
 from acsar_gym.tools.training.held_out import HeldOutScore
 from acsar_gym.vector.env import RobotVectorEnv
 
@@ -39,7 +39,7 @@ class HeldOutEvaluation(BaseCallback):
     Attributes:
         score: the newest score; None before the first one.
         name: label of the success rate, for output.
-        rows: the learning curve; `history.COLUMNS` are its columns.
+        rows: the learning curve; `held_out.CURVE_COLUMNS` are its columns.
     """
 
     def __init__(
@@ -93,6 +93,54 @@ class HeldOutEvaluation(BaseCallback):
         if self._file is not None:
             held_out.write_curve(self._file, self.rows)
         return score
+
+
+class CheckpointWriter(BaseCallback):
+    """Writes a checkpoint between two rollouts, whenever some time has passed.
+
+    Args:
+        folder: where to.
+        batch: the robots that are trained on.
+        scores: has the learning curve.
+        seconds: time between two checkpoints [s].
+        state: what to restore before the first rollout; None for nothing.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        batch: RobotVectorEnv,
+        scores: HeldOutEvaluation,
+        seconds: float,
+        state: TrainingState | None = None,
+    ) -> None:
+        super().__init__()
+        self._folder, self._batch, self._scores = folder, batch, scores
+        self._seconds, self._state = seconds, state
+        self._due = self._written = 0.0
+
+    def _on_training_start(self) -> None:
+        if self._state is not None:
+            checkpoints.restore_state(self._state, self.model, self._batch)
+        self._state = None
+        self._due = time.monotonic() + self._seconds
+        self._written = self.model.num_timesteps
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_start(self) -> None:
+        if time.monotonic() >= self._due:
+            self.write_checkpoint()
+            self._due = time.monotonic() + self._seconds
+
+    def write_checkpoint(self) -> None:
+        """Write a checkpoint, unless there is one of so many steps; only between two rollouts."""
+        if self.model.num_timesteps > self._written:
+            scores = self._scores
+            state = checkpoints.take_state(self.model, self._batch, scores.clock(), scores.rows)
+            checkpoints.write_checkpoint(self._folder, self.model.save, state)
+            self._written = self.model.num_timesteps
 
 
 class WholeCohorts(BaseCallback):

@@ -1,38 +1,57 @@
-"""Checkpoints: a model's zip that also holds the state of everything else in a training.
+"""What makes a training survive its end: checkpoints, signals, and full disks.
 
-A checkpoint is a zip of stable-baselines3 with these entries more:
+A checkpoint is a zip of stable-baselines3 that also holds the state of everything else, so that a
+training goes on as if nothing had happened:
 
 | entry | content |
 |---|---|
-| `acsar_gym/state.json` | the rest of `State` |
+| `acsar_gym/state.json` | the rest of `TrainingState` |
 | `acsar_gym/NAME.npy` | one array |
 """
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import json
+import os
+import random
 import re
 import signal
 import threading
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import FrameType, TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym import reading
-from acsar_gym.errors import ConfigError
+from acsar_gym.errors import AcsarError, ConfigError
+from acsar_gym.vector import env as vector
+from acsar_gym.vector.env import RobotVectorEnv
 
+if TYPE_CHECKING:
+    from stable_baselines3.common.base_class import BaseAlgorithm
+
+CHECKPOINTS_FOLDER = "checkpoints"
+"""In the folder of a training."""
 STATE_FOLDER = "acsar_gym/"
 STATE_FILE = f"{STATE_FOLDER}state.json"
 KEPT_CHECKPOINTS = 2
 """How many checkpoints are kept."""
 _NAME = re.compile(r"rl_model_(\d+)_steps\.zip")
 """Named as RL Zoo does."""
+REPLAY_ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+"""Arrays of a replay buffer; those of its next observations may be empty."""
+DISK_ERRNOS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS}
+"""Errors of a disk that takes no more."""
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+Arrays = dict[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)
@@ -44,11 +63,96 @@ class TrainingState:
     seconds: float
     """Time so far [s]."""
     history: list[dict[str, float]]
-    """The learning curve so far; see `history`."""
+    """The learning curve so far; see `held_out`."""
     random: dict[str, Any]
     """States of the generators that aren't arrays."""
-    arrays: dict[str, NDArray[Any]]
+    arrays: Arrays
     """The batch, generators, and what else the algorithm has."""
+
+    @property
+    def exact(self) -> bool:
+        """Whether the robots go on in mid-episode, too."""
+        return bool(select_arrays(self.arrays, "batch"))
+
+
+def take_state(
+    model: BaseAlgorithm, batch: RobotVectorEnv, seconds: float, history: list[dict[str, float]]
+) -> TrainingState:
+    """Copy the state of a training; its model isn't part of it. Imports torch.
+
+    Args:
+        model: the model, between two rollouts.
+        batch: the robots that it trains on.
+        seconds: time so far [s].
+        history: the learning curve so far.
+    """
+    import torch  # noqa: PLC0415 - takes seconds
+
+    arrays: Arrays = {"torch": torch.get_rng_state().numpy()}
+    if torch.cuda.is_available():
+        arrays["cuda"] = torch.cuda.get_rng_state().numpy()
+    kind, keys, *rest = np.random.get_state(legacy=True)  # noqa: NPY002 - stable-baselines3 uses it
+    arrays["numpy"] = np.asarray(keys)
+    arrays |= {f"batch/{name}": one for name, one in (vector.copy_state(batch) or {}).items()}
+    recurrent: Any = getattr(model, "_last_lstm_states", None)
+    for name, pair in zip(("pi", "vf"), recurrent or (), strict=False):
+        arrays |= {f"lstm/{name}{i}": pair[i].cpu().numpy() for i in (0, 1)}
+    buffer: Any = getattr(model, "replay_buffer", None)
+    if buffer is not None:
+        filled = buffer.buffer_size if buffer.full else buffer.pos
+        for name in REPLAY_ARRAYS:
+            if getattr(buffer, name, None) is not None:
+                arrays[f"replay/{name}"] = getattr(buffer, name)[:filled]
+        arrays["replay/place"] = np.array([buffer.pos, buffer.full])
+    generators = {
+        "numpy": [kind, *rest],
+        "python": random.getstate(),
+        "space": model.action_space.np_random.bit_generator.state,
+    }
+    return TrainingState(model.num_timesteps, seconds, list(history), generators, arrays)
+
+
+def restore_state(state: TrainingState, model: BaseAlgorithm, batch: RobotVectorEnv) -> None:
+    """Restore all but the model itself, right before the next rollout. Imports torch.
+
+    Args:
+        state: what `take_state` has returned.
+        model: the model of the same checkpoint.
+        batch: like the one that it was trained on.
+
+    Raises:
+        ConfigError: the state is of another training.
+    """
+    import torch  # noqa: PLC0415 - takes seconds
+
+    arrays, generators = state.arrays, state.random
+    trained: Any = model
+    try:
+        if state.exact:
+            vector.restore_state(batch, select_arrays(arrays, "batch"))
+        recurrent = {
+            name: torch.from_numpy(one).to(model.device)
+            for name, one in select_arrays(arrays, "lstm").items()
+        }
+        if recurrent:
+            pairs = ((recurrent[f"{name}0"], recurrent[f"{name}1"]) for name in ("pi", "vf"))
+            trained._last_lstm_states = type(trained._last_lstm_states)(*pairs)  # noqa: SLF001
+        replay = select_arrays(arrays, "replay")
+        if replay:
+            buffer, place = trained.replay_buffer, replay.pop("place")
+            for name, array in replay.items():
+                getattr(buffer, name)[: len(array)] = array
+            buffer.pos, buffer.full = int(place[0]), bool(place[1])
+        kind, *rest = generators["numpy"]
+        np.random.set_state((kind, arrays["numpy"], *rest))  # noqa: NPY002
+        version, keys, gauss = generators["python"]
+        random.setstate((version, tuple(keys), gauss))
+        model.action_space.np_random.bit_generator.state = generators["space"]
+        torch.set_rng_state(torch.from_numpy(arrays["torch"]))
+        if "cuda" in arrays and torch.cuda.is_available():
+            torch.cuda.set_rng_state(torch.from_numpy(arrays["cuda"]))
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        raise ConfigError(f"the checkpoint is of another training: {error}") from None
 
 
 def write_checkpoint(folder: Path, save: Callable[[Path], object], state: TrainingState) -> Path:
@@ -64,22 +168,17 @@ def write_checkpoint(folder: Path, save: Callable[[Path], object], state: Traini
     """
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"rl_model_{state.steps}_steps.zip"
+    facts = asdict(state)
     with reading.replace_file(path) as new:
         save(new)
         with zipfile.ZipFile(new, "a") as archive:
-            _append(archive, state)
+            for name, array in facts.pop("arrays").items():
+                with archive.open(f"{STATE_FOLDER}{name}.npy", "w", force_zip64=True) as file:
+                    np.lib.format.write_array(file, np.ascontiguousarray(array), allow_pickle=False)
+            archive.writestr(STATE_FILE, json.dumps(facts))
     for old in find_checkpoints(folder)[:-KEPT_CHECKPOINTS]:
         old.unlink(missing_ok=True)
     return path
-
-
-def _append(archive: zipfile.ZipFile, state: TrainingState) -> None:
-    """Add the state to a zip."""
-    facts = asdict(state)
-    for name, array in facts.pop("arrays").items():
-        with archive.open(f"{STATE_FOLDER}{name}.npy", "w", force_zip64=True) as file:
-            np.lib.format.write_array(file, np.ascontiguousarray(array), allow_pickle=False)
-    archive.writestr(STATE_FILE, json.dumps(facts))
 
 
 def find_checkpoints(folder: Path) -> list[Path]:
@@ -94,35 +193,45 @@ def read_state(path: Path) -> TrainingState:
     Raises:
         ConfigError: it can't be read, or has no state.
     """
+    arrays: Arrays = {}
     try:
         with zipfile.ZipFile(path) as archive:
             facts = json.loads(archive.read(STATE_FILE))
-            return TrainingState(**facts, arrays=_arrays(archive))
+            for entry in archive.namelist():
+                if entry.startswith(STATE_FOLDER) and entry.endswith(".npy"):
+                    name = entry.removeprefix(STATE_FOLDER).removesuffix(".npy")
+                    with archive.open(entry) as file:
+                        arrays[name] = np.lib.format.read_array(file, allow_pickle=False)
+            return TrainingState(**facts, arrays=arrays)
     except (OSError, KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
         said = f"{type(error).__name__}: {' '.join(str(error).split())}"
         raise ConfigError(f"{path}: not a whole checkpoint of 'acsar-gym train': {said}") from None
 
 
-def _arrays(archive: zipfile.ZipFile) -> dict[str, NDArray[Any]]:
-    """Read all arrays of a checkpoint."""
-    arrays = {}
-    for entry in archive.namelist():
-        if entry.startswith(STATE_FOLDER) and entry.endswith(".npy"):
-            with archive.open(entry) as file:
-                name = entry.removeprefix(STATE_FOLDER).removesuffix(".npy")
-                arrays[name] = np.lib.format.read_array(file, allow_pickle=False)
-    return arrays
-
-
-def select_arrays(arrays: Mapping[str, NDArray[Any]], prefix: str) -> dict[str, NDArray[Any]]:
+def select_arrays(arrays: Mapping[str, NDArray[Any]], prefix: str) -> Arrays:
     """Return the arrays whose name begins with "PREFIX/", without it."""
     start = f"{prefix}/"
     return {n.removeprefix(start): array for n, array in arrays.items() if n.startswith(start)}
 
 
-# Handles Ctrl-C and SIGTERM during training, so that the model is saved first.
+@contextlib.contextmanager
+def explain_disk_errors(out: Path) -> Iterator[None]:
+    """Turn the errors of a full or broken disk into one line that says what there is.
 
-STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+    Raises:
+        AcsarError: nothing more could be written into the folder.
+    """
+    try:
+        yield
+    except (OSError, AcsarError) as error:
+        full = error if isinstance(error, OSError) else error.__context__  # of the policy's file
+        if not isinstance(full, OSError) or full.errno not in DISK_ERRNOS:
+            raise
+        found = find_checkpoints(out / CHECKPOINTS_FOLDER)
+        kept = f"{found[-1]} is whole" if found else "there is no checkpoint yet"
+        go_on = f", then go on with --resume {out} --trust" if found else ""
+        said = f"{os.strerror(full.errno)}; {kept}: make room{go_on}"
+        raise AcsarError(f"--out {out}: can't be written: {said}") from None
 
 
 class StopRequest:
@@ -144,7 +253,7 @@ class StopRequest:
         if threading.current_thread() is threading.main_thread():
             for each in STOP_SIGNALS:
                 if signal.getsignal(each) is not signal.SIG_IGN:
-                    self._before[each] = signal.signal(each, self._note)
+                    self._before[each] = signal.signal(each, self._handle_signal)
         return self
 
     def __exit__(
@@ -165,8 +274,8 @@ class StopRequest:
         """Exit code for shells: 128 plus the signal number, or 0 without a signal."""
         return 0 if self.number is None else 128 + self.number
 
-    def _note(self, number: int, frame: FrameType | None) -> None:
-        """Handle a signal: record the first one after defer(), end the program otherwise."""
+    def _handle_signal(self, number: int, frame: FrameType | None) -> None:
+        """Record the first signal after defer(), end the program otherwise."""
         first, self.number = self.number is None, number
         if self._deferred and first:
             return

@@ -1,7 +1,4 @@
-"""Evaluates a policy during training, in worlds and with seeds that aren't trained on.
-
-And keeps its learning curve.
-"""
+"""The held-out score of a policy that is being trained, and the learning curve of these scores."""
 
 from __future__ import annotations
 
@@ -25,7 +22,11 @@ TARGET_ROBOTS = 512
 """Robots in an evaluation that decides whether a target is reached."""
 FIRST_HELD_OUT_SEED = 2**32
 """First seed of held-out episodes; seeds of a training are smaller."""
-
+CURVE_COLUMNS = ("steps", "seconds", "success_rate", "collision_rate", "mean_return", "mean_length")
+"""`seconds` since the beginning of the training, all others of the held-out episodes."""
+Rows = list[dict[str, float]]
+_SHOWN = {"success_rate": "success", "mean_return": "return", "collision_rate": "collisions"}
+_AXES = {"steps": "env steps", "seconds": "time [s]"}
 Decide = Callable[[NDArray[np.float32]], NDArray[Any]]
 """Maps observations (n, m) to actions (n, 2); one that has a state begins at its first call."""
 
@@ -80,7 +81,8 @@ def evaluate_held_out(batch: RobotVectorEnv, decide: Decide) -> HeldOutScore:
 
 def success_label(batch: RobotVectorEnv) -> str:
     """Return the label of a success rate measured with this batch."""
-    if _others(batch):
+    pool = batch.pool  # None: other goals on the open floor
+    if pool is None or pool.generated:
         return "held-out success"
     return "success in the same worlds, other seeds"
 
@@ -92,19 +94,11 @@ def describe_worlds(learning: RobotVectorEnv, batch: RobotVectorEnv) -> str:
         learning: robots of the training.
         batch: robots of the evaluation.
     """
-    pools = [one.pool for one in (learning, batch)]
-    if pools[0] is None:
-        return "training on an open floor, held out: other seeds"
-    apart = (
-        f"held out: {pools[1]}" if _others(batch) else "evaluated in the same worlds, other seeds"
-    )
-    return f"training in {pools[0]}, {apart}"
-
-
-def _others(batch: RobotVectorEnv) -> bool:
-    """Return whether the evaluation has other worlds, or other goals on the open floor."""
     pool = batch.pool
-    return pool is None or pool.generated
+    if pool is None:
+        return "training on an open floor, held out: other seeds"
+    apart = f"held out: {pool}" if pool.generated else "evaluated in the same worlds, other seeds"
+    return f"training in {learning.pool}, {apart}"
 
 
 def choose_held_out_worlds(pool: Pool | None, robots: int = HELD_OUT_ROBOTS) -> str | None:
@@ -125,13 +119,6 @@ def choose_held_out_worlds(pool: Pool | None, robots: int = HELD_OUT_ROBOTS) -> 
     apart = pool.numbers[0] > own[-1] or pool.numbers[-1] < own[0]
     first = own[0] if apart else pool.numbers[-1] + 1
     return f"{pool.kind}:{first}-{first + robots - 1}"
-
-
-CURVE_COLUMNS = ("steps", "seconds", "success_rate", "collision_rate", "mean_return", "mean_length")
-"""`seconds` since the beginning of the training, all others of the held-out episodes."""
-Rows = list[dict[str, float]]
-_SHOWN = {"success_rate": "success", "mean_return": "return", "collision_rate": "collisions"}
-_AXES = {"steps": "env steps", "seconds": "time [s]"}
 
 
 def write_curve(path: Path, rows: Rows) -> None:

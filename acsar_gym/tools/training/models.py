@@ -18,43 +18,6 @@ from acsar_gym.tools.training.held_out import Decide
 from acsar_gym.tools.training.plan import TrainingPlan
 from acsar_gym.vector.env import RobotVectorEnv
 
-
-def make_decider(model: BaseAlgorithm) -> Decide:
-    """Return a function from observations (n, m) to deterministic actions (n, 2).
-
-    A recurrent policy's state begins at the first call, and is kept for all robots from then on.
-
-    Args:
-        model: of any algorithm that `train` knows.
-    """
-    policy: Any = model.policy
-    if hasattr(policy, "lstm_actor"):
-        return _Recurrent(model)
-    device = policy.device
-
-    def decide(seen: NDArray[np.float32]) -> NDArray[np.float32]:
-        """As the policy's `predict`, in half the time."""
-        with torch.no_grad():
-            action = policy._predict(torch.from_numpy(seen).to(device), deterministic=True)  # noqa: SLF001
-        clipped: NDArray[np.float32] = np.clip(action.cpu().numpy(), -1.0, 1.0)
-        return clipped
-
-    return decide
-
-
-class _Recurrent:
-    """Decides with the state that the policy has returned with its last decision."""
-
-    def __init__(self, model: BaseAlgorithm) -> None:
-        self._model, self._state = model, None
-
-    def __call__(self, seen: NDArray[np.float32]) -> NDArray[np.float32]:
-        begun = np.full(len(seen), self._state is None)
-        action, state = self._model.predict(seen, self._state, begun, deterministic=True)
-        self._state = state  # type: ignore[assignment]
-        return np.asarray(action, np.float32)
-
-
 MAX_TORCH_THREADS = 2
 """Default limit of torch's threads; more don't help with networks this small."""
 
@@ -84,14 +47,22 @@ def make_model(plan: TrainingPlan, env: RobotVectorEnv) -> BaseAlgorithm:
         ConfigError: a hyperparameter can't be used; the message names the file.
     """
     recipe = plan.recipe
-    arguments = recipe.built()
+    arguments = recipe.build_arguments()
     steps, size = (arguments.get(name) for name in ("n_steps", "batch_size"))
     if isinstance(steps, int) and isinstance(size, int):
         arguments["batch_size"] = min(size, steps * env.num_envs)
-    _tell_robot(arguments.get("policy_kwargs") or {}, arguments["policy"], plan)
-    given: dict[str, Any] = {"stats_window_size": env.num_envs} | arguments | _always(plan)
+    if plan.options.robot:  # also for the policy and features extractor that take it
+        policy_kwargs = arguments.get("policy_kwargs") or {}
+        if _takes_robot(arguments["policy"]):
+            policy_kwargs.setdefault("robot", plan.robot)
+        if _takes_robot(policy_kwargs.get("features_extractor_class")):
+            own = policy_kwargs.get("features_extractor_kwargs") or {}
+            policy_kwargs["features_extractor_kwargs"] = {"robot": plan.robot} | own
+    given: dict[str, Any] = (
+        {"stats_window_size": env.num_envs} | arguments | _common_arguments(plan)
+    )
     try:
-        return plan.algorithm.load()(env=recipe.wrapped(sb3.BatchVecEnv(env)), **given)
+        return plan.algorithm.load()(env=recipe.wrap_batch(sb3.BatchVecEnv(env)), **given)
     except AcsarError:
         raise
     except Exception as error:  # noqa: BLE001 - whatever a constructor makes of bad values
@@ -120,19 +91,10 @@ def load_model(
             f"{saved.path}: is of {is_of}, but with --algo {wanted.name} only "
             f"{wanted.kind}'s models can be trained on"
         )
-    batch = plan.recipe.wrapped(sb3.BatchVecEnv(env))
-    return plan.algorithm.load().load(saved.path, batch, force_reset=not go_on, **_always(plan))
-
-
-def _tell_robot(policy_kwargs: dict[str, Any], policy: Any, plan: TrainingPlan) -> None:
-    """Give the robot to a policy or features extractor that takes one: those of `networks`."""
-    if not plan.options.robot:
-        return
-    if _takes_robot(policy):
-        policy_kwargs.setdefault("robot", plan.robot)
-    if _takes_robot(policy_kwargs.get("features_extractor_class")):
-        own = policy_kwargs.get("features_extractor_kwargs") or {}
-        policy_kwargs["features_extractor_kwargs"] = {"robot": plan.robot} | own
+    batch = plan.recipe.wrap_batch(sb3.BatchVecEnv(env))
+    return plan.algorithm.load().load(
+        saved.path, batch, force_reset=not go_on, **_common_arguments(plan)
+    )
 
 
 def _takes_robot(kind: Any) -> bool:
@@ -140,7 +102,34 @@ def _takes_robot(kind: Any) -> bool:
     return isinstance(kind, type) and "robot" in signature(kind).parameters
 
 
-def _always(plan: TrainingPlan) -> dict[str, Any]:
+def _common_arguments(plan: TrainingPlan) -> dict[str, Any]:
     """Return the arguments of a model that don't come from recipes."""
     logs = str(plan.out / "tensorboard")
     return {"device": plan.options.device, "seed": plan.options.seed, "tensorboard_log": logs}
+
+
+def make_decider(model: BaseAlgorithm) -> Decide:
+    """Return a function from observations (n, m) to deterministic actions (n, 2).
+
+    A recurrent policy's state begins at the first call, and is kept for all robots from then on.
+
+    Args:
+        model: of any algorithm that `train` knows.
+    """
+    policy: Any = model.policy
+    device, state = policy.device, None
+
+    def decide(seen: NDArray[np.float32]) -> NDArray[np.float32]:
+        """As the policy's `predict`, in half the time."""
+        with torch.no_grad():
+            action = policy._predict(torch.from_numpy(seen).to(device), deterministic=True)  # noqa: SLF001
+        clipped: NDArray[np.float32] = np.clip(action.cpu().numpy(), -1.0, 1.0)
+        return clipped
+
+    def decide_with_state(seen: NDArray[np.float32]) -> NDArray[np.float32]:
+        nonlocal state
+        begun = np.full(len(seen), state is None)
+        action, state = policy.predict(seen, state, begun, deterministic=True)
+        return np.asarray(action, np.float32)
+
+    return decide_with_state if hasattr(policy, "lstm_actor") else decide

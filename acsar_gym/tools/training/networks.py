@@ -1,6 +1,10 @@
-"""Networks for policies that see a LiDAR.
+"""Networks for policies that see a LiDAR. Imports torch.
 
-Clearances as features, and the mirror symmetry of the robot. Imports torch.
+The classes are named in a recipe's `policy_kwargs`, for `acsar-gym train` and for RL Zoo. They are
+made of plain torch modules, so that a policy's ONNX file contains them. Features are the clearances
+of rays and along arcs. A ray that ends at some range stops each arc at a place that depends on
+nothing else, so it is looked up in a table. `MirrorPolicy` knows that the robot is symmetric left
+to right: such a network has half as much to learn.
 """
 
 from __future__ import annotations
@@ -76,39 +80,26 @@ def _table(outline: Outline, rays: RaySpec, x: float, y: float) -> Floats:
     radius, angles = footprint.outline_radius(outline), rays.angles()
     ranges = (np.arange(TABLE_CELLS) + 0.5) * CELL_LENGTH * radius
     points = np.stack((np.outer(np.cos(angles), ranges) + x, np.outer(np.sin(angles), ranges) + y))
-    table = np.stack([_free(outline, points, arc, radius) for arc in ARCS], axis=-1)
+    table = np.ones((*points.shape[1:], len(ARCS)))
+    for number, (direction, curvature) in enumerate(ARCS):
+        # from the end: the first touch wins
+        for share in np.linspace(1.0, 0.0, ARC_POSES, endpoint=False):
+            way = share * ARC_LENGTH[direction]
+            heading = curvature * way
+            if direction == TURN:
+                px, py = 0.0, 0.0
+            elif curvature == 0.0:
+                px, py = direction * way * radius, 0.0
+            else:
+                px = radius * math.sin(heading) / curvature
+                py = radius * (1.0 - math.cos(heading)) / curvature
+            cos, sin = math.cos(heading), math.sin(heading)
+            dx, dy = points[0] - px, points[1] - py
+            x_there, y_there = cos * dx + sin * dy, cos * dy - sin * dx
+            touched = _within(outline, x_there, y_there, TOUCH_MARGIN * radius)
+            table[touched, number] = share - 1.0 / ARC_POSES
     table[:, -1] = 1.0
     return table
-
-
-def _free(outline: Outline, points: Floats, arc: Arc, radius: float) -> Floats:
-    """The share of an arc that is free of each of the points (2, rays, cells)."""
-    free = np.ones(points.shape[1:])
-    for share in np.linspace(
-        1.0, 0.0, ARC_POSES, endpoint=False
-    ):  # from the end: the first touch wins
-        px, py, heading = _pose(arc, share, radius)
-        cos, sin = math.cos(heading), math.sin(heading)
-        dx, dy = points[0] - px, points[1] - py
-        touched = _within(outline, cos * dx + sin * dy, cos * dy - sin * dx, TOUCH_MARGIN * radius)
-        free[touched] = share - 1.0 / ARC_POSES
-    return free
-
-
-def _pose(arc: Arc, share: float, radius: float) -> tuple[float, float, float]:
-    """Pose (x [m], y [m], heading [rad]) after a share of an arc."""
-    direction, curvature = arc
-    way = share * ARC_LENGTH[direction]
-    if direction == TURN:
-        return 0.0, 0.0, math.copysign(way, curvature)
-    if curvature == 0.0:
-        return direction * way * radius, 0.0, 0.0
-    angle = curvature * way
-    return (
-        radius * math.sin(angle) / curvature,
-        radius * (1.0 - math.cos(angle)) / curvature,
-        angle,
-    )
 
 
 def _within(outline: Outline, x: Floats, y: Floats, margin: float) -> NDArray[np.bool_]:
@@ -240,10 +231,16 @@ class _Split(torch.nn.Module):
 
     def __init__(self, image: torch.Tensor) -> None:
         super().__init__()
-        kept = [_rows(torch.eye(len(image)) + sign * image) for sign in (1.0, -1.0)]
-        self.even, self.odd = (len(rows) for rows in kept)
+        kept: dict[float, list[torch.Tensor]] = {1.0: [], -1.0: []}
+        for parity, rows in kept.items():
+            for row in torch.eye(len(image)) + parity * image:
+                known = any(torch.equal(row, sign * one) for one in rows for sign in kept)
+                if bool(row.any()) and not known:
+                    rows.append(row)
+        self.even, self.odd = (len(rows) for rows in kept.values())
         self.basis: torch.Tensor
-        self.register_buffer("basis", torch.cat(kept).T.contiguous() / 2.0)
+        basis = torch.stack([*kept[1.0], *kept[-1.0]]).T.contiguous() / 2.0
+        self.register_buffer("basis", basis)
 
     @property
     def parts(self) -> Parts:
@@ -253,16 +250,6 @@ class _Split(torch.nn.Module):
     def forward(self, features: torch.Tensor) -> Parts:
         parts = features @ self.basis
         return parts[:, : self.even], parts[:, self.even :]
-
-
-def _rows(matrix: torch.Tensor) -> torch.Tensor:
-    """Rows that aren't zero, nor an earlier row or its negative."""
-    kept: list[torch.Tensor] = []
-    for row in matrix:
-        known = any(torch.equal(row, sign * one) for one in kept for sign in (1.0, -1.0))
-        if bool(row.any()) and not known:
-            kept.append(row)
-    return torch.stack(kept)
 
 
 class _Layers(torch.nn.Module):

@@ -2,21 +2,32 @@
 
 from __future__ import annotations
 
+import hashlib
+import os
+import threading
+import time
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import gymnasium
 import tyro
+from pydantic import Field, model_validator
 
 from acsar_gym.config import RobotConfig
+from acsar_gym.config.section import Section
 from acsar_gym.envs import ids
-from acsar_gym.errors import ConfigError, MissingExtraError, show_value, suggest_name
+from acsar_gym.errors import ConfigError, MissingExtraError, suggest_name
 from acsar_gym.physics import Randomization, randomization
-from acsar_gym.tools.training import held_out, recipes, threads
+from acsar_gym.tools.training import held_out, recipes
 from acsar_gym.tools.training.recipes import Algorithm, Recipe, find_algorithm
-from acsar_gym.vector.env import ROBOTS_PER_THREAD, RobotVectorEnv
+from acsar_gym.vector.env import (
+    ROBOTS_PER_THREAD,
+    RobotVectorEnv,
+    check_threads,
+    usable_cores,
+)
 
 MAX_STEPS = 10**10
 MAX_ROBOTS = 16_384
@@ -24,12 +35,23 @@ MAX_ROBOTS = 16_384
 MAX_LAYER_WIDTH = 4096
 """Largest width of a layer."""
 TORCH_DEVICES = ("cpu", "cuda")
+RANDOMIZATION_KEY = "randomization"
+"""Argument of an env that only the robots of the training get."""
+MAX_EVALUATIONS = 16
+MIN_STEPS_BETWEEN = 100_000
+"""Least env steps between two held-out evaluations, which take up to 5 % of the time."""
+TARGET_EVALUATIONS = 3
+"""How many times more often is evaluated to end at a target."""
+PROBE_TIME = 0.25
+"""Duration of the measurement of free cores [s]."""
+_BLOCK = bytes(1 << 18)
+"""Data that a measuring thread hashes in one call, which takes 0.2 ms without the GIL."""
 
 
-@dataclass(frozen=True)
-class TrainingOptions:
+class TrainingOptions(Section):
     """Train a policy on one of the environments and export it as one ONNX file."""
 
+    section = "train"
     env: Annotated[str, tyro.conf.arg(metavar="NAME|ID")] = "point_goal"
     """point_goal, path_follow, obstacle_goal, barn, or an id as in mine.module:mine/Task-v0."""
     algo: Annotated[str, tyro.conf.arg(metavar="ppo|sac|tqc|ppo_lstm")] = "ppo"
@@ -40,15 +62,15 @@ class TrainingOptions:
     modules: tuple[str, ...] = ()
     """Modules of your own whose classes the recipe names, such as mine.networks; they are imported,
     which a recipe alone can't do. The module of --env is one of them."""
-    steps: int | None = None
+    steps: Annotated[int, Field(ge=1, le=MAX_STEPS)] | None = None
     """Env steps to train, at most 10 billion; default: the recipe's."""
-    target: float | None = None
+    target: Annotated[float, Field(ge=0, le=1)] | None = None
     """End once this share of 512 held-out episodes succeeds, such as 0.97; default: never."""
     out: Path | None = None
     """Folder for the policy, checkpoints and logs; default: runs/ENV."""
-    robots: int | None = None
+    robots: Annotated[int, Field(ge=1, le=MAX_ROBOTS)] | None = None
     """Robots stepped together, at most 16,384; default: the recipe's."""
-    seed: int = 0
+    seed: Annotated[int, Field(ge=0, lt=held_out.FIRST_HELD_OUT_SEED)] = 0
     """Seed of everything random, 0 to 2^32 - 1."""
     seeds: Annotated[str | None, tyro.conf.arg(metavar="0-4|1,5,9")] = None
     """Train these seeds instead of one, each in a folder of its own, and compare them."""
@@ -67,15 +89,15 @@ class TrainingOptions:
     randomize: bool = True
     """Randomize the robots' physics, within what was measured (`measured` in the robot's file) and
     default widths for the rest."""
-    gamma: float | None = None
+    gamma: Annotated[float, Field(ge=0, le=1)] | None = None
     """Discount factor, 0 to 1; default: the recipe's."""
-    learning_rate: float | None = None
+    learning_rate: Annotated[float, Field(ge=0, le=1)] | None = None
     """Learning rate of Adam, up to 1; default: the recipe's."""
-    net: tuple[int, ...] | None = None
+    net: tuple[Annotated[int, Field(ge=1, le=MAX_LAYER_WIDTH)], ...] | None = None
     """Widths of the hidden layers, such as 64 64; default: the recipe's."""
     progress: bool = True
     """Show a progress bar."""
-    checkpoint_seconds: float = 60.0
+    checkpoint_seconds: Annotated[float, Field(ge=0, le=86_400)] = 60.0
     """Time between two checkpoints [s]."""
     resume: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER|model.zip")] = None
     """Folder of a training that was killed, to go on where its newest checkpoint is; or a model.zip
@@ -83,50 +105,31 @@ class TrainingOptions:
     trust: bool = False
     """Allow the zips of --resume to run code in them: only for zips from people you trust."""
 
-    def check(self) -> None:
-        """Check all options before the training starts.
-
-        Raises:
-            ConfigError: a number is out of its range, or a name is unknown.
-            MissingExtraError: a library that training needs isn't installed.
-        """
-        ranges = (
-            ("steps", self.steps, 1, MAX_STEPS),
-            ("robots", self.robots, 1, MAX_ROBOTS),
-            ("seed", self.seed, 0, held_out.FIRST_HELD_OUT_SEED - 1),
-            ("gamma", self.gamma, 0, 1),
-            ("learning-rate", self.learning_rate, 0, 1),
-            ("target", self.target, 0, 1),
-            ("checkpoint-seconds", self.checkpoint_seconds, 0, 86_400),
-            *(("net", width, 1, MAX_LAYER_WIDTH) for width in self.net or ()),
-        )
-        for name, value, least, most in ranges:
-            number = isinstance(value, int | float)  # config.yml may have been edited
-            if value is not None and not (number and least <= value <= most):
-                raise ConfigError(f"--{name} {show_value(value)}: must be {least:,} to {most:,}")
+    @model_validator(mode="after")
+    def _check_names(self) -> Self:
+        """Check the algorithm and the device, and what only several seeds have."""
         find_algorithm(self.algo)
+        if self.device not in TORCH_DEVICES:
+            near = suggest_name(self.device, TORCH_DEVICES)
+            raise ConfigError(f"--device {self.device}: unknown{near}")
         if self.seeds is None and (self.workers, self.address) != (None, None):
             raise ConfigError("--workers and --address: train several seeds: give --seeds, too")
-        if self.device not in TORCH_DEVICES:
-            raise ConfigError(
-                f"--device {self.device}: unknown{suggest_name(self.device, TORCH_DEVICES)}"
-            )
-        for module in ("torch", "stable_baselines3", "tensorboard", "onnx", "onnxscript"):
-            try:
-                missing = find_spec(module) is None
-            except ImportError:
-                missing = True
-            if missing:
-                raise MissingExtraError("training", "train")
+        return self
 
 
-RANDOMIZATION_KEY = "randomization"
-"""Argument of an env that only the robots of the training get."""
-MAX_EVALUATIONS = 16
-MIN_STEPS_BETWEEN = 100_000
-"""Least env steps between two held-out evaluations, which take up to 5 % of the time."""
-TARGET_EVALUATIONS = 3
-"""How many times more often is evaluated to end at a target."""
+def require_training() -> None:
+    """Check that what training needs is installed.
+
+    Raises:
+        MissingExtraError: a library is missing.
+    """
+    for module in ("torch", "stable_baselines3", "tensorboard", "onnx", "onnxscript"):
+        try:
+            missing = find_spec(module) is None
+        except ImportError:
+            missing = True
+        if missing:
+            raise MissingExtraError("training", "train")
 
 
 @dataclass(frozen=True)
@@ -161,11 +164,16 @@ class TrainingPlan:
             raise ConfigError(f"env {options.env}: has no max_episode_steps, training needs one")
         if options.worlds is not None and own == "acsar_gym/PointGoal-v0":
             raise ConfigError("--worlds: point_goal has none")
-        count = threads.choose_threads(options.threads)
-        robot = RobotConfig.of(options.robot)
-        out, kind = _folder(options, own), find_algorithm(options.algo)
+        count = choose_threads(options.threads)
+        robot, kind = RobotConfig.of(options.robot), find_algorithm(options.algo)
+        short = options.env if "/" not in options.env else own.rpartition("/")[2]
+        out = options.out or Path("runs") / short
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(f"--out {out}: can't be written: {error.strerror}") from None
         modules = [*options.modules, *filter(None, [env_id.rpartition(":")[0]])]
-        recipe = recipes.read_recipe(kind, own, options.conf_file, modules).with_(
+        recipe = recipes.read_recipe(kind, own, options.conf_file, modules).with_changes(
             steps=options.steps,
             robots=options.robots,
             gamma=options.gamma,
@@ -188,7 +196,7 @@ class TrainingPlan:
         most = MAX_EVALUATIONS * (1 if self.options.target is None else TARGET_EVALUATIONS)
         return max(1, min(most, self.recipe.steps // MIN_STEPS_BETWEEN))
 
-    def learning(self) -> RobotVectorEnv:
+    def make_training_batch(self) -> RobotVectorEnv:
         """Make the batch of robots to train on."""
         robots = self.recipe.robots
         return ids.make_vec(
@@ -201,7 +209,7 @@ class TrainingPlan:
             **self._arguments,
         )
 
-    def held_out(self, learning: RobotVectorEnv) -> RobotVectorEnv:
+    def make_held_out_batch(self, learning: RobotVectorEnv) -> RobotVectorEnv:
         """Make the batch to evaluate on: no randomization, and worlds that aren't trained in."""
         few = self.options.target is None
         robots = held_out.HELD_OUT_ROBOTS if few else held_out.TARGET_ROBOTS
@@ -228,12 +236,60 @@ class TrainingPlan:
         return f"{cores}, seed {self.options.seed}" + (f"; {found}" if found else "")
 
 
-def _folder(options: TrainingOptions, env_id: str) -> Path:
-    """Create the folder of a training."""
-    short = options.env if "/" not in options.env else env_id.rpartition("/")[2]
-    out = options.out or Path("runs") / short
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"--out {out}: can't be written: {error.strerror}") from None
-    return out
+def wait_passively() -> None:
+    """Make OpenMP threads sleep while they wait, unless OMP_WAIT_POLICY is already set.
+
+    torch's threads busy-wait for each other after every small operation. If one of them shares its
+    core with another program, all others wait for it, and two threads are many times slower than
+    one. Call this before torch is imported; libraries that are already loaded aren't affected.
+    """
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
+
+def choose_threads(asked: int | None) -> int:
+    """Return the number of threads to use.
+
+    Args:
+        asked: number that the user asked for; None for the number of free cores.
+
+    Raises:
+        ConfigError: `asked` is below 1 or above the number of cores.
+    """
+    return measure_free_cores() if asked is None else check_threads("--threads", asked)
+
+
+def measure_free_cores() -> int:
+    """Measure how many cores other programs leave free, at least 1; takes PROBE_TIME seconds."""
+    count = usable_cores()
+    if count == 1:
+        return 1
+    spent = [0.0] * count
+    begin = time.perf_counter()
+
+    def hash_blocks(number: int) -> None:
+        while time.perf_counter() - begin < PROBE_TIME:
+            hashlib.sha256(_BLOCK)
+        spent[number] = time.thread_time()
+
+    workers = [threading.Thread(target=hash_blocks, args=(number,)) for number in range(count)]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join()
+    return compute_free_cores(count, sum(spent) / (count * (time.perf_counter() - begin)))
+
+
+def compute_free_cores(count: int, share: float) -> int:
+    """Compute the number of free cores from a measurement.
+
+    With k busy threads of other programs, n threads on n cores get a share n / (n + k) each.
+
+    Args:
+        count: number of cores, and of threads in the measurement.
+        share: share of a core that each thread got, 0 to 1.
+
+    Returns:
+        Number of free cores, 1 to `count`.
+    """
+    others = count / max(share, 1e-3) - count
+    return max(1, min(count, round(count - others)))

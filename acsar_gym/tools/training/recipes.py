@@ -1,6 +1,7 @@
-"""Recipes: hyperparameters by env in RL Zoo's YAML format, the algorithms.
+"""Recipes: hyperparameters by env in RL Zoo's YAML format, one file for each algorithm.
 
-And the classes that they may name.
+All of a recipe are plain values: no code in it is run, and of classes only those are imported that
+`KNOWN_CLASSES` lists, or that are of modules that the user has named.
 """
 
 from __future__ import annotations
@@ -13,85 +14,20 @@ import sys
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
+
+from pydantic import BeforeValidator, ConfigDict, Field, create_model
 
 from acsar_gym import reading
+from acsar_gym.config.section import Section
 from acsar_gym.errors import ConfigError, MissingExtraError, shorten_text, show_value, suggest_name
 from acsar_gym.resources import AGENTS
 from acsar_gym.tools.policies.base import format_error
 from acsar_gym.worlds import registry
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # imports torch
     from stable_baselines3.common.base_class import BaseAlgorithm
-
-TRAIN_ARGUMENTS = {"self", "policy", "env", "seed", "device", "verbose", "tensorboard_log"}
-"""Arguments of an algorithm that a recipe doesn't give: `train` does."""
-
-
-@dataclass(frozen=True)
-class Algorithm:
-    """One algorithm of stable-baselines3 or sb3-contrib."""
-
-    name: str
-    """As RL Zoo names it."""
-    module: str
-    kind: str
-    """Name of its class."""
-    policy: str
-    """Base class of its policies."""
-    replays: bool = False
-    """Whether it is off-policy, and so has a replay buffer."""
-
-    def load(self) -> type[BaseAlgorithm]:
-        """Import its class.
-
-        Raises:
-            MissingExtraError: its library isn't installed.
-        """
-        try:
-            found: type[BaseAlgorithm] = getattr(importlib.import_module(self.module), self.kind)
-        except ImportError:
-            raise MissingExtraError(f"training with {self.name}", "train") from None
-        return found
-
-    def types(self) -> dict[str, Any]:
-        """Annotations of the hyperparameters that it takes, by name."""
-        given = inspect.signature(self.load().__init__).parameters
-        return {
-            name: one.annotation
-            for name, one in given.items()
-            if name not in TRAIN_ARGUMENTS and name[0] != "_"
-        }
-
-
-ALGORITHMS = {
-    each.name: each
-    for each in (
-        Algorithm("ppo", "stable_baselines3", "PPO", "ActorCriticPolicy"),
-        Algorithm("sac", "stable_baselines3", "SAC", "SACPolicy", replays=True),
-        Algorithm("tqc", "sb3_contrib", "TQC", "TQCPolicy", replays=True),
-        Algorithm("ppo_lstm", "sb3_contrib", "RecurrentPPO", "RecurrentActorCriticPolicy"),
-    )
-}
-
-
-def find_algorithm(name: str) -> Algorithm:
-    """Find an algorithm by its name.
-
-    Raises:
-        ConfigError: there is none of that name.
-    """
-    if name not in ALGORITHMS:
-        raise ConfigError(f"--algo {name}: unknown{suggest_name(name, ALGORITHMS)}")
-    return ALGORITHMS[name]
-
-
-def policy_algorithm(policy: Any) -> str | None:
-    """Return the name of the algorithm that a policy is of; None where `train` doesn't know it."""
-    names = {each.policy: each.name for each in ALGORITHMS.values()}
-    bases = (names.get(kind.__name__) for kind in type(policy).__mro__)
-    return next((name for name in bases if name is not None), None)
-
+    from stable_baselines3.common.vec_env import VecEnv
 
 BATCH_WRAPPER = "acsar_gym.tools.training.wrappers.batch"
 """The wrapper that makes a batch for RL Zoo; `train` makes it itself."""
@@ -119,13 +55,86 @@ KNOWN_CLASSES: Mapping[str, tuple[str, ...]] = {
 """What may be named at each place of a recipe: nothing that writes files or takes code."""
 POLICY_PLACES = ("activation_fn", "features_extractor_class", "optimizer_class")
 """The places in policy_kwargs."""
+MAX_RECIPE_BYTES = 1_000_000
+DEFAULT_KEY = "default"
+"""Key of the hyperparameters for envs that have none of their own."""
+RL_ZOO_KEYS = {
+    "callback",
+    "env_wrapper",
+    "frame_stack",
+    "monitor_kwargs",
+    "noise_std",
+    "noise_type",
+    "normalize",
+    "replay_buffer_class",
+}
+"""Keys that only RL Zoo itself knows."""
+SCHEDULE_KEYS = ("learning_rate", "clip_range", "clip_range_vf")
+OPTION_ARGUMENTS = ("autoreset_mode", "defaults", "env_id", "num_envs", "robot", "task", "threads")
+"""Arguments of an env that `train` gives, by its own options, and a recipe may not."""
+TRAIN_ARGUMENTS = {"self", "policy", "env", "seed", "device", "verbose", "tensorboard_log"}
+"""Arguments of an algorithm that a recipe doesn't give: `train` does."""
+
+
+@dataclass(frozen=True)
+class Algorithm:
+    """One algorithm of stable-baselines3 or sb3-contrib."""
+
+    name: str
+    """As RL Zoo names it."""
+    module: str
+    kind: str
+    """Name of its class."""
+    policy: str
+    """Base class of its policies."""
+
+    def load(self) -> type[BaseAlgorithm]:
+        """Import its class.
+
+        Raises:
+            MissingExtraError: its library isn't installed.
+        """
+        try:
+            found: type[BaseAlgorithm] = getattr(importlib.import_module(self.module), self.kind)
+        except ImportError:
+            raise MissingExtraError(f"training with {self.name}", "train") from None
+        return found
+
+
+ALGORITHMS = {
+    each.name: each
+    for each in (
+        Algorithm("ppo", "stable_baselines3", "PPO", "ActorCriticPolicy"),
+        Algorithm("sac", "stable_baselines3", "SAC", "SACPolicy"),
+        Algorithm("tqc", "sb3_contrib", "TQC", "TQCPolicy"),
+        Algorithm("ppo_lstm", "sb3_contrib", "RecurrentPPO", "RecurrentActorCriticPolicy"),
+    )
+}
+
+
+def find_algorithm(name: str) -> Algorithm:
+    """Find an algorithm by its name.
+
+    Raises:
+        ConfigError: there is none of that name.
+    """
+    if name not in ALGORITHMS:
+        raise ConfigError(f"--algo {name}: unknown{suggest_name(name, ALGORITHMS)}")
+    return ALGORITHMS[name]
+
+
+def policy_algorithm(policy: Any) -> str | None:
+    """Return the name of the algorithm that a policy is of; None where `train` doesn't know it."""
+    names = {each.policy: each.name for each in ALGORITHMS.values()}
+    bases = (names.get(kind.__name__) for kind in type(policy).__mro__)
+    return next((name for name in bases if name is not None), None)
 
 
 def check_class(place: str, name: str, modules: Collection[str] = ()) -> None:
     """Check that a recipe may name a class. Imports nothing.
 
     Args:
-        place: where it is named, one of `KNOWN`.
+        place: where it is named, one of `KNOWN_CLASSES`.
         name: such as "torch.nn.ReLU".
         modules: of the user's own, such as "mine.networks", whose classes may be named, too.
 
@@ -135,9 +144,8 @@ def check_class(place: str, name: str, modules: Collection[str] = ()) -> None:
     if name not in KNOWN_CLASSES[place] and name.rpartition(".")[0] not in modules:
         raise ConfigError(
             f"{place}: {show_value(name)}: not a class that recipes may name"
-            f"{suggest_name(shorten_text(name), KNOWN_CLASSES[place])}; a module of your "
-            "own is named with "
-            "--modules"
+            f"{suggest_name(shorten_text(name), KNOWN_CLASSES[place])}; a module of your own is "
+            "named with --modules"
         )
 
 
@@ -172,32 +180,6 @@ def find_classes(policy_kwargs: Mapping[str, Any], modules: Collection[str] = ()
     return found
 
 
-if TYPE_CHECKING:  # imports torch
-    from stable_baselines3.common.vec_env import VecEnv
-
-MAX_RECIPE_BYTES = 1_000_000
-DEFAULT_KEY = "default"
-"""Key of the hyperparameters for envs that have none of their own."""
-OWN_KEYS = {"n_timesteps", "n_envs", "policy", "env_kwargs", "vec_env_wrapper"}
-"""Keys of RL Zoo that `train` reads, besides the arguments of the algorithm."""
-RL_ZOO_KEYS = {
-    "callback",
-    "env_wrapper",
-    "frame_stack",
-    "monitor_kwargs",
-    "noise_std",
-    "noise_type",
-    "normalize",
-    "replay_buffer_class",
-}
-"""Keys that only RL Zoo itself knows."""
-MAPPING_KEYS = ("env_kwargs", "policy_kwargs", "replay_buffer_kwargs")
-"""Arguments by name, which RL Zoo also takes as Python code in a text."""
-SCHEDULE_KEYS = ("learning_rate", "clip_range", "clip_range_vf")
-OPTION_ARGUMENTS = ("autoreset_mode", "defaults", "env_id", "num_envs", "robot", "task", "threads")
-"""Arguments of an env that `train` gives, by its own options, and a recipe may not."""
-
-
 @dataclass(frozen=True)
 class Recipe:
     """Hyperparameters for one env and one algorithm."""
@@ -217,7 +199,7 @@ class Recipe:
     modules: tuple[str, ...] = ()
     """Modules of the user's own, whose classes the file may name."""
 
-    def with_(self, **changes: Any) -> Recipe:
+    def with_changes(self, **changes: Any) -> Recipe:
         """Return a recipe with some hyperparameters changed; None leaves one as it is.
 
         Args:
@@ -235,103 +217,91 @@ class Recipe:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the hyperparameters as a recipe file has them."""
+        wrappers = [{name: given} for name, given in self.wrappers.items()]
         return {
             "n_timesteps": self.steps,
             "n_envs": self.robots,
             "policy": self.policy,
             "env_kwargs": self.env_kwargs | {"link": "planar"},
-            "vec_env_wrapper": [
-                BATCH_WRAPPER,
-                *({name: given} for name, given in self.wrappers.items()),
-            ],
+            "vec_env_wrapper": [BATCH_WRAPPER, *wrappers],
             **self.arguments,
         }
 
-    def built(self) -> dict[str, Any]:
+    def build_arguments(self) -> dict[str, Any]:
         """Return the arguments of the algorithm, with schedules and classes for their names.
 
         Raises:
             ConfigError: a value can't be read, or a class may not be named or isn't there.
         """
+        from stable_baselines3.common.utils import LinearSchedule  # noqa: PLC0415 - imports torch
+
         built = dict(self.arguments)
         for name in SCHEDULE_KEYS:
             if isinstance(built.get(name), str):
-                with self.named(name):
-                    built[name] = _schedule(built[name])
+                kind, _, value = built[name].partition("_")
+                try:
+                    number = float(value) if kind == "lin" else math.nan
+                except ValueError:
+                    number = math.nan
+                if not math.isfinite(number):
+                    said = f"{show_value(built[name])}: must be a number, or like lin_0.001"
+                    raise ConfigError(f"{self.file}: {self.key}: {name}: {said}")
+                built[name] = LinearSchedule(number, 0.0, 1.0)
         if isinstance(built.get("train_freq"), list):
             built["train_freq"] = tuple(built["train_freq"])
-        if "policy_kwargs" in built:
-            with self.named("policy_kwargs"):
+        with name_errors(self.file, self.key):
+            if "policy_kwargs" in built:
                 built["policy_kwargs"] = find_classes(built["policy_kwargs"] or {}, self.modules)
-        built["policy"] = self.policy
-        if "." in self.policy:
-            with self.named():
+            built["policy"] = self.policy
+            if "." in self.policy:
                 built["policy"] = find_class("policy", self.policy, self.modules)
         return built
 
-    def check(self) -> None:
+    def check_names(self) -> None:
         """Check what the file names, before anything is imported.
 
         Raises:
             ConfigError: a class or module may not be named, or a wrapper's arguments are refused.
         """
-        with self.named():
-            if "." in self.policy:
-                check_class("policy", self.policy, self.modules)
-            for place in POLICY_PLACES:
-                if (kind := (self.arguments.get("policy_kwargs") or {}).get(place)) is not None:
-                    check_class(place, str(kind), self.modules)
-            for name, given in self.wrappers.items():
-                check_class("vec_env_wrapper", name, self.modules)
-                if name == NORMALIZE_WRAPPER and given.get("norm_obs") is not False:
-                    raise ConfigError(
-                        "VecNormalize: norm_obs must be false: policy files have no statistics"
-                    )
-            for name, value in self.env_kwargs.items():
-                if name in OPTION_ARGUMENTS:
-                    raise ConfigError(f"env_kwargs: {name}: leave it out: train's options give it")
-                _check_modules(name, value, self.modules)
+        if "." in self.policy:
+            check_class("policy", self.policy, self.modules)
+        for place in POLICY_PLACES:
+            if (kind := (self.arguments.get("policy_kwargs") or {}).get(place)) is not None:
+                check_class(place, str(kind), self.modules)
+        for name, given in self.wrappers.items():
+            check_class("vec_env_wrapper", name, self.modules)
+            if name == NORMALIZE_WRAPPER and given.get("norm_obs") is not False:
+                raise ConfigError(
+                    "VecNormalize: norm_obs must be false: policy files have no statistics"
+                )
+        for name, value in self.env_kwargs.items():
+            if name in OPTION_ARGUMENTS:
+                raise ConfigError(f"env_kwargs: {name}: leave it out: train's options give it")
+            _check_modules(name, value, self.modules)
 
-    def wrapped(self, batch: VecEnv) -> VecEnv:
+    def wrap_batch(self, batch: VecEnv) -> VecEnv:
         """Return the batch in the recipe's wrappers.
 
         Raises:
             ConfigError: a wrapper may not be named, or doesn't take its arguments or the batch.
         """
-        for name, given in self.wrappers.items():
-            with self.named():
+        with name_errors(self.file, self.key):
+            for name, given in self.wrappers.items():
                 try:
                     batch = find_class("vec_env_wrapper", name, self.modules)(batch, **given)
                 except TypeError as error:
-                    raise ConfigError(f"vec_env_wrapper: {name}: {format_error(error)}") from None
+                    said = format_error(error)
+                    raise ConfigError(f"vec_env_wrapper: {name}: {said}") from None
         return batch
-
-    def named(self, *keys: str) -> contextlib.AbstractContextManager[None]:
-        """Name file and keys in every ConfigError that is raised in this context."""
-        return _named(": ".join([str(self.file), self.key, *keys]))
 
 
 @contextlib.contextmanager
-def _named(name: str) -> Iterator[None]:
-    """Put a name in front of every ConfigError."""
+def name_errors(*names: object) -> Iterator[None]:
+    """Put file and keys in front of every ConfigError that is raised in this context."""
     try:
         yield
     except ConfigError as error:
-        raise ConfigError(f"{name}: {error}") from None
-
-
-def _schedule(text: str) -> Any:
-    """Read "lin_VALUE", a number that falls linearly to zero over the training."""
-    from stable_baselines3.common.utils import LinearSchedule  # noqa: PLC0415 - imports torch
-
-    kind, _, value = text.partition("_")
-    try:
-        number = float(value) if kind == "lin" else math.nan
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
-        raise ConfigError(f"{show_value(text)}: must be a number, or like lin_0.001")
-    return LinearSchedule(number, 0.0, 1.0)
+        raise ConfigError(": ".join([*map(str, names), str(error)])) from None
 
 
 def read_recipe(
@@ -355,86 +325,88 @@ def read_recipe(
     if key not in recipes:
         raise ConfigError(f"{path}: has no recipe for {env_id}, and no {DEFAULT_KEY!r}")
     given = recipes[key]
-    if not isinstance(given, dict):
-        raise ConfigError(f"{path}: {key}: must be hyperparameters by name")
-    _check_keys(path, key, given, algorithm)
-    env_kwargs: dict[str, Any] = given.get("env_kwargs") or {}
-    found = Recipe(
-        path,
-        key,
-        _count(path, key, given, "n_timesteps"),
-        _count(path, key, given, "n_envs"),
-        str(given.get("policy", "MlpPolicy")),
-        {name: value for name, value in given.items() if name not in OWN_KEYS},
-        {name: value for name, value in env_kwargs.items() if name != "link"},  # a batch has none
-        _wrappers(path, key, given),
-        tuple(modules),
-    )
-    found.check()
-    return found
+    with name_errors(path, key):
+        if not isinstance(given, dict):
+            raise ConfigError("must be hyperparameters by name")
+        foreign = RL_ZOO_KEYS & set(given)
+        if foreign:
+            raise ConfigError(f"{min(foreign)}: only rl_zoo3 knows it; remove it to train")
+        values = _recipe_model(algorithm).model_validate(given)
+        recipe = Recipe(
+            path,
+            key,
+            values.n_timesteps,
+            values.n_envs,
+            values.policy,
+            {name: one for name, one in given.items() if name not in RecipeValues.model_fields},
+            {name: one for name, one in values.env_kwargs.items() if name != "link"},
+            values.vec_env_wrapper,
+            tuple(modules),
+        )
+        recipe.check_names()
+    return recipe
 
 
 def read_recipe_file(path: Path) -> dict[str, Any]:
     """Read a YAML file that holds a mapping."""
     data = reading.read_file(path, MAX_RECIPE_BYTES, ConfigError)
-    with _named(str(path)):
+    with name_errors(path):
         found = reading.parse_yaml(reading.decode_text(data))
-    if not isinstance(found, dict):
-        raise ConfigError(f"{path}: must be hyperparameters by env id")
+        if not isinstance(found, dict):
+            raise ConfigError("must be hyperparameters by env id")
     return found
 
 
-CHECKED_TYPES: dict[Any, str] = {
-    float: "a number",
-    int: "a whole number",
-    bool: "true or false",
-    str: "a word",
-    type(None): "null",
-}
-"""Types of hyperparameters that are checked, in the words of messages; algorithms that get another
-one fail only in the middle of a training."""
+def _parse_wrappers(asked: Any) -> dict[str, dict[str, Any]]:
+    """Read the wrappers: a name, or a list of names and of `{name: arguments}`, as in RL Zoo."""
+    found: dict[str, dict[str, Any]] = {}
+    for one in asked if isinstance(asked, list) else [asked or {}]:
+        pairs = list(one.items()) if isinstance(one, dict) else [(one, {})]
+        for name, arguments in pairs:
+            if not isinstance(name, str) or not isinstance(arguments, dict) or name in found:
+                raise ValueError(
+                    f"{show_value(name)} must be module.name, or that with its arguments, and "
+                    "only once"
+                )
+            found[name] = arguments
+    found.pop(BATCH_WRAPPER, None)
+    return found
 
 
-def _check_keys(path: Path, key: str, given: dict[Any, Any], algorithm: Algorithm) -> None:
-    """Refuse hyperparameters that the algorithm doesn't have, and those of a wrong type."""
-    types = algorithm.types()
-    known = OWN_KEYS | set(types)
-    for name, value in given.items():
-        if name in RL_ZOO_KEYS:
-            raise ConfigError(f"{path}: {key}: {name}: only rl_zoo3 knows it; remove it to train")
-        if name not in known:
-            hint = suggest_name(str(name), known)
-            raise ConfigError(
-                f"{path}: {key}: {show_value(name)}: not a hyperparameter of {algorithm.name}{hint}"
-            )
-        if name in MAPPING_KEYS and not isinstance(value or {}, dict):
-            raise ConfigError(
-                f"{path}: {key}: {name}: {show_value(value)}: must be arguments by name, as in "
-                "{net_arch: [64, 64]}: a text isn't evaluated"
-            )
-        kinds = get_args(types.get(name)) or (types.get(name),)
-        if set(kinds) <= set(CHECKED_TYPES) and not _fits(value, kinds):
-            wanted = " or ".join(CHECKED_TYPES[kind] for kind in kinds)
-            raise ConfigError(f"{path}: {key}: {name}: {show_value(value)}: must be {wanted}")
+Count = Annotated[
+    int,  # RL Zoo's files have floats such as 1e6, too, which YAML reads as a text
+    BeforeValidator(lambda value: float(value) if isinstance(value, str) else value),
+    Field(ge=1, strict=False),
+]
 
 
-def _fits(value: Any, kinds: Sequence[type]) -> bool:
-    """Whether a value is of one of these types; a whole number is a number, true is none."""
-    return any(type(value) is kind or (kind is float and type(value) is int) for kind in kinds)
+Wrappers = Annotated[dict[str, dict[str, Any]], BeforeValidator(_parse_wrappers)]
 
 
-def _count(path: Path, key: str, given: dict[Any, Any], name: str) -> int:
-    """Read a whole number of at least 1; RL Zoo's files have floats such as 1e6, too."""
-    value = given.get(name)
-    try:
-        number = int(float(value)) if isinstance(value, int | float | str) else 0
-    except (ValueError, OverflowError):
-        number = 0
-    if number < 1:
-        raise ConfigError(
-            f"{path}: {key}: {name}: {show_value(value)}: must be a number of at least 1"
-        )
-    return number
+class RecipeValues(Section):
+    """What `train` reads of a recipe, besides the arguments of the algorithm."""
+
+    model_config = ConfigDict(strict=True)
+    n_timesteps: Count
+    n_envs: Count
+    policy: str = "MlpPolicy"
+    env_kwargs: Annotated[dict[str, Any], BeforeValidator(lambda value: value or {})] = Field({})
+    vec_env_wrapper: Wrappers = Field({})
+
+
+def _recipe_model(algorithm: Algorithm) -> type[RecipeValues]:
+    """Make the model of a recipe, with the algorithm's own arguments and the types of plain ones.
+
+    Algorithms that get a value of another type fail only in the middle of a training.
+    """
+    fields: dict[str, Any] = {}
+    for name, one in inspect.signature(algorithm.load().__init__).parameters.items():
+        if name not in TRAIN_ARGUMENTS and name[0] != "_":
+            kinds = get_args(one.annotation) or (one.annotation,)
+            plain = (float, int, bool, str, type(None))
+            known = all(kind in plain or get_origin(kind) is dict for kind in kinds)
+            fields[name] = (one.annotation if known else Any, None)
+    return create_model(algorithm.name, __base__=RecipeValues, **fields)
 
 
 def _check_modules(name: str, value: Any, modules: Sequence[str]) -> None:
@@ -451,25 +423,6 @@ def _check_modules(name: str, value: Any, modules: Sequence[str]) -> None:
             module = "" if generator is None else generator.module
         if module and module not in modules:
             raise ConfigError(
-                f"env_kwargs: {name}: {show_value(value)}: a recipe imports nothing: name "
-                "the module "
-                "with --modules"
+                f"env_kwargs: {name}: {show_value(value)}: a recipe imports nothing: name the "
+                "module with --modules"
             )
-
-
-def _wrappers(path: Path, key: str, given: dict[Any, Any]) -> dict[str, dict[str, Any]]:
-    """Read the wrappers: a name, or a list of names and of `{name: arguments}`, as in RL Zoo."""
-    asked = given.get("vec_env_wrapper") or []
-    found: dict[str, dict[str, Any]] = {}
-    for one in asked if isinstance(asked, list) else [asked]:
-        pairs = list(one.items()) if isinstance(one, dict) else [(one, {})]
-        name, arguments = pairs[0] if len(pairs) == 1 else (None, None)
-        if not isinstance(name, str) or not isinstance(arguments, dict) or name in found:
-            raise ConfigError(
-                f"{path}: {key}: vec_env_wrapper: {show_value(one)}: must be module.name, "
-                "or that with "
-                "its arguments, and only once"
-            )
-        if one != BATCH_WRAPPER:
-            found[name] = arguments
-    return found

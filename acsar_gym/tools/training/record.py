@@ -1,7 +1,4 @@
-"""The folder of a training.
-
-Config.yml, policy.onnx and model.zip, and what `--resume` takes from it.
-"""
+"""The folder of a training: its record, its results, and what `--resume` takes from them."""
 
 from __future__ import annotations
 
@@ -10,7 +7,7 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,10 +20,13 @@ from acsar_gym.recording.messages import to_plain_json
 from acsar_gym.tools.evaluation import provenance
 from acsar_gym.tools.policies import ZipPolicy
 from acsar_gym.tools.policies.bundle import Bundle, TrainingSummary
-from acsar_gym.tools.training import checkpoints
-from acsar_gym.tools.training.checkpoints import TrainingState
+from acsar_gym.tools.training import checkpoints, recipes
+from acsar_gym.tools.training.checkpoints import CHECKPOINTS_FOLDER, TrainingState
 from acsar_gym.tools.training.plan import TrainingOptions, TrainingPlan
 from acsar_gym.vector.env import usable_cores
+
+if TYPE_CHECKING:
+    from stable_baselines3.common.base_class import BaseAlgorithm
 
 CONFIG_FILE = "config.yml"
 RUN_KEY = "run"
@@ -37,6 +37,32 @@ MAX_CONFIG_BYTES = 1_000_000
 """Largest accepted config.yml [bytes]."""
 GIT_TIMEOUT = 5.0
 """Time limit of git [s]."""
+RESULT_FILES = ("policy.onnx", "model.zip")
+"""What a training leaves: the policy to drive with, and the model to train on."""
+CHANGEABLE_OPTIONS = (
+    "steps",
+    "target",
+    "threads",
+    "progress",
+    "checkpoint_seconds",
+    "resume",
+    "trust",
+    "device",
+    "out",
+)
+"""Options that may change when a training goes on."""
+
+
+@dataclass(frozen=True)
+class TrainingStart:
+    """What a training begins with."""
+
+    options: TrainingOptions
+    """The user's; those of the folder where one is resumed."""
+    saved: ZipPolicy | None = None
+    """The model to load; None for a new one."""
+    state: TrainingState | None = None
+    """What to restore besides the model; None to begin anew."""
 
 
 def git_revision() -> str | None:
@@ -59,22 +85,24 @@ def git_revision() -> str | None:
 
 
 def begin_record(plan: TrainingPlan) -> dict[str, Any]:
-    """Write config.yml at the beginning of a training.
+    """Write config.yml, which has all that is needed to repeat a training, at its beginning.
 
     Args:
         plan: the training.
 
     Returns:
-        Its content, for `finish`.
+        Its content, for `finish_record`.
     """
-    options = {
-        each.name: _plain(getattr(plan.options, each.name)) for each in fields(TrainingOptions)
-    }
+    options = plan.options.model_dump(mode="json")
     options |= {"threads": plan.threads, "steps": plan.recipe.steps, "out": str(plan.out)}
+    goes_on = plan.options.resume == plan.out
     content = {
         ids.strip_module(plan.env_id): plan.recipe.as_dict(),
         RUN_KEY: {
-            "commands": [*_before(plan), training_command()],
+            "commands": [
+                *(read_record(plan.out)["commands"] if goes_on else []),
+                training_command(),
+            ],
             "options": options,
             "versions": provenance.library_versions(*RECORDED_LIBRARIES),
             "revision": git_revision(),
@@ -84,8 +112,16 @@ def begin_record(plan: TrainingPlan) -> dict[str, Any]:
             "seconds": 0.0,
         },
     }
-    _write(plan.out, content)
+    finish_record(plan, content)
     return content
+
+
+def finish_record(plan: TrainingPlan, content: dict[str, Any], **facts: Any) -> None:
+    """Write config.yml, whole or not at all, with more facts about the run."""
+    content[RUN_KEY] |= facts
+    text = reading.format_yaml(content)
+    with reading.replace_file(plan.out / CONFIG_FILE) as new:
+        new.write_text(text, encoding="utf-8")
 
 
 def training_command() -> list[str]:
@@ -101,35 +137,13 @@ def training_command() -> list[str]:
     words, kept = iter(begin), list[str]()
     for word in words:
         name, equals, value = word.partition("=")
+        path = Path(value if equals else word)
         if name == "--out":
             _ = equals or next(words, "")
         else:
-            kept.append(f"{name}={_file(value)}" if equals else _file(word))
+            said = path.name if path.is_absolute() else (value if equals else word)
+            kept.append(f"{name}={said}" if equals else said)
     return ["acsar-gym", *kept]
-
-
-def _file(word: str) -> str:
-    """Shorten an absolute path to its name."""
-    return Path(word).name if Path(word).is_absolute() else word
-
-
-def _before(plan: TrainingPlan) -> list[Any]:
-    """Return the commands of a training that goes on."""
-    if plan.options.resume != plan.out:
-        return []
-    commands: list[Any] = read_record(plan.out)["commands"]
-    return commands
-
-
-def finish_record(plan: TrainingPlan, content: dict[str, Any], **facts: Any) -> None:
-    """Write config.yml again at the end of a training, with more facts about the run."""
-    content[RUN_KEY] |= facts
-    _write(plan.out, content)
-
-
-def is_finished(folder: Path) -> bool:
-    """Return whether a training wrote all that it leaves; `options` has read its folder."""
-    return bool(read_record(folder).get("finished"))
 
 
 def read_record(folder: Path) -> dict[str, Any]:
@@ -143,51 +157,9 @@ def read_record(folder: Path) -> dict[str, Any]:
     try:
         found: dict[str, Any] = dict(reading.parse_yaml(reading.decode_text(data))[RUN_KEY])
     except (ConfigError, KeyError, TypeError, ValueError) as error:
-        raise ConfigError(
-            f"{path}: not of 'acsar-gym train': {reading.explain_error(error)}"
-        ) from None
+        said = reading.explain_error(error)
+        raise ConfigError(f"{path}: not of 'acsar-gym train': {said}") from None
     return found
-
-
-def read_options(folder: Path) -> TrainingOptions:
-    """Read the options of a training from its folder.
-
-    Raises:
-        ConfigError: it has no config.yml of a training.
-    """
-    path = folder / CONFIG_FILE
-    try:
-        given = read_record(folder)["options"]
-        paths = ("conf_file", "out", "resume")
-        given |= {name: Path(given[name]) for name in paths if given[name] is not None}
-        given |= {name: tuple(each) for name, each in given.items() if isinstance(each, list)}
-        return TrainingOptions(**given)
-    except (KeyError, TypeError, ValueError) as error:
-        raise ConfigError(
-            f"{path}: not of 'acsar-gym train': {reading.explain_error(error)}"
-        ) from None
-
-
-def _write(out: Path, content: Mapping[str, Any]) -> None:
-    """Write config.yml, whole or not at all."""
-    text = reading.format_yaml(content)
-    with reading.replace_file(out / CONFIG_FILE) as new:
-        new.write_text(text, encoding="utf-8")
-
-
-def _plain(value: Any) -> Any:
-    """Convert a value to one that YAML has."""
-    if isinstance(value, tuple):
-        return list(value)
-    return str(value) if isinstance(value, Path) else value
-
-
-if TYPE_CHECKING:
-    from stable_baselines3.common.base_class import BaseAlgorithm
-
-
-RESULT_FILES = ("policy.onnx", "model.zip")
-"""What a training leaves: the policy to drive with, and the model to train on."""
 
 
 def save_results(model: BaseAlgorithm, bundle: Bundle, out: Path) -> tuple[Path, Path]:
@@ -204,13 +176,13 @@ def save_results(model: BaseAlgorithm, bundle: Bundle, out: Path) -> tuple[Path,
     Raises:
         PolicyError: the policy can't be exported.
     """
-    from acsar_gym.tools.policies import sb3, sb3_export  # noqa: PLC0415 - imports torch
+    from acsar_gym.tools.policies import sb3  # noqa: PLC0415 - imports torch
 
     sb3.label(model, bundle)
     policy, zipped = (out / name for name in RESULT_FILES)
     with reading.replace_file(zipped) as new:
         model.save(new)
-    sb3_export.export_policy(model.policy, policy, bundle)
+    sb3.export_policy(model.policy, policy, bundle)
     return policy, zipped
 
 
@@ -241,32 +213,6 @@ def describe_training(
     )
 
 
-CHECKPOINTS_FOLDER = "checkpoints"
-CHANGEABLE_OPTIONS = (
-    "steps",
-    "target",
-    "threads",
-    "progress",
-    "checkpoint_seconds",
-    "resume",
-    "trust",
-    "device",
-)
-"""Options that may change when a training goes on."""
-
-
-@dataclass(frozen=True)
-class TrainingStart:
-    """What a training begins with."""
-
-    options: TrainingOptions
-    """The user's; those of the folder where one is resumed."""
-    saved: ZipPolicy | None = None
-    """The model to load; None for a new one."""
-    state: TrainingState | None = None
-    """What to restore besides the model; None to begin anew."""
-
-
 def find_start(options: TrainingOptions) -> TrainingStart:
     """Find out what a training begins with.
 
@@ -281,45 +227,38 @@ def find_start(options: TrainingOptions) -> TrainingStart:
             another training.
         PolicyError: the zip can't be read, or isn't trusted.
     """
-    if options.resume is None:
-        return TrainingStart(options)
-    if not options.resume.is_dir():
-        return TrainingStart(options, ZipPolicy(options.resume, trust=options.trust))
     folder = options.resume
-    merged = _merged(folder, options)
-    merged.check()
+    if folder is None:
+        return TrainingStart(options)
+    if not folder.is_dir():
+        return TrainingStart(options, ZipPolicy(folder, trust=options.trust))
+    recorded = read_record(folder)
+    merged = _merge_options(folder, recorded.get("options"), options)
     found = checkpoints.find_checkpoints(folder / CHECKPOINTS_FOLDER)
     if not found:
         raise ConfigError(f"{folder}: has no checkpoint yet: train anew, without --resume")
-    saved, state = _read(found, trust=options.trust)
-    done = merged.steps is not None and state.steps >= merged.steps
-    if done and is_finished(folder) and all((folder / name).exists() for name in RESULT_FILES):
-        raise ConfigError(
-            f"{folder}: its {merged.steps:,} steps are done: ask for more with --steps"
-        )
-    return TrainingStart(merged, saved, state)
-
-
-def _read(found: list[Path], *, trust: bool) -> tuple[ZipPolicy, TrainingState]:
-    """Read the newest checkpoint; the error names an older one, if there is one."""
     *older, newest = found
     try:
         state = checkpoints.read_state(newest)
     except ConfigError as error:
         instead = f": delete it to go on from {older[-1]}" if older else ""
         raise ConfigError(f"{error}{instead}") from None
-    return ZipPolicy(newest, trust=trust), state
+    saved = ZipPolicy(newest, trust=options.trust)
+    whole = recorded.get("finished") and all((folder / name).exists() for name in RESULT_FILES)
+    if whole and merged.steps is not None and state.steps >= merged.steps:
+        raise ConfigError(
+            f"{folder}: its {merged.steps:,} steps are done: ask for more with --steps"
+        )
+    return TrainingStart(merged, saved, state)
 
 
-def _merged(folder: Path, options: TrainingOptions) -> TrainingOptions:
-    """Return the options of a folder, changed by what the user gave.
-
-    Raises:
-        ConfigError: the user gave what can't be changed.
-    """
-    before, changes = read_options(folder), _given(options)
+def _merge_options(folder: Path, recorded: Any, options: TrainingOptions) -> TrainingOptions:
+    """Return the options of a folder, changed by what the user gave and may change."""
+    with recipes.name_errors(folder / CONFIG_FILE):
+        before = TrainingOptions.model_validate(recorded)
+    changes = options.model_dump(exclude_defaults=True)
     for name, value in changes.items():
-        if name not in CHANGEABLE_OPTIONS and value != getattr(before, name) and name != "out":
+        if name not in CHANGEABLE_OPTIONS and value != getattr(before, name):
             flag = name.replace("_", "-")
             raise ConfigError(
                 f"--{flag} {value}: {folder} is of a training with "
@@ -327,11 +266,4 @@ def _merged(folder: Path, options: TrainingOptions) -> TrainingOptions:
             )
     changes |= {"out": folder, "conf_file": folder / CONFIG_FILE}
     changes |= dict.fromkeys(("gamma", "learning_rate", "net"))  # in config.yml already
-    return replace(before, **changes)
-
-
-def _given(options: TrainingOptions) -> dict[str, Any]:
-    """Return the options that aren't the defaults."""
-    usual = TrainingOptions()
-    pairs = {each.name: getattr(options, each.name) for each in fields(TrainingOptions)}
-    return {name: value for name, value in pairs.items() if value != getattr(usual, name)}
+    return before.model_copy(update=changes)

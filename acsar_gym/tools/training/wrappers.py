@@ -1,13 +1,15 @@
-"""What recipes name as `vec_env_wrapper`.
+"""What recipes name as `vec_env_wrapper`. Imports torch.
 
-A compiled batch for RL Zoo, and rewards for the way around obstacles. Imports torch.
+`batch` is a compiled batch for RL Zoo. `Detours` are rewards for robots that know the way, added in
+training only. A task rewards coming nearer to the goal in a straight line, which leads into every
+dead end. There the way around the obstacles counts instead, as the simulator knows it: a robot that
+turns back is rewarded at once. What it sees doesn't change, so that the policy drives without the
+simulator.
 """
 
 from __future__ import annotations
 
-import contextlib
 import warnings
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,20 +21,13 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepR
 
 from acsar_gym.errors import ConfigError
 from acsar_gym.physics import Randomization
-from acsar_gym.tools.policies import sb3
-from acsar_gym.tools.policies.sb3 import BatchVecEnv
+from acsar_gym.tools.policies.sb3 import BatchVecEnv, make_batch
 from acsar_gym.vector.env import RobotVectorEnv
 from acsar_gym.vector.kernel import layout
 from acsar_gym.worlds.search import measure_goal_distances
 
 SINGLE_ENV_ARGUMENTS = (
-    "link",
-    "lidar",
-    "on_fault",
-    "view",
-    "record",
-    "render_mode",
-    "disable_env_checker",
+    *("link", "lidar", "on_fault", "view", "record", "render_mode", "disable_env_checker"),
 )
 """Arguments that only a single env has."""
 
@@ -59,32 +54,20 @@ def batch(env: VecEnv, *, randomize: bool = True, threads: int | None = None) ->
     }
     if randomize:
         options.setdefault("randomization", Randomization.measured(config))
-    made: VecEnv = sb3.make_batch(spec.id, env.num_envs, threads=threads, **options)
+    made: VecEnv = make_batch(spec.id, env.num_envs, threads=threads, **options)
     made._seeds = list(env._seeds)  # noqa: SLF001 - what make_vec_env has seeded
-    log = _closed(env)
-    if log is None:
+    logs: list[Path] = []
+    if isinstance(env, DummyVecEnv):
+        writers: list[Any] = [each.results_writer for each in env.envs if isinstance(each, Monitor)]
+        logs = [Path(writer.file_handler.name) for writer in writers if writer is not None]
+    env.close()
+    for path in logs:
+        path.unlink(missing_ok=True)  # they are empty
+    if not logs:
         return made
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # that a batch has the statistics of Monitor already
-        return VecMonitor(made, str(log))
-
-
-def _closed(env: VecEnv) -> Path | None:
-    """Close the envs and remove their empty monitor files; returns the path of the first one."""
-    logs = [Path(path) for path in _logs(env)]
-    env.close()
-    for path in logs:
-        path.unlink(missing_ok=True)
-    return logs[0] if logs else None
-
-
-def _logs(env: VecEnv) -> Iterator[str]:
-    """Yield the paths of the monitor files of a DummyVecEnv."""
-    if isinstance(env, DummyVecEnv):
-        for each in env.envs:
-            with contextlib.suppress(AttributeError):
-                writer: Any = each.results_writer if isinstance(each, Monitor) else None
-                yield writer.file_handler.name
+        return VecMonitor(made, str(logs[0]))
 
 
 class Detours(VecEnvWrapper):

@@ -35,7 +35,7 @@ def test_every_algorithm_has_a_recipe_for_every_env(name: str, env_id: str) -> N
     own = env_id if "/" in env_id else f"acsar_gym/{env_id}"
     recipe = recipes.read_recipe(find_algorithm(name), own)
     assert recipe.key == ("default" if own not in recipes.read_recipe_file(recipe.file) else own)
-    assert recipe.built()["policy"] == recipe.policy or "." in recipe.policy
+    assert recipe.build_arguments()["policy"] == recipe.policy or "." in recipe.policy
     assert "link" not in recipe.env_kwargs
     wrappers = yaml.safe_load(yaml.safe_dump(recipe.as_dict()))["vec_env_wrapper"]
     assert wrappers == [BATCH_WRAPPER, *({name: {}} for name in recipe.wrappers)]
@@ -52,31 +52,29 @@ def test_the_files_have_no_ids_that_are_not_registered() -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("[", "not valid YAML"),
-        ("[" + "0, " * 100_000 + "]", "has too many values"),
-        ("- 1", "must be hyperparameters by env id"),
-        ("mine/Other-v0: {}", "no recipe for mine/Task-v0, and no 'default'"),
-        ("mine/Task-v0: 3", "mine/Task-v0: must be hyperparameters by name"),
-        (GOOD.replace("n_steps", "n_step"), "default: 'n_step': not a hyperparameter of ppo; did"),
-        (GOOD.replace("n_steps: 8", "normalize: true"), "normalize: only rl_zoo3 knows it"),
-        (GOOD.replace("1e3", "many"), "n_timesteps: 'many': must be a number"),
-        (GOOD.replace("n_envs: 4, ", ""), "n_envs: None: must be a number"),
-        (
-            GOOD.replace("n_steps: 8", "target_kl: [0.1]"),
-            "target_kl: [0.1]: must be a number or null",
-        ),
-        (GOOD.replace("n_steps: 8", "gamma: high"), "gamma: 'high': must be a number"),
-        (GOOD.replace("n_steps: 8", "n_epochs: 2.5"), "n_epochs: 2.5: must be a whole number"),
-        (GOOD.replace("n_steps: 8", "use_sde: 1"), "use_sde: 1: must be true or false"),
-        (GOOD.replace("MlpPolicy", "no.such.Policy"), "policy: 'no.such.Policy': not a class"),
+        ("[", "YAML"),
+        ("[" + "0, " * 100_000 + "]", "too many"),
+        ("- 1", "by env id"),
+        ("mine/Other-v0: {}", "mine/Task-v0"),
+        ("mine/Task-v0: 3", "mine/Task-v0"),
+        (GOOD.replace("n_steps", "n_step"), "'n_step'; did you mean 'n_steps'"),
+        (GOOD.replace("n_steps: 8", "normalize: true"), "normalize: only rl_zoo3"),
+        (GOOD.replace("1e3", "many"), "n_timesteps = 'many'"),
+        (GOOD.replace("n_envs: 4, ", ""), "n_envs"),
+        (GOOD.replace("n_envs: 4", "n_envs: 0"), "n_envs = 0"),
+        (GOOD.replace("n_steps: 8", "target_kl: [0.1]"), "target_kl = [0.1]"),
+        (GOOD.replace("n_steps: 8", "gamma: high"), "gamma = 'high'"),
+        (GOOD.replace("n_steps: 8", "n_epochs: 2.5"), "n_epochs = 2.5"),
+        (GOOD.replace("n_steps: 8", "use_sde: 1"), "use_sde = 1"),
+        (GOOD.replace("MlpPolicy", "no.such.Policy"), "policy: 'no.such.Policy'"),
         (
             GOOD.replace("n_steps: 8", "policy_kwargs: {activation_fn: torch.nn.ReLUU}"),
             "did you mean 'torch.nn.ReLU'",
         ),
-        (GOOD.replace("n_steps: 8", "gamma: &a 0.9, ent_coef: *a"), "has an alias"),
-        (GOOD.replace("n_steps: 8", "env_kwargs: 3"), "env_kwargs: 3: must be arguments by"),
-        (GOOD.replace("n_steps: 8", "vec_env_wrapper: [[a.b]]"), "['a.b']: must be module.name"),
-        (GOOD.replace("n_steps: 8", "vec_env_wrapper: [a.b, a.b]"), "'a.b': must be module.name"),
+        (GOOD.replace("n_steps: 8", "gamma: &a 0.9, ent_coef: *a"), "alias"),
+        (GOOD.replace("n_steps: 8", "env_kwargs: 3"), "env_kwargs = 3"),
+        (GOOD.replace("n_steps: 8", "vec_env_wrapper: [[a.b]]"), "vec_env_wrapper"),
+        (GOOD.replace("n_steps: 8", "vec_env_wrapper: [a.b, a.b]"), "'a.b'"),
     ],
 )
 def test_a_bad_recipe_is_refused_in_one_line(text: str, said: str, tmp_path: Path) -> None:
@@ -89,22 +87,14 @@ def test_a_bad_recipe_is_refused_in_one_line(text: str, said: str, tmp_path: Pat
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "said"),
-    [
-        ("learning_rate", "linear", "must be a number, or like lin_0.001"),
-        ("learning_rate", "lin_nan", "must be a number, or like lin_0.001"),
-    ],
-)
-def test_a_bad_value_is_named_with_its_key(
-    key: str, value: object, said: str, tmp_path: Path
-) -> None:
+@pytest.mark.parametrize("value", ["linear", "lin_nan"])
+def test_a_bad_schedule_is_named_with_its_key(value: object, tmp_path: Path) -> None:
     file = tmp_path / "mine.yml"
-    file.write_text(yaml.safe_dump({"default": {"n_timesteps": 8, "n_envs": 1, key: value}}))
+    given = {"n_timesteps": 8, "n_envs": 1, "learning_rate": value}
+    file.write_text(yaml.safe_dump({"default": given}))
     recipe = recipes.read_recipe(find_algorithm("ppo"), "mine/Task-v0", file)
-    with pytest.raises(ConfigError, match=f"default: {key}: ") as error:
-        recipe.built()
-    assert said in str(error.value)
+    with pytest.raises(ConfigError, match="default: learning_rate: "):
+        recipe.build_arguments()
 
 
 EVIL = "import pathlib; pathlib.Path('ran').touch()\n"
@@ -182,7 +172,7 @@ def test_named_modules_may_be_used(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     file.write_text(yaml.safe_dump({"default": given}))
     modules = ("my_networks", "my_worlds")
     recipe = recipes.read_recipe(find_algorithm("ppo"), "mine/Task-v0", file, modules)
-    assert recipe.built()["policy_kwargs"]["activation_fn"].__name__ == "ReLU"
+    assert recipe.build_arguments()["policy_kwargs"]["activation_fn"].__name__ == "ReLU"
     assert recipe.env_kwargs == env
     with pytest.raises(ConfigError, match="a recipe imports nothing: name the module"):
         recipes.read_recipe(find_algorithm("ppo"), "mine/Task-v0", file, modules[:1])
@@ -191,7 +181,7 @@ def test_named_modules_may_be_used(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 def test_a_schedule_falls_to_zero(tmp_path: Path) -> None:
     file = tmp_path / "mine.yml"
     file.write_text(GOOD.replace("n_steps: 8", "learning_rate: lin_0.5"))
-    falling = recipes.read_recipe(find_algorithm("ppo"), "mine/Task-v0", file).built()[
+    falling = recipes.read_recipe(find_algorithm("ppo"), "mine/Task-v0", file).build_arguments()[
         "learning_rate"
     ]
     assert (falling(1.0), falling(0.5), falling(0.0)) == (0.5, 0.25, 0.0)
@@ -219,9 +209,9 @@ def test_options_change_a_recipe(tmp_path: Path) -> None:
     content = {"n_timesteps": 8, "n_envs": 1, "policy_kwargs": given, "gamma": 0.9}
     file.write_text(yaml.safe_dump({"default": content}))
     recipe = recipes.read_recipe(find_algorithm("ppo"), "mine/Task-v0", file)
-    changed = recipe.with_(steps=None, robots=7, gamma=0.5, net=(8, 4))
+    changed = recipe.with_changes(steps=None, robots=7, gamma=0.5, net=(8, 4))
     assert (changed.steps, changed.robots) == (8, 7)
-    built = changed.built()
+    built = changed.build_arguments()
     assert built["gamma"] == 0.5
     assert built["policy_kwargs"] == {"log_std_init": 1.0, "net_arch": [8, 4]}
 

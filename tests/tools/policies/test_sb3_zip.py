@@ -55,7 +55,7 @@ def test_refusing_needs_neither_stable_baselines3_nor_torch(good: Path) -> None:
     code = (
         "import sys; from acsar_gym.errors import PolicyError\n"
         "from acsar_gym.tools.evaluation import runs\n"
-        f"try: runs.load({str(good)!r}, trust=False)\n"
+        f"try: runs.load_policy({str(good)!r}, trust=False)\n"
         "except PolicyError: sys.exit(bool({'torch', 'stable_baselines3'} & set(sys.modules)))\n"
         "sys.exit(2)"
     )

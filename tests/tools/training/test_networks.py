@@ -117,7 +117,7 @@ def test_numbers_that_are_no_numbers_are_refused() -> None:
 def test_the_exported_network_acts_as_the_trained_one(tmp_path: Path) -> None:
     import torch
 
-    from acsar_gym.tools.policies import sb3_export
+    from acsar_gym.tools.policies import sb3
 
     env = ids.make_vec("acsar_gym/ObstacleGoal-v1", 1, worlds="clutter:1")
     width = len(env.single_observation_space.sample())
@@ -125,7 +125,7 @@ def test_the_exported_network_acts_as_the_trained_one(tmp_path: Path) -> None:
     for bias in policy.mlp_extractor.actor.even:
         torch.nn.init.normal_(bias.bias)
     path = tmp_path / "policy.onnx"
-    sb3_export.export_policy(policy, path, describe_policy(env, "acsar_gym/ObstacleGoal-v1"))
+    sb3.export_policy(policy, path, describe_policy(env, "acsar_gym/ObstacleGoal-v1"))
     env.close()
     exported, rng = OnnxPolicy(path), np.random.default_rng(0)
     for _ in range(5):

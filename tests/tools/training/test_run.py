@@ -81,20 +81,6 @@ def test_a_target_ends_the_training_with_the_policy_that_reached_it(
     assert config["run"]["held_out"]["success_rate"] == float(row["success_rate"])
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        ("--algo dqn", "--algo dqn: unknown"),
-        ("--device tpu", "--device tpu: unknown"),
-        ("--target 1.5", "--target 1.5: must be 0 to 1"),
-        ("--conf-file /no/such.yml", "/no/such.yml"),
-    ],
-)
-def test_bad_options_are_refused(arguments: str, said: str, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=said):
-        seeds.main([*arguments.split(), "--out", str(tmp_path), "--threads", "1"])
-
-
 def test_where_there_is_no_cuda_it_says_so(tmp_path: Path) -> None:
     import torch
 

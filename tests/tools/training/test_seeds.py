@@ -1,4 +1,4 @@
-"""Trainings of several seeds."""
+"""Trainings of several seeds, and trials of a sweep over levels of randomization."""
 
 from __future__ import annotations
 
@@ -88,7 +88,9 @@ def test_files_of_a_training_go_to_another_machine_and_come_back(tmp_path: Path)
     assert {"policy.onnx", "model.zip", "config.yml", "log.txt"} <= names
     assert "checkpoints" not in names
     with pytest.raises(ConfigError, match="a folder can't be sent"):
-        seeds.make_job(replace(options, conf_file=None, worlds=str(tmp_path)), 2, tmp_path)
+        seeds.make_job(
+            options.model_copy(update={"conf_file": None, "worlds": str(tmp_path)}), 2, tmp_path
+        )
 
 
 def test_a_recipe_may_have_ranges_of_its_own(tmp_path: Path) -> None:
@@ -97,9 +99,26 @@ def test_a_recipe_may_have_ranges_of_its_own(tmp_path: Path) -> None:
     recipe.write_text(f"acsar_gym/PointGoal-v0: {text}", encoding="utf-8")
     plan = TrainingPlan.of(TrainingOptions(conf_file=recipe, out=tmp_path, robots=4, threads=1))
     assert plan.randomization == Randomization(friction=(0.7, 1.2))
-    plan.held_out(plan.learning()).close()
-    plain = replace(plan, options=replace(plan.options, randomize=False))
+    plan.make_held_out_batch(plan.make_training_batch()).close()
+    plain = replace(plan, options=plan.options.model_copy(update={"randomize": False}))
     assert plain.randomization == Randomization()
+
+
+def test_a_trial_trains_and_gives_a_success_rate() -> None:
+    assert 0.0 <= seeds.run_trial("point_goal", 3, seed=1, steps=1, count=2) <= 1.0
+
+
+def test_a_recipe_has_the_ranges_of_its_level() -> None:
+    (none,) = seeds.randomized_recipe("point_goal", 0).values()
+    assert "randomization" not in none["env_kwargs"]
+    friction = []
+    for level in (1, 2, 3):
+        (recipe,) = seeds.randomized_recipe("point_goal", level).values()
+        low, high = recipe["env_kwargs"]["randomization"]["friction"]
+        friction.append(high - low)
+    assert friction == sorted(friction)
+    with pytest.raises(ConfigError, match="must be 1, 2 or 3"):
+        seeds.randomized_recipe("point_goal", 4)
 
 
 @pytest.mark.slow

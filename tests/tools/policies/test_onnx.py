@@ -8,48 +8,17 @@ import sys
 from pathlib import Path
 
 import gymnasium
-import numpy as np
 import pytest
 from onnx_tools import ENV_ID, GOOD, Maker, bundle_of, relabelled
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError, PolicyError
-from acsar_gym.resources import AGENTS
 from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.evaluation.episodes import run_episodes
 from acsar_gym.tools.evaluation.metrics import summarise_episodes
-from acsar_gym.tools.policies import OnnxPolicy
+from acsar_gym.tools.policies import OnnxPolicy, save
 
 pytestmark = pytest.mark.xdist_group("torch")
-TRAIN = AGENTS / "train.py"
-
-
-@pytest.fixture(scope="module")
-def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder that the real training script leaves, on a tiny budget."""
-    out = tmp_path_factory.mktemp("train")
-    options = ["--steps", "512", "--robots", "8", "--no-progress", "--out", str(out)]
-    subprocess.run([sys.executable, str(TRAIN), *options], check=True, timeout=120)
-    return out
-
-
-def test_training_leaves_policy_model_checkpoints_and_logs(trained: Path) -> None:
-    assert (trained / "policy.onnx").exists()
-    assert (trained / "model.zip").exists()
-    assert list(trained.glob("checkpoints/*.zip"))
-    assert list(trained.glob("tensorboard/**/events.out.tfevents.*"))
-
-
-def test_the_file_decides_as_the_model_does(trained: Path) -> None:
-    from stable_baselines3 import PPO
-
-    model = PPO.load(trained / "model.zip", device="cpu")
-    policy = OnnxPolicy(trained / "policy.onnx")
-    rng = np.random.default_rng(0)
-    for observation in rng.uniform(-1.0, 1.0, (100, 7)).astype(np.float32):
-        expected, _ = model.predict(observation, deterministic=True)
-        assert policy(observation) == pytest.approx(expected, abs=1e-5)
-        assert np.abs(policy(observation)).max() <= 1.0
 
 
 @pytest.mark.parametrize("link", ["bullet", "planar"])
@@ -87,17 +56,13 @@ def test_a_broken_file_says_so(tmp_path: Path, content: bytes) -> None:
 def test_a_policy_for_another_observation_is_refused(tmp_path: Path) -> None:
     names = ["heading_cos", *bundle_of().observation.names[1:]]
     path = relabelled(tmp_path / "heading.onnx", observation__names=names)
-    with pytest.raises(
-        PolicyError, match=r"observation\[0\] is heading_cos in the file.*train it again"
-    ):
+    with pytest.raises(PolicyError, match=r"observation\[0\] is heading_cos"):
         runs.make_env(OnnxPolicy(path), "planar", None, {})
 
 
 def test_a_policy_for_another_lidar_is_refused() -> None:
     wide = RobotConfig.preset("acsar").with_(lidar={"field_of_view": 3.0})
-    with pytest.raises(
-        PolicyError, match=r"lidar.field_of_view is 6.283 in the file and 3 on this robot"
-    ):
+    with pytest.raises(PolicyError, match=r"lidar\.field_of_view is 6\.283 .* 3 "):
         runs.make_env(OnnxPolicy("obstacle_goal"), "planar", wide, {})
 
 
@@ -127,8 +92,11 @@ def test_a_network_with_other_names_is_refused(tmp_path: Path) -> None:
         OnnxPolicy(path)
 
 
-def test_the_file_names_no_path_of_the_machine_that_trained(trained: Path) -> None:
-    for path in (trained / "policy.onnx", GOOD):
+def test_the_file_names_no_path_of_the_machine_that_trained(tmp_path: Path) -> None:
+    import torch
+
+    save(torch.nn.Linear(7, 2), "point_goal", tmp_path / "policy.onnx")
+    for path in (tmp_path / "policy.onnx", GOOD):
         content = path.read_bytes()
         assert b".py" not in content
         assert str(Path.home()).encode() not in content

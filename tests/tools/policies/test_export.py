@@ -76,15 +76,15 @@ def test_a_normalizer_needs_no_clip(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"outputs": 3}, "gives shape (1, 3): must be (batch, 2)"),
-        ({"env_id": "path_follow"}, "doesn't take observations of shape (batch, 16)"),
-        ({"normalizer": (0.0, 0.0, None)}, "std and clip must be positive"),
-        ({"normalizer": (np.nan, 1.0, None)}, "mean must be finite"),
+        ({"outputs": 3}, "(1, 3)"),
+        ({"env_id": "path_follow"}, "(batch, 16)"),
+        ({"normalizer": (0.0, 0.0, None)}, "std"),
+        ({"normalizer": (np.nan, 1.0, None)}, "normalizer: mean"),
         ({"normalizer": (np.zeros(5), 1.0, None)}, "doesn't take observations"),
         ({"normalizer": [0.0]}, "normalizer: must be (mean, std)"),
         ({"normalizer": 3}, "normalizer: must be (mean, std)"),
-        ({"normalizer": ("a", 1.0)}, "mean must be finite"),
-        ({"normalizer": (0.0, 1.0, "a")}, "std and clip must be positive"),
+        ({"normalizer": ("a", 1.0)}, "normalizer: mean"),
+        ({"normalizer": (0.0, 1.0, "a")}, "normalizer: clip"),
     ],
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
 )
@@ -150,7 +150,7 @@ def test_an_unknown_environment_is_one_line(tmp_path: Path) -> None:
 
 def test_without_onnx_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(sys.modules, "acsar_gym.tools.policies.export", raising=False)
-    monkeypatch.delattr(policies, "torch_export", raising=False)
+    monkeypatch.delattr(policies, "export", raising=False)
     monkeypatch.setitem(sys.modules, "onnxscript", None)
     with pytest.raises(MissingExtraError, match=r"onnxscript\) needs .*acsar_gym\[train\]"):
         save(network(), "point_goal", tmp_path / "p.onnx")

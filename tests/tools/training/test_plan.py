@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 
 from acsar_gym.errors import ConfigError
-from acsar_gym.tools.training import threads
+from acsar_gym.tools.training import plan
 from acsar_gym.vector.env import choose_threads, usable_cores
 
 
@@ -30,27 +30,27 @@ def batch(asked: int) -> int:
     ],
 )
 def test_threads_that_would_share_a_core_are_left_out(cores: int, share: float, free: int) -> None:
-    assert threads.compute_free_cores(cores, share) == free
+    assert plan.compute_free_cores(cores, share) == free
 
 
 def test_the_measurement_is_within_what_there_is() -> None:
-    assert 1 <= threads.measure_free_cores() <= usable_cores()
+    assert 1 <= plan.measure_free_cores() <= usable_cores()
 
 
 def test_a_number_that_is_given_is_taken() -> None:
-    assert threads.choose_threads(1) == 1
+    assert plan.choose_threads(1) == 1
 
 
 @pytest.mark.parametrize("asked", [0, -1, 4096])
 def test_impossible_numbers_are_refused(asked: int) -> None:
     with pytest.raises(ConfigError, match=f"--threads {asked}: must be 1"):
-        threads.choose_threads(asked)
+        plan.choose_threads(asked)
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="there are no affinities here")
 @pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="there is one core")
 @pytest.mark.parametrize(
-    ("name", "choose"), [("--threads", threads.choose_threads), ("threads =", batch)]
+    ("name", "choose"), [("--threads", plan.choose_threads), ("threads =", batch)]
 )
 def test_a_process_held_to_one_core_is_told_so(name: str, choose: Callable[[int], int]) -> None:
     before = os.sched_getaffinity(0)

@@ -1,0 +1,104 @@
+"""Policy files as an attacker would make them: one line each, before they cost anything."""
+
+from __future__ import annotations
+
+import os
+import resource
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from onnx_tools import ENV_ID, GOOD, HOSTILE, Maker, bundle_of, relabelled
+
+from acsar_gym.errors import ConfigError, PolicyError
+from acsar_gym.tools.evaluation import runs
+from acsar_gym.tools.policies import OnnxPolicy
+from acsar_gym.tools.policies.base import MAX_POLICY_BYTES
+
+
+def refused(path: Path) -> str:
+    """The one line with which a policy file is refused."""
+    with pytest.raises(PolicyError) as raised:
+        runs.make_env(runs.load_policy(str(path), trust=False), "planar", None, {})
+    said = str(raised.value)
+    assert said.startswith(str(path))
+    assert "\n" not in said
+    assert len(said) < 400
+    return said
+
+
+@pytest.mark.parametrize("make", HOSTILE, ids=lambda make: make.__name__)
+def test_a_hostile_file_is_one_line(
+    make: Callable[[], bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("weights.bin").write_bytes(bytes(56))  # what external data would be taken from
+    path = tmp_path / "policy.onnx"
+    path.write_bytes(make())
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    largest = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss  # of other tests' children
+    refused(path)
+    grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    assert grown < 300_000  # kB
+    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss <= max(
+        largest,
+        before + 100_000,
+        1_500_000,  # a child begins with the size of its parent
+    )
+
+
+def test_devices_pipes_and_large_files_are_not_read(tmp_path: Path) -> None:
+    pipe, large = tmp_path / "pipe.onnx", tmp_path / "large.onnx"
+    os.mkfifo(pipe)
+    with large.open("wb") as file:
+        file.truncate(MAX_POLICY_BYTES + 1)
+    assert "regular file" in refused(pipe)
+    assert "larger than 32 MB" in refused(large)
+    assert "regular file" in refused(Path("/dev/zero"))
+
+
+@pytest.mark.parametrize("cut", [0, 7, 140, 399])
+def test_no_cut_or_changed_file_gets_past_as_anything_but_a_policy(
+    cut: int, tmp_path: Path
+) -> None:
+    data, path = GOOD.read_bytes(), tmp_path / "policy.onnx"
+    rng = np.random.default_rng(cut)
+    changed = bytearray(data)
+    for place in rng.integers(0, 600, 5):
+        changed[place] = rng.integers(256)
+    for content in (data[:cut], data[:-cut] if cut else b"", bytes(changed)):
+        path.write_bytes(content)
+        try:
+            OnnxPolicy(path)
+        except PolicyError as error:
+            assert "\n" not in str(error)  # noqa: PT017 - most are refused, some are harmless
+
+
+def test_other_networks_than_dense_layers_drive_too(tmp_path: Path) -> None:
+    make = Maker()
+    lanes = make.add("Unsqueeze", "observation", make.weight([1], np.int64))
+    filtered = make.add("Conv", lanes, make.weight(np.full((4, 1, 3), 0.1)))
+    make.dense(make.add("Flatten", filtered), 20)
+    path = tmp_path / "convolution.onnx"
+    path.write_bytes(make.bytes())
+    assert OnnxPolicy(path)(np.ones(7, np.float32)).tolist() == pytest.approx([0.06, 0.06])
+
+
+@pytest.mark.parametrize("env_id", ["GymV21Environment-v0", "phys2d/CartPole-v1", "CartPole-v1"])
+def test_a_file_chooses_among_the_environments_of_this_package_alone(
+    env_id: str, tmp_path: Path
+) -> None:
+    path = relabelled(tmp_path / "other.onnx", env__id=env_id)
+    assert "--env" in refused(path)
+    policy = runs.load_policy(str(path), trust=False, env=ENV_ID)
+    runs.make_env(policy, "planar", None, {}).close()
+    with pytest.raises(ConfigError, match="no_such_module"):
+        runs.load_policy(str(path), trust=False, env="no_such_module:x-v0")
+
+
+def test_what_a_file_says_cannot_steer_a_terminal(tmp_path: Path) -> None:
+    names = [f"\x1b]0;{name}\x07" for name in bundle_of().observation.names]
+    for values in ({"env__id": "\x1b[2Jx"}, {"observation__names": names}):
+        path = relabelled(tmp_path / "escape.onnx", **values)
+        assert "\x1b" not in refused(path)
