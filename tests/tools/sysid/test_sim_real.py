@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -14,13 +15,17 @@ from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.recording.types import Recording
 from acsar_gym.tools.evaluation import report
-from acsar_gym.tools.sysid import sim_real
 from acsar_gym.tools.sysid.sim_real import (
     EPISODE_METRICS,
     SideComparison,
     compare_sides,
+    compare_values,
+    comparison_table,
     conclude_comparison,
+    difference_sizes,
     distribution_distances,
+    format_comparison,
+    paired_rate_interval,
 )
 
 ACSAR = RobotConfig.preset("acsar")
@@ -122,7 +127,7 @@ def test_other_policies_are_said_first() -> None:
     assert (
         conclude_comparison(found)[0] == "policies differ: a.onnx (aaaaaaaa) vs b.onnx (bbbbbbbb)"
     )
-    assert "policies differ" in str(sim_real.comparison_table(found).title)
+    assert "policies differ" in str(comparison_table(found).title)
     assert (
         "policies" not in conclude_comparison(compare_sides([("a", logs[0])], [("b", logs[0])]))[0]
     )
@@ -173,10 +178,51 @@ def test_headers_that_say_nothing_are_no_task(header: dict[str, Any]) -> None:
 
 
 def test_table_and_json_hold_the_metrics() -> None:
-    table = sim_real.comparison_table(sides())
+    table = comparison_table(sides())
     assert table.row_count == len(sides().comparisons()) >= 6
     report.print_tables(table)
-    told = sim_real.format_comparison(sides())
+    told = format_comparison(sides())
     assert told["metrics"]["time_to_goal"]["difference"] > 0.3
     assert len(told["pairs"]) == 5
-    assert sim_real.difference_sizes(sides())["time_to_goal"] > 0.3
+    assert difference_sizes(sides())["time_to_goal"] > 0.3
+
+
+def test_newcombes_own_example() -> None:
+    """The first of his table; he subtracts the other way round."""
+    found = paired_rate_interval(36, 12, 2, 0)
+    assert (-found[1], -found[0]) == pytest.approx((0.0569, 0.3404), abs=5e-5)
+    one, other = paired_rate_interval(19, 7, 1, 3), paired_rate_interval(19, 1, 7, 3)
+    assert one == pytest.approx((-other[1], -other[0]))
+
+
+def test_rates_are_second_minus_first_and_equal_ones_arent_certain() -> None:
+    better = compare_values(([0.0] * 20, [1.0] * 20), [(0.0, 1.0)] * 20, rates=True)
+    assert better.values == (0.0, 1.0)
+    assert better.difference == 1.0
+    assert better.interval[0] > 0.7
+    assert better.differs
+    same = compare_values(([1.0] * 20, [1.0] * 20), [(1.0, 1.0)] * 20, rates=True)
+    assert same.difference == 0.0
+    assert same.interval[0] < -0.05
+    assert same.interval[1] > 0.05
+    assert not same.differs
+
+
+def test_pairing_sees_what_means_hide() -> None:
+    rng = np.random.default_rng(0)
+    first = rng.uniform(2.0, 8.0, 20)
+    second = first + rng.normal(0.2, 0.05, 20)
+    pairs = list(zip(first.tolist(), second.tolist(), strict=True))
+    found = compare_values((first.tolist(), second.tolist()), pairs)
+    assert found.intervals[0][1] > found.values[1]
+    assert found.interval[0] < 0.2 < found.interval[1]
+    assert found.differs
+
+
+def test_what_isnt_known_is_left_out() -> None:
+    found = compare_values(([1.0, math.nan], [2.0]), [(1.0, 2.0), (math.nan, 3.0)])
+    assert (found.counts, found.pairs, found.difference) == ((1, 1), 1, 1.0)
+    nothing = compare_values(([], []), [], rates=True)
+    assert math.isnan(nothing.difference)
+    assert math.isnan(nothing.interval[0])
+    assert not nothing.differs
