@@ -180,8 +180,12 @@ class Identification:
     def check(self) -> None:
         """Check that this is worth a robot's file; IdentificationError says why it isn't."""
         dead = f" ({', '.join(self.dead)} never turned)" if self.dead else ""
-        told = [one for one in self.findings if one.told]
-        if all(one.name == RATE_NAME and _is_same_rate(one) for one in told):
+        told = {one.name: one for one in self.findings if one.told}
+        rate = told.pop(RATE_NAME, None)
+        if rate is not None and rate.value is not None and rate.before is not None:
+            same = abs(rate.value / rate.before - 1.0) < SAME_RATE
+            told |= {} if same else {RATE_NAME: rate}
+        if not told:
             raise IdentificationError(
                 f"nothing to write: nothing new was found{dead}; the table says what is missing"
             )
@@ -246,13 +250,6 @@ class Identification:
             "duration": self.duration,
             "logs": list(self.logs),
         }
-
-
-def _is_same_rate(one: ParameterFinding) -> bool:
-    """Whether a feedback rate is as configured, which is nothing new."""
-    if one.value is None or one.before is None:
-        return False
-    return abs(one.value / one.before - 1.0) < SAME_RATE
 
 
 def round_digits(value: float) -> float:

@@ -30,6 +30,7 @@ from acsar_gym.tools.sysid.identifiability import (
     HANGS_ON_LAG,
     LONG_PAUSE,
     TURNING_SPEED,
+    WHEEL_PARAMETERS,
     Identifiability,
 )
 from acsar_gym.tools.sysid.response import PARAMETERS_PER_WHEEL
@@ -97,87 +98,88 @@ class ParameterFinding:
     note: str = ""
     told: bool = False
 
+    def explain(self, why: str) -> ParameterFinding:
+        """A copy that can't be told, and why."""
+        return replace(self, note=why)
+
+    def tell(self, value: float, low: float, high: float, note: str = "") -> ParameterFinding:
+        """A copy with a value and its interval."""
+        return replace(self, value=value, low=low, high=high, note=note, told=True)
+
 
 def find_wheels(
     fit: MotorFit | None, config: RobotConfig, known: Identifiability
 ) -> list[ParameterFinding]:
     """Findings of the four motors; one for all wheels where they don't differ."""
+    unlike: dict[str, list[ParameterFinding]] = {name: [] for name in WHEEL_PARAMETERS}
+    for wheel, letter in enumerate(MOTORS):
+        lag_told = False
+        for name, four in unlike.items():
+            own = config.motor.of_wheel(wheel)
+            before = float(getattr(own, name.removeprefix("motor.")))
+            one = ParameterFinding(name, letter, before=before)
+            if fit is None or not known.can(name, letter):
+                one = one.explain(known.missing[name, letter])
+            elif name == "motor.deadband":
+                index, slowest = fit.problem.wheels.index(wheel), known.slowest[wheel]
+                one = _find_deadband(one, fit, index, slowest, lag_told=lag_told)
+            else:
+                one = _find_smooth(one, fit, fit.problem.wheels.index(wheel))
+                lag_told = lag_told or (name == SMOOTH_PARAMETERS[0] and one.told)
+            four.append(one)
     found = []
-    for p in range(len(SMOOTH_PARAMETERS)):
+    for name, four in unlike.items():
         spread = None
-        if fit is not None:
-            rows = [PARAMETERS_PER_WHEEL * k + p for k in range(len(fit.problem.wheels))]
+        if fit is not None and name in SMOOTH_PARAMETERS:
+            rows = np.arange(len(fit.problem.wheels)) * PARAMETERS_PER_WHEEL
+            rows += SMOOTH_PARAMETERS.index(name)
             spread = np.asarray(fit.spread[np.ix_(rows, rows)])
-        four = [_find_smooth(fit, config, known, p, wheel) for wheel in range(4)]
         found += _merge_wheels(four, spread)
-    four = [_find_deadband(fit, config, known, wheel) for wheel in range(4)]
-    return found + _merge_wheels(four, None)
+    return found
 
 
-def _describe_configured(config: RobotConfig, name: str, wheel: int) -> ParameterFinding:
-    """The finding of one wheel's parameter before it is told."""
-    before = float(getattr(config.motor.of_wheel(wheel), name.removeprefix("motor.")))
-    return ParameterFinding(name, MOTORS[wheel], before=before)
-
-
-def _find_smooth(
-    fit: MotorFit | None, config: RobotConfig, known: Identifiability, p: int, wheel: int
-) -> ParameterFinding:
-    """Lag, gain or ramp of one wheel."""
-    name, letter = SMOOTH_PARAMETERS[p], MOTORS[wheel]
-    unknown = _describe_configured(config, name, wheel)
-    if fit is None or not known.can(name, letter):
-        return replace(unknown, note=known.missing[name, letter])
-    index = PARAMETERS_PER_WHEEL * fit.problem.wheels.index(wheel) + p
-    value = float(fit.solution.x[index])
-    half = NORMAL_QUANTILE * INTERVAL_FACTOR * math.sqrt(fit.spread[index, index])
-    half += float(fit.slack[index])
-    if name == "motor.acceleration":
-        return _find_ramp(unknown, value, half)
+def _find_smooth(unknown: ParameterFinding, fit: MotorFit, index: int) -> ParameterFinding:
+    """Lag, gain or ramp of one wheel; a ramp from the time that it needs for 1 rad/s."""
+    p = SMOOTH_PARAMETERS.index(unknown.name)
+    row = PARAMETERS_PER_WHEEL * index + p
+    value = float(fit.solution.x[row])
+    half = NORMAL_QUANTILE * INTERVAL_FACTOR * math.sqrt(fit.spread[row, row])
+    half += float(fit.slack[row])
+    at_bound = value > WHEEL_HIGH[p] * (1.0 - BOUND_EDGE)
+    vague = half > VAGUE_WHEEL[unknown.name] * value
+    if unknown.name == "motor.acceleration":
+        if not at_bound and (value - half <= 0.0 or value < max(1.0 / NO_RAMP, 1e-3)):
+            fastest = 1.0 / max(value + half, 1e-6)
+            note = f"no ramp, or one faster than {fastest:.0f} rad/s^2"
+            return unknown.tell(NO_RAMP, fastest, NO_RAMP, note)
+        if at_bound or vague:
+            why = "too vague: record more large steps"
+            return unknown.explain("the fit ended at its bound" if at_bound else why)
+        high = min(NO_RAMP, 1.0 / (value - half))
+        return unknown.tell(1.0 / value, 1.0 / (value + half), high)
     half = max(half, LEAST_INTERVAL_SHARE * value)
-    if not WHEEL_LOW[p] * (1.0 + BOUND_EDGE) <= value <= WHEEL_HIGH[p] * (1.0 - BOUND_EDGE):
-        return replace(unknown, note=f"the fit ended at its bound of {value:.3g}")
-    if half > VAGUE_WHEEL[name] * value:
-        return replace(unknown, note=f"too vague, +-{half / value:.0%}: record more steps")
-    return replace(unknown, value=value, low=max(0.0, value - half), high=value + half, told=True)
-
-
-def _find_ramp(unknown: ParameterFinding, slowness: float, half: float) -> ParameterFinding:
-    """The ramp of one wheel, from the time it needs for 1 rad/s and its half width."""
-    if slowness > WHEEL_HIGH[2] * (1.0 - BOUND_EDGE):
-        return replace(unknown, note="the fit ended at its bound")
-    if slowness - half <= 0.0 or slowness < 1.0 / NO_RAMP or slowness < 1e-3:
-        fastest = 1.0 / max(slowness + half, 1e-6)
-        note = f"no ramp, or one faster than {fastest:.0f} rad/s^2"
-        return replace(unknown, value=NO_RAMP, low=fastest, high=NO_RAMP, note=note, told=True)
-    if half > VAGUE_WHEEL["motor.acceleration"] * slowness:
-        return replace(unknown, note="too vague: record more large steps")
-    low, high = 1.0 / (slowness + half), min(NO_RAMP, 1.0 / (slowness - half))
-    return replace(unknown, value=1.0 / slowness, low=low, high=high, told=True)
+    if at_bound or value < WHEEL_LOW[p] * (1.0 + BOUND_EDGE):
+        return unknown.explain(f"the fit ended at its bound of {value:.3g}")
+    if vague:
+        return unknown.explain(f"too vague, +-{half / value:.0%}: record more steps")
+    return unknown.tell(value, max(0.0, value - half), value + half)
 
 
 def _find_deadband(
-    fit: MotorFit | None, config: RobotConfig, known: Identifiability, wheel: int
+    unknown: ParameterFinding, fit: MotorFit, index: int, slowest: float, *, lag_told: bool
 ) -> ParameterFinding:
     """The deadband of one wheel."""
-    name, letter, most = "motor.deadband", MOTORS[wheel], known.slowest[wheel]
-    unknown = _describe_configured(config, name, wheel)
-    if fit is None or not known.can(name, letter):
-        return replace(unknown, note=known.missing[name, letter])
-    index = fit.problem.wheels.index(wheel)
     one = fit.deadbands[index]
-    lag_told = _find_smooth(fit, config, known, 0, wheel).told
     if one is None:
-        note = "the wheel never turned"
-    elif not lag_told and fit.wheels[index].lag > WHEEL_LOW[0] * (1.0 + BOUND_EDGE):
-        note = HANGS_ON_LAG
-    elif one.high > most:
-        note = f"ended at its bound: slow commands up to {most:.1f} rad/s don't show it"
-    elif one.high - one.low > 2.0 * VAGUE_WHEEL[name]:
-        note = "too vague: command a slower staircase"
-    else:
-        return replace(unknown, value=one.value, low=one.low, high=one.high, told=True)
-    return replace(unknown, note=note)
+        return unknown.explain("the wheel never turned")
+    if not lag_told and fit.wheels[index].lag > WHEEL_LOW[0] * (1.0 + BOUND_EDGE):
+        return unknown.explain(HANGS_ON_LAG)
+    if one.high > slowest:
+        why = f"slow commands up to {slowest:.1f} rad/s don't show it"
+        return unknown.explain(f"ended at its bound: {why}")
+    if one.high - one.low > 2.0 * VAGUE_WHEEL[unknown.name]:
+        return unknown.explain("too vague: command a slower staircase")
+    return unknown.tell(*one)
 
 
 def _merge_wheels(four: list[ParameterFinding], spread: Floats | None) -> list[ParameterFinding]:
@@ -211,34 +213,29 @@ def find_board(
     tracks: Sequence[BoardTrack],
 ) -> list[ParameterFinding]:
     """Findings of the board, in the order of the table."""
-    board, encoder = config.firmware, config.encoder
-    found = {
-        DELAY_NAME: ParameterFinding(DELAY_NAME, before=board.command_delay),
-        TIMEOUT_NAME: ParameterFinding(TIMEOUT_NAME, before=board.command_timeout),
-        WINDOW_NAME: ParameterFinding(WINDOW_NAME, before=encoder.window),
-    }
-    for name, unknown in found.items():
-        if fit is None or not known.can(name):
-            note = known.missing.get((name, ""), "no wheel turned")
-            found[name] = replace(unknown, note=note)
-    if fit is not None:
-        if known.can(DELAY_NAME):
-            found[DELAY_NAME] = _find_delay(found[DELAY_NAME], fit)
-        if known.can(TIMEOUT_NAME):
-            found[TIMEOUT_NAME] = _find_timeout(found[TIMEOUT_NAME], fit, tracks)
-        if known.can(WINDOW_NAME):
-            found[WINDOW_NAME] = _find_window(found[WINDOW_NAME], fit, known)
+    found = []
+    for name, before, find in (
+        (DELAY_NAME, config.firmware.command_delay, _find_delay),
+        (TIMEOUT_NAME, config.firmware.command_timeout, _find_timeout),
+        (WINDOW_NAME, config.encoder.window, _find_window),
+    ):
+        one = ParameterFinding(name, before=before)
+        hidden = name == WINDOW_NAME and not known.can(DELAY_NAME)
+        if fit is None or hidden or not known.can(name):
+            found.append(one.explain(known.missing.get((name, ""), "no wheel turned")))
+        else:
+            found.append(find(one, fit))
     rate = ParameterFinding(RATE_NAME, before=config.feedback_rate)
     if not known.can(RATE_NAME):
-        rate = replace(rate, note=known.missing[RATE_NAME, ""])
-    elif (lines := measure_line_rate(tracks)).rate > board.loop_rate:
-        rate = replace(rate, note="more lines than the twin has loops")
+        rate = rate.explain(known.missing[RATE_NAME, ""])
+    elif (lines := measure_line_rate(tracks)).rate > config.firmware.loop_rate:
+        rate = rate.explain("more lines than the twin has loops")
     else:
         low = max(0.1 * lines.rate, lines.rate - lines.half)
-        high, note = lines.rate + lines.half, f"jitter {1e3 * lines.jitter:.1f} ms"
-        rate = replace(rate, value=lines.rate, low=low, high=high, note=note, told=True)
-    quantum = _find_quantum(fit, config, tracks)
-    return [found[DELAY_NAME], found[TIMEOUT_NAME], rate, found[WINDOW_NAME], quantum]
+        note = f"jitter {1e3 * lines.jitter:.1f} ms"
+        rate = rate.tell(lines.rate, low, lines.rate + lines.half, note)
+    quantum = _find_quantum(fit, config, np.concatenate([track.speeds for track in tracks]))
+    return [*found[:2], rate, found[2], quantum]
 
 
 def _half_width(fit: MotorFit, *weights: tuple[int, float]) -> float:
@@ -255,24 +252,22 @@ def _find_delay(unknown: ParameterFinding, fit: MotorFit) -> ParameterFinding:
     value = fit.times.delay
     half = _half_width(fit, (-3, 1.0), (-2, -0.5)) + fit.problem.dt
     if not DELAY_BOUNDS[0] * 0.9 < value < DELAY_BOUNDS[1] * 0.9:
-        return replace(unknown, note="the fit ended at its bound")
+        return unknown.explain("the fit ended at its bound")
     if value + half < -NEGATIVE_DELAY:
         why = "less than the wire alone takes: check baud_rate and firmware.processing_time"
-        return replace(unknown, note=why)
+        return unknown.explain(why)
     if half > VAGUE_TIME:
-        return replace(unknown, note="too vague: record more steps")
-    low, high = max(0.0, value - half), max(half, value + half)
+        return unknown.explain("too vague: record more steps")
     note = "on top of wire and processing_time; the board's loops blur it"
-    return replace(unknown, value=max(0.0, value), low=low, high=high, note=note, told=True)
+    low, high = max(0.0, value - half), max(half, value + half)
+    return unknown.tell(max(0.0, value), low, high, note)
 
 
-def _find_timeout(
-    unknown: ParameterFinding, fit: MotorFit, tracks: Sequence[BoardTrack]
-) -> ParameterFinding:
+def _find_timeout(unknown: ParameterFinding, fit: MotorFit) -> ParameterFinding:
     """The command time-out, or that there is none."""
     gaps = [
         float(track.arrivals[k + 1] - track.arrivals[k])
-        for track in tracks
+        for track in fit.problem.tracks
         for k in track.pauses
         if np.abs(track.commands[k]).max() >= TURNING_SPEED
     ]
@@ -282,57 +277,43 @@ def _find_timeout(
             note = f"none: the wheels kept turning for {longest:.1f} s without commands"
             return replace(unknown, note=note, told=True)
         why = f"above {longest:.2f} s, the longest pause: stop sending commands for 2 s"
-        return replace(unknown, note=why)
+        return unknown.explain(why)
     value = fit.times.timeout - fit.problem.dt / 2.0  # a board looks once a loop
     half = _half_width(fit, (-1, 1.0)) + 3.0 * fit.problem.dt
     if fit.slack[-1] > VAGUE_TIME:
-        return replace(unknown, note=HANGS_ON_LAG)
+        return unknown.explain(HANGS_ON_LAG)
     if half > 2.0 * VAGUE_TIME or value >= longest:
-        return replace(unknown, note="too vague: stop sending commands for 2 s")
-    return replace(unknown, value=value, low=value - half, high=value + half, told=True)
+        return unknown.explain("too vague: stop sending commands for 2 s")
+    return unknown.tell(value, value - half, value + half)
 
 
-def _find_window(
-    unknown: ParameterFinding, fit: MotorFit, known: Identifiability
-) -> ParameterFinding:
+def _find_window(unknown: ParameterFinding, fit: MotorFit) -> ParameterFinding:
     """The averaging time of the encoders, in whole loops of the twin."""
     dt, value, half = fit.problem.dt, fit.times.window, _half_width(fit, (-2, 1.0))
-    if not known.can(DELAY_NAME):
-        return replace(unknown, note="no wheel turned")
     if value > 0.95 * LONGEST_WINDOW:
-        return replace(unknown, note="the fit ended at its bound")
+        return unknown.explain("the fit ended at its bound")
     if not fit.solution.free[-2] and not fit.window_held:
-        why = "too vague: record more steps at a higher line rate"
-        return replace(unknown, note=why)
+        return unknown.explain("too vague: record more steps at a higher line rate")
     if half > VAGUE_TIME:
-        return replace(unknown, note="too vague: record more steps")
+        return unknown.explain("too vague: record more steps")
     whole = max(1, round(value / dt)) * dt
-    low, high = max(dt, value - half - dt), value + half + dt
-    note = "by encoder counts" if fit.window_held else ""
-    return replace(
-        unknown, value=whole, low=min(low, whole), high=max(high, whole), note=note, told=True
-    )
+    low, high = min(whole, max(dt, value - half - dt)), max(whole, value + half + dt)
+    return unknown.tell(whole, low, high, "by encoder counts" if fit.window_held else "")
 
 
-def _find_quantum(
-    fit: MotorFit | None, config: RobotConfig, tracks: Sequence[BoardTrack]
-) -> ParameterFinding:
+def _find_quantum(fit: MotorFit | None, config: RobotConfig, speeds: Floats) -> ParameterFinding:
     """The step of the printed speeds."""
     unknown = ParameterFinding(QUANTUM_NAME, before=config.encoder.quantum)
-    speeds = np.concatenate([track.speeds for track in tracks]) if tracks else np.empty(0)
     found = fit.quantum if fit else find_quantum(speeds)
     if found is None:
-        return replace(unknown, note="too few different speeds: record slow and fast driving")
+        return unknown.explain("too few different speeds: record slow and fast driving")
     counted = fit is not None and fit.window_held and not fit.rounding.step
     if counted or is_explained_by_counts(speeds, config, config.encoder.window, 0.0):
-        note = COUNTED_NOTE
-    elif found.step <= PRINTED_STEP:
+        return replace(unknown.tell(*found, COUNTED_NOTE), told=False)
+    if found.step <= PRINTED_STEP:
         note = "finer than the two decimals of a line show"
-    else:
-        note = ""
-    return replace(
-        unknown, value=found.step, low=found.low, high=found.high, note=note, told=not note
-    )
+        return replace(unknown.tell(*found, note), told=False)
+    return unknown.tell(*found)
 
 
 def sample_delays(fit: MotorFit) -> tuple[float, ...]:
