@@ -15,25 +15,9 @@ from acsar_gym.reading import decode_text, read_file
 from acsar_gym.recording import Recorder
 from acsar_gym.robot import Robot
 from acsar_gym.sensors.lidar import sensor_factories
-from acsar_gym.tools.sysid.calibration_drive import (
-    RunObserver,
-    RunPlan,
-    TruthObserver,
-    check_space,
-    drive_run,
-    find_needed_space,
-    make_fence,
-)
+from acsar_gym.tools.sysid import calibration_drive, calibration_runs
 from acsar_gym.tools.sysid.calibration_fit import GeometryFit, fit_geometry
-from acsar_gym.tools.sysid.calibration_runs import (
-    CalibrationRun,
-    RunReading,
-    configured_geometry,
-    integrate_wheels,
-    read_runs,
-    rolled_distance,
-    write_runs,
-)
+from acsar_gym.tools.sysid.calibration_runs import CalibrationRun, RunReading
 from acsar_gym.tools.sysid.scan_matching import LidarObserver, with_fine_scans
 from acsar_gym.worlds import Pose, Scene
 from acsar_gym.worlds.pool import Pool
@@ -225,8 +209,8 @@ def check_readings(run: CalibrationRun, config: RobotConfig) -> str:
     Raises:
         ConfigError: a reading contradicts odometry by more than CONTRADICTION_SHARE.
     """
-    told, geometry = "", configured_geometry(config)
-    x, y, theta = integrate_wheels(run.wheels, geometry, config.wheel_separation)
+    told, geometry = "", calibration_runs.configured_geometry(config)
+    x, y, theta = calibration_runs.integrate_wheels(run.wheels, geometry, config.wheel_separation)
     for reading in run.readings:
         value = reading.value
         if reading.kind == "heading":
@@ -243,7 +227,7 @@ def check_readings(run: CalibrationRun, config: RobotConfig) -> str:
                 hint = "in millimetres?" if 500.0 < times < 2000.0 else hint
                 raise _contradict(run, f"{value:g} m", f"odometry says {expected:.3f} m: {hint}")
         else:
-            way = max(rolled_distance(run, geometry.radius), 0.1)
+            way = max(calibration_runs.rolled_distance(run, geometry.radius), 0.1)
             if abs(value) > (1.0 + CONTRADICTION_SHARE) * way:
                 raise _contradict(run, f"{value:g}", "farther than the robot drove")
     return told
@@ -344,16 +328,16 @@ class CalibrationJob:
         self._config, self._given, self._scales = config, given, scales
         self._kept_in, self._ask = kept_in, ask
         if kept_in is not None and (known or kept_in.exists()):
-            self.found = read_runs(kept_in, config)
+            self.found = calibration_runs.read_runs(kept_in, config)
         if known and not self.found:
             raise ConfigError(f"{kept_in}: holds no runs: drive some with --runs {kept_in}")
 
     def drive(
         self,
         wire: DrivenRobot,
-        plans: Sequence[RunPlan],
+        plans: Sequence[calibration_drive.RunPlan],
         space: tuple[float, float] | None,
-        before: Callable[[RunPlan], None],
+        before: Callable[[calibration_drive.RunPlan], None],
     ) -> None:
         """Drive runs within the stated space; each is kept as soon as it has ended.
 
@@ -378,30 +362,30 @@ class CalibrationJob:
                 raise ConfigError(
                     f"{rows} readings for {count} {manoeuvre} runs: must be one for each run"
                 )
-        observer: RunObserver | None = None
+        observer: calibration_drive.RunObserver | None = None
         if wire.lidar is not None:
             observer = LidarObserver(with_fine_scans(wire.config))
         elif wire.simulated and not given:
-            observer = TruthObserver()
+            observer = calibration_drive.TruthObserver()
         if not (observer or given or self._ask or self._kept_in):
             raise ConfigError(
                 "nobody would measure: give --measured, --measured-deg or --corners, --lidar, or "
                 "--runs FILE to measure now and give the readings later"
             )
         if not wire.simulated and space is None:
-            ahead, aside = find_needed_space(plans, wire.config)
+            ahead, aside = calibration_drive.find_needed_space(plans, wire.config)
             raise ConfigError(
                 f"--space is missing: say how much floor is free ahead and to each side; this "
                 f"needs --space {ahead + 0.005:.2f} {aside + 0.005:.2f}"
             )
-        space = check_space(wire.config, plans, space)
+        space = calibration_drive.check_space(wire.config, plans, space)
         scene, robot = wire.make_scene(), wire.make_robot()
         try:
             for plan in plans:
                 own = plan.ahead() if wire.simulated else plan  # begins at its start anyway
                 before(own)
-                robot.safety.fence(make_fence(wire.config, own, space))
-                run = drive_run(robot, own, scene, observer)
+                robot.safety.fence(calibration_drive.make_fence(wire.config, own, space))
+                run = calibration_drive.drive_run(robot, own, scene, observer)
                 if any(run.name == one.name for one in self.found):
                     run = replace(run, name=f"{run.name} ({len(self.found) + 1})")
                 self.add([run])
@@ -453,4 +437,4 @@ class CalibrationJob:
     def _keep(self) -> None:
         """Write the runs to their file."""
         if self._kept_in is not None:
-            write_runs(self._kept_in, self.found, self._config)
+            calibration_runs.write_runs(self._kept_in, self.found, self._config)

@@ -18,22 +18,11 @@ from numpy.typing import NDArray
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import require_extra
 from acsar_gym.protocol import MOTORS
+from acsar_gym.tools.sysid import feedback_lines, response
 from acsar_gym.tools.sysid.delays import Floats
-from acsar_gym.tools.sysid.feedback_lines import (
-    SAME_QUANTUM,
-    Quantum,
-    count_speed,
-    find_quantum,
-    is_explained_by_counts,
-    mean_printed_speeds,
-)
+from acsar_gym.tools.sysid.feedback_lines import Quantum
 from acsar_gym.tools.sysid.identifiability import TURNING_SPEED, Identifiability
-from acsar_gym.tools.sysid.response import (
-    PARAMETERS_PER_WHEEL,
-    BoardTimes,
-    FitProblem,
-    WheelModel,
-)
+from acsar_gym.tools.sysid.response import BoardTimes, FitProblem, WheelModel
 from acsar_gym.tools.sysid.tracks import BoardTrack
 
 with require_extra("identification", "scipy"):
@@ -182,7 +171,7 @@ def fit_motors(
         return None
     problem = FitProblem.of(tracks, wheels, config)
     printed = np.concatenate([track.speeds for track in tracks])
-    quantum = find_quantum(printed)
+    quantum = feedback_lines.find_quantum(printed)
     # Ramp and delay are fitted with every lag, even where the log can't tell them apart.
     names = ("motor.time_constant", "motor.gain", "motor.time_constant")
     rows = [known.can(name, MOTORS[wheel]) for wheel in wheels for name in names]
@@ -386,11 +375,11 @@ def find_rounding(
     step = quantum.step if quantum else 0.0
     speeds = np.concatenate([track.speeds for track in problem.tracks])
     for n in range(1, LONGEST_COUNT_WINDOW + 1):  # the coarsest: finer ones explain multiples, too
-        counts = count_speed(config, n * problem.dt)
-        own = 0.0 if abs(counts - step) < SAME_QUANTUM * step else step
-        if is_explained_by_counts(speeds, config, n * problem.dt, own):
+        counts = feedback_lines.count_speed(config, n * problem.dt)
+        own = 0.0 if abs(counts - step) < feedback_lines.SAME_QUANTUM * step else step
+        if feedback_lines.is_explained_by_counts(speeds, config, n * problem.dt, own):
             return SpeedRounding(counts, own), n * problem.dt
-    counts = count_speed(config, window)
+    counts = feedback_lines.count_speed(config, window)
     return SpeedRounding(counts if counts < step else 0.0, step), None
 
 
@@ -416,7 +405,9 @@ def fit_deadband(
     measured, costs = problem.measured(index), []
     for band in bands.tolist():
         rest = problem.residuals_of(index, model._replace(deadband=band), times)
-        expected = mean_printed_speeds(rest + measured, rounding.counts, rounding.step)
+        expected = feedback_lines.mean_printed_speeds(
+            rest + measured, rounding.counts, rounding.step
+        )
         rest = np.abs(expected - measured)
         costs.append(np.where(rest < 0.2, rest**2, 0.4 * rest - 0.04))  # linear for large ones
     total = np.array(costs).sum(1)
@@ -457,7 +448,7 @@ def estimate_slack(problem: FitProblem, solution: FitSolution) -> Floats:
 
     Zeros where all lags were fitted.
     """
-    lags = PARAMETERS_PER_WHEEL * np.arange(len(problem.wheels))
+    lags = response.PARAMETERS_PER_WHEEL * np.arange(len(problem.wheels))
     held = lags[~solution.free[lags]]
     moved = np.zeros(len(solution.x))
     if not len(held) or not solution.free.any():

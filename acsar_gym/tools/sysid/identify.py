@@ -20,24 +20,10 @@ from acsar_gym.recording import Recorder
 from acsar_gym.recording.reader import read
 from acsar_gym.recording.replay import check_same_robot
 from acsar_gym.recording.types import WireLog
+from acsar_gym.tools.sysid import identifiability, parameter_findings
 from acsar_gym.tools.sysid.excitation import drive_excitation
 from acsar_gym.tools.sysid.fit import MotorFit, configured_times, configured_wheel, fit_motors
-from acsar_gym.tools.sysid.identifiability import (
-    NEVER_TURNED,
-    check_identifiability,
-    check_wheel_order,
-)
-from acsar_gym.tools.sysid.parameter_findings import (
-    COUNTED_NOTE,
-    DELAY_NAME,
-    NO_RAMP,
-    QUANTUM_NAME,
-    RATE_NAME,
-    ParameterFinding,
-    find_board,
-    find_wheels,
-    sample_delays,
-)
+from acsar_gym.tools.sysid.parameter_findings import ParameterFinding
 from acsar_gym.tools.sysid.tracks import decode_track
 
 IDENTIFY_METHOD = "identify"
@@ -108,16 +94,16 @@ def identify_logs(
     tracks = [one for one in (decode_track(log, config) for log in logs) if one is not None]
     if not tracks:
         raise ConfigError("the log holds no commands, or no feedback to them: nothing to identify")
-    check_wheel_order(tracks)
-    known = check_identifiability(tracks)
+    identifiability.check_wheel_order(tracks)
+    known = identifiability.check_identifiability(tracks)
     fit = fit_motors(tracks, config, known)
-    board = find_board(fit, config, known, tracks)
-    delayed = any(one.name == DELAY_NAME and one.told for one in board)
+    board = parameter_findings.find_board(fit, config, known, tracks)
+    delayed = any(one.name == parameter_findings.DELAY_NAME and one.told for one in board)
     return Identification(
         config,
-        (*find_wheels(fit, config, known), *board),
+        (*parameter_findings.find_wheels(fit, config, known), *board),
         None if fit is None else _validate(fit, config),
-        sample_delays(fit) if fit and delayed else (),
+        parameter_findings.sample_delays(fit) if fit and delayed else (),
         sum(one.duration for one in tracks),
         tuple(hashes),
     )
@@ -174,17 +160,17 @@ class Identification:
     @property
     def dead(self) -> tuple[str, ...]:
         """Names of the wheels that never turned."""
-        never = {one.wheel for one in self.findings if one.note == NEVER_TURNED}
+        never = {one.wheel for one in self.findings if one.note == identifiability.NEVER_TURNED}
         return tuple(WHEELS[MOTORS.index(letter)] for letter in sorted(never))
 
     def check(self) -> None:
         """Check that this is worth a robot's file; IdentificationError says why it isn't."""
         dead = f" ({', '.join(self.dead)} never turned)" if self.dead else ""
         told = {one.name: one for one in self.findings if one.told}
-        rate = told.pop(RATE_NAME, None)
+        rate = told.pop(parameter_findings.RATE_NAME, None)
         if rate is not None and rate.value is not None and rate.before is not None:
             same = abs(rate.value / rate.before - 1.0) < SAME_RATE
-            told |= {} if same else {RATE_NAME: rate}
+            told |= {} if same else {parameter_findings.RATE_NAME: rate}
         if not told:
             raise IdentificationError(
                 f"nothing to write: nothing new was found{dead}; the table says what is missing"
@@ -233,9 +219,13 @@ class Identification:
 
     def _make_up_counts(self, window: float) -> int | None:
         """Counts per turn where those configured would be coarser than the printed numbers."""
-        quantum = next(one for one in self.findings if one.name == QUANTUM_NAME)
+        quantum = next(one for one in self.findings if one.name == parameter_findings.QUANTUM_NAME)
         coarse = 2.0 * math.pi / (self.config.encoder.counts_per_revolution * window)
-        if quantum.value is None or quantum.note == COUNTED_NOTE or not self.held_out:
+        if (
+            quantum.value is None
+            or quantum.note == parameter_findings.COUNTED_NOTE
+            or not self.held_out
+        ):
             return None
         if coarse < 2.0 * quantum.value:
             return None
@@ -271,7 +261,7 @@ def identification_table(found: Identification) -> Table:
         drawn.add_column(column, overflow="fold")
     for one in found.findings:
         factor, unit = SHOWN_UNITS[one.name]
-        known = one.value is not None and one.value != NO_RAMP
+        known = one.value is not None and one.value != parameter_findings.NO_RAMP
         value = "none" if one.told else "-"
         interval = ""
         if known:

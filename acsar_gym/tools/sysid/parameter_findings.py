@@ -11,13 +11,8 @@ import numpy as np
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import require_extra
 from acsar_gym.protocol import MOTORS
+from acsar_gym.tools.sysid import feedback_lines, identifiability
 from acsar_gym.tools.sysid.delays import Floats
-from acsar_gym.tools.sysid.feedback_lines import (
-    PRINTED_STEP,
-    find_quantum,
-    is_explained_by_counts,
-    measure_line_rate,
-)
 from acsar_gym.tools.sysid.fit import (
     DELAY_BOUNDS,
     LONGEST_WINDOW,
@@ -26,13 +21,7 @@ from acsar_gym.tools.sysid.fit import (
     WHEEL_LOW,
     MotorFit,
 )
-from acsar_gym.tools.sysid.identifiability import (
-    HANGS_ON_LAG,
-    LONG_PAUSE,
-    TURNING_SPEED,
-    WHEEL_PARAMETERS,
-    Identifiability,
-)
+from acsar_gym.tools.sysid.identifiability import Identifiability
 from acsar_gym.tools.sysid.response import PARAMETERS_PER_WHEEL
 from acsar_gym.tools.sysid.tracks import BoardTrack
 
@@ -111,7 +100,9 @@ def find_wheels(
     fit: MotorFit | None, config: RobotConfig, known: Identifiability
 ) -> list[ParameterFinding]:
     """Findings of the four motors; one for all wheels where they don't differ."""
-    unlike: dict[str, list[ParameterFinding]] = {name: [] for name in WHEEL_PARAMETERS}
+    unlike: dict[str, list[ParameterFinding]] = {
+        name: [] for name in identifiability.WHEEL_PARAMETERS
+    }
     for wheel, letter in enumerate(MOTORS):
         lag_told = False
         for name, four in unlike.items():
@@ -173,7 +164,7 @@ def _find_deadband(
     if one is None:
         return unknown.explain("the wheel never turned")
     if not lag_told and fit.wheels[index].lag > WHEEL_LOW[0] * (1.0 + BOUND_EDGE):
-        return unknown.explain(HANGS_ON_LAG)
+        return unknown.explain(identifiability.HANGS_ON_LAG)
     if one.high > slowest:
         why = f"slow commands up to {slowest:.1f} rad/s don't show it"
         return unknown.explain(f"ended at its bound: {why}")
@@ -228,7 +219,7 @@ def find_board(
     rate = ParameterFinding(RATE_NAME, before=config.feedback_rate)
     if not known.can(RATE_NAME):
         rate = rate.explain(known.missing[RATE_NAME, ""])
-    elif (lines := measure_line_rate(tracks)).rate > config.firmware.loop_rate:
+    elif (lines := feedback_lines.measure_line_rate(tracks)).rate > config.firmware.loop_rate:
         rate = rate.explain("more lines than the twin has loops")
     else:
         low = max(0.1 * lines.rate, lines.rate - lines.half)
@@ -269,11 +260,11 @@ def _find_timeout(unknown: ParameterFinding, fit: MotorFit) -> ParameterFinding:
         float(track.arrivals[k + 1] - track.arrivals[k])
         for track in fit.problem.tracks
         for k in track.pauses
-        if np.abs(track.commands[k]).max() >= TURNING_SPEED
+        if np.abs(track.commands[k]).max() >= identifiability.TURNING_SPEED
     ]
     longest = max(gaps, default=0.0)
     if not fit.solution.free[-1]:
-        if longest >= LONG_PAUSE:
+        if longest >= identifiability.LONG_PAUSE:
             note = f"none: the wheels kept turning for {longest:.1f} s without commands"
             return replace(unknown, note=note, told=True)
         why = f"above {longest:.2f} s, the longest pause: stop sending commands for 2 s"
@@ -281,7 +272,7 @@ def _find_timeout(unknown: ParameterFinding, fit: MotorFit) -> ParameterFinding:
     value = fit.times.timeout - fit.problem.dt / 2.0  # a board looks once a loop
     half = _half_width(fit, (-1, 1.0)) + 3.0 * fit.problem.dt
     if fit.slack[-1] > VAGUE_TIME:
-        return unknown.explain(HANGS_ON_LAG)
+        return unknown.explain(identifiability.HANGS_ON_LAG)
     if half > 2.0 * VAGUE_TIME or value >= longest:
         return unknown.explain("too vague: stop sending commands for 2 s")
     return unknown.tell(value, value - half, value + half)
@@ -304,13 +295,13 @@ def _find_window(unknown: ParameterFinding, fit: MotorFit) -> ParameterFinding:
 def _find_quantum(fit: MotorFit | None, config: RobotConfig, speeds: Floats) -> ParameterFinding:
     """The step of the printed speeds."""
     unknown = ParameterFinding(QUANTUM_NAME, before=config.encoder.quantum)
-    found = fit.quantum if fit else find_quantum(speeds)
+    found = fit.quantum if fit else feedback_lines.find_quantum(speeds)
     if found is None:
         return unknown.explain("too few different speeds: record slow and fast driving")
     counted = fit is not None and fit.window_held and not fit.rounding.step
-    if counted or is_explained_by_counts(speeds, config, config.encoder.window, 0.0):
+    if counted or feedback_lines.is_explained_by_counts(speeds, config, config.encoder.window, 0.0):
         return replace(unknown.tell(*found, COUNTED_NOTE), told=False)
-    if found.step <= PRINTED_STEP:
+    if found.step <= feedback_lines.PRINTED_STEP:
         note = "finer than the two decimals of a line show"
         return replace(unknown.tell(*found, note), told=False)
     return unknown.tell(*found)

@@ -16,12 +16,7 @@ from acsar_gym.errors import ConfigError, require_extra
 from acsar_gym.links.lateness import LATE_TICK
 from acsar_gym.recording.replay import check_same_robot
 from acsar_gym.recording.types import Episode, Recording
-from acsar_gym.tools.evaluation.metrics import (
-    Interval,
-    bootstrap_interval,
-    replace_nonfinite,
-    wilson_interval,
-)
+from acsar_gym.tools.evaluation import metrics
 from acsar_gym.tools.evaluation.report import escape_text
 from acsar_gym.tools.sysid.delays import (
     DelayComparison,
@@ -51,13 +46,13 @@ class MetricComparison:
 
     values: tuple[float, float]
     """Mean or rate of each side."""
-    intervals: tuple[Interval, Interval]
+    intervals: tuple[metrics.Interval, metrics.Interval]
     """95 % intervals: Wilson for rates, bootstrap for means."""
     counts: tuple[int, int]
     """Episodes with a value."""
     difference: float
     """Mean difference of the pairs, second minus first."""
-    interval: Interval
+    interval: metrics.Interval
     """Its 95 % interval."""
     pairs: int
     """Pairs in which both have a value."""
@@ -97,13 +92,13 @@ def compare_values(
             counts[True, True], only_first, only_second, counts[False, False]
         )
         before, after = (
-            wilson_interval(round(sum(side)), len(side)) if side else NO_INTERVAL
+            metrics.wilson_interval(round(sum(side)), len(side)) if side else NO_INTERVAL
             for side in (first, second)
         )
     else:
         differences = [b - a for a, b in known]
-        difference, around = _mean(differences), bootstrap_interval(differences)
-        before, after = bootstrap_interval(first), bootstrap_interval(second)
+        difference, around = _mean(differences), metrics.bootstrap_interval(differences)
+        before, after = metrics.bootstrap_interval(first), metrics.bootstrap_interval(second)
     return MetricComparison(
         (_mean(first), _mean(second)),
         (before, after),
@@ -118,7 +113,9 @@ def _mean(values: Sequence[float]) -> float:
     return float(np.mean(values)) if values else math.nan
 
 
-def paired_rate_interval(both: int, only_first: int, only_second: int, neither: int) -> Interval:
+def paired_rate_interval(
+    both: int, only_first: int, only_second: int, neither: int
+) -> metrics.Interval:
     """Return the 95 % interval of the difference of two paired rates, second minus first.
 
     Newcombe's square-and-add interval of Wilson's (Statistics in Medicine 17, 1998, method 10).
@@ -134,7 +131,7 @@ def paired_rate_interval(both: int, only_first: int, only_second: int, neither: 
     if count == 0:
         return NO_INTERVAL
     hits = both + only_second, both + only_first
-    (low2, high2), (low1, high1) = (wilson_interval(hit, count) for hit in hits)
+    (low2, high2), (low1, high1) = (metrics.wilson_interval(hit, count) for hit in hits)
     p2, p1 = (hit / count for hit in hits)
     margins = (both + only_first) * (only_second + neither)
     margins *= (both + only_second) * (only_first + neither)
@@ -542,7 +539,7 @@ def format_comparison(sides: SideComparison) -> dict[str, Any]:
         }
         for first, second in sides.pairs
     ]
-    told: dict[str, Any] = replace_nonfinite(
+    told: dict[str, Any] = metrics.replace_nonfinite(
         {
             "task": sides.task,
             "sides": list(sides.names),
