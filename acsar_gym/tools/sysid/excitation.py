@@ -9,8 +9,7 @@ import numpy as np
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.links import Link
-from acsar_gym.links.base import Arrivals, arrivals_of
-from acsar_gym.physics.body import GroundTruth
+from acsar_gym.links.base import Arrivals, ForwardingLink, arrivals_of
 from acsar_gym.recording import Recorder
 from acsar_gym.recording.types import WireLog
 from acsar_gym.robot import Robot
@@ -98,7 +97,7 @@ def _make_steps(ticks: int, top: float, period: float, rng: np.random.Generator)
     return speeds
 
 
-class TappedLink:
+class TappedLink(ForwardingLink):
     """Passes a link's bytes on with stretched periods, and keeps a log of them.
 
     Args:
@@ -108,54 +107,28 @@ class TappedLink:
     """
 
     def __init__(self, link: Link) -> None:
-        self.link = link
+        super().__init__(link)
         self.device = getattr(link, "device", "")
         self._sent: Arrivals = []
         self._got: Arrivals = []
-        self.arrivals: Arrivals = []
-
-    def open(self) -> None:
-        """Open the link."""
-        self.link.open()
 
     def reset(self, scene: Scene) -> None:
         """Reset the link, and begin a new log."""
-        self.link.reset(scene)
+        super().reset(scene)
         self._sent.clear()
         self._got.clear()
         arrivals_of(self.link)  # from now on, it notes when bytes arrive
 
     def write(self, data: bytes) -> None:
         """Send bytes to the robot."""
-        self.link.write(data)
-        self._sent.append((self.link.now(), data))
+        super().write(data)
+        self._sent.append((self.now(), data))
 
     def advance(self, period: float) -> bytes:
         """Let a stretched period pass; returns what arrived."""
-        data = self.link.advance(period * TICK_STRETCH)
-        self.arrivals = list(arrivals_of(self.link))
-        if data and not self.arrivals:
-            self.arrivals = [(self.link.now(), data)]
-        self._got += self.arrivals
+        data = super().advance(period * TICK_STRETCH)
+        self._got += list(self.arrivals) or ([(self.now(), data)] if data else [])
         return data
-
-    def now(self) -> float:
-        """Return the link's time [s]."""
-        return self.link.now()
-
-    @property
-    def lateness(self) -> float | None:
-        """Lateness of the link [s]."""
-        return self.link.lateness
-
-    @property
-    def truth(self) -> GroundTruth | None:
-        """Ground truth of the link."""
-        return self.link.truth
-
-    def close(self) -> None:
-        """Close the link."""
-        self.link.close()
 
     @property
     def log(self) -> WireLog:
