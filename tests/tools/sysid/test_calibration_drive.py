@@ -45,14 +45,10 @@ ENDS = {
 }
 
 
-def test_every_second_line_goes_back_and_speeds_differ() -> None:
+def test_lines_go_back_turns_alternate_and_squares_come_clockwise_first() -> None:
     assert [plan.back for plan in LINES] == [False, True, False]
     assert len({plan.linear for plan in LINES}) == 3
     assert [plan.ahead().name for plan in LINES] == ["straight 1", "straight 2", "straight 3"]
-    assert not any(plan.ahead().back for plan in LINES)
-
-
-def test_turns_alternate_and_squares_come_clockwise_first() -> None:
     plans = plan_turns(5.0, (0.5, 1.0), (0.0, 0.3), 2)
     angles = [leg.angle for plan in plans for leg in plan.legs]
     assert angles == pytest.approx([10.0 * math.pi, -10.0 * math.pi] * 4)
