@@ -167,6 +167,29 @@ class EpisodeOutcome:
         named = f"episode {again}" if seed is None else f"seed {seed}"
         return named if seed is None or not again else f"{named} ({again + 1})"
 
+    @property
+    def path_length(self) -> float:
+        """Length of the path by odometry [m]."""
+        return float(np.hypot(*np.diff(self.episode.poses[:, :2], axis=0).T).sum())
+
+    @property
+    def turning_per_metre(self) -> float:
+        """Heading changes per metre [rad/m]."""
+        headings = np.unwrap(self.episode.poses[:, 2])
+        return float(np.abs(np.diff(headings)).sum()) / max(self.path_length, 1e-9)
+
+    @property
+    def odometry_error(self) -> float:
+        """Distance between odometry and truth at the end [m]; NaN on hardware."""
+        if not self.track.known:
+            return math.nan
+        return float(np.hypot(*(self.track.odometry[-1] - self.track.truth[-1])[:2]))
+
+    @property
+    def episode_return(self) -> float:
+        """Sum of the rewards; NaN without any."""
+        return float(self.episode.rewards.sum()) if len(self.episode.rewards) else math.nan
+
 
 EpisodePairs = tuple[tuple[EpisodeOutcome, EpisodeOutcome], ...]
 
@@ -181,40 +204,16 @@ class EpisodeMetric:
     of: Callable[[EpisodeOutcome], float]
 
 
-def _path_length(outcome: EpisodeOutcome) -> float:
-    """The length of the path by odometry [m]."""
-    return float(np.hypot(*np.diff(outcome.episode.poses[:, :2], axis=0).T).sum())
-
-
-def _turning_per_metre(outcome: EpisodeOutcome) -> float:
-    """Heading changes per metre [rad/m]."""
-    headings = np.unwrap(outcome.episode.poses[:, 2])
-    return float(np.abs(np.diff(headings)).sum()) / max(_path_length(outcome), 1e-9)
-
-
-def _odometry_error(outcome: EpisodeOutcome) -> float:
-    """The distance between odometry and truth at the end [m]; NaN on hardware."""
-    track = outcome.track
-    if not track.known:
-        return math.nan
-    return float(np.hypot(*(track.odometry[-1] - track.truth[-1])[:2]))
-
-
-def _episode_return(outcome: EpisodeOutcome) -> float:
-    rewards = outcome.episode.rewards
-    return float(rewards.sum()) if len(rewards) else math.nan
-
-
 EPISODE_METRICS: dict[str, EpisodeMetric] = {
-    "success_rate": EpisodeMetric("success", "%", 100.0, lambda outcome: outcome.success),
+    "success_rate": EpisodeMetric("success", "%", 100.0, lambda o: o.success),
     "time_to_goal": EpisodeMetric(
         "time to the goal", "s", 1.0, lambda o: o.seconds if o.success == 1.0 else math.nan
     ),
-    "episode_return": EpisodeMetric("return", "", 1.0, _episode_return),
+    "episode_return": EpisodeMetric("return", "", 1.0, lambda o: o.episode_return),
     "length": EpisodeMetric("steps", "", 1.0, lambda o: float(len(o.episode.rewards) or math.nan)),
-    "path": EpisodeMetric("path", "m", 1.0, _path_length),
-    "smoothness": EpisodeMetric("turning", "rad/m", 1.0, _turning_per_metre),
-    "odometry_error": EpisodeMetric("odometry error", "cm", 100.0, _odometry_error),
+    "path": EpisodeMetric("path", "m", 1.0, lambda o: o.path_length),
+    "smoothness": EpisodeMetric("turning", "rad/m", 1.0, lambda o: o.turning_per_metre),
+    "odometry_error": EpisodeMetric("odometry error", "cm", 100.0, lambda o: o.odometry_error),
 }
 """Metrics by name, the same as those of `evaluate`; the success rate is the only rate."""
 
