@@ -71,7 +71,7 @@ soak: $(READY)  ## half an hour of driving over a pseudo-terminal
 	$(BIN)/python tests/fuzz/soak.py --minutes $(SOAK_MINUTES)
 
 identify-check: $(READY)  ## find the parameters of 20 hidden robots over pseudo-terminals
-	$(BIN)/python tests/identification/check_hidden.py
+	$(BIN)/python tests/tools/sysid/check_hidden.py
 
 replug: $(READY)  ## pull the cable of a driving robot a thousand times, in twenty minutes
 	$(BIN)/python tests/fuzz/replug.py --cycles $(REPLUG_CYCLES)

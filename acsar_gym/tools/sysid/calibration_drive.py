@@ -1,7 +1,4 @@
-"""The manoeuvres of a calibration.
-
-Planned within the free floor, and driven closed-loop on odometry.
-"""
+"""The runs of a calibration: planned within the free floor, driven closed-loop on odometry."""
 
 from __future__ import annotations
 
@@ -32,6 +29,24 @@ SLOWER_SHARE = 0.07
 """How much slower the second and third of three runs are, as a share of the speed."""
 MAX_RUNS = 200
 """Most runs of one call."""
+DISTANCE_GAIN = 3.0
+"""Speed for each metre that is left [1/s]."""
+ANGLE_GAIN = 3.0
+"""Turn rate for each radian that is left [1/s]."""
+SLOWEST_SHARE = 0.2
+"""Least share of the full speed, before a leg's end."""
+HEADING_GAIN = 2.0
+"""Turn rate for each radian off the wanted heading [1/s]."""
+LEG_TOLERANCE = 0.002
+"""A leg ends this close before its end, as a share of a metre or of a radian; the rest is rolled
+out and measured."""
+LEG_TIMEOUT = 5.0
+"""A leg that takes this much longer than three times its nominal time has failed [s]."""
+REST_TIME = 1.5
+"""How long the robot stands at the end of a run, to be measured [s]."""
+TRUTH_METRES = 2e-4
+TRUTH_RADIANS = 1e-3
+"""Standard deviations of truth."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,9 +87,9 @@ def plan_straights(distance: float, speed: float, repeats: int) -> list[RunPlan]
         speed: of the first run [m/s]; the next ones are slower, so that roundings differ.
         repeats: how many runs; every second one goes backwards, to the start of the one before.
     """
-    _positive("--distance", distance, 100.0)
+    _check_size("--distance", distance, 100.0, repeats)
     found = []
-    for number in range(1, _count(repeats) + 1):
+    for number in range(1, repeats + 1):
         back = number % 2 == 0
         name = f"straight {number}" + (BACKWARDS_NAME if back else "")
         own = speed * (1.0 - SLOWER_SHARE * ((number - 1) % 3))
@@ -93,12 +108,12 @@ def plan_turns(
         radii: of the circle of the robot's centre [m]; 0 turns in place.
         repeats: how often each.
     """
-    _positive("--turns", turned, 1000.0)
+    _check_size("--turns", turned, 1000.0, repeats)
     for radius in radii:
         if not 0.0 <= radius <= 100.0:
             raise ConfigError(f"--radii {radius:g}: must be 0 to 100 m")
-    pairs = list(itertools.product(speeds, radii)) * _count(repeats)
     found = []
+    pairs = list(itertools.product(speeds, radii)) * repeats
     for number, (speed, radius) in enumerate(pairs, start=1):
         side = 1.0 if number % 2 else -1.0
         angle = side * turned * math.tau
@@ -121,16 +136,21 @@ def plan_squares(
         clockwise: how many clockwise runs, to the right of the start.
         counter: how many counter-clockwise runs, to the left.
     """
-    _positive("--size", size, 100.0)
-    _count(clockwise + counter)
+    _check_size("--size", size, 100.0, clockwise + counter)
     found = []
     for name, side, count in (("cw", -1.0, clockwise), ("ccw", 1.0, counter)):
         legs = (RunLeg(size, 0.0), RunLeg(0.0, side * math.pi / 2.0)) * 4
-        found += [
-            RunPlan(f"square {name} {n}", "square", legs, linear, angular)
-            for n in range(1, count + 1)
-        ]
+        names = [f"square {name} {number}" for number in range(1, count + 1)]
+        found += [RunPlan(own, "square", legs, linear, angular) for own in names]
     return found
+
+
+def _check_size(option: str, size: float, most: float, runs: int) -> None:
+    """Raise ConfigError unless 0 < size <= most, and for too few or too many runs."""
+    if not 0.0 < size <= most:
+        raise ConfigError(f"{option} {size:g}: must be more than 0, at most {most:g}")
+    if not 1 <= runs <= MAX_RUNS:
+        raise ConfigError(f"{runs} runs: must be 1 to {MAX_RUNS}")
 
 
 def find_needed_space(plans: Sequence[RunPlan], config: RobotConfig) -> tuple[float, float]:
@@ -138,10 +158,18 @@ def find_needed_space(plans: Sequence[RunPlan], config: RobotConfig) -> tuple[fl
 
     Includes the robot itself, a margin, and slack for what isn't calibrated yet.
     """
-    reach = footprint_radius(config) + SPACE_MARGIN
-    points = [point for plan in plans for point in _outline(plan)]
-    ahead, aside = max(x for x, _ in points), max(abs(y) for _, y in points)
-    slack = SPACE_SLACK * max(ahead, aside)
+    ahead = aside = 0.0
+    for plan in plans:
+        x = y = theta = 0.0
+        for leg in plan.legs:
+            parts = max(1, math.ceil(abs(leg.angle) / 0.1)) if leg.distance and leg.angle else 1
+            for _ in range(parts):
+                middle = theta + leg.angle / parts / 2.0
+                x += leg.distance / parts * math.cos(middle)
+                y += leg.distance / parts * math.sin(middle)
+                theta += leg.angle / parts
+                ahead, aside = max(ahead, x), max(aside, abs(y))
+    reach, slack = footprint_radius(config) + SPACE_MARGIN, SPACE_SLACK * max(ahead, aside)
     return ahead + slack + reach, aside + slack + reach
 
 
@@ -157,9 +185,10 @@ def check_space(
     if space is None:
         return ahead, aside
     if not (space[0] >= ahead - 1e-9 and space[1] >= aside - 1e-9):
+        up = [f"{math.ceil(one * 100.0 - 1e-6) / 100.0:.2f}" for one in (ahead, aside)]
         raise ConfigError(
-            f"--space {space[0]:g} {space[1]:g}: too small: this needs {_up(ahead)} m ahead of the "
-            f"robot's centre and {_up(aside)} m to each side, itself included: clear more floor, "
+            f"--space {space[0]:g} {space[1]:g}: too small: this needs {up[0]} m ahead of the "
+            f"robot's centre and {up[1]} m to each side, itself included: clear more floor, "
             "or drive less (--distance, --radii, --size)"
         )
     return space
@@ -181,56 +210,6 @@ def make_fence(config: RobotConfig, plan: RunPlan, space: tuple[float, float]) -
     return Geofence(min_x=ends[0], max_x=ends[1], min_y=-y, max_y=y)
 
 
-def _outline(plan: RunPlan) -> list[tuple[float, float]]:
-    """Points of the plan's path: the ends of legs, and the extremes of circles [m]."""
-    x = y = theta = 0.0
-    points = [(x, y)]
-    for leg in plan.legs:
-        parts = max(1, math.ceil(abs(leg.angle) / 0.1)) if leg.distance and leg.angle else 1
-        for _ in range(parts):
-            middle = theta + leg.angle / parts / 2.0
-            x += leg.distance / parts * math.cos(middle)
-            y += leg.distance / parts * math.sin(middle)
-            theta += leg.angle / parts
-            points.append((x, y))
-    return points
-
-
-def _up(length: float) -> str:
-    """Format a length, rounded up to centimetres."""
-    return f"{math.ceil(length * 100.0 - 1e-6) / 100.0:.2f}"
-
-
-def _positive(option: str, value: float, most: float) -> None:
-    """Raise ConfigError unless 0 < value <= most."""
-    if not 0.0 < value <= most:
-        raise ConfigError(f"{option} {value:g}: must be more than 0, at most {most:g}")
-
-
-def _count(runs: int) -> int:
-    """Check how many runs are asked for; ConfigError."""
-    if not 1 <= runs <= MAX_RUNS:
-        raise ConfigError(f"{runs} runs: must be 1 to {MAX_RUNS}")
-    return runs
-
-
-DISTANCE_GAIN = 3.0
-"""Speed for each metre that is left [1/s]."""
-ANGLE_GAIN = 3.0
-"""Turn rate for each radian that is left [1/s]."""
-SLOWEST_SHARE = 0.2
-"""Least share of the full speed, before a leg's end."""
-HEADING_GAIN = 2.0
-"""Turn rate for each radian off the wanted heading [1/s]."""
-LEG_TOLERANCE = 0.002
-"""A leg ends this close before its end, as a share of a metre or of a radian; the rest is rolled
-out and measured."""
-LEG_TIMEOUT = 5.0
-"""A leg that takes this much longer than three times its nominal time has failed [s]."""
-REST_TIME = 1.5
-"""How long the robot stands at the end of a run, to be measured [s]."""
-
-
 class RunObserver(Protocol):
     """Measures a run without a tape: ground truth, or a LiDAR."""
 
@@ -242,6 +221,37 @@ class RunObserver(Protocol):
 
     def readings(self, plan: RunPlan) -> list[RunReading]:
         """What was measured; called after the run, when the robot isn't driven."""
+
+
+class TruthObserver:
+    """Reads the end pose of each run from a simulation."""
+
+    def begin(self, robot: Robot) -> None:
+        """Note where the robot stands. LinkError on hardware."""
+        self._start = self._pose = self._read_truth(robot)
+        self._turned = 0.0
+
+    def tick(self, robot: Robot) -> None:
+        """Follow the robot."""
+        pose = self._read_truth(robot)
+        self._turned += math.remainder(pose[2] - self._pose[2], math.tau)
+        self._pose = pose
+
+    def readings(self, plan: RunPlan) -> list[RunReading]:
+        """The end pose in the frame of the start."""
+        x, y, _ = to_odometry(self._start, self._pose)
+        return [
+            RunReading("x", x, TRUTH_METRES, "truth"),
+            RunReading("y", y, TRUTH_METRES, "truth"),
+            RunReading("heading", self._turned, TRUTH_RADIANS, "truth"),
+        ]
+
+    @staticmethod
+    def _read_truth(robot: Robot) -> Pose:
+        truth = robot.link.truth
+        if truth is None:
+            raise LinkError("this link has no ground truth", "measure with a tape, or --lidar")
+        return truth.pose
 
 
 def drive_run(
@@ -258,14 +268,15 @@ def drive_run(
     Raises:
         LinkError: the link failed, the robot was stopped, or doesn't get on.
     """
-    driver = _Driver(robot, plan, observer)
+    driver = _RunDriver(robot, plan, observer)
     try:
         robot.reset(scene)
         if observer is not None:
             observer.begin(robot)
         for leg in plan.legs:
-            driver.leg(leg)
-        driver.rest()
+            driver.drive_leg(leg)
+        for _ in range(math.ceil(REST_TIME / robot.config.period)):
+            driver.tick(0.0, 0.0)
     except BaseException as error:
         robot.deactivate(error)
         raise
@@ -274,7 +285,7 @@ def drive_run(
     return CalibrationRun(plan.name, plan.manoeuvre, np.array(driver.wheels), tuple(readings))
 
 
-class _Driver:
+class _RunDriver:
     """Drives the legs of one run and keeps the angles of its wheels."""
 
     def __init__(self, robot: Robot, plan: RunPlan, observer: RunObserver | None) -> None:
@@ -287,57 +298,40 @@ class _Driver:
         self.way = 0.0
         """Driven since the leg's start, by odometry [m]."""
 
-    def leg(self, leg: RunLeg) -> None:
-        """Drive one leg. LinkError where it doesn't end."""
-        self.way, begin, full = 0.0, self.aim, abs(leg.angle)
+    def drive_leg(self, leg: RunLeg) -> None:
+        """Drive along a line or a circle, or turn in place. LinkError where it doesn't end."""
+        plan, begin, full = self.plan, self.aim, abs(leg.angle)
+        self.way = 0.0
         self.aim += leg.angle
-        time = max(leg.distance / self.plan.linear if leg.distance else 0.0, self._turning(leg))
+        time = max(
+            leg.distance / plan.linear if leg.distance else 0.0,
+            full / plan.angular if plan.angular else 0.0,
+        )
         for _ in range(math.ceil((3.0 * time + LEG_TIMEOUT) / self.robot.config.period)):
-            if self._ahead(leg, begin) if leg.distance else self._on_the_spot():
-                return
+            left = leg.distance - self.way if leg.distance else self.aim - self.heading
+            if leg.distance:
+                if left < LEG_TOLERANCE:
+                    return
+                share = min(1.0, max(SLOWEST_SHARE, DISTANCE_GAIN * left / plan.linear))
+                linear = plan.linear * share
+                wanted = begin + leg.angle * min(1.0, self.way / leg.distance)
+                rate = linear * leg.angle / leg.distance + HEADING_GAIN * (wanted - self.heading)
+                self.tick(-linear if plan.back else linear, rate)
+            else:
+                if abs(left) < LEG_TOLERANCE:
+                    return
+                share = min(1.0, max(SLOWEST_SHARE, ANGLE_GAIN * abs(left) / plan.angular))
+                self.tick(0.0, math.copysign(share * plan.angular, left))
         done = f"{self.way:.2f} of {leg.distance:.2f} m"
         if not leg.distance:
-            done = f"{math.degrees(full - abs(self.aim - self.heading)):.0f} of "
-            done += f"{math.degrees(full):.0f} degrees"
+            turned = math.degrees(full - abs(self.aim - self.heading))
+            done = f"{turned:.0f} of {math.degrees(full):.0f} degrees"
         raise LinkError(
-            f"{self.plan.name}: only {done} by odometry",
+            f"{plan.name}: only {done} by odometry",
             "check that nothing blocks the robot, its battery, and 'acsar-gym doctor'",
         )
 
-    def _turning(self, leg: RunLeg) -> float:
-        """Nominal time of a turn in place [s]."""
-        return abs(leg.angle) / self.plan.angular if self.plan.angular else 0.0
-
-    def _ahead(self, leg: RunLeg, begin: float) -> bool:
-        """Drive a tick along a line or a circle; returns whether the leg has ended."""
-        left = leg.distance - self.way
-        if left < LEG_TOLERANCE:
-            return True
-        linear = self.plan.linear * min(
-            1.0, max(SLOWEST_SHARE, DISTANCE_GAIN * left / self.plan.linear)
-        )
-        wanted = begin + leg.angle * min(1.0, self.way / leg.distance)
-        rate = linear * leg.angle / leg.distance
-        self._tick(
-            -linear if self.plan.back else linear, rate + HEADING_GAIN * (wanted - self.heading)
-        )
-        return False
-
-    def _on_the_spot(self) -> bool:
-        """Turn for a tick; returns whether the leg has ended."""
-        left = self.aim - self.heading
-        if abs(left) < LEG_TOLERANCE:
-            return True
-        share = min(1.0, max(SLOWEST_SHARE, ANGLE_GAIN * abs(left) / self.plan.angular))
-        self._tick(0.0, math.copysign(share * self.plan.angular, left))
-        return False
-
-    def rest(self) -> None:
-        """Stand until the wheels have come to rest."""
-        for _ in range(math.ceil(REST_TIME / self.robot.config.period)):
-            self._tick(0.0, 0.0)
-
-    def _tick(self, linear: float, angular: float) -> None:
+    def tick(self, linear: float, angular: float) -> None:
         """Drive for one tick. LinkError where the safety layer holds the robot."""
         robot, before = self.robot, self.robot.odometry.pose
         robot.drive(linear, angular)
@@ -348,62 +342,18 @@ class _Driver:
         self.wheels.append(((b + c) / 2.0, (a + d) / 2.0))
         if self.observer is not None:
             self.observer.tick(robot)
+        name = self.plan.name
         if robot.safety.stopped:
-            raise _stopped(self.plan, robot)
+            if robot.safety.reason != Reason.GEOFENCE:
+                what = f"{name}: ended by an emergency stop"
+                raise LinkError(what, "start again when it is safe")
+            raise LinkError(
+                f"{name}: stopped at ({x:.2f}, {y:.2f}) m by odometry, the edge of the stated "
+                "space",
+                "give more --space, or calibrate turns first",
+            )
         if robot.link.truth is not None and robot.link.truth.contact:
             raise LinkError(
-                f"{self.plan.name}: the robot touched an obstacle of its world",
+                f"{name}: the robot touched an obstacle of its world",
                 "take a wider --world, or drive less",
             )
-
-
-def _stopped(plan: RunPlan, robot: Robot) -> LinkError:
-    """The error for a robot that the safety layer holds."""
-    if robot.safety.reason != Reason.GEOFENCE:
-        return LinkError(f"{plan.name}: ended by an emergency stop", "start again when it is safe")
-    x, y, _ = robot.odometry.pose
-    return LinkError(
-        f"{plan.name}: stopped at ({x:.2f}, {y:.2f}) m by odometry, the edge of the stated space",
-        "give more --space, or calibrate turns first",
-    )
-
-
-TRUTH_METRES, TRUTH_RADIANS = 2e-4, 1e-3
-"""Standard deviations of truth."""
-
-
-class TruthObserver:
-    """Reads the end pose of each run from a simulation."""
-
-    def __init__(self) -> None:
-        self._start: Pose = (0.0, 0.0, 0.0)
-        self._pose: Pose = (0.0, 0.0, 0.0)
-        self._turned = 0.0
-
-    def begin(self, robot: Robot) -> None:
-        """Note where the robot stands."""
-        self._start = self._pose = _truth(robot)
-        self._turned = 0.0
-
-    def tick(self, robot: Robot) -> None:
-        """Follow the robot."""
-        pose = _truth(robot)
-        self._turned += math.remainder(pose[2] - self._pose[2], math.tau)
-        self._pose = pose
-
-    def readings(self, plan: RunPlan) -> list[RunReading]:
-        """The end pose in the frame of the start."""
-        x, y, _ = to_odometry(self._start, self._pose)
-        return [
-            RunReading("x", x, TRUTH_METRES, "truth"),
-            RunReading("y", y, TRUTH_METRES, "truth"),
-            RunReading("heading", self._turned, TRUTH_RADIANS, "truth"),
-        ]
-
-
-def _truth(robot: Robot) -> Pose:
-    """The true pose of a simulated robot. LinkError on hardware."""
-    truth = robot.link.truth
-    if truth is None:
-        raise LinkError("this link has no ground truth", "measure with a tape, or --lidar")
-    return truth.pose

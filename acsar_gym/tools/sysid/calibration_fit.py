@@ -1,12 +1,18 @@
-"""Least squares for radii and multiplier over the readings of all runs, and what it says."""
+"""Least squares for radii and multiplier over the readings of all runs together, and its results.
+
+Every reading is compared with odometry integrated from that run's wheel angles, so lag, ramps and
+limits of the drive don't matter, and straight lines, turns and squares share one fit. A parameter
+that the readings can't tell keeps the config's value, and its uncertainty widens the intervals of
+the others.
+"""
 
 from __future__ import annotations
 
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from rich.table import Table
@@ -17,14 +23,13 @@ from acsar_gym.physics.randomization import LEAST_TURN
 from acsar_gym.tools.evaluation.report import escape_text
 from acsar_gym.tools.sysid.calibration_runs import (
     CalibrationRun,
-    Floats,
     Geometry,
     configured_geometry,
     hash_runs,
     predict_readings,
-    reading_differences,
     reading_sigmas,
 )
+from acsar_gym.tools.sysid.delays import Floats
 
 with require_extra("calibration", "scipy"):
     from scipy import optimize, stats
@@ -48,10 +53,18 @@ GEOMETRY_HIGH = np.array([2.0, 0.3, 5.0])
 """Upper bounds, likewise."""
 GEOMETRY_STARTS = ((1.0,), tuple(np.linspace(-0.06, 0.06, 5)), tuple(np.geomspace(0.45, 2.6, 25)))
 """Grid from which the fit starts, likewise."""
+RADIUS_FIELDS = ("left_wheel_radius_multiplier", "right_wheel_radius_multiplier")
+MULTIPLIER_FIELD = "wheel_separation_multiplier"
+TURN_FACTOR_FIELD = "body.turn_factor"
+MISSING_HINTS = {
+    "wheel_radius": "the wheels' mean radius (calibrate straight tells it)",
+    "radius_ratio": "left against right radius (calibrate square, or turn --radii 0.5 both ways)",
+    MULTIPLIER_FIELD: "the multiplier (calibrate turn tells it)",
+}
+"""What tells a parameter that the fit couldn't."""
 
 
-@dataclass(frozen=True, slots=True)
-class FittedValue:
+class FittedValue(NamedTuple):
     """One fitted number with its 95 % interval."""
 
     value: float
@@ -60,7 +73,7 @@ class FittedValue:
 
     @classmethod
     def around(cls, value: float, half: float) -> FittedValue:
-        """The estimate with an interval of value - half to value + half."""
+        """The number with an interval of value - half to value + half."""
         return cls(value, value - half, value + half)
 
 
@@ -71,8 +84,8 @@ class GeometryFit:
     geometry: Geometry
     """Radii and multiplier; those that weren't told are the config's."""
     told: dict[str, FittedValue]
-    """The parameters that the readings tell, by NAMES; the ratio is right less left radius, as a
-    share of their mean."""
+    """The parameters that the readings tell, by GEOMETRY_PARAMETERS; the ratio is right less left
+    radius, as a share of their mean."""
     used: tuple[CalibrationRun, ...]
     """Runs with readings that were fitted."""
     outliers: tuple[CalibrationRun, ...]
@@ -95,25 +108,44 @@ def fit_geometry(runs: Sequence[CalibrationRun], config: RobotConfig) -> Geometr
     used = [run for run in runs if run.readings]
     if not used:
         raise ConfigError("no run has a reading yet: measure its end, then give --measured")
-    problem = _Problem(used, config)
-    p = problem.solve(problem.start(), (0, 1, 2), robust=True)
-    outliers = problem.outliers(p)
+    problem = _GeometryProblem(used, config)
+    grid = [problem.centre, *map(np.array, itertools.product(*GEOMETRY_STARTS))]
+    start = min(grid, key=lambda p: float(np.sqrt(1.0 + problem.with_prior(p) ** 2).sum()))
+    p = problem.solve(start, [0, 1, 2], robust=True)
+
+    off = np.abs(problem.residuals(p))
+    limit = OUTLIER_SIGMAS * max(1.0, 1.4826 * float(np.median(off)))
+    ends = np.cumsum([len(run.readings) for run in used])
+    worst = [float(part.max()) for part in np.split(off, ends[:-1])]
+    outliers = [run for run, most in zip(used, worst, strict=True) if most > limit]
+    if 3 * len(outliers) > len(used):
+        outliers = []  # too few others would be left
     if outliers:
-        problem = _Problem([run for run in used if run not in outliers], config)
-    told = problem.tells(p)
+        problem = _GeometryProblem([run for run in used if run not in outliers], config)
+
+    told = problem.find_told(p)
     if not told:
         raise ConfigError(
             "the readings tell neither radius nor multiplier: drive farther, or measure finer"
         )
-    p = np.where(np.isin(range(3), told), p, problem.centre)
-    p = problem.solve(p, told, robust=False)
-    problem.check_bounds(p, told)
-    rms = float(np.sqrt(np.mean(problem.residuals(p) ** 2)))
-    estimates = problem.estimates(p, told)
-    return GeometryFit(problem.geometry(p), estimates, tuple(problem.runs), tuple(outliers), rms)
+    p = problem.solve(np.where(np.isin(range(3), told), p, problem.centre), told, robust=False)
+    for i in told:
+        low, high = GEOMETRY_LOW[i] * (1.0 + 1e-6) + 1e-9, GEOMETRY_HIGH[i] * (1.0 - 1e-6) - 1e-9
+        if not low < p[i] < high:
+            raise ConfigError(
+                f"the readings push {GEOMETRY_PARAMETERS[i]} to its bound, {p[i]:.3g} times the "
+                "config's: check their units, and that they belong to these runs"
+            )
+    return GeometryFit(
+        problem.geometry(p),
+        problem.find_intervals(p, told, config),
+        tuple(problem.runs),
+        tuple(outliers),
+        float(np.sqrt(np.mean(problem.residuals(p) ** 2))),
+    )
 
 
-class _Problem:
+class _GeometryProblem:
     """Residuals of runs as a function of parameters p.
 
     Radius and multiplier are shares of the config's, the ratio is as it is.
@@ -123,9 +155,9 @@ class _Problem:
         self.runs, self.separation = runs, config.wheel_separation
         self.nominal = configured_geometry(config)
         self.centre = np.array([1.0, self.nominal.ratio, 1.0])
-        self.held = _held(config)
-        told = [reading_sigmas(run, self.nominal, self.separation) for run in runs]
-        self.sigma = np.array(list(itertools.chain(*told)))
+        sigmas = [reading_sigmas(run, self.nominal, self.separation) for run in runs]
+        self.sigma = np.concatenate(sigmas)
+        self.measured = np.array([reading.value for run in runs for reading in run.readings])
 
     def geometry(self, p: Floats) -> Geometry:
         """The geometry of parameters."""
@@ -134,35 +166,30 @@ class _Problem:
 
     def residuals(self, p: Floats) -> Floats:
         """Readings less odometry, in standard deviations, (readings,)."""
-        off: Floats = reading_differences(self.runs, self.geometry(p), self.separation) / self.sigma
-        return off
+        geometry = self.geometry(p)
+        told = [predict_readings(run, geometry, self.separation) for run in self.runs]
+        return (self.measured - np.concatenate(told)) / self.sigma
 
     def with_prior(self, p: Floats) -> Floats:
         """The residuals, then the parameters' distances from the prior."""
         return np.concatenate([self.residuals(p), (p - self.centre) / GEOMETRY_PRIOR])
 
-    def start(self) -> Floats:
-        """The best point of the grid under a loss that forgives outliers."""
-        grid = [self.centre, *map(np.array, itertools.product(*GEOMETRY_STARTS))]
-        return min(grid, key=lambda p: float(np.sqrt(1.0 + self.with_prior(p) ** 2).sum()))
-
-    def solve(self, start: Floats, free: Sequence[int], *, robust: bool) -> Floats:
+    def solve(self, start: Floats, free: list[int], *, robust: bool) -> Floats:
         """Minimise over the free parameters; the others stay at `start`.
 
         Robust: with the prior, and a loss that forgives outliers.
         """
-        chosen = list(free)
 
         def residuals(values: Floats) -> Floats:
             p = start.copy()
-            p[chosen] = values
+            p[free] = values
             return self.with_prior(p) if robust else self.residuals(p)
 
         p = start.copy()
-        p[chosen] = optimize.least_squares(
+        p[free] = optimize.least_squares(
             residuals,
-            start[chosen],
-            bounds=(GEOMETRY_LOW[chosen], GEOMETRY_HIGH[chosen]),
+            start[free],
+            bounds=(GEOMETRY_LOW[free], GEOMETRY_HIGH[free]),
             loss="soft_l1" if robust else "linear",
             f_scale=2.0,
             xtol=1e-12,
@@ -172,24 +199,13 @@ class _Problem:
     def jacobian(self, p: Floats) -> Floats:
         """Derivatives of the residuals, (readings, 3)."""
         step = 1e-6
-        return np.stack(
-            [
-                (self.residuals(p + step * one) - self.residuals(p - step * one)) / (2.0 * step)
-                for one in np.eye(3)
-            ],
-            axis=1,
-        )
+        columns = [
+            (self.residuals(p + step * one) - self.residuals(p - step * one)) / (2.0 * step)
+            for one in np.eye(3)
+        ]
+        return np.stack(columns, axis=1)
 
-    def outliers(self, p: Floats) -> list[CalibrationRun]:
-        """The runs whose residuals stand out; none where too few others would be left."""
-        off = np.abs(self.residuals(p))
-        limit = OUTLIER_SIGMAS * max(1.0, 1.4826 * float(np.median(off)))
-        ends = np.cumsum([len(run.readings) for run in self.runs])
-        worst = [float(part.max()) for part in np.split(off, ends[:-1])]
-        found = [run for run, most in zip(self.runs, worst, strict=True) if most > limit]
-        return found if 3 * len(found) <= len(self.runs) else []
-
-    def tells(self, p: Floats) -> list[int]:
+    def find_told(self, p: Floats) -> list[int]:
         """Indices of the parameters that the readings tell; drops the worst one by one."""
         information = self.jacobian(p)
         told = [0, 1, 2]
@@ -202,24 +218,21 @@ class _Problem:
             told.pop(int(left.argmax()))
         return told
 
-    def check_bounds(self, p: Floats, told: Sequence[int]) -> None:
-        """Raise ConfigError where a parameter ended at its bound."""
-        for i in told:
-            if (
-                not GEOMETRY_LOW[i] * (1.0 + 1e-6) + 1e-9
-                < p[i]
-                < GEOMETRY_HIGH[i] * (1.0 - 1e-6) - 1e-9
-            ):
-                raise ConfigError(
-                    f"the readings push {GEOMETRY_PARAMETERS[i]} to its bound, {p[i]:.3g} "
-                    "times the config's: "
-                    "check their units, and that they belong to these runs"
-                )
-
-    def estimates(self, p: Floats, told: Sequence[int]) -> dict[str, FittedValue]:
+    def find_intervals(
+        self, p: Floats, told: Sequence[int], config: RobotConfig
+    ) -> dict[str, FittedValue]:
         """Values and 95 % intervals (Student t) of the parameters that are told."""
+        held = GEOMETRY_PRIOR.copy()  # of those that aren't: as measured before, else the prior
+        for i in (0, 2):
+            name = GEOMETRY_PARAMETERS[i]
+            if (known := config.measured.get(name)) is not None:
+                half = (known.high - known.low) / (2.0 * 1.96 * getattr(config, name))
+                held[i] = max(half, 1e-9)
+        sides = [one for name in RADIUS_FIELDS if (one := config.measured.get(name)) is not None]
+        if sides:
+            held[1] = max(2.0 * max(one.high - one.low for one in sides) / (2.0 * 1.96), 1e-9)
         information = self.jacobian(p)
-        unknown = np.array([0.0 if i in told else self.held[i] ** -2.0 for i in range(3)])
+        unknown = np.array([0.0 if i in told else held[i] ** -2.0 for i in range(3)])
         covariance = np.linalg.inv(information.T @ information + np.diag(unknown))
         residuals = self.residuals(p)
         freedom = KNOWN_READINGS + len(residuals) - len(told)
@@ -235,30 +248,6 @@ class _Problem:
         }
 
 
-def _held(config: RobotConfig) -> Floats:
-    """Standard deviations of parameters that aren't fitted: as measured before, else the prior."""
-    held = GEOMETRY_PRIOR.copy()
-    for i in (0, 2):
-        found = config.measured.get(GEOMETRY_PARAMETERS[i])
-        if found is not None:
-            held[i] = max(
-                (found.high - found.low) / (2.0 * 1.96 * getattr(config, GEOMETRY_PARAMETERS[i])),
-                1e-9,
-            )
-    sides = [config.measured.get(f"{side}_wheel_radius_multiplier") for side in ("left", "right")]
-    widths = [found.high - found.low for found in sides if found is not None]
-    if widths:
-        held[1] = max(2.0 * max(widths) / (2.0 * 1.96), 1e-9)
-    return held
-
-
-RADIUS_FIELDS = ("left_wheel_radius_multiplier", "right_wheel_radius_multiplier")
-MULTIPLIER_FIELD = "wheel_separation_multiplier"
-TURN_FACTOR_FIELD = "body.turn_factor"
-UNITS = {"wheel_radius": "mm"}
-"""Fields that are shown in millimetres; the others have no unit."""
-
-
 def fitted_fields(fit: GeometryFit, config: RobotConfig) -> dict[str, FittedValue]:
     """The fitted fields of a robot's config with their intervals, by dotted name.
 
@@ -266,29 +255,22 @@ def fitted_fields(fit: GeometryFit, config: RobotConfig) -> dict[str, FittedValu
     where the ratio was told; else the multipliers stay as they are. `body.turn_factor` is the
     multiplier, so that the twin turns as the robot does; a tyre's is above 1.
     """
-    found: dict[str, FittedValue] = {}
-    sides = (config.left_wheel_radius_multiplier, config.right_wheel_radius_multiplier)
-    told, mean = fit.told, sum(sides) / 2.0
-    if "radius_ratio" in told:
-        one, mean = told["radius_ratio"], 1.0
-        half = (one.high - one.low) / 4.0
+    radius, sides, turning = {}, {}, {}
+    mean = (config.left_wheel_radius_multiplier + config.right_wheel_radius_multiplier) / 2.0
+    if (ratio := fit.told.get("radius_ratio")) is not None:
+        mean, half = 1.0, (ratio.high - ratio.low) / 4.0
         for name, sign in zip(RADIUS_FIELDS, (-1.0, 1.0), strict=True):
-            found[name] = FittedValue.around(1.0 + sign * one.value / 2.0, half)
+            sides[name] = FittedValue.around(1.0 + sign * ratio.value / 2.0, half)
         if fit.geometry.radius != config.wheel_radius:
-            found["wheel_radius"] = FittedValue(*[fit.geometry.radius] * 3)
-    if "wheel_radius" in told:
-        found["wheel_radius"] = _scaled(told["wheel_radius"], 1.0 / mean)
-    if MULTIPLIER_FIELD in told:
-        found[MULTIPLIER_FIELD] = told[MULTIPLIER_FIELD]
-        if told[MULTIPLIER_FIELD].value > 1.0:
-            one = told[MULTIPLIER_FIELD]
+            radius["wheel_radius"] = FittedValue(*[fit.geometry.radius] * 3)
+    if (one := fit.told.get("wheel_radius")) is not None:
+        radius["wheel_radius"] = FittedValue(*(number * (1.0 / mean) for number in one))
+    if (one := fit.told.get(MULTIPLIER_FIELD)) is not None:
+        turning[MULTIPLIER_FIELD] = one
+        if one.value > 1.0:
             low = max(one.low, min(one.value, LEAST_TURN))
-            found[TURN_FACTOR_FIELD] = FittedValue(one.value, low, one.high)
-    return {
-        name: found[name]
-        for name in ("wheel_radius", *RADIUS_FIELDS, MULTIPLIER_FIELD, TURN_FACTOR_FIELD)
-        if name in found
-    }
+            turning[TURN_FACTOR_FIELD] = FittedValue(one.value, low, one.high)
+    return {**radius, **sides, **turning}
 
 
 def make_calibrated_config(fit: GeometryFit, config: RobotConfig) -> RobotConfig:
@@ -304,9 +286,9 @@ def make_calibrated_config(fit: GeometryFit, config: RobotConfig) -> RobotConfig
     }
     if MULTIPLIER_FIELD in found:  # one that a tyre can't have ends the tyre's interval
         measured.setdefault(TURN_FACTOR_FIELD, None)
-    changes: dict[str, Any] = {name: one.value for name, one in found.items() if "." not in name}
-    if TURN_FACTOR_FIELD in found:
-        changes["body"] = {"turn_factor": found[TURN_FACTOR_FIELD].value}
+    changes: dict[str, Any] = {name: one.value for name, one in found.items()}
+    if (turning := changes.pop(TURN_FACTOR_FIELD, None)) is not None:
+        changes["body"] = {"turn_factor": turning}
     return config.with_(**changes, measured=update_measured(config.measured, measured))
 
 
@@ -317,29 +299,18 @@ def calibration_table(fit: GeometryFit, config: RobotConfig) -> Table:
         found.add_column(column, justify="left" if column in ("field", "") else "right")
     for name, one in fitted_fields(fit, config).items():
         factor, unit = (1000.0, "mm") if name == "wheel_radius" else (1.0, "")
-        before = config.body.turn_factor if name == TURN_FACTOR_FIELD else getattr(config, name)
-        numbers = [before, one.value] + ([one.low, one.high] if one.high > one.low else [None] * 2)
-        cells = ["-" if n is None else f"{factor * n:.4f}" for n in numbers]
-        found.add_row(name, *cells, unit)
-    found.caption = "\n".join(calibration_captions(fit))
-    return found
-
-
-def calibration_captions(fit: GeometryFit) -> list[str]:
-    """Lines below the table: what wasn't told, and which runs were left out."""
+        turning = name == TURN_FACTOR_FIELD
+        before = config.body.turn_factor if turning else getattr(config, name)
+        interval = [one.low, one.high] if one.high > one.low else [None, None]
+        numbers = [before, one.value, *interval]
+        found.add_row(name, *("-" if n is None else f"{factor * n:.4f}" for n in numbers), unit)
     lines = [f"{len(fit.used)} runs, residuals {fit.rms:.1f} times what the readings' scales allow"]
-    held = [text for name, text in MISSING_HINTS.items() if name not in fit.told]
-    lines += [f"Not told by these runs: {text}." for text in held]
+    for name, text in MISSING_HINTS.items():
+        if name not in fit.told:
+            lines.append(f"Not told by these runs: {text}.")
     lines += [f"Left out, contradicts the others: {escape_text(run.name)}." for run in fit.outliers]
-    return lines
-
-
-MISSING_HINTS = {
-    "wheel_radius": "the wheels' mean radius (calibrate straight tells it)",
-    "radius_ratio": "left against right radius (calibrate square, or turn --radii 0.5 both ways)",
-    MULTIPLIER_FIELD: "the multiplier (calibrate turn tells it)",
-}
-"""What tells a parameter that the fit couldn't."""
+    found.caption = "\n".join(lines)
+    return found
 
 
 def runs_table(runs: Sequence[CalibrationRun], fit: GeometryFit, config: RobotConfig) -> Table:
@@ -354,17 +325,15 @@ def runs_table(runs: Sequence[CalibrationRun], fit: GeometryFit, config: RobotCo
         sigma = reading_sigmas(run, fit.geometry, separation)
         name = run.name + (" (left out)" if run in fit.outliers else "")
         for i, reading in enumerate(run.readings):
-            numbers = (reading.value, before[i], after[i], reading.value - after[i])
-            cells = [_shown(reading.kind, number) for number in numbers]
-            wide = abs(reading.value - after[i]) > 4.0 * sigma[i]
-            found.add_row(
-                escape_text(name) if i == 0 else "",
-                f"{reading.kind} {cells[0]}",
-                *cells[1:3],
-                cells[3] + (" !" if wide else ""),
-            )
-            if wide:
+            off = reading.value - after[i]
+            cells = [
+                f"{math.degrees(value):.1f} deg" if reading.kind == "heading" else f"{value:.3f} m"
+                for value in (reading.value, before[i], after[i], off)
+            ]
+            if wide := abs(off) > 4.0 * sigma[i]:
                 found.caption = "! off by more than 4 times what its scale allows"
+            shown = f"{reading.kind} {cells[0]}", *cells[1:3], cells[3] + (" !" if wide else "")
+            found.add_row(escape_text(name) if i == 0 else "", *shown)
     return found
 
 
@@ -372,40 +341,28 @@ def format_calibration(
     fit: GeometryFit | None, runs: Sequence[CalibrationRun], config: RobotConfig
 ) -> dict[str, Any]:
     """The result for JSON; without a fit, where no run has a reading, nothing is found."""
+    told = []
+    for run in runs:
+        before = predict_readings(run, configured_geometry(config), config.wheel_separation)
+        after = predict_readings(run, fit.geometry, config.wheel_separation) if fit else before
+        readings = []
+        for one, b, a in zip(run.readings, before, after, strict=True):
+            own = asdict(one) | {"before": b, "after": a}
+            del own["sigma"]
+            readings.append(own)
+        told.append(
+            {
+                "name": run.name,
+                "manoeuvre": run.manoeuvre,
+                "readings": readings,
+                "wheels": run.wheels[-1].tolist(),
+            }
+        )
+    found = fitted_fields(fit, config) if fit else {}
     return {
-        "found": {
-            name: {"value": one.value, "low": one.low, "high": one.high}
-            for name, one in (fitted_fields(fit, config) if fit else {}).items()
-        },
+        "found": {name: one._asdict() for name, one in found.items()},
         "not_told": [name for name in MISSING_HINTS if fit is None or name not in fit.told],
         "left_out": [run.name for run in fit.outliers] if fit else [],
         "rms": fit.rms if fit else None,
-        "runs": [_run_dict(run, fit, config) for run in runs],
+        "runs": told,
     }
-
-
-def _run_dict(run: CalibrationRun, fit: GeometryFit | None, config: RobotConfig) -> dict[str, Any]:
-    """One run for JSON: readings, and odometry before and after."""
-    before = predict_readings(run, configured_geometry(config), config.wheel_separation)
-    after = predict_readings(run, fit.geometry, config.wheel_separation) if fit else before
-    return {
-        "name": run.name,
-        "manoeuvre": run.manoeuvre,
-        "readings": [
-            {"kind": r.kind, "value": r.value, "source": r.source, "before": b, "after": a}
-            for r, b, a in zip(run.readings, before, after, strict=True)
-        ],
-        "wheels": run.wheels[-1].tolist(),
-    }
-
-
-def _scaled(one: FittedValue, factor: float) -> FittedValue:
-    """The estimate times a factor."""
-    return FittedValue(one.value * factor, one.low * factor, one.high * factor)
-
-
-def _shown(kind: str, value: float) -> str:
-    """Format a reading."""
-    if kind == "heading":
-        return f"{math.degrees(value):.1f} deg"
-    return f"{value:.3f} m"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -36,13 +35,6 @@ class StraightOptions:
     """How far to the left of the line ahead each run ended [m], negative to the right; tells left
     against right radius."""
 
-    def plans(self, config: RobotConfig, run: RunOptions) -> list[RunPlan]:
-        """The straight runs."""
-        from acsar_gym.tools.sysid import calibration_drive  # noqa: PLC0415
-
-        repeats = run.times(len(self.measured) or 3)
-        return calibration_drive.plan_straights(self.distance, run.linear(config), repeats)
-
 
 @dataclass(frozen=True)
 class TurnOptions:
@@ -60,20 +52,6 @@ class TurnOptions:
     """Radii of the circles that the robot's centre drives [m]; 0 turns in place. Circles to both
     sides also tell left against right radius."""
 
-    def plans(self, config: RobotConfig, run: RunOptions) -> list[RunPlan]:
-        """The turns: every speed with every radius."""
-        from acsar_gym.tools.sysid import calibration_drive  # noqa: PLC0415
-
-        shares = (USUAL_SPEED_SHARE,) if self.measured_deg else TURN_RATE_SHARES
-        speeds = self.speeds or tuple(share * config.max_angular for share in shares)
-        for speed in speeds:
-            _within("--speeds", speed, config.max_angular, "max_angular")
-            fastest = speed * max(self.radii, default=0.0)
-            _within("--speeds times --radii", max(fastest, 1e-9), config.max_linear, "max_linear")
-        kinds = len(speeds) * len(self.radii)
-        repeats = run.times(max(1, len(self.measured_deg) // max(1, kinds)))
-        return calibration_drive.plan_turns(self.turns, speeds, self.radii, repeats)
-
 
 @dataclass(frozen=True)
 class SquareOptions:
@@ -84,18 +62,6 @@ class SquareOptions:
     corners: Annotated[tuple[Path, Path] | None, tyro.conf.arg(metavar="CW.CSV CCW.CSV")] = None
     """Where clockwise and counter-clockwise runs ended: a row for each run, x,y[,degrees], in m in
     the frame of its start: x ahead, y to the left."""
-
-    def plans(
-        self, config: RobotConfig, run: RunOptions, ends: tuple[Sequence[object], Sequence[object]]
-    ) -> list[RunPlan]:
-        """The squares: as many of each direction as `ends` were read, or as asked for."""
-        from acsar_gym.tools.sysid import calibration_drive  # noqa: PLC0415
-
-        counts = [run.times(2)] * 2 if self.corners is None else [len(one) for one in ends]
-        rate = USUAL_SPEED_SHARE * config.max_angular
-        return calibration_drive.plan_squares(
-            self.size, run.linear(config), rate, counts[0], counts[1]
-        )
 
 
 @dataclass(frozen=True)
@@ -113,16 +79,10 @@ class RunOptions:
     yes: bool = False
     """Don't ask before driving, for scripts."""
 
-    def times(self, usual: int) -> int:
-        """Runs of each kind; as usual where it isn't said. ConfigError for less than one."""
-        if self.repeats is not None and self.repeats < 1:
-            raise ConfigError(f"--repeats {self.repeats}: must be 1 or more")
-        return usual if self.repeats is None else self.repeats
-
     def linear(self, config: RobotConfig) -> float:
         """Linear speed [m/s]."""
         speed = USUAL_SPEED_SHARE * config.max_linear if self.speed is None else self.speed
-        return _within("--speed", speed, config.max_linear, "max_linear")
+        return _check_speed("--speed", speed, config.max_linear, "max_linear")
 
 
 _flat = tyro.conf.arg(name="")
@@ -138,32 +98,48 @@ class Manoeuvres:
 
     def given(self) -> GivenReadings:
         """The readings among the options. ConfigError for files that can't be read."""
-        from acsar_gym.tools.sysid.calibrate import (  # noqa: PLC0415
-            GivenReadings,
-            read_corners,
-        )
+        from acsar_gym.tools.sysid.calibrate import GivenReadings, read_corners  # noqa: PLC0415
 
         files = self.square.corners
-        clockwise, counter = map(read_corners, files) if files else ([], [])
+        clockwise, counter = (tuple(read_corners(one)) for one in files) if files else ((), ())
         straight, degrees = self.straight, self.turn.measured_deg
-        ends = tuple(clockwise), tuple(counter)
-        return GivenReadings(straight.measured, straight.aside, degrees, *ends)
+        return GivenReadings(straight.measured, straight.aside, degrees, clockwise, counter)
 
     def plans(
         self, name: str, config: RobotConfig, run: RunOptions, given: GivenReadings
     ) -> list[RunPlan]:
-        """The runs of a manoeuvre, or of all three."""
+        """The runs of a manoeuvre, or of all three: as many as readings, or as asked for."""
+        from acsar_gym.tools.sysid import calibration_drive  # noqa: PLC0415
+
+        if run.repeats is not None and run.repeats < 1:
+            raise ConfigError(f"--repeats {run.repeats}: must be 1 or more")
+        straight, turn, square = self.straight, self.turn, self.square
         found = []
         if name in ("straight", "all"):
-            found += self.straight.plans(config, run)
+            repeats = run.repeats or len(straight.measured) or 3
+            linear = run.linear(config)
+            found += calibration_drive.plan_straights(straight.distance, linear, repeats)
         if name in ("turn", "all"):
-            found += self.turn.plans(config, run)
+            shares = (USUAL_SPEED_SHARE,) if turn.measured_deg else TURN_RATE_SHARES
+            speeds = turn.speeds or tuple(share * config.max_angular for share in shares)
+            for speed in speeds:
+                _check_speed("--speeds", speed, config.max_angular, "max_angular")
+                fastest = max(speed * max(turn.radii, default=0.0), 1e-9)
+                _check_speed("--speeds times --radii", fastest, config.max_linear, "max_linear")
+            kinds = max(1, len(speeds) * len(turn.radii))
+            repeats = run.repeats or max(1, len(turn.measured_deg) // kinds)
+            found += calibration_drive.plan_turns(turn.turns, speeds, turn.radii, repeats)
         if name in ("square", "all"):
-            found += self.square.plans(config, run, (given.clockwise, given.counter))
+            counts = [run.repeats or 2] * 2
+            if square.corners is not None:
+                counts = [len(given.clockwise), len(given.counter)]
+            found += calibration_drive.plan_squares(
+                square.size, run.linear(config), USUAL_SPEED_SHARE * config.max_angular, *counts
+            )
         return found
 
 
-def _within(option: str, value: float, most: float, field: str) -> float:
+def _check_speed(option: str, value: float, most: float, field: str) -> float:
     """Return the value; ConfigError unless 0 < value <= most."""
     if not 0.0 < value <= most:
         raise ConfigError(f"{option} {value:g}: must be more than 0, at most {field} = {most:g}")

@@ -5,20 +5,20 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from acsar_gym import reading
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, show_value
-from acsar_gym.recording import Episode, read
+from acsar_gym.reading import decode_text, parse_json, read_file, write_atomically
+from acsar_gym.recording import read
+from acsar_gym.tools.sysid.delays import Floats
 
-Floats = NDArray[np.float64]
 MAX_RUNS_BYTES = 20_000_000
 """Largest file of runs that is read [bytes]; a turn of one minute takes 150 kB."""
 MAX_WHEEL_ANGLE = 1e6
@@ -29,6 +29,11 @@ the left [m], position ahead and to the left [m], and turned angle [rad], full t
 SAME_ROBOT_FIELDS = ("wheel_separation", "wheelbase")
 """Fields of the config that tell robots apart."""
 RUNS_FORMAT = "acsar_gym calibration runs 1"
+ODOMETRY_ROUGHNESS = 2e-4
+"""Standard deviation of odometry, as a share of the way of each side: encoders, printed digits."""
+SKID_SPREAD = 1e-3
+"""Standard deviation of the multiplier from run to run, as a share: it depends a little on speed
+and turn radius."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +41,7 @@ class RunReading:
     """One measured number of a run."""
 
     kind: str
-    """One of KINDS."""
+    """One of READING_KINDS."""
     value: float
     """[m] or [rad]."""
     sigma: float
@@ -60,139 +65,6 @@ class CalibrationRun:
     def read(self, readings: Sequence[RunReading]) -> CalibrationRun:
         """Return a copy with these readings."""
         return replace(self, readings=tuple(readings))
-
-
-def write_runs(path: Path, runs: Sequence[CalibrationRun], config: RobotConfig) -> None:
-    """Write runs to a JSON file; ConfigError if it can't be written."""
-    text = json.dumps(format_runs(runs, config), allow_nan=False)
-    reading.write_atomically(path, f"{text}\n".encode())
-
-
-def format_runs(runs: Sequence[CalibrationRun], config: RobotConfig) -> dict[str, Any]:
-    """Return runs and what tells their robot from others, for JSON."""
-    return {
-        "format": RUNS_FORMAT,
-        "robot": {name: getattr(config, name) for name in SAME_ROBOT_FIELDS},
-        "config": config.model_dump(mode="json"),
-        "runs": [
-            {
-                "name": run.name,
-                "manoeuvre": run.manoeuvre,
-                "wheels": np.round(run.wheels, 6).tolist(),
-                "readings": [
-                    {"kind": r.kind, "value": r.value, "sigma": r.sigma, "source": r.source}
-                    for r in run.readings
-                ],
-            }
-            for run in runs
-        ],
-    }
-
-
-def hash_runs(runs: Sequence[CalibrationRun], config: RobotConfig) -> str:
-    """Return the first 16 hex digits of the SHA-256 of the runs as they are written."""
-    told = format_runs(runs, config)
-    del told["config"]
-    data = json.dumps(told, allow_nan=False).encode()
-    return hashlib.sha256(data).hexdigest()[:16]
-
-
-def read_runs(path: Path, config: RobotConfig) -> list[CalibrationRun]:
-    """Read a file that `write` made.
-
-    Raises:
-        ConfigError: it is missing, cut or foreign, or its runs are of another robot.
-    """
-    return _read(path, lambda found: _parsed(found, config))
-
-
-def read_robot(path: Path) -> RobotConfig | None:
-    """The robot whose runs a file keeps; None where it doesn't tell. ConfigError as for `load`."""
-    return _read(path, _robot)
-
-
-def _robot(found: Any) -> RobotConfig | None:
-    """The config in a file's content; ConfigError."""
-    _check_format(found)
-    told = found.get("config")
-    return None if told is None else RobotConfig.of(told)
-
-
-T = TypeVar("T")
-
-
-def _read(path: Path, parse: Callable[[Any], T]) -> T:
-    """Read a file; ConfigError names it."""
-    data = reading.read_file(path, MAX_RUNS_BYTES)
-    try:
-        return parse(reading.parse_json(reading.decode_text(data)))
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        what = " ".join(str(error).split())[:100]
-        raise ConfigError(f"{path}: broken calibration runs ({what})") from None
-    except ConfigError as error:
-        raise ConfigError(f"{path}: {error}") from None
-
-
-def _parsed(found: Any, config: RobotConfig) -> list[CalibrationRun]:
-    """Check and convert a file's content; ConfigError, KeyError, TypeError, ValueError."""
-    _check_format(found)
-    check_same_geometry("it", found.get("robot"), config)
-    return [_run(entry) for entry in found["runs"]]
-
-
-def _check_format(found: Any) -> None:
-    """Raise ConfigError for another file."""
-    if not isinstance(found, dict) or found.get("format") != RUNS_FORMAT:
-        raise ConfigError("isn't a file of calibration runs: make one with --runs")
-
-
-def check_same_geometry(where: str, robot: Any, config: RobotConfig) -> None:
-    """Raise ConfigError where the runs are of a robot with another geometry.
-
-    Args:
-        where: what holds the runs, for the message.
-        robot: fields of that robot.
-        config: of the robot that is calibrated.
-    """
-    told = robot if isinstance(robot, Mapping) else {}
-    for name in SAME_ROBOT_FIELDS:
-        if told.get(name) != getattr(config, name):
-            raise ConfigError(
-                f"{where} holds runs of another robot: {name} is "
-                f"{show_value(told.get(name))} there and "
-                f"{getattr(config, name):g} here; use --robot with that robot's file, or another "
-                "file of runs"
-            )
-
-
-def _run(entry: Any) -> CalibrationRun:
-    """Check and convert one run of a file; ValueError and TypeError say what is wrong."""
-    wheels = np.array(entry["wheels"], np.float64)
-    if wheels.ndim != 2 or wheels.shape[1] != 2 or len(wheels) < 2:
-        raise ValueError(f"wheels of shape {wheels.shape}, not (n, 2)")
-    if not (np.abs(wheels) <= MAX_WHEEL_ANGLE).all():
-        raise ValueError("a wheel angle is too large")
-    if entry["manoeuvre"] not in ("straight", "turn", "square"):
-        raise ValueError(f"unknown manoeuvre {show_value(entry['manoeuvre'])}")
-    readings = tuple(_reading(one) for one in entry["readings"])
-    return CalibrationRun(str(entry["name"])[:100], entry["manoeuvre"], wheels, readings)
-
-
-def _reading(entry: Any) -> RunReading:
-    """Check and convert one reading of a file."""
-    value, sigma = float(entry["value"]), float(entry["sigma"])
-    if entry["kind"] not in READING_KINDS or not (math.isfinite(value) and 0.0 < sigma < math.inf):
-        raise ValueError(f"bad reading {show_value(entry)}")
-    return RunReading(entry["kind"], value, sigma, str(entry["source"])[:20])
-
-
-ODOMETRY_ROUGHNESS = 2e-4
-"""Standard deviation of odometry, as a share of the way of each side: encoders, printed digits."""
-
-
-SKID_SPREAD = 1e-3
-"""Standard deviation of the multiplier from run to run, as a share: it depends a little on speed
-and turn radius."""
 
 
 class Geometry(NamedTuple):
@@ -272,19 +144,113 @@ def reading_sigmas(run: CalibrationRun, geometry: Geometry, separation: float) -
     ]
 
 
-def reading_differences(
-    runs: Sequence[CalibrationRun], geometry: Geometry, separation: float
-) -> Floats:
-    """Readings less odometry of all runs [m, rad], (readings,)."""
-    return np.array(
-        [
-            reading.value - told
+def write_runs(path: Path, runs: Sequence[CalibrationRun], config: RobotConfig) -> None:
+    """Write runs to a JSON file; ConfigError if it can't be written."""
+    text = json.dumps(format_runs(runs, config), allow_nan=False)
+    write_atomically(path, f"{text}\n".encode())
+
+
+def format_runs(runs: Sequence[CalibrationRun], config: RobotConfig) -> dict[str, Any]:
+    """Return runs and what tells their robot from others, for JSON."""
+    return {
+        "format": RUNS_FORMAT,
+        "robot": {name: getattr(config, name) for name in SAME_ROBOT_FIELDS},
+        "config": config.model_dump(mode="json"),
+        "runs": [
+            {
+                "name": run.name,
+                "manoeuvre": run.manoeuvre,
+                "wheels": np.round(run.wheels, 6).tolist(),
+                "readings": [asdict(reading) for reading in run.readings],
+            }
             for run in runs
-            for reading, told in zip(
-                run.readings, predict_readings(run, geometry, separation), strict=True
+        ],
+    }
+
+
+def hash_runs(runs: Sequence[CalibrationRun], config: RobotConfig) -> str:
+    """Return the first 16 hex digits of the SHA-256 of the runs as they are written."""
+    told = format_runs(runs, config)
+    del told["config"]
+    data = json.dumps(told, allow_nan=False).encode()
+    return hashlib.sha256(data).hexdigest()[:16]
+
+
+def read_runs(path: Path, config: RobotConfig) -> list[CalibrationRun]:
+    """Read a file that `write_runs` made.
+
+    Raises:
+        ConfigError: it is missing, cut or foreign, or its runs are of another robot.
+    """
+    found = _read_file(path)
+    with _name_errors(path):
+        check_same_geometry("it", found.get("robot"), config)
+        return [_parse_run(entry) for entry in found["runs"]]
+
+
+def read_robot(path: Path) -> RobotConfig | None:
+    """The robot whose runs a file keeps; None where it doesn't tell. ConfigError as `read_runs`."""
+    told = _read_file(path).get("config")
+    with _name_errors(path):
+        return None if told is None else RobotConfig.of(told)
+
+
+def _read_file(path: Path) -> dict[str, Any]:
+    """The content of a file of runs; ConfigError names a file that isn't one."""
+    data = read_file(path, MAX_RUNS_BYTES)
+    with _name_errors(path):
+        found = parse_json(decode_text(data))
+        if isinstance(found, dict) and found.get("format") == RUNS_FORMAT:
+            return found
+        raise ConfigError("isn't a file of calibration runs: make one with --runs")
+
+
+@contextmanager
+def _name_errors(path: Path) -> Iterator[None]:
+    """Raise ConfigError with the file's name for whatever is wrong with its content."""
+    try:
+        yield
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        what = " ".join(str(error).split())[:100]
+        raise ConfigError(f"{path}: broken calibration runs ({what})") from None
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from None
+
+
+def _parse_run(entry: Any) -> CalibrationRun:
+    """Check and convert one run of a file; ValueError and TypeError say what is wrong."""
+    wheels = np.array(entry["wheels"], np.float64)
+    if wheels.ndim != 2 or wheels.shape[1] != 2 or len(wheels) < 2:
+        raise ValueError(f"wheels of shape {wheels.shape}, not (n, 2)")
+    if not (np.abs(wheels) <= MAX_WHEEL_ANGLE).all():
+        raise ValueError("a wheel angle is too large")
+    if entry["manoeuvre"] not in ("straight", "turn", "square"):
+        raise ValueError(f"unknown manoeuvre {show_value(entry['manoeuvre'])}")
+    readings = []
+    for one in entry["readings"]:
+        kind, value, sigma = one["kind"], float(one["value"]), float(one["sigma"])
+        if kind not in READING_KINDS or not (math.isfinite(value) and 0.0 < sigma < math.inf):
+            raise ValueError(f"bad reading {show_value(one)}")
+        readings.append(RunReading(kind, value, sigma, str(one["source"])[:20]))
+    return CalibrationRun(str(entry["name"])[:100], entry["manoeuvre"], wheels, tuple(readings))
+
+
+def check_same_geometry(where: str, robot: Any, config: RobotConfig) -> None:
+    """Raise ConfigError where the runs are of a robot with another geometry.
+
+    Args:
+        where: what holds the runs, for the message.
+        robot: fields of that robot.
+        config: of the robot that is calibrated.
+    """
+    told = robot if isinstance(robot, Mapping) else {}
+    for name in SAME_ROBOT_FIELDS:
+        there, here = told.get(name), getattr(config, name)
+        if there != here:
+            raise ConfigError(
+                f"{where} holds runs of another robot: {name} is {show_value(there)} there and "
+                f"{here:g} here; use --robot with that robot's file, or another file of runs"
             )
-        ]
-    )
 
 
 def read_recorded_runs(path: Path, manoeuvre: str, config: RobotConfig) -> list[CalibrationRun]:
@@ -303,19 +269,17 @@ def read_recorded_runs(path: Path, manoeuvre: str, config: RobotConfig) -> list[
         raise ConfigError(f"{path}: say what was recorded: straight, turn or square")
     recording = read(path)
     check_same_geometry(str(path), recording.config.model_dump(), config)
-    moved = [episode for episode in recording.episodes if np.abs(episode.speeds).max(initial=0.0)]
-    if not moved:
+    found: list[CalibrationRun] = []
+    for episode in recording.episodes:
+        if not np.abs(episode.speeds).max(initial=0.0):
+            continue
+        dt = np.diff(episode.stamps, prepend=episode.start)
+        dt[0] = min(dt[0], np.median(dt))  # the reset's wait for standstill is before the first
+        a, b, c, d = episode.speeds.T
+        turned = np.column_stack([(b + c) / 2.0, (a + d) / 2.0]) * dt[:, None]
+        wheels = np.concatenate([np.zeros((1, 2)), np.cumsum(turned, axis=0)])
+        name = f"{manoeuvre} {len(found) + 1} of {path.name}"
+        found.append(CalibrationRun(name, manoeuvre, wheels))
+    if not found:
         raise ConfigError(f"{path}: no episode in which a wheel turned")
-    return [
-        CalibrationRun(f"{manoeuvre} {number} of {path.name}", manoeuvre, _wheels(episode))
-        for number, episode in enumerate(moved, start=1)
-    ]
-
-
-def _wheels(episode: Episode) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
-    """Angles of the left and right wheels at the end of each tick, (n + 1, 2) [rad]."""
-    dt = np.diff(episode.stamps, prepend=episode.start)
-    dt[0] = min(dt[0], np.median(dt))  # the reset's wait for standstill is before the first tick
-    a, b, c, d = episode.speeds.T
-    turned = np.column_stack([(b + c) / 2.0, (a + d) / 2.0]) * dt[:, None]
-    return np.concatenate([np.zeros((1, 2)), np.cumsum(turned, axis=0)])
+    return found

@@ -34,10 +34,10 @@ def measure_delays(
 ) -> Floats:
     """Measure how long after a step of the command the feedback shows it.
 
-    A step begins after a wheel's speed was held for `HELD`, whatever the other wheels did, and may
-    be a ramp; wheels that begin with the same command are one step. Its delay is the time from the
-    command in which the first of its wheels has changed by `SHOWN` to the line in which it has, so
-    it includes the wire, the board, the motor's start and the wait for the next line.
+    A step begins after a wheel's speed was held for `STEP_HELD`, whatever the other wheels did, and
+    may be a ramp; wheels that begin with the same command are one step. Its delay is the time from
+    the command in which the first of its wheels has changed by `STEP_SHOWN` to the line in which it
+    has, so it includes the wire, the board, the motor's start and the wait for the next line.
 
     Args:
         command_stamps: (n,) times at which command lines were written [s].
@@ -46,28 +46,36 @@ def measure_delays(
         feedback: (k, 4) measured wheel speeds [rad/s].
 
     Returns:
-        (m,) delays [s], one for each row of `steps` with a step; NaN where its wheels weren't
+        (m,) delays [s], one for each row of `find_steps` with a step; NaN where its wheels weren't
         steady before it, their command changes by less, or no line shows it.
     """
     begun = find_steps(command_stamps, commands)
-    found = []
-    for begin in np.flatnonzero(begun.any(axis=1)).tolist():
-        wheels = begun[begin]
-        later = np.flatnonzero(begun[begin + 1 :, wheels].any(axis=1))
+    begins = np.flatnonzero(begun.any(axis=1))
+    found = np.full(len(begins), math.nan)
+    for number, begin in enumerate(begins.tolist()):
+        later = np.flatnonzero(begun[begin + 1 :, begun[begin]].any(axis=1))
         end = begin + 1 + int(later[0]) if len(later) else len(commands)
-        asked = np.where(wheels, commands[begin:end] - commands[begin - 1], 0.0)
-        passed = np.flatnonzero(np.abs(asked).max(axis=1) >= STEP_SHOWN)
+        changes = np.where(begun[begin], commands[begin:end] - commands[begin - 1], 0.0)
+        passed = np.flatnonzero(np.abs(changes).max(axis=1) >= STEP_SHOWN)
         if not len(passed):
-            found.append(math.nan)
             continue
-        first = int(passed[0])
-        times = command_stamps[begin], command_stamps[begin + first]
-        found.append(_delay(times, asked[first], feedback_stamps, feedback))
-    return np.array(found, np.float64)
+        change, time = changes[passed[0]], command_stamps[begin + passed[0]]
+        wheels = np.abs(change) >= STEP_SHOWN
+        first = int(np.searchsorted(feedback_stamps, command_stamps[begin], side="right"))
+        steady = int(np.searchsorted(feedback_stamps, command_stamps[begin] - STEP_HELD))
+        before = feedback[steady:first]
+        if not len(before) or np.ptp(before[:, wheels], axis=0).max() > STEADY_SPREAD:
+            continue
+        last = int(np.searchsorted(feedback_stamps, time + LONGEST_DELAY, side="right"))
+        moved = ((feedback[first:last] - before[-1]) * np.sign(change))[:, wheels]
+        shown = np.flatnonzero(moved.max(axis=1, initial=0.0) >= STEP_SHOWN)
+        if len(shown):
+            found[number] = feedback_stamps[first + shown[0]] - time
+    return found
 
 
 def find_steps(stamps: Floats, commands: Floats) -> NDArray[np.bool_]:
-    """Return in which commands each wheel's differs from one held for `HELD` before, (n, 4).
+    """Return in which commands each wheel's differs from one held for `STEP_HELD` before, (n, 4).
 
     A log that begins with zeros begins at rest, so these count as held.
     """
@@ -82,32 +90,12 @@ def find_steps(stamps: Floats, commands: Floats) -> NDArray[np.bool_]:
     return begun
 
 
-def _delay(times: tuple[float, float], asked: Floats, stamps: Floats, speeds: Floats) -> float:
-    """Return the delay of one step [s]; NaN if its wheels weren't steady, or never show it.
-
-    Args:
-        times: when the command began to change, and when it had changed by `SHOWN` [s].
-        asked: (4,) its change at the second time [rad/s]; zero for the other wheels.
-        stamps: times of the lines [s].
-        speeds: of the lines [rad/s].
-    """
-    first = int(np.searchsorted(stamps, times[0], side="right"))
-    before = speeds[int(np.searchsorted(stamps, times[0] - STEP_HELD)) : first]
-    wheels = np.abs(asked) >= STEP_SHOWN
-    if not len(before) or np.ptp(before[:, wheels], axis=0).max() > STEADY_SPREAD:
-        return math.nan
-    last = int(np.searchsorted(stamps, times[1] + LONGEST_DELAY, side="right"))
-    moved = ((speeds[first:last] - before[-1]) * np.sign(asked))[:, wheels]
-    shown = np.flatnonzero(moved.max(axis=1, initial=0.0) >= STEP_SHOWN)
-    return float(stamps[first + shown[0]] - times[1]) if len(shown) else math.nan
-
-
 @dataclass(frozen=True, slots=True)
 class DelayComparison:
-    """Two samples of delays, and a test of whether they differ by more than `RESOLUTION`.
+    """Two samples of delays, and a test of whether they differ by more than `DELAY_RESOLUTION`.
 
     Two one-sided Kolmogorov-Smirnov tests: whether the second sample is later than the first one
-    moved by `RESOLUTION`, or earlier than the first one moved the other way.
+    moved by `DELAY_RESOLUTION`, or earlier than the first one moved the other way.
     """
 
     counts: tuple[int, int]
@@ -120,7 +108,7 @@ class DelayComparison:
     statistic: float
     """Largest distance of the distribution functions in either test, 0 to 1."""
     p_value: float
-    """Of both tests together (Bonferroni); NaN if a sample has under `FEWEST`."""
+    """Of both tests together (Bonferroni); NaN if a sample has under `FEWEST_DELAYS`."""
 
     @property
     def differs(self) -> bool:
@@ -132,27 +120,26 @@ def compare_delays(first: Floats, second: Floats) -> DelayComparison:
     """Compare two samples of delays [s]; NaN is left out."""
     first, second = first[np.isfinite(first)], second[np.isfinite(second)]
     counts = (len(first), len(second))
-    means = tuple(float(sample.mean()) if len(sample) else math.nan for sample in (first, second))
-    difference = means[1] - means[0]
+    before, after = (float(one.mean()) if len(one) else math.nan for one in (first, second))
     if min(counts) < FEWEST_DELAYS:
-        nothing = (math.nan, math.nan)
-        return DelayComparison(
-            counts, (means[0], means[1]), difference, nothing, math.nan, math.nan
-        )
+        unknown = (math.nan, math.nan)
+        return DelayComparison(counts, (before, after), after - before, unknown, math.nan, math.nan)
     with require_extra("a gap report", "scipy"):
         from scipy.stats import ks_2samp  # noqa: PLC0415 - slow to import
 
-    tests = (
-        ks_2samp(first + DELAY_RESOLUTION, second, alternative="greater"),
-        ks_2samp(first - DELAY_RESOLUTION, second, alternative="less"),
-    )
+    later = ks_2samp(first + DELAY_RESOLUTION, second, alternative="greater")
+    earlier = ks_2samp(first - DELAY_RESOLUTION, second, alternative="less")
+    rng = np.random.default_rng(0)
+    means = [rng.choice(sample, (2000, len(sample))).mean(axis=1) for sample in (first, second)]
+    tails = [(1.0 - DELAY_CONFIDENCE) / 2.0, (1.0 + DELAY_CONFIDENCE) / 2.0]
+    low, high = np.quantile(means[1] - means[0], tails)
     return DelayComparison(
         counts,
-        (means[0], means[1]),
-        difference,
-        _interval(first, second),
-        max(float(test.statistic) for test in tests),
-        min(1.0, 2.0 * min(float(test.pvalue) for test in tests)),
+        (before, after),
+        after - before,
+        (float(low), float(high)),
+        max(float(later.statistic), float(earlier.statistic)),
+        min(1.0, 2.0 * min(float(later.pvalue), float(earlier.pvalue))),
     )
 
 
@@ -167,13 +154,3 @@ def explain_few_steps(test: DelayComparison) -> str:
         f"delays: only {min(test.counts)} steps of the command, too few to compare: record speeds "
         "that are held for 0.5 s, then jump by 2 rad/s or more"
     )
-
-
-def _interval(first: Floats, second: Floats) -> tuple[float, float]:
-    """Return the bootstrap interval of the difference of the means [s]."""
-    rng = np.random.default_rng(0)
-    means = [rng.choice(sample, (2000, len(sample))).mean(axis=1) for sample in (first, second)]
-    low, high = np.quantile(
-        means[1] - means[0], [(1 - DELAY_CONFIDENCE) / 2, (1 + DELAY_CONFIDENCE) / 2]
-    )
-    return float(low), float(high)

@@ -1,26 +1,20 @@
-"""The manoeuvre of an identification.
-
-Random steps, a staircase through zero, a pause; planned and driven.
-"""
+"""The manoeuvre of an identification: random steps, a staircase through zero, and a pause."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.links import Link
-from acsar_gym.links.base import Arrivals, arrivals_of
-from acsar_gym.physics.body import GroundTruth
+from acsar_gym.links.base import Arrivals, ForwardingLink, arrivals_of
 from acsar_gym.recording import Recorder
 from acsar_gym.recording.types import WireLog
 from acsar_gym.robot import Robot
+from acsar_gym.tools.sysid.delays import Floats
 from acsar_gym.worlds import Scene
-
-Floats = NDArray[np.float64]
 
 FASTEST_STEP = 10.0
 """Largest speed of the steps [rad/s]."""
@@ -30,22 +24,30 @@ STEP_HOLD = (0.2, 0.7)
 """How long a step is held [s]."""
 STAIRCASE_TOP = 1.5
 """Top of the staircase [rad/s]; a larger deadband isn't found."""
+STAIRCASE_EXPONENT = 1.5
+"""Exponent of the staircase, which lingers where small deadbands are."""
+STAIRCASE_STARTS = np.array([0.0, 0.5, 0.25, 0.75])
+"""Where in its staircase each wheel starts, as a part of it."""
 PAUSE_SPEED = 6.0
 """Wheel speed before the pause [rad/s]."""
 BEFORE_PAUSE_TIME = 1.2
 """How long that speed is held [s]."""
 LONGEST_PAUSE = 2.3
 """How long commands stop at most [s]."""
-STAIRCASE_EXPONENT = 1.5
-"""Exponent of the staircase, which lingers where small deadbands are."""
 EXCITATION_SHARES = (0.35, 0.40)
 """Parts of the manoeuvre, less pause, that the first steps and the staircase take."""
-STAIRCASE_STARTS = np.array([0.0, 0.5, 0.25, 0.75])
-"""Where in its staircase each wheel starts, as a part of it."""
+TICK_STRETCH = 1.013
+"""Factor on a tick: its phase to the board's loops and lines then takes every value."""
+STANDING_SPEED = 0.1
+"""A wheel below this stands [rad/s]."""
+STANDING_TIME = 0.2
+"""The pause ends when all wheels have stood this long [s]."""
+SHORTEST_EXCITATION = 12.0
+LONGEST_EXCITATION = 600.0
+"""Limits of the manoeuvre's duration [s]."""
 
 
-@dataclass(frozen=True)
-class ExcitationPlan:
+class ExcitationPlan(NamedTuple):
     """Wheel speeds for each tick, (n, 4) [rad/s]; the pause lies between the two parts."""
 
     before: Floats
@@ -68,19 +70,21 @@ def plan_excitation(
     rng = np.random.default_rng(seed)
     top = min(FASTEST_STEP, config.max_wheel_speed, config.max_linear / config.wheel_radius)
     moving = duration - LONGEST_PAUSE - BEFORE_PAUSE_TIME
-    ticks = [round(share * moving / period) for share in EXCITATION_SHARES]
-    rest = round(moving / period) - sum(ticks)
+    first, slow = (round(share * moving / period) for share in EXCITATION_SHARES)
+    steps = _make_steps(first, top, period, rng)
+    turn = (np.arange(slow)[:, None] / slow + STAIRCASE_STARTS) % 1.0
+    triangle = 1.0 - np.abs((4.0 * turn + 1.0) % 4.0 - 2.0)
+    rise = np.sign(triangle) * np.abs(triangle) ** STAIRCASE_EXPONENT
     constant = np.array([1.0, -1.0, 1.0, -1.0]) * min(PAUSE_SPEED, top)
-    before = (
-        _steps(ticks[0], top, period, rng),
-        _staircase(ticks[1], min(STAIRCASE_TOP, top)),
-        np.tile(constant, (round(BEFORE_PAUSE_TIME / period), 1)),
+    held = np.tile(constant, (round(BEFORE_PAUSE_TIME / period), 1))
+    return ExcitationPlan(
+        np.concatenate((steps, -min(STAIRCASE_TOP, top) * rise, held)),
+        _make_steps(round(moving / period) - first - slow, top, period, rng),
+        round(LONGEST_PAUSE / period),
     )
-    after = _steps(rest, top, period, rng)
-    return ExcitationPlan(np.concatenate(before), after, round(LONGEST_PAUSE / period))
 
 
-def _steps(ticks: int, top: float, period: float, rng: np.random.Generator) -> Floats:
+def _make_steps(ticks: int, top: float, period: float, rng: np.random.Generator) -> Floats:
     """Speeds that jump at random times, independently for each wheel."""
     speeds = np.empty((ticks, 4))
     for wheel in range(4):
@@ -93,26 +97,8 @@ def _steps(ticks: int, top: float, period: float, rng: np.random.Generator) -> F
     return speeds
 
 
-def _staircase(ticks: int, top: float) -> Floats:
-    """Slow rise and fall through zero in both directions, each wheel at another place of it."""
-    turn = (np.arange(ticks)[:, None] / ticks + STAIRCASE_STARTS) % 1.0
-    triangle = 1.0 - np.abs((4.0 * turn + 1.0) % 4.0 - 2.0)
-    return np.asarray(-top * np.sign(triangle) * np.abs(triangle) ** STAIRCASE_EXPONENT)
-
-
-TICK_STRETCH = 1.013
-"""Factor on a tick: its phase to the board's loops and lines then takes every value."""
-STANDING_SPEED = 0.1
-"""A wheel below this stands [rad/s]."""
-STANDING_TIME = 0.2
-"""The pause ends when all wheels have stood this long [s]."""
-SHORTEST_EXCITATION = 12.0
-LONGEST_EXCITATION = 600.0
-"""Limits of the manoeuvre's duration [s]."""
-
-
-class TappedLink:
-    """Passes a link's bytes on, and keeps a log of them.
+class TappedLink(ForwardingLink):
+    """Passes a link's bytes on with stretched periods, and keeps a log of them.
 
     Args:
         link: to the robot.
@@ -121,64 +107,39 @@ class TappedLink:
     """
 
     def __init__(self, link: Link) -> None:
-        self.link = link
+        super().__init__(link)
         self.device = getattr(link, "device", "")
         self._sent: Arrivals = []
         self._got: Arrivals = []
-        self.arrivals: Arrivals = []
-
-    def open(self) -> None:
-        """Open the link."""
-        self.link.open()
 
     def reset(self, scene: Scene) -> None:
         """Reset the link, and begin a new log."""
-        self.link.reset(scene)
+        super().reset(scene)
         self._sent.clear()
         self._got.clear()
         arrivals_of(self.link)  # from now on, it notes when bytes arrive
 
     def write(self, data: bytes) -> None:
         """Send bytes to the robot."""
-        self.link.write(data)
-        self._sent.append((self.link.now(), data))
+        super().write(data)
+        self._sent.append((self.now(), data))
 
     def advance(self, period: float) -> bytes:
         """Let a stretched period pass; returns what arrived."""
-        data = self.link.advance(period * TICK_STRETCH)
-        self.arrivals = list(arrivals_of(self.link))
-        if data and not self.arrivals:
-            self.arrivals = [(self.link.now(), data)]
-        self._got += self.arrivals
+        data = super().advance(period * TICK_STRETCH)
+        self._got += list(self.arrivals) or ([(self.now(), data)] if data else [])
         return data
-
-    def now(self) -> float:
-        """Return the link's time [s]."""
-        return self.link.now()
-
-    @property
-    def lateness(self) -> float | None:
-        """Lateness of the link [s]."""
-        return self.link.lateness
-
-    @property
-    def truth(self) -> GroundTruth | None:
-        """Ground truth of the link."""
-        return self.link.truth
-
-    def close(self) -> None:
-        """Close the link."""
-        self.link.close()
 
     @property
     def log(self) -> WireLog:
         """What passed since the reset."""
-        return WireLog(*_columns(self._sent), *_columns(self._got))
-
-
-def _columns(pieces: Arrivals) -> tuple[NDArray[np.float64], tuple[bytes, ...]]:
-    """Split times and bytes."""
-    return np.array([stamp for stamp, _ in pieces]), tuple(data for _, data in pieces)
+        sent, got = self._sent, self._got
+        return WireLog(
+            np.array([stamp for stamp, _ in sent]),
+            tuple(data for _, data in sent),
+            np.array([stamp for stamp, _ in got]),
+            tuple(data for _, data in got),
+        )
 
 
 def drive_excitation(
@@ -203,31 +164,25 @@ def drive_excitation(
         LinkError: the robot can't be reached, fails, or was stopped.
     """
     if not SHORTEST_EXCITATION <= duration <= LONGEST_EXCITATION:
-        raise ConfigError(
-            f"duration = {duration}: must be {SHORTEST_EXCITATION:g} to {LONGEST_EXCITATION:g} s"
-        )
+        limits = f"{SHORTEST_EXCITATION:g} to {LONGEST_EXCITATION:g} s"
+        raise ConfigError(f"duration = {duration}: must be {limits}")
     tapped = TappedLink(link)
-    whole = plan_excitation(config, duration, config.period * TICK_STRETCH)
+    plan = plan_excitation(config, duration, config.period * TICK_STRETCH)
     # The wheels don't answer as configured: that is what is to be found.
     with Robot(tapped, config.with_(wheel_check=False), recorder=recorder) as robot:
-        _drive(robot, whole)
+        begin = tapped.now()
+        for speeds in plan.before.tolist():
+            robot.tick(speeds)
+            robot.safety.check(tapped.now() - begin)
+        still = 0
+        for _ in range(plan.pause):
+            robot.listen()
+            robot.safety.check(tapped.now() - begin)
+            still = still + 1 if max(map(abs, robot.speeds)) < STANDING_SPEED else 0
+            if still * config.period > STANDING_TIME:
+                break
+        for speeds in plan.after.tolist():
+            robot.tick(speeds)
+            robot.safety.check(tapped.now() - begin)
+        robot.stop()
     return tapped.log
-
-
-def _drive(robot: Robot, whole: ExcitationPlan) -> None:
-    """Command the plan's speeds, tick by tick; the pause ends early where the wheels stand."""
-    begin = robot.link.now()
-    for speeds in whole.before.tolist():
-        robot.tick(speeds)
-        robot.safety.check(robot.link.now() - begin)
-    still = 0
-    for _ in range(whole.pause):
-        robot.listen()
-        robot.safety.check(robot.link.now() - begin)
-        still = still + 1 if max(map(abs, robot.speeds)) < STANDING_SPEED else 0
-        if still * robot.config.period > STANDING_TIME:
-            break
-    for speeds in whole.after.tolist():
-        robot.tick(speeds)
-        robot.safety.check(robot.link.now() - begin)
-    robot.stop()

@@ -1,68 +1,26 @@
-"""What the feedback lines show by themselves.
-
-Their rate and jitter, and the step of the printed speeds.
-"""
+"""What feedback lines show by themselves: their rate and jitter, and the step of printed speeds."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import require_extra
+from acsar_gym.tools.sysid.delays import Floats
 from acsar_gym.tools.sysid.tracks import BoardTrack
 
 with require_extra("identification", "scipy"):
     from scipy import stats
 
-
 LEAST_RATE_SHARE = 0.002
 """Least half width of the rate's interval, as a share: clocks differ by that much."""
-
 MOST_SLOPE_LINES = 400
 """Lines of a log between which slopes are computed."""
-
-
-@dataclass(frozen=True)
-class LineRate:
-    """Rate of feedback lines [Hz], half width of its interval, and their jitter [s]."""
-
-    rate: float
-    half: float
-    jitter: float
-
-
-def measure_line_rate(tracks: Sequence[BoardTrack]) -> LineRate:
-    """Measure the lines, where a stalled host may have read some late and in bursts.
-
-    The rate is the Theil-Sen slope of the lines' numbers over their times, whatever a few pauses,
-    bursts or lost lines do to the intervals between them.
-
-    Args:
-        tracks: at least one with two lines.
-    """
-    slopes = [_slope(track) for track in tracks if len(track.stamps) > 1]
-    spans = [float(np.ptp(track.stamps)) for track in tracks if len(track.stamps) > 1]
-    rate = float(np.average(slopes, weights=spans))
-    gaps = np.concatenate([np.diff(track.stamps) for track in tracks])
-    steps = np.maximum(1.0, np.round(gaps * rate))
-    jitter = float(np.std(gaps - steps / rate))
-    half = rate * max(LEAST_RATE_SHARE, 2.0 * jitter * rate / max(1.0, len(gaps) - 1.0))
-    return LineRate(rate, half, jitter)
-
-
-def _slope(track: BoardTrack) -> float:
-    """Lines per second, of evenly chosen lines."""
-    chosen = np.unique(np.linspace(0, len(track.stamps) - 1, MOST_SLOPE_LINES).astype(np.intp))
-    return float(stats.theilslopes(track.numbers[chosen], track.stamps[chosen]).slope)
-
-
-Floats = NDArray[np.float64]
-
 PRINTED_STEP = 0.01
 """Resolution of the protocol's numbers [rad/s]."""
 FINEST_QUANTUM = 0.025
@@ -81,15 +39,40 @@ OUTLIER_SHARE = 0.01
 """Share of numbers that may be off the steps: damaged lines."""
 
 
-@dataclass(frozen=True)
-class Quantum:
-    """The step of the printed speeds.
+class LineRate(NamedTuple):
+    """Rate of feedback lines [Hz], half width of its interval, and their jitter [s]."""
 
-    Attributes:
-        step: [rad/s].
-        low: end of the interval in which it lies [rad/s].
-        high: other end [rad/s].
+    rate: float
+    half: float
+    jitter: float
+
+
+def measure_line_rate(tracks: Sequence[BoardTrack]) -> LineRate:
+    """Measure the lines, where a stalled host may have read some late and in bursts.
+
+    The rate is the Theil-Sen slope of the lines' numbers over their times, whatever a few pauses,
+    bursts or lost lines do to the intervals between them.
+
+    Args:
+        tracks: at least one with two lines.
     """
+    slopes, spans = [], []
+    for track in tracks:
+        if len(track.stamps) > 1:
+            chosen = np.unique(np.linspace(0, len(track.stamps) - 1, MOST_SLOPE_LINES).astype(int))
+            slope = stats.theilslopes(track.numbers[chosen], track.stamps[chosen]).slope
+            slopes.append(float(slope))
+            spans.append(float(np.ptp(track.stamps)))
+    rate = float(np.average(slopes, weights=spans))
+    gaps = np.concatenate([np.diff(track.stamps) for track in tracks])
+    steps = np.maximum(1.0, np.round(gaps * rate))
+    jitter = float(np.std(gaps - steps / rate))
+    half = rate * max(LEAST_RATE_SHARE, 2.0 * jitter * rate / max(1.0, len(gaps) - 1.0))
+    return LineRate(rate, half, jitter)
+
+
+class Quantum(NamedTuple):
+    """The step of the printed speeds, and the interval in which it lies [rad/s]."""
 
     step: float
     low: float
@@ -97,7 +80,7 @@ class Quantum:
 
 
 def find_quantum(speeds: Floats) -> Quantum | None:
-    """Find the largest step of which all speeds are multiples, rounded to two decimals.
+    """Find the largest step of which all speeds are multiples, rounded or cut to two decimals.
 
     Args:
         speeds: printed [rad/s], any shape.
@@ -105,43 +88,29 @@ def find_quantum(speeds: Floats) -> Quantum | None:
     Returns:
         The step; None where too few different speeds were seen.
     """
-    printed: Floats = np.round(np.abs(speeds[np.isfinite(speeds)]), 2).astype(np.float64)
-    values, counts = np.unique(printed, return_counts=True)
-    shares = np.asarray(counts[values > 0.0] / counts[values > 0.0].sum(), np.float64)
-    values = np.asarray(values[values > 0.0], np.float64)
+    printed: Floats = np.asarray(np.round(np.abs(speeds[np.isfinite(speeds)]), 2), np.float64)
+    values, counts = np.unique(printed[printed > 0.0], return_counts=True)
     if len(values) < FEWEST_SPEEDS:
         return None
-    steps = _candidates(values)
-    fitting = steps[_fitting(values, shares, steps)]
+    shares = counts / counts.sum()
+    largest = min(LARGEST_QUANTUM, values.max() / 5.0)
+    ratio = 2.0 * ROUNDING_SLACK / values.max()  # so dense that no step is missed
+    steps = np.exp(np.arange(math.log(2.0 * PRINTED_STEP), math.log(largest), ratio))
+    few = values[np.linspace(0, len(values) - 1, 12).astype(int)]
+    fits = np.zeros(len(steps), bool)
+    for low, high in ((-PRINTED_STEP / 2.0, PRINTED_STEP / 2.0), (-PRINTED_STEP, 0.0)):
+        hopeful = np.flatnonzero(_find_misfits(few, steps, low, high).sum(1) <= 2)
+        misfits = _find_misfits(values, steps[hopeful], low, high)
+        fits[hopeful] |= misfits @ shares <= OUTLIER_SHARE
+    fitting = steps[fits]
     if not len(fitting) or fitting[-1] < FINEST_QUANTUM:
         return Quantum(PRINTED_STEP, 0.0, FINEST_QUANTUM)
     near = fitting[fitting > 0.98 * fitting[-1]]
-    return Quantum(
-        float(near.mean()),
-        float(near[0]) - ROUNDING_SLACK / 2.0,
-        float(near[-1]) + ROUNDING_SLACK / 2.0,
-    )
+    half = ROUNDING_SLACK / 2.0
+    return Quantum(float(near.mean()), float(near[0]) - half, float(near[-1]) + half)
 
 
-def _candidates(values: Floats) -> Floats:
-    """Steps from twice the printed resolution on, so dense that none is missed."""
-    ratio = 2.0 * ROUNDING_SLACK / values.max()
-    largest = min(LARGEST_QUANTUM, values.max() / 5.0)
-    return np.exp(np.arange(math.log(2.0 * PRINTED_STEP), math.log(largest), ratio))
-
-
-def _fitting(values: Floats, shares: Floats, steps: Floats) -> NDArray[np.bool_]:
-    """Whether the values are multiples of each step, rounded, or cut to two decimals."""
-    few = np.linspace(0, len(values) - 1, 12).astype(int)
-    fitting = np.zeros(len(steps), bool)
-    for low, high in ((-PRINTED_STEP / 2.0, PRINTED_STEP / 2.0), (-PRINTED_STEP, 0.0)):
-        hopeful = np.flatnonzero(_off(values[few], steps, low, high).sum(1) <= 2)
-        off = _off(values, steps[hopeful], low, high)
-        fitting[hopeful] |= off @ shares <= OUTLIER_SHARE
-    return fitting
-
-
-def _off(values: Floats, steps: Floats, low: float, high: float) -> NDArray[np.bool_]:
+def _find_misfits(values: Floats, steps: Floats, low: float, high: float) -> NDArray[np.bool_]:
     """Which values (columns) lie further than low to high from a multiple of each step (rows)."""
     middle, half = (low + high) / 2.0, (high - low) / 2.0 + ROUNDING_SLACK
     shifted = values - middle
@@ -169,7 +138,7 @@ def is_explained_by_counts(speeds: Floats, config: RobotConfig, window: float, s
     values = np.unique(np.round(np.abs(speeds[np.isfinite(speeds)]), 2))
     counts = count_speed(config, window)
     near = np.round(values / counts) + np.array([[-1.0], [0.0], [1.0]])
-    possible = _rounded(near * counts, step)
+    possible = _round_to_step(near * counts, step)
     hit = np.abs(possible - values).min(0) <= PRINTED_STEP / 2.0 + ROUNDING_SLACK
     chance = min(1.0, max(step, PRINTED_STEP) / counts)
     return bool(hit.mean() >= 1.0 - OUTLIER_SHARE and chance ** len(values) < CHANCE_LIMIT)
@@ -184,12 +153,12 @@ def mean_printed_speeds(speeds: Floats, counts: float, step: float) -> Floats:
         step: of the printed numbers [rad/s]; 0 for none.
     """
     if counts <= 0.0:
-        return _rounded(speeds, step)
+        return _round_to_step(speeds, step)
     whole = np.floor(speeds / counts)
     share = speeds / counts - whole
-    low, high = _rounded(whole * counts, step), _rounded((whole + 1.0) * counts, step)
+    low, high = _round_to_step(whole * counts, step), _round_to_step((whole + 1.0) * counts, step)
     return (1.0 - share) * low + share * high
 
 
-def _rounded(speeds: Floats, step: float) -> Floats:
+def _round_to_step(speeds: Floats, step: float) -> Floats:
     return step * np.round(speeds / step) if step > 0.0 else speeds

@@ -1,7 +1,4 @@
-"""What a log can tell, judged before anything is fitted.
-
-And whether each wheel answers its own command.
-"""
+"""What a log can tell, judged before anything is fitted; whether each wheel answers its command."""
 
 from __future__ import annotations
 
@@ -9,13 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acsar_gym.errors import IdentificationError
 from acsar_gym.protocol import MOTORS, WHEELS
+from acsar_gym.tools.sysid.delays import Floats
 from acsar_gym.tools.sysid.tracks import PAUSE_GAP, BoardTrack
-
-Floats = NDArray[np.float64]
 
 SHORTEST_LOG = 4.0
 """Log that is needed for anything but the lines themselves [s]."""
@@ -31,7 +26,7 @@ RAMP_JUMP = 4.0
 TURNING_SPEED = 1.0
 """Speed from which a wheel turns for sure [rad/s]."""
 STEADY_TIME = 1.0
-"""Time above TURNING that a gain needs [s]."""
+"""Time above TURNING_SPEED that a gain needs [s]."""
 SLOW_BIN = 0.1
 LARGEST_SLOW_RANGE = 3.0
 SLOW_BIN_TIME = 0.06
@@ -45,6 +40,17 @@ HANGS_ON_LAG = (
     "hangs on the lag, which this log can't tell: command sudden changes of 2 rad/s or more"
 )
 NEVER_TURNED = "this wheel never turned"
+WHEEL_PARAMETERS = ("motor.time_constant", "motor.gain", "motor.acceleration", "motor.deadband")
+SHARED_PARAMETERS = ("firmware.command_delay", "encoder.window", "firmware.command_timeout")
+
+ANSWER_LAGS = np.arange(0.0, 0.5, 0.02)
+"""Delays of an answer that are tried [s]."""
+DEAD_SPEED = 0.5
+"""A wheel that never exceeds this is dead; that is said elsewhere [rad/s]."""
+ANSWER_CORRELATION = 0.5
+"""A wheel answers a command from this correlation on."""
+ANSWER_ADVANTAGE = 0.3
+"""By how much another wheel's command must explain it better than its own."""
 
 
 @dataclass
@@ -65,49 +71,49 @@ class Identifiability:
         return (name, wheel) not in self.missing
 
 
-WHEEL_PARAMETERS = ("motor.time_constant", "motor.gain", "motor.acceleration", "motor.deadband")
-SHARED_PARAMETERS = ("firmware.command_delay", "encoder.window", "firmware.command_timeout")
-
-
 def check_identifiability(tracks: Sequence[BoardTrack]) -> Identifiability:
     """Judge what the tracks of one robot can tell."""
-    known = Identifiability()
+    slowest = [_find_slow_range(tracks, k) for k in range(4)]
+    missing = {
+        (name, letter): reason
+        for k, letter in enumerate(MOTORS)
+        for name, reason in _explain_wheel(tracks, k, slowest[k]).items()
+    }
     duration = sum(track.duration for track in tracks)
-    for k, letter in enumerate(MOTORS):
-        known.slowest[k] = _slow_range(tracks, k)
-        for name, reason in _wheel(tracks, k, known.slowest[k]).items():
-            known.missing[name, letter] = reason
     if duration < SHORTEST_LOG:
         short = f"{duration:.1f} s of log: needs {SHORTEST_LOG:g} s or more"
-        known.missing |= {(name, letter): short for name in WHEEL_PARAMETERS for letter in MOTORS}
-        known.missing |= {(name, ""): short for name in SHARED_PARAMETERS}
-    _hide_delays(known)
-    if not any(_active(track, k) for track in tracks for k in track.pauses):
-        reason = "no pause: stop sending commands for 2 s while wheels turn"
-        known.missing.setdefault(("firmware.command_timeout", ""), reason)
-    if sum(len(track.stamps) for track in tracks) < FEWEST_LINES or duration < 1.0:
-        known.missing["firmware.feedback_rate", ""] = "too few lines of feedback"
-    return known
-
-
-def _hide_delays(known: Identifiability) -> None:
-    """Note that delays can't be told where no wheel's lag or ramp can: slow answers hide them."""
-    for name in ("motor.time_constant", "motor.acceleration"):
-        if not any(known.can(name, letter) for letter in MOTORS):
+        missing |= {(name, letter): short for name in WHEEL_PARAMETERS for letter in MOTORS}
+        missing |= {(name, ""): short for name in SHARED_PARAMETERS}
+    for name in ("motor.time_constant", "motor.acceleration"):  # slow answers hide delays
+        if all((name, letter) in missing for letter in MOTORS):
             for shared in SHARED_PARAMETERS[:2]:
-                known.missing.setdefault((shared, ""), known.missing[name, "a"])
+                missing.setdefault((shared, ""), missing[name, "a"])
+    if not any(
+        np.abs(track.commands[k]).max() >= TURNING_SPEED for track in tracks for k in track.pauses
+    ):
+        reason = "no pause: stop sending commands for 2 s while wheels turn"
+        missing.setdefault(("firmware.command_timeout", ""), reason)
+    if sum(len(track.stamps) for track in tracks) < FEWEST_LINES or duration < 1.0:
+        missing["firmware.feedback_rate", ""] = "too few lines of feedback"
+    return Identifiability(missing, slowest)
 
 
-def _wheel(tracks: Sequence[BoardTrack], k: int, slow: float) -> dict[str, str]:
-    """What the log can't tell of one wheel."""
+def _explain_wheel(tracks: Sequence[BoardTrack], k: int, slow: float) -> dict[str, str]:
+    """What the log can't tell of one wheel, and why."""
     if not any((np.abs(track.speeds[:, k]) > TURNING_SPEED / 2.0).any() for track in tracks):
         return dict.fromkeys(WHEEL_PARAMETERS, NEVER_TURNED)
-    missing = {}
-    if sum(_steps(track, k, STEP_JUMP, STEP_TIME) for track in tracks) < FEWEST_STEPS:
+    missing, steps, ramps, steady = {}, 0, 0, 0.0
+    for track in tracks:
+        intervals = np.diff(track.arrivals)
+        steps += _count_steps(track, k, STEP_JUMP, STEP_TIME)
+        ramps += _count_steps(track, k, RAMP_JUMP, 2.5 * float(np.median(intervals)))
+        turning = np.abs(track.commands[:-1, k]) >= TURNING_SPEED
+        steady += float(np.minimum(intervals, PAUSE_GAP)[turning].sum())
+    if steps < FEWEST_STEPS:
         missing["motor.time_constant"] = "no steps: command sudden changes of 2 rad/s or more"
-    if sum(_steps(track, k, RAMP_JUMP, 2.5 * _tick(track)) for track in tracks) < FEWEST_STEPS:
+    if ramps < FEWEST_STEPS:
         missing["motor.acceleration"] = "no large steps: jump by 4 rad/s or more in one tick"
-    if sum(_time_above(track, k) for track in tracks) < STEADY_TIME:
+    if steady < STEADY_TIME:
         missing["motor.gain"] = "no steady turning: hold 1 rad/s or more for a second"
     both = min(
         max(float((sign * track.commands[:, k]).max()) for track in tracks) for sign in (1.0, -1.0)
@@ -121,11 +127,7 @@ def _wheel(tracks: Sequence[BoardTrack], k: int, slow: float) -> dict[str, str]:
     return missing
 
 
-def _tick(track: BoardTrack) -> float:
-    return float(np.median(np.diff(track.arrivals)))
-
-
-def _steps(track: BoardTrack, k: int, jump: float, within: float) -> int:
+def _count_steps(track: BoardTrack, k: int, jump: float, within: float) -> int:
     """Number of sudden changes of a wheel's command."""
     times, values = track.arrivals, track.commands[:, k]
     later = np.searchsorted(times, times + within, side="right") - 1
@@ -137,13 +139,7 @@ def _steps(track: BoardTrack, k: int, jump: float, within: float) -> int:
     return count
 
 
-def _time_above(track: BoardTrack, k: int) -> float:
-    """Time for which a wheel was commanded to turn [s]."""
-    held = np.minimum(np.diff(track.arrivals), PAUSE_GAP)
-    return float(held[np.abs(track.commands[:-1, k]) >= TURNING_SPEED].sum())
-
-
-def _slow_range(tracks: Sequence[BoardTrack], k: int) -> float:
+def _find_slow_range(tracks: Sequence[BoardTrack], k: int) -> float:
     """Top of the slow commands that are covered without a hole, in both directions [rad/s]."""
     edges = np.arange(0.0, LARGEST_SLOW_RANGE + SLOW_BIN / 2.0, SLOW_BIN)
     tops = []
@@ -158,25 +154,6 @@ def _slow_range(tracks: Sequence[BoardTrack], k: int) -> float:
     return float(min(tops))
 
 
-def _active(track: BoardTrack, k: int) -> bool:
-    """Whether wheels were commanded to turn before a pause."""
-    return bool(np.abs(track.commands[k]).max() >= TURNING_SPEED)
-
-
-ANSWER_LAGS = np.arange(0.0, 0.5, 0.02)
-"""Delays of an answer that are tried [s]."""
-DEAD_SPEED = 0.5
-"""A wheel that never exceeds this is dead; that is said elsewhere [rad/s]."""
-ANSWER_CORRELATION = 0.5
-"""A wheel answers a command from this correlation on."""
-ANSWER_ADVANTAGE = 0.3
-"""By how much another wheel's command must explain it better than its own."""
-WIRING_ADVICE = (
-    "run 'acsar-gym doctor DEVICE --spin --out FILE' first, and give the file as --robot; nothing "
-    "was fitted"
-)
-
-
 def check_wheel_order(tracks: Sequence[BoardTrack]) -> None:
     """Check that no wheel is reversed or swapped; IdentificationError names the first that is.
 
@@ -184,16 +161,18 @@ def check_wheel_order(tracks: Sequence[BoardTrack]) -> None:
     """
     if sum(track.duration for track in tracks) < SHORTEST_LOG:
         return
+    advice = (
+        "run 'acsar-gym doctor DEVICE --spin --out FILE' first, and give the file as --robot; "
+        "nothing was fitted"
+    )
     for wheel, name in enumerate(WHEELS):
         found = correlate_wheel(tracks, wheel)
         best = int(np.argmax(np.abs(found)))
         if abs(found[best]) > max(ANSWER_CORRELATION, abs(found[wheel]) + ANSWER_ADVANTAGE):
             way = " backward" if found[best] < 0.0 else ""
-            raise IdentificationError(
-                f"{name} answers {WHEELS[best]}'s command{way}: {WIRING_ADVICE}"
-            )
+            raise IdentificationError(f"{name} answers {WHEELS[best]}'s command{way}: {advice}")
         if found[wheel] < -ANSWER_CORRELATION:
-            raise IdentificationError(f"{name} turns backward at forward commands: {WIRING_ADVICE}")
+            raise IdentificationError(f"{name} turns backward at forward commands: {advice}")
 
 
 def correlate_wheel(tracks: Sequence[BoardTrack], wheel: int) -> Floats:
@@ -202,17 +181,14 @@ def correlate_wheel(tracks: Sequence[BoardTrack], wheel: int) -> Floats:
     if np.abs(speeds).max() < DEAD_SPEED:
         return np.zeros(4)
     rows = []
-    for lag in ANSWER_LAGS:
-        commands = np.concatenate([_commands(track, float(lag)) for track in tracks])
+    for lag in ANSWER_LAGS.tolist():
+        parts = []
+        for track in tracks:  # what was commanded this long before each line; first of all zero
+            newest = np.searchsorted(track.arrivals, track.stamps - lag, side="right") - 1
+            parts.append(np.where(newest[:, None] < 0, 0.0, track.commands[newest]))
+        commands = np.concatenate(parts)
         norm = np.sqrt((commands**2).sum(0) * (speeds @ speeds))
         rows.append(speeds @ commands / np.maximum(norm, 1e-9))
     high, low = np.max(rows, 0), np.min(rows, 0)
-    return np.asarray(
-        np.where(high >= -low - ANSWER_ADVANTAGE, high, low)
-    )  # periodic commands have both signs
-
-
-def _commands(track: BoardTrack, lag: float) -> Floats:
-    """Commands that held this long before each line, (m, 4) [rad/s]; zero before the first."""
-    newest = np.searchsorted(track.arrivals, track.stamps - lag, side="right") - 1
-    return np.where(newest[:, None] < 0, 0.0, track.commands[newest])
+    # Periodic commands have both signs.
+    return np.asarray(np.where(high >= -low - ANSWER_ADVANTAGE, high, low))

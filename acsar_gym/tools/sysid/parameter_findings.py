@@ -1,4 +1,4 @@
-"""Findings: each parameter with its interval, or why the log can't tell it."""
+"""Findings: each parameter of motors and board with its interval, or why the log can't tell it."""
 
 from __future__ import annotations
 
@@ -7,16 +7,60 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import require_extra
 from acsar_gym.protocol import MOTORS
-from acsar_gym.tools.sysid import feedback_lines, fit
-from acsar_gym.tools.sysid.fit import DELAY_BOUNDS, LONGEST_WINDOW, SMOOTH_PARAMETERS, MotorFit
-from acsar_gym.tools.sysid.identifiability import HANGS_ON_LAG, LONG_PAUSE, Identifiability
-from acsar_gym.tools.sysid.response import PARAMETERS_PER_WHEEL, WHEEL_HIGH, WHEEL_LOW
+from acsar_gym.tools.sysid import feedback_lines, identifiability
+from acsar_gym.tools.sysid.delays import Floats
+from acsar_gym.tools.sysid.fit import (
+    DELAY_BOUNDS,
+    LONGEST_WINDOW,
+    SMOOTH_PARAMETERS,
+    WHEEL_HIGH,
+    WHEEL_LOW,
+    MotorFit,
+)
+from acsar_gym.tools.sysid.identifiability import Identifiability
+from acsar_gym.tools.sysid.response import PARAMETERS_PER_WHEEL
 from acsar_gym.tools.sysid.tracks import BoardTrack
+
+with require_extra("identification", "scipy"):
+    from scipy import stats
+
+NORMAL_QUANTILE = 1.96
+INTERVAL_FACTOR = 2.5
+"""Factor on intervals, so that those of four wheels hold together in 19 of 20 simulated robots: the
+twin's answer is a mean over phases."""
+LEAST_INTERVAL_SHARE = 0.002
+"""Least half width of an interval of a lag or gain, as a share."""
+UNLIKE_PROBABILITY = 0.01
+"""Wheels differ if the probability that they don't is below this."""
+NO_RAMP = 1e6
+"""Acceleration of a board without a ramp [rad/s^2]; the largest of the field."""
+BOUND_EDGE = 0.02
+"""A value so near its bound, as a share of it, has ended there."""
+VAGUE_WHEEL = {
+    "motor.time_constant": 0.3,
+    "motor.gain": 0.05,
+    "motor.acceleration": 0.6,
+    "motor.deadband": 0.3,
+}
+"""Half widths of intervals above which a number isn't told: shares, but for deadbands [rad/s]."""
+VAGUE_TIME = 0.03
+"""Half width above which a time isn't told [s]."""
+NEGATIVE_DELAY = 0.01
+"""A delay that is negative by more than this contradicts the baud rate [s]."""
+DELAY_QUANTILES = np.linspace(0.05, 0.95, 10)
+"""Of the delays of single steps."""
+INFORMATIVE_SHARE = 0.2
+"""A block tells a delay if it has this share of the median block's information."""
+DELAY_NAME = "firmware.command_delay"
+TIMEOUT_NAME = "firmware.command_timeout"
+RATE_NAME = "firmware.feedback_rate"
+WINDOW_NAME = "encoder.window"
+QUANTUM_NAME = "encoder.quantum"
+COUNTED_NOTE = "whole encoder counts, as counts_per_revolution says"
 
 
 @dataclass(frozen=True)
@@ -43,144 +87,101 @@ class ParameterFinding:
     note: str = ""
     told: bool = False
 
+    def explain(self, why: str) -> ParameterFinding:
+        """A copy that can't be told, and why."""
+        return replace(self, note=why)
 
-def unknown_finding(name: str, wheel: str, before: float | None, why: str) -> ParameterFinding:
-    """Make the finding of a parameter that the log can't tell."""
-    return ParameterFinding(name, wheel, before=before, note=why)
-
-
-with require_extra("identification", "scipy"):
-    from scipy import stats
-
-Floats = NDArray[np.float64]
-
-NORMAL_QUANTILE = 1.96
-INTERVAL_FACTOR = 2.5
-"""Factor on intervals, so that those of four wheels hold together in 19 of 20 simulated robots: the
-twin's answer is a mean over phases."""
-LEAST_INTERVAL_SHARE = 0.002
-"""Least half width of an interval of a lag or gain, as a share."""
-UNLIKE_PROBABILITY = 0.01
-"""Wheels differ if the probability that they don't is below this."""
-NO_RAMP = 1e6
-"""Acceleration of a board without a ramp [rad/s^2]; the largest of the field."""
-BOUND_EDGE = 0.02
-"""A value so near its bound, as a share of it, has ended there."""
-VAGUE_WHEEL = {
-    "motor.time_constant": 0.3,
-    "motor.gain": 0.05,
-    "motor.acceleration": 0.6,
-    "motor.deadband": 0.3,
-}
-"""Half widths of intervals above which a number isn't told: shares, but for deadbands [rad/s]."""
+    def tell(self, value: float, low: float, high: float, note: str = "") -> ParameterFinding:
+        """A copy with a value and its interval."""
+        return replace(self, value=value, low=low, high=high, note=note, told=True)
 
 
 def find_wheels(
-    estimate: MotorFit | None, config: RobotConfig, known: Identifiability
+    fit: MotorFit | None, config: RobotConfig, known: Identifiability
 ) -> list[ParameterFinding]:
     """Findings of the four motors; one for all wheels where they don't differ."""
+    unlike: dict[str, list[ParameterFinding]] = {
+        name: [] for name in identifiability.WHEEL_PARAMETERS
+    }
+    for wheel, letter in enumerate(MOTORS):
+        lag_told = False
+        for name, four in unlike.items():
+            own = config.motor.of_wheel(wheel)
+            before = float(getattr(own, name.removeprefix("motor.")))
+            one = ParameterFinding(name, letter, before=before)
+            if fit is None or not known.can(name, letter):
+                one = one.explain(known.missing[name, letter])
+            elif name == "motor.deadband":
+                index, slowest = fit.problem.wheels.index(wheel), known.slowest[wheel]
+                one = _find_deadband(one, fit, index, slowest, lag_told=lag_told)
+            else:
+                one = _find_smooth(one, fit, fit.problem.wheels.index(wheel))
+                lag_told = lag_told or (name == SMOOTH_PARAMETERS[0] and one.told)
+            four.append(one)
     found = []
-    for p, name in enumerate(SMOOTH_PARAMETERS):
-        found += _merged(
-            [_smooth(estimate, config, known, name, p, k) for k in range(4)],
-            _share_spread(estimate, p),
-        )
-    bands = [_deadband(estimate, config, known, k) for k in range(4)]
-    return found + _merged(bands, None)
+    for name, four in unlike.items():
+        spread = None
+        if fit is not None and name in SMOOTH_PARAMETERS:
+            rows = np.arange(len(fit.problem.wheels)) * PARAMETERS_PER_WHEEL
+            rows += SMOOTH_PARAMETERS.index(name)
+            spread = np.asarray(fit.spread[np.ix_(rows, rows)])
+        found += _merge_wheels(four, spread)
+    return found
 
 
-def _before(config: RobotConfig, wheel: int, name: str) -> float:
-    own = config.motor.of_wheel(wheel)
-    return float(getattr(own, name.removeprefix("motor.")))
-
-
-def _smooth(
-    estimate: MotorFit | None,
-    config: RobotConfig,
-    known: Identifiability,
-    name: str,
-    p: int,
-    wheel: int,
-) -> ParameterFinding:
-    """Lag, gain or ramp of one wheel."""
-    letter, before = MOTORS[wheel], _before(config, wheel, name)
-    if estimate is None or not known.can(name, letter):
-        return unknown_finding(name, letter, before, known.missing[name, letter])
-    index = PARAMETERS_PER_WHEEL * estimate.problem.wheels.index(wheel) + p
-    value = float(estimate.solution.x[index])
-    half = NORMAL_QUANTILE * INTERVAL_FACTOR * math.sqrt(estimate.spread[index, index]) + float(
-        estimate.slack[index]
-    )
-    if name == "motor.acceleration":
-        return _ramp(letter, before, value, half)
+def _find_smooth(unknown: ParameterFinding, fit: MotorFit, index: int) -> ParameterFinding:
+    """Lag, gain or ramp of one wheel; a ramp from the time that it needs for 1 rad/s."""
+    p = SMOOTH_PARAMETERS.index(unknown.name)
+    row = PARAMETERS_PER_WHEEL * index + p
+    value = float(fit.solution.x[row])
+    half = NORMAL_QUANTILE * INTERVAL_FACTOR * math.sqrt(fit.spread[row, row])
+    half += float(fit.slack[row])
+    at_bound = value > WHEEL_HIGH[p] * (1.0 - BOUND_EDGE)
+    vague = half > VAGUE_WHEEL[unknown.name] * value
+    if unknown.name == "motor.acceleration":
+        if not at_bound and (value - half <= 0.0 or value < max(1.0 / NO_RAMP, 1e-3)):
+            fastest = 1.0 / max(value + half, 1e-6)
+            note = f"no ramp, or one faster than {fastest:.0f} rad/s^2"
+            return unknown.tell(NO_RAMP, fastest, NO_RAMP, note)
+        if at_bound or vague:
+            why = "too vague: record more large steps"
+            return unknown.explain("the fit ended at its bound" if at_bound else why)
+        high = min(NO_RAMP, 1.0 / (value - half))
+        return unknown.tell(1.0 / value, 1.0 / (value + half), high)
     half = max(half, LEAST_INTERVAL_SHARE * value)
-    if value > WHEEL_HIGH[p] * (1.0 - BOUND_EDGE) or value < WHEEL_LOW[p] * (1.0 + BOUND_EDGE):
-        return unknown_finding(name, letter, before, f"the fit ended at its bound of {value:.3g}")
-    if half > VAGUE_WHEEL[name] * value:
-        return unknown_finding(
-            name, letter, before, f"too vague, +-{half / value:.0%}: record more steps"
-        )
-    low = max(0.0, value - half)
-    return ParameterFinding(name, letter, value, low, value + half, before, told=True)
+    if at_bound or value < WHEEL_LOW[p] * (1.0 + BOUND_EDGE):
+        return unknown.explain(f"the fit ended at its bound of {value:.3g}")
+    if vague:
+        return unknown.explain(f"too vague, +-{half / value:.0%}: record more steps")
+    return unknown.tell(value, max(0.0, value - half), value + half)
 
 
-def _ramp(letter: str, before: float, slowness: float, half: float) -> ParameterFinding:
-    """The ramp of one wheel, from the time it needs for 1 rad/s and its half width."""
-    name = "motor.acceleration"
-    if slowness > WHEEL_HIGH[2] * (1.0 - BOUND_EDGE):
-        return unknown_finding(name, letter, before, "the fit ended at its bound")
-    if slowness - half <= 0.0 or slowness < 1.0 / NO_RAMP or slowness < 1e-3:
-        fastest = 1.0 / max(slowness + half, 1e-6)
-        note = f"no ramp, or one faster than {fastest:.0f} rad/s^2"
-        return ParameterFinding(name, letter, NO_RAMP, fastest, NO_RAMP, before, note, told=True)
-    if half > VAGUE_WHEEL[name] * slowness:
-        return unknown_finding(name, letter, before, "too vague: record more large steps")
-    low, high = 1.0 / (slowness + half), min(NO_RAMP, 1.0 / (slowness - half))
-    return ParameterFinding(name, letter, 1.0 / slowness, low, high, before, told=True)
-
-
-def _deadband(
-    estimate: MotorFit | None, config: RobotConfig, known: Identifiability, wheel: int
+def _find_deadband(
+    unknown: ParameterFinding, fit: MotorFit, index: int, slowest: float, *, lag_told: bool
 ) -> ParameterFinding:
     """The deadband of one wheel."""
-    name, letter = "motor.deadband", MOTORS[wheel]
-    before = _before(config, wheel, name)
-    if estimate is None or not known.can(name, letter):
-        return unknown_finding(name, letter, before, known.missing[name, letter])
-    index = estimate.problem.wheels.index(wheel)
-    one = estimate.deadbands[index]
+    one = fit.deadbands[index]
     if one is None:
-        return unknown_finding(name, letter, before, "the wheel never turned")
-    lag = _smooth(estimate, config, known, SMOOTH_PARAMETERS[0], 0, wheel)
-    if not lag.told and estimate.motors[index].lag > WHEEL_LOW[0] * (1.0 + BOUND_EDGE):
-        return unknown_finding(name, letter, before, HANGS_ON_LAG)
-    if one.high > known.slowest[wheel]:
-        most = known.slowest[wheel]
-        why = f"ended at its bound: slow commands up to {most:.1f} rad/s don't show it"
-        return unknown_finding(name, letter, before, why)
-    if one.high - one.low > 2.0 * VAGUE_WHEEL[name]:
-        return unknown_finding(name, letter, before, "too vague: command a slower staircase")
-    return ParameterFinding(name, letter, one.value, one.low, one.high, before, told=True)
+        return unknown.explain("the wheel never turned")
+    if not lag_told and fit.wheels[index].lag > WHEEL_LOW[0] * (1.0 + BOUND_EDGE):
+        return unknown.explain(identifiability.HANGS_ON_LAG)
+    if one.high > slowest:
+        why = f"slow commands up to {slowest:.1f} rad/s don't show it"
+        return unknown.explain(f"ended at its bound: {why}")
+    if one.high - one.low > 2.0 * VAGUE_WHEEL[unknown.name]:
+        return unknown.explain("too vague: command a slower staircase")
+    return unknown.tell(*one)
 
 
-def _share_spread(estimate: MotorFit | None, p: int) -> Floats | None:
-    """Covariance of one parameter of all wheels in the problem."""
-    if estimate is None:
-        return None
-    rows = [PARAMETERS_PER_WHEEL * k + p for k in range(len(estimate.problem.wheels))]
-    return np.asarray(estimate.spread[np.ix_(rows, rows)])
-
-
-def _merged(four: list[ParameterFinding], spread: Floats | None) -> list[ParameterFinding]:
+def _merge_wheels(four: list[ParameterFinding], spread: Floats | None) -> list[ParameterFinding]:
     """One finding for all wheels, where all are told and they don't differ."""
+    every = replace(four[0], wheel="")
     if any(one.value is None for one in four):
-        reasons = {(one.note, one.value) for one in four}
-        same = len(reasons) == 1
-        return [_for_all(four[0])] if same else four
+        return [every] if len({(one.note, one.value) for one in four}) == 1 else four
     values = np.array([one.value for one in four], float)
     ends = np.array([[one.low, one.high] for one in four], float)
     if (values == NO_RAMP).all():
-        return [_for_all(four[0], low=float(ends[:, 0].min()), note=four[0].note)]
+        return [replace(every, low=float(ends[:, 0].min()))]
     sigmas = np.maximum((ends[:, 1] - ends[:, 0]) / 2.0 / NORMAL_QUANTILE, 1e-9)
     weights = sigmas**-2 / (sigmas**-2).sum()
     mean = float(weights @ values)
@@ -193,189 +194,125 @@ def _merged(four: list[ParameterFinding], spread: Floats | None) -> list[Paramet
         common = spread / np.outer(shares, shares)
         half = NORMAL_QUANTILE * math.sqrt(float((weights * sigmas) @ common @ (weights * sigmas)))
     half *= max(1.0, math.sqrt(away / (len(four) - 1)))
-    return [_for_all(four[0], value=mean, low=max(0.0, mean - half), high=mean + half)]
-
-
-def _for_all(one: ParameterFinding, **changes: float | str) -> ParameterFinding:
-    """The finding of one wheel, for all."""
-    return replace(one, wheel="", **changes)  # type: ignore[arg-type]
-
-
-VAGUE_TIME = 0.03
-"""Half width above which a time isn't told [s]."""
-NEGATIVE_DELAY = 0.01
-"""A delay that is negative by more than this contradicts the baud rate [s]."""
-DELAY_QUANTILES = np.linspace(0.05, 0.95, 10)
-"""Of the delays of single steps."""
-INFORMATIVE_SHARE = 0.2
-"""A block tells a delay if it has this share of the median block's information."""
-DELAY_NAME, WINDOW_NAME, TIMEOUT_NAME = (
-    "firmware.command_delay",
-    "encoder.window",
-    "firmware.command_timeout",
-)
-COUNTED_NOTE = "whole encoder counts, as counts_per_revolution says"
-RATE_NAME, QUANTUM_NAME = "firmware.feedback_rate", "encoder.quantum"
+    return [replace(every, value=mean, low=max(0.0, mean - half), high=mean + half)]
 
 
 def find_board(
-    estimate: MotorFit | None,
+    fit: MotorFit | None,
     config: RobotConfig,
     known: Identifiability,
     tracks: Sequence[BoardTrack],
 ) -> list[ParameterFinding]:
     """Findings of the board, in the order of the table."""
-    return [
-        _delay(estimate, config, known),
-        _timeout(estimate, config, known, tracks),
-        _rate(config, known, tracks),
-        _window(estimate, config, known),
-        _quantum(estimate, config, tracks),
-    ]
+    found = []
+    for name, before, find in (
+        (DELAY_NAME, config.firmware.command_delay, _find_delay),
+        (TIMEOUT_NAME, config.firmware.command_timeout, _find_timeout),
+        (WINDOW_NAME, config.encoder.window, _find_window),
+    ):
+        one = ParameterFinding(name, before=before)
+        hidden = name == WINDOW_NAME and not known.can(DELAY_NAME)
+        if fit is None or hidden or not known.can(name):
+            found.append(one.explain(known.missing.get((name, ""), "no wheel turned")))
+        else:
+            found.append(find(one, fit))
+    rate = ParameterFinding(RATE_NAME, before=config.feedback_rate)
+    if not known.can(RATE_NAME):
+        rate = rate.explain(known.missing[RATE_NAME, ""])
+    elif (lines := feedback_lines.measure_line_rate(tracks)).rate > config.firmware.loop_rate:
+        rate = rate.explain("more lines than the twin has loops")
+    else:
+        low = max(0.1 * lines.rate, lines.rate - lines.half)
+        note = f"jitter {1e3 * lines.jitter:.1f} ms"
+        rate = rate.tell(lines.rate, low, lines.rate + lines.half, note)
+    quantum = _find_quantum(fit, config, np.concatenate([track.speeds for track in tracks]))
+    return [*found[:2], rate, found[2], quantum]
 
 
-def _half(estimate: MotorFit, *weights: tuple[int, float]) -> float:
-    """Half width of a sum of clock parameters, counted from the last one."""
-    n = len(estimate.solution.x)
-    row = np.zeros(n)
+def _half_width(fit: MotorFit, *weights: tuple[int, float]) -> float:
+    """Half width of the interval of a sum of the board's times, counted from the last one."""
+    row = np.zeros(len(fit.solution.x))
     for index, weight in weights:
-        row[n + index] = weight
-    fitted = (
-        NORMAL_QUANTILE * INTERVAL_FACTOR * math.sqrt(max(0.0, float(row @ estimate.spread @ row)))
-    )
-    return fitted + float(np.abs(row) @ estimate.slack)
+        row[index] = weight
+    sigma = math.sqrt(max(0.0, float(row @ fit.spread @ row)))
+    return NORMAL_QUANTILE * INTERVAL_FACTOR * sigma + float(np.abs(row) @ fit.slack)
 
 
-def _delay(
-    estimate: MotorFit | None, config: RobotConfig, known: Identifiability
-) -> ParameterFinding:
+def _find_delay(unknown: ParameterFinding, fit: MotorFit) -> ParameterFinding:
     """The delay of commands; the phase of the board's loops adds up to one to its interval."""
-    before = config.firmware.command_delay
-    if estimate is None or not known.can(DELAY_NAME):
-        return unknown_finding(
-            DELAY_NAME, "", before, known.missing.get((DELAY_NAME, ""), "no wheel turned")
-        )
-    value = estimate.clock.delay
-    half = _half(estimate, (-3, 1.0), (-2, -0.5)) + estimate.problem.dt
+    value = fit.times.delay
+    half = _half_width(fit, (-3, 1.0), (-2, -0.5)) + fit.problem.dt
     if not DELAY_BOUNDS[0] * 0.9 < value < DELAY_BOUNDS[1] * 0.9:
-        return unknown_finding(DELAY_NAME, "", before, "the fit ended at its bound")
+        return unknown.explain("the fit ended at its bound")
     if value + half < -NEGATIVE_DELAY:
         why = "less than the wire alone takes: check baud_rate and firmware.processing_time"
-        return unknown_finding(DELAY_NAME, "", before, why)
+        return unknown.explain(why)
     if half > VAGUE_TIME:
-        return unknown_finding(DELAY_NAME, "", before, "too vague: record more steps")
-    low, high = max(0.0, value - half), max(half, value + half)
+        return unknown.explain("too vague: record more steps")
     note = "on top of wire and processing_time; the board's loops blur it"
-    return ParameterFinding(DELAY_NAME, "", max(0.0, value), low, high, before, note, told=True)
+    low, high = max(0.0, value - half), max(half, value + half)
+    return unknown.tell(max(0.0, value), low, high, note)
 
 
-def _window(
-    estimate: MotorFit | None, config: RobotConfig, known: Identifiability
-) -> ParameterFinding:
-    """The averaging time of the encoders, in whole loops of the twin."""
-    before = config.encoder.window
-    if estimate is None or not known.can(WINDOW_NAME) or not known.can(DELAY_NAME):
-        return unknown_finding(
-            WINDOW_NAME, "", before, known.missing.get((WINDOW_NAME, ""), "no wheel turned")
-        )
-    dt, value = estimate.problem.dt, estimate.clock.window
-    half = _half(estimate, (-2, 1.0))
-    if value > 0.95 * LONGEST_WINDOW:
-        return unknown_finding(WINDOW_NAME, "", before, "the fit ended at its bound")
-    if not estimate.solution.free[-2] and not estimate.counted:
-        return unknown_finding(
-            WINDOW_NAME, "", before, "too vague: record more steps at a higher line rate"
-        )
-    if half > VAGUE_TIME:
-        return unknown_finding(WINDOW_NAME, "", before, "too vague: record more steps")
-    whole = max(1, round(value / dt)) * dt
-    low, high = max(dt, value - half - dt), value + half + dt
-    note = "by encoder counts" if estimate.counted else ""
-    return ParameterFinding(
-        WINDOW_NAME, "", whole, min(low, whole), max(high, whole), before, note, told=True
-    )
-
-
-def _timeout(
-    estimate: MotorFit | None,
-    config: RobotConfig,
-    known: Identifiability,
-    tracks: Sequence[BoardTrack],
-) -> ParameterFinding:
+def _find_timeout(unknown: ParameterFinding, fit: MotorFit) -> ParameterFinding:
     """The command time-out, or that there is none."""
-    before = config.firmware.command_timeout
-    longest = fit.find_longest_pause(tracks)
-    if estimate is None or not known.can(TIMEOUT_NAME):
-        return unknown_finding(
-            TIMEOUT_NAME, "", before, known.missing.get((TIMEOUT_NAME, ""), "no wheel turned")
-        )
-    if not estimate.solution.free[-1]:
-        if longest >= LONG_PAUSE:
+    gaps = [
+        float(track.arrivals[k + 1] - track.arrivals[k])
+        for track in fit.problem.tracks
+        for k in track.pauses
+        if np.abs(track.commands[k]).max() >= identifiability.TURNING_SPEED
+    ]
+    longest = max(gaps, default=0.0)
+    if not fit.solution.free[-1]:
+        if longest >= identifiability.LONG_PAUSE:
             note = f"none: the wheels kept turning for {longest:.1f} s without commands"
-            return ParameterFinding(TIMEOUT_NAME, "", None, None, None, before, note, told=True)
+            return replace(unknown, note=note, told=True)
         why = f"above {longest:.2f} s, the longest pause: stop sending commands for 2 s"
-        return unknown_finding(TIMEOUT_NAME, "", before, why)
-    value = estimate.clock.timeout - estimate.problem.dt / 2.0  # a board looks once a loop
-    half = _half(estimate, (-1, 1.0)) + 3.0 * estimate.problem.dt
-    if estimate.slack[-1] > VAGUE_TIME:
-        return unknown_finding(TIMEOUT_NAME, "", before, HANGS_ON_LAG)
+        return unknown.explain(why)
+    value = fit.times.timeout - fit.problem.dt / 2.0  # a board looks once a loop
+    half = _half_width(fit, (-1, 1.0)) + 3.0 * fit.problem.dt
+    if fit.slack[-1] > VAGUE_TIME:
+        return unknown.explain(identifiability.HANGS_ON_LAG)
     if half > 2.0 * VAGUE_TIME or value >= longest:
-        return unknown_finding(TIMEOUT_NAME, "", before, "too vague: stop sending commands for 2 s")
-    return ParameterFinding(TIMEOUT_NAME, "", value, value - half, value + half, before, told=True)
+        return unknown.explain("too vague: stop sending commands for 2 s")
+    return unknown.tell(value, value - half, value + half)
 
 
-def _rate(
-    config: RobotConfig, known: Identifiability, tracks: Sequence[BoardTrack]
-) -> ParameterFinding:
-    """The rate of feedback lines."""
-    if not known.can(RATE_NAME):
-        return unknown_finding(RATE_NAME, "", config.feedback_rate, known.missing[RATE_NAME, ""])
-    found = feedback_lines.measure_line_rate(tracks)
-    note = f"jitter {1e3 * found.jitter:.1f} ms"
-    low, high = max(0.1 * found.rate, found.rate - found.half), found.rate + found.half
-    if found.rate > config.firmware.loop_rate:
-        return unknown_finding(
-            RATE_NAME, "", config.feedback_rate, "more lines than the twin has loops"
-        )
-    return ParameterFinding(
-        RATE_NAME, "", found.rate, low, high, config.feedback_rate, note, told=True
-    )
+def _find_window(unknown: ParameterFinding, fit: MotorFit) -> ParameterFinding:
+    """The averaging time of the encoders, in whole loops of the twin."""
+    dt, value, half = fit.problem.dt, fit.times.window, _half_width(fit, (-2, 1.0))
+    if value > 0.95 * LONGEST_WINDOW:
+        return unknown.explain("the fit ended at its bound")
+    if not fit.solution.free[-2] and not fit.window_held:
+        return unknown.explain("too vague: record more steps at a higher line rate")
+    if half > VAGUE_TIME:
+        return unknown.explain("too vague: record more steps")
+    whole = max(1, round(value / dt)) * dt
+    low, high = min(whole, max(dt, value - half - dt)), max(whole, value + half + dt)
+    return unknown.tell(whole, low, high, "by encoder counts" if fit.window_held else "")
 
 
-def _quantum(
-    estimate: MotorFit | None, config: RobotConfig, tracks: Sequence[BoardTrack]
-) -> ParameterFinding:
+def _find_quantum(fit: MotorFit | None, config: RobotConfig, speeds: Floats) -> ParameterFinding:
     """The step of the printed speeds."""
-    before = config.encoder.quantum
-    speeds = np.concatenate([track.speeds for track in tracks]) if tracks else np.empty(0)
-    found = estimate.quantum if estimate else feedback_lines.find_quantum(speeds)
+    unknown = ParameterFinding(QUANTUM_NAME, before=config.encoder.quantum)
+    found = fit.quantum if fit else feedback_lines.find_quantum(speeds)
     if found is None:
-        why = "too few different speeds: record slow and fast driving"
-        return unknown_finding(QUANTUM_NAME, "", before, why)
-    if _counted(estimate, config, speeds):
-        note = COUNTED_NOTE
-    elif found.step <= feedback_lines.PRINTED_STEP:
+        return unknown.explain("too few different speeds: record slow and fast driving")
+    counted = fit is not None and fit.window_held and not fit.rounding.step
+    if counted or feedback_lines.is_explained_by_counts(speeds, config, config.encoder.window, 0.0):
+        return replace(unknown.tell(*found, COUNTED_NOTE), told=False)
+    if found.step <= feedback_lines.PRINTED_STEP:
         note = "finer than the two decimals of a line show"
-    else:
-        note = ""
-    return ParameterFinding(
-        QUANTUM_NAME, "", found.step, found.low, found.high, before, note, told=not note
-    )
+        return replace(unknown.tell(*found, note), told=False)
+    return unknown.tell(*found)
 
 
-def _counted(estimate: MotorFit | None, config: RobotConfig, speeds: Floats) -> bool:
-    """Whether the printed steps are no more than whole encoder counts."""
-    if estimate is not None and estimate.counted and not estimate.printed.step:
-        return True
-    return feedback_lines.is_explained_by_counts(speeds, config, config.encoder.window, 0.0)
-
-
-def sample_delays(estimate: MotorFit) -> tuple[float, ...]:
+def sample_delays(fit: MotorFit) -> tuple[float, ...]:
     """Quantiles of the delays of single steps, on top of the fitted one [s]; at least zero.
 
     Each block of the log has a delay of its own: the shift that explains its residuals best.
     """
-    problem, solution = estimate.problem, estimate.solution
+    problem, solution = fit.problem, fit.solution
     rest = problem.residuals(solution.x, solution.deadbands)
     slope = problem.jacobian(solution.x, solution.deadbands)[:, -3]
     blocks = problem.blocks() % problem.blocks_of_wheel

@@ -1,6 +1,9 @@
-"""The twin's answer of each wheel to commands.
+"""The twin's answer of each wheel to commands, and its residuals over recorded tracks.
 
-And its residuals and derivatives over recorded tracks.
+Ramp, gain, deadband, saturation, lag, encoder: the same recursion as `Firmware` over a `Body`, at
+the same loop rate. Where the twin's loops lie between the host's stamps isn't known, so commands
+and encoder readings are interpolated between loops: that is the mean over all phases of the twin's
+clock, and it is smooth in delay and window.
 """
 
 from __future__ import annotations
@@ -14,15 +17,26 @@ from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.jit import jit, loop
+from acsar_gym.tools.sysid.delays import Floats
 from acsar_gym.tools.sysid.tracks import BoardTrack
-
-Floats = NDArray[np.float64]
 
 LoopCommands = tuple[Floats, Floats, Floats]
 """For each loop: the command one loop earlier and that of the loop [rad/s], and the probability
 that the loop already has the latter."""
 CREEP_SPEED = 1e-3
 """A wheel slower than this stands, once its set point is zero [rad/s]; as in `dynamics.model`."""
+PARAMETERS_PER_WHEEL = 3
+"""Lag, gain and slowness of the ramp; the deadband isn't smooth."""
+WHEEL_STEPS = np.array([5e-3, 1e-3, 5e-4])
+"""Steps of their derivatives: relative for the lag, then plain."""
+CLOCK_STEPS = np.array([1e-3, 2e-3, 2e-3])
+"""Steps of delay, window and time-out [s]."""
+PHASE_SPREAD = 0.5
+"""Spread of set points in a loop, for `simulate_speeds`."""
+KEPT_COMMANDS = 32
+"""Delays and time-outs for which each track's commands are kept."""
+RESIDUAL_BLOCK = 0.5
+"""Residuals within such a time and of one wheel may depend on each other [s]."""
 
 
 class WheelModel(NamedTuple):
@@ -121,7 +135,7 @@ def sample_commands(edges: Floats, stamps: Floats, commands: Floats) -> LoopComm
         commands: (n,) or (n, wheels) [rad/s]; zero before the first.
 
     Returns:
-        What `speeds_of` takes, with the wheels' columns as rows.
+        What `simulate_speeds` takes, with the wheels' columns as rows.
     """
     dt = edges[1] - edges[0]
     latest = edges + dt / 2.0
@@ -134,44 +148,9 @@ def sample_commands(edges: Floats, stamps: Floats, commands: Floats) -> LoopComm
     return before, after, np.clip(since / dt, 0.0, 1.0)
 
 
-def average_window(edges: Floats, speeds: Floats, stamps: Floats, window: float) -> Floats:
-    """Mean speed that encoders report at each stamp, over the window before it [rad/s].
-
-    Args:
-        edges: begin of each loop [s].
-        speeds: after each loop [rad/s].
-        stamps: when lines are made [s].
-        window: averaging time [s].
-    """
-    dt = edges[1] - edges[0]
-    times = np.concatenate((edges, [edges[-1] + dt]))
-    angles = np.concatenate(([0.0], np.cumsum(speeds) * dt))
-    turned = np.interp(stamps, times, angles) - np.interp(stamps - window, times, angles)
-    return turned / window
-
-
-Ints = NDArray[np.intp]
-
-PARAMETERS_PER_WHEEL = 3
-"""Lag, gain and slowness of the ramp; the deadband isn't smooth."""
-WHEEL_STEPS = np.array([5e-3, 1e-3, 5e-4])
-"""Steps of their derivatives: relative for the lag, then plain."""
-CLOCK_STEPS = np.array([1e-3, 2e-3, 2e-3])
-"""Steps of delay, window and time-out [s]."""
-WHEEL_LOW = np.array([2e-3, 0.2, 0.0])
-WHEEL_HIGH = np.array([3.0, 5.0, 1.0])
-"""Bounds of lag [s], gain and slowness [s^2/rad]."""
-PHASE_SPREAD = 0.5
-"""Spread of set points in a loop, for `speeds_of`."""
-KEPT_COMMANDS = 32
-"""Delays and time-outs for which each track's commands are kept."""
-RESIDUAL_BLOCK = 0.5
-"""Residuals within such a time and of one wheel may depend on each other [s]."""
-
-
 @dataclass(frozen=True, eq=False)
 class FitProblem:
-    """Tracks of one robot, and the wheels that they tell something about.
+    """Tracks of one robot, the wheels that they tell something about, and the model's residuals.
 
     Parameters are one vector: lag, gain and slowness of each wheel, then the clock's: delay to the
     middle of the window, window, time-out. A delay by itself would hang on the window.
@@ -180,7 +159,9 @@ class FitProblem:
     tracks: Sequence[BoardTrack]
     wheels: tuple[int, ...]
     dt: float
+    """Period of the firmware's loop [s]."""
     top: float
+    """Largest speed of a wheel [rad/s]."""
     held_out: bool = False
     """Whether residuals are those of the held-out lines, instead of the others."""
     kept: dict[tuple[int, float, float], tuple[Floats, LoopCommands]] = field(default_factory=dict)
@@ -198,95 +179,90 @@ class FitProblem:
         """Number of parameters."""
         return PARAMETERS_PER_WHEEL * len(self.wheels) + len(CLOCK_STEPS)
 
+    @property
+    def count(self) -> int:
+        """Residuals of one wheel."""
+        return sum(int(self.chosen(track).sum()) for track in self.tracks)
+
     def split(self, x: Floats, deadbands: Sequence[float]) -> tuple[list[WheelModel], BoardTimes]:
         """Name the numbers of a parameter vector."""
         n = PARAMETERS_PER_WHEEL * len(self.wheels)
         rows = x[:n].reshape(-1, PARAMETERS_PER_WHEEL).tolist()
-        motors = [
+        wheels = [
             WheelModel(lag, gain, slowness, band)
             for (lag, gain, slowness), band in zip(rows, deadbands, strict=True)
         ]
         middle, window, timeout = x[n:].tolist()
-        return motors, BoardTimes(middle - window / 2.0, window, timeout)
+        return wheels, BoardTimes(middle - window / 2.0, window, timeout)
 
-    def joined(self, motors: Sequence[WheelModel], clock: BoardTimes) -> Floats:
+    def join(self, wheels: Sequence[WheelModel], times: BoardTimes) -> Floats:
         """Make a parameter vector."""
-        rows = [motor[:PARAMETERS_PER_WHEEL] for motor in motors]
-        return np.concatenate((*rows, (clock.delay + clock.window / 2.0, *clock[1:])))
+        rows = [wheel[:PARAMETERS_PER_WHEEL] for wheel in wheels]
+        return np.concatenate((*rows, (times.delay + times.window / 2.0, *times[1:])))
 
     def chosen(self, track: BoardTrack) -> NDArray[np.bool_]:
         """Which lines of a track count."""
         return track.held_out if self.held_out else ~track.held_out
 
-    def answer(self, track: BoardTrack, wheel: int, motor: WheelModel, clock: BoardTimes) -> Floats:
+    def answer(self, track: BoardTrack, wheel: int, model: WheelModel, times: BoardTimes) -> Floats:
         """Speeds of one wheel at a track's stamps, as encoders without counts report them."""
-        edges, (before, after, share) = self._heard(track, clock)
-        heard = before[wheel], after[wheel], share
-        step, blend = ramp_step(motor.slowness, self.dt), lag_blend(motor.lag, self.dt)
-        speeds = simulate_speeds(
-            heard, step, blend, motor.gain, motor.deadband, self.top, PHASE_SPREAD
-        )
-        return average_window(edges, speeds, track.stamps, clock.window)
-
-    def _heard(self, track: BoardTrack, clock: BoardTimes) -> tuple[Floats, LoopCommands]:
-        """Loops of a track, and the commands of all wheels in them; the newest ones are kept."""
-        key = (id(track), clock.delay, clock.timeout)
+        key = (id(track), times.delay, times.timeout)
         if key not in self.kept:
             while len(self.kept) >= KEPT_COMMANDS * len(self.tracks):
                 del self.kept[next(iter(self.kept))]
-            edges = track.grid(self.dt)
-            stamps, commands = track.with_timeout(clock.timeout)
-            self.kept[key] = edges, sample_commands(edges, stamps + clock.delay, commands)
-        return self.kept[key]
-
-    def residuals_of(self, index: int, motor: WheelModel, clock: BoardTimes) -> Floats:
-        """Residuals of one wheel over all tracks [rad/s]."""
-        wheel = self.wheels[index]
-        parts = [
-            (self.answer(track, wheel, motor, clock) - track.speeds[:, wheel])[self.chosen(track)]
-            for track in self.tracks
-        ]
-        return np.concatenate(parts)
+            edges = track.loop_edges(self.dt)
+            stamps, commands = track.apply_timeout(times.timeout)
+            self.kept[key] = edges, sample_commands(edges, stamps + times.delay, commands)
+        edges, (before, after, share) = self.kept[key]
+        heard = before[wheel], after[wheel], share
+        step, blend = ramp_step(model.slowness, self.dt), lag_blend(model.lag, self.dt)
+        speeds = simulate_speeds(
+            heard, step, blend, model.gain, model.deadband, self.top, PHASE_SPREAD
+        )
+        dt = edges[1] - edges[0]
+        ends = np.concatenate((edges, [edges[-1] + dt]))
+        angles = np.concatenate(([0.0], np.cumsum(speeds) * dt))
+        turned = np.interp(track.stamps, ends, angles)
+        return (turned - np.interp(track.stamps - times.window, ends, angles)) / times.window
 
     def measured(self, index: int) -> Floats:
         """Printed speeds of one wheel that count, over all tracks [rad/s]."""
         wheel = self.wheels[index]
         return np.concatenate([t.speeds[self.chosen(t), wheel] for t in self.tracks])
 
+    def residuals_of(self, index: int, model: WheelModel, times: BoardTimes) -> Floats:
+        """Residuals of one wheel over all tracks, in the order of `measured` [rad/s]."""
+        wheel = self.wheels[index]
+        parts = [
+            (self.answer(track, wheel, model, times) - track.speeds[:, wheel])[self.chosen(track)]
+            for track in self.tracks
+        ]
+        return np.concatenate(parts)
+
     def residuals(self, x: Floats, deadbands: Sequence[float]) -> Floats:
         """Residuals of all wheels, one after the other [rad/s]."""
-        motors, clock = self.split(x, deadbands)
-        parts = [self.residuals_of(k, motor, clock) for k, motor in enumerate(motors)]
-        return np.concatenate(parts)
+        wheels, times = self.split(x, deadbands)
+        return np.concatenate([self.residuals_of(k, one, times) for k, one in enumerate(wheels)])
 
     def jacobian(self, x: Floats, deadbands: Sequence[float]) -> Floats:
         """Derivatives of the residuals; a wheel's own parameters concern its residuals only."""
-        motors, clock = self.split(x, deadbands)
+        wheels, times = self.split(x, deadbands)
         columns = np.zeros((len(self.wheels), self.size, self.count))
-        for k, motor in enumerate(motors):
-            base = self.residuals_of(k, motor, clock)
-            for p, step in enumerate(WHEEL_STEPS * [motor.lag, 1.0, 1.0]):
-                moved = motor._replace(**{WheelModel._fields[p]: motor[p] + step})
-                columns[k, PARAMETERS_PER_WHEEL * k + p] = (
-                    self.residuals_of(k, moved, clock) - base
-                ) / step
+        for k, model in enumerate(wheels):
+            base = self.residuals_of(k, model, times)
+            for p, step in enumerate(WHEEL_STEPS * [model.lag, 1.0, 1.0]):
+                moved = model._replace(**{WheelModel._fields[p]: model[p] + step})
+                row = PARAMETERS_PER_WHEEL * k + p
+                columns[k, row] = (self.residuals_of(k, moved, times) - base) / step
             for p, step in enumerate(CLOCK_STEPS):
-                other = _moved(clock, p, step)
-                row = PARAMETERS_PER_WHEEL * len(motors) + p
-                columns[k, row] = (self.residuals_of(k, motor, other) - base) / step
+                other = times._replace(**{BoardTimes._fields[p]: times[p] + step})
+                if p == 1:  # the window grows around its middle
+                    other = other._replace(delay=times.delay - step / 2.0)
+                row = PARAMETERS_PER_WHEEL * len(wheels) + p
+                columns[k, row] = (self.residuals_of(k, model, other) - base) / step
         return columns.transpose(0, 2, 1).reshape(-1, self.size)
 
-    @property
-    def count(self) -> int:
-        """Residuals of one wheel."""
-        return sum(int(self.chosen(track).sum()) for track in self.tracks)
-
-    @property
-    def blocks_of_wheel(self) -> int:
-        """Number of blocks of one wheel."""
-        return sum(1 + int((t.stamps[-1] - t.stamps[0]) / RESIDUAL_BLOCK) for t in self.tracks)
-
-    def blocks(self) -> Ints:
+    def blocks(self) -> NDArray[np.intp]:
         """Number of the block that each residual belongs to, wheel by wheel."""
         begin, numbers = 0, []
         for _ in self.wheels:
@@ -296,8 +272,7 @@ class FitProblem:
                 begin += int(block[-1]) + 1
         return np.concatenate(numbers)
 
-
-def _moved(clock: BoardTimes, p: int, step: float) -> BoardTimes:
-    """The clock after a step of its parameter p; the window grows around its middle."""
-    moved = clock._replace(**{BoardTimes._fields[p]: clock[p] + step})
-    return moved._replace(delay=clock.delay - step / 2.0) if p == 1 else moved
+    @property
+    def blocks_of_wheel(self) -> int:
+        """Number of blocks of one wheel."""
+        return sum(1 + int((t.stamps[-1] - t.stamps[0]) / RESIDUAL_BLOCK) for t in self.tracks)

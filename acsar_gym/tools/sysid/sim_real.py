@@ -10,34 +10,34 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.table import Table
 
 from acsar_gym.errors import ConfigError, require_extra
 from acsar_gym.links.lateness import LATE_TICK
 from acsar_gym.recording.replay import check_same_robot
 from acsar_gym.recording.types import Episode, Recording
-from acsar_gym.tools.evaluation.metrics import (
-    Interval,
-    bootstrap_interval,
-    replace_nonfinite,
-    wilson_interval,
-)
+from acsar_gym.tools.evaluation import metrics
 from acsar_gym.tools.evaluation.report import escape_text
-from acsar_gym.tools.sysid import tracks
 from acsar_gym.tools.sysid.delays import (
     DelayComparison,
+    Floats,
     compare_delays,
     explain_few_steps,
     format_lag,
 )
-from acsar_gym.tools.sysid.tracks import EpisodeTrack
+from acsar_gym.tools.sysid.tracks import EpisodeTrack, find_damage, make_recorded_track
 from acsar_gym.tools.sysid.twin_gap import format_cell, format_interval
 from acsar_gym.worlds.world import to_odometry
 
 NO_INTERVAL = (math.nan, math.nan)
 FEWEST_PAIRS = 2
 """Fewest pairs that have an interval."""
+SAME_GOAL_DISTANCE = 0.01
+"""Goals that are nearer to each other are one [m]."""
+LATE_SHARE = 0.01
+"""An episode in which a larger share of the ticks is late isn't valid, as for `evaluate`."""
+NamedRecordings = Sequence[tuple[str, Recording]]
+"""Recordings with the names of their files."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,13 +46,13 @@ class MetricComparison:
 
     values: tuple[float, float]
     """Mean or rate of each side."""
-    intervals: tuple[Interval, Interval]
+    intervals: tuple[metrics.Interval, metrics.Interval]
     """95 % intervals: Wilson for rates, bootstrap for means."""
     counts: tuple[int, int]
     """Episodes with a value."""
     difference: float
     """Mean difference of the pairs, second minus first."""
-    interval: Interval
+    interval: metrics.Interval
     """Its 95 % interval."""
     pairs: int
     """Pairs in which both have a value."""
@@ -68,52 +68,54 @@ class MetricComparison:
         return self.interval[0] > 0.0 or self.interval[1] < 0.0
 
 
-def compare_means(
-    first: Sequence[float], second: Sequence[float], pairs: Sequence[tuple[float, float]]
+def compare_values(
+    sides: tuple[Sequence[float], Sequence[float]],
+    pairs: Sequence[tuple[float, float]],
+    *,
+    rates: bool = False,
 ) -> MetricComparison:
     """Compare means of values; those that are NaN are left out.
 
     Args:
-        first: values of the first side.
-        second: values of the second side.
+        sides: values of both sides.
         pairs: values of the paired episodes, (first, second).
+        rates: whether values are 0 or 1: rates have Wilson's intervals, and their paired
+            difference Newcombe's.
     """
     known = [(a, b) for a, b in pairs if math.isfinite(a) and math.isfinite(b)]
-    differences = [b - a for a, b in known]
-    sides = [[value for value in side if math.isfinite(value)] for side in (first, second)]
-    means = [_mean(side) for side in sides]
+    first, second = ([value for value in side if math.isfinite(value)] for side in sides)
+    if rates:
+        counts = Counter((a > 0.5, b > 0.5) for a, b in known)
+        only_first, only_second = counts[True, False], counts[False, True]
+        difference = (only_second - only_first) / len(known) if known else math.nan
+        around = paired_rate_interval(
+            counts[True, True], only_first, only_second, counts[False, False]
+        )
+        before, after = (
+            metrics.wilson_interval(round(sum(side)), len(side)) if side else NO_INTERVAL
+            for side in (first, second)
+        )
+    else:
+        differences = [b - a for a, b in known]
+        difference, around = _mean(differences), metrics.bootstrap_interval(differences)
+        before, after = metrics.bootstrap_interval(first), metrics.bootstrap_interval(second)
     return MetricComparison(
-        (means[0], means[1]),
-        (bootstrap_interval(sides[0]), bootstrap_interval(sides[1])),
-        (len(sides[0]), len(sides[1])),
-        _mean(differences),
-        bootstrap_interval(differences),
+        (_mean(first), _mean(second)),
+        (before, after),
+        (len(first), len(second)),
+        difference,
+        around,
         len(known),
     )
 
 
-def compare_rates(
-    first: Sequence[float], second: Sequence[float], pairs: Sequence[tuple[float, float]]
-) -> MetricComparison:
-    """Compare rates of values that are 0 or 1; arguments as for `of_means`."""
-    known = [(a, b) for a, b in pairs if math.isfinite(a) and math.isfinite(b)]
-    sides = [[value for value in side if math.isfinite(value)] for side in (first, second)]
-    ends = [wilson_interval(round(sum(side)), len(side)) if side else NO_INTERVAL for side in sides]
-    both = sum(a > 0.5 and b > 0.5 for a, b in known)
-    only_first = sum(a > 0.5 > b for a, b in known)
-    only_second = sum(b > 0.5 > a for a, b in known)
-    neither = len(known) - both - only_first - only_second
-    return MetricComparison(
-        (_mean(sides[0]), _mean(sides[1])),
-        (ends[0], ends[1]),
-        (len(sides[0]), len(sides[1])),
-        (only_second - only_first) / len(known) if known else math.nan,
-        paired_rate_interval(both, only_first, only_second, neither),
-        len(known),
-    )
+def _mean(values: Sequence[float]) -> float:
+    return float(np.mean(values)) if values else math.nan
 
 
-def paired_rate_interval(both: int, only_first: int, only_second: int, neither: int) -> Interval:
+def paired_rate_interval(
+    both: int, only_first: int, only_second: int, neither: int
+) -> metrics.Interval:
     """Return the 95 % interval of the difference of two paired rates, second minus first.
 
     Newcombe's square-and-add interval of Wilson's (Statistics in Medicine 17, 1998, method 10).
@@ -129,9 +131,15 @@ def paired_rate_interval(both: int, only_first: int, only_second: int, neither: 
     if count == 0:
         return NO_INTERVAL
     hits = both + only_second, both + only_first
-    (low2, high2), (low1, high1) = (wilson_interval(hit, count) for hit in hits)
+    (low2, high2), (low1, high1) = (metrics.wilson_interval(hit, count) for hit in hits)
     p2, p1 = (hit / count for hit in hits)
-    phi = _correlation(both, only_first, only_second, neither)
+    margins = (both + only_first) * (only_second + neither)
+    margins *= (both + only_second) * (only_first + neither)
+    phi = 0.0  # the correlation of the outcomes, corrected for continuity as Newcombe does
+    if margins:
+        cross = both * neither - only_first * only_second
+        corrected = max(cross - count / 2.0, 0.0) if cross > 0 else float(cross)
+        phi = corrected / math.sqrt(margins)
     down, up = p2 - low2, high2 - p2
     own_down, own_up = p1 - low1, high1 - p1
     below = math.sqrt(max(0.0, down**2 - 2.0 * phi * down * own_up + own_up**2))
@@ -139,150 +147,13 @@ def paired_rate_interval(both: int, only_first: int, only_second: int, neither: 
     return p2 - p1 - below, p2 - p1 + above
 
 
-def _correlation(both: int, only_first: int, only_second: int, neither: int) -> float:
-    """Return the correlation of paired outcomes, corrected for continuity as Newcombe does."""
-    margins = (both + only_first) * (only_second + neither)
-    margins *= (both + only_second) * (only_first + neither)
-    if margins == 0:
-        return 0.0
-    cross = both * neither - only_first * only_second
-    count = both + only_first + only_second + neither
-    corrected = max(cross - count / 2.0, 0.0) if cross > 0 else float(cross)
-    return corrected / math.sqrt(margins)
-
-
-def _mean(values: Sequence[float]) -> float:
-    return float(np.mean(values)) if values else math.nan
-
-
-NamedRecordings = Sequence[tuple[str, Recording]]
-"""Recordings with the names of their files."""
-SAME_GOAL_DISTANCE = 0.01
-"""Goals that are nearer to each other are one [m]."""
-LATE_SHARE = 0.01
-"""An episode in which a larger share of the ticks is late isn't valid, as for `evaluate`."""
-RECORDING_KINDS = {True: "a simulated robot", False: "a real robot"}
-
-
-def _about(recording: Recording) -> Mapping[str, Any]:
-    """Return what the program said about a recording."""
-    about = recording.header.get("about")
-    return about if isinstance(about, Mapping) else {}
-
-
-def _task_of(recording: Recording) -> str:
-    """Return the id of the env that was recorded; empty if there was none."""
-    env = _about(recording).get("env")
-    return str(env.get("id") or "") if isinstance(env, Mapping) else ""
-
-
-def observation_labels(recording: Recording) -> tuple[str, ...]:
-    """Return the names of the task's numbers in an observation; empty if they aren't known."""
-    names = _about(recording).get("observation")
-    return tuple(str(name)[:40] for name in names) if isinstance(names, list) else ()
-
-
-def find_common_task(logs: NamedRecordings) -> str:
-    """Return the task of all recordings; ConfigError if they have different ones."""
-    first = _task_of(logs[0][1])
-    for name, recording in logs[1:]:
-        other = _task_of(recording)
-        if other != first:
-            raise ConfigError(
-                f"{name}: is of {other or 'no task'}, but {logs[0][0]} of {first or 'no task'}"
-            )
-    return first
-
-
-def was_simulated(recording: Recording) -> bool:
-    """Whether the robot was simulated; only then, ticks have no lateness."""
-    return all(bool(np.isnan(one.lateness).all()) for one in recording.episodes)
-
-
-def check_kinds(
-    first: NamedRecordings, second: NamedRecordings, names: tuple[str, str]
-) -> list[str]:
-    """Say which recordings aren't of the kind of their side.
-
-    Args:
-        first: of the simulation.
-        second: of the robot.
-        names: what the sides are called.
-
-    Raises:
-        ConfigError: the sides are swapped.
-    """
-    found = [[was_simulated(log) for _, log in side] for side in (first, second)]
-    if not any(found[0]) and all(found[1]):
-        raise ConfigError(
-            f"{first[0][0]}: is of a real robot, and {second[0][0]} of a simulated one: name the "
-            "simulation first"
-        )
-    return [
-        f"{name}: is of {RECORDING_KINDS[kind]}, but named as {side}"
-        for side, wanted, logs, own in zip(
-            names, (True, False), (first, second), found, strict=True
-        )
-        for (name, _), kind in zip(logs, own, strict=True)
-        if kind != wanted
-    ]
-
-
-def describe_policies(first: NamedRecordings, second: NamedRecordings) -> str:
-    """Say that the policies differ; empty if they don't, as far as the recordings tell."""
-    named = [{_policy(log) for _, log in side} for side in (first, second)]
-    if len(named[0] | named[1]) < 2:
-        return ""
-    told = [", ".join(sorted(name for _, name in side)) for side in named]
-    return f"policies differ: {told[0]} vs {told[1]}"
-
-
-def _policy(recording: Recording) -> tuple[str, str]:
-    """Hash and short name of the policy that drove."""
-    policy = _about(recording).get("policy")
-    if not isinstance(policy, Mapping):
-        return "", str(policy or "none told")[:60]
-    sha256 = str(policy.get("sha256") or "")
-    name = Path(str(policy.get("file") or "unnamed")).name[:60]
-    return sha256, f"{name} ({sha256[:8]})" if sha256 else name
-
-
-def have_same_goal(one: Episode, other: Episode) -> bool:
-    """Whether two episodes had the same goal, seen from their starts; true where it isn't told."""
-    goals = [_goal(episode) for episode in (one, other)]
-    if goals[0] is None or goals[1] is None:
-        return True
-    return float(np.hypot(*np.subtract(goals[0], goals[1]))) < SAME_GOAL_DISTANCE
-
-
-def _goal(episode: Episode) -> tuple[float, float] | None:
-    """The goal in the frame of the start [m]; None if it isn't told."""
-    goal, start = episode.info.get("goal"), episode.info.get("start") or (0.0, 0.0, 0.0)
-    if not goal:
-        return None
-    x, y, _ = to_odometry(tuple(start), (float(goal[0]), float(goal[1]), 0.0))
-    return x, y
-
-
-def note_lateness(name: str, episode: Episode) -> list[str]:
-    """Say that an episode isn't valid because too many of its ticks were late."""
-    known = episode.lateness[np.isfinite(episode.lateness)]
-    share = float(np.mean(known > LATE_TICK)) if len(known) else 0.0
-    if share <= LATE_SHARE:
-        return []
-    return [f"{name}: invalid, {share:.0%} of its ticks were late; it was compared all the same"]
-
-
-EpisodeKey = tuple[int | None, int]
-"""Seed, and which one of the episodes with this seed."""
-
-
 @dataclass(frozen=True, eq=False)
 class EpisodeOutcome:
     """One episode of a task."""
 
     log: str
-    key: EpisodeKey
+    key: tuple[int | None, int]
+    """Seed, and which one of the episodes with this seed."""
     success: float
     """1 or 0; NaN where the recording doesn't tell."""
     seconds: float
@@ -295,6 +166,29 @@ class EpisodeOutcome:
         seed, again = self.key
         named = f"episode {again}" if seed is None else f"seed {seed}"
         return named if seed is None or not again else f"{named} ({again + 1})"
+
+    @property
+    def path_length(self) -> float:
+        """Length of the path by odometry [m]."""
+        return float(np.hypot(*np.diff(self.episode.poses[:, :2], axis=0).T).sum())
+
+    @property
+    def turning_per_metre(self) -> float:
+        """Heading changes per metre [rad/m]."""
+        headings = np.unwrap(self.episode.poses[:, 2])
+        return float(np.abs(np.diff(headings)).sum()) / max(self.path_length, 1e-9)
+
+    @property
+    def odometry_error(self) -> float:
+        """Distance between odometry and truth at the end [m]; NaN on hardware."""
+        if not self.track.known:
+            return math.nan
+        return float(np.hypot(*(self.track.odometry[-1] - self.track.truth[-1])[:2]))
+
+    @property
+    def episode_return(self) -> float:
+        """Sum of the rewards; NaN without any."""
+        return float(self.episode.rewards.sum()) if len(self.episode.rewards) else math.nan
 
 
 EpisodePairs = tuple[tuple[EpisodeOutcome, EpisodeOutcome], ...]
@@ -310,43 +204,18 @@ class EpisodeMetric:
     of: Callable[[EpisodeOutcome], float]
 
 
-def _length(outcome: EpisodeOutcome) -> float:
-    """Return the length of the path by odometry [m]."""
-    return float(np.hypot(*np.diff(outcome.episode.poses[:, :2], axis=0).T).sum())
-
-
-def _turning(outcome: EpisodeOutcome) -> float:
-    """Return heading changes per metre [rad/m]."""
-    headings = np.unwrap(outcome.episode.poses[:, 2])
-    return float(np.abs(np.diff(headings)).sum()) / max(_length(outcome), 1e-9)
-
-
-def _drift(outcome: EpisodeOutcome) -> float:
-    """Return the distance between odometry and truth at the end [m]; NaN on hardware."""
-    track = outcome.track
-    if not track.known:
-        return math.nan
-    return float(np.hypot(*(track.odometry[-1] - track.truth[-1])[:2]))
-
-
-def _reward(outcome: EpisodeOutcome) -> float:
-    rewards = outcome.episode.rewards
-    return float(rewards.sum()) if len(rewards) else math.nan
-
-
 EPISODE_METRICS: dict[str, EpisodeMetric] = {
-    "success_rate": EpisodeMetric("success", "%", 100.0, lambda outcome: outcome.success),
+    "success_rate": EpisodeMetric("success", "%", 100.0, lambda o: o.success),
     "time_to_goal": EpisodeMetric(
         "time to the goal", "s", 1.0, lambda o: o.seconds if o.success == 1.0 else math.nan
     ),
-    "episode_return": EpisodeMetric("return", "", 1.0, _reward),
+    "episode_return": EpisodeMetric("return", "", 1.0, lambda o: o.episode_return),
     "length": EpisodeMetric("steps", "", 1.0, lambda o: float(len(o.episode.rewards) or math.nan)),
-    "path": EpisodeMetric("path", "m", 1.0, _length),
-    "smoothness": EpisodeMetric("turning", "rad/m", 1.0, _turning),
-    "odometry_error": EpisodeMetric("odometry error", "cm", 100.0, _drift),
+    "path": EpisodeMetric("path", "m", 1.0, lambda o: o.path_length),
+    "smoothness": EpisodeMetric("turning", "rad/m", 1.0, lambda o: o.turning_per_metre),
+    "odometry_error": EpisodeMetric("odometry error", "cm", 100.0, lambda o: o.odometry_error),
 }
-"""Metrics by name, the same as those of `evaluate`."""
-RATE_METRICS = ("success_rate",)
+"""Metrics by name, the same as those of `evaluate`; the success rate is the only rate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -365,38 +234,38 @@ class SideComparison:
 
     def comparisons(self) -> dict[str, MetricComparison]:
         """Compare every metric that both sides have."""
-        found = {name: self._compared(name) for name in EPISODE_METRICS}
-        return {name: one for name, one in found.items() if min(one.counts)}
-
-    def _compared(self, name: str) -> MetricComparison:
-        value = EPISODE_METRICS[name].of
-        sides = [[value(outcome) for outcome in side] for side in self.outcomes]
-        pairs = [(value(a), value(b)) for a, b in self.pairs]
-        return (compare_rates if name in RATE_METRICS else compare_means)(sides[0], sides[1], pairs)
+        found = {}
+        for name, metric in EPISODE_METRICS.items():
+            first, second = ([metric.of(one) for one in side] for side in self.outcomes)
+            pairs = [(metric.of(a), metric.of(b)) for a, b in self.pairs]
+            one = compare_values((first, second), pairs, rates=name == "success_rate")
+            if min(one.counts):
+                found[name] = one
+        return found
 
     def delays(self) -> DelayComparison:
         """Test whether the delays of the two sides differ."""
         samples = [np.concatenate([o.track.delays for o in side]) for side in self.outcomes]
         return compare_delays(samples[0], samples[1])
 
-    def observations(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def observations(self) -> tuple[Floats, Floats]:
         """Return all observations of both sides, (n, size); empty if there are none."""
-        first, second = (_stacked(side, "observations") for side in self.outcomes)
-        return first, second
+        return self._stack_rows("observations")
 
-    def actions(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def actions(self) -> tuple[Floats, Floats]:
         """Return all actions of both sides, (n, 2)."""
-        first, second = (_stacked(side, "actions") for side in self.outcomes)
-        return first, second
+        return self._stack_rows("actions")
+
+    def _stack_rows(self, name: str) -> tuple[Floats, Floats]:
+        """The rows of all episodes of each side that have any."""
+        stacked = []
+        for side in self.outcomes:
+            rows = [np.asarray(getattr(outcome.episode, name), np.float64) for outcome in side]
+            stacked.append(np.concatenate([one for one in rows if one.size] or [np.zeros((0, 0))]))
+        return stacked[0], stacked[1]
 
 
-def _stacked(side: Sequence[EpisodeOutcome], name: str) -> NDArray[np.float64]:
-    """Return the rows of all episodes of a side that have any."""
-    rows = [np.asarray(getattr(outcome.episode, name), np.float64) for outcome in side]
-    return np.concatenate([one for one in rows if one.size] or [np.zeros((0, 0))])
-
-
-def distribution_distances(first: NDArray[np.float64], second: NDArray[np.float64]) -> list[float]:
+def distribution_distances(first: Floats, second: Floats) -> list[float]:
     """Return the Kolmogorov-Smirnov distance of each column, 0 (equal) to 1.
 
     It is a size, not a test: the rows of an episode aren't independent of each other.
@@ -427,72 +296,64 @@ def compare_sides(
     odd = check_kinds(first, second, names)
     check_same_robot(logs, "compare", wire=False)
     task = find_common_task(logs)
-    sides = tuple(_outcomes(first)), tuple(_outcomes(second))
+    sides = tuple(_list_outcomes(first)), tuple(_list_outcomes(second))
     for side, recordings in zip(sides, (first, second), strict=True):
         if not side:
             raise ConfigError(f"{recordings[0][0]}: holds no episode that was driven")
     known = {outcome.key: outcome for outcome in sides[0]}
-    common = tuple((known[o.key], o) for o in sides[1] if o.key in known)
+    common = [(known[o.key], o) for o in sides[1] if o.key in known]
     if not common:
         raise ConfigError(
-            f"no episode in common: {names[0]} has {_seeds(sides[0])}, {names[1]} "
-            f"{_seeds(sides[1])}; record both with the same seeds"
+            f"no episode in common: {names[0]} has {_describe_seeds(sides[0])}, {names[1]} "
+            f"{_describe_seeds(sides[1])}; record both with the same seeds"
         )
     widths = {o.episode.observations.shape[1] for s in sides for o in s if o.episode.rewards.size}
     if len(widths) > 1:
         sizes = " and ".join(map(str, sorted(widths)))
         raise ConfigError(f"{second[0][0]}: another task: observations of {sizes} numbers")
-    pairs, others = _of_one_goal(common)
-    notes = [*odd, *_notes(logs, sides, common, names), *others]
-    policies = describe_policies(first, second)
-    return SideComparison(
-        task, names, sides, pairs, tuple(notes), observation_labels(first[0][1]), policies
-    )
-
-
-def _of_one_goal(pairs: EpisodePairs) -> tuple[EpisodePairs, list[str]]:
-    """Leave out pairs whose goals differ; returns the others, and lines about those left out.
-
-    Raises:
-        ConfigError: no pair is left.
-    """
-    same = tuple(pair for pair in pairs if have_same_goal(pair[0].episode, pair[1].episode))
-    others = [one for one in pairs if one not in same]
-    if not same:
-        one, other = others[0]
+    pairs = tuple((a, b) for a, b in common if have_same_goal(a.episode, b.episode))
+    if not pairs:
+        one, other = common[0]
         raise ConfigError(
             f"no pair has the same goal: {one.name} of {one.log} and of {other.log} differ; record "
             "both with the same seeds and goals"
         )
-    return same, [f"{one.name} of {two.log}: left out, another goal" for one, two in others]
+    notes = [*odd, *_note_sides(logs, sides, len(common), names)]
+    if any(one.key[0] is None for one, _ in common):
+        notes.append("episodes without a seed were paired in their order")
+    others = [pair for pair in common if pair not in pairs]
+    notes += [f"{one.name} of {other.log}: left out, another goal" for one, other in others]
+    labels = _read_about(first[0][1]).get("observation")
+    return SideComparison(
+        task,
+        names,
+        sides,
+        pairs,
+        tuple(notes),
+        tuple(str(name)[:40] for name in labels) if isinstance(labels, list) else (),
+        describe_policies(first, second),
+    )
 
 
-def _outcomes(logs: NamedRecordings) -> list[EpisodeOutcome]:
-    """Return the episodes of one side; repeated seeds are counted."""
+def _list_outcomes(logs: NamedRecordings) -> list[EpisodeOutcome]:
+    """The episodes of one side; repeated seeds are counted."""
     seen: Counter[int | None] = Counter()
     outcomes = []
     for name, recording in logs:
         for episode in recording.episodes:
-            if tracks.find_damage(episode):
+            if find_damage(episode):
                 continue
             seed = episode.info.get("seed")
             key = (None if seed is None else int(seed), seen[seed])
             seen[seed] += 1
-            outcomes.append(
-                EpisodeOutcome(
-                    name,
-                    key,
-                    math.nan if episode.success is None else float(episode.success),
-                    float(episode.stamps[-1] - episode.stamps[0]) + recording.config.period,
-                    tracks.make_recorded_track(episode, recording.config),
-                    episode,
-                )
-            )
+            success = math.nan if episode.success is None else float(episode.success)
+            seconds = float(episode.stamps[-1] - episode.stamps[0]) + recording.config.period
+            track = make_recorded_track(episode, recording.config)
+            outcomes.append(EpisodeOutcome(name, key, success, seconds, track, episode))
     return outcomes
 
 
-def _seeds(side: Sequence[EpisodeOutcome]) -> str:
-    """Describe the seeds of a side."""
+def _describe_seeds(side: Sequence[EpisodeOutcome]) -> str:
     seeds = sorted({outcome.key[0] for outcome in side if outcome.key[0] is not None})
     if not seeds:
         return "none"
@@ -502,35 +363,117 @@ def _seeds(side: Sequence[EpisodeOutcome]) -> str:
     return f"seeds {seeds[0]} to {seeds[-1]}" if whole else f"{len(seeds)} seeds, {seeds[0]}, ..."
 
 
-def _notes(
+def _note_sides(
     logs: NamedRecordings,
     sides: tuple[tuple[EpisodeOutcome, ...], tuple[EpisodeOutcome, ...]],
-    pairs: Sequence[tuple[EpisodeOutcome, EpisodeOutcome]],
+    pairs: int,
     names: tuple[str, str],
 ) -> list[str]:
-    """Say what limits the comparison."""
+    """Say what limits the comparison; episodes aren't valid with too many late ticks."""
     notes = [f"{name}: its end is missing; the rest was used" for name, log in logs if log.cut]
     notes += [f"{name}: {log.dropped:,} ticks are missing" for name, log in logs if log.dropped]
     for name, side in zip(names, sides, strict=True):
-        alone = len(side) - len(pairs)
-        if alone:
+        if alone := len(side) - pairs:
             notes.append(f"{name}: {alone} of {len(side)} episodes have no partner")
     for name, side in zip(names, sides, strict=True):
         for one in side:
-            notes += note_lateness(f"{name}, {one.name} of {one.log}", one.episode)
-    if any(pair[0].key[0] is None for pair in pairs):
-        notes.append("episodes without a seed were paired in their order")
+            known = one.episode.lateness[np.isfinite(one.episode.lateness)]
+            share = float(np.mean(known > LATE_TICK)) if len(known) else 0.0
+            if share > LATE_SHARE:
+                notes.append(
+                    f"{name}, {one.name} of {one.log}: invalid, {share:.0%} of its ticks were "
+                    "late; it was compared all the same"
+                )
     return notes
+
+
+def check_kinds(
+    first: NamedRecordings, second: NamedRecordings, names: tuple[str, str]
+) -> list[str]:
+    """Say which recordings aren't of the kind of their side; only simulated ticks have no lateness.
+
+    Args:
+        first: of the simulation.
+        second: of the robot.
+        names: what the sides are called.
+
+    Raises:
+        ConfigError: the sides are swapped.
+    """
+    notes, simulated = [], []
+    kinds = {True: "a simulated robot", False: "a real robot"}
+    for side, wanted, logs in zip(names, (True, False), (first, second), strict=True):
+        own = [all(np.isnan(one.lateness).all() for one in log.episodes) for _, log in logs]
+        simulated.append(own)
+        for (name, _), kind in zip(logs, own, strict=True):
+            if kind != wanted:
+                notes.append(f"{name}: is of {kinds[kind]}, but named as {side}")
+    if not any(simulated[0]) and all(simulated[1]):
+        raise ConfigError(
+            f"{first[0][0]}: is of a real robot, and {second[0][0]} of a simulated one: name the "
+            "simulation first"
+        )
+    return notes
+
+
+def _read_about(recording: Recording) -> Mapping[str, Any]:
+    """What the program said about a recording."""
+    about = recording.header.get("about")
+    return about if isinstance(about, Mapping) else {}
+
+
+def find_common_task(logs: NamedRecordings) -> str:
+    """Return the task of all recordings; ConfigError if they have different ones."""
+    tasks = []
+    for name, recording in logs:
+        env = _read_about(recording).get("env")
+        tasks.append(str(env.get("id") or "") if isinstance(env, Mapping) else "")
+        if tasks[-1] != tasks[0]:
+            what = f"is of {tasks[-1] or 'no task'}, but {logs[0][0]} of {tasks[0] or 'no task'}"
+            raise ConfigError(f"{name}: {what}")
+    return tasks[0]
+
+
+def describe_policies(first: NamedRecordings, second: NamedRecordings) -> str:
+    """Say that the policies differ; empty if they don't, as far as the recordings tell."""
+    sides: list[set[tuple[str, str]]] = []
+    for logs in (first, second):
+        sides.append(set())
+        for _, recording in logs:
+            policy = _read_about(recording).get("policy")
+            if not isinstance(policy, Mapping):
+                sides[-1].add(("", str(policy or "none told")[:60]))
+                continue
+            sha256 = str(policy.get("sha256") or "")
+            name = Path(str(policy.get("file") or "unnamed")).name[:60]
+            sides[-1].add((sha256, f"{name} ({sha256[:8]})" if sha256 else name))
+    if len(sides[0] | sides[1]) < 2:
+        return ""
+    told = [", ".join(sorted(name for _, name in side)) for side in sides]
+    return f"policies differ: {told[0]} vs {told[1]}"
+
+
+def have_same_goal(one: Episode, other: Episode) -> bool:
+    """Whether two episodes had the same goal, seen from their starts; true where it isn't told."""
+    goals = []
+    for episode in (one, other):
+        goal, start = episode.info.get("goal"), episode.info.get("start") or (0.0, 0.0, 0.0)
+        if not goal:
+            return True
+        goals.append(to_odometry(tuple(start), (float(goal[0]), float(goal[1]), 0.0))[:2])
+    return float(np.hypot(*np.subtract(goals[0], goals[1]))) < SAME_GOAL_DISTANCE
 
 
 def conclude_comparison(sides: SideComparison) -> list[str]:
     """Say in a few lines how far apart the sides are."""
-    first, second = sides.names
-    lines: list[str] = []
-    for name, one in sides.comparisons().items():
-        value = EPISODE_METRICS[name]
-        if not one.differs or not one.enough:
-            continue
+    (first, second), test, count = sides.names, sides.delays(), len(sides.pairs)
+    comparisons = sides.comparisons()
+    lines = [sides.policies] if sides.policies else []
+    lines.append(f"{count} pair{'s' * (count != 1)} of episodes")
+    known = [name for name, one in comparisons.items() if one.enough]
+    different = [name for name in known if comparisons[name].differs]
+    for name in different:
+        value, one = EPISODE_METRICS[name], comparisons[name]
         low, high = (end * value.scale for end in one.interval)
         more = "more" if one.difference > 0.0 else "less"
         size = abs(one.difference) * value.scale
@@ -538,27 +481,21 @@ def conclude_comparison(sides: SideComparison) -> list[str]:
             f"{value.label}: {second} has {size:.3g} {value.unit} {more} than {first} "
             f"(95 % interval {low:.3g} to {high:.3g})".replace("  ", " ")
         )
-    count = len(sides.pairs)
-    if not any(one.enough for one in sides.comparisons().values()):
+    if not known:
         lines.append(f"too few pairs ({count}) to tell whether {first} and {second} differ")
-    elif not lines:
+    elif not different:
         lines.append(f"no metric differs measurably between {first} and {second}")
-    said = [f"{count} pair{'s' * (count != 1)} of episodes", *lines, _conclude_delays(sides)]
-    return [sides.policies, *said] if sides.policies else said
-
-
-def _conclude_delays(sides: SideComparison) -> str:
-    """Say whether the delays differ."""
-    test, (first, second) = sides.delays(), sides.names
     if math.isnan(test.p_value):
-        return explain_few_steps(test)
-    by = format_lag(test.difference)
-    differ = "differ" if test.differs else "don't differ measurably"
-    return f"delays {differ}: {second} answers {by} than {first} (p = {test.p_value:.2g})"
+        return [*lines, explain_few_steps(test)]
+    by, differ = (
+        format_lag(test.difference),
+        "differ" if test.differs else "don't differ measurably",
+    )
+    return [*lines, f"delays {differ}: {second} answers {by} than {first} (p = {test.p_value:.2g})"]
 
 
 def comparison_columns(sides: SideComparison) -> tuple[str, ...]:
-    """Return the headings of `rows`."""
+    """Return the headings of `comparison_rows`."""
     first, second = sides.names
     around = "95 % interval"
     return ("metric", "unit", first, around, second, around, "difference", around, "pairs")
@@ -566,18 +503,15 @@ def comparison_columns(sides: SideComparison) -> tuple[str, ...]:
 
 def comparison_rows(sides: SideComparison) -> list[tuple[str, ...]]:
     """Return a row for every metric that both sides have."""
-    return [_row(name, one) for name, one in sides.comparisons().items()]
-
-
-def _row(name: str, one: MetricComparison) -> tuple[str, ...]:
-    """Format one metric."""
-    value = EPISODE_METRICS[name]
-    cells = [value.label, value.unit]
-    for mean, interval in zip(one.values, one.intervals, strict=True):
-        cells += [format_cell(mean, value.scale), format_interval(interval, value.scale)]
-    mark = " *" if one.differs else ""
-    cells.append(format_cell(one.difference, value.scale) + mark)
-    return (*cells, format_interval(one.interval, value.scale), str(one.pairs))
+    rows = []
+    for name, one in sides.comparisons().items():
+        metric = EPISODE_METRICS[name]
+        cells = [metric.label, metric.unit]
+        for mean, interval in zip(one.values, one.intervals, strict=True):
+            cells += [format_cell(mean, metric.scale), format_interval(interval, metric.scale)]
+        cells.append(format_cell(one.difference, metric.scale) + (" *" if one.differs else ""))
+        rows.append((*cells, format_interval(one.interval, metric.scale), str(one.pairs)))
+    return rows
 
 
 def comparison_table(sides: SideComparison) -> Table:
@@ -604,7 +538,7 @@ def format_comparison(sides: SideComparison) -> dict[str, Any]:
         }
         for first, second in sides.pairs
     ]
-    told: dict[str, Any] = replace_nonfinite(
+    told: dict[str, Any] = metrics.replace_nonfinite(
         {
             "task": sides.task,
             "sides": list(sides.names),

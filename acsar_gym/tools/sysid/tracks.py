@@ -1,7 +1,4 @@
-"""Tracks of an episode.
-
-Commands and wheel speeds with their times, as the board or the host saw them.
-"""
+"""Tracks: commands and wheel speeds of an episode with their times, as board or host saw them."""
 
 from __future__ import annotations
 
@@ -14,14 +11,98 @@ from numpy.typing import NDArray
 from acsar_gym.config import BITS_PER_BYTE, LINE_BYTES, RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.odometry import Odometry
-from acsar_gym.recording.replay import TwinReplay, remove_jitter, replay_commands
+from acsar_gym.recording.replay import remove_jitter, replay_commands
 from acsar_gym.recording.types import Episode, Recording, WireLog
 from acsar_gym.tools.evaluation.episodes import read_true_poses
 from acsar_gym.tools.sysid.delays import Floats, measure_delays
-from acsar_gym.worlds.world import Pose, to_odometry
+from acsar_gym.worlds.world import to_odometry
 
+PAUSE_GAP = 0.15
+"""Time without a command that counts as a pause [s]."""
+HELD_OUT_BLOCK = 1.0
+"""Length of the blocks of which some are held out [s]."""
+HELD_OUT_EVERY = 5
+"""One block of so many is held out."""
+LATE_LINE = 0.006
+"""Lines that this computer saw later than this after their time don't count [s]."""
+REST_LEAD = 0.5
+"""Time at rest before the first command and reading; longer than encoders average [s]."""
+PAUSE_MARGIN = 0.3
+"""Held-out blocks are this far from a pause [s]."""
 LONGEST_EPISODE = 4.0 * 3600.0
 """Longest episode that is replayed [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class BoardTrack:
+    """One episode of a log as the board saw it, on the host's clock.
+
+    Attributes:
+        arrivals: when each command had arrived at the board and was processed, (n,) [s].
+        commands: of the four wheels, (n, 4) [rad/s].
+        stamps: when the board made each line, (m,) [s].
+        speeds: of the four wheels, (m, 4) [rad/s].
+        held_out: which lines a fit may not see, (m,).
+        numbers: of these lines among all that came, (m,); late ones are left out.
+    """
+
+    arrivals: Floats
+    commands: Floats
+    stamps: Floats
+    speeds: Floats
+    held_out: NDArray[np.bool_]
+    numbers: NDArray[np.intp]
+
+    @property
+    def duration(self) -> float:
+        """Time that both commands and readings cover [s]."""
+        if len(self.stamps) < 2 or len(self.arrivals) < 2:
+            return 0.0
+        end = min(self.stamps[-1], self.arrivals[-1])
+        return max(0.0, float(end - max(self.stamps[0], self.arrivals[0])))
+
+    @property
+    def pauses(self) -> NDArray[np.intp]:
+        """Indices of the last command before each pause."""
+        return np.flatnonzero(np.diff(self.arrivals) > PAUSE_GAP)
+
+    def loop_edges(self, dt: float) -> Floats:
+        """Begin of each firmware loop [s], for loops of `dt` [s]."""
+        begin = min(self.arrivals[0], self.stamps[0]) - REST_LEAD
+        return np.asarray(begin + dt * np.arange(int((self.stamps[-1] - begin) / dt) + 2))
+
+    def apply_timeout(self, timeout: float) -> tuple[Floats, Floats]:
+        """Commands and their times, with zeros where the board's time-out [s] acts."""
+        pauses = self.pauses
+        pauses = pauses[np.diff(self.arrivals)[pauses] > timeout]
+        if not len(pauses):
+            return self.arrivals, self.commands
+        arrivals = np.insert(self.arrivals, pauses + 1, self.arrivals[pauses] + timeout)
+        return arrivals, np.insert(self.commands, pauses + 1, 0.0, axis=0)
+
+
+def decode_track(log: WireLog, config: RobotConfig) -> BoardTrack | None:
+    """Decode one episode of the wire; None where it holds no commands or no readings."""
+    line = (LINE_BYTES + config.trailing_comma) * BITS_PER_BYTE / config.baud_rate
+    took = line + config.firmware.processing_time
+    sent, commands = log.commands(config)
+    got, speeds = log.feedback(config)
+    if len(sent) < 2 or len(got) < 2:
+        return None
+    last = np.append(np.diff(got) > 0.0, True)  # of lines that came at once, the newest
+    last &= got - remove_jitter(got, float(np.median(np.diff(got)))) < LATE_LINE
+    stamps, speeds, numbers = got[last] - took, speeds[last], np.flatnonzero(last)
+    arrivals = np.maximum.accumulate(sent) + took
+    seen = (stamps >= arrivals[0]) & (stamps <= arrivals[-1] + PAUSE_GAP)
+    if not seen.any():
+        return None
+    stamps, speeds = stamps[seen], speeds[seen]
+    block = ((stamps - stamps[0]) / HELD_OUT_BLOCK).astype(int)
+    held_out = block % HELD_OUT_EVERY == HELD_OUT_EVERY - 1
+    for k in np.flatnonzero(np.diff(arrivals) > PAUSE_GAP):
+        begin, end = arrivals[k] - PAUSE_MARGIN, arrivals[k + 1] + PAUSE_MARGIN
+        held_out &= (stamps < begin) | (stamps > end)
+    return BoardTrack(arrivals, commands, stamps, speeds, held_out, numbers[seen])
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,10 +136,6 @@ class EpisodeTrack:
         """(n, 3) the best that is known of where the robot was: the truth, or odometry."""
         return self.truth if self.known else self.odometry
 
-    def by_odometry(self) -> EpisodeTrack:
-        """Return the track without its true pose, to be compared with one whose isn't known."""
-        return replace(self, truth=np.full_like(self.truth, np.nan))
-
     @property
     def delays(self) -> Floats:
         """Delays from steps of the command to the feedback [s]."""
@@ -87,8 +164,10 @@ def make_recorded_track(episode: Episode, config: RobotConfig) -> EpisodeTrack:
     """Make the track of a recorded episode; odometry is computed anew, with `config`."""
     truth = episode.truth
     if len(truth) and np.isfinite(truth).all():
-        truth = _from(episode.info.get("start", tuple(truth[0].tolist())), truth)
-    return _track(episode.wire, episode.stamps, truth, config)
+        start = episode.info.get("start", tuple(truth[0].tolist()))
+        truth = np.array([to_odometry(start, (x, y, theta)) for x, y, theta in truth.tolist()])
+        truth[:, 2] = np.unwrap(truth[:, 2])
+    return _make_track(episode.wire, episode.stamps, truth, config)
 
 
 def make_twin_track(
@@ -102,63 +181,24 @@ def make_twin_track(
         of: config of the twin.
         body: physics of the twin, "planar" or "bullet".
     """
-    done: TwinReplay = replay_commands(of, episode.wire, episode.stamps, body=body)
-    return _track(done.wire, episode.stamps, done.poses, config)
+    done = replay_commands(of, episode.wire, episode.stamps, body=body)
+    return _make_track(done.wire, episode.stamps, done.poses, config)
 
 
-def _track(wire: WireLog, stamps: Floats, truth: Floats, config: RobotConfig) -> EpisodeTrack:
-    command_stamps, commands = wire.commands(config)
-    feedback_stamps, feedback = wire.feedback(config)
-    start = float(stamps[0]) - config.period if len(stamps) else 0.0
-    twists, poses = integrate_odometry(config, start, feedback_stamps, feedback)
-    return EpisodeTrack(
-        command_stamps=command_stamps,
-        commands=commands,
-        feedback_stamps=feedback_stamps,
-        feedback=feedback,
-        twists=twists,
-        stamps=stamps,
-        odometry=_at(stamps, feedback_stamps, poses),
-        truth=truth,
-    )
-
-
-def integrate_odometry(
-    config: RobotConfig, start: float, stamps: Floats, speeds: Floats
-) -> tuple[Floats, Floats]:
-    """Integrate feedback lines by the driver's odometry.
-
-    Args:
-        config: of the robot.
-        start: time at which odometry begins [s]; lines before it don't count.
-        stamps: (k,) times of the lines [s].
-        speeds: (k, 4) wheel speeds [rad/s].
-
-    Returns:
-        Twists (k, 2) and poses (k, 3), with theta unwrapped.
-    """
-    odometry = Odometry.of(config)
-    twists, poses, before = np.zeros((len(stamps), 2)), np.zeros((len(stamps), 3)), start
-    for number, (stamp, row) in enumerate(zip(stamps.tolist(), speeds.tolist(), strict=True)):
-        odometry.update(row, max(0.0, stamp - before))
+def _make_track(wire: WireLog, stamps: Floats, truth: Floats, config: RobotConfig) -> EpisodeTrack:
+    """Decode the wire, and integrate its feedback lines by the driver's odometry."""
+    lines, speeds = wire.feedback(config)
+    odometry, before = Odometry.of(config), float(stamps[0]) - config.period if len(stamps) else 0.0
+    twists, poses = np.zeros((len(lines), 2)), np.zeros((len(lines), 3))
+    for number, (stamp, row) in enumerate(zip(lines.tolist(), speeds.tolist(), strict=True)):
+        odometry.update(row, max(0.0, stamp - before))  # lines before the first tick don't count
         before = max(before, stamp)
         twists[number], poses[number] = odometry.twist, odometry.pose
     poses[:, 2] = np.unwrap(poses[:, 2])
-    return twists, poses
-
-
-def _at(wanted: Floats, stamps: Floats, values: Floats) -> Floats:
-    """Interpolate rows of values linearly; before the first one, they are those of the first."""
-    if not len(stamps):
-        return np.zeros((len(wanted), values.shape[1]))
-    return np.column_stack([np.interp(wanted, stamps, column) for column in values.T])
-
-
-def _from(start: Pose, poses: Floats) -> Floats:
-    """Move true poses into the frame that begins at `start`, with theta unwrapped."""
-    moved = np.array([to_odometry(start, (x, y, theta)) for x, y, theta in poses.tolist()])
-    moved[:, 2] = np.unwrap(moved[:, 2])
-    return moved
+    ticks = np.zeros((len(stamps), 3))
+    if len(lines):
+        ticks = np.column_stack([np.interp(stamps, lines, column) for column in poses.T])
+    return EpisodeTrack(*wire.commands(config), lines, speeds, twists, stamps, ticks, truth)
 
 
 def add_truth(recording: Recording, log: Path) -> Recording:
@@ -175,113 +215,14 @@ def add_truth(recording: Recording, log: Path) -> Recording:
     """
     stamps, poses = (np.array(column, np.float64) for column in read_true_poses(log))
     poses[:, 2] = np.unwrap(poses[:, 2])
-    period = recording.config.period
-    episodes = [_with_truth(episode, stamps, poses, period) for episode in recording.episodes]
+    episodes = list(recording.episodes)
+    for i, episode in enumerate(episodes):
+        if len(episode.stamps) and not np.isfinite(episode.truth).any():
+            when = np.r_[episode.stamps[0] - recording.config.period, episode.stamps]
+            if stamps[0] <= when[0] and when[-1] <= stamps[-1]:
+                found = np.column_stack([np.interp(when, stamps, column) for column in poses.T])
+                info = {**episode.info, "start": found[0].tolist()}
+                episodes[i] = replace(episode, truth=found[1:], info=info)
     if not any(np.isfinite(episode.truth).any() for episode in episodes):
         raise ConfigError(f"{log}: is of another time than the recording")
     return replace(recording, episodes=tuple(episodes))
-
-
-def _with_truth(episode: Episode, stamps: Floats, poses: Floats, period: float) -> Episode:
-    """Add true poses to an episode, if the log covers it."""
-    if not len(episode.stamps) or np.isfinite(episode.truth).any():
-        return episode
-    when = np.r_[episode.stamps[0] - period, episode.stamps]
-    if when[0] < stamps[0] or when[-1] > stamps[-1]:
-        return episode
-    found = np.column_stack([np.interp(when, stamps, column) for column in poses.T])
-    info = {**episode.info, "start": found[0].tolist()}
-    return replace(episode, truth=found[1:], info=info)
-
-
-Bools = NDArray[np.bool_]
-
-PAUSE_GAP = 0.15
-"""Time without a command that counts as a pause [s]."""
-HELD_OUT_BLOCK = 1.0
-"""Length of the blocks of which some are held out [s]."""
-HELD_OUT_EVERY = 5
-"""One block of so many is held out."""
-LATE_LINE = 0.006
-"""Lines that this computer saw later than this after their time don't count [s]."""
-REST_LEAD = 0.5
-"""Time at rest before the first command and reading; longer than encoders average [s]."""
-PAUSE_MARGIN = 0.3
-"""Held-out blocks are this far from a pause [s]."""
-
-
-@dataclass(frozen=True, eq=False)
-class BoardTrack:
-    """One episode of a log, on the host's clock.
-
-    Attributes:
-        arrivals: when each command had arrived at the board and was processed, (n,) [s].
-        commands: of the four wheels, (n, 4) [rad/s].
-        stamps: when the board made each line, (m,) [s].
-        speeds: of the four wheels, (m, 4) [rad/s].
-        held_out: which lines a fit may not see, (m,).
-        numbers: of these lines among all that came, (m,); late ones are left out.
-    """
-
-    arrivals: Floats
-    commands: Floats
-    stamps: Floats
-    speeds: Floats
-    held_out: Bools
-    numbers: NDArray[np.intp]
-
-    @property
-    def duration(self) -> float:
-        """Time that both commands and readings cover [s]."""
-        if len(self.stamps) < 2 or len(self.arrivals) < 2:
-            return 0.0
-        end = min(self.stamps[-1], self.arrivals[-1])
-        return max(0.0, float(end - max(self.stamps[0], self.arrivals[0])))
-
-    @property
-    def pauses(self) -> NDArray[np.intp]:
-        """Indices of the last command before each pause."""
-        return np.flatnonzero(np.diff(self.arrivals) > PAUSE_GAP)
-
-    def grid(self, dt: float) -> Floats:
-        """Begin of each firmware loop [s], for loops of `dt` [s]."""
-        begin = min(self.arrivals[0], self.stamps[0]) - REST_LEAD
-        return np.asarray(begin + dt * np.arange(int((self.stamps[-1] - begin) / dt) + 2))
-
-    def with_timeout(self, timeout: float) -> tuple[Floats, Floats]:
-        """Commands and their times, with zeros where the board's time-out [s] acts."""
-        pauses = self.pauses
-        pauses = pauses[np.diff(self.arrivals)[pauses] > timeout]
-        if not len(pauses):
-            return self.arrivals, self.commands
-        arrivals = np.insert(self.arrivals, pauses + 1, self.arrivals[pauses] + timeout)
-        return arrivals, np.insert(self.commands, pauses + 1, 0.0, axis=0)
-
-
-def decode_track(log: WireLog, config: RobotConfig) -> BoardTrack | None:
-    """Decode one episode; None where it holds no commands or no readings."""
-    line = (LINE_BYTES + config.trailing_comma) * BITS_PER_BYTE / config.baud_rate
-    took = line + config.firmware.processing_time
-    sent, commands = log.commands(config)
-    got, speeds = log.feedback(config)
-    if len(sent) < 2 or len(got) < 2:
-        return None
-    last = np.append(np.diff(got) > 0.0, True)  # of lines that came at once, the newest
-    last &= got - remove_jitter(got, float(np.median(np.diff(got)))) < LATE_LINE
-    stamps, speeds, numbers = got[last] - took, speeds[last], np.flatnonzero(last)
-    arrivals = np.maximum.accumulate(sent) + took
-    seen = (stamps >= arrivals[0]) & (stamps <= arrivals[-1] + PAUSE_GAP)
-    if not seen.any():
-        return None
-    stamps, speeds = stamps[seen], speeds[seen]
-    held_out = _choose_held_out(stamps, arrivals)
-    return BoardTrack(arrivals, commands, stamps, speeds, held_out, numbers[seen])
-
-
-def _choose_held_out(stamps: Floats, arrivals: Floats) -> Bools:
-    """Choose every fifth block, but for pauses."""
-    block = ((stamps - stamps[0]) / HELD_OUT_BLOCK).astype(int)
-    chosen = block % HELD_OUT_EVERY == HELD_OUT_EVERY - 1
-    for k in np.flatnonzero(np.diff(arrivals) > PAUSE_GAP):
-        chosen &= (stamps < arrivals[k] - PAUSE_MARGIN) | (stamps > arrivals[k + 1] + PAUSE_MARGIN)
-    return np.asarray(chosen)

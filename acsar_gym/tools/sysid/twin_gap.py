@@ -1,13 +1,10 @@
-"""The gap between recorded robots and their twins, before and after fitting.
-
-Figures, tables, limits.
-"""
+"""The gap between recorded robots and their twins, before and after fitting."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +16,6 @@ from acsar_gym.recording.replay import check_same_robot, find_difference, remove
 from acsar_gym.recording.types import Episode, Recording
 from acsar_gym.tools.evaluation.metrics import Interval, bootstrap_interval, replace_nonfinite
 from acsar_gym.tools.evaluation.report import escape_text
-from acsar_gym.tools.sysid import tracks
 from acsar_gym.tools.sysid.delays import (
     DelayComparison,
     Floats,
@@ -27,12 +23,22 @@ from acsar_gym.tools.sysid.delays import (
     explain_few_steps,
     format_lag,
 )
-from acsar_gym.tools.sysid.tracks import EpisodeTrack
+from acsar_gym.tools.sysid.tracks import (
+    EpisodeTrack,
+    find_damage,
+    make_recorded_track,
+    make_twin_track,
+)
 
 TIME_SHIFTS = np.arange(-0.2, 0.2001, 0.001)
 """Time shifts that are tried [s]."""
 MOVING_SPEED = 0.2
 """Wheels that never differ by more than this from their mean don't tell a time shift [rad/s]."""
+TWIN_SIDES = ("before", "after")
+NOTED_PAUSE = 0.1
+"""Longer pauses between commands are noted [s]."""
+SHORTEST_EPISODE = 1.0
+"""Shorter episodes are left out [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,9 +66,10 @@ GAP_METRICS = {
     "time_shift": GapMetric("time shift of the wheel speeds", "ms", 1000.0, 1e-3),
 }
 """The figures by name, in SI units; `--fail-over` takes these names."""
-
+LIMIT_NAMES = (*GAP_METRICS, "delay")
+"""What `--fail-over` takes; the delay is the difference of the means [s]."""
 GapFigures = dict[str, float]
-"""Values of METRICS in SI units; NaN for what a log can't tell."""
+"""Values of GAP_METRICS in SI units; NaN for what a log can't tell."""
 
 
 def measure_figures(recorded: EpisodeTrack, twin: EpisodeTrack, period: float) -> GapFigures:
@@ -77,48 +84,36 @@ def measure_figures(recorded: EpisodeTrack, twin: EpisodeTrack, period: float) -
         A value for every metric, in SI units. `time_shift` is positive where the recorded robot
         is later than the twin; the others are sizes.
     """
-    wheels = speed_residuals(recorded, twin, period)
-    stamps, own = (
-        remove_jitter(recorded.feedback_stamps, period),
-        remove_jitter(twin.feedback_stamps, period),
-    )
-    twists = recorded.twists - _between(stamps, own, twin.twists)
+    stamps = remove_jitter(recorded.feedback_stamps, period)
+    own = remove_jitter(twin.feedback_stamps, period)
+    twists = recorded.twists - _interpolate(stamps, own, twin.twists)
     yaw = recorded.poses[:, 2] - twin.poses[:, 2]
     return {
-        "wheel_speed_rms": root_mean_square(wheels),
-        "linear_rms": root_mean_square(twists[:, 0]),
-        "angular_rms": root_mean_square(twists[:, 1]),
-        "yaw_rms": root_mean_square(yaw),
-        "end_pose": _apart(recorded.poses, twin.poses),
+        "wheel_speed_rms": _rms(recorded.feedback - _interpolate(stamps, own, twin.feedback)),
+        "linear_rms": _rms(twists[:, 0]),
+        "angular_rms": _rms(twists[:, 1]),
+        "yaw_rms": _rms(yaw),
+        "end_pose": _end_distance(recorded.poses, twin.poses),
         "end_yaw": abs(float(yaw[-1])) if len(yaw) else math.nan,
-        "end_odometry": _apart(recorded.odometry, twin.odometry),
+        "end_odometry": _end_distance(recorded.odometry, twin.odometry),
         "time_shift": find_time_shift(stamps, recorded.feedback, own, twin.feedback),
     }
 
 
-def speed_residuals(recorded: EpisodeTrack, twin: EpisodeTrack, period: float) -> Floats:
-    """Return recorded minus the twin's wheel speeds at each recorded line, (k, 4) [rad/s]."""
-    stamps, own = (
-        remove_jitter(recorded.feedback_stamps, period),
-        remove_jitter(twin.feedback_stamps, period),
-    )
-    return recorded.feedback - _between(stamps, own, twin.feedback)
-
-
-def root_mean_square(values: Floats) -> float:
-    """Return the root mean square; NaN without values."""
+def _rms(values: Floats) -> float:
+    """The root mean square; NaN without values."""
     return float(np.sqrt(np.mean(np.square(values)))) if values.size else math.nan
 
 
-def _between(wanted: Floats, stamps: Floats, values: Floats) -> Floats:
+def _interpolate(wanted: Floats, stamps: Floats, values: Floats) -> Floats:
     """Interpolate rows linearly; NaN if there are none."""
     if not len(stamps):
         return np.full((len(wanted), values.shape[1]), np.nan)
     return np.column_stack([np.interp(wanted, stamps, column) for column in values.T])
 
 
-def _apart(one: Floats, other: Floats) -> float:
-    """Return the distance of the last positions [m]; NaN if there are none."""
+def _end_distance(one: Floats, other: Floats) -> float:
+    """The distance of the last positions [m]; NaN if there are none."""
     if not len(one) or not len(other):
         return math.nan
     return float(np.hypot(*(one[-1, :2] - other[-1, :2])))
@@ -134,10 +129,7 @@ def find_time_shift(
     if len(stamps) < 3 or len(twin_stamps) < 3 or np.ptp(speeds, axis=0).max() < MOVING_SPEED:
         return math.nan
     costs = np.array(
-        [
-            root_mean_square(speeds - _between(stamps - shift, twin_stamps, twin_speeds))
-            for shift in TIME_SHIFTS
-        ]
+        [_rms(speeds - _interpolate(stamps - s, twin_stamps, twin_speeds)) for s in TIME_SHIFTS]
     )
     best = int(np.argmin(costs))
     if not 0 < best < len(TIME_SHIFTS) - 1:
@@ -155,74 +147,18 @@ def pool_figures(rows: Sequence[GapFigures], weights: Sequence[float]) -> GapFig
         rows: figures of each episode.
         weights: their durations [s], for root mean squares; the others are means over episodes.
     """
-    return {name: _pooled(name, [row[name] for row in rows], weights) for name in GAP_METRICS}
-
-
-def _pooled(name: str, values: Sequence[float], weights: Sequence[float]) -> float:
-    known = [(v, w) for v, w in zip(values, weights, strict=True) if math.isfinite(v)]
-    if not known:
-        return math.nan
-    if GAP_METRICS[name].rms:
-        total = sum(weight for _, weight in known)
-        return math.sqrt(sum(value * value * weight for value, weight in known) / total)
-    return sum(value for value, _ in known) / len(known)
-
-
-def bootstrap_figures(rows: Sequence[GapFigures]) -> dict[str, Interval]:
-    """Return bootstrap intervals of the means over episodes; NaN for fewer than two."""
-    return {name: bootstrap_interval([row[name] for row in rows]) for name in GAP_METRICS}
-
-
-def parse_limits(given: Sequence[str], known: Sequence[str]) -> dict[str, float]:
-    """Parse limits such as "wheel_speed_rms=0.5".
-
-    Args:
-        given: the limits.
-        known: names of the metrics.
-
-    Returns:
-        Metrics and their limits, in SI units.
-
-    Raises:
-        ConfigError: an unknown metric, or a value that isn't a number from 0 up.
-    """
-    limits = {}
-    for text in given:
-        name, equals, value = text.partition("=")
-        if name not in known:
-            raise ConfigError(
-                f"--fail-over: unknown metric {show_value(name)}{suggest_name(name, known)}"
-            )
-        try:
-            limit = float(value) if equals else math.nan
-        except ValueError:
-            limit = math.nan
-        if not 0.0 <= limit < math.inf:
-            raise ConfigError(
-                f"--fail-over {show_value(text)}: must be METRIC=VALUE with a value of at least 0, "
-                "such as wheel_speed_rms=0.5"
-            )
-        limits[name] = limit
-    return limits
-
-
-def find_exceeded(limits: Mapping[str, float], figures: Mapping[str, float]) -> list[str]:
-    """Return a line for each limit that isn't kept; what couldn't be measured isn't, either."""
-    lines = []
-    for name, limit in limits.items():
-        size = abs(figures[name])
-        if math.isnan(size):
-            lines.append(f"{name}: couldn't be measured, the limit is {limit:g}")
-        elif size > limit:
-            lines.append(f"{name} = {size:.4g}: over the limit of {limit:g}")
-    return lines
-
-
-TWIN_SIDES = ("before", "after")
-NOTED_PAUSE = 0.1
-"""Longer pauses between commands are noted [s]."""
-SHORTEST_EPISODE = 1.0
-"""Shorter episodes are left out [s]."""
+    found = {}
+    for name, metric in GAP_METRICS.items():
+        pairs = zip(rows, weights, strict=True)
+        known = [(row[name], w) for row, w in pairs if math.isfinite(row[name])]
+        if not known:
+            found[name] = math.nan
+        elif metric.rms:
+            total = sum(weight for _, weight in known)
+            found[name] = math.sqrt(sum(value * value * weight for value, weight in known) / total)
+        else:
+            found[name] = sum(value for value, _ in known) / len(known)
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,8 +215,9 @@ class TwinGap:
         return pool_figures([r.figures[side] for r in judged], [r.seconds for r in judged])
 
     def intervals(self, side: str) -> dict[str, Interval]:
-        """Return bootstrap intervals of the figures' means over the judged episodes."""
-        return bootstrap_figures([replay.figures[side] for replay in self.judged])
+        """Return bootstrap intervals of the means over the judged episodes; NaN for one."""
+        rows = [replay.figures[side] for replay in self.judged]
+        return {name: bootstrap_interval([row[name] for row in rows]) for name in GAP_METRICS}
 
     def delays(self, side: str) -> DelayComparison:
         """Test whether the robot's delays differ from the twin's, over the judged episodes."""
@@ -306,17 +243,29 @@ def measure_gap(
         ConfigError: the logs are of different robots, or hold nothing that can be compared.
     """
     check_same_robot(logs, "compare logs of")
-    fitted_on = {sha256 for one in robot[1].measured.values() for sha256 in one.logs}
-    replays, notes = [], _notes(logs, robot)
-    for name, recording in logs:
-        twins = {"before": before[1] or recording.config, "after": robot[1]}
+    config = robot[1]
+    fitted_on = {sha256 for one in config.measured.values() for sha256 in one.logs}
+    replays, notes = [], _note_limits(logs, robot)
+    for log, recording in logs:
+        twins = {"before": before[1] or recording.config, "after": config}
         for number, episode in enumerate(recording.episodes):
-            if why := _unusable(episode, robot[1]):
-                notes.append(f"{name} #{number}: left out, {why}")
+            if why := _find_unusable(episode, config):
+                notes.append(f"{log} #{number}: left out, {why}")
                 continue
-            notes += _paused(f"{name} #{number}", episode)
+            pause = float(np.diff(episode.wire.sent_stamps).max(initial=0.0))
+            if pause > NOTED_PAUSE:
+                notes.append(f"{log} #{number}: no command was sent for {pause:.2f} s")
+            recorded, tracks, figures = make_recorded_track(episode, config), {}, {}
+            for side in TWIN_SIDES:
+                track = make_twin_track(episode, config, twins[side], body)
+                if not recorded.known:  # like with like
+                    track = replace(track, truth=np.full_like(track.truth, np.nan))
+                tracks[side] = track
+                figures[side] = measure_figures(recorded, track, 1.0 / config.feedback_rate)
             fitted = recording.sha256 in fitted_on
-            replays.append(_replay(name, number, fitted, episode, twins, body))
+            seconds = float(episode.stamps[-1] - episode.stamps[0])
+            replay = EpisodeReplay(log, number, fitted, seconds, recorded, tracks, figures)
+            replays.append(replay)
     if not replays:
         raise ConfigError(notes[-1] if notes else f"{logs[0][0]}: holds no episode")
     if all(replay.fitted for replay in replays):
@@ -324,32 +273,26 @@ def measure_gap(
     return TwinGap(robot[0], before[0], body, tuple(replays), tuple(notes))
 
 
-def _cut(name: str, robot: tuple[str, RobotConfig]) -> str:
-    """Say that a recording was cut, and that it isn't recognized as one that was fitted."""
-    told = f"{name}: its end is missing; the rest was used"
-    if not any(one.logs for one in robot[1].measured.values()):
-        return told
-    return f"{told}, as held out: it can't be told whether {robot[0]} was fitted to the whole of it"
-
-
-def _is_true(episode: Episode) -> bool:
-    """Whether the true poses of an episode are known."""
-    return bool(np.isfinite(episode.truth).all())
-
-
-def _notes(logs: Sequence[tuple[str, Recording]], robot: tuple[str, RobotConfig]) -> list[str]:
+def _note_limits(
+    logs: Sequence[tuple[str, Recording]], robot: tuple[str, RobotConfig]
+) -> list[str]:
     """Say what limits the comparison."""
     notes = []
     for name, recording in logs:
         if recording.cut:
-            notes.append(_cut(name, robot))
+            note = f"{name}: its end is missing; the rest was used"
+            if any(one.logs for one in robot[1].measured.values()):
+                note += f", as held out: it can't be told whether {robot[0]} was fitted to the "
+                note += "whole of it"
+            notes.append(note)
         if recording.dropped:
             notes.append(f"{name}: {recording.dropped:,} ticks are missing")
         found = find_difference(recording.config, robot[1], wire=True)
         if found is not None:
             field, own, other = found
             notes.append(f"{name}: recorded with {field} = {own}, {robot[0]}: {other}")
-    if not all(_is_true(episode) for _, recording in logs for episode in recording.episodes):
+    episodes = [episode for _, recording in logs for episode in recording.episodes]
+    if not all(np.isfinite(episode.truth).all() for episode in episodes):
         notes.append(
             f"where no true pose was recorded, positions are by odometry of both, computed anew "
             f"from the wheel speeds with the geometry of {robot[0]}"
@@ -357,15 +300,9 @@ def _notes(logs: Sequence[tuple[str, Recording]], robot: tuple[str, RobotConfig]
     return notes
 
 
-def _paused(name: str, episode: Episode) -> list[str]:
-    """Say where commands stopped for long, as on a computer that was busy."""
-    longest = float(np.diff(episode.wire.sent_stamps).max(initial=0.0))
-    return [f"{name}: no command was sent for {longest:.2f} s"] if longest > NOTED_PAUSE else []
-
-
-def _unusable(episode: Episode, config: RobotConfig) -> str:
+def _find_unusable(episode: Episode, config: RobotConfig) -> str:
     """Say why an episode can't be replayed; empty if it can."""
-    if why := tracks.find_damage(episode):
+    if why := find_damage(episode):
         return why
     lasts = float(episode.stamps[-1] - episode.stamps[0])
     if lasts < SHORTEST_EPISODE - 2.0 * config.period:
@@ -375,58 +312,27 @@ def _unusable(episode: Episode, config: RobotConfig) -> str:
     return ""
 
 
-def _replay(
-    log: str,
-    number: int,
-    fitted: bool,
-    episode: Episode,
-    twins: Mapping[str, RobotConfig],
-    body: str,
-) -> EpisodeReplay:
-    """Replay one episode through both twins."""
-    robot = twins["after"]
-    recorded = tracks.make_recorded_track(episode, robot)
-    own = {side: tracks.make_twin_track(episode, robot, twins[side], body) for side in TWIN_SIDES}
-    if not recorded.known:  # like with like
-        own = {side: track.by_odometry() for side, track in own.items()}
-    period = 1.0 / robot.feedback_rate
-    found = {side: measure_figures(recorded, track, period) for side, track in own.items()}
-    seconds = float(episode.stamps[-1] - episode.stamps[0])
-    return EpisodeReplay(log, number, fitted, seconds, recorded, own, found)
-
-
 def conclude_gap(gap: TwinGap) -> list[str]:
     """Say in a few lines how far the twin is from the robot."""
-    judged = gap.judged
+    judged, test = gap.judged, gap.delays("after")
     seconds = sum(replay.seconds for replay in judged)
     kind = "held-out" if gap.held_out else "fitted"
     before, after = gap.figures("before"), gap.figures("after")
-    episodes = f"{len(judged)} {kind} episode{'s' * (len(judged) != 1)}, {seconds:.0f} s"
-    wheels = _fall(before, after, "wheel_speed_rms", "rad/s", 1.0)
-    ends = _fall(before, after, "end_pose", "cm", 100.0)
-    return [
-        f"{episodes}: wheel speeds {wheels} RMS, position at the end {ends}",
-        _conclude_delays(gap.delays("after")),
-    ]
-
-
-def _fall(before: GapFigures, after: GapFigures, name: str, unit: str, scale: float) -> str:
-    """Format the change of a figure."""
-    return f"from {before[name] * scale:.2f} to {after[name] * scale:.2f} {unit}"
-
-
-def _conclude_delays(test: DelayComparison) -> str:
-    """Say whether the fitted twin's delays are those of the robot."""
-    if math.isnan(test.p_value):
-        return explain_few_steps(test)
+    wheels, ends = (
+        f"from {before[name] * scale:.2f} to {after[name] * scale:.2f}"
+        for name, scale in (("wheel_speed_rms", 1.0), ("end_pose", 100.0))
+    )
     by = format_lag(test.difference)
-    if test.differs:
-        return f"delays differ: the robot answers {by} than its twin (p = {test.p_value:.2g})"
-    return f"delays don't differ measurably: {by} than the twin on average (p = {test.p_value:.2g})"
-
-
-LIMIT_NAMES = (*GAP_METRICS, "delay")
-"""What `--fail-over` takes; the delay is the difference of the means [s]."""
+    if math.isnan(test.p_value):
+        delays = explain_few_steps(test)
+    elif test.differs:
+        delays = f"delays differ: the robot answers {by} than its twin (p = {test.p_value:.2g})"
+    else:
+        delays = f"delays don't differ measurably: {by} than the twin on average "
+        delays += f"(p = {test.p_value:.2g})"
+    episodes = f"{len(judged)} {kind} episode{'s' * (len(judged) != 1)}, {seconds:.0f} s"
+    figures = f"wheel speeds {wheels} rad/s RMS, position at the end {ends} cm"
+    return [f"{episodes}: {figures}", delays]
 
 
 def format_cell(value: float, scale: float = 1.0) -> str:
@@ -438,9 +344,7 @@ def format_cell(value: float, scale: float = 1.0) -> str:
 
 def format_interval(interval: Interval, scale: float = 1.0) -> str:
     """Format an interval; empty if it isn't known."""
-    return (
-        "" if math.isnan(interval[0]) else " to ".join(format_cell(end, scale) for end in interval)
-    )
+    return "" if math.isnan(interval[0]) else " to ".join(format_cell(e, scale) for e in interval)
 
 
 def format_ratio(before: float, after: float, resolution: float) -> str:
@@ -474,28 +378,23 @@ def gap_tables(gap: TwinGap) -> list[Table]:
         figures.add_column(name, justify="left" if name in ("figure", "unit") else "right")
     for row in gap_rows(gap):
         figures.add_row(*row)
-    return [figures, _logs(gap)]
-
-
-def _logs(gap: TwinGap) -> Table:
-    """Make the table of the logs."""
-    table = Table(title="Each episode, before -> after", title_justify="left")
+    logs = Table(title="Each episode, before -> after", title_justify="left")
     for name in ("log", "use", "duration", "wheel speeds", "end position", "against"):
-        table.add_column(name, justify="right" if name == "duration" else "left")
+        logs.add_column(name, justify="right" if name == "duration" else "left")
     for replay in gap.replays:
-        ends = [
+        speeds, ends = (
             " -> ".join(format_cell(replay.figures[side][name], scale) for side in TWIN_SIDES)
             for name, scale in (("wheel_speed_rms", 1.0), ("end_pose", 100.0))
-        ]
+        )
         use = "fitted" if replay.fitted else "held out"
         against = "truth" if replay.recorded.known else "odometry"
-        cells = (f"{replay.seconds:.1f} s", f"{ends[0]} rad/s", f"{ends[1]} cm", against)
-        table.add_row(escape_text(replay.name), use, *cells)
-    return table
+        cells = (f"{replay.seconds:.1f} s", f"{speeds} rad/s", f"{ends} cm", against)
+        logs.add_row(escape_text(replay.name), use, *cells)
+    return [figures, logs]
 
 
-def limit_sizes(gap: TwinGap) -> dict[str, float]:
-    """Return the figures of the fitted twin by the names of LIMITS, in SI units."""
+def limit_sizes(gap: TwinGap) -> GapFigures:
+    """Return the figures after fitting and the delay's difference, by LIMIT_NAMES."""
     return gap.figures("after") | {"delay": gap.delays("after").difference}
 
 
@@ -533,3 +432,47 @@ def format_gap(gap: TwinGap) -> dict[str, Any]:
         }
     )
     return told
+
+
+def parse_limits(given: Sequence[str], known: Sequence[str]) -> dict[str, float]:
+    """Parse limits of `--fail-over` for continuous integration, such as "wheel_speed_rms=0.5".
+
+    Args:
+        given: the limits.
+        known: names of the metrics.
+
+    Returns:
+        Metrics and their limits, in SI units.
+
+    Raises:
+        ConfigError: an unknown metric, or a value that isn't a number from 0 up.
+    """
+    limits = {}
+    for text in given:
+        name, equals, value = text.partition("=")
+        if name not in known:
+            unknown = f"{show_value(name)}{suggest_name(name, known)}"
+            raise ConfigError(f"--fail-over: unknown metric {unknown}")
+        try:
+            limit = float(value) if equals else math.nan
+        except ValueError:
+            limit = math.nan
+        if not 0.0 <= limit < math.inf:
+            raise ConfigError(
+                f"--fail-over {show_value(text)}: must be METRIC=VALUE with a value of at least 0, "
+                "such as wheel_speed_rms=0.5"
+            )
+        limits[name] = limit
+    return limits
+
+
+def find_exceeded(limits: Mapping[str, float], figures: Mapping[str, float]) -> list[str]:
+    """Return a line for each limit that isn't kept; what couldn't be measured isn't, either."""
+    lines = []
+    for name, limit in limits.items():
+        size = abs(figures[name])
+        if math.isnan(size):
+            lines.append(f"{name}: couldn't be measured, the limit is {limit:g}")
+        elif size > limit:
+            lines.append(f"{name} = {size:.4g}: over the limit of {limit:g}")
+    return lines

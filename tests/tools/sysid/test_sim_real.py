@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import cache
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,13 +14,17 @@ from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.recording.types import Recording
 from acsar_gym.tools.evaluation import report
-from acsar_gym.tools.sysid import sim_real
 from acsar_gym.tools.sysid.sim_real import (
     EPISODE_METRICS,
     SideComparison,
     compare_sides,
+    compare_values,
+    comparison_table,
     conclude_comparison,
+    difference_sizes,
     distribution_distances,
+    format_comparison,
+    paired_rate_interval,
 )
 
 ACSAR = RobotConfig.preset("acsar")
@@ -75,20 +79,12 @@ def test_a_side_doesnt_differ_from_itself() -> None:
     assert not any(one.differs for one in same.comparisons().values())
     assert "no metric differs measurably" in conclude_comparison(same)[1]
     assert distribution_distances(*same.observations()) == [0.0] * 7
-
-
-def test_one_pair_is_too_few_to_tell() -> None:
-    single = compare_sides([("a", sim(1, 2))], [("b", real())])
-    said = conclude_comparison(single)
-    assert said[0] == "1 pair of episodes"
-    assert said[1] == "too few pairs (1) to tell whether sim and real differ"
-    assert not any("differs measurably" in line for line in said)
-
-
-def test_observations_that_moved_have_a_distance() -> None:
-    first = np.random.default_rng(0).normal(size=(500, 2))
-    assert distribution_distances(first, first + np.array([0.0, 10.0])) == [0.0, 1.0]
+    first, moved = same.observations()[0], np.arange(7.0) * 10.0
+    assert distribution_distances(first, first + moved)[0] == 0.0
+    assert distribution_distances(first, first + moved)[6] == 1.0
     assert distribution_distances(first, np.zeros((0, 0))) == []
+    single = compare_sides([("a", sim(1, 2))], [("b", real())])
+    assert conclude_comparison(single)[1].startswith("too few pairs (1)")
 
 
 def on_hardware(recording: Recording, lateness: float = 0.0) -> Recording:
@@ -106,13 +102,17 @@ def test_swapped_sides_are_an_error_and_a_wrong_kind_is_noted() -> None:
     ):
         compare_sides(robot, [("sim.mcap", sim())])
     assert not any("named as" in note for note in compare_sides([("sim.mcap", sim())], robot).notes)
+    late = [("real.mcap", on_hardware(real(), 0.002))]
+    notes = compare_sides([("sim.mcap", sim())], late).notes
+    assert "real, seed 1 of real.mcap: invalid, 100% of its ticks were late" in notes[2]
     notes = compare_sides(robot, robot).notes
     assert "real.mcap: is of a real robot, but named as sim" in notes
 
 
-def test_late_episodes_are_noted() -> None:
-    notes = compare_sides([("sim.mcap", sim())], [("real.mcap", on_hardware(real(), 0.002))]).notes
-    assert "real, seed 1 of real.mcap: invalid, 100% of its ticks were late" in notes[2]
+def test_headers_that_say_nothing_are_no_task() -> None:
+    for header in ({}, {"about": 3}, {"about": {"env": 3, "observation": 3}}):
+        odd = [("a", replace(sim(), header=header))]
+        assert (compare_sides(odd, odd).task, compare_sides(odd, odd).labels) == ("", ())
 
 
 def test_other_policies_are_said_first() -> None:
@@ -122,7 +122,7 @@ def test_other_policies_are_said_first() -> None:
     assert (
         conclude_comparison(found)[0] == "policies differ: a.onnx (aaaaaaaa) vs b.onnx (bbbbbbbb)"
     )
-    assert "policies differ" in str(sim_real.comparison_table(found).title)
+    assert "policies differ" in str(comparison_table(found).title)
     assert (
         "policies" not in conclude_comparison(compare_sides([("a", logs[0])], [("b", logs[0])]))[0]
     )
@@ -149,12 +149,9 @@ def test_lengths_and_turns_by_closed_form() -> None:
     assert EPISODE_METRICS["smoothness"].of(outcome) == pytest.approx(0.5)
 
 
-def test_sides_without_a_seed_in_common_are_refused() -> None:
-    with pytest.raises(ConfigError, match="sim has seeds 0 to 5, real seeds 7 to 8; record both"):
-        compare_sides([("a", sim())], [("b", sim(7, 9))])
-
-
 def test_another_task_robot_and_an_empty_recording_are_refused() -> None:
+    with pytest.raises(ConfigError, match="sim has seeds 0 to 5, real seeds 7 to 8"):
+        compare_sides([("a", sim())], [("b", sim(7, 9))])
     barn = replace(real(), header={"about": {"env": {"id": "acsar_gym/Barn-v1"}}})
     with pytest.raises(ConfigError, match=r"b: is of acsar_gym/Barn-v1, but a of acsar_gym/Point"):
         compare_sides([("a", sim())], [("b", barn)])
@@ -165,18 +162,52 @@ def test_another_task_robot_and_an_empty_recording_are_refused() -> None:
         compare_sides([("a", sim())], [("b", replace(real(), episodes=()))])
 
 
-@pytest.mark.parametrize("header", [{}, {"about": 3}, {"about": {"env": 3, "observation": 3}}])
-def test_headers_that_say_nothing_are_no_task(header: dict[str, Any]) -> None:
-    odd = [("a", replace(sim(), header=header))]
-    assert compare_sides(odd, odd).task == ""
-    assert compare_sides(odd, odd).labels == ()
-
-
 def test_table_and_json_hold_the_metrics() -> None:
-    table = sim_real.comparison_table(sides())
+    table = comparison_table(sides())
     assert table.row_count == len(sides().comparisons()) >= 6
     report.print_tables(table)
-    told = sim_real.format_comparison(sides())
+    told = format_comparison(sides())
     assert told["metrics"]["time_to_goal"]["difference"] > 0.3
     assert len(told["pairs"]) == 5
-    assert sim_real.difference_sizes(sides())["time_to_goal"] > 0.3
+    assert difference_sizes(sides())["time_to_goal"] > 0.3
+
+
+def test_newcombes_own_example() -> None:
+    """The first of his table; he subtracts the other way round."""
+    found = paired_rate_interval(36, 12, 2, 0)
+    assert (-found[1], -found[0]) == pytest.approx((0.0569, 0.3404), abs=5e-5)
+    one, other = paired_rate_interval(19, 7, 1, 3), paired_rate_interval(19, 1, 7, 3)
+    assert one == pytest.approx((-other[1], -other[0]))
+
+
+def test_rates_are_second_minus_first_and_equal_ones_arent_certain() -> None:
+    better = compare_values(([0.0] * 20, [1.0] * 20), [(0.0, 1.0)] * 20, rates=True)
+    assert better.values == (0.0, 1.0)
+    assert better.difference == 1.0
+    assert better.interval[0] > 0.7
+    assert better.differs
+    same = compare_values(([1.0] * 20, [1.0] * 20), [(1.0, 1.0)] * 20, rates=True)
+    assert same.difference == 0.0
+    assert same.interval[0] < -0.05
+    assert same.interval[1] > 0.05
+    assert not same.differs
+
+
+def test_pairing_sees_what_means_hide() -> None:
+    rng = np.random.default_rng(0)
+    first = rng.uniform(2.0, 8.0, 20)
+    second = first + rng.normal(0.2, 0.05, 20)
+    pairs = list(zip(first.tolist(), second.tolist(), strict=True))
+    found = compare_values((first.tolist(), second.tolist()), pairs)
+    assert found.intervals[0][1] > found.values[1]
+    assert found.interval[0] < 0.2 < found.interval[1]
+    assert found.differs
+
+
+def test_what_isnt_known_is_left_out() -> None:
+    found = compare_values(([1.0, math.nan], [2.0]), [(1.0, 2.0), (math.nan, 3.0)])
+    assert (found.counts, found.pairs, found.difference) == ((1, 1), 1, 1.0)
+    nothing = compare_values(([], []), [], rates=True)
+    assert math.isnan(nothing.difference)
+    assert math.isnan(nothing.interval[0])
+    assert not nothing.differs

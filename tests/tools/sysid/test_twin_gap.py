@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +20,15 @@ from acsar_gym.tools.evaluation import report
 from acsar_gym.tools.sysid import twin_gap
 from acsar_gym.tools.sysid.delays import Floats
 from acsar_gym.tools.sysid.excitation import plan_excitation
-from acsar_gym.tools.sysid.twin_gap import TwinGap, conclude_gap, measure_gap
+from acsar_gym.tools.sysid.identify import identify_logs
+from acsar_gym.tools.sysid.twin_gap import (
+    TwinGap,
+    conclude_gap,
+    find_exceeded,
+    measure_gap,
+    parse_limits,
+    pool_figures,
+)
 
 ACSAR = RobotConfig.preset("acsar")
 ROBOT = ACSAR.with_(**HIDDEN)
@@ -42,6 +51,10 @@ def fitted() -> TwinGap:
     return measure_gap(logs, ("robot.yaml", ROBOT), BEFORE)
 
 
+def measure_one(one: Recording, robot: RobotConfig = ROBOT) -> TwinGap:
+    return measure_gap([("a", one)], ("robot.yaml", robot), BEFORE)
+
+
 def test_the_right_twin_has_a_tenth_of_the_gap() -> None:
     before, after = fitted().figures("before"), fitted().figures("after")
     assert before["wheel_speed_rms"] > 0.5
@@ -50,34 +63,49 @@ def test_the_right_twin_has_a_tenth_of_the_gap() -> None:
     assert after["end_pose"] < 1e-4
     assert before["time_shift"] == pytest.approx(0.14 - 0.08, abs=0.03)
     assert abs(after["time_shift"]) < 1e-3
+    assert fitted().delays("after").p_value == 1.0
+    own = measure_gap([("a", log())], ("robot.yaml", ROBOT), ("recorded", None))
+    assert own.figures("before") == measure_one(log()).figures("before")
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ({"wheels": {"b": {"motor": "b", "sign": -1}}}, r"wheels\.b"),
+        ({"baud_rate": 57600}, "baud_rate"),
+        ({"wheelbase": 0.35}, "wheelbase"),
+    ],
+)
+def test_logs_of_different_robots_are_refused(changes: dict[str, Any], field: str) -> None:
+    other = replace(log(1), config=ACSAR.with_(**changes))
+    with pytest.raises(ConfigError, match=f"b: is of another robot: {field}"):
+        measure_gap([("a", log(0)), ("b", other)], ("robot.yaml", ROBOT), BEFORE)
+
+
+def test_what_is_odd_about_a_log_is_noted() -> None:
+    odd = replace(log(), cut=True, dropped=3, config=ACSAR.with_(wheel_radius=0.08))
+    wire = odd.episodes[0].wire
+    sent = wire.sent_stamps + np.where(wire.sent_stamps > 3.0, 0.25, 0.0)
+    late = replace(odd.episodes[0], wire=replace(wire, sent_stamps=sent))
+    interval = Measured(low=0.13, high=0.15, method="identify", logs=("0" * 16,))
+    robot = ROBOT.with_(measured={"motor.time_constant.a": interval})
+    notes = measure_one(replace(odd, episodes=(late,)), robot).notes
+    told = ("its end is missing", "3 ticks are missing", "wheel_radius = 0.08", "sent for 0.26 s")
+    assert len(notes) == len(told)
+    for note, part in zip(notes, told, strict=True):
+        assert part in note
+    assert "can't be told whether robot.yaml was fitted" in notes[0]
 
 
 def test_truth_is_left_out_where_it_isnt_known() -> None:
     known = log()
     blind = replace(known.episodes[0], truth=np.full_like(known.episodes[0].truth, np.nan))
-    gap = measure_gap([("a", recording(ACSAR, blind))], ("robot.yaml", ROBOT), BEFORE)
+    gap = measure_one(recording(ACSAR, blind))
     assert not gap.replays[0].recorded.known
     assert gap.figures("after")["end_pose"] < 1e-4  # the right twin, by odometry as the robot
     assert gap.figures("after")["end_pose"] == gap.figures("after")["end_odometry"]
     assert gap.figures("after")["yaw_rms"] < 1e-3
     assert "by odometry of both, computed anew" in gap.notes[0]
-
-
-def test_a_robot_with_another_wiring_is_refused() -> None:
-    other = replace(log(1), config=ACSAR.with_(wheels={"b": {"motor": "b", "sign": -1}}))
-    said = "b: is of another robot: wheels.b is motor b, encoder -b, but motor b, encoder b in a;"
-    with pytest.raises(ConfigError, match=said):
-        measure_gap([("a", log(0)), ("b", other)], ("robot.yaml", ROBOT), BEFORE)
-    fast = replace(log(1), config=ACSAR.with_(baud_rate=57600))
-    with pytest.raises(ConfigError, match="b: is of another robot: baud_rate is 57600, but 115200"):
-        measure_gap([("a", log(0)), ("b", fast)], ("robot.yaml", ROBOT), BEFORE)
-
-
-def test_a_cut_log_may_be_one_that_was_fitted() -> None:
-    interval = Measured(low=0.13, high=0.15, method="identify", logs=("0" * 16,))
-    robot = ("robot.yaml", ROBOT.with_(measured={"motor.time_constant.a": interval}))
-    gap = measure_gap([("a", replace(log(), cut=True))], robot, BEFORE)
-    assert "can't be told whether robot.yaml was fitted to the whole of it" in gap.notes[0]
 
 
 def test_ten_milliseconds_of_delay_are_found() -> None:
@@ -88,11 +116,6 @@ def test_ten_milliseconds_of_delay_are_found() -> None:
     assert test.difference == pytest.approx(0.020, abs=0.005)  # the answer is late, too
     assert gap.figures("after")["time_shift"] == pytest.approx(0.020, abs=0.002)
     assert "delays differ: the robot answers" in conclude_gap(gap)[1]
-
-
-def test_equal_delays_are_said_to_be_equal() -> None:
-    assert fitted().delays("after").p_value == 1.0
-    assert "delays don't differ" in conclude_gap(fitted())[1]
 
 
 def test_a_share_of_nothing_is_not_shown() -> None:
@@ -106,14 +129,9 @@ def test_a_share_of_nothing_is_not_shown() -> None:
 def test_the_manoeuvre_of_identify_has_enough_steps_for_delays() -> None:
     whole = plan_excitation(ROBOT, 12.0, ROBOT.period)
     episode = driven(ROBOT, np.concatenate((whole.before, whole.after)), phase=0.0025)
-    gap = measure_gap([("a", recording(ACSAR, episode))], ("robot.yaml", ROBOT), BEFORE)
+    gap = measure_one(recording(ACSAR, episode))
     assert min(gap.delays("after").counts) > 8
     assert "delays don't differ" in conclude_gap(gap)[1]
-
-
-def test_too_few_steps_name_what_to_drive() -> None:
-    gap = measure_gap([("a", log(0, 1.5))], ("robot.yaml", ROBOT), BEFORE)
-    assert "too few to compare: record speeds that are held for 0.5 s" in conclude_gap(gap)[1]
 
 
 def test_fitted_logs_dont_count() -> None:
@@ -129,44 +147,12 @@ def test_fitted_logs_dont_count() -> None:
     assert "fitted episode" in conclude_gap(gap)[0]
 
 
-def test_the_recordings_own_config_may_be_the_unfitted_twin() -> None:
-    gap = measure_gap([("a", log())], ("robot.yaml", ROBOT), ("recorded", None))
-    assert gap.figures("before") == measure_gap([("a", log())], ("r", ROBOT), BEFORE).figures(
-        "before"
-    )
-
-
-def test_logs_of_different_robots_are_refused() -> None:
-    other = replace(log(1), config=ACSAR.with_(wheelbase=0.35))
-    with pytest.raises(
-        ConfigError, match=r"b: is of another robot: wheelbase is 0\.35 m, but 0\.2"
-    ):
-        measure_gap([("a", log(0)), ("b", other)], ("robot.yaml", ROBOT), BEFORE)
-
-
-def test_what_is_odd_about_a_log_is_noted() -> None:
-    odd = replace(log(), cut=True, dropped=3, config=ACSAR.with_(wheel_radius=0.08))
-    assert measure_gap([("a", odd)], ("robot.yaml", ROBOT), BEFORE).notes == (
-        "a: its end is missing; the rest was used",
-        "a: 3 ticks are missing",
-        "a: recorded with wheel_radius = 0.08 m, robot.yaml: 0.05 m",
-    )
-
-
-def test_a_pause_of_the_commands_is_noted() -> None:
-    whole = log(0).episodes[0]
-    sent = np.where(whole.wire.sent_stamps > 3.0, whole.wire.sent_stamps + 0.25, 0.0)
-    sent = np.maximum(sent, whole.wire.sent_stamps)
-    late = replace(whole, wire=replace(whole.wire, sent_stamps=sent))
-    gap = measure_gap([("a", recording(ACSAR, late))], ("robot.yaml", ROBOT), BEFORE)
-    assert gap.notes == ("a #0: no command was sent for 0.26 s",)
-
-
 def test_a_short_log_is_refused() -> None:
     with pytest.raises(ConfigError, match="a #0: left out, holds less than 1 s"):
-        measure_gap([("a", log(0, 0.5))], ("robot.yaml", ROBOT), BEFORE)
+        measure_one(log(0, 0.5))
+    assert math.isnan(measure_one(log(0, 1.5)).delays("after").p_value)  # too few steps
     with pytest.raises(ConfigError, match="a: holds no episode"):
-        measure_gap([("a", recording(ACSAR))], ("robot.yaml", ROBOT), BEFORE)
+        measure_one(recording(ACSAR))
 
 
 @pytest.mark.parametrize(
@@ -181,7 +167,7 @@ def test_a_short_log_is_refused() -> None:
 def test_a_damaged_episode_is_left_out(moved: Callable[[Floats], Floats], said: str) -> None:
     whole = log(0).episodes[0]
     odd = replace(log(0), episodes=(replace(whole, stamps=moved(whole.stamps)), whole))
-    gap = measure_gap([("a", odd)], ("robot.yaml", ROBOT), BEFORE)
+    gap = measure_one(odd)
     assert gap.notes[0].startswith(f"a #0: left out, {said}")
     assert [replay.episode for replay in gap.replays] == [1]
 
@@ -199,3 +185,62 @@ def test_tables_and_json_hold_the_figures() -> None:
         "end_pose"
     ] == [None, None]
     assert math.isfinite(one["after"]["figures"]["end_pose"])
+
+
+def test_limits_are_names_and_numbers() -> None:
+    known = ("wheel_speed_rms", "end_pose")
+    limits = {"wheel_speed_rms": 0.5, "end_pose": 0.01}
+    assert parse_limits(["wheel_speed_rms=0.5", "end_pose=1e-2"], known) == limits
+    for value in ("", "=", "=-1", "=nan", "=inf"):
+        with pytest.raises(ConfigError, match="must be METRIC=VALUE"):
+            parse_limits([f"end_pose{value}"], known)
+    with pytest.raises(ConfigError, match="did you mean 'wheel_speed_rms'"):
+        parse_limits(["wheel_sped_rms=1"], known)
+
+
+def test_a_limit_is_kept_up_to_its_value_and_must_be_measured() -> None:
+    limit = {"end_pose": 0.01}
+    assert find_exceeded(limit, {"end_pose": 0.01}) == []
+    assert find_exceeded(limit, {"end_pose": -0.011}) == [
+        "end_pose = 0.011: over the limit of 0.01"
+    ]
+    assert find_exceeded(limit, {"end_pose": math.nan}) == [
+        "end_pose: couldn't be measured, the limit is 0.01"
+    ]
+
+
+def measure_held_out(seed: int) -> TwinGap:
+    """Fit a hidden robot to one log, and measure its gap on three others."""
+    rng = np.random.default_rng(seed)
+    motor = {
+        "time_constant": float(rng.uniform(0.05, 0.18)),
+        "gain": float(rng.uniform(0.9, 1.1)),
+        "deadband": float(rng.uniform(0.0, 0.5)),
+        "acceleration": float(rng.uniform(30.0, 80.0)),
+    }
+    rate = float(rng.choice([20.0, 25.0, 50.0, 100.0]))
+    delay = float(rng.uniform(0.0, 0.03))
+    robot = ACSAR.with_(motor=motor, firmware={"feedback_rate": rate, "command_delay": delay})
+    known = ACSAR.with_(firmware={"feedback_rate": robot.feedback_rate})
+    logs = []
+    for number in range(4):
+        steps = random_steps(10 * seed + number, 20.0, robot)
+        episode = driven(robot, steps, phase=float(rng.uniform(0.0, 0.05)))
+        logs.append((f"{number}", recording(known, episode, name=f"{seed} {number}")))
+    first = logs[0][1]
+    fitted = identify_logs([one.wire for one in first.episodes], known, [first.sha256]).robot()
+    return measure_gap(logs, ("fitted", fitted), BEFORE)
+
+
+@pytest.mark.slow
+def test_fitted_twins_have_a_tenth_of_the_gap_on_held_out_logs() -> None:
+    judged = [replay for seed in range(6) for replay in measure_held_out(seed).judged]
+    assert len(judged) == 18
+    seconds = [replay.seconds for replay in judged]
+    before, after = (
+        pool_figures([replay.figures[side] for replay in judged], seconds)
+        for side in ("before", "after")
+    )
+    assert after["wheel_speed_rms"] <= 0.1 * before["wheel_speed_rms"]
+    assert after["end_pose"] <= 0.1 * before["end_pose"]
+    assert abs(after["time_shift"]) < 0.005

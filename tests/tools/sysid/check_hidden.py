@@ -1,7 +1,7 @@
 """Identify robots with hidden parameters, and print how many were found: `make identify-check`.
 
-python tests/identification/check_hidden.py --robots 20              # over pseudo-terminals
-python tests/identification/check_hidden.py --robots 20 --simulated  # in simulated time
+python tests/tools/sysid/check_hidden.py --robots 20              # over pseudo-terminals
+python tests/tools/sysid/check_hidden.py --robots 20 --simulated  # in simulated time
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
+sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from identification.hidden_robots import TOLERANCES, Score, drawn, scores
+from sysid_tools import TOLERANCES, Score, draw_motors, score_findings
 
 from acsar_gym import RobotConfig, open_link
 from acsar_gym.tools.sysid.identify import Identification, identify_device
@@ -50,9 +50,9 @@ def emulated(hidden: RobotConfig, duration: float) -> Identification:
 def rounds(arguments: argparse.Namespace) -> Iterator[list[Score]]:
     """Identify one robot after the other."""
     for seed in range(arguments.seed, arguments.seed + arguments.robots):
-        hidden = drawn(seed)
+        hidden = draw_motors(seed)
         way = simulated if arguments.simulated else emulated
-        found = list(scores(way(hidden, arguments.duration), hidden))
+        found = list(score_findings(way(hidden, arguments.duration), hidden))
         line = "  ".join(
             f"{one.name.split('.')[1]} {one.error:.2f} ({one.share:.2f}{'' if one.holds else '!'})"
             for one in found

@@ -16,6 +16,7 @@ from acsar_gym.tools.sysid.delays import (
 )
 
 PERIOD = 0.01
+TICKS = np.arange(0.0, 1.0, PERIOD)
 
 
 def square(duration: float, half: float, height: float = 5.0) -> tuple[Floats, Floats]:
@@ -25,52 +26,35 @@ def square(duration: float, half: float, height: float = 5.0) -> tuple[Floats, F
     return stamps, np.where(high, height, 0.0)[:, None] * np.ones(4)
 
 
-def answered(commands: tuple[Floats, Floats], delay: float) -> tuple[Floats, Floats]:
-    """Feedback lines that repeat the commands `delay` later."""
-    return commands[0] + delay, commands[1]
-
-
 def test_steps_are_changes_after_a_held_command() -> None:
     stamps, speeds = square(2.0, 0.5)
     begun = find_steps(stamps, speeds)
     assert np.allclose(stamps[begun.any(axis=1)], [0.5, 1.0, 1.5])
     assert begun.sum() == 3 * 4
-
-
-def test_a_ramp_is_one_step() -> None:
-    stamps = np.arange(0.0, 1.0, PERIOD)
-    ramp = np.clip((stamps - 0.5) * 40.0, 0.0, 5.0)[:, None] * np.ones(4)
-    assert np.allclose(stamps[find_steps(stamps, ramp).any(axis=1)], [0.51])
-
-
-def test_a_ramps_delay_is_that_between_command_and_feedback() -> None:
-    stamps = np.arange(0.0, 1.0, PERIOD)
-    ramp = np.clip((stamps - 0.5) * 20.0, 0.0, 5.0)[:, None] * np.array([1.0, -0.5, -0.5, 1.0])
-    assert measure_delays(stamps, ramp, stamps + 0.03, ramp) == pytest.approx([0.03])
-
-
-def test_a_log_begins_at_rest() -> None:
-    stamps = np.arange(0.0, 0.2, PERIOD)
-    speeds = np.where(stamps > 0.015, 5.0, 0.0)[:, None] * np.ones(4)
-    assert measure_delays(stamps, speeds, stamps + 0.005, speeds) == pytest.approx([0.005])
-    assert not find_steps(stamps, speeds + 1.0).any()
-
-
-def test_a_step_faster_than_the_hold_is_none() -> None:
-    stamps, speeds = square(2.0, 0.1)
+    ramp = np.clip((TICKS - 0.5) * 40.0, 0.0, 5.0)[:, None] * np.ones(4)  # is one step
+    assert np.allclose(TICKS[find_steps(TICKS, ramp).any(axis=1)], [0.51])
+    stamps, speeds = square(2.0, 0.1)  # faster than the hold
     assert find_steps(stamps, speeds).any(axis=1).sum() <= 1
 
 
+def test_a_ramps_delay_is_that_between_command_and_feedback() -> None:
+    ramp = np.clip((TICKS - 0.5) * 20.0, 0.0, 5.0)[:, None] * np.array([1.0, -0.5, -0.5, 1.0])
+    assert measure_delays(TICKS, ramp, TICKS + 0.03, ramp) == pytest.approx([0.03])
+
+
+def test_a_log_begins_at_rest() -> None:
+    speeds = np.where(TICKS > 0.015, 5.0, 0.0)[:, None] * np.ones(4)
+    assert measure_delays(TICKS, speeds, TICKS + 0.005, speeds) == pytest.approx([0.005])
+    assert not find_steps(TICKS, speeds + 1.0).any()
+
+
 @pytest.mark.parametrize("delay", [0.012, 0.035])
-def test_the_delay_of_a_pure_delay(delay: float) -> None:
-    commands = square(4.0, 0.5)
-    assert measure_delays(*commands, *answered(commands, delay)) == pytest.approx([delay] * 7)
-
-
-def test_one_wheel_is_enough() -> None:
+@pytest.mark.parametrize("wheels", [(1.0, 1.0, 1.0, 1.0), (0.0, 0.0, -1.0, 0.0)])
+def test_the_delay_of_a_pure_delay(delay: float, wheels: tuple[float, ...]) -> None:
     stamps, speeds = square(4.0, 0.5)
-    speeds = speeds * np.array([0.0, 0.0, -1.0, 0.0])
-    assert measure_delays(stamps, speeds, stamps + 0.02, speeds) == pytest.approx([0.02] * 7)
+    speeds = speeds * wheels
+    found = measure_delays(stamps, speeds, stamps + delay, speeds)
+    assert found == pytest.approx([delay] * 7)
 
 
 def test_wheels_that_step_at_different_times_have_steps_of_their_own() -> None:
@@ -84,30 +68,20 @@ def test_wheels_that_step_at_different_times_have_steps_of_their_own() -> None:
 
 
 def test_a_wheel_that_still_turns_hides_its_own_steps_only() -> None:
-    commands = square(4.0, 0.5)
-    turning = commands[1].copy()
-    turning[:, 1] = 10.0 * commands[0]
-    only = commands[1] * np.array([1.0, 0.0, 0.0, 0.0])
-    assert measure_delays(commands[0], only, commands[0] + 0.02, turning) == pytest.approx(
-        [0.02] * 7
-    )
-
-
-def test_wheels_that_dont_move_have_no_delay() -> None:
-    commands = square(4.0, 0.5)
-    assert np.isnan(measure_delays(*commands, commands[0], np.zeros_like(commands[1]))).all()
-
-
-def test_wheels_that_still_turn_are_left_out() -> None:
-    commands = square(4.0, 0.5)
-    turning = commands[0][:, None] * np.ones(4) * 10.0
-    assert np.isnan(measure_delays(*commands, commands[0], turning)).all()
+    stamps, speeds = square(4.0, 0.5)
+    turning = speeds.copy()
+    turning[:, 1] = 10.0 * stamps
+    only = speeds * np.array([1.0, 0.0, 0.0, 0.0])
+    assert measure_delays(stamps, only, stamps + 0.02, turning) == pytest.approx([0.02] * 7)
+    all_turn = stamps[:, None] * np.ones(4) * 10.0
+    for feedback in (all_turn, np.zeros_like(speeds)):  # or never move
+        assert np.isnan(measure_delays(stamps, speeds, stamps, feedback)).all()
 
 
 @pytest.mark.parametrize("lines", [0, 1])
 def test_an_empty_log_has_no_delay(lines: int) -> None:
-    stamps, speeds = square(4.0, 0.5)
-    assert len(measure_delays(stamps[:lines], speeds[:lines], stamps[:lines], speeds[:lines])) == 0
+    stamps, speeds = (column[:lines] for column in square(4.0, 0.5))
+    assert len(measure_delays(stamps, speeds, stamps, speeds)) == 0
 
 
 def sample(count: int, mean: float, seed: int) -> Floats:

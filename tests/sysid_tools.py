@@ -1,0 +1,195 @@
+"""Robots with hidden parameters: how well they are identified, and a person with a tape."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from acsar_gym import RobotConfig
+from acsar_gym.links import open_link
+from acsar_gym.recording.types import WireLog
+from acsar_gym.robot import Robot
+from acsar_gym.tools.sysid.calibrate import ReadingScales
+from acsar_gym.tools.sysid.calibration_drive import (
+    RunPlan,
+    TruthObserver,
+    drive_run,
+    plan_squares,
+    plan_straights,
+    plan_turns,
+)
+from acsar_gym.tools.sysid.calibration_runs import CalibrationRun, Geometry, RunReading
+from acsar_gym.tools.sysid.delays import Floats
+from acsar_gym.tools.sysid.excitation import TappedLink
+from acsar_gym.tools.sysid.identify import Identification
+from acsar_gym.tools.sysid.parameter_findings import ParameterFinding
+from acsar_gym.worlds import Scene
+
+ACSAR = RobotConfig.preset("acsar")
+SCALES = ReadingScales()
+TOLERANCES = {
+    "motor.time_constant": 0.05,
+    "motor.gain": 0.01,
+    "motor.deadband": 0.05,
+    "encoder.quantum": 0.05,
+    "firmware.command_delay": 0.005,
+    "firmware.command_timeout": 0.06,
+}
+"""Shares for lags and gains, otherwise absolute."""
+RELATIVE = ("motor.time_constant", "motor.gain")
+
+
+def draw_motors(seed: int) -> RobotConfig:
+    """Draw a robot whose motors and board are hidden."""
+    rng = np.random.default_rng(seed)
+    lag = rng.uniform(0.03, 0.3)
+    lags = lag * rng.uniform(0.9, 1.1, 4) if rng.random() < 0.3 else np.full(4, lag)
+    return ACSAR.with_(
+        motor={
+            "time_constant": tuple(lags.tolist()),
+            "gain": tuple(rng.uniform(0.9, 1.1, 4).tolist()),
+            "deadband": float(rng.uniform(0.0, 1.0)),
+            "acceleration": float(rng.uniform(20.0, 120.0)),
+        },
+        firmware={
+            "command_delay": float(rng.uniform(0.0, 0.04)),
+            "feedback_rate": float(rng.uniform(20.0, 100.0)),
+            "command_timeout": None if rng.random() < 0.2 else float(rng.uniform(0.2, 1.0)),
+        },
+        encoder={"quantum": float(rng.uniform(0.01, 0.12))},
+    )
+
+
+@dataclass(frozen=True)
+class Score:
+    """How one parameter of one robot was found."""
+
+    name: str
+    error: float
+    """The largest of the wheels', as a share of the tolerance."""
+    holds: bool
+    """Whether all intervals hold the truth."""
+    share: float = 0.0
+    """The largest error as a share of its interval's half."""
+
+
+def score_findings(found: Identification, truth: RobotConfig) -> Iterator[Score]:
+    """Compare findings with a hidden robot."""
+    for name in TOLERANCES:
+        section, field = name.split(".")
+        parts = []
+        for one in found.findings:
+            if one.name != name:
+                continue
+            if section == "motor":
+                wheels = ["abcd".index(one.wheel)] if one.wheel else range(4)
+                values = [getattr(truth.motor.of_wheel(wheel), field) for wheel in wheels]
+            else:
+                values = [getattr(getattr(truth, section), field)]
+            parts += [score_finding(one, value) for value in values]
+        errors, holds, shares = zip(*parts, strict=True)
+        yield Score(name, max(errors), all(holds), max(shares))
+
+
+def score_finding(one: ParameterFinding, value: float | None) -> tuple[float, bool, float]:
+    """Error as a share of the tolerance, whether the interval holds it, share of the half width."""
+    if value is None or one.value is None:
+        right = value is one.value and one.told
+        return (0.0 if right else np.inf), right, 0.0
+    error = abs(one.value - value)
+    scale = TOLERANCES[one.name] * (value if one.name in RELATIVE else 1.0)
+    if one.low is None or one.high is None:
+        return error / scale, False, 0.0
+    return error / scale, one.low <= value <= one.high, 2.0 * error / max(2e-9, one.high - one.low)
+
+
+def drive_wire(
+    speeds: Callable[[float], Any], true: RobotConfig, seconds: float, known: RobotConfig = ACSAR
+) -> WireLog:
+    """The wire while a robot is driven that isn't the configured one.
+
+    `speeds`: of a time, those of all wheels or of each; None for no command [rad/s].
+    """
+    tapped = TappedLink(open_link("planar", true))
+    with Robot(tapped, known.with_(wheel_check=False)) as robot:
+        for tick in range(round(seconds / known.period)):
+            asked = speeds(tick * known.period)
+            if asked is None:
+                robot.listen()
+            else:
+                robot.tick(np.broadcast_to(asked, 4).tolist())
+    return tapped.log
+
+
+def draw_wheels(seed: int) -> RobotConfig:
+    """A robot whose multiplier is 1.2 to 2.2, and whose radii are off by up to 3 % a side."""
+    rng = np.random.default_rng(seed)
+    left, right = rng.uniform(0.97, 1.03, 2).tolist()
+    return ACSAR.with_(
+        left_wheel_radius_multiplier=left,
+        right_wheel_radius_multiplier=right,
+        body={"turn_factor": float(rng.uniform(1.2, 2.2))},
+    )
+
+
+class Person(TruthObserver):
+    """Reads a tape with marks every 5 mm and a protractor with marks every degree."""
+
+    def readings(self, plan: RunPlan) -> list[RunReading]:
+        x, y, heading = (reading.value for reading in super().readings(plan))
+        x, y, way = (round(v / SCALES.tape) * SCALES.tape for v in (x, y, math.hypot(x, y)))
+        degrees = SCALES.degrees(float(round(math.degrees(heading))))
+        if plan.manoeuvre == "straight":
+            return [SCALES.metres("distance", way)]
+        if plan.manoeuvre == "turn":
+            return [degrees]
+        return [SCALES.metres("x", x), SCALES.metres("y", y), degrees]
+
+
+def usual_plans() -> list[RunPlan]:
+    """What `straight`, `turn` and `square` drive by default."""
+    return [
+        *plan_straights(2.0, 0.3, 3),
+        *plan_turns(5.0, (0.6, 1.2), (0.0,), 1),
+        *plan_squares(1.0, 0.3, 0.9, 2, 2),
+    ]
+
+
+def drive_plans(
+    plans: Sequence[RunPlan], twin: RobotConfig, link: str = "planar"
+) -> list[CalibrationRun]:
+    """Drive a simulated robot that is thought to be an ACSAR, and measure with the tape."""
+    robot = Robot(open_link(link, twin), ACSAR)
+    return [drive_run(robot, plan, Scene(), Person()) for plan in plans]
+
+
+def leg_wheels(left: Sequence[float], right: Sequence[float], parts: int = 100) -> Floats:
+    """Wheel angles of legs, each with these angles of the left and the right wheels [rad]."""
+    ends = np.cumsum([(0.0, 0.0), *zip(left, right, strict=True)], axis=0)
+    return np.concatenate(
+        [np.linspace(begin, end, parts, endpoint=False) for begin, end in pairwise(ends)]
+        + [ends[-1:]]
+    )
+
+
+def line_wheels(geometry: Geometry, distance: float) -> Floats:
+    """Wheel angles of a straight command of the robot that odometry takes it for."""
+    return leg_wheels([distance / geometry.radius], [distance / geometry.radius])
+
+
+def spin_wheels(geometry: Geometry, angle: float, separation: float = 0.3) -> Floats:
+    """Wheel angles of a turn in place."""
+    turned = angle * separation * geometry.multiplier / 2.0 / geometry.radius
+    return leg_wheels([-turned], [turned])
+
+
+def square_wheels(geometry: Geometry, size: float, side: float, separation: float = 0.3) -> Floats:
+    """Wheel angles of a square to the left (side = 1) or to the right (-1)."""
+    ahead = size / geometry.radius
+    turned = side * math.pi / 4.0 * separation * geometry.multiplier / geometry.radius
+    return leg_wheels([ahead, -turned] * 4, [ahead, turned] * 4)

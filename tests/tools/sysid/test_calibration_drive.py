@@ -1,0 +1,171 @@
+"""What runs drive and the floor that they need; they are driven on odometry, within a fence."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from sysid_tools import ACSAR
+
+from acsar_gym import RobotConfig
+from acsar_gym.config import Geofence
+from acsar_gym.errors import ConfigError, LinkError
+from acsar_gym.links import open_link
+from acsar_gym.robot import Robot
+from acsar_gym.tools.sysid.calibration_drive import (
+    SPACE_SLACK,
+    RunPlan,
+    TruthObserver,
+    check_space,
+    drive_run,
+    find_needed_space,
+    make_fence,
+    plan_squares,
+    plan_straights,
+    plan_turns,
+)
+from acsar_gym.tools.sysid.calibration_runs import configured_geometry, integrate_wheels
+from acsar_gym.worlds import Scene, World
+
+LINES = plan_straights(2.0, 0.3, 3)
+PLANS = {
+    "line": plan_straights(0.5, 0.4, 1)[0],
+    "back": plan_straights(0.5, 0.4, 2)[1],
+    "turn": plan_turns(1.5, (1.2,), (0.0,), 1)[0],
+    "circle": plan_turns(1.0, (1.0,), (0.3,), 1)[0],
+    "square": plan_squares(0.4, 0.4, 1.2, 1, 0)[0],
+}
+ENDS = {
+    "line": (0.5, 0.0, 0.0),
+    "back": (-0.5, 0.0, 0.0),
+    "turn": (0.0, 0.0, 3.0 * math.pi),
+    "circle": (0.0, 0.0, 2.0 * math.pi),
+    "square": (0.0, 0.0, -2.0 * math.pi),
+}
+
+
+def test_lines_go_back_turns_alternate_and_squares_come_clockwise_first() -> None:
+    assert [plan.back for plan in LINES] == [False, True, False]
+    assert len({plan.linear for plan in LINES}) == 3
+    assert [plan.ahead().name for plan in LINES] == ["straight 1", "straight 2", "straight 3"]
+    plans = plan_turns(5.0, (0.5, 1.0), (0.0, 0.3), 2)
+    angles = [leg.angle for plan in plans for leg in plan.legs]
+    assert angles == pytest.approx([10.0 * math.pi, -10.0 * math.pi] * 4)
+    assert plans[1].legs[0].distance == pytest.approx(3.0 * math.pi)
+    assert plans[1].linear == pytest.approx(0.15)
+    plans = plan_squares(1.0, 0.3, 1.0, 1, 2)
+    assert [plan.name for plan in plans] == ["square cw 1", "square ccw 1", "square ccw 2"]
+    assert sum(leg.angle for leg in plans[0].legs) == pytest.approx(-2.0 * math.pi)
+
+
+@pytest.mark.parametrize(
+    ("plans", "ahead", "aside"),
+    [
+        (LINES, 2.0, 0.0),
+        (plan_turns(2.0, (0.5,), (0.0,), 1), 0.0, 0.0),
+        (plan_turns(2.0, (0.5,), (0.5,), 2), 0.5, 1.0),
+        (plan_squares(1.0, 0.3, 1.0, 1, 0), 1.0, 1.0),
+    ],
+)
+def test_the_floor_holds_path_robot_and_slack(
+    plans: list[RunPlan], ahead: float, aside: float
+) -> None:
+    own = find_needed_space(plan_turns(1.0, (0.5,), (0.0,), 1), ACSAR)[0]
+    slack = SPACE_SLACK * max(ahead, aside)
+    expected = (ahead + slack + own, aside + slack + own)
+    assert find_needed_space(plans, ACSAR) == pytest.approx(expected, abs=1e-3)
+
+
+def test_a_space_that_is_too_small_says_how_much_is_needed() -> None:
+    with pytest.raises(ConfigError, match=r"--space 2 1: too small: this needs 2\.\d\d m"):
+        check_space(ACSAR, LINES, (2.0, 1.0))
+    assert check_space(ACSAR, LINES, (4.0, 1.0)) == (4.0, 1.0)
+    assert check_space(ACSAR, LINES, None) == find_needed_space(LINES, ACSAR)
+
+
+def test_the_fence_is_around_the_space_also_on_the_way_back() -> None:
+    ahead, back = (make_fence(ACSAR, plan, (4.0, 1.5)) for plan in LINES[:2])
+    assert ahead.max_x == -back.min_x > 3.5
+    assert ahead.min_x == -back.max_x > -1.5
+    assert ahead.max_y == -ahead.min_y < 1.5
+
+
+@pytest.mark.parametrize(
+    ("make", "arguments", "said"),
+    [
+        (plan_straights, (0.0, 0.3, 1), "--distance 0"),
+        (plan_straights, (math.nan, 0.3, 1), "--distance nan"),
+        (plan_straights, (2.0, 0.3, 0), "0 runs"),
+        (plan_turns, (-1.0, (1.0,), (0.0,), 1), "--turns -1"),
+        (plan_turns, (1.0, (1.0,), (-0.3,), 1), "--radii -0.3"),
+        (plan_squares, (1.0, 0.3, 1.0, 500, 0), "500 runs"),
+    ],
+)
+def test_bad_sizes_are_told(make: object, arguments: tuple[object, ...], said: str) -> None:
+    assert callable(make)
+    with pytest.raises(ConfigError, match=said):
+        make(*arguments)
+
+
+def make_robot(config: RobotConfig = ACSAR, twin: RobotConfig = ACSAR) -> Robot:
+    return Robot(open_link("planar", twin), config)
+
+
+@pytest.mark.parametrize("name", PLANS)
+def test_a_run_ends_where_it_should_and_tells_its_wheels(name: str) -> None:
+    run = drive_run(make_robot(), PLANS[name], Scene((1.0, 2.0, 0.5)), TruthObserver())
+    ends = integrate_wheels(run.wheels, configured_geometry(ACSAR), ACSAR.wheel_separation)
+    assert ends == pytest.approx(ENDS[name], abs=0.04)
+    readings = {reading.kind: reading.value for reading in run.readings}
+    assert tuple(readings.values()) == pytest.approx(ends, abs=0.02)
+
+
+def test_a_line_is_straight_by_odometry_although_motors_differ() -> None:
+    weak = ACSAR.with_(motor={"gain": (1.0, 0.95, 0.95, 1.0)})
+    run = drive_run(make_robot(twin=weak), PLANS["line"], Scene())
+    assert run.readings == ()  # nobody measured
+    _, y, theta = integrate_wheels(run.wheels, configured_geometry(ACSAR), ACSAR.wheel_separation)
+    assert abs(theta) < 0.15
+    assert abs(y) < 0.05
+
+
+def test_the_fence_stops_it_with_an_error() -> None:
+    robot = make_robot(ACSAR.with_(geofence=Geofence(min_x=-1.0, max_x=0.3, min_y=-1.0, max_y=1.0)))
+    with pytest.raises(LinkError, match=r"straight 1: stopped at \(0\.3\d, "):
+        drive_run(robot, PLANS["line"], Scene())
+    assert not robot.active
+
+
+class Stopper(TruthObserver):
+    """Stops the robot on its way, as `acsar-gym estop` does."""
+
+    ticks = 0
+
+    def tick(self, robot: Robot) -> None:
+        self.ticks += 1
+        if self.ticks == 30:
+            robot.estop()
+
+
+def test_an_emergency_stop_ends_the_run() -> None:
+    robot = make_robot()
+    with pytest.raises(LinkError, match="emergency stop"):
+        drive_run(robot, PLANS["line"], Scene(), Stopper())
+    assert not robot.active
+
+
+@pytest.mark.parametrize(
+    ("name", "done"), [("line", r"0\.00 of 0\.50 m"), ("turn", "0 of 540 deg")]
+)
+def test_a_robot_that_does_not_get_on_is_told(name: str, done: str) -> None:
+    dead = ACSAR.with_(motor={"deadband": 1000.0})
+    with pytest.raises(LinkError, match=f"only {done}|wheel") as told:
+        drive_run(make_robot(twin=dead), PLANS[name], Scene())
+    assert "\n" not in str(told.value)
+
+
+def test_a_collision_is_told() -> None:
+    world = World(segments=np.array([(0.4, -1.0, 0.4, 1.0)]))
+    with pytest.raises(LinkError, match="touched an obstacle"):
+        drive_run(make_robot(), PLANS["line"], Scene(world=world), TruthObserver())

@@ -1,0 +1,234 @@
+"""The fit on synthetic readings and of hidden robots: what it finds, can't tell, and leaves out."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from sysid_tools import (
+    ACSAR,
+    SCALES,
+    draw_wheels,
+    drive_plans,
+    line_wheels,
+    spin_wheels,
+    square_wheels,
+    usual_plans,
+)
+
+from acsar_gym.config import Measured
+from acsar_gym.errors import ConfigError
+from acsar_gym.physics.randomization import Randomization
+from acsar_gym.tools.sysid.calibration_fit import (
+    FittedValue,
+    GeometryFit,
+    fit_geometry,
+    make_calibrated_config,
+)
+from acsar_gym.tools.sysid.calibration_runs import (
+    CalibrationRun,
+    Geometry,
+    RunReading,
+    configured_geometry,
+    integrate_wheels,
+)
+from acsar_gym.tools.sysid.delays import Floats
+
+NOMINAL = configured_geometry(ACSAR)
+REAL = Geometry(0.0508, 0.03, 1.9)
+WHEELS = {
+    "straight": line_wheels(NOMINAL, 2.0),
+    "turn": spin_wheels(NOMINAL, 10.0 * math.pi),
+    "cw": square_wheels(NOMINAL, 1.0, -1.0),
+    "ccw": square_wheels(NOMINAL, 1.0, 1.0),
+}
+RADIUS, MULTIPLIER = 0.003, 0.01
+"""Largest errors of hidden robots, as shares of the truth."""
+
+
+def run(
+    name: str, off: float = 0.0, wheels: Floats | None = None, real: Geometry = REAL
+) -> CalibrationRun:
+    """A run of the real robot with readings as a person takes them, `off` [m, rad] wrong."""
+    turned = WHEELS[name] if wheels is None else wheels
+    x, y, theta = integrate_wheels(turned, real, 0.3)
+    if name == "straight":
+        readings = [SCALES.metres("distance", math.hypot(x, y) + off)]
+    elif name == "turn":
+        readings = [SCALES.degrees(math.degrees(theta + off))]
+    else:
+        readings = [SCALES.metres("x", x + off), SCALES.metres("y", y)]
+    manoeuvre = name if name in ("straight", "turn") else "square"
+    return CalibrationRun(name, manoeuvre, turned, tuple(readings))
+
+
+def test_straight_turn_and_squares_together_tell_all() -> None:
+    found = fit_geometry([run(name) for name in WHEELS], ACSAR)
+    assert found.geometry == pytest.approx(REAL, rel=1e-4)
+    assert set(found.told) == {"wheel_radius", "radius_ratio", "wheel_separation_multiplier"}
+    assert found.outliers == ()
+
+
+@pytest.mark.parametrize(
+    ("names", "told"),
+    [
+        (["straight"], {"wheel_radius"}),
+        (["turn"], {"wheel_separation_multiplier"}),
+        (["straight", "turn"], {"wheel_radius", "wheel_separation_multiplier"}),
+    ],
+)
+def test_a_manoeuvre_alone_tells_its_part_and_the_rest_stays(
+    names: list[str], told: set[str]
+) -> None:
+    found = fit_geometry([run(name) for name in names], ACSAR)
+    assert set(found.told) == told
+    assert found.geometry.ratio == 0.0
+    if "straight" not in names:
+        assert found.geometry.radius == 0.05
+    if "turn" not in names:
+        assert found.geometry.multiplier == ACSAR.wheel_separation_multiplier
+
+
+def test_squares_or_a_line_with_its_offset_tell_the_ratio() -> None:
+    found = fit_geometry([run("cw"), run("ccw")], ACSAR)
+    assert {"radius_ratio", "wheel_separation_multiplier"} <= set(found.told)
+    assert found.geometry.ratio == pytest.approx(REAL.ratio, abs=0.002)
+    base = run("straight")
+    x, y, _ = integrate_wheels(base.wheels, REAL, 0.3)
+    both = base.read([SCALES.metres("distance", math.hypot(x, y)), SCALES.metres("aside", y)])
+    assert set(fit_geometry([both], ACSAR).told) == {"wheel_radius", "radius_ratio"}
+
+
+def width(runs: list[CalibrationRun], name: str, config: object = ACSAR) -> float:
+    one = fit_geometry(runs, config).told[name]  # type: ignore[arg-type]
+    return one.high - one.low
+
+
+def test_what_is_not_told_widens_the_interval_unless_it_was_measured_before() -> None:
+    before = Measured(low=0.0499, high=0.0501, method="calibrate straight")
+    known = ACSAR.with_(measured={"wheel_radius": before})
+    name = "wheel_separation_multiplier"
+    assert width([run("turn")], name) > 4.0 * width([run("turn")], name, known)
+
+
+def test_more_repeats_narrow_the_interval() -> None:
+    widths = [
+        width([run("straight", 0.001 * (-1) ** i) for i in range(count)], "wheel_radius")
+        for count in (1, 3, 12)
+    ]
+    assert widths[0] > widths[1] > widths[2]
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
+    rng, even, held = np.random.default_rng(3), REAL._replace(ratio=0.0), 0
+    for _ in range(40):
+        offs = rng.normal(0.0, SCALES.tape / 2.0, 3)
+        runs = [run("straight", off, real=even) for off in offs]
+        one = fit_geometry(runs, ACSAR).told["wheel_radius"]
+        held += one.low <= even.radius <= one.high
+    assert held >= 35
+
+
+def test_an_outlier_is_left_out_and_named_but_not_one_of_two() -> None:
+    good = [run("straight", off) for off in (0.001, -0.001, 0.002)]
+    bad = run("straight", 0.08)
+    found = fit_geometry([*good, bad, run("turn")], ACSAR)
+    assert found.outliers == (bad,)
+    assert found.geometry.radius == pytest.approx(0.0508, rel=2e-3)
+    found = fit_geometry([run("straight", 0.05), run("straight", -0.05)], ACSAR)
+    assert found.outliers == ()
+    assert found.told["wheel_radius"].high - found.told["wheel_radius"].low > 0.001
+
+
+def test_it_starts_far_from_the_config() -> None:
+    far = ACSAR.with_(wheel_separation_multiplier=1.0)
+    geometry = configured_geometry(far)
+    wheels = {
+        "cw": square_wheels(geometry, 1.0, -1.0),
+        "ccw": square_wheels(geometry, 1.0, 1.0),
+        "straight": line_wheels(geometry, 2.0),
+    }
+    found = fit_geometry([run(name, wheels=own) for name, own in wheels.items()], far)
+    assert found.geometry == pytest.approx(REAL, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("readings", "said"),
+    [
+        ([], "no run has a reading"),
+        ([RunReading("x", 0.0, 10.0, "tape")], "tell neither radius nor multiplier"),
+        ([SCALES.metres("distance", 9.0)], "wheel_radius to its bound"),
+    ],
+)
+def test_errors_are_told(readings: list[RunReading], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        fit_geometry([run("straight").read(readings)], ACSAR)
+
+
+def check_hidden(seed: int, link: str = "planar") -> None:
+    """Calibrate one hidden robot, whose errors must be within the bounds."""
+    twin = draw_wheels(seed)
+    found = fit_geometry(drive_plans(usual_plans(), twin, link), ACSAR)
+    true, factor = configured_geometry(twin), twin.body.turn_factor
+    assert factor is not None
+    assert found.geometry.left == pytest.approx(true.left, rel=RADIUS)
+    assert found.geometry.right == pytest.approx(true.right, rel=RADIUS)
+    assert found.geometry.multiplier == pytest.approx(factor, rel=MULTIPLIER)
+    assert found.outliers == ()
+    intervals = found.told["wheel_separation_multiplier"]
+    assert intervals.low <= factor <= intervals.high
+
+
+@pytest.mark.parametrize(
+    "seed", [pytest.param(n, marks=[] if n in (0, 4) else pytest.mark.slow) for n in range(20)]
+)
+def test_a_hidden_robot_is_found(seed: int) -> None:
+    check_hidden(seed)
+
+
+@pytest.mark.parametrize(
+    "seed", [pytest.param(n, marks=[] if n == 1 else pytest.mark.slow) for n in range(5)]
+)
+def test_a_hidden_robot_in_bullet_is_found(seed: int) -> None:
+    pytest.importorskip("pybullet")
+    check_hidden(seed, "bullet")
+
+
+def test_the_calibrated_twin_turns_as_the_robot() -> None:
+    """Without turn_factor it was 37 cm off in its own twin."""
+    twin = draw_wheels(2)
+    found = make_calibrated_config(fit_geometry(drive_plans(usual_plans(), twin), ACSAR), ACSAR)
+    assert found.body.turn_factor == pytest.approx(twin.body.turn_factor, rel=MULTIPLIER)
+    assert found.wheel_separation_multiplier == found.body.turn_factor
+    again = fit_geometry(drive_plans(usual_plans()[:4], found), found)
+    assert again.geometry == pytest.approx(configured_geometry(found), rel=0.003, abs=0.003)
+
+
+def fitted(**told: FittedValue) -> GeometryFit:
+    return GeometryFit(Geometry(0.0495, 0.02, 1.5), told, (), (), 1.0)
+
+
+def test_a_radius_that_follows_from_the_ratio_has_no_old_interval() -> None:
+    wheel = Measured(low=0.04, high=0.06, method="before")
+    before = ACSAR.with_(left_wheel_radius_multiplier=0.98, measured={"wheel_radius": wheel})
+    told = fitted(radius_ratio=FittedValue.around(0.02, 0.001))
+    found = make_calibrated_config(told, before)
+    assert found.wheel_radius == 0.0495
+    assert set(found.measured) == {"left_wheel_radius_multiplier", "right_wheel_radius_multiplier"}
+
+
+@pytest.mark.parametrize("one", [FittedValue(1.03, 0.98, 1.08), FittedValue(1.0002, 0.95, 1.05)])
+def test_a_robot_that_hardly_skids_can_be_trained_with(one: FittedValue) -> None:
+    found = make_calibrated_config(fitted(wheel_separation_multiplier=one), ACSAR)
+    assert 1.0 < found.measured["body.turn_factor"].low <= one.value
+    Randomization.measured(found).ranges(found, 0.1)
+
+
+def test_a_multiplier_that_no_tyre_has_ends_the_interval_of_the_tyres() -> None:
+    turn = Measured(low=1.6, high=1.8, method="before")
+    known = ACSAR.with_(body={"turn_factor": 1.7}, measured={"body.turn_factor": turn})
+    one = FittedValue(0.95, 0.9, 1.0)
+    found = make_calibrated_config(fitted(wheel_separation_multiplier=one), known)
+    assert set(found.measured) == {"wheel_separation_multiplier"}
+    Randomization.measured(found).ranges(found, 0.1)

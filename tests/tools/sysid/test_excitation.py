@@ -1,0 +1,107 @@
+"""The manoeuvre of an identification: its limits, what it logs, and how it ends."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from acsar_gym import RobotConfig, open_link
+from acsar_gym.errors import ConfigError, LinkError
+from acsar_gym.robot import Robot
+from acsar_gym.tools.sysid.excitation import (
+    TICK_STRETCH,
+    TappedLink,
+    drive_excitation,
+    plan_excitation,
+)
+from acsar_gym.tools.sysid.tracks import decode_track
+
+ACSAR = RobotConfig.preset("acsar")
+ZEROS = b"ap00.00,bp00.00,cp00.00,dp00.00"
+
+
+@pytest.mark.parametrize("limits", [{}, {"max_wheel_speed": 3.0}, {"max_linear": 0.1}])
+def test_commands_keep_the_limits_of_the_robot(limits: dict[str, float]) -> None:
+    config = ACSAR.with_(**limits)
+    plan = plan_excitation(config, 20.0, 0.01)
+    top = min(config.max_wheel_speed, config.max_linear / config.wheel_radius)
+    speeds = np.concatenate((plan.before, plan.after))
+    assert np.abs(speeds).max() <= top + 1e-9
+    assert len(speeds) + plan.pause == pytest.approx(2000, abs=2)
+    assert (speeds.min(0) < -0.5 * top).all()
+    assert (speeds.max(0) > 0.5 * top).all()
+
+
+def test_wheels_get_different_commands() -> None:
+    plan = plan_excitation(ACSAR, 20.0, 0.01)
+    correlated = np.corrcoef(plan.before[:600].T) - np.eye(4)
+    assert np.abs(correlated).max() < 0.6
+
+
+@pytest.mark.usefixtures("deadline")
+def test_a_serial_wire_is_logged_finer_than_ticks(shared_device: str, config: RobotConfig) -> None:
+    tapped = TappedLink(open_link(shared_device, config))
+    with Robot(tapped, config) as robot:
+        for _ in range(60):
+            robot.tick((3.0, -3.0, 3.0, -3.0))
+        for _ in range(30):
+            robot.listen()
+    found = decode_track(tapped.log, config)
+    assert found is not None
+    assert len(found.pauses) == 1
+    assert found.commands[found.pauses[0]].tolist() == [3.0, -3.0, 3.0, -3.0]
+    assert np.median(np.diff(found.arrivals)) == pytest.approx(0.01 * TICK_STRETCH, rel=0.2)
+    assert len(found.stamps) > 30
+    phases = np.mod(tapped.log.got_stamps[:, None] - tapped.log.sent_stamps, 0.01)
+    assert phases.std() > 1e-3
+    assert tapped.log.sent[-1].startswith(ZEROS)
+
+
+@pytest.mark.parametrize("duration", [1.0, 1e9, float("nan")])
+def test_the_duration_is_checked(duration: float) -> None:
+    with pytest.raises(ConfigError, match="duration"):
+        drive_excitation(open_link("planar", ACSAR), ACSAR, duration)
+
+
+class FailingLink(TappedLink):
+    """A link that is lost after three seconds, and remembers what was sent."""
+
+    ticks = 0
+    closed = False
+
+    def advance(self, period: float) -> bytes:
+        self.ticks += 1
+        if self.ticks == 300:
+            raise LinkError("lost", "plug it in")
+        return super().advance(period)
+
+    def close(self) -> None:
+        self.closed = True
+        super().close()
+
+
+def test_a_link_that_is_lost_ends_the_manoeuvre_with_zeros() -> None:
+    link = FailingLink(open_link("planar", ACSAR))
+    with pytest.raises(LinkError, match="lost"):
+        drive_excitation(link, ACSAR, 12.0)
+    assert link.closed
+    assert link.log.sent[-1].startswith(ZEROS)
+
+
+@pytest.mark.parametrize("reason", ["emergency stop", "geofence"])
+def test_a_stop_ends_the_manoeuvre(reason: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    config, link = ACSAR, TappedLink(open_link("planar", ACSAR))
+    if reason == "geofence":
+        config = ACSAR.with_(geofence={"min_x": -0.02, "max_x": 0.02})
+    else:
+        tick = Robot.tick
+
+        def stop_late(robot: Robot, speeds: tuple[float, ...]) -> None:
+            if len(link.log.sent) > 50:
+                robot.estop()
+            tick(robot, speeds)
+
+        monkeypatch.setattr(Robot, "tick", stop_late)
+    with pytest.raises(LinkError, match=reason):
+        drive_excitation(link, config, 12.0)
+    assert link.log.sent[-1].startswith(ZEROS)

@@ -1,0 +1,103 @@
+"""Rate and jitter of feedback lines, however late they were read; the step of printed speeds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from acsar_gym import RobotConfig
+from acsar_gym.protocol import encode
+from acsar_gym.recording.types import WireLog
+from acsar_gym.tools.sysid.delays import Floats
+from acsar_gym.tools.sysid.feedback_lines import (
+    LineRate,
+    count_speed,
+    find_quantum,
+    is_explained_by_counts,
+    measure_line_rate,
+)
+from acsar_gym.tools.sysid.tracks import BoardTrack, decode_track
+
+ACSAR = RobotConfig.preset("acsar")
+SPEEDS = np.random.default_rng(3).uniform(-11.0, 11.0, 3000)
+
+
+def measure(*episodes: Floats) -> LineRate:
+    """The rate of lines at these times."""
+    tracks = []
+    for stamps in episodes:
+        count = len(stamps)
+        numbers, held_out = np.arange(count), np.zeros(count, bool)
+        nothing = np.zeros(1), np.zeros((1, 4))
+        tracks.append(BoardTrack(*nothing, stamps, np.zeros((count, 4)), held_out, numbers))
+    return measure_line_rate(tracks)
+
+
+def test_regular_lines() -> None:
+    found = measure(np.arange(200) / 50.0)
+    assert found.rate == pytest.approx(50.0)
+    assert found.jitter == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("stalled", [0.1, 0.4])
+def test_a_stalled_host_reads_in_bursts(stalled: float) -> None:
+    made = np.arange(1000) / 50.0
+    read = made.copy()
+    for begin in np.arange(1.0, 19.0, 1.5):  # nothing is read, then all at once
+        late = (made >= begin) & (made < begin + stalled)
+        read[late] = begin + stalled + 1e-4 * np.arange(np.count_nonzero(late))
+    assert measure(read).rate == pytest.approx(50.0, rel=0.002)
+
+
+def test_lost_lines_and_episodes_that_count_by_their_length() -> None:
+    kept = np.random.default_rng(0).random(1000) > 0.002
+    assert abs(measure((np.arange(1000) / 50.0)[kept]).rate - 50.0) < 0.2
+    long, short = np.arange(1000) / 100.0, np.arange(100) / 98.0
+    assert measure(long, short).rate == pytest.approx(99.8, abs=0.1)
+
+
+def test_lines_that_a_fit_leaves_out_as_late_still_count() -> None:
+    made = np.arange(2000) / 100.0
+    read = made + 0.0003 * np.random.default_rng(0).random(2000)
+    read[::30] += 0.0067
+    said = (encode((1.0, 1.0, 1.0, 1.0)),) * 2000
+    track = decode_track(WireLog(made, said, read, said), ACSAR)
+    assert track is not None
+    assert len(track.stamps) < 1960
+    assert measure_line_rate([track]).rate == pytest.approx(100.0, abs=0.1)
+
+
+@pytest.mark.parametrize("step", [0.027, 0.05, 0.0871, 0.12, 0.3])
+def test_a_step_is_found_under_the_rounding_to_two_decimals(step: float) -> None:
+    found = find_quantum(np.round(step * np.round(SPEEDS / step), 2))
+    assert found is not None
+    assert found.step == pytest.approx(step, abs=2e-4)
+    assert found.low <= step <= found.high
+
+
+def test_a_board_that_cuts_digits_has_a_step_too() -> None:
+    found = find_quantum(np.trunc(0.087 * np.round(SPEEDS / 0.087) * 100.0) / 100.0)
+    assert found is not None
+    assert found.step == pytest.approx(0.087, abs=5e-4)
+
+
+def test_damaged_lines_hide_no_step() -> None:
+    printed = np.round(0.12 * np.round(SPEEDS / 0.12), 2)
+    printed[:10] = 7.31
+    found = find_quantum(printed)
+    assert found is not None
+    assert found.step == pytest.approx(0.12, abs=1e-3)
+
+
+def test_numbers_without_steps_are_finer_than_two_decimals_show() -> None:
+    found = find_quantum(np.round(SPEEDS, 2))
+    assert found is not None
+    assert (found.step, found.low) == (0.01, 0.0)
+    assert find_quantum(np.round(SPEEDS[:10], 2)) is None
+
+
+def test_encoder_counts_are_recognized_below_a_coarser_rounding() -> None:
+    count = count_speed(ACSAR, 0.05)
+    printed = np.round(0.05 * np.round(count * np.round(SPEEDS / count) / 0.05), 2)
+    assert is_explained_by_counts(printed, ACSAR, 0.05, 0.05)
+    assert not is_explained_by_counts(printed, ACSAR, 0.045, 0.05)

@@ -1,0 +1,211 @@
+"""A hidden robot, found in simulated time; and what an identification does with bad logs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sysid_tools import ACSAR, drive_wire, score_findings
+
+from acsar_gym import RobotConfig, open_link
+from acsar_gym.errors import ConfigError, IdentificationError
+from acsar_gym.physics.randomization import measured_ranges
+from acsar_gym.protocol import encode
+from acsar_gym.recording import Recorder, read
+from acsar_gym.recording.replay import check_same_robot
+from acsar_gym.recording.types import WireLog
+from acsar_gym.robot import Robot
+from acsar_gym.tools.sysid.excitation import drive_excitation, plan_excitation
+from acsar_gym.tools.sysid.identify import (
+    Identification,
+    identification_table,
+    identify_files,
+    identify_logs,
+)
+from acsar_gym.tools.sysid.parameter_findings import COUNTED_NOTE, ParameterFinding
+
+INTERVAL = {"low": 0.4, "high": 0.6, "method": "identify"}
+HIDDEN = ACSAR.with_(
+    motor={
+        "time_constant": 0.15,
+        "gain": (0.95, 1.0, 1.05, 0.98),
+        "deadband": 0.4,
+        "acceleration": 40.0,
+    },
+    firmware={"command_delay": 0.02, "feedback_rate": 50.0, "command_timeout": 0.6},
+    encoder={"quantum": 0.07},
+)
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The manoeuvre, recorded."""
+    path = tmp_path_factory.mktemp("identified") / "manoeuvre.mcap"
+    drive_excitation(open_link("planar", HIDDEN), ACSAR, 12.0, Recorder(path))
+    return path
+
+
+@pytest.fixture(scope="module")
+def found(recording: Path) -> Identification:
+    return identify_files([recording], ACSAR)
+
+
+def test_a_hidden_robot_is_found_from_its_recording(found: Identification) -> None:
+    for one in score_findings(found, HIDDEN):
+        assert one.error <= 1.0, one
+        assert one.holds, one
+    assert found.held_out is not None
+    assert found.held_out.after < found.held_out.before / 10.0
+    assert identification_table(found).row_count == len(found.findings)
+
+
+def test_the_robots_file_has_values_intervals_and_logs(
+    found: Identification, tmp_path: Path
+) -> None:
+    path = tmp_path / "mine.yaml"
+    found.robot().save(path)
+    robot = RobotConfig.load(path)
+    assert robot.motor.time_constant == pytest.approx(0.15, rel=0.05)
+    assert robot.motor.gain == pytest.approx((0.95, 1.0, 1.05, 0.98), rel=0.01)
+    assert robot.firmware.command_timeout == pytest.approx(0.6, abs=0.06)
+    assert robot.encoder.quantum == pytest.approx(0.07, abs=1e-3)
+    assert robot.wheel_radius == ACSAR.wheel_radius
+    gain = robot.measured["motor.gain.b"]
+    assert gain.low <= 1.0 <= gain.high
+    assert gain.logs == found.logs
+    assert len(robot.firmware.delay_samples) == 10
+
+
+def test_wheels_that_do_not_differ_share_one_number(found: Identification) -> None:
+    wheels: dict[str, list[str]] = {"motor.time_constant": [], "motor.gain": []}
+    for one in found.findings:
+        if one.name in wheels:
+            wheels[one.name].append(one.wheel)
+    assert wheels == {"motor.time_constant": [""], "motor.gain": ["a", "b", "c", "d"]}
+
+
+def test_new_findings_end_the_intervals_of_older_ones() -> None:
+    def with_gains(config: RobotConfig, wheels: str) -> RobotConfig:
+        gains = [
+            ParameterFinding("motor.gain", w, 1.1, 1.09, 1.11, told=True) for w in wheels or [""]
+        ]
+        findings = (*gains, ParameterFinding("encoder.quantum"))
+        return Identification(config, findings, None, (), 20.0).robot()
+
+    first = with_gains(ACSAR, "abcd")
+    assert set(first.measured) == {f"motor.gain.{wheel}" for wheel in "abcd"}
+    repaired = with_gains(first, "")
+    assert set(repaired.measured) == {"motor.gain"}
+    assert measured_ranges(repaired)["motor_gain"] == pytest.approx((1.09 / 1.1, 1.11 / 1.1))
+    assert set(with_gains(repaired, "abcd").measured) == set(first.measured)
+
+
+def test_a_board_without_a_time_out_has_no_interval_of_one() -> None:
+    known = ACSAR.with_(measured={"firmware.command_timeout": INTERVAL})
+    timeout = ParameterFinding("firmware.command_timeout", told=True)
+    findings = (timeout, ParameterFinding("encoder.quantum"))
+    robot = Identification(known, findings, None, (), 20.0).robot()
+    assert (robot.firmware.command_timeout, robot.measured) == (None, {})
+
+
+def test_recordings_must_be_of_one_robot(recording: Path, tmp_path: Path) -> None:
+    other, path = ACSAR.with_(wheel_radius=0.06), tmp_path / "other.mcap"
+    with Robot(open_link("planar", other), other, recorder=Recorder(path)) as robot:
+        robot.tick((1.0, 1.0, 1.0, 1.0))
+    with pytest.raises(ConfigError, match=r"other\.mcap: .*wheel_radius"):
+        identify_files([recording, path], None)
+    calibrated = replace(read(recording), config=ACSAR.with_(wheel_radius=0.0509))
+    check_same_robot([("a", read(recording)), ("b", calibrated)], "identify")
+
+
+def test_a_log_without_commands_is_an_error() -> None:
+    nothing = WireLog(np.empty(0), (), np.empty(0), ())
+    with pytest.raises(ConfigError, match="holds no commands"):
+        identify_logs([nothing], ACSAR)
+
+
+def test_a_fit_that_explains_little_is_not_written(found: Identification) -> None:
+    found.check()
+    assert found.held_out is not None
+    poor = replace(found, held_out=replace(found.held_out, after=0.4 * found.held_out.signal))
+    with pytest.raises(IdentificationError, match="the fit misses"):
+        poor.check()
+
+
+@pytest.mark.parametrize("duration", [0.3, 2.0])
+def test_what_cannot_be_told_has_no_number(duration: float) -> None:
+    commands = plan_excitation(ACSAR, 20.0, 0.01).before[: round(100 * duration)]
+    stamps = np.asarray(0.01 * np.arange(len(commands)), np.float64)
+    lines = tuple(encode(row) for row in commands.tolist())
+    found = identify_logs([WireLog(stamps, lines, stamps + 0.005, lines)], ACSAR)
+    for one in found.findings:
+        if one.name not in ("firmware.feedback_rate", "encoder.quantum"):
+            assert (one.value, one.low, one.high, one.told) == (None, None, None, False)
+            assert "s of log" in one.note
+    assert found.robot().motor == found.config.motor
+
+
+def tell(speeds: Callable[[float], float | None], **true: object) -> dict[str, ParameterFinding]:
+    """What is told of a hidden robot that is driven for 12 s; the resolution, told or not."""
+    found = identify_logs([drive_wire(speeds, ACSAR.with_(**true), 12.0)], ACSAR).findings
+    return {one.name: one for one in found if one.told or one.name == "encoder.quantum"}
+
+
+def holds(one: ParameterFinding | None, value: float) -> bool:
+    """Whether an interval holds the truth, if there is one."""
+    if one is None:
+        return True
+    assert one.low is not None
+    assert one.high is not None
+    return one.low <= value <= one.high
+
+
+def slowly(time: float) -> float:
+    return 2.0 * math.sin(time)
+
+
+def constantly(_: float) -> float:
+    return 6.0
+
+
+@pytest.mark.parametrize("lag", [0.15, 0.3])
+def test_a_slow_sine_tells_nothing_that_hangs_on_the_lag(lag: float) -> None:
+    found = tell(slowly, motor={"time_constant": lag, "deadband": 0.3})
+    hanging = {"motor.time_constant", "motor.deadband", "firmware.command_delay", "encoder.window"}
+    assert not hanging & set(found)
+    assert holds(found.get("motor.gain"), 1.0)
+
+
+def test_constant_speeds_tell_the_gain_without_a_lag() -> None:
+    found = tell(constantly, motor={"time_constant": 0.3, "gain": 0.96})
+    assert found["motor.gain"].value == pytest.approx(0.96, abs=0.005)
+    assert holds(found["motor.gain"], 0.96)
+    assert "motor.time_constant" not in found
+
+
+def test_the_gain_is_that_of_the_mean_of_two_counts() -> None:
+    found = tell(
+        lambda time: 1.5 if int(time) % 2 else -1.5,
+        motor={"time_constant": 0.03, "gain": 0.97, "deadband": 0.3},
+    )
+    assert found["motor.gain"].value == pytest.approx(0.97, abs=0.004)
+
+
+def test_a_timeout_that_hangs_on_the_lag_is_not_told() -> None:
+    found = tell(
+        lambda time: None if 6.0 < time < 8.0 else 6.0,
+        motor={"time_constant": 0.3},
+        firmware={"command_timeout": 0.8},
+    )
+    assert holds(found.get("firmware.command_timeout"), 0.8)
+
+
+@pytest.mark.parametrize("speeds", [slowly, constantly])
+def test_whole_encoder_counts_are_no_resolution(speeds: Callable[[float], float]) -> None:
+    one = tell(speeds)["encoder.quantum"]
+    assert not one.told
+    assert one.value is None or one.note == COUNTED_NOTE
