@@ -3,9 +3,9 @@
 Compiled code is cached on disk: beside its source, or where numba keeps it otherwise. numba
 recompiles when a function's own file has changed, but not when another file has changed whose
 functions were compiled into it. So this module stamps cached code with a fingerprint of all source
-files of the package; code with another stamp is compiled anew. Functions of another package, such
-as a user's task, are stamped with that package's sources, too. agents/, which a wheel has inside of
-the package, doesn't count: a wheel and its checkout have the same stamps.
+files of the package; code with another stamp is compiled anew. tools/ doesn't count, as nothing
+outside of it imports it; nor does agents/, which a wheel has inside of the package. Functions of
+tools/, and of another package, such as a user's task, are stamped with its sources, too.
 
 A batch's first reset in a new installation compiles for half a minute. The logger
 "acsar_gym.jit" says so before, as a warning: Python prints it to stderr by default.
@@ -33,8 +33,8 @@ P = ParamSpec("P")
 R = TypeVar("R")
 LOG = logging.getLogger(__name__)
 PACKAGE = Path(__file__).parent
-AGENTS = PACKAGE / "agents"
-"""Where a wheel has agents/."""
+TOOLS = PACKAGE / "tools"
+"""Sources that have a stamp of their own."""
 BATCH_MODULES = "acsar_gym.vector.kernel."
 """Modules whose functions take long to compile."""
 TASK_MODULE = "acsar_gym.vector.kernel.task"
@@ -45,29 +45,31 @@ GIVEN_WARNINGS: set[str] = set()
 """Warnings that this process has given: each once."""
 
 
-def hash_sources(package: Path) -> str:
-    """Hash of the contents of all source files of a package.
+def hash_sources(folder: Path, *without: Path) -> str:
+    """Hash of the contents of all source files in a folder.
 
     Args:
-        package: folder of the package.
+        folder: of a package.
+        without: folders in it that don't count.
     """
     digest = hashlib.sha256()
-    for source in sorted(package.rglob("*.py")):
-        if package == PACKAGE and AGENTS in source.parents:
-            continue
-        content = source.read_bytes()
-        digest.update(f"{source.relative_to(package)} {len(content)}\n".encode() + content)
+    for source in sorted(folder.rglob("*.py")):
+        if not any(source.is_relative_to(other) for other in without):
+            content = source.read_bytes()
+            digest.update(f"{source.relative_to(folder)} {len(content)}\n".encode() + content)
     return digest.hexdigest()
 
 
 @cache
 def hash_sources_beside(folder: Path) -> str:
-    """Hash of the sources of a package of its own; empty for scripts, and within this package.
+    """Hash of the sources that `FINGERPRINT` leaves out; empty for scripts, and where none are.
 
     Args:
         folder: of the source file whose functions are compiled.
     """
-    own = PACKAGE in (folder, *folder.parents)
+    if folder.is_relative_to(TOOLS):
+        return hash_sources(TOOLS)
+    own = folder.is_relative_to(PACKAGE)
     return "" if own or not (folder / "__init__.py").is_file() else hash_sources(folder)
 
 
@@ -112,7 +114,7 @@ else:
     COMPILED = True
     NumbaError = errors.NumbaError
     leading_numbers = to_fixed_tuple
-    FINGERPRINT = hash_sources(PACKAGE)
+    FINGERPRINT = hash_sources(PACKAGE, TOOLS, PACKAGE / "agents")
     DIGEST_SIZE = hashlib.sha256().digest_size
     CANNOT_CACHE = (
         "acsar_gym: numba can't keep compiled code, so every process compiles anew: "

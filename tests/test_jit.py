@@ -39,8 +39,10 @@ def test_the_fingerprint_is_that_of_names_and_contents_of_all_sources(tmp_path: 
     assert len({before, after, compiled.hash_sources(tmp_path)}) == 3
 
 
-def test_a_package_beside_this_one_has_a_fingerprint_of_its_own(tmp_path: Path) -> None:
+def test_what_the_fingerprint_leaves_out_has_one_of_its_own(tmp_path: Path) -> None:
     assert compiled.hash_sources_beside(compiled.PACKAGE / "tasks") == ""
+    tools = compiled.hash_sources(compiled.TOOLS)
+    assert compiled.hash_sources_beside(compiled.TOOLS / "benchmark") == tools
     script, package = tmp_path / "script", tmp_path / "package"
     for folder in (script, package):
         folder.mkdir()
@@ -50,17 +52,14 @@ def test_a_package_beside_this_one_has_a_fingerprint_of_its_own(tmp_path: Path) 
     assert compiled.hash_sources_beside(package) == compiled.hash_sources(package)
 
 
-def test_the_agents_in_a_wheel_change_no_stamp(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """So the compiled code of a checkout can be used by the wheel that was built from it."""
+def test_folders_that_do_not_count_change_no_stamp(tmp_path: Path) -> None:
+    """So an edited tool compiles nothing anew, and a wheel uses the code of its checkout."""
     (tmp_path / "robot.py").touch()
     checkout = compiled.hash_sources(tmp_path)
     (tmp_path / "agents").mkdir()
     (tmp_path / "agents" / "train.py").touch()
-    monkeypatch.setattr(compiled, "PACKAGE", tmp_path)
-    monkeypatch.setattr(compiled, "AGENTS", tmp_path / "agents")
-    assert compiled.hash_sources(tmp_path) == checkout
+    assert compiled.hash_sources(tmp_path) != checkout
+    assert compiled.hash_sources(tmp_path, tmp_path / "agents") == checkout
 
 
 def plus_one(x: float) -> float:
