@@ -335,7 +335,7 @@ def randomized_recipe(env: str, number: int) -> dict[str, Any]:
     env_id = ids.strip_module(ids.find_id(env))
     found = recipes.read_recipe(find_algorithm("ppo"), env_id).as_dict()
     if number:
-        ranges = asdict(randomization_level(RobotConfig.of(None), number))
+        ranges = randomization_level(RobotConfig.of(None), number).model_dump()
         known = {name: list(each) for name, each in ranges.items() if each is not None}
         found["env_kwargs"] = {**found["env_kwargs"], "randomization": known}
     return {env_id: found}
