@@ -161,12 +161,12 @@ else:
                 beside = hash_sources_beside(Path(inspect.getfile(function)).parent)
                 cache._cache_file = _CacheFile(cache, FINGERPRINT + beside)  # noqa: SLF001
             except (RuntimeError, AttributeError) as error:
-                _tell(CANNOT_CACHE, error)
+                _warn_once(CANNOT_CACHE, error)
                 compiled = None
         plain: Callable[P, R] = compiled or numba.njit(**options)(function)
         return plain
 
-    def _tell(message: str, why: object) -> None:
+    def _warn_once(message: str, why: object) -> None:
         """Warn, once in this process."""
         if message not in GIVEN_WARNINGS:
             GIVEN_WARNINGS.add(message)
@@ -195,20 +195,20 @@ else:
             try:
                 super().save(key, (self._source_stamp, data))
             except OSError as error:
-                _tell(CANNOT_CACHE, error)
+                _warn_once(CANNOT_CACHE, error)
 
         def _load_index(self) -> Any:
             try:
                 return super()._load_index()
             except Exception as error:  # noqa: BLE001 - garbage makes pickle raise anything
-                _tell(DAMAGED, f"{self._index_path}: {error!r}")
+                _warn_once(DAMAGED, f"{self._index_path}: {error!r}")
                 return {}
 
         def _load_data(self, name: str) -> Any:
             path = Path(self._data_path(name))
             data = path.read_bytes()
             if hashlib.sha256(data[:-DIGEST_SIZE]).digest() != data[-DIGEST_SIZE:]:
-                _tell(DAMAGED, path)
+                _warn_once(DAMAGED, path)
                 raise FileNotFoundError(path)  # which numba takes for code that isn't there
             return pickle.loads(data)  # noqa: S301 - as numba does; what follows is ignored
 
@@ -269,12 +269,11 @@ else:
         return decorator
 
     class _Announcer(event.Listener):  # type: ignore[misc]
-        """Warns once, before loops of batches are compiled."""
+        """Notes what is compiled because the cache doesn't have it; warns once, before batches."""
 
         said = False
 
         def on_start(self, event: Any) -> None:
-            """Note a function that is compiled next, because the cache doesn't have it."""
             function = event.data["dispatcher"].py_func
             NEWLY_COMPILED.append(f"{function.__module__}.{function.__qualname__}")
             module = function.__module__ or ""
@@ -286,7 +285,7 @@ else:
                 )
 
         def on_end(self, event: Any) -> None:
-            """Do nothing; numba calls it after a compilation."""
+            pass
 
     announcer = _Announcer()
     event.register("numba:compile", announcer)

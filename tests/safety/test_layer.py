@@ -283,7 +283,7 @@ def test_info_says_what_was_sent_and_why(link: str) -> None:
 @pytest.mark.skipif(not compiled.COMPILED, reason="nothing is compiled")
 def test_after_a_reset_nothing_is_left_to_compile(monkeypatch: pytest.MonkeyPatch) -> None:
     functions: list[Any] = [
-        compiled.loop(getattr(rules, name).py_func) for name in ("tick", "hold")
+        compiled.loop(getattr(rules, name).py_func) for name in ("update_twist", "update_holds")
     ]
     for function in functions:
         monkeypatch.setattr(rules, function.__name__, function)
