@@ -176,7 +176,8 @@ def most_memory():  # getrusage would count what the parent had before it became
 for path in folder.iterdir():
     try:
         if path.suffix == ".json":
-            found = atlas.check_worlds(atlas.collect_worlds(str(path), None, None, 1), None)[0].shortest
+            worlds = atlas.collect_worlds(str(path), None, None, 1)
+            found = atlas.check_worlds(worlds, None)[0].shortest
         else:
             found = str(RobotConfig.load(path))
     except AcsarError as error:

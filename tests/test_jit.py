@@ -151,13 +151,13 @@ import numpy as np
 from acsar_gym import kinematics
 from acsar_gym import jit as compiled
 from acsar_gym.vector.kernel import layout
-compiled.loop(kinematics.twist)(*range(1, 8))
+compiled.loop(kinematics.compute_twist)(*range(1, 8))
 print("small", file=sys.stderr)
 state = np.zeros((layout.ROWS, 1))
 compiled.loop(layout.to_world)(state, 0, 1.0, 2.0)
 compiled.announcer.said = False
 compiled.loop(layout.to_world)(state, 0, 1.0, 2.0)  # as in the next process: from the cache
-print("again", *compiled.NEW, file=sys.stderr)
+print("again", *compiled.NEWLY_COMPILED, file=sys.stderr)
 """
 
 
@@ -178,11 +178,11 @@ def test_compiling_a_batch_is_announced_before_and_only_where_the_cache_has_none
 
 BESIDE = """
 from acsar_gym import jit
-from acsar_gym.physics.model import ramped
+from acsar_gym.physics.model import ramp_set_points as ramped
 speeds = (1.0, 2.0, 3.0, 4.0)
 with jit.compiled_beside(ramped, speeds, speeds, speeds):
     print("meanwhile")
-print(ramped(speeds, speeds, speeds), sum(ramped.stats.cache_hits.values()), jit.NEW)
+print(ramped(speeds, speeds, speeds), sum(ramped.stats.cache_hits.values()), jit.NEWLY_COMPILED)
 """
 
 
