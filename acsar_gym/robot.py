@@ -123,11 +123,11 @@ class Robot:
                 warnings.warn(NO_TIMEOUT, SafetyWarning, 3)
         asked = WHILE_WAITING.set(self._check_released)
         try:
-            self._begin_episode(scene, np.random.default_rng(0) if rng is None else rng)
+            self._begin(scene, np.random.default_rng(0) if rng is None else rng)
         finally:
             WHILE_WAITING.reset(asked)
 
-    def _begin_episode(self, scene: Scene, rng: np.random.Generator) -> None:
+    def _begin(self, scene: Scene, rng: np.random.Generator) -> None:
         """Open the link, and begin an episode; not after an emergency stop."""
         self._check_released()
         if not self.active:
@@ -184,7 +184,7 @@ class Robot:
             CommandError: unless `speeds` are four finite numbers.
             LinkError: not active, link lost or silent for `feedback_timeout`, or a sensor fails.
         """
-        self._check_active()
+        self._heed()
         pose, age = self.odometry.pose, self.wire.age
         self._exchange(self.safety.bounded(speeds, pose, age))
         if self._clocked:
@@ -201,7 +201,7 @@ class Robot:
             linear: velocity [m/s], forward positive.
             angular: velocity [rad/s], counter-clockwise positive.
         """
-        self._check_active()
+        self._heed()
         pose, age = self.odometry.pose, self.wire.age
         self._exchange(self.safety.allowed(linear, angular, pose, age))
         if self._clocked:
@@ -215,7 +215,7 @@ class Robot:
 
         Errors as for `tick`.
         """
-        self._check_active()
+        self._heed()
         self._exchange(None)
         self._journal.listened(self.odometry)
 
@@ -234,14 +234,14 @@ class Robot:
         """Time since the newest valid line [s]."""
         return self.wire.age
 
-    def _check_active(self) -> None:
+    def _heed(self) -> None:
         """Stop where a stop was requested; LinkError where the robot isn't active."""
         if not self.active:
             raise LinkError("the robot isn't active", "call activate() or env.reset() first")
         if self._listener is not None and self._listener.is_requested():
-            self._obey_stop(self._listener)
+            self._obey(self._listener)
 
-    def _obey_stop(self, listener: StopListener) -> None:
+    def _obey(self, listener: StopListener) -> None:
         """Stop, and answer whether that has reached the board."""
         reached = False
         try:
@@ -261,7 +261,7 @@ class Robot:
             self._listener.hold()
             self._held = False
         if self._listener.is_requested():
-            self._obey_stop(self._listener)
+            self._obey(self._listener)
         check_released()
 
     @property
