@@ -135,9 +135,8 @@ else:
 
         In Python it stays as it is.
         """
-        same: Callable[P, R] = numba.extending.register_jitable(forceinline=True, **WITHIN)(
-            function
-        )
+        decorator = numba.extending.register_jitable(forceinline=True, **WITHIN)
+        same: Callable[P, R] = decorator(function)
         return same
 
     def subroutine(function: Callable[P, R]) -> Callable[P, R]:
@@ -177,10 +176,6 @@ else:
 
         What a power failure has damaged is compiled anew: numba would raise whatever pickle
         raises, or run damaged code. A full disk keeps nothing, and stops nobody.
-
-        Args:
-            cache: numba's own, of one function.
-            stamp: of the sources.
         """
 
         def __init__(self, cache: Any, stamp: str) -> None:

@@ -35,6 +35,8 @@ MAX_YAML_EVENTS = 20_000
 """Most parser events in YAML: beginning or end of a list or mapping, key, value."""
 MAX_YAML_TEXT = 10_000
 """Longest string or number in YAML [characters]; numbers in base 60 take quadratic time."""
+MAX_YAML_DEPTH = 20
+"""Deepest nesting of lists and mappings in YAML, which are made by recursion."""
 YAML_ERRORS = (yaml.YAMLError, ValueError, LookupError, AttributeError, RecursionError)
 """Exceptions of the YAML library; malformed scalars raise the built-in ones."""
 
@@ -295,16 +297,21 @@ def parse_yaml(
 
     Raises:
         AcsarError: as `error`, for invalid YAML, several documents, aliases, keys that aren't text,
-            too long numbers or strings, and too many values.
+            too long numbers or strings, too many values, and too deep nesting.
     """
+    depth = 0
     try:
         events: Iterator[Any] = yaml.parse(text, Loader=_Loader)
         for count, event in enumerate(events):
+            depth += isinstance(event, yaml.CollectionStartEvent)
+            depth -= isinstance(event, yaml.CollectionEndEvent)
             where = f"line {event.start_mark.line + 1}"
             if isinstance(event, yaml.AliasEvent):
                 raise error(f"{where}: has an alias (*), which is refused: write the value out")
-            if count > most or len(getattr(event, "value", "")) > MAX_YAML_TEXT:
-                raise error(f"{where}: has too many values, or one that is too long")
+            if depth > MAX_YAML_DEPTH or count > most:
+                raise error(f"{where}: is nested too deeply or has too many values")
+            if (length := len(getattr(event, "value", ""))) > MAX_YAML_TEXT:
+                raise error(f"{where}: a text of {length:,} characters, which is too long")
         return yaml.load(text, Loader=_Loader)  # noqa: S506 -- derived from the safe loader
     except YAML_ERRORS as problem:
         raise error(f"not valid YAML: {explain_error(problem)}") from None
@@ -324,10 +331,9 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[mi
         """Refuse keys that aren't strings: only hashes of strings are randomized."""
         for key, _ in node.value:
             if key.tag != "tag:yaml.org,2002:str":
+                merge = " (<< is refused: write the values out)" if key.value == "<<" else ""
                 line = key.start_mark.line + 1
-                raise ValueError(
-                    f"line {line}: a key must be text, in quotes if need be, and no <<"
-                )
+                raise ValueError(f"line {line}: a key must be text, in quotes if need be{merge}")
 
 
 _Loader.add_implicit_resolver(

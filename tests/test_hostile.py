@@ -47,7 +47,7 @@ ROBOTS = {
     ),
     "sixty.yaml": ("wheel_radius: 1" + ":1" * 4_000, "wheel_radius = a very long number"),
     "keys.yaml": (f"{{{', '.join(f'{i}: 1' for i in range(9))}}}", "a key must be text"),
-    "text.yaml": (f"odom_frame: {'x' * 20_000}", "one that is too long"),
+    "text.yaml": (f"odom_frame: {'x' * 20_000}", "which is too long"),
     "many.yaml": ("[" + "[]," * 200_000 + "]", "too many values"),
     "loop.yaml": ("firmware: {loop_rate: 1e8}", "firmware.loop_rate = 100000000.0: must be less"),
     "window.yaml": ("{firmware: {loop_rate: 2000}, encoder: {window: 5}}", "2,000 periods"),

@@ -321,7 +321,7 @@ def is_silent(age: float, rules: SafetyRules) -> bool:
 
 @loop
 def update_holds(x: float, y: float, age: float, memory: Any, rules: Any) -> float:
-    """`held` for one robot, whose memory is changed; returns the reason of this tick."""
+    """`find_holds` for one robot, whose memory is changed; returns the reason of this tick."""
     own = memory[0]
     own.latched, own.reason = find_holds(own, x, y, age, rules[0])
     reason: float = own.reason
@@ -332,7 +332,7 @@ def update_holds(x: float, y: float, age: float, memory: Any, rules: Any) -> flo
 def update_twist(
     linear: float, angular: float, x: float, y: float, age: float, memory: Any, rules: Any
 ) -> tuple[float, float]:
-    """`allowed` for one robot, whose memory is changed.
+    """`limit_twist` for one robot, whose memory is changed.
 
     Returns:
         Speeds of the right and the left wheels [rad/s].
