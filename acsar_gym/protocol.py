@@ -254,7 +254,9 @@ def _parse_parts(parts: list[bytes]) -> tuple[Reading | None, list[str], int]:
         padded = _PART.fullmatch(part)
         match = padded or _TOLERATED.fullmatch(part)
         if match is None or (zeros and not padded and match[3][:1].isdigit()):
-            refused.append(_explain_refusal(part))
+            known = part[:1] in _LETTERS
+            wrong = "malformed number" if part[1:2] in (b"p", b"n") else "unknown direction"
+            refused.append((wrong if known else "unknown motor") if part else "empty part")
             continue
         letter, direction, digits = match.groups()
         motor = _LETTERS.index(letter)
@@ -269,12 +271,3 @@ def _parse_parts(parts: list[bytes]) -> tuple[Reading | None, list[str], int]:
     a, b, c, d = speeds
     named = not (a is b is c is d is None)
     return Reading((a, b, c, d)) if named else None, refused, tolerated
-
-
-def _explain_refusal(part: bytes) -> str:
-    """Return why a part is refused."""
-    if not part:
-        return "empty part"
-    if part[:1] not in _LETTERS:
-        return "unknown motor"
-    return "unknown direction" if part[1:2] not in (b"p", b"n") else "malformed number"

@@ -145,24 +145,20 @@ class BulletBody:
         )
         self._touched = False
         if scene.goal is not None:
-            self._mark_goal(scene.goal)
+            if self._goal < 0:
+                disc = pybullet.createVisualShape(
+                    pybullet.GEOM_CYLINDER,
+                    radius=0.15,
+                    length=0.01,
+                    rgbaColor=GOAL_COLOUR,
+                    physicsClientId=client,
+                )
+                self._goal = pybullet.createMultiBody(0.0, -1, disc, physicsClientId=client)
+            pybullet.resetBasePositionAndOrientation(
+                self._goal, (*scene.goal, 0.006), (0.0, 0.0, 0.0, 1.0), physicsClientId=client
+            )
         self.wheel_angles: Speeds = ZERO
         self.wheel_speeds: Speeds = ZERO
-
-    def _mark_goal(self, goal: tuple[float, float]) -> None:
-        """Put the goal marker at a point of the world [m]."""
-        if self._goal < 0:
-            disc = pybullet.createVisualShape(
-                pybullet.GEOM_CYLINDER,
-                radius=0.15,
-                length=0.01,
-                rgbaColor=GOAL_COLOUR,
-                physicsClientId=self._client,
-            )
-            self._goal = pybullet.createMultiBody(0.0, -1, disc, physicsClientId=self._client)
-        pybullet.resetBasePositionAndOrientation(
-            self._goal, (*goal, 0.006), (0.0, 0.0, 0.0, 1.0), physicsClientId=self._client
-        )
 
     def step(self, set_points: Speeds) -> None:
         """Simulate one firmware loop: tyre force and torque, then one engine step."""

@@ -83,9 +83,9 @@ def test_no_twist_exceeds_the_full_speeds(linear: float, angular: float) -> None
     driver, link = robot()
     driver.drive(0.3, -0.5)
     assert driver.safety.sent == pytest.approx((0.3, -0.5))
-    assert driver.safety.reason is Reason.NONE
+    reasons = [driver.safety.reason]
     driver.drive(linear, angular)
-    assert driver.safety.reason is Reason.LIMITS
+    assert [*reasons, driver.safety.reason] == [Reason.NONE, Reason.LIMITS]
     assert abs(driver.safety.sent[0]) <= ACSAR.max_linear + 1e-9
     assert abs(driver.safety.sent[1]) <= ACSAR.max_angular + 1e-9
     assert twist(link.last()) == pytest.approx(driver.safety.sent, abs=WIRE)
@@ -169,7 +169,7 @@ def test_a_held_twist_costs_no_new_line() -> None:
 
 def test_acceleration_limits_ramp_commands_but_no_stop() -> None:
     driver, link = robot(linear_limits={"max_acceleration": 1.0})
-    for stop in (lambda: driver.drive(0.0, 0.0), driver.stop):
+    for drives in (True, False):
         seen = []
         for _ in range(40):
             driver.drive(0.3, 0.0)
@@ -177,7 +177,10 @@ def test_acceleration_limits_ramp_commands_but_no_stop() -> None:
         assert seen[:3] == pytest.approx([0.2, 0.4, 0.6])  # 0.01 m/s a tick, radius 0.05 m
         assert seen[-1] == pytest.approx(6.0)
         assert driver.safety.reason is Reason.NONE
-        stop()
+        if drives:
+            driver.drive(0.0, 0.0)
+        else:
+            driver.stop()
         assert link.last() == (0.0,) * 4
     driver.tick((6.0, 6.0, 6.0, 6.0))
     driver.drive(0.5, 0.0)
