@@ -50,6 +50,8 @@ class Section(BaseModel):
         """Field, value and allowed range of one of pydantic's errors."""
         path = [str(part)[:40] for part in item["loc"]]
         field = ".".join([cls.section, *path] if cls.section else path)
+        if item["type"] == "missing":
+            return f"{field!r} is missing"
         if item["type"] == "extra_forbidden":
             near = suggest_name(str(item["loc"][-1])[:40], cls.model_fields)
             return f"unknown field {field!r}{near}"
