@@ -3,9 +3,9 @@
 Compiled code is cached on disk: beside its source, or where numba keeps it otherwise. numba
 recompiles when a function's own file has changed, but not when another file has changed whose
 functions were compiled into it. So this module stamps cached code with a fingerprint of all source
-files of the package; code with another stamp is compiled anew. Functions of another package, such
-as a user's task, are stamped with that package's sources, too. agents/, which a wheel has inside of
-the package, doesn't count: a wheel and its checkout have the same stamps.
+files of the package; code with another stamp is compiled anew. tools/ doesn't count, as nothing
+outside of it imports it; nor does agents/, which a wheel has inside of the package. Functions of
+tools/, and of another package, such as a user's task, are stamped with its sources, too.
 
 A batch's first reset in a new installation compiles for half a minute. The logger
 "acsar_gym.jit" says so before, as a warning: Python prints it to stderr by default.
@@ -33,8 +33,8 @@ P = ParamSpec("P")
 R = TypeVar("R")
 LOG = logging.getLogger(__name__)
 PACKAGE = Path(__file__).parent
-AGENTS = PACKAGE / "agents"
-"""Where a wheel has agents/."""
+TOOLS = PACKAGE / "tools"
+"""Sources that have a stamp of their own."""
 BATCH_MODULES = "acsar_gym.vector.kernel."
 """Modules whose functions take long to compile."""
 TASK_MODULE = "acsar_gym.vector.kernel.task"
@@ -45,29 +45,31 @@ GIVEN_WARNINGS: set[str] = set()
 """Warnings that this process has given: each once."""
 
 
-def hash_sources(package: Path) -> str:
-    """Hash of the contents of all source files of a package.
+def hash_sources(folder: Path, *without: Path) -> str:
+    """Hash of the contents of all source files in a folder.
 
     Args:
-        package: folder of the package.
+        folder: of a package.
+        without: folders in it that don't count.
     """
     digest = hashlib.sha256()
-    for source in sorted(package.rglob("*.py")):
-        if package == PACKAGE and AGENTS in source.parents:
-            continue
-        content = source.read_bytes()
-        digest.update(f"{source.relative_to(package)} {len(content)}\n".encode() + content)
+    for source in sorted(folder.rglob("*.py")):
+        if not any(source.is_relative_to(other) for other in without):
+            content = source.read_bytes()
+            digest.update(f"{source.relative_to(folder)} {len(content)}\n".encode() + content)
     return digest.hexdigest()
 
 
 @cache
 def hash_sources_beside(folder: Path) -> str:
-    """Hash of the sources of a package of its own; empty for scripts, and within this package.
+    """Hash of the sources that `FINGERPRINT` leaves out; empty for scripts, and where none are.
 
     Args:
         folder: of the source file whose functions are compiled.
     """
-    own = PACKAGE in (folder, *folder.parents)
+    if folder.is_relative_to(TOOLS):
+        return hash_sources(TOOLS)
+    own = folder.is_relative_to(PACKAGE)
     return "" if own or not (folder / "__init__.py").is_file() else hash_sources(folder)
 
 
@@ -112,7 +114,7 @@ else:
     COMPILED = True
     NumbaError = errors.NumbaError
     leading_numbers = to_fixed_tuple
-    FINGERPRINT = hash_sources(PACKAGE)
+    FINGERPRINT = hash_sources(PACKAGE, TOOLS, PACKAGE / "agents")
     DIGEST_SIZE = hashlib.sha256().digest_size
     CANNOT_CACHE = (
         "acsar_gym: numba can't keep compiled code, so every process compiles anew: "
@@ -133,9 +135,8 @@ else:
 
         In Python it stays as it is.
         """
-        same: Callable[P, R] = numba.extending.register_jitable(forceinline=True, **WITHIN)(
-            function
-        )
+        decorator = numba.extending.register_jitable(forceinline=True, **WITHIN)
+        same: Callable[P, R] = decorator(function)
         return same
 
     def subroutine(function: Callable[P, R]) -> Callable[P, R]:
@@ -159,12 +160,12 @@ else:
                 beside = hash_sources_beside(Path(inspect.getfile(function)).parent)
                 cache._cache_file = _CacheFile(cache, FINGERPRINT + beside)  # noqa: SLF001
             except (RuntimeError, AttributeError) as error:
-                _tell(CANNOT_CACHE, error)
+                _warn_once(CANNOT_CACHE, error)
                 compiled = None
         plain: Callable[P, R] = compiled or numba.njit(**options)(function)
         return plain
 
-    def _tell(message: str, why: object) -> None:
+    def _warn_once(message: str, why: object) -> None:
         """Warn, once in this process."""
         if message not in GIVEN_WARNINGS:
             GIVEN_WARNINGS.add(message)
@@ -175,10 +176,6 @@ else:
 
         What a power failure has damaged is compiled anew: numba would raise whatever pickle
         raises, or run damaged code. A full disk keeps nothing, and stops nobody.
-
-        Args:
-            cache: numba's own, of one function.
-            stamp: of the sources.
         """
 
         def __init__(self, cache: Any, stamp: str) -> None:
@@ -193,20 +190,20 @@ else:
             try:
                 super().save(key, (self._source_stamp, data))
             except OSError as error:
-                _tell(CANNOT_CACHE, error)
+                _warn_once(CANNOT_CACHE, error)
 
         def _load_index(self) -> Any:
             try:
                 return super()._load_index()
             except Exception as error:  # noqa: BLE001 - garbage makes pickle raise anything
-                _tell(DAMAGED, f"{self._index_path}: {error!r}")
+                _warn_once(DAMAGED, f"{self._index_path}: {error!r}")
                 return {}
 
         def _load_data(self, name: str) -> Any:
             path = Path(self._data_path(name))
             data = path.read_bytes()
             if hashlib.sha256(data[:-DIGEST_SIZE]).digest() != data[-DIGEST_SIZE:]:
-                _tell(DAMAGED, path)
+                _warn_once(DAMAGED, path)
                 raise FileNotFoundError(path)  # which numba takes for code that isn't there
             return pickle.loads(data)  # noqa: S301 - as numba does; what follows is ignored
 
@@ -267,12 +264,11 @@ else:
         return decorator
 
     class _Announcer(event.Listener):  # type: ignore[misc]
-        """Warns once, before loops of batches are compiled."""
+        """Notes what is compiled because the cache doesn't have it; warns once, before batches."""
 
         said = False
 
         def on_start(self, event: Any) -> None:
-            """Note a function that is compiled next, because the cache doesn't have it."""
             function = event.data["dispatcher"].py_func
             NEWLY_COMPILED.append(f"{function.__module__}.{function.__qualname__}")
             module = function.__module__ or ""
@@ -284,7 +280,7 @@ else:
                 )
 
         def on_end(self, event: Any) -> None:
-            """Do nothing; numba calls it after a compilation."""
+            pass
 
     announcer = _Announcer()
     event.register("numba:compile", announcer)

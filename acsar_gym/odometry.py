@@ -48,17 +48,6 @@ def integrate_twist(
     return x, y, theta + angular * dt
 
 
-def _normalised(theta: float) -> float:
-    """Normalize an angle to [-pi, pi], equation (10); its loop would take long for large angles."""
-    if abs(theta) > 1e3:
-        theta = math.remainder(theta, 2.0 * math.pi)
-    while theta > math.pi:
-        theta -= 2.0 * math.pi
-    while theta < -math.pi:
-        theta += 2.0 * math.pi
-    return theta
-
-
 class Odometry:
     """Integrates wheel speeds to a pose in the odometry frame, which starts at the origin.
 
@@ -153,8 +142,12 @@ class Odometry:
         x, y, theta = integrate_twist(x, y, theta, cos, sin, linear, angular, dt)
         if not (math.isfinite(x + y + theta) and 0.0 <= dt < math.inf):
             raise CommandError(f"odometry can't integrate speeds {tuple(speeds)} over dt = {dt} s")
-        if not -math.pi <= theta <= math.pi:
-            theta = _normalised(theta)
+        if abs(theta) > 1e3:  # the loops of equation (10) would take long
+            theta = math.remainder(theta, 2.0 * math.pi)
+        while theta > math.pi:
+            theta -= 2.0 * math.pi
+        while theta < -math.pi:
+            theta += 2.0 * math.pi
         self.pose = (x, y, theta)
         self.twist = (linear, angular)
         turned_a, turned_b, turned_c, turned_d = self.wheel_positions

@@ -31,6 +31,7 @@ ZERO: Speeds = (0.0, 0.0, 0.0, 0.0)
 
 _LINE = b"a%+06.2f,b%+06.2f,c%+06.2f,d%+06.2f"
 _LENGTH = len(_LINE % (0.0, 0.0, 0.0, 0.0))
+_LETTERS = b"abcd"
 _DIRECTIONS = bytes.maketrans(b"+-", b"pn")
 _PART = re.compile(rb"([abcd])([pn])([0-9]{2}\.[0-9]{2})")
 _ENDS = (b"\n", b"\r")
@@ -41,7 +42,7 @@ _BEGUN = re.compile(
 )
 """A line that ends too early, as where the board was reset meanwhile."""
 _WHOLE = re.compile(rb"(?:[abcd][pn][ +-]*[0-9]{1,3}\.[0-9]{2,6},?){4}")
-_ENDED = re.compile(rb"[pn]?[ +-]*[0-9.]{0,9}")
+_PART_END = re.compile(rb"[pn]?[ +-]*[0-9.]{0,9}")
 """The end of a part."""
 SAMPLE_BYTES = 60
 """How much of a damaged line, or of text, is kept for messages [bytes]."""
@@ -49,7 +50,7 @@ MAX_NOTES = 8
 """How many different texts are kept."""
 _KNOWN: tuple[dict[bytes, float], ...] = ({}, {}, {}, {})
 """Cache of parsed parts, such as b"ap12.50" -> 12.5, for each motor."""
-_MOST_KNOWN = 5000
+_MAX_KNOWN = 5000
 """Largest number of cached parts per motor."""
 
 
@@ -181,18 +182,14 @@ class Decoder:
         if lines and self._skipping:
             self._skipping = False
             lines[0] = b""
-        readings = [reading for line in lines if line and (reading := self._read(line))]
-        self._partial = self._bounded(rest) if rest else b""
-        return readings
-
-    def _bounded(self, rest: bytes) -> bytes:
-        """Keep a partial line, unless it is too long."""
+        readings = [reading for line in lines if line and (reading := self._read_line(line))]
         if len(rest) > MAX_LINE and not self._skipping:
             self._skipping = True
-            self._refuse(rest, ("line too long",))
-        return b"" if self._skipping else rest
+            self._refuse(rest, ["line too long"])
+        self._partial = b"" if self._skipping else rest
+        return readings
 
-    def _read(self, line: bytes) -> Reading | None:
+    def _read_line(self, line: bytes) -> Reading | None:
         """Decode one line; four cached parts take the fast path."""
         parts = line.split(b",")
         if not parts[-1] and len(parts) > 1:
@@ -210,36 +207,30 @@ class Decoder:
         first = self._first and self.lines == 0
         self._first = False
         if len(line) > MAX_LINE:
-            self._refuse(line, ("line too long",))
+            self._refuse(line, ["line too long"])
             return None
-        parsed = _parse_parts(parts)
-        if parsed.reading is None and line.startswith(b"#"):
+        reading, refused, tolerated = _parse_parts(parts)
+        if reading is None and line.startswith(b"#"):
             note = line[1:SAMPLE_BYTES].decode("ascii", "backslashreplace").strip()
             self.notes = [*(one for one in self.notes if one != note), note][-MAX_NOTES:]
             return None
-        if parsed.refused:
-            parsed = self._without_cut(line, parts, parsed, first=first)
-        self.tolerated += parsed.tolerated
-        if parsed.refused:
-            self._refuse(line, parsed.refused)
-        if parsed.reading:
+        if refused:  # perhaps only by what belongs to a cut line
+            begin = line.rfind(line[:1], 1)
+            if first and _PART_END.fullmatch(parts[0]):
+                self.cut += 1
+                reading, refused, tolerated = _parse_parts(parts[1:])
+            elif begin > 0 and _BEGUN.fullmatch(line, 0, begin) and _WHOLE.fullmatch(line, begin):
+                self.cut += 1
+                parts = line[begin:].rstrip(b",").split(b",")
+                reading, refused, tolerated = _parse_parts(parts)
+        self.tolerated += tolerated
+        if refused:
+            self._refuse(line, refused)
+        if reading:
             self.lines += 1
-        return parsed.reading
+        return reading
 
-    def _without_cut(
-        self, line: bytes, parts: list[bytes], parsed: _Parsed, *, first: bool
-    ) -> _Parsed:
-        """Parse a line with refused parts again, without what belongs to a cut line."""
-        if first and _ENDED.fullmatch(parts[0]):
-            self.cut += 1
-            return _parse_parts(parts[1:])
-        begin = line.rfind(line[:1], 1)
-        if begin > 0 and _BEGUN.fullmatch(line, 0, begin) and _WHOLE.fullmatch(line, begin):
-            self.cut += 1
-            return _parse_parts(line[begin:].rstrip(b",").split(b","))
-        return parsed
-
-    def _refuse(self, line: bytes, reasons: tuple[str, ...]) -> None:
+    def _refuse(self, line: bytes, reasons: list[str]) -> None:
         """Count refused parts."""
         self._first = False
         if self._refused_at != self.lines:
@@ -249,59 +240,34 @@ class Decoder:
         self.sample = line[:SAMPLE_BYTES]
 
 
-class _Parsed(NamedTuple):
-    """What a line says: a reading, reasons of refused parts, and how many parts were tolerated."""
+def _parse_parts(parts: list[bytes]) -> tuple[Reading | None, list[str], int]:
+    """Parse parts that are new, damaged, incomplete or in another order, such as `bn08.75`.
 
-    reading: Reading | None
-    refused: tuple[str, ...]
-    tolerated: int
-
-
-def _parse_parts(parts: list[bytes]) -> _Parsed:
-    """Parse parts that are new, damaged, incomplete or in another order."""
+    Returns:
+        A reading where a part is valid, why parts are refused, and how many were tolerated.
+    """
     speeds: list[float | None] = [None, None, None, None]
     refused, tolerated = [], 0
+    # Where other numbers are padded with zeros, one that isn't has lost a digit.
     zeros = any(len(part) == 7 and part[2:3] == b"0" for part in parts)
     for part in parts:
-        found = _parse_part(part, zeros=zeros)
-        if found is None:
-            refused.append(_reason(part))
+        padded = _PART.fullmatch(part)
+        match = padded or _TOLERATED.fullmatch(part)
+        if match is None or (zeros and not padded and match[3][:1].isdigit()):
+            known = part[:1] in _LETTERS
+            wrong = "malformed number" if part[1:2] in (b"p", b"n") else "unknown direction"
+            refused.append((wrong if known else "unknown motor") if part else "empty part")
             continue
-        motor, speed, padded = found
+        letter, direction, digits = match.groups()
+        motor = _LETTERS.index(letter)
+        value = float(digits)
+        speed = 0.0 + value if direction == b"p" else 0.0 - value  # no negative zero
+        if padded and len(_KNOWN[motor]) < _MAX_KNOWN:
+            _KNOWN[motor][part] = speed
         tolerated += not padded
         if speeds[motor] is not None:
             refused.append("duplicate motor")
         speeds[motor] = speed
     a, b, c, d = speeds
     named = not (a is b is c is d is None)
-    return _Parsed(Reading((a, b, c, d)) if named else None, tuple(refused), tolerated)
-
-
-def _parse_part(part: bytes, *, zeros: bool) -> tuple[int, float, bool] | None:
-    """Parse a part such as `bn08.75`: motor index, speed, and whether the number is padded.
-
-    `zeros`: other numbers of the line are padded with zeros, so one that isn't has lost a digit.
-    """
-    match = _PART.fullmatch(part)
-    padded = match is not None
-    match = match or _TOLERATED.fullmatch(part)
-    if match is None:
-        return None
-    letter, direction, digits = match.groups()
-    if zeros and not padded and digits[:1].isdigit():
-        return None
-    motor = b"abcd".index(letter)
-    speed = 0.0 + float(digits) if direction == b"p" else 0.0 - float(digits)  # no negative zero
-    known = _KNOWN[motor]
-    if padded and len(known) < _MOST_KNOWN:
-        known[part] = speed
-    return motor, speed, padded
-
-
-def _reason(part: bytes) -> str:
-    """Return why a part is refused."""
-    if not part:
-        return "empty part"
-    if part[:1] not in (b"a", b"b", b"c", b"d"):
-        return "unknown motor"
-    return "unknown direction" if part[1:2] not in (b"p", b"n") else "malformed number"
+    return Reading((a, b, c, d)) if named else None, refused, tolerated

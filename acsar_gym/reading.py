@@ -1,6 +1,7 @@
-"""Untrusted files, JSON and YAML within limits of size and depth.
+"""Files, JSON and YAML of strangers within bounds; files that are written whole or not at all.
 
-Files written whole or not at all.
+Whoever reads a file bounds its size, the parsers how many values it may have: an empty list of two
+bytes takes 72 in memory. Only regular files are read. Each mistake is an error of one line.
 """
 
 from __future__ import annotations
@@ -26,10 +27,18 @@ from acsar_gym.errors import AcsarError, ConfigError, shorten_text, show_value
 
 OPEN_FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 """Flags for opening; non-blocking, as a pipe may replace the file after it was checked."""
-READ_CHUNK = 1 << 20
-"""Bytes read by one system call."""
 STREAM_PATHS = ("/dev/std", "/dev/fd/", "/proc/")
 """Names of what the program has open already: the shell's "> FILE" must not be replaced."""
+MAX_JSON_VALUES = 1_000_000
+"""Most values in JSON, counted by the brackets and commas; they take up to 230 MB."""
+MAX_YAML_EVENTS = 20_000
+"""Most parser events in YAML: beginning or end of a list or mapping, key, value."""
+MAX_YAML_TEXT = 10_000
+"""Longest string or number in YAML [characters]; numbers in base 60 take quadratic time."""
+MAX_YAML_DEPTH = 20
+"""Deepest nesting of lists and mappings in YAML, which are made by recursion."""
+YAML_ERRORS = (yaml.YAMLError, ValueError, LookupError, AttributeError, RecursionError)
+"""Exceptions of the YAML library; malformed scalars raise the built-in ones."""
 
 
 def read_file(path: Path, limit: int, error: type[AcsarError] = ConfigError) -> bytes:
@@ -51,21 +60,11 @@ def read_file(path: Path, limit: int, error: type[AcsarError] = ConfigError) -> 
 
 
 def read_content(path: Path, limit: int, error: type[AcsarError] = ConfigError) -> bytes:
-    """Read as `read` does; error messages don't contain the path."""
-    try:
-        _check(os.stat(path), limit, error)  # noqa: PTH116 - before opening: that resets some boards
-        file = os.open(path, OPEN_FLAGS)
-        try:
-            _check(os.fstat(file), limit, error)
-            data = _chunks(file, limit)
-        finally:
-            os.close(file)
-    except FileNotFoundError:
-        raise error("there is no such file") from None
-    except (OSError, ValueError) as problem:
-        raise error(f"can't be read: {explain_error(problem)}") from None
-    if len(data) > limit:
-        raise error(_too_large(limit))
+    """Read as `read_file` does; error messages don't contain the path."""
+    with _open_checked(path, limit, error) as file:
+        data = file.read(limit + 1)  # the size may be unknown, as in /proc, or grow
+        if len(data) > limit:
+            raise _too_large(limit, error)
     return data
 
 
@@ -79,23 +78,43 @@ def open_file(path: Path, limit: int, error: type[AcsarError] = ConfigError) -> 
         error: class of the exception.
 
     Raises:
-        AcsarError: as `error`, as by `read`; also for errors inside the block.
+        AcsarError: as `error`, as by `read_file`; also for errors inside the block.
     """
     try:
-        _check(os.stat(path), limit, error)  # noqa: PTH116 - as in `content`
-        with os.fdopen(os.open(path, OPEN_FLAGS), "rb") as file:
-            _check(os.fstat(file.fileno()), limit, error)
+        with _open_checked(path, limit, error) as file:
             yield file
     except error as problem:
         raise error(f"{shorten_text(str(path))}: {problem}") from None
+
+
+@contextlib.contextmanager
+def _open_checked(path: Path, limit: int, error: type[AcsarError]) -> Iterator[IO[bytes]]:
+    """Open a regular file within the limit; raises `error`, also for OSErrors inside the block."""
+    try:
+        status = os.stat(path)  # noqa: PTH116 - before opening, too: that resets some boards
+        for opened in (False, True):
+            if not stat.S_ISREG(status.st_mode):
+                raise error("isn't a regular file")
+            if status.st_size > limit:
+                raise _too_large(limit, error)
+            if not opened:
+                file = os.fdopen(os.open(path, OPEN_FLAGS), "rb")
+                status = os.fstat(file.fileno())
+        with file:
+            yield file
     except FileNotFoundError:
-        raise error(f"{shorten_text(str(path))}: there is no such file") from None
+        raise error("there is no such file") from None
     except (OSError, ValueError) as problem:
-        raise error(f"{shorten_text(str(path))}: can't be read: {explain_error(problem)}") from None
+        raise error(f"can't be read: {explain_error(problem)}") from None
+
+
+def _too_large(limit: int, error: type[AcsarError]) -> AcsarError:
+    size = f"{limit / 1e6:g} MB" if limit >= 100_000 else f"{limit:,} bytes"
+    return error(f"is larger than {size}, the most that is read")
 
 
 def write_atomically(path: Path, data: bytes, error: type[AcsarError] = ConfigError) -> None:
-    """Write a file so that it is either whole, or what it was before; see `replacing`.
+    """Write a file so that it is either whole, or what it was before; see `replace_file`.
 
     Args:
         path: the file.
@@ -165,80 +184,6 @@ def open_nonblocking(path: str, flags: int) -> int:
     return file
 
 
-def explain_error(problem: Exception) -> str:
-    """Return the message of an exception as one short line."""
-    return getattr(problem, "strerror", None) or " ".join(str(problem).split())[:200]
-
-
-def _check(status: os.stat_result, limit: int, error: type[AcsarError]) -> None:
-    """Raise `error` unless it is a regular file within the limit."""
-    if not stat.S_ISREG(status.st_mode):
-        raise error("isn't a regular file")
-    if status.st_size > limit:
-        raise error(_too_large(limit))
-
-
-def _chunks(file: int, limit: int) -> bytes:
-    """Read up to limit + 1 bytes; the size may be unknown, as in /proc, or grow."""
-    data = bytearray()
-    while len(data) <= limit:
-        chunk = os.read(file, min(READ_CHUNK, limit + 1 - len(data)))
-        if not chunk:
-            break
-        data += chunk
-    return bytes(data)
-
-
-def _too_large(limit: int) -> str:
-    size = f"{limit / 1e6:g} MB" if limit >= 100_000 else f"{limit:,} bytes"
-    return f"is larger than {size}, the most that is read"
-
-
-def import_object(what: str, name: str) -> Any:
-    """The object of a module that is named "module:Class".
-
-    Args:
-        what: it is for, in the error's words, such as "task".
-        name: of the module, which is imported, and of the object in it.
-
-    Raises:
-        ConfigError: there is none of that name, or its module can't be imported.
-    """
-    module, _, attribute = name.partition(":")
-    if not all(part.isidentifier() for part in (*module.split("."), *attribute.split("."))):
-        raise ConfigError(f"{what} = {show_value(name)}: must be like 'module:Class'")
-    try:
-        found: Any = importlib.import_module(module)
-        for part in attribute.split("."):
-            found = getattr(found, part)
-    except AcsarError:
-        raise
-    except (ImportError, AttributeError) as error:
-        raise ConfigError(
-            f"{what} = {show_value(name)}: {_one_line(error)}; must be like 'module:Class'"
-        ) from None
-    except (Exception, SystemExit) as error:
-        said = f"{type(error).__name__}: {_one_line(error)}"
-        raise ConfigError(
-            f"{what} = {show_value(name)}: the module {module} can't be imported: {said}"
-        ) from error
-    return found
-
-
-def _one_line(error: BaseException) -> str:
-    """The message of an error, shortened and without line breaks."""
-    return shorten_text(" ".join(str(error).split()), 300)
-
-
-def object_name(kind: type | FunctionType) -> str | None:
-    """The "module:name" that imports a class or function; None where none does: a local one."""
-    found: Any = sys.modules.get(kind.__module__)
-    for part in kind.__qualname__.split("."):
-        found = getattr(found, part, None)
-    importable = found is kind and kind.__module__ != "__main__"
-    return f"{kind.__module__}:{kind.__qualname__}" if importable else None
-
-
 def open_lines(path: Path) -> IO[str]:
     """Open a text file for writing line by line; ConfigError if that fails."""
     try:
@@ -257,16 +202,46 @@ def write_line(file: IO[str], line: str) -> None:
         raise ConfigError(f"{file.name}: can't be written: {error.strerror}") from None
 
 
-MAX_JSON_VALUES = 1_000_000
-"""Most values in JSON, counted by the brackets and commas; they take up to 230 MB."""
-MAX_YAML_EVENTS = 20_000
-"""Most parser events in YAML: beginning or end of a list or mapping, key, value."""
-MAX_YAML_TEXT = 10_000
-"""Longest string or number in YAML [characters]; numbers in base 60 take quadratic time."""
-MAX_YAML_DEPTH = 20
-"""Deepest nesting of lists and mappings in YAML."""
-YAML_ERRORS = (yaml.YAMLError, ValueError, LookupError, AttributeError, RecursionError)
-"""Exceptions of the YAML library; malformed scalars raise the built-in ones."""
+def explain_error(problem: BaseException) -> str:
+    """Return the message of an exception as one short line."""
+    return getattr(problem, "strerror", None) or " ".join(str(problem).split())[:200]
+
+
+def import_object(what: str, name: str) -> Any:
+    """The object of a module that is named "module:Class".
+
+    Args:
+        what: it is for, in the error's words, such as "task".
+        name: of the module, which is imported, and of the object in it.
+
+    Raises:
+        ConfigError: there is none of that name, or its module can't be imported.
+    """
+    module, _, attribute = name.partition(":")
+    field, like = f"{what} = {show_value(name)}", "must be like 'module:Class'"
+    if not all(part.isidentifier() for part in (*module.split("."), *attribute.split("."))):
+        raise ConfigError(f"{field}: {like}")
+    try:
+        found: Any = importlib.import_module(module)
+        for part in attribute.split("."):
+            found = getattr(found, part)
+    except AcsarError:
+        raise
+    except (ImportError, AttributeError) as error:
+        raise ConfigError(f"{field}: {explain_error(error)}; {like}") from None
+    except (Exception, SystemExit) as error:
+        said = f"{type(error).__name__}: {explain_error(error)}"
+        raise ConfigError(f"{field}: the module {module} can't be imported: {said}") from error
+    return found
+
+
+def object_name(kind: type | FunctionType) -> str | None:
+    """The "module:name" that imports a class or function; None where none does: a local one."""
+    found: Any = sys.modules.get(kind.__module__)
+    for part in kind.__qualname__.split("."):
+        found = getattr(found, part, None)
+    importable = found is kind and kind.__module__ != "__main__"
+    return f"{kind.__module__}:{kind.__qualname__}" if importable else None
 
 
 def decode_text(data: bytes, error: type[AcsarError] = ConfigError) -> str:
@@ -275,6 +250,17 @@ def decode_text(data: bytes, error: type[AcsarError] = ConfigError) -> str:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
         raise error("isn't UTF-8 text: save it as UTF-8") from None
+
+
+def _parse_finite(text: str) -> float:
+    """Parse a float; ValueError for NaN, and for one that is too large, as 1e999 is."""
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError(f"{text[:20]} is no number")
+    return number
+
+
+_JSON = json.JSONDecoder(parse_float=_parse_finite, parse_constant=_parse_finite)
 
 
 def parse_json(
@@ -324,41 +310,25 @@ def parse_yaml(
                 raise error(f"{where}: has an alias (*), which is refused: write the value out")
             if depth > MAX_YAML_DEPTH or count > most:
                 raise error(f"{where}: is nested too deeply or has too many values")
-            if isinstance(event, yaml.ScalarEvent) and len(event.value) > MAX_YAML_TEXT:
-                raise error(
-                    f"{where}: a text of {len(event.value):,} characters, which is too long"
-                )
+            if (length := len(getattr(event, "value", ""))) > MAX_YAML_TEXT:
+                raise error(f"{where}: a text of {length:,} characters, which is too long")
         return yaml.load(text, Loader=_Loader)  # noqa: S506 -- derived from the safe loader
     except YAML_ERRORS as problem:
         raise error(f"not valid YAML: {explain_error(problem)}") from None
 
 
 def format_yaml(data: Any) -> str:
-    """Format mappings, lists and scalars as YAML that `from_yaml` reads back equal."""
+    """Format mappings, lists and scalars as YAML that `parse_yaml` reads back equal."""
     return yaml.dump(
         data, Dumper=_Dumper, sort_keys=False, default_flow_style=None, allow_unicode=True
     )
-
-
-def _finite(text: str) -> float:
-    """Parse a float; ValueError for NaN, and for one that is too large, as 1e999 is."""
-    number = float(text)
-    if not math.isfinite(number):
-        raise ValueError(f"{text[:20]} is no number")
-    return number
-
-
-_JSON = json.JSONDecoder(parse_float=_finite, parse_constant=_finite)
 
 
 class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
     """The safe loader, in C if available, that reads 1e-3 as a number as YAML 1.2 does."""
 
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
-        """Refuse keys that aren't strings; called for every mapping.
-
-        Hashes of strings are randomized; numeric keys could be chosen to collide.
-        """
+        """Refuse keys that aren't strings: only hashes of strings are randomized."""
         for key, _ in node.value:
             if key.tag != "tag:yaml.org,2002:str":
                 merge = " (<< is refused: write the values out)" if key.value == "<<" else ""
@@ -374,10 +344,9 @@ _Loader.add_implicit_resolver(
 
 
 class _Dumper(yaml.SafeDumper):
-    """Quotes text that `_Loader` would read as a number."""
+    """Quotes text that `_Loader` would read as a number; writes equal values out."""
 
     yaml_implicit_resolvers = _Loader.yaml_implicit_resolvers
 
     def ignore_aliases(self, data: Any) -> bool:
-        """Write equal values out: aliases are refused."""
         return True

@@ -5,15 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 _PACKAGE = Path(__file__).resolve().parent
+_ROOT = _PACKAGE if (_PACKAGE / "assets").is_dir() else _PACKAGE.parent
 
-
-def _folder(name: str) -> Path:
-    """Return the path of a data folder."""
-    inside = _PACKAGE / name
-    return inside if inside.is_dir() else _PACKAGE.parent / name
-
-
-ASSETS = _folder("assets")
+ASSETS = _ROOT / "assets"
 """Robot presets and URDF."""
-AGENTS = _folder("agents")
+AGENTS = _ROOT / "agents"
 """Training recipes and trained policies."""

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 
-from acsar_gym.config import BITS_PER_BYTE, RobotConfig
+from acsar_gym.config import RobotConfig
 from acsar_gym.links.base import WHILE_WAITING, Link
 from acsar_gym.links.handshake import silence_error, still_turning_error
 from acsar_gym.links.lateness import STANDSTILL
+from acsar_gym.physics.model import line_time
 from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds, encode_line, line_end
 from acsar_gym.safety import rules
 
@@ -38,7 +39,6 @@ class Wire:
         self._rules = rules.make_rules(config)
         self._end = line_end(trailing_comma=config.trailing_comma)
         self._motors, self._encoders = config.wheels.motors, config.wheels.encoders
-        self._feed = self.decoder.feed if self._encoders is None else self._fed
         self._encoded: Speeds = ZERO
         self._command = encode_line(*ZERO, self._end)
         self.speeds: Speeds = ZERO
@@ -46,7 +46,7 @@ class Wire:
         self.stamp = self.began = self.written = 0.0
         self._settled = False
         self._timed = link.lateness is not None
-        self._line_time = len(self._command) * BITS_PER_BYTE / config.baud_rate
+        self._line_time = line_time(config)
 
     def reset(self) -> None:
         """Forget what was received; the wheels count as standing."""
@@ -82,7 +82,9 @@ class Wire:
         if self._timed:
             self.written = link.now() + self._line_time
         heard = []
-        for reading in self._feed(link.advance(self._period)):
+        for reading in self.decoder.feed(link.advance(self._period)):
+            if self._encoders is not None:
+                reading = Reading(self._encoders.to_wheels(reading.speeds))  # noqa: PLW2901
             self.speeds = reading.over(self.speeds)
             heard.append(self.speeds)
         stamp = link.now()
@@ -108,12 +110,6 @@ class Wire:
         if lasted > 2.0 * self._period and len(heard) > 1:
             return [(speeds, lasted / len(heard)) for speeds in heard]
         return [(self.speeds, lasted)]
-
-    def _fed(self, data: bytes) -> list[Reading]:
-        """Decode lines of a board whose encoders have other letters or signs."""
-        readings = self.decoder.feed(data)
-        letters = self._encoders
-        return [Reading(letters.to_wheels(each.speeds)) for each in readings] if letters else []
 
     def settle(self) -> None:
         """Command zero until the wheels stand still.

@@ -39,8 +39,10 @@ def test_the_fingerprint_is_that_of_names_and_contents_of_all_sources(tmp_path: 
     assert len({before, after, compiled.hash_sources(tmp_path)}) == 3
 
 
-def test_a_package_beside_this_one_has_a_fingerprint_of_its_own(tmp_path: Path) -> None:
+def test_what_the_fingerprint_leaves_out_has_one_of_its_own(tmp_path: Path) -> None:
     assert compiled.hash_sources_beside(compiled.PACKAGE / "tasks") == ""
+    tools = compiled.hash_sources(compiled.TOOLS)
+    assert compiled.hash_sources_beside(compiled.TOOLS / "benchmark") == tools
     script, package = tmp_path / "script", tmp_path / "package"
     for folder in (script, package):
         folder.mkdir()
@@ -50,17 +52,14 @@ def test_a_package_beside_this_one_has_a_fingerprint_of_its_own(tmp_path: Path) 
     assert compiled.hash_sources_beside(package) == compiled.hash_sources(package)
 
 
-def test_the_agents_in_a_wheel_change_no_stamp(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """So the compiled code of a checkout can be used by the wheel that was built from it."""
+def test_folders_that_do_not_count_change_no_stamp(tmp_path: Path) -> None:
+    """So an edited tool compiles nothing anew, and a wheel uses the code of its checkout."""
     (tmp_path / "robot.py").touch()
     checkout = compiled.hash_sources(tmp_path)
     (tmp_path / "agents").mkdir()
     (tmp_path / "agents" / "train.py").touch()
-    monkeypatch.setattr(compiled, "PACKAGE", tmp_path)
-    monkeypatch.setattr(compiled, "AGENTS", tmp_path / "agents")
-    assert compiled.hash_sources(tmp_path) == checkout
+    assert compiled.hash_sources(tmp_path) != checkout
+    assert compiled.hash_sources(tmp_path, tmp_path / "agents") == checkout
 
 
 def plus_one(x: float) -> float:
@@ -152,13 +151,13 @@ import numpy as np
 from acsar_gym import kinematics
 from acsar_gym import jit as compiled
 from acsar_gym.vector.kernel import layout
-compiled.loop(kinematics.twist)(*range(1, 8))
+compiled.loop(kinematics.compute_twist)(*range(1, 8))
 print("small", file=sys.stderr)
 state = np.zeros((layout.ROWS, 1))
 compiled.loop(layout.to_world)(state, 0, 1.0, 2.0)
 compiled.announcer.said = False
 compiled.loop(layout.to_world)(state, 0, 1.0, 2.0)  # as in the next process: from the cache
-print("again", *compiled.NEW, file=sys.stderr)
+print("again", *compiled.NEWLY_COMPILED, file=sys.stderr)
 """
 
 
@@ -179,11 +178,11 @@ def test_compiling_a_batch_is_announced_before_and_only_where_the_cache_has_none
 
 BESIDE = """
 from acsar_gym import jit
-from acsar_gym.physics.model import ramped
+from acsar_gym.physics.model import ramp_set_points as ramped
 speeds = (1.0, 2.0, 3.0, 4.0)
 with jit.compiled_beside(ramped, speeds, speeds, speeds):
     print("meanwhile")
-print(ramped(speeds, speeds, speeds), sum(ramped.stats.cache_hits.values()), jit.NEW)
+print(ramped(speeds, speeds, speeds), sum(ramped.stats.cache_hits.values()), jit.NEWLY_COMPILED)
 """
 
 

@@ -62,21 +62,6 @@ def test_each_wheel_stands_where_the_wheel_order_says(
     assert kinematics.forward(speeds, RADIUS, SEPARATION) == pytest.approx((linear, angular))
 
 
-@pytest.mark.parametrize(
-    ("linear", "angular", "speeds"),
-    [
-        (0.5, 0.0, (10.0, 10.0, 10.0, 10.0)),
-        (0.0, 1.0, (3.0, -3.0, -3.0, 3.0)),
-        (0.15, -1.0, (0.0, 6.0, 6.0, 0.0)),
-        (0.0, 0.0, (0.0, 0.0, 0.0, 0.0)),
-    ],
-)
-def test_inverse_by_hand(
-    linear: float, angular: float, speeds: tuple[float, float, float, float]
-) -> None:
-    assert kinematics.inverse(linear, angular, RADIUS, SEPARATION) == pytest.approx(speeds)
-
-
 @given(linear=linear_speed, angular=angular_speed, radius=length, separation=length)
 def test_forward_of_inverse_is_the_twist(
     linear: float, angular: float, radius: float, separation: float
@@ -121,17 +106,6 @@ def test_saturation_keeps_the_turn_radius_and_the_direction(
     assert abs(slow_angular) <= abs(angular) + 1e-9
 
 
-@given(linear=linear_speed, angular=angular_speed)
-def test_wheels_within_the_limit_are_left_alone(linear: float, angular: float) -> None:
-    free = kinematics.inverse(linear, angular, RADIUS, SEPARATION)
-    fastest = max(map(abs, free))
-    assert kinematics.inverse(linear, angular, RADIUS, SEPARATION, fastest) == free
-
-
-def test_a_limit_of_zero_stops_all_wheels() -> None:
-    assert kinematics.inverse(1.0, -2.0, RADIUS, SEPARATION, 0.0) == (0.0, 0.0, 0.0, 0.0)
-
-
 @given(linear=linear_speed, angular=angular_speed, left=length, right=length)
 def test_wheels_of_each_side_have_their_own_radius(
     linear: float, angular: float, left: float, right: float
@@ -145,11 +119,12 @@ def test_wheels_of_each_side_have_their_own_radius(
     assert close(back[1], angular)
 
 
-def test_a_multiplier_of_zero_is_refused() -> None:
-    with pytest.raises(ConfigError, match="must be positive, and so must the multipliers"):
+def test_limits_of_the_inverse() -> None:
+    free = kinematics.inverse(0.5, 1.0, RADIUS, SEPARATION)
+    assert free == pytest.approx((13.0, 7.0, 7.0, 13.0))
+    assert kinematics.inverse(0.5, 1.0, RADIUS, SEPARATION, 13.0) == free
+    assert kinematics.inverse(1.0, -2.0, RADIUS, SEPARATION, 0.0) == (0.0, 0.0, 0.0, 0.0)
+    with pytest.raises(ConfigError, match="multiplier"):
         kinematics.inverse(0.1, 0.0, RADIUS, SEPARATION, left_wheel_radius_multiplier=0.0)
-
-
-def test_a_twist_beyond_all_numbers_is_refused() -> None:
     with pytest.raises(CommandError, match="twist"):
         kinematics.inverse(1e308, 1e308, 0.05, 0.3, 30.0)

@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import Element, ParseError
+from xml.etree.ElementTree import ParseError
 
 import defusedxml.ElementTree
 from defusedxml.common import DefusedXmlException
@@ -21,10 +21,20 @@ MAX_ROBOT_BYTES = 2_000_000
 """Largest accepted file [bytes]; the largest URDFs, of humanoids, have half of this."""
 MAX_URDF_PARAMS = 1_000
 """Most parameters of a hardware block; each is compared with the names of all fields."""
-DRIVER_BAUD_RATE = "9600"
-"""Default of the robot's own driver if the URDF has no baud_rate [bit/s]."""
-DRIVER_CONTROL_RATE = "20"
-"""Default control rate for that baud rate [Hz]."""
+DRIVER_DEFAULTS = {"baud_rate": "9600", "control_rate": "20"}
+"""Of the robot's own driver, if the URDF has no baud_rate [bit/s]; with a rate that fits [Hz]."""
+GEOMETRY_FIELDS = (
+    "wheel_radius",
+    "wheel_separation",
+    "wheelbase",
+    "wheel_separation_multiplier",
+    "left_wheel_radius_multiplier",
+    "right_wheel_radius_multiplier",
+)
+"""Fields that are always written."""
+ROBOT_FILE_HEAD = (
+    "# A robot for acsar_gym: its geometry, and what differs from the defaults. SI units.\n"
+)
 
 
 def find_preset(name: str) -> Path:
@@ -52,67 +62,37 @@ def read_fields(path: Path, params: Sequence[str]) -> dict[str, Any]:
     if path.suffix not in (".yaml", ".yml", ".urdf"):
         raise ConfigError("a robot is read from .yaml, .yml or .urdf (expand .xacro first)")
     text = reading.decode_text(reading.read_content(path, MAX_ROBOT_BYTES))
-    return _from_urdf(text, params) if path.suffix == ".urdf" else _from_yaml(text)
-
-
-def _from_yaml(text: str) -> dict[str, Any]:
-    """Parse a YAML mapping."""
+    if path.suffix == ".urdf":
+        return _parse_urdf(text, params)
     data = reading.parse_yaml(text)
-    data = {} if data is None else data
-    if not isinstance(data, dict):
+    if data is not None and not isinstance(data, dict):
         raise ConfigError("must be a mapping of parameter names to values")
-    return data
+    return data or {}
 
 
-def _from_urdf(text: str, names: Sequence[str]) -> dict[str, Any]:
-    """Parse the ros2_control block of a URDF."""
+def _parse_urdf(text: str, names: Sequence[str]) -> dict[str, Any]:
+    """Known parameters of the ros2_control block; those of other plugins don't matter."""
     try:
         root = defusedxml.ElementTree.fromstring(text)
     except (ParseError, DefusedXmlException, ValueError) as error:
         raise ConfigError(f"not a valid URDF: {error}") from None
-    # A robot with an arm has several blocks; use the one with most known parameters.
-    blocks = [_params(hardware, names) for hardware in root.iterfind(".//ros2_control/hardware")]
+    blocks: list[dict[str, Any]] = []
+    for hardware in root.iterfind(".//ros2_control/hardware"):
+        params = hardware.findall("param")
+        if len(params) > MAX_URDF_PARAMS:
+            raise ConfigError(
+                f"has a hardware block of {len(params):,} params: remove those not used"
+            )
+        given = {param.get("name", ""): (param.text or "").strip() for param in params}
+        for name in (each for each in given if each not in names):
+            near = difflib.get_close_matches(name, names, n=1, cutoff=0.85)
+            if near:
+                raise ConfigError(f"unknown param {name!r}; did you mean {near[0]!r}?")
+        blocks.append({name: given[name] for name in given if name in names})
     if not blocks:
         raise ConfigError("has no <ros2_control><hardware> block to take the parameters from")
-    known: dict[str, Any] = max(blocks, key=len)
-    if "baud_rate" in known:
-        return known
-    return {"baud_rate": DRIVER_BAUD_RATE, "control_rate": DRIVER_CONTROL_RATE, **known}
-
-
-def _params(hardware: Element, names: Sequence[str]) -> dict[str, Any]:
-    """Return the known parameters of a hardware block."""
-    params = hardware.findall("param")
-    if len(params) > MAX_URDF_PARAMS:
-        raise ConfigError(f"has a hardware block of {len(params):,} params: remove those not used")
-    found = (_param(param, names) for param in params)
-    return {name: value for name, value in found if name is not None}
-
-
-def _param(element: Element, names: Sequence[str]) -> tuple[str | None, str]:
-    """Return name and value; the name is None for parameters of other plugins."""
-    name = element.get("name", "")
-    value = (element.text or "").strip()
-    if name in names:
-        return name, value
-    near = difflib.get_close_matches(name, names, n=1, cutoff=0.85)
-    if near:
-        raise ConfigError(f"unknown param {name!r}; did you mean {near[0]!r}?")
-    return None, value
-
-
-GEOMETRY_FIELDS = (
-    "wheel_radius",
-    "wheel_separation",
-    "wheelbase",
-    "wheel_separation_multiplier",
-    "left_wheel_radius_multiplier",
-    "right_wheel_radius_multiplier",
-)
-"""Fields that are always written."""
-ROBOT_FILE_HEAD = (
-    "# A robot for acsar_gym: its geometry, and what differs from the defaults. SI units.\n"
-)
+    known = max(blocks, key=len)  # a robot with an arm has several blocks
+    return known if "baud_rate" in known else {**DRIVER_DEFAULTS, **known}
 
 
 def check_target(path: str | Path) -> Path:
@@ -131,10 +111,8 @@ def save_robot(robot: Section, path: Path, remarks: Mapping[str, str] | None = N
         path: of the file.
         remarks: comments to write above fields, by their names.
     """
-    fields = {name: getattr(robot, name) for name in GEOMETRY_FIELDS} | find_differences(
-        robot, type(robot)()
-    )
-    text = reading.format_yaml(fields)
+    geometry = {name: getattr(robot, name) for name in GEOMETRY_FIELDS}
+    text = reading.format_yaml(geometry | find_differences(robot, type(robot)()))
     for name, remark in (remarks or {}).items():
         lines = "".join(f"# {line}\n" for line in remark.splitlines())
         text = re.sub(f"(?m)^(?={name}:)", lines, text)
@@ -143,24 +121,13 @@ def save_robot(robot: Section, path: Path, remarks: Mapping[str, str] | None = N
 
 def find_differences(section: Section, usual: Section) -> dict[str, Any]:
     """Return the fields of a section that differ from those of another, as plain YAML values."""
+    plain = section.model_dump(mode="json")
     found: dict[str, Any] = {}
-    for name in type(section).model_fields:
-        value, default = getattr(section, name), getattr(usual, name)
-        if value == default:
-            continue
-        if isinstance(value, Section):
-            found[name] = find_differences(value, default if default is not None else type(value)())
-        else:
-            found[name] = _plain(value)
+    for name, default in usual:
+        value = getattr(section, name)
+        if value != default:
+            nested = isinstance(value, Section)
+            found[name] = (
+                find_differences(value, default or type(value)()) if nested else plain[name]
+            )
     return found
-
-
-def _plain(value: Any) -> Any:
-    """Convert a value to lists, mappings and scalars."""
-    if isinstance(value, Section):
-        return _plain(value.model_dump())
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, tuple | list):
-        return [_plain(item) for item in value]
-    return value

@@ -47,7 +47,7 @@ def validate_outline(corners: Sequence[Point]) -> Outline:
     outline = tuple(corners[:-1] if len(corners) > 1 and corners[0] == corners[-1] else corners)
     if not 3 <= len(outline) <= MAX_CORNERS:
         raise ValueError(f"must be 3 to {MAX_CORNERS} corners (x, y)")
-    if not _simple(outline):
+    if not _is_simple(outline):
         raise ValueError("must be the corners in order around it: its sides cross or touch")
     if (
         not contains_point(outline, 0.0, 0.0)
@@ -106,14 +106,13 @@ def outline_reach(outline: Outline, place: Point, bearing: float) -> float:
         place: x, y of the ray's origin [m].
         bearing: of the ray [rad].
     """
-    along, across = (math.cos(bearing), math.sin(bearing)), (-math.sin(bearing), math.cos(bearing))
+    (x, y), cos, sin = place, math.cos(bearing), math.sin(bearing)
     found = [0.0]
-    for a, b in outline_sides(outline):
-        (ax, ay), (bx, by) = (
-            (_dot(along, place, corner), _dot(across, place, corner)) for corner in (a, b)
-        )
-        if (ay > 0.0) != (by > 0.0):
-            found.append(ax + (bx - ax) * ay / (ay - by))
+    for (ax, ay), (bx, by) in outline_sides(outline):
+        a, b = cos * (ax - x) + sin * (ay - y), cos * (bx - x) + sin * (by - y)  # along the ray
+        c, d = cos * (ay - y) - sin * (ax - x), cos * (by - y) - sin * (bx - x)  # across
+        if (c > 0.0) != (d > 0.0):
+            found.append(a + (b - a) * c / (c - d))
     return max(found)
 
 
@@ -125,30 +124,25 @@ def convex_pieces(outline: Outline) -> list[Outline]:
         return [outline]
     pieces: list[Outline] = []
     while len(corners) > 3:
-        ear = next((n for n in range(len(corners)) if _is_ear(corners, n)), 0)
-        pieces.append(_around(corners, ear))
+        ears = [(corners[n - 1], b, corners[n + 1 - len(corners)]) for n, b in enumerate(corners)]
+        ear = next((n for n, piece in enumerate(ears) if _is_ear(piece, corners)), 0)
+        pieces.append(ears[ear])
         del corners[ear]
     return [piece for piece in (*pieces, tuple(corners)) if _twice_area(piece) > MIN_AREA]
 
 
-def _around(corners: Sequence[Point], n: int) -> Outline:
-    """Return corner n with its neighbours, as a triangle."""
-    return (corners[n - 1], corners[n], corners[(n + 1) % len(corners)])
-
-
-def _is_ear(corners: Sequence[Point], n: int) -> bool:
-    """Return whether the triangle at corner n is convex and contains no other corner."""
-    a, b, c = _around(corners, n)
-    if _turn(a, b, c) < 0.0:
-        return False
-    others = (corner for corner in corners if corner not in (a, b, c))
-    return not any(
-        _turn(a, b, p) >= 0.0 and _turn(b, c, p) >= 0.0 and _turn(c, a, p) >= 0.0 for p in others
+def _is_ear(piece: tuple[Point, Point, Point], corners: Sequence[Point]) -> bool:
+    """Whether a triangle of neighbours is convex and contains no other corner."""
+    a, b, c = piece
+    return _turn(a, b, c) >= 0.0 and not any(
+        _turn(a, b, p) >= 0.0 and _turn(b, c, p) >= 0.0 and _turn(c, a, p) >= 0.0
+        for p in corners
+        if p not in piece
     )
 
 
-def _simple(outline: Outline) -> bool:
-    """Return whether the sides don't cross or touch, except neighbours, and the area isn't 0."""
+def _is_simple(outline: Outline) -> bool:
+    """Whether the sides don't cross or touch, except neighbours, and the area isn't 0."""
     every = list(outline_sides(outline))
     last = len(every) - 1
     for n, (a, b) in enumerate(every):
@@ -156,39 +150,32 @@ def _simple(outline: Outline) -> bool:
         if a == b or _distance(c, a, b) == 0.0 or _distance(a, b, c) == 0.0:
             return False
         far = every[n + 2 : last if n == 0 else None]
-        if any(_meet(a, b, *other) for other in far):
+        if any(_do_meet(a, b, *other) for other in far):
             return False
     return abs(_twice_area(outline)) > MIN_AREA
 
 
-def _meet(a: Point, b: Point, c: Point, d: Point) -> bool:
-    """Return whether the segments a-b and c-d have a common point."""
+def _do_meet(a: Point, b: Point, c: Point, d: Point) -> bool:
+    """Whether the segments a-b and c-d have a common point."""
     for axis in (0, 1):
-        if max(a[axis], b[axis]) < min(c[axis], d[axis]):
+        first, second = sorted((a[axis], b[axis])), sorted((c[axis], d[axis]))
+        if first[1] < second[0] or second[1] < first[0]:
             return False
-        if max(c[axis], d[axis]) < min(a[axis], b[axis]):
-            return False
-    apart = _turn(a, b, c) * _turn(a, b, d) > 0.0 or _turn(c, d, a) * _turn(c, d, b) > 0.0
-    return not apart
+    return _turn(a, b, c) * _turn(a, b, d) <= 0.0 and _turn(c, d, a) * _turn(c, d, b) <= 0.0
 
 
 def _turn(a: Point, b: Point, c: Point) -> float:
-    """Return twice the signed area of a triangle, positive if counter-clockwise [m^2]."""
+    """Twice the signed area of a triangle, positive if counter-clockwise [m^2]."""
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
 
 def _twice_area(outline: Outline) -> float:
-    """Return twice the signed area of an outline, positive if counter-clockwise [m^2]."""
+    """Twice the signed area of an outline, positive if counter-clockwise [m^2]."""
     return sum(ax * by - ay * bx for (ax, ay), (bx, by) in outline_sides(outline))
 
 
-def _dot(direction: Point, origin: Point, p: Point) -> float:
-    """Return how far a point lies from the origin in a direction [m]."""
-    return direction[0] * (p[0] - origin[0]) + direction[1] * (p[1] - origin[1])
-
-
 def _distance(p: Point, a: Point, b: Point) -> float:
-    """Return the distance from a point to the segment a-b [m]."""
+    """Distance from a point to the segment a-b [m]."""
     ex, ey = b[0] - a[0], b[1] - a[1]
     square = ex * ex + ey * ey
     share = ((p[0] - a[0]) * ex + (p[1] - a[1]) * ey) / square if square > 0.0 else 0.0

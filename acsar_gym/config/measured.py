@@ -9,7 +9,6 @@ from types import UnionType
 from typing import Annotated, Any, Union, get_args, get_origin
 
 from pydantic import Field, StringConstraints, TypeAdapter, ValidationError, model_validator
-from pydantic.fields import FieldInfo
 
 from acsar_gym.config.section import Name, PerWheel, Section
 from acsar_gym.errors import ConfigError
@@ -41,44 +40,59 @@ class Measured(Section):
 
 
 def validate_measured(measured: Mapping[str, Measured], model: type[Section]) -> None:
-    """Check names and ends of intervals: numbers of a robot, such as "motor.gain.a"; ConfigError.
+    """Check names and ends of intervals.
 
     Args:
-        measured: the intervals by dotted name.
+        measured: the intervals by dotted name, such as "motor.gain.a".
         model: the section that has the fields; every end must be a value that its field can have.
+
+    Raises:
+        ConfigError: there is no such number, or an end is out of its bounds.
     """
-    known = _fields(model) if measured else {}
+    known = _find_numbers(model) if measured else {}
     for name, interval in measured.items():
         if name not in known:
             near = difflib.get_close_matches(name[:60], sorted(known), n=1, cutoff=0.5)
             hint = f"did you mean {near[0]!r}?" if near else "for example 'motor.gain.a'"
             raise ConfigError(f"measured: unknown field {name[:60]!r}; {hint}")
         for end in ("low", "high"):
-            _check_end(f"measured.{name}.{end}", getattr(interval, end), _adapter(model, name))
-
-
-def _check_end(path: str, value: float, adapter: TypeAdapter[Any]) -> None:
-    """ConfigError where an end of an interval is out of its field's bounds."""
-    try:
-        adapter.validate_python(value)
-    except ValidationError as error:
-        allowed = error.errors(include_url=False)[0]["msg"].removeprefix("Input should ")
-        raise ConfigError(f"{path} = {value:g}: must {allowed}") from None
+            value = getattr(interval, end)
+            try:
+                known[name].validate_python(value)
+            except ValidationError as error:
+                allowed = error.errors(include_url=False)[0]["msg"].removeprefix("Input should ")
+                raise ConfigError(f"measured.{name}.{end} = {value:g}: must {allowed}") from None
 
 
 @functools.cache
-def _adapter(model: type[Section], name: str) -> TypeAdapter[Any]:
-    """The validator of an interval's ends; those of whole numbers aren't bounded."""
-    field = _fields(model)[name]
-    kind: Any = float if field.annotation is int else field.annotation
-    bounds = [] if field.annotation is int else field.metadata
-    return TypeAdapter(Annotated[kind, *bounds, Field()])
+def _find_numbers(model: type[Section], prefix: str = "") -> dict[str, TypeAdapter[Any]]:
+    """Validators of all numbers of a section and its sections, by dotted name."""
+    found: dict[str, TypeAdapter[Any]] = {}
+    for name, field in model.model_fields.items():
+        kinds = list(_unpack_union(field.annotation))
+        inner = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Section)]
+        if inner:
+            found |= _find_numbers(inner[0], f"{prefix}{name}.")
+        elif float in kinds or int in kinds:
+            whole = field.annotation is int  # the interval of a whole number has any ends
+            bounds = () if whole else field.metadata
+            kind: Any = float if whole else field.annotation
+            adapter: TypeAdapter[Any] = TypeAdapter(Annotated[kind, *bounds, Field()])
+            found[f"{prefix}{name}"] = adapter
+            if field.annotation == PerWheel:
+                found |= {f"{prefix}{name}.{wheel}": adapter for wheel in WHEEL_LETTERS}
+    return found
 
 
-@functools.cache
-def _fields(model: type[Section]) -> dict[str, FieldInfo]:
-    """All numbers of a section and its sections, by dotted name."""
-    return dict(_numbers(model))
+def _unpack_union(annotation: Any) -> Iterator[Any]:
+    """The types of a union, without the metadata of Annotated ones."""
+    if get_origin(annotation) is Annotated:
+        yield from _unpack_union(get_args(annotation)[0])
+    elif get_origin(annotation) in (Union, UnionType):
+        for part in get_args(annotation):
+            yield from _unpack_union(part)
+    else:
+        yield annotation
 
 
 def update_measured(
@@ -100,25 +114,3 @@ def update_measured(
         for old in (name, *(f"{name}.{other}" for other in WHEEL_LETTERS)):
             result.pop(old, None)
     return result | {name: interval for name, interval in found.items() if interval is not None}
-
-
-def _numbers(model: type[Section], prefix: str = "") -> Iterator[tuple[str, FieldInfo]]:
-    """Dotted names of all numbers of a section, and their fields."""
-    for name, field in model.model_fields.items():
-        kinds = _kinds(field.annotation)
-        inner = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Section)]
-        if inner:
-            yield from _numbers(inner[0], f"{prefix}{name}.")
-        elif float in kinds or int in kinds:
-            yield f"{prefix}{name}", field
-            if field.annotation == PerWheel:
-                yield from ((f"{prefix}{name}.{wheel}", field) for wheel in WHEEL_LETTERS)
-
-
-def _kinds(annotation: Any) -> tuple[Any, ...]:
-    """The types of a union, without the metadata of Annotated ones."""
-    if get_origin(annotation) is Annotated:
-        return _kinds(get_args(annotation)[0])
-    if get_origin(annotation) in (Union, UnionType):
-        return tuple(kind for part in get_args(annotation) for kind in _kinds(part))
-    return (annotation,)

@@ -198,8 +198,10 @@ def whole_ratio(fast_name: str, fast: float, slow_name: str, slow: float) -> int
         ConfigError: it isn't an integer of at least 1, or `slow` is below 0.01 Hz.
     """
     try:
-        fast, slow = _number(fast), _number(slow)
-        ratio = fast / slow
+        texts = isinstance(fast, str | bytes) or isinstance(
+            slow, str | bytes
+        )  # float() parses them
+        ratio = math.nan if texts else float(fast) / float(slow)
     except (TypeError, ValueError, ZeroDivisionError, OverflowError):
         ratio = math.nan
     if not ratio > 0.0:
@@ -212,58 +214,6 @@ def whole_ratio(fast_name: str, fast: float, slow_name: str, slow: float) -> int
             f"{fast_name} = {fast:g} Hz: must be a whole multiple of {slow_name} = {slow:g} Hz"
         )
     return whole
-
-
-def check_feedback(rate: float, timeout: float, loop: float) -> None:
-    """Check how often a board sends.
-
-    Args:
-        rate: lines per second [Hz].
-        timeout: longest time without a line [s].
-        loop: the firmware's loop rate [Hz].
-
-    Raises:
-        ConfigError: the rate is above `loop`, or the time-out below one and a half periods.
-    """
-    if rate > loop:
-        raise ConfigError(
-            f"firmware.feedback_rate = {rate:g} Hz: must be at most "
-            f"firmware.loop_rate = {loop:g} Hz"
-        )
-    if timeout < 1.5 / rate:
-        raise ConfigError(
-            f"feedback_timeout = {timeout:g} s: must be at least one and a half "
-            f"periods of the feedback at {rate:g} Hz"
-        )
-
-
-def check_window(window: float, loop: float) -> None:
-    """Check the averaging time of the encoders.
-
-    Args:
-        window: averaging time [s].
-        loop: the firmware's loop rate [Hz].
-
-    Raises:
-        ConfigError: it is shorter than one loop, or longer than `MOST_SAMPLES` of them.
-    """
-    if window * loop < 1.0 - 1e-9:
-        raise ConfigError(
-            f"encoder.window = {window:g} s: must be at least one period of "
-            f"firmware.loop_rate ({1.0 / loop:g} s)"
-        )
-    if window * loop > MAX_ENCODER_SAMPLES:
-        raise ConfigError(
-            f"encoder.window = {window:g} s: must be at most {MAX_ENCODER_SAMPLES:,} "
-            f"periods of firmware.loop_rate ({MAX_ENCODER_SAMPLES / loop:g} s)"
-        )
-
-
-def _number(value: float) -> float:
-    """Convert to float; TypeError for strings, which float() would accept."""
-    if isinstance(value, str | bytes):
-        raise TypeError
-    return float(value)
 
 
 BAUD_RATES = (9600, 19200, 38400, 57600, 115200)
@@ -529,8 +479,22 @@ class RobotConfig(Section):
         """Check that the rates are integer multiples, and time-out and averaging window fit."""
         loop = self.firmware.loop_rate
         whole_ratio("firmware.loop_rate", loop, "control_rate", self.control_rate)
-        check_feedback(self.feedback_rate, self.feedback_timeout, loop)
-        check_window(self.encoder.window, loop)
+        rate, samples = self.feedback_rate, self.encoder.window * loop
+        if rate > loop:
+            raise ConfigError(
+                f"firmware.feedback_rate = {rate:g} Hz: must be at most "
+                f"firmware.loop_rate = {loop:g} Hz"
+            )
+        if self.feedback_timeout < 1.5 / rate:
+            raise ConfigError(
+                f"feedback_timeout = {self.feedback_timeout:g} s: must be at least one and a half "
+                f"periods of the feedback at {rate:g} Hz"
+            )
+        if not 1.0 - 1e-9 <= samples <= MAX_ENCODER_SAMPLES:
+            raise ConfigError(
+                f"encoder.window = {self.encoder.window:g} s: must be 1 to "
+                f"{MAX_ENCODER_SAMPLES:,} periods of firmware.loop_rate ({1.0 / loop:g} s)"
+            )
         return self
 
     @property
@@ -608,14 +572,10 @@ class RobotConfig(Section):
         if not isinstance(path, str | Path):
             raise ConfigError(f"path = {show_value(path)}: must be a file's name")
         try:
-            return cls(**files.read_fields(Path(path), cls._driver_params()))
+            params = [name for name in cls.model_fields if name not in SIMULATION_SECTIONS]
+            return cls(**files.read_fields(Path(path), params))
         except ConfigError as error:
             raise ConfigError(f"{Path(path)}: {error}") from None
-
-    @classmethod
-    def _driver_params(cls) -> list[str]:
-        """Return the parameter names that a URDF may use: all but those of the simulation."""
-        return [name for name in cls.model_fields if name not in SIMULATION_SECTIONS]
 
     @classmethod
     def preset(cls, name: str) -> RobotConfig:
@@ -660,15 +620,15 @@ RobotSource = RobotConfig | Mapping[str, Any] | str | Path | None
 
 def hash_config(config: RobotConfig) -> str:
     """Return the SHA-256 of a robot's whole config, in hexadecimal; the order of fields is free."""
-    return _sha256(config.model_dump(mode="json"))
+    return _hash_data(config.model_dump(mode="json"))
 
 
 def hash_calibration(config: RobotConfig) -> str | None:
     """Return the SHA-256 of a robot's measured intervals; None where nothing was measured."""
     measured = config.model_dump(mode="json", include={"measured"})["measured"]
-    return _sha256(measured) if measured else None
+    return _hash_data(measured) if measured else None
 
 
-def _sha256(data: Any) -> str:
+def _hash_data(data: Any) -> str:
     text = json.dumps(data, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()

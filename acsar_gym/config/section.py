@@ -39,31 +39,25 @@ class Section(BaseModel):
         try:
             return handler(data)
         except ValidationError as error:
-            raise ConfigError(_describe(cls, cls.section, error)) from None
+            found = error.errors(include_url=False, include_context=False)
+            told = [cls._describe_problem(item) for item in found[:MAX_PROBLEMS]]
+            if len(found) > MAX_PROBLEMS:
+                told.append(f"and {len(found) - MAX_PROBLEMS:,} more")
+            raise ConfigError("; ".join(told)) from None
 
-
-def _describe(model: type[BaseModel], section: str, error: ValidationError) -> str:
-    """Format the problems of a section as one message."""
-    found = error.errors(include_url=False, include_context=False)
-    parts = [_problem(model, section, item) for item in found[:MAX_PROBLEMS]]
-    if len(found) > MAX_PROBLEMS:
-        parts.append(f"and {len(found) - MAX_PROBLEMS:,} more")
-    return "; ".join(parts)
-
-
-def _problem(model: type[BaseModel], section: str, item: Any) -> str:
-    """Format one problem: field, value and allowed range."""
-    path = [str(part)[:40] for part in item["loc"]]
-    field = ".".join([section, *path] if section else path)
-    if item["type"] == "extra_forbidden":
-        near = suggest_name(str(item["loc"][-1])[:40], model.model_fields)
-        return f"unknown field {field!r}{near}"
-    allowed = item["msg"].removeprefix("Value error, ").removeprefix("Input should ")
-    return f"{field} = {show_value(item['input'])}: {_must(allowed)}"
-
-
-def _must(allowed: str) -> str:
-    return f"must {allowed}" if allowed.startswith("be") else allowed
+    @classmethod
+    def _describe_problem(cls, item: Any) -> str:
+        """Field, value and allowed range of one of pydantic's errors."""
+        path = [str(part)[:40] for part in item["loc"]]
+        field = ".".join([cls.section, *path] if cls.section else path)
+        if item["type"] == "missing":
+            return f"{field!r} is missing"
+        if item["type"] == "extra_forbidden":
+            near = suggest_name(str(item["loc"][-1])[:40], cls.model_fields)
+            return f"unknown field {field!r}{near}"
+        allowed = item["msg"].removeprefix("Value error, ").removeprefix("Input should ")
+        must = "must " if allowed.startswith("be") else ""
+        return f"{field} = {show_value(item['input'])}: {must}{allowed}"
 
 
 Length = Annotated[float, Field(gt=0.0, le=100.0)]

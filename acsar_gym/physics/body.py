@@ -78,7 +78,15 @@ class Camera(Protocol):
     """Takes pictures of the robot and its scene."""
 
     def image(self, width: int, height: int) -> Image:
-        """Take a picture, (height, width, 3), RGB."""
+        """Take a picture.
+
+        Args:
+            width: of it [pixels].
+            height: of it [pixels].
+
+        Returns:
+            (height, width, 3), RGB.
+        """
 
 
 def wrap_angle(theta: float) -> float:

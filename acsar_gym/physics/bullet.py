@@ -1,6 +1,8 @@
-"""The skid-steer robot in PyBullet.
+"""The skid-steer robot in PyBullet: one rigid body, pushed by the tyre forces of `physics.model`.
 
-One rigid body, pushed by the tyre forces of `physics.model`.
+PyBullet's own contact friction can't model skid steering (its friction axes are fixed in the
+world), so all contacts with the floor are frictionless and the four tyre forces are applied as one
+force and one torque on the chassis. No other file imports PyBullet.
 """
 
 from __future__ import annotations
@@ -27,10 +29,8 @@ from acsar_gym.config.footprint import (
 )
 from acsar_gym.errors import MissingExtraError, RenderError
 from acsar_gym.jit import record_of
-from acsar_gym.physics import GRAVITY, Physics, body, compute_physics
-from acsar_gym.physics import model as dynamics
-from acsar_gym.physics.body import GroundTruth, Image
-from acsar_gym.physics.model import loop_period, motor_power
+from acsar_gym.physics import model
+from acsar_gym.physics.body import GroundTruth, Image, has_display
 from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.worlds import Scene, World
 
@@ -54,71 +54,11 @@ try:
 except ImportError:
     raise MissingExtraError("the PyBullet robot", "bullet") from None
 
-
-def connect_engine(window: bool) -> int:
-    """Connect to a new PyBullet simulation.
-
-    Args:
-        window: whether it has a window.
-
-    Returns:
-        PyBullet's number of the connection.
-
-    Raises:
-        RenderError: a window is asked for, and there is no display.
-    """
-    if not window:
-        return int(pybullet.connect(pybullet.DIRECT))
-    if not body.has_display():
-        raise RenderError("PyBullet's window needs a display; drive without a window here")
-    client = int(pybullet.connect(pybullet.GUI))
-    pybullet.configureDebugVisualizer(pybullet.COV_ENABLE_GUI, 0, physicsClientId=client)
-    return client
-
-
-@contextlib.contextmanager
-def write_mesh(outline: Outline, low: float, high: float) -> Iterator[str]:
-    """Write a temporary Wavefront file with a prism for each convex piece of an outline.
-
-    PyBullet reads shapes of many corners from files only. It uses the convex hull of each object
-    in a file, so each piece is an object, and notches stay open. Its hulls are 1 mm larger on
-    every side. The file is deleted after the block.
-
-    Args:
-        outline: corners in the base frame [m].
-        low: least height [m].
-        high: largest height [m].
-
-    Yields:
-        Name of the file.
-    """
-    with tempfile.TemporaryDirectory(prefix="acsar_gym_") as folder:
-        file = Path(folder) / "footprint.obj"
-        file.write_text("\n".join(_lines(convex_pieces(outline), low, high)), encoding="ascii")
-        yield str(file)
-
-
-def _lines(pieces: list[Outline], low: float, high: float) -> Iterator[str]:
-    """Wavefront lines: corners of both ends, then the faces, whose corners count from 1."""
-    first = 1
-    for number, piece in enumerate(pieces):
-        count = len(piece)
-        yield f"o piece{number}"
-        for z in (low, high):
-            yield from (f"v {x!r} {y!r} {z!r}" for x, y in piece)
-        yield _face(range(first + count, first + 2 * count))
-        yield _face(reversed(range(first, first + count)))
-        for n in range(count):
-            one, other = first + n, first + (n + 1) % count
-            yield _face((one, other, other + count, one + count))
-        first += 2 * count
-
-
-def _face(corners: range | Iterator[int] | tuple[int, ...]) -> str:
-    """Wavefront line of a face."""
-    return "f " + " ".join(map(str, corners))
-
-
+Floats = NDArray[np.float64]
+# Functions that every firmware loop calls; local names avoid a look-up in the module each time.
+_pose_of, _velocity_of = pybullet.getBasePositionAndOrientation, pybullet.getBaseVelocity
+_apply_force, _apply_torque = pybullet.applyExternalForce, pybullet.applyExternalTorque
+_simulate, _WORLD = pybullet.stepSimulation, pybullet.WORLD_FRAME
 MAX_SHAPES = 16
 """Shapes of a compound, at most; PyBullet's limit."""
 OBSTACLE_HEIGHT = 0.6
@@ -127,303 +67,16 @@ WALL_THICKNESS = 0.002
 """Thickness of a segment's wall [m]."""
 FRAME_KEYS = ("Positions", "Orientations")
 """Keys to which PyBullet adds a prefix, another for collision shapes than for visual ones."""
-OBSTACLE_COLOUR = (0.42, 0.45, 0.5, 1.0)
-
-Rows = NDArray[np.float64]
-
-
-class StaticObstacles:
-    """The obstacles of one world, or none. They are never changed or removed.
-
-    PyBullet leaks the shapes of bodies that are removed, but not those of a simulation that is
-    reset, so another world needs another simulation. Visual shapes take ten times as long to make
-    as collision shapes, so `paint` makes them when they are needed.
-    """
-
-    def __init__(self, client: int, world: World | None) -> None:
-        self._client = client
-        self.world = world
-        self._compounds = [] if world is None else list(_compounds(world))
-        self._painted = False
-        hidden = self._hidden() if self._compounds else -1
-        self._bodies = {self._touchable(options, hidden) for options in self._compounds}
-
-    def _hidden(self) -> int:
-        """A tiny shape below the floor.
-
-        Without a visual shape PyBullet would make a slow one itself.
-        """
-        return int(
-            pybullet.createVisualShape(
-                pybullet.GEOM_BOX,
-                halfExtents=(1e-3, 1e-3, 1e-3),
-                visualFramePosition=(0.0, 0.0, -1.0),
-                physicsClientId=self._client,
-            )
-        )
-
-    def _touchable(self, options: dict[str, Any], visual: int) -> int:
-        """Make the body of a compound's collision shapes.
-
-        A rigid body in maximal coordinates takes a third of the time of PyBullet's multibodies.
-        """
-        named = {
-            f"collisionFrame{key}" if key in FRAME_KEYS else key: options[key] for key in options
-        }
-        shape = pybullet.createCollisionShapeArray(**named, physicsClientId=self._client)
-        return int(
-            pybullet.createMultiBody(
-                0.0, shape, visual, useMaximalCoordinates=1, physicsClientId=self._client
-            )
-        )
-
-    def paint(self) -> None:
-        """Make the obstacles visible to PyBullet's camera and window; idempotent."""
-        if self._painted:
-            return
-        self._painted = True
-        for options in self._compounds:
-            named = {
-                f"visualFrame{key}" if key in FRAME_KEYS else key: options[key] for key in options
-            }
-            colours = [OBSTACLE_COLOUR] * len(options["shapeTypes"])
-            shape = pybullet.createVisualShapeArray(
-                **named, rgbaColors=colours, physicsClientId=self._client
-            )
-            pybullet.createMultiBody(0.0, -1, shape, physicsClientId=self._client)
-
-    def __contains__(self, body: int) -> bool:
-        return body in self._bodies
-
-    def __len__(self) -> int:
-        return len(self._bodies)
-
-
-def _compounds(world: World) -> Iterator[dict[str, Any]]:
-    """Arguments of PyBullet's createCollisionShapeArray for every compound."""
-    for circles in _neighbours(world.circles, world.circles[:, :2]):
-        yield _cylinders(circles)
-    middles = (world.segments[:, :2] + world.segments[:, 2:]) / 2.0
-    for segments in _neighbours(world.segments, middles):
-        yield _walls(segments)
-
-
-def _neighbours(rows: Rows, places: Rows) -> Iterator[Rows]:
-    """Split rows into groups that are near each other and small enough for a compound."""
-    if len(rows) > MAX_SHAPES:
-        axis = int(np.ptp(places[:, 1]) > np.ptp(places[:, 0]))
-        order = np.argsort(places[:, axis], kind="stable")
-        half = MAX_SHAPES * math.ceil(len(rows) / MAX_SHAPES / 2)
-        for part in (order[:half], order[half:]):
-            yield from _neighbours(rows[part], places[part])
-    elif len(rows):
-        yield rows
-
-
-def _cylinders(circles: Rows) -> dict[str, Any]:
-    """PyBullet's arguments for circles, as upright cylinders."""
-    return {
-        "shapeTypes": [pybullet.GEOM_CYLINDER] * len(circles),
-        "radii": np.maximum(circles[:, 2], 1e-3).tolist(),
-        "lengths": [OBSTACLE_HEIGHT] * len(circles),
-        "Positions": [(x, y, OBSTACLE_HEIGHT / 2.0) for x, y, _ in circles.tolist()],
-    }
-
-
-def _walls(segments: Rows) -> dict[str, Any]:
-    """PyBullet's arguments for segments, as thin upright boxes."""
-    along = segments[:, 2:] - segments[:, :2]
-    lengths, angles = np.hypot(along[:, 0], along[:, 1]), np.arctan2(along[:, 1], along[:, 0])
-    middles = ((segments[:, :2] + segments[:, 2:]) / 2.0).tolist()
-    return {
-        "shapeTypes": [pybullet.GEOM_BOX] * len(segments),
-        "halfExtents": [
-            (max(n / 2.0, 1e-3), WALL_THICKNESS / 2.0, OBSTACLE_HEIGHT / 2.0)
-            for n in lengths.tolist()
-        ],
-        "Positions": [(x, y, OBSTACLE_HEIGHT / 2.0) for x, y in middles],
-        "Orientations": [
-            (0.0, 0.0, math.sin(angle / 2.0), math.cos(angle / 2.0)) for angle in angles.tolist()
-        ],
-    }
-
-
-CHASSIS_COLOUR = (0.16, 0.35, 0.58, 1.0)
-DECK_COLOUR = (0.85, 0.87, 0.9, 1.0)
-WHEEL_COLOUR = (0.12, 0.12, 0.13, 1.0)
 FOOT_PLACES = 100
 """Places between a hub and the middle of the robot that are tried for a foot."""
 LEAST_FOOT = 1e-3
 """Radius of the smallest foot [m]."""
 CLEARANCE = 0.02
 """Height of the chassis above the floor [m]."""
-
-
-def make_floor(client: int) -> int:
-    """Make a frictionless plane; returns PyBullet's number of its body."""
-    plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
-    plane_id = int(pybullet.createMultiBody(0.0, plane, physicsClientId=client))
-    pybullet.changeDynamics(plane_id, -1, lateralFriction=0.0, physicsClientId=client)
-    return plane_id
-
-
-def make_robot(config: RobotConfig, client: int) -> int:
-    """Make a rigid body of chassis and four wheels, its origin at the height of the axles.
-
-    The chassis is a box, or upright convex prisms where the footprint is a polygon. The wheels'
-    collision shapes are small spheres ("feet") that touch the floor below the hubs: one contact
-    each, at the right place, and nothing beyond the footprint. Returns PyBullet's number.
-    """
-    body, radius = config.body, config.wheel_radius
-    bottom = min(CLEARANCE, radius) - radius
-    top = max(body.height - radius, bottom + 0.01)
-    polygon = config.footprint
-    prisms = write_mesh(polygon, bottom, top) if polygon else contextlib.nullcontext("")
-    with prisms as file:
-        body_id = int(
-            pybullet.createMultiBody(
-                body.mass,
-                _touchable(config, bottom, top, file, client),
-                _visual(config, bottom, top, file, client),
-                (0.0, 0.0, radius),
-                physicsClientId=client,
-            )
-        )
-    pybullet.changeDynamics(
-        body_id,
-        -1,
-        lateralFriction=0.0,
-        rollingFriction=0.0,
-        spinningFriction=0.0,
-        restitution=0.0,
-        linearDamping=0.0,
-        angularDamping=0.0,
-        physicsClientId=client,
-    )
-    return body_id
-
-
-def set_mass(body_id: int, own: Physics, client: int) -> None:
-    """Set the robot's mass and inertia."""
-    pybullet.changeDynamics(
-        body_id,
-        -1,
-        mass=own.mass,
-        localInertiaDiagonal=(own.yaw_inertia, own.yaw_inertia, own.yaw_inertia),
-        physicsClientId=client,
-    )
-
-
-def _touchable(config: RobotConfig, bottom: float, top: float, file: str, client: int) -> int:
-    """Make the collision shape: a box or the prisms of a file, and a foot below each hub."""
-    feet, foot = _feet(config)
-    z = foot - config.wheel_radius
-    is_box = not file
-    (half_x, half_y), none = config.outline[0], (0.0, 0.0, 0.0)
-    middle = (0.0, 0.0, (top + bottom) / 2.0) if is_box else none
-    return int(
-        pybullet.createCollisionShapeArray(
-            shapeTypes=[pybullet.GEOM_BOX if is_box else pybullet.GEOM_MESH]
-            + [pybullet.GEOM_SPHERE] * 4,
-            halfExtents=[(half_x, half_y, (top - bottom) / 2.0)] + [none] * 4,
-            radii=[0.0] + [foot] * 4,
-            fileNames=["" if is_box else file] + [""] * 4,
-            meshScales=[(1.0, 1.0, 1.0)] * 5,
-            collisionFramePositions=[middle, *((x, y, z) for x, y in feet)],
-            physicsClientId=client,
-        )
-    )
-
-
-def _feet(config: RobotConfig) -> tuple[list[Point], float]:
-    """Centres and radius [m] of the feet, such that none is outside the footprint.
-
-    They are below the hubs, or as near to them as the footprint allows.
-    """
-    outline, radius = config.outline, config.wheel_radius
-    feet, room = [], []
-    for x, y, _ in _hubs(config):
-        shares = [share / FOOT_PLACES for share in range(FOOT_PLACES, 0, -1)]
-        inside = (s for s in shares if contains_point(outline, s * x, s * y))
-        share = next(
-            (s for s in inside if border_distance(outline, s * x, s * y) >= LEAST_FOOT), 0.0
-        )
-        feet.append((share * x, share * y))
-        room.append(border_distance(outline, *feet[-1]))
-    return feet, min(radius, *room)
-
-
-def _hubs(config: RobotConfig, z: float = 0.0) -> list[tuple[float, float, float]]:
-    """Wheel centres in the base frame, order front_right, front_left, rear_left, rear_right."""
-    a, b = config.wheelbase / 2.0, config.wheel_separation / 2.0
-    return [(a, -b, z), (a, b, z), (-a, b, z), (-a, -b, z)]
-
-
-class _Shape(NamedTuple):
-    """A visual shape: a box of half sizes, a cylinder of (radius, length) along z, or a file."""
-
-    box: tuple[float, float, float] | None
-    cylinder: tuple[float, float]
-    at: tuple[float, float, float]
-    colour: tuple[float, float, float, float]
-    turn: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
-    file: str = ""
-
-    @property
-    def kind(self) -> int:
-        """PyBullet's number of the kind of shape."""
-        if self.file:
-            return int(pybullet.GEOM_MESH)
-        return int(pybullet.GEOM_BOX if self.box else pybullet.GEOM_CYLINDER)
-
-
-def _shapes(config: RobotConfig, bottom: float, top: float, file: str) -> list[_Shape]:
-    """The visual shapes: chassis and deck, or a polygon's prisms, then LiDAR and four tyres."""
-    body, flat = config.body, (0.0, 0.0)
-    tyre = max(0.02, body.width - config.wheel_separation)
-    inner = max(0.02, config.wheel_separation - tyre - 0.01)
-    sideways = (math.sin(math.pi / 4), 0.0, 0.0, math.cos(math.pi / 4))
-    chassis = (body.length / 2, inner / 2, (top - bottom) / 2)
-    deck = (body.length / 2.2, inner / 2.2, 0.004)
-    hull = [
-        _Shape(chassis, flat, (0.0, 0.0, (top + bottom) / 2), CHASSIS_COLOUR),
-        _Shape(deck, flat, (0.0, 0.0, top + 0.004), DECK_COLOUR),
-    ]
-    prisms = [_Shape(None, flat, (0.0, 0.0, 0.0), CHASSIS_COLOUR, file=file)]
-    return [
-        *(hull if config.footprint is None else prisms),
-        _Shape(None, (0.035, 0.04), (body.length / 4, 0.0, top + 0.028), WHEEL_COLOUR),
-        *(
-            _Shape(None, (config.wheel_radius, tyre), hub, WHEEL_COLOUR, sideways)
-            for hub in _hubs(config)
-        ),
-    ]
-
-
-def _visual(config: RobotConfig, bottom: float, top: float, file: str, client: int) -> int:
-    """Make the visual shape; returns PyBullet's number of it."""
-    shapes = _shapes(config, bottom, top, file)
-    return int(
-        pybullet.createVisualShapeArray(
-            shapeTypes=[s.kind for s in shapes],
-            fileNames=[s.file for s in shapes],
-            meshScales=[(1.0, 1.0, 1.0) for _ in shapes],
-            halfExtents=[s.box or (0.0, 0.0, 0.0) for s in shapes],
-            radii=[s.cylinder[0] for s in shapes],
-            lengths=[s.cylinder[1] for s in shapes],
-            rgbaColors=[s.colour for s in shapes],
-            visualFramePositions=[s.at for s in shapes],
-            visualFrameOrientations=[s.turn for s in shapes],
-            physicsClientId=client,
-        )
-    )
-
-
-Floats = NDArray[np.float64]
-# Functions that every firmware loop calls; local names avoid a look-up in the module each time.
-_pose_of, _velocity_of = pybullet.getBasePositionAndOrientation, pybullet.getBaseVelocity
-_apply_force, _apply_torque = pybullet.applyExternalForce, pybullet.applyExternalTorque
-_simulate, _WORLD = pybullet.stepSimulation, pybullet.WORLD_FRAME
+OBSTACLE_COLOUR = (0.42, 0.45, 0.5, 1.0)
+CHASSIS_COLOUR = (0.16, 0.35, 0.58, 1.0)
+DECK_COLOUR = (0.85, 0.87, 0.9, 1.0)
+WHEEL_COLOUR = (0.12, 0.12, 0.13, 1.0)
 GOAL_COLOUR = (0.15, 0.68, 0.38, 0.85)
 
 
@@ -440,10 +93,16 @@ class BulletBody:
 
     def __init__(self, config: RobotConfig, *, window: bool = False) -> None:
         self._config = config
-        self._dt = loop_period(config)
-        self._configured = compute_physics(config)
-        self._client = connect_engine(window)
+        self._dt = model.loop_period(config)
+        self._configured = model.compute_physics(config)
+        if window and not has_display():
+            raise RenderError("PyBullet's window needs a display; drive without a window here")
+        self._client = int(pybullet.connect(pybullet.GUI if window else pybullet.DIRECT))
         self._disconnect = weakref.finalize(self, pybullet.disconnect, self._client)
+        if window:
+            pybullet.configureDebugVisualizer(
+                pybullet.COV_ENABLE_GUI, 0, physicsClientId=self._client
+            )
         self._seen = window
         self._build(None)
         self.reset(Scene())
@@ -452,11 +111,13 @@ class BulletBody:
         """Make an empty simulation with a floor, the robot and the obstacles of a world."""
         client = self._client
         pybullet.resetSimulation(physicsClientId=client)
-        pybullet.setGravity(0.0, 0.0, -GRAVITY, physicsClientId=client)
+        pybullet.setGravity(0.0, 0.0, -model.GRAVITY, physicsClientId=client)
         pybullet.setPhysicsEngineParameter(
             fixedTimeStep=self._dt, deterministicOverlappingPairs=1, physicsClientId=client
         )
-        self._floor = make_floor(client)
+        plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
+        floor = int(pybullet.createMultiBody(0.0, plane, physicsClientId=client))
+        pybullet.changeDynamics(floor, -1, lateralFriction=0.0, physicsClientId=client)
         self._robot = make_robot(self._config, client)
         self._statics = StaticObstacles(client, world)
         self._goal = -1
@@ -468,50 +129,43 @@ class BulletBody:
         """Put the robot at rest at the scene's start, with the scene's world, physics and goal."""
         if scene.world is not self._statics.world:
             self._build(scene.world)
-        self._equip(scene.physics or self._configured)
-        client, (x, y, theta) = self._client, scene.start
-        height = self._config.wheel_radius
+        own, client, (x, y, theta) = scene.physics or self._configured, self._client, scene.start
+        inertia = (own.yaw_inertia, own.yaw_inertia, own.yaw_inertia)
+        pybullet.changeDynamics(
+            self._robot, -1, mass=own.mass, localInertiaDiagonal=inertia, physicsClientId=client
+        )
+        self._physics = record_of(own)
+        self._push, self._twist = own.mass / self._dt, own.yaw_inertia / self._dt
         upright = (0.0, 0.0, math.sin(theta / 2.0), math.cos(theta / 2.0))
         pybullet.resetBasePositionAndOrientation(
-            self._robot, (x, y, height), upright, physicsClientId=client
+            self._robot, (x, y, self._config.wheel_radius), upright, physicsClientId=client
         )
         pybullet.resetBaseVelocity(
             self._robot, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), physicsClientId=client
         )
         self._touched = False
-        self._mark(scene.goal)
+        if scene.goal is not None:
+            if self._goal < 0:
+                disc = pybullet.createVisualShape(
+                    pybullet.GEOM_CYLINDER,
+                    radius=0.15,
+                    length=0.01,
+                    rgbaColor=GOAL_COLOUR,
+                    physicsClientId=client,
+                )
+                self._goal = pybullet.createMultiBody(0.0, -1, disc, physicsClientId=client)
+            pybullet.resetBasePositionAndOrientation(
+                self._goal, (*scene.goal, 0.006), (0.0, 0.0, 0.0, 1.0), physicsClientId=client
+            )
         self.wheel_angles: Speeds = ZERO
         self.wheel_speeds: Speeds = ZERO
-
-    def _equip(self, own: Physics) -> None:
-        """Set the robot's physics for the episode that begins."""
-        set_mass(self._robot, own, self._client)
-        self._physics = record_of(own)
-        self._push, self._twist = own.mass / self._dt, own.yaw_inertia / self._dt
-
-    def _mark(self, goal: tuple[float, float] | None) -> None:
-        """Put the goal marker at a point of the world [m]."""
-        if goal is None:
-            return
-        if self._goal < 0:
-            disc = pybullet.createVisualShape(
-                pybullet.GEOM_CYLINDER,
-                radius=0.15,
-                length=0.01,
-                rgbaColor=GOAL_COLOUR,
-                physicsClientId=self._client,
-            )
-            self._goal = pybullet.createMultiBody(0.0, -1, disc, physicsClientId=self._client)
-        pybullet.resetBasePositionAndOrientation(
-            self._goal, (*goal, 0.006), (0.0, 0.0, 0.0, 1.0), physicsClientId=self._client
-        )
 
     def step(self, set_points: Speeds) -> None:
         """Simulate one firmware loop: tyre force and torque, then one engine step."""
         robot, client = self._robot, self._client
         position, (qx, qy, qz, qw) = _pose_of(robot, client)
         (vx, vy, _), (_, _, rate) = _velocity_of(robot, client)
-        (nx, ny, new_rate), self.wheel_speeds, self.wheel_angles = dynamics.robot_step(
+        (nx, ny, new_rate), self.wheel_speeds, self.wheel_angles = model.robot_step(
             1.0 - 2.0 * (qy * qy + qz * qz),
             2.0 * (qw * qz + qx * qy),
             (vx, vy, rate),
@@ -564,8 +218,8 @@ class BulletBody:
     def truth(self) -> GroundTruth:
         """Ground truth of the robot, in the frame of the world."""
         robot, client = self._robot, self._client
-        (x, y, _), orientation = pybullet.getBasePositionAndOrientation(robot, client)
-        (vx, vy, _), (_, _, rate) = pybullet.getBaseVelocity(robot, client)
+        (x, y, _), orientation = _pose_of(robot, client)
+        (vx, vy, _), (_, _, rate) = _velocity_of(robot, client)
         theta = pybullet.getEulerFromQuaternion(orientation)[2]
         forward = vx * math.cos(theta) + vy * math.sin(theta)
         return GroundTruth((x, y, theta), (forward, rate), self._touched)
@@ -576,7 +230,7 @@ class BulletBody:
         _, (qx, qy, qz, qw) = _pose_of(self._robot, self._client)
         (vx, vy, _), (_, _, rate) = _velocity_of(self._robot, self._client)
         cos, sin = 1.0 - 2.0 * (qy * qy + qz * qz), 2.0 * (qw * qz + qx * qy)
-        return motor_power(cos, sin, (vx, vy, rate), self.wheel_speeds, self._physics)
+        return model.motor_power(cos, sin, (vx, vy, rate), self.wheel_speeds, self._physics)
 
     def image(self, width: int, height: int) -> Image:
         """Take a picture with PyBullet's camera from behind and above: (height, width, 3), RGB."""
@@ -608,3 +262,256 @@ class BulletBody:
     def close(self) -> None:
         """Disconnect from PyBullet; idempotent."""
         self._disconnect()
+
+
+def make_robot(config: RobotConfig, client: int) -> int:
+    """Make a rigid body of chassis and four wheels, its origin at the height of the axles.
+
+    The chassis is a box, or upright convex prisms where the footprint is a polygon. The wheels'
+    collision shapes are small spheres ("feet") that touch the floor below the hubs: one contact
+    each, at the right place, and nothing beyond the footprint. Returns PyBullet's number.
+    """
+    body, radius = config.body, config.wheel_radius
+    bottom = min(CLEARANCE, radius) - radius
+    top = max(body.height - radius, bottom + 0.01)
+    polygon = config.footprint
+    with write_mesh(polygon, bottom, top) if polygon else contextlib.nullcontext("") as file:
+        feet, foot = place_feet(config)
+        (half_x, half_y), none = config.outline[0], (0.0, 0.0, 0.0)
+        chassis = none if polygon else (0.0, 0.0, (top + bottom) / 2.0)
+        touchable = pybullet.createCollisionShapeArray(
+            shapeTypes=[pybullet.GEOM_MESH if polygon else pybullet.GEOM_BOX]
+            + [pybullet.GEOM_SPHERE] * 4,
+            halfExtents=[(half_x, half_y, (top - bottom) / 2.0)] + [none] * 4,
+            radii=[0.0] + [foot] * 4,
+            fileNames=[file] + [""] * 4,
+            meshScales=[(1.0, 1.0, 1.0)] * 5,
+            collisionFramePositions=[chassis, *((x, y, foot - radius) for x, y in feet)],
+            physicsClientId=client,
+        )
+        shapes = _visual_shapes(config, bottom, top, file)
+        visible = pybullet.createVisualShapeArray(
+            shapeTypes=[s.kind for s in shapes],
+            fileNames=[s.file for s in shapes],
+            meshScales=[(1.0, 1.0, 1.0) for _ in shapes],
+            halfExtents=[s.box for s in shapes],
+            radii=[s.radius for s in shapes],
+            lengths=[s.length for s in shapes],
+            rgbaColors=[s.colour for s in shapes],
+            visualFramePositions=[s.at for s in shapes],
+            visualFrameOrientations=[s.turn for s in shapes],
+            physicsClientId=client,
+        )
+        body_id = int(
+            pybullet.createMultiBody(
+                body.mass, touchable, visible, (0.0, 0.0, radius), physicsClientId=client
+            )
+        )
+    pybullet.changeDynamics(
+        body_id,
+        -1,
+        lateralFriction=0.0,
+        rollingFriction=0.0,
+        spinningFriction=0.0,
+        restitution=0.0,
+        linearDamping=0.0,
+        angularDamping=0.0,
+        physicsClientId=client,
+    )
+    return body_id
+
+
+def place_feet(config: RobotConfig) -> tuple[list[Point], float]:
+    """Centres and radius [m] of the feet, such that none is outside the footprint.
+
+    They are below the hubs, or as near to them as the footprint allows.
+    """
+    outline, feet = config.outline, []
+    for x, y in wheel_hubs(config):
+        shares = (share / FOOT_PLACES for share in range(FOOT_PLACES, 0, -1))
+        inside = (s for s in shares if contains_point(outline, s * x, s * y))
+        fits = (s for s in inside if border_distance(outline, s * x, s * y) >= LEAST_FOOT)
+        share = next(fits, 0.0)
+        feet.append((share * x, share * y))
+    return feet, min(config.wheel_radius, *(border_distance(outline, *foot) for foot in feet))
+
+
+def wheel_hubs(config: RobotConfig) -> list[Point]:
+    """Wheel centres in the base frame, order front_right, front_left, rear_left, rear_right."""
+    a, b = config.wheelbase / 2.0, config.wheel_separation / 2.0
+    return [(a, -b), (a, b), (-a, b), (-a, -b)]
+
+
+class _Shape(NamedTuple):
+    """A visual shape: a box of half sizes, a cylinder along z, or a file."""
+
+    kind: int
+    at: tuple[float, float, float]
+    colour: tuple[float, float, float, float]
+    box: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    radius: float = 0.0
+    length: float = 0.0
+    turn: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+    file: str = ""
+
+
+def _visual_shapes(config: RobotConfig, bottom: float, top: float, file: str) -> list[_Shape]:
+    """Chassis and deck, or a polygon's prisms, then LiDAR and four tyres."""
+    body = config.body
+    tyre = max(0.02, body.width - config.wheel_separation)
+    inner = max(0.02, config.wheel_separation - tyre - 0.01)
+    middle, over, lidar = (0.0, 0.0, (top + bottom) / 2), (0.0, 0.0, top + 0.004), body.length / 4
+    chassis, deck = (
+        (body.length / 2, inner / 2, (top - bottom) / 2),
+        (body.length / 2.2, inner / 2.2),
+    )
+    box, cylinder = pybullet.GEOM_BOX, pybullet.GEOM_CYLINDER
+    if file:
+        hull = [_Shape(pybullet.GEOM_MESH, (0.0, 0.0, 0.0), CHASSIS_COLOUR, file=file)]
+    else:
+        hull = [
+            _Shape(box, middle, CHASSIS_COLOUR, chassis),
+            _Shape(box, over, DECK_COLOUR, (*deck, 0.004)),
+        ]
+    sideways = (math.sin(math.pi / 4), 0.0, 0.0, math.cos(math.pi / 4))
+    wheel = _Shape(
+        cylinder,
+        (0.0, 0.0, 0.0),
+        WHEEL_COLOUR,
+        radius=config.wheel_radius,
+        length=tyre,
+        turn=sideways,
+    )
+    return [
+        *hull,
+        _Shape(cylinder, (lidar, 0.0, top + 0.028), WHEEL_COLOUR, radius=0.035, length=0.04),
+        *(wheel._replace(at=(x, y, 0.0)) for x, y in wheel_hubs(config)),
+    ]
+
+
+@contextlib.contextmanager
+def write_mesh(outline: Outline, low: float, high: float) -> Iterator[str]:
+    """Write a temporary Wavefront file with an upright prism for each convex piece of an outline.
+
+    PyBullet reads shapes of many corners from files only. It uses the convex hull of each object
+    in a file, so each piece is an object, and notches stay open. Its hulls are 1 mm larger on
+    every side. The file is deleted after the block.
+
+    Args:
+        outline: corners in the base frame [m].
+        low: least height [m].
+        high: largest height [m].
+
+    Yields:
+        Name of the file.
+    """
+    lines, first = [], 1  # of corners, which count from 1
+    for number, piece in enumerate(convex_pieces(outline)):
+        count = len(piece)
+        lines.append(f"o piece{number}")
+        lines += [f"v {x!r} {y!r} {z!r}" for z in (low, high) for x, y in piece]
+        under, upper = range(first, first + count), range(first + count, first + 2 * count)
+        around = zip(under, (*under[1:], first), strict=True)
+        sides = [(one, other, other + count, one + count) for one, other in around]
+        lines += ["f " + " ".join(map(str, face)) for face in (upper, reversed(under), *sides)]
+        first += 2 * count
+    with tempfile.TemporaryDirectory(prefix="acsar_gym_") as folder:
+        file = Path(folder) / "footprint.obj"
+        file.write_text("\n".join(lines), encoding="ascii")
+        yield str(file)
+
+
+class StaticObstacles:
+    """The obstacles of one world, or none, as static compounds of up to 16 shapes each.
+
+    Every body costs time in every step of the engine, and a compound near the robot costs more, so
+    a compound has obstacles that are near each other. They are never changed or removed: PyBullet
+    leaks the shapes of bodies that are removed, but not those of a simulation that is reset, so
+    another world needs another simulation. Visual shapes take ten times as long to make as
+    collision shapes, so `paint` makes them when they are needed.
+    """
+
+    def __init__(self, client: int, world: World | None) -> None:
+        self._client = client
+        self.world = world
+        self._compounds = [] if world is None else _compounds(world)
+        self._painted = False
+        self._bodies: set[int] = set()
+        # A tiny shape below the floor: without a visual one PyBullet would make a slow one itself.
+        hidden = -1
+        if self._compounds:
+            hidden = pybullet.createVisualShape(
+                pybullet.GEOM_BOX,
+                halfExtents=(1e-3, 1e-3, 1e-3),
+                visualFramePosition=(0.0, 0.0, -1.0),
+                physicsClientId=client,
+            )
+        for options in self._compounds:
+            named = {f"collisionFrame{k}" if k in FRAME_KEYS else k: options[k] for k in options}
+            shape = pybullet.createCollisionShapeArray(**named, physicsClientId=client)
+            # A body in maximal coordinates takes a third of the time of PyBullet's multibodies.
+            body = pybullet.createMultiBody(
+                0.0, shape, hidden, useMaximalCoordinates=1, physicsClientId=client
+            )
+            self._bodies.add(int(body))
+
+    def paint(self) -> None:
+        """Make the obstacles visible to PyBullet's camera and window; idempotent."""
+        for options in () if self._painted else self._compounds:
+            named = {f"visualFrame{k}" if k in FRAME_KEYS else k: options[k] for k in options}
+            colours = [OBSTACLE_COLOUR] * len(options["shapeTypes"])
+            shape = pybullet.createVisualShapeArray(
+                **named, rgbaColors=colours, physicsClientId=self._client
+            )
+            pybullet.createMultiBody(0.0, -1, shape, physicsClientId=self._client)
+        self._painted = True
+
+    def __contains__(self, body: int) -> bool:
+        return body in self._bodies
+
+    def __len__(self) -> int:
+        return len(self._bodies)
+
+
+def _compounds(world: World) -> list[dict[str, Any]]:
+    """Arguments of PyBullet's createCollisionShapeArray for every compound."""
+    found: list[dict[str, Any]] = [
+        {
+            "shapeTypes": [pybullet.GEOM_CYLINDER] * len(circles),
+            "radii": np.maximum(circles[:, 2], 1e-3).tolist(),
+            "lengths": [OBSTACLE_HEIGHT] * len(circles),
+            "Positions": [(x, y, OBSTACLE_HEIGHT / 2.0) for x, y, _ in circles.tolist()],
+        }
+        for circles in _group_neighbours(world.circles, world.circles[:, :2])
+    ]
+    middles = (world.segments[:, :2] + world.segments[:, 2:]) / 2.0
+    for segments in _group_neighbours(world.segments, middles):
+        along = segments[:, 2:] - segments[:, :2]
+        lengths, angles = np.hypot(along[:, 0], along[:, 1]), np.arctan2(along[:, 1], along[:, 0])
+        centres = ((segments[:, :2] + segments[:, 2:]) / 2.0).tolist()
+        walls = {
+            "shapeTypes": [pybullet.GEOM_BOX] * len(segments),
+            "halfExtents": [
+                (max(n / 2.0, 1e-3), WALL_THICKNESS / 2.0, OBSTACLE_HEIGHT / 2.0)
+                for n in lengths.tolist()
+            ],
+            "Positions": [(x, y, OBSTACLE_HEIGHT / 2.0) for x, y in centres],
+            "Orientations": [
+                (0.0, 0.0, math.sin(angle / 2.0), math.cos(angle / 2.0))
+                for angle in angles.tolist()
+            ],
+        }
+        found.append(walls)
+    return found
+
+
+def _group_neighbours(rows: Floats, places: Floats) -> Iterator[Floats]:
+    """Split rows into groups that are near each other and small enough for a compound."""
+    if len(rows) > MAX_SHAPES:
+        axis = int(np.ptp(places[:, 1]) > np.ptp(places[:, 0]))
+        order = np.argsort(places[:, axis], kind="stable")
+        half = MAX_SHAPES * math.ceil(len(rows) / MAX_SHAPES / 2)
+        for part in (order[:half], order[half:]):
+            yield from _group_neighbours(rows[part], places[part])
+    elif len(rows):
+        yield rows

@@ -94,18 +94,18 @@ class Firmware:
         self._elapsed += period
         now = self._elapsed + TIME_EPSILON
         while (self._loops + 1) * self._dt <= now:
-            self._loop()
+            self._run_loop()
         arrived = []
         while self._sent and self._sent[0][0] <= now:
             arrived.append(self._sent.popleft())
         self.arrived = arrived
         return b"".join([line for _, line in arrived])
 
-    def _loop(self) -> None:
-        """Run one firmware loop."""
+    def _run_loop(self) -> None:
+        """Run one loop: newest commands, ramps, motors, encoders, and a line if it is due."""
         now, received, body = self._loops * self._dt, self._received, self._body
         while received and received[0][0] <= now + TIME_EPSILON:
-            self._obey(received.popleft()[1], now)
+            self._take_commands(received.popleft()[1], now)
         if now - self._last_command > self._timeout + TIME_EPSILON:
             self._targets = ZERO
         if self._set_points != self._targets:
@@ -116,9 +116,9 @@ class Firmware:
         if self._loops >= self._line_due:
             self._lines += 1
             self._line_due = (self._lines + 1) * self._feedback_every - TIME_EPSILON
-            self._answer()
+            self._send_line()
 
-    def _obey(self, data: bytes, now: float) -> None:
+    def _take_commands(self, data: bytes, now: float) -> None:
         """Set the targets from command lines, saturated at the top speed."""
         top = self._top
         for reading in self.decoder.feed(data):
@@ -133,25 +133,22 @@ class Firmware:
                 d if -top <= d <= top else math.copysign(top, d),
             )
 
-    def _answer(self) -> None:
-        """Send an encoder line."""
-        a, b, c, d = self._encoder_speeds()
-        if self._quantum is not None:
-            a, b, c, d = (round_printed(speed, self._quantum) for speed in (a, b, c, d))
-        if self._encoders is not None:
-            a, b, c, d = self._encoders.to_wire((a, b, c, d))
-        line = encode_line(a, b, c, d, self._end)
-        start = max(self._send_free, self._loops * self._dt + self._processing)
-        self._send_free = start + len(line) * self._byte_time
-        self._sent.append((self._send_free + self._latency, line))
-
-    def _encoder_speeds(self) -> Speeds:
-        """Wheel speeds from the whole counts of the last window [rad/s]."""
+    def _send_line(self) -> None:
+        """Send an encoder line: wheel speeds from the whole counts of the last window [rad/s]."""
         (a1, b1, c1, d1), (a0, b0, c0, d0) = self._angles[-1], self._angles[0]
         k, scale, floor = self._per_radian, self._per_count, math.floor
-        return (
+        speeds: Speeds = (
             (floor(a1 * k) - floor(a0 * k)) * scale,
             (floor(b1 * k) - floor(b0 * k)) * scale,
             (floor(c1 * k) - floor(c0 * k)) * scale,
             (floor(d1 * k) - floor(d0 * k)) * scale,
         )
+        if self._quantum is not None:
+            a, b, c, d = (round_printed(speed, self._quantum) for speed in speeds)
+            speeds = (a, b, c, d)
+        if self._encoders is not None:
+            speeds = self._encoders.to_wire(speeds)
+        line = encode_line(*speeds, self._end)
+        start = max(self._send_free, self._loops * self._dt + self._processing)
+        self._send_free = start + len(line) * self._byte_time
+        self._sent.append((self._send_free + self._latency, line))

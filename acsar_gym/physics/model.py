@@ -21,38 +21,13 @@ from acsar_gym.config import BITS_PER_BYTE, LINE_BYTES, RobotConfig
 from acsar_gym.jit import jit, loop
 from acsar_gym.protocol import Speeds
 
-# What the board computes: ramps of set points, and the numbers that it prints.
+GRAVITY = 9.81
+"""Acceleration of gravity [m/s^2]."""
+FRICTION_ROUNDS = 3
+"""Fixed-point iterations for the secant friction."""
 
-
-@jit
-def move_towards(value: float, target: float, step: float) -> float:
-    """Move a value towards a target by at most `step`."""
-    return min(max(target, value - step), value + step)
-
-
-@loop
-def ramp_set_points(set_points: Speeds, targets: Speeds, steps: Speeds) -> Speeds:
-    """Move four set points [rad/s] towards their targets by at most their `steps`."""
-    return (
-        move_towards(set_points[0], targets[0], steps[0]),
-        move_towards(set_points[1], targets[1], steps[1]),
-        move_towards(set_points[2], targets[2], steps[2]),
-        move_towards(set_points[3], targets[3], steps[3]),
-    )
-
-
-@loop
-def round_printed(speed: float, quantum: float) -> float:
-    """Round a measured speed [rad/s] to a multiple of the quantum.
-
-    The last factor makes multiples that lie halfway between two numbers of two decimals round
-    alike as text and in compiled code.
-    """
-    multiple: float = np.rint(speed / quantum) * quantum
-    return multiple * (1.0 + 1e-12)
-
-
-# How long lines are on their way between driver and board, and the firmware's loops.
+Velocity = tuple[float, float, float]
+"""vx, vy [m/s] and yaw rate [rad/s]."""
 
 
 def loop_period(config: RobotConfig) -> float:
@@ -82,13 +57,32 @@ def wire_loops(config: RobotConfig, command_delay: float = 0.0) -> int:
     return int(whole_loops(wire_time(config) + command_delay, loop_period(config)))
 
 
-GRAVITY = 9.81
-"""Acceleration of gravity [m/s^2]."""
-FRICTION_ROUNDS = 3
-"""Fixed-point iterations for the secant friction."""
+@jit
+def move_towards(value: float, target: float, step: float) -> float:
+    """Move a value towards a target by at most `step`."""
+    return min(max(target, value - step), value + step)
 
-Velocity = tuple[float, float, float]
-"""vx, vy [m/s] and yaw rate [rad/s]."""
+
+@loop
+def ramp_set_points(set_points: Speeds, targets: Speeds, steps: Speeds) -> Speeds:
+    """Move four set points [rad/s] towards their targets by at most their `steps`."""
+    return (
+        move_towards(set_points[0], targets[0], steps[0]),
+        move_towards(set_points[1], targets[1], steps[1]),
+        move_towards(set_points[2], targets[2], steps[2]),
+        move_towards(set_points[3], targets[3], steps[3]),
+    )
+
+
+@loop
+def round_printed(speed: float, quantum: float) -> float:
+    """Round a measured speed [rad/s] to a multiple of the quantum.
+
+    The last factor makes multiples that lie halfway between two numbers of two decimals round
+    alike as text and in compiled code.
+    """
+    multiple: float = np.rint(speed / quantum) * quantum
+    return multiple * (1.0 + 1e-12)
 
 
 class Physics(NamedTuple):

@@ -1,38 +1,33 @@
 """Domain randomization: which parameters of a robot are drawn anew for every episode, and how.
 
-`Randomization` has the ranges, `Drawn` the numbers that an episode draws from them, and `varied`
-their effect on a robot's physics. The single env and the batch both draw with `draw`, so that the
-same seed gives the same robot.
+`Randomization` has the ranges, `Drawn` the numbers that an episode draws from them, and
+`vary_physics` their effect on a robot's physics. The single env and the batch both draw with
+`draw_robot`, so that the same seed gives the same robot.
 
 To add a parameter: add a field to `Randomization`, one to the end of `Drawn` (so that existing
-seeds still draw the same numbers), and its effect to `varied`. If the physics has no such number,
-add a field to `model.Physics` and use it there; batches and both bodies need no change.
+seeds still draw the same numbers), and its effect to `vary_physics`. If the physics has no such
+number, add a field to `model.Physics` and use it there; batches and both bodies need no change.
 """
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
-from typing import Any, NamedTuple, Self
+from collections.abc import Mapping
+from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import AfterValidator, Field
 
 from acsar_gym.config import Measured, RobotConfig
-from acsar_gym.config.section import PerWheel, value_of_wheel
-from acsar_gym.errors import ConfigError, show_value, suggest_name
+from acsar_gym.config.section import Delay, Section, value_of_wheel
+from acsar_gym.errors import ConfigError, show_value
 from acsar_gym.jit import jit, leading_numbers, loop, record_of
 from acsar_gym.physics.model import Physics, compute_physics, loop_period, turn_factor, wire_loops
 
-# Ranges of domain randomization for one robot: what was measured of it, else default widths.
-#
-# A measured interval becomes the range of the parameter that it is about; factors are relative to
-# the
-# configured value. Where wheels have intervals of their own, the range holds all of them, and the
-# default width for wheels without one.
-
 Range = tuple[float, float]
+Floats = NDArray[np.float64]
 
 DEFAULT_RANGES: dict[str, Range] = {
     "friction": (0.7, 1.2),
@@ -55,52 +50,72 @@ FACTOR_FIELDS = {
 TURNING_FIELDS = ("body.turn_factor", "wheel_separation_multiplier")
 """Fields whose intervals the turn factor follows, the first that was measured: a multiplier that is
 right for a robot is the factor by which it turns slower."""
+WHEEL_FIELDS = {
+    "motor_gain": "gain",
+    "motor_lag": "time_constant",
+    "deadband_offset": "deadband",
+}
+"""Parameters of single wheels, and the field of `motor` that they are about."""
 LEAST_TURN = 1.001
 """Least turn factor of a range; one of 1 would be a tyre without sideways friction."""
-SMALLEST, LARGEST = 1e-6, 1e3
+MIN_FACTOR, MAX_FACTOR = 1e-6, 1e3
 """Factors that a range can have."""
-WHEEL_FACTORS = {"motor_gain": "gain", "motor_lag": "time_constant"}
-"""Parameters that are factors on a value of each wheel, and the field of `motor`."""
+LEVEL_WIDTHS = {1: 0.5, 2: 1.0, 3: 2.0}
+"""Widths of the levels of randomization, relative to what `acsar-gym train` randomizes."""
+MIN_LEVEL_FACTOR = 0.05
+"""Least factor of a range that is widened for a level."""
 
 
 def measured_ranges(config: RobotConfig) -> dict[str, tuple[float, ...]]:
-    """Return the randomization parameters that follow from a robot's measurements, with ranges."""
-    found: dict[str, tuple[float, ...]] = {
-        name: _relative(config.measured[path], _value(config, path))
-        for name, path in FACTOR_FIELDS.items()
-        if path in config.measured
-    }
-    turning = next((path for path in TURNING_FIELDS if path in config.measured), None)
+    """Return the parameters that follow from a robot's measurements, with their ranges.
+
+    A measured interval becomes the range of the parameter that it is about; factors are relative to
+    the configured value. Where wheels have intervals of their own, the range holds all of them, and
+    the default width for wheels without one.
+    """
+    measured, found = config.measured, dict[str, tuple[float, ...]]()
+    for name, path in FACTOR_FIELDS.items():
+        if path in measured:
+            value: Any = functools.reduce(getattr, path.split("."), config)
+            found[name] = _relative_range(measured[path], value)
+    turning = next((measured[path] for path in TURNING_FIELDS if path in measured), None)
     if turning is not None:
-        found["turn_factor"] = _turning(config.measured[turning], turn_factor(config))
-    return found | _of_wheels(config) | _of_delays(config)
-
-
-def _of_wheels(config: RobotConfig) -> dict[str, tuple[float, ...]]:
-    """Ranges of what is measured for each wheel."""
-    found: dict[str, tuple[float, ...]] = {}
-    for name, field in WHEEL_FACTORS.items():
-        ends = list(_wheel_ends(config, field, DEFAULT_RANGES[name]))
+        factor = turn_factor(config)
+        found["turn_factor"] = (
+            max(turning.low, LEAST_TURN) / factor,
+            max(turning.high, LEAST_TURN) / factor,
+        )
+    for name, field in WHEEL_FIELDS.items():
+        ends = _wheel_ends(config, name, field)
         if ends:
             found[name] = (min(ends), max(ends))
-    offsets = list(_deadband_ends(config))
-    if offsets:
-        found["deadband_offset"] = (min(offsets), max(offsets))
-    return found
-
-
-def _of_delays(config: RobotConfig) -> dict[str, tuple[float, ...]]:
-    """Ranges of delays."""
-    found: dict[str, tuple[float, ...]] = {}
-    if "firmware.command_delay" in config.measured:
-        delay = config.measured["firmware.command_delay"]
+    if delay := measured.get("firmware.command_delay"):
         found["command_delay"] = (max(delay.low, 0.0), max(delay.high, 0.0))
     if config.firmware.delay_samples:
         found["delay_samples"] = config.firmware.delay_samples
     return found
 
 
-def measured_or_usual(config: RobotConfig) -> dict[str, tuple[float, ...]]:
+def _wheel_ends(config: RobotConfig, name: str, field: str) -> list[float]:
+    """Ends of the ranges of all wheels for one parameter; nothing where none was measured."""
+    everywhere, ends = config.measured.get(f"motor.{field}"), list[float]()
+    intervals = [config.measured.get(f"motor.{field}.{wheel}", everywhere) for wheel in "abcd"]
+    for wheel, interval in enumerate(intervals):
+        value = value_of_wheel(getattr(config.motor, field), wheel)
+        if name == "deadband_offset":
+            ends += [interval.low - value, interval.high - value] if interval else []
+        elif any(intervals) and value > 0.0:
+            ends += DEFAULT_RANGES[name] if interval is None else _relative_range(interval, value)
+    return ends
+
+
+def _relative_range(interval: Measured, value: float) -> Range:
+    """An interval as a range of factors on a value."""
+    low, high = interval.low / value, interval.high / value
+    return min(max(low, MIN_FACTOR), MAX_FACTOR), min(max(high, MIN_FACTOR), MAX_FACTOR)
+
+
+def choose_ranges(config: RobotConfig) -> dict[str, tuple[float, ...]]:
     """Return the measured ranges of a robot, and the default ones of what wasn't measured."""
     found, usual, factor = measured_ranges(config), dict(DEFAULT_RANGES), turn_factor(config)
     low, high = usual["turn_factor"]
@@ -115,64 +130,40 @@ def describe_ranges(config: RobotConfig) -> str:
     measured = measured_ranges(config)
     if not measured:
         return ""
-    usual = [name for name in measured_or_usual(config) if name not in measured]
-    found = ", ".join(f"{name} {_shown(name, width)}" for name, width in measured.items())
-    return f"randomized as measured: {found}; by default widths: {', '.join(usual)}"
+    told = [
+        f"delay_samples ({len(width)} delays up to {max(width):.3g} s)"
+        if name == "delay_samples"
+        else f"{name} {width[0]:.3g} to {width[1]:.3g}"
+        for name, width in measured.items()
+    ]
+    usual = [name for name in choose_ranges(config) if name not in measured]
+    return f"randomized as measured: {', '.join(told)}; by default widths: {', '.join(usual)}"
 
 
-def _shown(name: str, width: tuple[float, ...]) -> str:
-    """Format a range, or how many delays there are."""
-    if name == "delay_samples":
-        return f"({len(width)} delays up to {max(width):.3g} s)"
-    return f"{width[0]:.3g} to {width[1]:.3g}"
+def randomization_level(config: RobotConfig, number: int) -> Randomization:
+    """Return the randomization of a level: half, all, or twice of what a robot is trained with.
 
+    Measured delays (`command_delay`, `delay_samples`) are the same on all levels.
 
-def _relative(interval: Measured, value: float) -> Range:
-    """An interval as a range of factors on a value."""
-    low, high = interval.low / value, interval.high / value
-    return min(max(low, SMALLEST), LARGEST), min(max(high, SMALLEST), LARGEST)
+    Args:
+        config: the robot.
+        number: 1, 2 or 3.
 
-
-def _turning(interval: Measured, value: float) -> Range:
-    """An interval of turn factors as a range of factors on one, clipped to what tyres can do."""
-    return max(interval.low, LEAST_TURN) / value, max(interval.high, LEAST_TURN) / value
-
-
-def _value(config: RobotConfig, path: str) -> float:
-    """The number of a dotted field."""
-    value: Any = config
-    for name in path.split("."):
-        value = getattr(value, name)
-    return float(value)
-
-
-def _interval(config: RobotConfig, field: str, wheel: int) -> Measured | None:
-    """The interval of a wheel's value: its own, or that of all wheels."""
-    path = f"motor.{field}"
-    return config.measured.get(f"{path}.{'abcd'[wheel]}", config.measured.get(path))
-
-
-def _wheel_ends(config: RobotConfig, field: str, usual: Range) -> Iterator[float]:
-    """Factors at the ends of all wheels' intervals; nothing where no wheel has one."""
-    values: PerWheel = getattr(config.motor, field)
-    intervals = [_interval(config, field, wheel) for wheel in range(4)]
-    if any(intervals):
-        for wheel, interval in enumerate(intervals):
-            value = value_of_wheel(values, wheel)
-            if value > 0.0:
-                yield from usual if interval is None else _relative(interval, value)
-
-
-def _deadband_ends(config: RobotConfig) -> Iterator[float]:
-    """Ends of all wheels' measured deadbands, relative to the configured ones [rad/s]."""
-    for wheel in range(4):
-        interval = _interval(config, "deadband", wheel)
-        if interval is not None:
-            value = value_of_wheel(config.motor.deadband, wheel)
-            yield from (interval.low - value, interval.high - value)
-
-
-Floats = NDArray[np.float64]
+    Raises:
+        ConfigError: there is no such level.
+    """
+    if number not in LEVEL_WIDTHS:
+        raise ConfigError(f"randomization level {show_value(number)}: must be 1, 2 or 3")
+    scale, ranges = LEVEL_WIDTHS[number], choose_ranges(config)
+    for name, width in ranges.items():
+        if name in ("latency", "deadband_offset"):  # about zero
+            ranges[name] = tuple(scale * end for end in width)
+        elif name not in ("command_delay", "delay_samples"):  # factors, about one
+            low, high = (1.0 + scale * (end - 1.0) for end in width)
+            ranges[name] = (max(low, MIN_LEVEL_FACTOR), high)
+    low, high = ranges["turn_factor"]
+    ranges["turn_factor"] = (max(low, LEAST_TURN / turn_factor(config)), high)
+    return Randomization.of(ranges)
 
 
 class Drawn(NamedTuple):
@@ -216,8 +207,21 @@ class DrawnRanges(NamedTuple):
     """What `delay_samples` is drawn from [s]; its low and high are the shares 0 and 1."""
 
 
-@dataclass(frozen=True, slots=True)
-class Randomization:
+def _bounded(least: float, most: float) -> AfterValidator:
+    """Return a validator of a range."""
+
+    def check(value: Range | None) -> Range | None:
+        if value is not None and not least <= value[0] <= value[1] <= most:
+            raise ValueError(f"must be (low, high) with {least:g} <= low <= high <= {most:g}")
+        return value
+
+    return AfterValidator(check)
+
+
+Factor = Annotated[Range | None, _bounded(MIN_FACTOR, MAX_FACTOR)]
+
+
+class Randomization(Section):
     """Ranges (low, high) from which every episode draws; a parameter that is None doesn't vary.
 
     The same on every simulated link and in a batch. Factors multiply the configured value; other
@@ -225,47 +229,45 @@ class Randomization:
     under "drawn_" and the name.
     """
 
-    mass: Range | None = None
+    section = "randomization"
+    mass: Factor = None
     """Factor on the mass, and so on inertia and wheel loads."""
-    friction: Range | None = None
+    friction: Factor = None
     """Factor on the friction between tyre and ground."""
-    motor_gain: Range | None = None
+    motor_gain: Factor = None
     """Factor on each wheel's speed for its set point; four numbers."""
-    motor_lag: Range | None = None
+    motor_lag: Factor = None
     """Factor on each wheel's time constant; four numbers. No effect on motors without lag."""
-    deadband: Range | None = None
+    deadband: Annotated[Range | None, _bounded(0.0, 1e3)] = None
     """Set points below this don't turn the wheel [rad/s]."""
-    wheel_radius: Range | None = None
+    wheel_radius: Factor = None
     """Factor on the real wheel radius; odometry still assumes the configured one."""
-    latency: Range | None = None
+    latency: Annotated[Range | None, _bounded(0.0, 10.0)] = None
     """Delay of commands and feedback on top of the wire's own [s], in whole firmware loops;
     shorter than an env step."""
-    feedback_rate: Range | None = None
+    feedback_rate: Annotated[Range | None, _bounded(0.1, 1e4)] = None
     """Feedback lines per second [Hz], rounded to whole firmware loops."""
-    track_width: Range | None = None
+    track_width: Factor = None
     """Factor on the real distance between left and right wheels; odometry still assumes the
     configured one. Tyres that wear or bulge change where they touch the ground."""
-    left_wheel_radius: Range | None = None
+    left_wheel_radius: Factor = None
     """Factor on the real radius of the left wheels; odometry still assumes the configured one."""
-    right_wheel_radius: Range | None = None
+    right_wheel_radius: Factor = None
     """Factor on the real radius of the right wheels."""
-    turn_factor: Range | None = None
+    turn_factor: Factor = None
     """Factor on the robot's turn factor (see `body.turn_factor`), which depends on the ground."""
-    command_delay: Range | None = None
+    command_delay: Annotated[Range | None, _bounded(0.0, 1.0)] = None
     """Time from the last byte of a command to its effect, after the processing time [s]."""
-    delay_samples: tuple[float, ...] | None = None
+    delay_samples: Annotated[tuple[Delay, ...], Field(min_length=1)] | None = None
     """Delays of commands on top of `command_delay` [s]; each episode draws one of them."""
-    deadband_offset: Range | None = None
+    deadband_offset: Annotated[Range | None, _bounded(-1e3, 1e3)] = None
     """Added to each wheel's deadband, which stays at least 0 [rad/s]; four numbers."""
-
-    def __post_init__(self) -> None:
-        for name in self.names:
-            check = _delays if name == "delay_samples" else _checked
-            object.__setattr__(self, name, check(name, getattr(self, name)))
 
     @classmethod
     def of(
-        cls, ranges: Mapping[str, Range] | Self | bool | None, config: RobotConfig | None = None
+        cls,
+        ranges: Mapping[str, tuple[float, ...]] | Self | bool | None,
+        config: RobotConfig | None = None,
     ) -> Randomization:
         """Return a Randomization from a mapping of names to ranges.
 
@@ -281,37 +283,31 @@ class Randomization:
             return ranges
         if ranges is True and config is not None:
             return cls.measured(config)
-        ranges = None if ranges is False else ranges
-        if not isinstance(ranges, Mapping | None):
+        if ranges is None or ranges is False:
+            return cls()
+        if not isinstance(ranges, Mapping):
             raise ConfigError(
-                f"randomization = {show_value(ranges)}: must be a mapping of names to "
-                "(low, high), such "
-                'as {"friction": (0.7, 1.2)}, or True for what acsar-gym train randomizes'
+                f"randomization = {show_value(ranges)}: must be a mapping of names to (low, high), "
+                'such as {"friction": (0.7, 1.2)}, or True for what acsar-gym train randomizes'
             )
-        known = {field.name for field in fields(cls)}
-        for name in ranges or ():
-            if name not in known:
-                raise ConfigError(
-                    f"unknown randomization {show_value(name)}{suggest_name(str(name)[:40], known)}"
-                )
-        return cls(**(ranges or {}))
+        return cls.model_validate(dict(ranges))
 
     @classmethod
     def measured(cls, config: RobotConfig) -> Randomization:
-        """Return the ranges of a robot's measurements; see `acsar_gym.physics.randomization`.
+        """Return the ranges of a robot's measurements, and default widths for the rest.
 
-        What wasn't measured has a default width. Measured delays (`firmware.delay_samples`, or the
-        interval of `firmware.command_delay`) replace the default latency.
+        Measured delays (`firmware.delay_samples`, or the interval of `firmware.command_delay`)
+        replace the default latency.
 
         Args:
             config: the robot, with the intervals in its field `measured`.
         """
-        return cls.of(measured_or_usual(config))  # type: ignore[arg-type]
+        return cls.of(choose_ranges(config))
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters that vary."""
-        return tuple(f.name for f in fields(self) if getattr(self, f.name) is not None)
+        return tuple(name for name, value in self if value is not None)
 
     def ranges(self, config: RobotConfig, step: float) -> DrawnRanges:
         """Return the range of every number that an episode draws.
@@ -321,15 +317,29 @@ class Randomization:
             step: duration of an env step [s].
 
         Raises:
-            ConfigError: the latency is as long as a step, or the wire or `feedback_timeout` doesn't
-                allow the feedback rate.
+            ConfigError: the latency is as long as a step, the wire or `feedback_timeout` doesn't
+                allow the feedback rate, or the robot would turn as fast as the formula says.
         """
-        if self.feedback_rate is not None:
-            _check_feedback(self.feedback_rate, config)
-        if self.turn_factor is not None:
-            _check_turning(self.turn_factor, config)
-        if self.latency is not None:
-            _check_latency(self.latency, config, step)
+        dt = loop_period(config)
+        for rate in self.feedback_rate or ():
+            applied = 1.0 / (loops_between(rate, dt) * dt)
+            try:
+                config.with_(firmware={"feedback_rate": applied})
+            except ConfigError as error:
+                said = f"randomization.feedback_rate = {self.feedback_rate}: {error}"
+                raise ConfigError(said) from None
+        if self.turn_factor and (least := self.turn_factor[0] * turn_factor(config)) <= 1.0:
+            raise ConfigError(
+                f"randomization.turn_factor = {self.turn_factor}: makes this robot's turn factor "
+                f"{least:g}: must stay above 1"
+            )
+        slowest = wire_loops(config) * dt + (self.latency or (0.0, 0.0))[1]
+        if self.latency and slowest > step - dt / 2.0:
+            raise ConfigError(
+                f"randomization.latency = {self.latency}: on this wire a line takes up to "
+                f"{slowest:g} s; must be shorter than a step of the policy ({step:g} s); a lower "
+                "policy_rate makes it longer"
+            )
         lags = config.motor.time_constant
         instant = [f"motor_lag_{w}" for i, w in enumerate("abcd") if value_of_wheel(lags, i) == 0.0]
         pairs = {
@@ -343,84 +353,11 @@ class Randomization:
         return DrawnRanges(Drawn(**low), Drawn(**high), self.delay_samples or (0.0,))
 
 
-LEAST_VALUES = {
-    "deadband": 0.0,
-    "latency": 0.0,
-    "feedback_rate": 0.1,
-    "command_delay": 0.0,
-    "deadband_offset": -1e3,
-}
-LARGEST_VALUES = {"latency": 10.0, "feedback_rate": 1e4, "command_delay": 1.0}
-"""Limits of parameters that aren't factors from 1e-6 to 1,000. The rate and the latency are
-limited because lines on their way are held in memory."""
-
-
-def _checked(name: str, value: Range) -> Range:
-    """Check a range; ConfigError where it is malformed or out of bounds."""
-    least, most = LEAST_VALUES.get(name, 1e-6), LARGEST_VALUES.get(name, 1e3)
-    try:
-        low, high = (float(limit) for limit in value)
-    except (TypeError, ValueError, OverflowError):
-        low, high = math.nan, math.nan
-    if not least <= low <= high <= most:
-        text = f"{least:g} <= low <= high <= {most:g}"
-        raise ConfigError(
-            f"randomization {name} = {show_value(value)}: must be (low, high) with {text}"
-        )
-    return low, high
-
-
-def _delays(name: str, value: Any) -> tuple[float, ...]:
-    """Check delays [s]; ConfigError where they are malformed or out of bounds."""
-    try:
-        delays = tuple(float(delay) for delay in value)
-    except (TypeError, ValueError, OverflowError):
-        delays = ()
-    if not delays or not all(0.0 <= delay <= 1.0 for delay in delays):
-        raise ConfigError(
-            f"randomization {name} = {show_value(value)}: must be delays from 0 to 1 s"
-        )
-    return delays
-
-
-def _check_latency(latency: Range, config: RobotConfig, step: float) -> None:
-    """ConfigError where feedback can take as long as an env step to reach the driver."""
-    dt = loop_period(config)
-    slowest = wire_loops(config) * dt + latency[1]
-    if slowest > step - dt / 2.0:
-        raise ConfigError(
-            f"randomization latency = {latency}: on this wire a line takes up to {slowest:g} s; "
-            f"must be shorter than a step of the policy ({step:g} s); a lower policy_rate makes it "
-            "longer"
-        )
-
-
 def longest_delay(ranges: DrawnRanges, config: RobotConfig) -> float:
     """Longest `command_delay` that an episode can have [s]."""
     drawn = ranges.high.command_delay
     longest = config.firmware.command_delay if math.isnan(drawn) else drawn
     return longest + max(ranges.delays)
-
-
-def _check_turning(factors: Range, config: RobotConfig) -> None:
-    """ConfigError where a robot would turn as fast as the formula says, or faster."""
-    least = factors[0] * turn_factor(config)
-    if least <= 1.0:
-        raise ConfigError(
-            f"randomization turn_factor = {factors}: makes this robot's turn factor {least:g}: "
-            "must stay above 1"
-        )
-
-
-def _check_feedback(rates: Range, config: RobotConfig) -> None:
-    """ConfigError where lines don't fit on the wire, or come too rarely for `feedback_timeout`."""
-    dt = loop_period(config)
-    for rate in rates:
-        applied = 1.0 / (loops_between(rate, dt) * dt)
-        try:
-            config.with_(firmware={"feedback_rate": applied})
-        except ConfigError as error:
-            raise ConfigError(f"randomization feedback_rate = {rates}: {error}") from None
 
 
 DRAWN_SIZE = len(Drawn._fields)
@@ -541,21 +478,20 @@ def number_names(name: str) -> tuple[str, ...]:
 
 
 class Randomizer:
-    """Draws the physics of one robot, episode by episode."""
+    """Draws the physics of one robot, episode by episode.
+
+    Args:
+        given: as for `Randomization.of`.
+        config: the robot.
+        step: duration of an env step [s].
+        simulated: whether the link is simulated, so that physics can vary.
+
+    Raises:
+        ConfigError: physics can't vary on this link, or as `Randomization.of` and
+            `Randomization.ranges`.
+    """
 
     def __init__(self, given: Any, config: RobotConfig, step: float, *, simulated: bool) -> None:
-        """Check the ranges.
-
-        Args:
-            given: As for `Randomization.of`.
-            config: The robot.
-            step: Duration of an env step [s].
-            simulated: Whether the link is simulated, so that physics can vary.
-
-        Raises:
-            ConfigError: Physics can't vary on this link, or as `Randomization.of` and
-                `Randomization.ranges`.
-        """
         randomization = Randomization.of(given, config)
         self._names = randomization.names
         if self._names and not simulated:
@@ -590,54 +526,8 @@ class Randomizer:
 
     def info(self) -> dict[str, Any]:
         """What was drawn last, as applied: a float, or an array of four in the order of wheels."""
-        return {f"drawn_{name}": _told(self._drawn, name) for name in self._names}
-
-
-def _told(drawn: Drawn, name: str) -> float | Floats:
-    """One parameter's value for info."""
-    numbers = np.array([drawn[k] for k in drawn_places(name)])
-    return float(numbers[0]) if len(numbers) == 1 else numbers
-
-
-# Three levels of domain randomization for one robot: narrow, as in training, and beyond that.
-
-LEVEL_WIDTHS = {1: 0.5, 2: 1.0, 3: 2.0}
-"""Widths of the levels, relative to what `acsar-gym train` randomizes."""
-LEAST_FACTOR = 0.05
-"""Least factor of a range that is widened."""
-FROM_ZERO = ("latency", "deadband_offset")
-"""Parameters whose ranges are scaled about zero; those of factors are scaled about one."""
-
-
-def randomization_level(config: RobotConfig, number: int) -> Randomization:
-    """Return the randomization of a level: half, all, or twice of what a robot is trained with.
-
-    Measured delays (`command_delay`, `delay_samples`) are the same on all levels.
-
-    Args:
-        config: the robot.
-        number: 1, 2 or 3.
-
-    Raises:
-        ConfigError: there is no such level.
-    """
-    if number not in LEVEL_WIDTHS:
-        raise ConfigError(f"randomization level {show_value(number)}: must be 1, 2 or 3")
-    least = LEAST_TURN / turn_factor(config)
-    widened = {
-        name: _scaled(name, width, LEVEL_WIDTHS[number])
-        for name, width in measured_or_usual(config).items()
-    }
-    low, high = widened["turn_factor"]
-    return Randomization.of(widened | {"turn_factor": (max(low, least), high)})  # type: ignore[arg-type]
-
-
-def _scaled(name: str, width: tuple[float, ...], scale: float) -> tuple[float, ...]:
-    """Scale a range about one, or about zero."""
-    if name in ("command_delay", "delay_samples"):
-        return width
-    if name in FROM_ZERO:
-        return tuple(scale * end for end in width)
-    low, high = (1.0 + scale * (end - 1.0) for end in width)
-    narrowed: Range = (max(low, LEAST_FACTOR), high)
-    return narrowed
+        told: dict[str, Any] = {}
+        for name in self._names:
+            numbers = np.array([self._drawn[k] for k in drawn_places(name)])
+            told[f"drawn_{name}"] = float(numbers[0]) if len(numbers) == 1 else numbers
+        return told

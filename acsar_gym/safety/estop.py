@@ -19,14 +19,12 @@ import stat
 import sys
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
 from acsar_gym.errors import EmergencyStopError, LinkError, SafetyWarning, escape_unprintable
-
-# The folders in which robots listen for an emergency stop; only their owner can use them.
 
 SESSION_FOLDERS = Path("/run/user")
 """Has a folder for each user who is logged in, in which nobody else can create files."""
@@ -49,17 +47,13 @@ def list_candidates() -> list[Path]:
     name = f"acsar_gym-{os.getuid()}"
     if os.environ.get(FOLDER_VARIABLE):
         return [Path(os.environ[FOLDER_VARIABLE]) / name]
-    session = SESSION_FOLDERS / str(os.getuid())
-    return [*([session / name] if _is_ours(session) else []), SHARED_FOLDER / name]
-
-
-def _is_ours(path: Path) -> bool:
-    """Whether this is a folder in which nobody else can create files."""
-    try:
-        found = path.lstat()
-    except OSError:
-        return False
-    return stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o22
+    session, folders = SESSION_FOLDERS / str(os.getuid()), [SHARED_FOLDER / name]
+    with contextlib.suppress(OSError):
+        found = session.lstat()
+        ours = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid()
+        if ours and not found.st_mode & 0o22:  # nobody else can create files in it
+            folders.insert(0, session / name)
+    return folders
 
 
 def make_folder(path: Path) -> Path:
@@ -131,6 +125,13 @@ class StopResult:
     connected: bool = True
     """Whether that commanded wheels to stop; False where no robot was connected."""
 
+    def __str__(self) -> str:
+        if not self.answered:
+            return "doesn't answer: its watchdog stops wheels that turn, and it stops when it hears"
+        if self.connected:
+            return "stopped"
+        return "isn't connected to its robot, and won't drive it when it is"
+
 
 @dataclass(frozen=True, slots=True)
 class ReleaseResult:
@@ -139,6 +140,11 @@ class ReleaseResult:
     process: int
     answered: bool
     was_stopped: bool
+
+    def __str__(self) -> str:
+        if not self.answered:
+            return "doesn't answer: it is released when it hears"
+        return "released: it drives after its next reset" if self.was_stopped else "wasn't stopped"
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,23 +183,26 @@ class StopListener:
     held: ClassVar[list[StopListener]] = []
 
     def __init__(self, device: str = "", name: str = "", recording: str = "") -> None:
-        self._told = b"\t".join((OTHER_ANSWER, *map(os.fsencode, (device, name, recording))))
+        self._identity = b"\t".join((OTHER_ANSWER, *map(os.fsencode, (device, name, recording))))
         real = os.path.realpath(device) if device.startswith("/") else device
         known = {device, os.path.basename(device), real, os.path.basename(real), name}  # noqa: PTH119
         self._names = {os.fsencode(each) for each in known if each} | {b"%d" % os.getpid()}
         self._sockets: list[socket.socket] = []
         self.paths: list[Path] = []
         self._process = os.getpid()
-        self._askers: list[tuple[socket.socket, str]] = []
+        self._waiting: list[tuple[socket.socket, str]] = []
         self.closed = False
         usable, self.faults = find_folders()
-        own = _free_name(usable)
+        # Processes in containers that share a folder can have the same id. No name is free in a
+        # folder of the real user after a change of the effective one.
+        names = (f"{os.getpid()}-{number}" for number in range(1, MAX_LISTENERS + 1))
+        own = next((n for n in names if not any(_is_taken(folder / n) for folder in usable)), "")
         if not own:
             self.faults += [LinkError(f"{one}: no socket", "make it yours") for one in usable]
         for folder in usable if own else ():
             path = folder / own
             try:
-                self._sockets.append(_bound(path))
+                self._sockets.append(_bind_socket(path))
                 self.paths.append(path)
             except OSError as error:
                 self.faults.append(LinkError(f"{path}: no socket: {error.strerror}", "make room"))
@@ -213,21 +222,21 @@ class StopListener:
         for each in self._sockets if self._process == os.getpid() else ():
             with contextlib.suppress(OSError):  # no datagram
                 for _ in range(MAX_REQUESTS):
-                    self._hear(each, *each.recvfrom(MAX_REQUEST_BYTES))
-        return bool(self._askers)
+                    self._take_request(each, *each.recvfrom(MAX_REQUEST_BYTES))
+        return bool(self._waiting)
 
-    def _hear(self, own: socket.socket, data: bytes, sender: str) -> None:
+    def _take_request(self, own: socket.socket, data: bytes, sender: str) -> None:
         """Take a request, and answer it at once where it isn't a stop of this robot."""
         request, _, names = data.partition(b" ")
         is_meant = not names or not self._names.isdisjoint(names.split(b"\0"))
         if request == STOP_REQUEST and is_meant:
             self.hold()
-            self._askers.append((own, sender))
+            self._waiting.append((own, sender))
         elif request == RELEASE_REQUEST and is_meant:
             self._answer(own, RELEASE_REQUEST if self in self.held else FREE_ANSWER, sender)
             self.release()
         elif request in (STOP_REQUEST, RELEASE_REQUEST, WHO_REQUEST):
-            self._answer(own, self._told, sender)
+            self._answer(own, self._identity, sender)
 
     def confirm(self, *, connected: bool = True) -> None:
         """Answer the requests for a stop.
@@ -235,9 +244,9 @@ class StopListener:
         Args:
             connected: whether wheels have been commanded to stop; else there is no robot.
         """
-        for own, sender in self._askers:
+        for own, sender in self._waiting:
             self._answer(own, STOP_REQUEST if connected else HELD_ANSWER, sender)
-        self._askers = []
+        self._waiting = []
 
     @staticmethod
     def _answer(own: socket.socket, data: bytes, sender: str) -> None:
@@ -255,7 +264,7 @@ class StopListener:
         own = os.getpid()
         self.held[:] = [one for one in self.held if one is not self and one._process == own]  # noqa: SLF001
         if self.closed:
-            self._close()
+            self._close_sockets()
 
     def close(self) -> None:
         """Close the sockets, after a stop once it is released; idempotent.
@@ -266,9 +275,9 @@ class StopListener:
         if self.is_requested():
             self.confirm(connected=False)
         if self not in self.held:
-            self._close()
+            self._close_sockets()
 
-    def _close(self) -> None:
+    def _close_sockets(self) -> None:
         sockets, self._sockets = self._sockets, []
         for each, path in zip(sockets, self.paths, strict=True):
             each.close()
@@ -306,20 +315,10 @@ def release_process() -> None:
 
 
 @atexit.register
-def _leave() -> None:
+def _remove_sockets() -> None:
     """Remove the sockets of stopped robots; nothing is released, as threads may go on driving."""
     for each in StopListener.held:
-        each._close()  # noqa: SLF001
-
-
-def _free_name(usable: list[Path]) -> str:
-    """A name with this process's id at which nobody listens in any of the folders.
-
-    Processes in containers that share a folder can have the same id. Empty where there is none, as
-    in a folder of the real user after a change of the effective one.
-    """
-    names = (f"{os.getpid()}-{number}" for number in range(1, MAX_LISTENERS + 1))
-    return next((name for name in names if not any(_is_taken(path / name) for path in usable)), "")
+        each._close_sockets()  # noqa: SLF001
 
 
 def _is_taken(path: Path) -> bool:
@@ -334,7 +333,7 @@ def _is_taken(path: Path) -> bool:
     return True
 
 
-def _bound(path: Path) -> socket.socket:
+def _bind_socket(path: Path) -> socket.socket:
     """A socket at this address; replaces the file that a dead process of the same id has left."""
     ours = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     try:
@@ -363,8 +362,11 @@ def stop_all(name: str = "", process: int = 0) -> list[StopResult]:
         LinkError: no folder can be used.
     """
     return [
-        StopResult(number, answer in (STOP_REQUEST, HELD_ANSWER), answer != HELD_ANSWER)
-        for number, answer in _asked_by_name(STOP_REQUEST, name, process)
+        StopResult(
+            _process_of(socket_name), answer in (STOP_REQUEST, HELD_ANSWER), answer != HELD_ANSWER
+        )
+        for socket_name, answer in _ask_drivers(STOP_REQUEST, name, process)
+        if not answer.startswith(OTHER_ANSWER)
     ]
 
 
@@ -381,18 +383,14 @@ def release_all(name: str = "") -> list[ReleaseResult]:
         LinkError: no folder can be used.
     """
     return [
-        ReleaseResult(number, answer in (RELEASE_REQUEST, FREE_ANSWER), answer == RELEASE_REQUEST)
-        for number, answer in _asked_by_name(RELEASE_REQUEST, name)
+        ReleaseResult(
+            _process_of(socket_name),
+            answer in (RELEASE_REQUEST, FREE_ANSWER),
+            answer == RELEASE_REQUEST,
+        )
+        for socket_name, answer in _ask_drivers(RELEASE_REQUEST, name)
+        if not answer.startswith(OTHER_ANSWER)
     ]
-
-
-def _asked_by_name(request: bytes, name: str, process: int = 0) -> list[tuple[int, bytes]]:
-    """Send a request; process ids and answers of those that were meant, b"" for no answer."""
-    real = os.path.realpath(name) if "/" in name else name
-    names = b" " + os.fsencode(name) + b"\0" + os.fsencode(real) if name else b""
-    found = _asked(request + names, process)
-    meant = {path: answer for path, answer in found.items() if not answer.startswith(OTHER_ANSWER)}
-    return [(_process(path), meant[path]) for path in sorted(meant, key=_process)]
 
 
 def list_drivers() -> list[DriverProcess]:
@@ -402,50 +400,71 @@ def list_drivers() -> list[DriverProcess]:
         LinkError: no folder can be used.
     """
     found = []
-    for path, answer in sorted(_asked(WHO_REQUEST).items(), key=lambda item: _process(item[0])):
+    for socket_name, answer in _ask_drivers(WHO_REQUEST):
         _, *told = (*answer.split(b"\t", 3), b"", b"", b"")[:4]
-        since = max(map(_made_at, (folder / path for folder in find_folders()[0])), default=0.0)
-        found.append(DriverProcess(_process(path), since, *map(os.fsdecode, told)))
+        since = 0.0
+        for folder in find_folders()[0]:
+            with contextlib.suppress(OSError):
+                since = max(since, (folder / socket_name).stat().st_mtime)
+        found.append(DriverProcess(_process_of(socket_name), since, *map(os.fsdecode, told)))
     return found
 
 
 def is_listening(process: int) -> bool:
     """Whether a process of this user has a socket for stops; asks nobody."""
-    return any(_drivers(folder, process) for folder in find_folders()[0])
+    return any(_find_sockets(folder, process) for folder in find_folders()[0])
 
 
-def _made_at(path: Path) -> float:
-    """When a socket was made, seconds since 1970; 0 where there is none."""
+def _find_sockets(folder: Path, process: int = 0) -> list[Path]:
+    """Addresses of all listeners in a folder, or of one process's; named by its id and a number."""
+    name = re.compile(f"{process or '[0-9]+'}-[0-9]+")
     try:
-        return path.stat().st_mtime
-    except OSError:
-        return 0.0
+        return [path for path in folder.iterdir() if name.fullmatch(path.name)]
+    except OSError:  # the folder was removed meanwhile
+        return []
 
 
-def _asked(request: bytes, process: int = 0) -> dict[str, bytes]:
-    """Send a request to `_drivers`; returns the answers by name of the socket, b"" for none."""
+def _process_of(socket_name: str) -> int:
+    return int(socket_name.split("-", maxsplit=1)[0])
+
+
+def _ask_drivers(request: bytes, name: str = "", process: int = 0) -> list[tuple[str, bytes]]:
+    """Send a request to listeners, and wait for the answers.
+
+    Returns:
+        Names of their sockets, by process id, and answers, b"" for none.
+    """
+    if name:
+        real = os.path.realpath(name) if "/" in name else name
+        request += b" " + os.fsencode(name) + b"\0" + os.fsencode(real)
     usable, wrong = find_folders()
     if not usable:
         raise wrong[0]
-    asked: set[str] = set()
+    found: dict[str, bytes] = {}
     with contextlib.ExitStack() as stack:
-        askers = [stack.enter_context(_asker(folder)) for folder in usable]
+        askers = [stack.enter_context(_open_asker(folder)) for folder in usable]
         for folder, asker in zip(usable, askers, strict=True):
-            asked |= {path.name for path in _drivers(folder, process) if _ask(asker, path, request)}
-        return dict.fromkeys(asked, b"") | _answers(askers, asked)
-
-
-def _process(name: str) -> int:
-    """The process id in a socket's name."""
-    return int(name.split("-", maxsplit=1)[0])
+            listeners = _find_sockets(folder, process)
+            found |= {path.name: b"" for path in listeners if _send_request(asker, path, request)}
+        deadline = time.monotonic() + ANSWER_TIMEOUT
+        while not all(found.values()) and (left := deadline - time.monotonic()) > 0.0:
+            ready, _, _ = select.select(askers, [], [], left)
+            for asker in ready:
+                with contextlib.suppress(OSError, TypeError):
+                    answer, sender = asker.recvfrom(MAX_REQUEST_BYTES)
+                    sender = Path(sender).name
+                    # Of two sockets of one listener, the other may have been asked before.
+                    if answer != FREE_ANSWER or not found.get(sender):
+                        found[sender] = answer
+    return sorted(found.items(), key=lambda item: _process_of(item[0]))
 
 
 @contextlib.contextmanager
-def _asker(folder: Path) -> Iterator[socket.socket]:
+def _open_asker(folder: Path) -> Iterator[socket.socket]:
     """A socket that sends requests. If it can't be bound, it still sends, but gets no answers."""
     path = folder / f"estop-{os.getpid()}"
     try:
-        asker = _bound(path)
+        asker = _bind_socket(path)
     except OSError:
         asker = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         asker.setblocking(False)
@@ -455,16 +474,7 @@ def _asker(folder: Path) -> Iterator[socket.socket]:
         path.unlink()
 
 
-def _drivers(folder: Path, process: int = 0) -> list[Path]:
-    """Addresses of all listeners in a folder, or of one process's; named by its id and a number."""
-    name = re.compile(f"{process or '[0-9]+'}-[0-9]+")
-    try:
-        return [path for path in folder.iterdir() if name.fullmatch(path.name)]
-    except OSError:  # the folder was removed meanwhile
-        return []
-
-
-def _ask(asker: socket.socket, path: Path, request: bytes) -> bool:
+def _send_request(asker: socket.socket, path: Path, request: bytes) -> bool:
     """Send a request; False where nobody listens. Removes the socket of a dead process."""
     try:
         asker.sendto(request, str(path))
@@ -480,28 +490,6 @@ def _ask(asker: socket.socket, path: Path, request: bytes) -> bool:
     return True
 
 
-def _answers(askers: list[socket.socket], asked: set[str]) -> dict[str, bytes]:
-    """Wait for answers; returns those that came in time, by name of the socket."""
-    found: dict[str, bytes] = {}
-    deadline = time.monotonic() + ANSWER_TIMEOUT
-    while not asked <= found.keys() and (left := deadline - time.monotonic()) > 0.0:
-        ready, _, _ = select.select(askers, [], [], left)
-        for asker in ready:
-            with contextlib.suppress(OSError, TypeError):
-                answer, sender = asker.recvfrom(MAX_REQUEST_BYTES)
-                if (
-                    answer != FREE_ANSWER
-                ):  # of two sockets of one listener, the other was asked first
-                    found.pop(Path(sender).name, None)
-                found.setdefault(Path(sender).name, answer)
-    return found
-
-
-# The command `acsar-gym estop`; imports nothing slow, so that it acts soon.
-
-NOBODY_DRIVES = "no robot is being driven from this computer"
-
-
 def run_command(name: str = "", *, listing: bool = False, release: bool = False) -> int:
     """Run `acsar-gym estop`: stop robots, release them, or list who drives them.
 
@@ -515,60 +503,31 @@ def run_command(name: str = "", *, listing: bool = False, release: bool = False)
     """
     try:
         if listing:
-            return _list()
-        return _release(name) if release else _stop(name)
+            return _print_drivers()
+        found: Sequence[StopResult | ReleaseResult] = (release_all if release else stop_all)(name)
+        for each in found:
+            print(f"process {each.process}: {each}")
+        if not found and name and list_drivers():
+            known = escape_unprintable(name)
+            print(f"no robot {known} is being driven from this computer; these are:")
+        if not found:
+            _print_drivers()
     except LinkError as error:
         print(f"acsar-gym: {escape_unprintable(str(error))}", file=sys.stderr)
         return error.exit_code
-
-
-def _stop(name: str) -> int:
-    """Stop robots and print the results."""
-    found = stop_all(name)
-    for each in found:
-        if not each.answered:
-            said = "doesn't answer: its watchdog stops wheels that turn, and it stops when it hears"
-        elif each.connected:
-            said = "stopped"
-        else:
-            said = "isn't connected to its robot, and won't drive it when it is"
-        print(f"process {each.process}: {said}")
-    if not found:
-        _say_nobody(name)
     return 0 if found and all(each.answered for each in found) else 1
 
 
-def _release(name: str) -> int:
-    """Release robots and print the results."""
-    found = release_all(name)
-    for each in found:
-        said = "released: it drives after its next reset" if each.was_stopped else "wasn't stopped"
-        said = said if each.answered else "doesn't answer: it is released when it hears"
-        print(f"process {each.process}: {said}")
-    if not found:
-        _say_nobody(name)
-    return 0 if found and all(each.answered for each in found) else 1
-
-
-def _say_nobody(name: str) -> None:
-    """Print that nobody drives a robot, or nobody the one of this name."""
-    if name and list_drivers():
-        print(f"no robot {escape_unprintable(name)} is being driven from this computer; these are:")
-        _list()
-    else:
-        print(NOBODY_DRIVES)
-
-
-def _list() -> int:
+def _print_drivers() -> int:
     """Print who drives a robot; exit code 1 where nobody does."""
     found = list_drivers()
     for each in found:
         since = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(each.since))
-        robot = each.device or "doesn't answer"
+        robot = escape_unprintable(each.device or "doesn't answer")
         called = f" ({escape_unprintable(each.name)})" if each.name else ""
-        print(f"{escape_unprintable(robot)}{called}: process {each.process}, since {since}")
+        print(f"{robot}{called}: process {each.process}, since {since}")
     if not found:
-        print(NOBODY_DRIVES)
+        print("no robot is being driven from this computer")
     return 0 if found else 1
 
 

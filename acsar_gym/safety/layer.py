@@ -61,14 +61,9 @@ class Safety:
         Raises:
             LinkError: it is; the message says why.
         """
-        if not self.stopped:
-            return
-        stopped = self._memory["latched"][0] == Reason.EMERGENCY_STOP
-        why = "an emergency stop" if stopped else "the geofence"
-        fix = "start again when it is safe"
-        if why == "the geofence":
-            fix = "start farther inside, or change geofence in the robot's file"
-        raise LinkError(f"ended by {why} after {elapsed:.1f} s", fix)
+        if self.stopped:
+            why, fix = rules.HELD_REASONS[Reason(int(self._memory["latched"][0]))]
+            raise LinkError(f"ended by {why} after {elapsed:.1f} s", fix)
 
     @property
     def sent(self) -> Twist:
@@ -142,13 +137,13 @@ class Safety:
         if reason:
             return self.halt(Reason(int(reason)))
         own = self._rules
-        top = _share(max(map(abs, (a, b, c, d))), -own.top, own.top)
+        top = _scale_into(max(map(abs, (a, b, c, d))), -own.top, own.top)
         a, b, c, d = top * a, top * b, top * c, top * d
         radii = own.left_radius, own.right_radius
         linear, angular = kinematics.compute_twist(a, b, c, d, *radii, own.separation)
         share = min(
-            _share(linear, own.linear.min_velocity, own.linear.max_velocity),
-            _share(angular, own.angular.min_velocity, own.angular.max_velocity),
+            _scale_into(linear, own.linear.min_velocity, own.linear.max_velocity),
+            _scale_into(angular, own.angular.min_velocity, own.angular.max_velocity),
         )
         a, b, c, d = share * a, share * b, share * c, share * d
         limited = 0.0 if share * top == 1.0 else float(Reason.LIMITS)
@@ -172,7 +167,7 @@ class Safety:
         )
 
 
-def _share(value: float, low: float, high: float) -> float:
+def _scale_into(value: float, low: float, high: float) -> float:
     """The factor, at most 1, that scales a value into the range low (at most 0) to high."""
     if value > high:
         return high / value

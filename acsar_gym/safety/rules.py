@@ -51,30 +51,25 @@ def read_limits(config: SpeedLimits, top: float = NO_LIMIT) -> AxisLimits:
         config: of the axis; a missing minimum is minus the maximum.
         top: bounds the velocity in both directions [m/s or rad/s].
     """
-    low, high = _range(config.min_velocity, config.max_velocity)
-    slower, faster = _range(config.min_acceleration, config.max_acceleration)
+
+    def complete(low: float | None, high: float | None) -> tuple[float, float]:
+        high = NO_LIMIT if high is None else high
+        return (-high if low is None else low), high
+
+    low, high = complete(config.min_velocity, config.max_velocity)
+    slower, faster = complete(config.min_acceleration, config.max_acceleration)
     brakes = slower if config.max_deceleration is None else -abs(config.max_deceleration)
     back, forth = config.max_acceleration_reverse, config.max_deceleration_reverse
     if forth is None:
         forth = faster if config.max_deceleration is None else config.max_deceleration
-    jerks = _range(config.min_jerk, config.max_jerk)
-    low, high = max(low, -top), min(high, top)
     return AxisLimits(
-        low, high, brakes, faster, *jerks, slower if back is None else -abs(back), abs(forth)
-    )
-
-
-def _range(low: float | None, high: float | None) -> tuple[float, float]:
-    """Lower and upper limit; a missing lower one is minus the upper one."""
-    high = NO_LIMIT if high is None else high
-    return (-high if low is None else low), high
-
-
-def read_both_limits(config: RobotConfig) -> tuple[AxisLimits, AxisLimits]:
-    """Limits of a robot's linear and angular velocity, including the speeds of a full action."""
-    return (
-        read_limits(config.linear_limits, config.max_linear),
-        read_limits(config.angular_limits, config.max_angular),
+        max(low, -top),
+        min(high, top),
+        brakes,
+        faster,
+        *complete(config.min_jerk, config.max_jerk),
+        slower if back is None else -abs(back),
+        abs(forth),
     )
 
 
@@ -130,6 +125,14 @@ class Reason(IntEnum):
     """An emergency stop; holds until it is released and the robot is reset."""
 
 
+HELD_REASONS = {
+    Reason.GEOFENCE: (
+        "the geofence",
+        "start farther inside, or change geofence in the robot's file",
+    ),
+    Reason.EMERGENCY_STOP: ("an emergency stop", "start again when it is safe"),
+}
+"""Reasons that hold until the reset: what ended an episode, and what to do."""
 _LIMITS, _GEOFENCE, _STALE = 1.0, 2.0, 3.0
 """These reasons as floats, for compiled functions."""
 
@@ -164,14 +167,13 @@ class SafetyRules(NamedTuple):
 
 def make_rules(config: RobotConfig) -> SafetyRules:
     """Take the rules' numbers from a robot's configuration."""
-    linear, angular = read_both_limits(config)
     left_radius, right_radius = config.wheel_radii
     fence = config.geofence or Geofence()
     return SafetyRules(
         period=config.period,
         free=is_unlimited(config),
-        linear=linear,
-        angular=angular,
+        linear=read_limits(config.linear_limits, config.max_linear),
+        angular=read_limits(config.angular_limits, config.max_angular),
         min_x=fence.min_x,
         max_x=fence.max_x,
         min_y=fence.min_y,
@@ -319,7 +321,7 @@ def is_silent(age: float, rules: SafetyRules) -> bool:
 
 @loop
 def update_holds(x: float, y: float, age: float, memory: Any, rules: Any) -> float:
-    """`held` for one robot, whose memory is changed; returns the reason of this tick."""
+    """`find_holds` for one robot, whose memory is changed; returns the reason of this tick."""
     own = memory[0]
     own.latched, own.reason = find_holds(own, x, y, age, rules[0])
     reason: float = own.reason
@@ -330,7 +332,7 @@ def update_holds(x: float, y: float, age: float, memory: Any, rules: Any) -> flo
 def update_twist(
     linear: float, angular: float, x: float, y: float, age: float, memory: Any, rules: Any
 ) -> tuple[float, float]:
-    """`allowed` for one robot, whose memory is changed.
+    """`limit_twist` for one robot, whose memory is changed.
 
     Returns:
         Speeds of the right and the left wheels [rad/s].

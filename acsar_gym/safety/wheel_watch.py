@@ -16,13 +16,11 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable
 
-from acsar_gym.config import BITS_PER_BYTE, LINE_BYTES, RobotConfig
+from acsar_gym.config import RobotConfig
 from acsar_gym.errors import WheelError
+from acsar_gym.physics.model import wire_time
 from acsar_gym.protocol import MOTORS, WHEELS, ZERO, Speeds
-
-# Bounds of one wheel's speed: the lowest and the highest that its commands can explain.
 
 SLOWER_FACTOR = 2.0
 """Lag, ramp and deadband may be worse than configured by this factor."""
@@ -67,7 +65,12 @@ class WheelBounds:
 
     def __init__(self, config: RobotConfig, number: int) -> None:
         motor = config.motor.of_wheel(number)
-        known = [name for name in motor._fields if _is_measured(config, name, number)]
+        known = [
+            name
+            for name in motor._fields
+            if f"motor.{name}" in config.measured
+            or f"motor.{name}.{MOTORS[number]}" in config.measured
+        ]
         self._top = config.motor.max_speed
         self.gain, self.deadband = motor.gain, motor.deadband
         self._lag = max(
@@ -137,16 +140,6 @@ class WheelBounds:
         """
         return self._alive and self.gain * asked <= self._dead and asked < self._proven
 
-    def _learn(self, speed: float) -> None:
-        """Note whether the wheel turns as commanded."""
-        asked = self._asked
-        if speed * asked > 0.0 and abs(speed) > max(
-            SPEED_TOLERANCE, REACHED_SHARE * self.gain * abs(asked)
-        ):
-            self._alive = True
-            if self._constant >= PROOF_TIME:
-                self._proven = min(self._proven, abs(asked))
-
     def explains(self, speed: float) -> bool:
         """Return whether the wheel's commands explain this speed [rad/s]."""
         margin = REACHED_SHARE * REACHED_SHARE * self.fastest + SPEED_TOLERANCE
@@ -193,7 +186,12 @@ class WheelBounds:
         Returns:
             For how long the wheel has been wrong [s].
         """
-        self._learn(speed)
+        asked = self._asked
+        reached = max(SPEED_TOLERANCE, REACHED_SHARE * self.gain * abs(asked))
+        if speed * asked > 0.0 and abs(speed) > reached:
+            self._alive = True
+            if self._constant >= PROOF_TIME:
+                self._proven = min(self._proven, abs(asked))
         moved, self._before = speed - self._before, speed
         if lack is None:
             return self.wrong
@@ -206,29 +204,6 @@ class WheelBounds:
         elif self.wrong:
             self.wrong = max(0.0, self.wrong - passed)
         return self.wrong
-
-
-def longest_delay(config: RobotConfig) -> float:
-    """Return the longest time from a command to its effect that the board may add [s]."""
-    board = config.firmware
-    delay = board.command_delay + max(board.delay_samples, default=0.0)
-    return delay if "firmware.command_delay" in config.measured else max(delay, UNKNOWN_DELAY)
-
-
-def longest_lag(config: RobotConfig) -> float:
-    """Return the longest lag of the four wheels [s]."""
-    return max(_each(config, "time_constant"))
-
-
-def _each(config: RobotConfig, name: str) -> Iterable[float]:
-    """Return a motor value of all wheels."""
-    return (getattr(config.motor.of_wheel(n), name) for n in range(len(MOTORS)))
-
-
-def _is_measured(config: RobotConfig, name: str, number: int) -> bool:
-    """Return whether a value of a wheel's motor was measured."""
-    field = f"motor.{name}"
-    return field in config.measured or f"{field}.{MOTORS[number]}" in config.measured
 
 
 STILL_SPEED = 0.2
@@ -265,14 +240,14 @@ class WheelWatch:
     def __init__(self, config: RobotConfig, device: str = "DEVICE") -> None:
         self._device = device
         board, feedback = config.firmware, 1.0 / config.feedback_rate
-        line = (LINE_BYTES + config.trailing_comma) * BITS_PER_BYTE / config.baud_rate
-        delay = (
-            2.0 * (line + board.processing_time) + config.encoder.window + ADAPTER_DELAY + feedback
-        )
+        known = "firmware.command_delay" in config.measured
+        slow = board.command_delay + max(board.delay_samples, default=0.0)
+        delay = slow if known else max(slow, UNKNOWN_DELAY)
+        delay += 2.0 * wire_time(config) + config.encoder.window + ADAPTER_DELAY + feedback
+        lag = max(config.motor.of_wheel(wheel).time_constant for wheel in range(4))
         self._look = max(CHECK_INTERVAL, feedback)
         self._gap = max(FEEDBACK_GAP, 2.5 * feedback)
-        delay += longest_delay(config)
-        self._patience = min(max(MIN_PATIENCE, longest_lag(config) + CHECK_INTERVAL), MAX_PATIENCE)
+        self._patience = min(max(MIN_PATIENCE, lag + CHECK_INTERVAL), MAX_PATIENCE)
         self._wheels = [WheelBounds(config, n) for n in range(len(WHEELS))]
         self._turn = WheelBounds(config, 0)
         self._looks = max(2, math.ceil(delay / self._look))
@@ -313,21 +288,18 @@ class WheelWatch:
         if not fresh:
             return
         if self._since_line > self._gap + WATCH_SLACK:
-            self._forgive(measured)
+            # The board may have stopped its wheels meanwhile.
+            self._most = tuple(max(asked, 0.0) for asked in self._most)
+            self._least = tuple(min(asked, 0.0) for asked in self._least)
+            for wheel, speed in zip(self._wheels, measured, strict=True):
+                wheel.forgive(speed)
+            self._turn.forgive(_turn_of(measured))
         self._since_line = 0.0
         if self._since_look + WATCH_SLACK >= self._look:
-            self._check(measured, self._since_look)
+            self._check_wheels(measured, self._since_look)
             self._since_look = 0.0
 
-    def _forgive(self, measured: Speeds) -> None:
-        """After a gap, expect what is measured, and wheels that the board stopped meanwhile."""
-        self._most = tuple(max(asked, 0.0) for asked in self._most)
-        self._least = tuple(min(asked, 0.0) for asked in self._least)
-        for wheel, speed in zip(self._wheels, measured, strict=True):
-            wheel.forgive(speed)
-        self._turn.forgive(_turn_of(measured))
-
-    def _check(self, measured: Speeds, passed: float) -> None:
+    def _check_wheels(self, measured: Speeds, passed: float) -> None:
         """Judge all wheels, `passed` [s] after the last time."""
         self._asked.append((self._most, self._least))
         right, left, rear_left, rear_right = self._last
@@ -342,14 +314,14 @@ class WheelWatch:
         crossed = self._is_crossed(measured)
         worst = 0.0
         for number, (wheel, speed) in enumerate(zip(wheels, measured, strict=True)):
-            lack, share = wheel.lack(speed) or self._behind(number, measured), 1.0
+            lack, share = wheel.lack(speed) or self._compare_pair(number, measured), 1.0
             if crossed:
                 lack = measured[MIRRORED_WHEELS[number]] - speed
             elif not lack and any(self._last) and (excess := wheel.excess(speed, lowest, highest)):
                 lack, share = math.copysign(wheel.fastest, speed) - speed, excess
             worst = max(worst, wheel.judge(lack, speed, passed, share))
         if worst + WATCH_SLACK >= self._patience:
-            raise self._error(measured)
+            raise self._describe_fault(measured)
 
     def _is_crossed(self, measured: Speeds) -> bool:
         """Return whether the robot turns the other way than commands explain."""
@@ -364,7 +336,7 @@ class WheelWatch:
             not min(self._turn.low, slow) - margin <= turns <= max(self._turn.high, slow) + margin
         )
 
-    def _behind(self, number: int, measured: Speeds) -> float | None:
+    def _compare_pair(self, number: int, measured: Speeds) -> float | None:
         """Return what a wheel lacks of the speed of the other one on its side [rad/s], or 0.
 
         None where they can't be compared: they didn't have the same commands for a while, or the
@@ -385,40 +357,32 @@ class WheelWatch:
         ahead = measured[number] * math.copysign(1.0, asked)
         return expected - measured[number] if ahead < BEHIND_SHARE * abs(expected) else 0.0
 
-    def _error(self, measured: Speeds) -> WheelError:
+    def _describe_fault(self, measured: Speeds) -> WheelError:
         """Describe the wheel that has contradicted its commands for the longest time."""
         number = max(range(len(WHEELS)), key=lambda n: self._wheels[n].wrong)
-        speed, asked = measured[number], self._last[number]
-        which = f"{WHEELS[number]} {self._kind(number, measured)}"
+        wheel, speed, asked = self._wheels[number], measured[number], self._last[number]
+        crossed = [  # wheels whose command this one answers, while they answer this one's
+            WHEELS[n]
+            for n, other in enumerate(self._wheels)
+            if n != number and other.explains(speed) and wheel.explains(measured[n])
+        ]
+        which = WHEELS[number]
         if max(map(abs, measured)) < STILL_SPEED:
             which = "all wheels stand still"
-        lasted = self._wheels[number].wrong
+        elif abs(speed) < STILL_SPEED:
+            which += " stands still"
+        elif crossed and not wheel.explains(speed):
+            which += f" answers {crossed[0]}'s command"
+        elif speed * (wheel.high + wheel.low) < 0.0:
+            which += " turns backward"
+        else:
+            which += " turns too fast" if abs(speed) > wheel.fastest else " turns too slowly"
         return WheelError(
-            f"{which} ({asked:.2f} rad/s commanded, {speed:.2f} measured for {lasted:.2f} s)",
+            f"{which} ({asked:.2f} rad/s commanded, {speed:.2f} measured for {wheel.wrong:.2f} s)",
             f"lift the robot and run 'acsar-gym doctor {self._device} --spin'; check motors and "
             f"encoders, or identify this robot ('acsar-gym identify {self._device}')",
             WHEELS[number],
         )
-
-    def _kind(self, number: int, measured: Speeds) -> str:
-        """Say what is wrong with a wheel."""
-        wheel, speed = self._wheels[number], measured[number]
-        if abs(speed) < STILL_SPEED:
-            return "stands still"
-        if (other := self._swapped(number, measured)) is not None:
-            return f"answers {WHEELS[other]}'s command"
-        if speed * (wheel.high + wheel.low) < 0.0:
-            return "turns backward"
-        return "turns too fast" if abs(speed) > wheel.fastest else "turns too slowly"
-
-    def _swapped(self, number: int, measured: Speeds) -> int | None:
-        """Return the wheel whose command this one answers while it answers this one's."""
-        own = self._wheels[number]
-        for other, wheel in enumerate(self._wheels):
-            crossed = wheel.explains(measured[number]) and own.explains(measured[other])
-            if other != number and crossed and not own.explains(measured[number]):
-                return other
-        return None
 
 
 def _turn_of(speeds: Speeds) -> float:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import socket
 import stat
 import threading
 import time
+import warnings
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -27,12 +29,12 @@ from serial_tools import (
 )
 
 from acsar_gym import Robot, RobotConfig
-from acsar_gym.errors import EmergencyStopError
+from acsar_gym.errors import EmergencyStopError, LinkError, SafetyWarning
 from acsar_gym.links import open_link
 from acsar_gym.protocol import ZERO, Decoder
-from acsar_gym.recording import Recorder
 from acsar_gym.safety import estop
 from acsar_gym.safety.rules import Reason
+from acsar_gym.tools.doctor import checks as doctor
 from acsar_gym.worlds import Scene
 
 pytestmark = [pytest.mark.xdist_group("serial"), pytest.mark.usefixtures("deadline", "place")]
@@ -85,6 +87,10 @@ def test_without_a_robot_the_command_says_so(
 
 
 def test_sockets_belong_to_their_owner_alone(config: RobotConfig, shared_device: str) -> None:
+    """And simulated robots have none."""
+    with Robot(open_link("planar", config), config):
+        assert not list(folder().iterdir())
+    Robot(open_link(shared_device, config), config).close()  # what a first one opens stays open
     with no_leak():
         robot = Robot(open_link(shared_device, config), config)
         robot.activate()
@@ -132,15 +138,6 @@ def test_what_is_no_socket_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> Non
     estop.release_process()
     listener.close()
     assert len(list(folder().iterdir())) == 5
-
-
-def test_a_process_that_hangs_does_not_answer(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(estop, "ANSWER_TIMEOUT", 0.01)
-    listener = estop.StopListener()
-    assert estop.stop_all() == [estop.StopResult(os.getpid(), answered=False)]
-    assert listener.is_requested()
-    listener.close()
-    listener.close()
 
 
 def test_processes_of_one_number_in_two_containers_hear_both() -> None:
@@ -259,19 +256,6 @@ def test_a_link_names_the_device_it_leads_to(place: Path) -> None:
     listener.close()
 
 
-def test_a_recorded_robot_has_its_name(
-    place: Path, config: RobotConfig, shared_device: str
-) -> None:
-    recorder = Recorder(place / "drive.mcap")
-    robot = Robot(open_link(shared_device, config), config, recorder=recorder)
-    with robot, ThreadPoolExecutor(1) as other:
-        found = other.submit(estop.list_drivers)
-        while not found.done():
-            robot.drive(0.0, 0.0)
-        (driver,) = found.result()
-        assert driver.device == shared_device
-
-
 def test_the_command_names_the_robot_of_another_process(
     emulator: Emulated, robot_file: RobotFile
 ) -> None:
@@ -297,11 +281,6 @@ def test_other_messages_are_ignored(config: RobotConfig, shared_device: str) -> 
             other.sendto(b"go on", str(path))
         robot.drive(0.0, 0.0)
         assert robot.safety.reason is Reason.NONE
-
-
-def test_simulated_robots_have_no_socket(config: RobotConfig) -> None:
-    with Robot(open_link("planar", config), config):
-        assert not list(folder().iterdir())
 
 
 def test_the_doctor_heeds_it(emulator: Emulated, robot_file: RobotFile) -> None:
@@ -332,7 +311,7 @@ while True:
 LEARNING = f"""
 {DRIVER}
 import gymnasium
-from acsar_gym.errors import EmergencyStopError
+from acsar_gym.errors import EmergencyStopError, LinkError, SafetyWarning
 
 def make():
     return gymnasium.make(
@@ -504,3 +483,121 @@ def test_a_stop_by_the_program_itself_is_released_by_name(
     robot.drive(0.3, 0.0)
     assert robot.safety.reason is not Reason.EMERGENCY_STOP
     robot.close()
+
+
+BAD_FOLDERS = {
+    "too open": lambda path: path.mkdir(mode=0o755),
+    "a link": lambda path: path.symlink_to("/tmp"),  # noqa: S108
+    "a file": lambda path: path.write_text(""),
+}
+
+
+@pytest.mark.parametrize("kind", BAD_FOLDERS)
+def test_a_folder_that_cannot_be_trusted_is_told_of(
+    kind: str,
+    place: Path,
+    config: RobotConfig,
+    shared_device: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """By a warning at activation, by the doctor, and by the command."""
+    (path,) = estop.list_candidates()
+    BAD_FOLDERS[kind](path)
+    robot = Robot(open_link(shared_device, config), config)
+    with no_leak():
+        with pytest.warns(SafetyWarning, match=f"can't stop this robot: {path}") as told:
+            robot.activate()
+        assert len(told) == 1
+        robot.drive(0.0, 0.0)
+        robot.deactivate()
+        other = Robot(open_link(shared_device, config), config)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            with pytest.raises(SafetyWarning):
+                other.activate()
+        assert not other.active
+    check = doctor.check_estop()
+    assert check.status == "warn"
+    assert str(path) in check.found
+    assert check.fix
+    code, output, error = estop_command(capsys, monkeypatch)
+    assert (code, output) == (3, "")
+    assert re.fullmatch(f"acsar-gym: {path}: .*\n", error)
+
+
+def test_a_folder_of_somebody_else_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    mine = os.getuid()
+    monkeypatch.setattr(os, "getuid", lambda: mine + 1)
+    with pytest.raises(LinkError, match="yours alone"):
+        estop.stop_all()
+    assert "yours alone" in estop.StopListener().unavailable
+
+
+def test_the_command_line_warns_in_one_line(
+    place: Path, emulator: Emulated, robot_file: RobotFile
+) -> None:
+    estop.list_candidates()[0].write_text("")
+    options = ("--link", emulator.device, "--linear", "0.2", "--duration", "0.05")
+    with program(DRIVING, "drive", *options, "--robot", str(robot_file())) as process:
+        _, error = process.communicate(timeout=TIMEOUT)
+    assert process.returncode == 0
+    assert re.fullmatch("acsar-gym: 'acsar-gym estop' can't stop this robot: .*\n", error)
+
+
+@pytest.mark.parametrize(
+    ("base", "said"),
+    [("/acsar-missing", "can't be made a folder"), ("/tmp/" + "long" * 30, "too long")],  # noqa: S108
+)
+def test_a_folder_that_cannot_be_is_one_line(
+    base: str,
+    said: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("ACSAR_GYM_RUNTIME_DIR", base)
+    code, output, error = estop_command(capsys, monkeypatch)
+    assert (code, output, error.count("\n")) == (3, "", 1)
+    assert error.startswith(f"acsar-gym: {base}/acsar_gym-{os.getuid()}: {said}")
+    assert said in estop.StopListener().unavailable
+
+
+@pytest.fixture
+def usual(place: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Path]:
+    """The folder of the user's sessions, and the one that all share."""
+    monkeypatch.delenv("ACSAR_GYM_RUNTIME_DIR")
+    monkeypatch.setattr(estop, "SESSION_FOLDERS", place / "user")
+    monkeypatch.setattr(estop, "SHARED_FOLDER", place / "tmp")
+    session = place / "user" / str(os.getuid())
+    session.mkdir(0o700, parents=True)
+    (place / "tmp").mkdir()
+    return session, place / "tmp"
+
+
+def test_a_process_of_two_folders_is_one(usual: tuple[Path, Path]) -> None:
+    listener = estop.StopListener()
+    assert {path.parent.parent for path in listener.paths} == set(usual)
+    thread = answering(listener)
+    assert estop.stop_all() == [estop.StopResult(os.getpid(), answered=True)]
+    thread.join()
+    assert doctor.check_estop().status == "ok"
+    listener.close()
+
+
+@pytest.mark.parametrize("missing", [0, 1], ids=["before the login", "somebody else's"])
+def test_one_of_the_folders_is_enough(missing: int, usual: tuple[Path, Path]) -> None:
+    name = f"acsar_gym-{os.getuid()}"
+    (usual[missing] / name).write_text("")  # a driver that can't use it
+    listener = estop.StopListener()
+    assert not listener.unavailable
+    (usual[missing] / name).unlink()
+    thread = answering(listener)
+    assert estop.stop_all() == [estop.StopResult(os.getpid(), answered=True)]
+    thread.join()
+    listener.close()
+
+
+def test_a_session_that_others_can_write_to_is_not_used(usual: tuple[Path, Path]) -> None:
+    session, shared = usual
+    session.chmod(0o777)
+    assert [path.parent for path in estop.list_candidates()] == [shared]

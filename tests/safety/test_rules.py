@@ -1,16 +1,27 @@
-"""The safety rules as pure functions: one robot, one tick."""
+"""The safety rules as pure functions: one robot, one tick; limits as ROS has them."""
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from acsar_gym import RobotConfig
+from acsar_gym.config import SpeedLimits
+from acsar_gym.errors import ConfigError
 from acsar_gym.jit import record_of
 from acsar_gym.safety import rules
-from acsar_gym.safety.rules import Reason, SafetyMemory, SafetyRules
+from acsar_gym.safety.rules import (
+    Reason,
+    SafetyMemory,
+    SafetyRules,
+    limit_velocity,
+    read_limits,
+)
 
 ACSAR = RobotConfig.preset("acsar")
 FENCED = rules.make_rules(ACSAR.with_(geofence={"max_x": 1.0, "min_y": -0.5}, feedback_timeout=0.1))
@@ -80,3 +91,107 @@ def test_one_robot_with_its_memory_in_place_follows_the_same_rules(own: SafetyRu
         assert kept[0].tolist() == (memory.latched, reason, *memory[2:6], *sent)
         memory = memory._replace(latched=0.0)
         kept["latched"] = 0.0
+
+
+DT = 0.01
+speed = st.floats(-3.0, 3.0)
+
+
+def driven(wanted: list[float], **kind: float) -> list[float]:
+    """What is sent, tick by tick, from standstill."""
+    numbers, sent = read_limits(SpeedLimits(**kind)), [0.0, 0.0]
+    for velocity in wanted:
+        sent.append(limit_velocity(velocity, sent[-1], sent[-2], DT, numbers))
+    return sent[2:]
+
+
+@pytest.mark.parametrize(
+    ("kind", "wanted", "sent"),
+    [
+        ({}, [9.0, -9.0, 0.0], [9.0, -9.0, 0.0]),
+        ({"max_velocity": 0.5, "min_velocity": -0.1}, [2.0, -2.0], [0.5, -0.1]),
+        ({"max_velocity": 0.5}, [2.0, -2.0], [0.5, -0.5]),
+        ({"max_acceleration": 2.0}, [0.05] * 4, [0.02, 0.04, 0.05, 0.05]),
+        (
+            {"max_acceleration": 200.0, "min_acceleration": -5.0},
+            [1.0, 0.0, 0.0],
+            [1.0, 0.95, 0.9],
+        ),
+        # As the ROS controller has it: the ramp's slope grows by 2 * jerk * dt^2 a tick.
+        ({"max_jerk": 100.0}, [1.0] * 5, [0.02, 0.06, 0.12, 0.2, 0.3]),
+    ],
+)
+def test_limits_of_one_axis(kind: dict[str, float], wanted: list[float], sent: list[float]) -> None:
+    assert driven(wanted, **kind) == pytest.approx(sent)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_jazzys_names_tell_speeding_up_and_braking_apart(sign: float) -> None:
+    """Forward at 2, braking at 5; backward at 1, braking at 4, as the signs in ROS are or not."""
+    there, back = [1.0] * 60 + [0.0] * 30, [-1.0] * 120 + [0.0] * 40
+    sent = driven(
+        there + back,
+        max_acceleration=2.0,
+        max_deceleration=-5.0 * sign,
+        max_acceleration_reverse=-1.0 * sign,
+        max_deceleration_reverse=4.0 * sign,
+    )
+    assert sent[:2] == pytest.approx([0.02, 0.04])
+    assert sent[60:62] == pytest.approx([0.95, 0.9])
+    assert sent[90:92] == pytest.approx([-0.01, -0.02])
+    assert sent[210:212] == pytest.approx([-0.96, -0.92])
+
+
+def test_what_jazzy_leaves_out_follows_from_the_rest() -> None:
+    sent = driven([-1.0] * 60 + [0.0] * 30, max_acceleration=2.0, max_deceleration=-5.0)
+    assert sent[:2] == pytest.approx([-0.02, -0.04])
+    assert sent[60:62] == pytest.approx([-0.95, -0.9])
+
+
+def test_an_axis_takes_ready_limits_without_a_default() -> None:
+    config = RobotConfig(linear_limits=SpeedLimits(max_velocity=0.3))
+    assert config.linear_limits.max_acceleration is None
+    assert RobotConfig(**config.model_dump()) == config
+
+
+@given(st.lists(speed, min_size=3, max_size=60))
+def test_what_is_sent_keeps_to_the_limits(wanted: list[float]) -> None:
+    sent = [0.0, *driven(wanted, max_velocity=0.8, max_acceleration=3.0)]
+    assert all(abs(velocity) <= 0.8 + 1e-12 for velocity in sent)
+    assert all(abs(b - a) <= 3.0 * DT + 1e-12 for a, b in pairwise(sent))
+
+
+@given(st.lists(speed, min_size=3, max_size=60))
+def test_without_reaching_other_limits_jerk_is_bounded(wanted: list[float]) -> None:
+    sent = [0.0, 0.0, *driven(wanted, max_jerk=50.0)]
+    slopes = [b - a for a, b in pairwise(sent)]
+    assert all(abs(b - a) <= 2.0 * 50.0 * DT**2 + 1e-12 for a, b in pairwise(slopes))
+
+
+@pytest.mark.parametrize(
+    ("fields", "named"),
+    [
+        ({"linear_limits": {"max_velocity": -1.0}}, "linear_limits.max_velocity"),
+        ({"linear_limits": {"max_decelaration": 1.0}}, "did you mean 'max_deceleration'"),
+        ({"angular_limits": {"max_deceleration": 0.0}}, "angular_limits.max_deceleration"),
+        (
+            {"linear_limits": {"max_deceleration": -2.0, "min_acceleration": -2.0}},
+            "linear_limits.min_acceleration",
+        ),
+        ({"angular_limits": {"min_jerk": 3.0}}, "angular_limits.min_jerk"),
+        ({"geofence": {"min_x": 1.0}}, "geofence"),
+        ({"geofence": {"max_x": "far"}}, "geofence.max_x"),
+    ],
+)
+def test_bad_limits_are_one_clear_error(fields: dict[str, Any], named: str) -> None:
+    with pytest.raises(ConfigError, match=named):
+        RobotConfig(**fields)
+
+
+def test_an_acceleration_that_is_not_named_has_its_default() -> None:
+    own = rules.make_rules(RobotConfig(linear_limits={"max_velocity": 0.2}))
+    assert own.linear[:4] == (-0.2, 0.2, -2.0, 2.0)
+    assert (own.angular.max_velocity, own.angular.max_acceleration) == (ACSAR.max_angular, 8.0)
+    assert rules.make_rules(ACSAR).linear.max_velocity == ACSAR.max_linear
+    assert FREE.free
+    assert not rules.make_rules(ACSAR.with_(linear_limits=AT_ONCE)).free

@@ -48,41 +48,35 @@ def stopped(
         return link.now() - start, caught.value
 
 
-@pytest.mark.parametrize("twist", [AHEAD, LEFT, (-0.2, 0.0)], ids=["ahead", "left", "back"])
-@pytest.mark.parametrize("wheel", range(4), ids=WHEELS)
-def test_a_dead_wheel_is_named(wheel: int, twist: tuple[float, float]) -> None:
-    took, error = stopped(board(dead_wheels=MOTORS[wheel]), twist)
+Twist = tuple[float, float]
+FOUND: list[tuple[dict[str, Any], Twist, str]] = [
+    *(
+        ({"dead_wheels": MOTORS[n]}, twist, f"{WHEELS[n]} stands still")
+        for n in range(4)
+        for twist in (AHEAD, LEFT, (-0.2, 0.0))
+    ),
+    ({"reversed_encoders": "b"}, AHEAD, "front_left turns backward"),
+    ({"reversed_encoders": "b"}, LEFT, "front_left turns backward"),
+    ({"stuck_encoders": "d"}, AHEAD, "rear_right stands still"),
+    ({"crossed": "ab"}, LEFT, "front_right answers front_left's"),
+    ({"crossed": "cd"}, LEFT, "rear_left answers"),
+    ({"crossed": "ab"}, (0.25, 1.0), "front_"),  # in an arc
+]
+
+
+@pytest.mark.parametrize(("fault", "twist", "said"), FOUND, ids=str)
+def test_a_faulty_wheel_is_named(fault: dict[str, Any], twist: Twist, said: str) -> None:
+    took, error = stopped(board(**fault), twist)
     assert took < SOON
-    assert error.wheel == WHEELS[wheel]
-    assert f"{WHEELS[wheel]} stands still" in str(error)
+    assert str(error).startswith(said)
+    assert error.wheel in WHEELS
     assert "'acsar-gym doctor robot0 --spin'" in str(error)
     assert "or identify this robot" in str(error)
 
 
-@pytest.mark.parametrize("twist", [AHEAD, LEFT], ids=["ahead", "left"])
-def test_a_reversed_encoder_is_named(twist: tuple[float, float]) -> None:
-    took, error = stopped(board(reversed_encoders="b"), twist)
-    assert took < SOON
-    assert "front_left turns backward" in str(error)
-
-
-def test_a_frozen_encoder_is_named() -> None:
-    assert "rear_right stands still" in str(stopped(board(stuck_encoders="d"), AHEAD)[1])
-
-
-@pytest.mark.parametrize(
-    ("crossed", "said"), [("ab", "front_right answers front_left's"), ("cd", "rear_left answers")]
-)
-def test_swapped_encoders_are_named(crossed: str, said: str) -> None:
-    took, error = stopped(board(crossed=crossed), LEFT)
-    assert took < SOON
-    assert said in str(error)
-
-
-def test_swapped_encoders_are_found_in_an_arc() -> None:
-    took, error = stopped(board(crossed="ab"), (0.25, 1.0))
-    assert took < SOON
-    assert error.wheel in WHEELS[:2]
+def test_motors_without_power_are_told_as_such() -> None:
+    error = stopped(board(dead_wheels="abcd"), AHEAD)[1]
+    assert str(error).startswith("all wheels stand still (6.00 rad/s commanded")
 
 
 @pytest.mark.parametrize("at", [1.0, 1.234])
@@ -339,11 +333,6 @@ def test_a_robot_that_stands_may_be_pushed() -> None:
     watch = WheelWatch(ACSAR)
     for _ in range(500):
         watch.tick((0.0, 0.0, 0.0, 0.0), (4.0, 4.0, 4.0, 4.0), 0.01, fresh=True)
-
-
-def test_motors_without_power_are_told_as_such() -> None:
-    error = stopped(board(dead_wheels="abcd"), AHEAD)[1]
-    assert str(error).startswith("all wheels stand still (6.00 rad/s commanded")
 
 
 def test_a_wheel_that_races_is_named() -> None:

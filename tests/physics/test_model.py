@@ -147,9 +147,23 @@ def test_motor_lag_is_first_order() -> None:
     assert value == pytest.approx(10.0 * (1.0 - math.exp(-1.0)), rel=1e-9)
 
 
-def test_no_lag_means_at_once() -> None:
-    p = compute_physics(RobotConfig(motor=MotorConfig(time_constant=0.0)))
-    assert wheel_speed(0.0, 7.0, 1.0, p.blend_a, p.deadband_a, p.max_speed) == 7.0
+@pytest.mark.parametrize(
+    ("motor", "speed", "set_point", "gain", "expected"),
+    [
+        ({"time_constant": 0.0}, 0.0, 7.0, 1.0, 7.0),  # without lag, at once
+        ({}, 0.0, 1e6, 1.0, 30.0),
+        ({}, 0.0, -1e6, 1.0, -30.0),
+        ({"deadband": 1.0}, 0.0, 10.0, 0.9, 9.0),  # a gain comes before deadband and saturation
+        ({"deadband": 1.0}, 0.0, 1.05, 0.9, 0.0),
+        ({"deadband": 1.0}, 0.0, 29.0, 1.1, 30.0),
+    ],
+)
+def test_a_wheel_without_lag(
+    motor: dict[str, float], speed: float, set_point: float, gain: float, expected: float
+) -> None:
+    own = {"max_speed": 30.0, "time_constant": 0.0, **motor}
+    p = compute_physics(RobotConfig(motor=MotorConfig(**own)))
+    assert wheel_speed(speed, set_point, gain, p.blend_a, p.deadband_a, p.max_speed) == expected
 
 
 def test_set_points_in_the_deadband_stop_the_wheel() -> None:
@@ -158,19 +172,6 @@ def test_set_points_in_the_deadband_stop_the_wheel() -> None:
     for _ in range(300):
         value = wheel_speed(value, 0.9, 1.0, 0.1, p.deadband_a, p.max_speed)
     assert value == 0.0
-
-
-def test_wheels_saturate_at_their_top_speed() -> None:
-    p = compute_physics(RobotConfig(motor=MotorConfig(max_speed=30.0)))
-    assert wheel_speed(0.0, 1e6, 1.0, 1.0, p.deadband_a, p.max_speed) == 30.0
-    assert wheel_speed(0.0, -1e6, 1.0, 1.0, p.deadband_a, p.max_speed) == -30.0
-
-
-def test_a_gain_multiplies_the_set_point_before_deadband_and_saturation() -> None:
-    p = compute_physics(RobotConfig(motor=MotorConfig(max_speed=30.0, deadband=1.0)))
-    assert wheel_speed(0.0, 10.0, 0.9, 1.0, p.deadband_a, p.max_speed) == 9.0
-    assert wheel_speed(0.0, 1.05, 0.9, 1.0, p.deadband_a, p.max_speed) == 0.0
-    assert wheel_speed(0.0, 29.0, 1.1, 1.0, p.deadband_a, p.max_speed) == 30.0
 
 
 @given(st.floats(-math.pi, math.pi), slow, slow, slow)

@@ -1,0 +1,378 @@
+"""Bodies against closed forms, against each other, and at obstacles; PyBullet's memory."""
+
+from __future__ import annotations
+
+import gc
+import math
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.config.footprint import border_distance, contains_point
+from acsar_gym.envs import PointGoalVectorEnv
+from acsar_gym.errors import RenderError
+from acsar_gym.physics.body import Body, Camera
+from acsar_gym.physics.bullet import (
+    MAX_SHAPES,
+    BulletBody,
+    StaticObstacles,
+    place_feet,
+    wheel_hubs,
+)
+from acsar_gym.physics.model import closed_form_yaw_rate, turn_factor
+from acsar_gym.physics.planar import PlanarBody
+from acsar_gym.protocol import ZERO, Speeds
+from acsar_gym.vector.kernel import layout
+from acsar_gym.worlds import Scene, World
+
+ACSAR = RobotConfig.preset("acsar")
+AHEAD: Speeds = (8.0, 8.0, 8.0, 8.0)
+SECOND = 200
+FACTORS = [1.2, 1.5378, 2.0]
+GEOMETRIES = [(0.05, 0.30, 0.22), (0.05, 0.30, 0.30), (0.0825, 0.545, 0.512)]
+TURNS: list[Speeds] = [
+    (4.0, -4.0, -4.0, 4.0),
+    (8.0, 4.0, 4.0, 8.0),
+    (3.0, 7.0, 7.0, 3.0),
+    (1.0, -1.0, -1.0, 1.0),
+    (5.0, 0.0, 0.0, 5.0),
+]
+HEADINGS = [math.pi / 4 * k + 0.1 for k in range(8)]
+WEDGE: Any = ((0.3, 0.0), (-0.2, 0.25), (-0.2, -0.25))
+FORK: Any = (
+    (0.3, 0.2),
+    (-0.2, 0.2),
+    (-0.2, -0.2),
+    (0.3, -0.2),
+    (0.3, -0.1),
+    (0.05, 0.0),
+    (0.3, 0.1),
+)
+OBSTACLES = {
+    "pillar ahead": World(np.array([[1.0, 0.0, 0.2]])),
+    "pillar at a corner": World(np.array([[1.0, 0.3, 0.15]])),
+    "wall across": World(segments=np.array([[1.0, -1.0, 1.0, 1.0]])),
+    "wall aslant": World(segments=np.array([[0.8, -0.3, 1.4, 1.0]])),
+    "end of a wall": World(segments=np.array([[0.9, 0.0, 2.0, 0.1]])),
+}
+SMALL = {
+    "pillar ahead": World(np.array([[1.0, 0.0, 0.05]])),
+    "pillar aside": World(np.array([[1.0, 0.15, 0.05]])),
+    "wall across": OBSTACLES["wall across"],
+}
+
+
+@pytest.fixture
+def body() -> Iterator[BulletBody]:
+    made = BulletBody(RobotConfig())
+    yield made
+    made.close()
+
+
+def on(factor: float | None, **changes: float) -> RobotConfig:
+    return RobotConfig(**changes).with_(body={"turn_factor": factor})
+
+
+def steps(body: Body, set_points: Speeds, count: int) -> None:
+    for _ in range(count):
+        body.step(set_points)
+
+
+def mean_yaw_rate(body: Body, turn: Speeds) -> float:
+    """Yaw rate over a second, after two seconds [rad/s]."""
+    steps(body, turn, 2 * SECOND)
+    before = body.truth.pose[2]
+    steps(body, turn, SECOND)
+    return math.remainder(body.truth.pose[2] - before, 2.0 * math.pi)
+
+
+def touches_at(body: Body, world: World) -> float:
+    """How far the robot has come when it touches something [m]."""
+    body.reset(Scene(world=world))
+    for _ in range(1000):
+        body.step(AHEAD)
+        body.feel()
+        if body.truth.contact:
+            return body.truth.pose[0]
+    return math.nan
+
+
+@pytest.mark.parametrize("geometry", GEOMETRIES)
+@pytest.mark.parametrize("turn", TURNS[:3])
+def test_steady_turns_are_the_closed_form_at_every_heading(
+    geometry: tuple[float, float, float], turn: Speeds
+) -> None:
+    radius, separation, wheelbase = geometry
+    config = RobotConfig(wheel_radius=radius, wheel_separation=separation, wheelbase=wheelbase)
+    body, rates = BulletBody(config), []
+    for heading in HEADINGS:
+        body.reset(Scene(start=(1.0, -2.0, heading)))
+        rates.append(mean_yaw_rate(body, turn))
+    body.close()
+    expected = closed_form_yaw_rate(turn, config)
+    assert rates == pytest.approx([expected] * len(HEADINGS), rel=0.01)
+    assert max(rates) - min(rates) < 0.005 * abs(expected)
+
+
+@pytest.mark.parametrize("make", [PlanarBody, BulletBody])
+@pytest.mark.parametrize("factor", FACTORS)
+def test_steady_turns_are_slower_by_the_factor(make: type[Body], factor: float) -> None:
+    config = on(factor)
+    body = make(config)  # type: ignore[call-arg]
+    for turn in TURNS:
+        plain = (turn[0] - turn[1]) * config.wheel_radius / config.wheel_separation
+        assert closed_form_yaw_rate(turn, config) == pytest.approx(plain / factor)
+        assert mean_yaw_rate(body, turn) == pytest.approx(plain / factor, rel=0.01)
+    body.close()
+
+
+@pytest.mark.parametrize("factor", FACTORS)
+def test_circles_are_larger_by_the_factor_at_the_same_speed(factor: float) -> None:
+    for turn, plain in ((TURNS[1], 0.45), (TURNS[2], 0.375), (TURNS[4], 0.15)):
+        body = PlanarBody(on(factor))
+        rate, (speed, _) = mean_yaw_rate(body, turn), body.truth.twist
+        assert speed == pytest.approx((turn[0] + turn[1]) / 2.0 * 0.05, rel=0.01)
+        assert speed / abs(rate) == pytest.approx(plain * factor, rel=0.015)
+
+
+@pytest.mark.parametrize("factor", FACTORS)
+def test_a_batch_turns_as_commanded_where_its_multiplier_is_the_factor(factor: float) -> None:
+    config = on(factor, wheel_separation_multiplier=factor, max_angular=1.2)
+    env = PointGoalVectorEnv(5, robot=config, max_episode_steps=1000)
+    env.reset(seed=0)
+    actions = np.array([[0.0, 1.0], [0.0, -0.4], [0.3, 1.0], [0.6, 0.4], [0.2, -1.0]])
+    for _ in range(15):
+        env.step(actions)
+    rates = env.batch.state[layout.RATE]
+    assert rates == pytest.approx(actions[:, 1] * config.max_angular, rel=0.01)
+    env.close()
+
+
+@pytest.mark.parametrize("make", [PlanarBody, BulletBody])
+def test_wheels_of_different_radii_turn_a_robot_that_is_sent_straight(make: type[Body]) -> None:
+    config = on(1.6, left_wheel_radius_multiplier=0.96, right_wheel_radius_multiplier=1.02)
+    body = make(config)  # type: ignore[call-arg]
+    straight = (8.0, 8.0, 8.0, 8.0)
+    expected = 8.0 * 0.05 * (1.02 - 0.96) / 0.3 / 1.6
+    assert closed_form_yaw_rate(straight, config) == pytest.approx(expected)
+    assert mean_yaw_rate(body, straight) == pytest.approx(expected, rel=0.01)
+    assert body.truth.twist[0] == pytest.approx(8.0 * 0.05 * 0.99, rel=0.01)
+    body.close()
+
+
+def test_without_a_factor_the_geometry_gives_it() -> None:
+    assert turn_factor(on(None)) == pytest.approx(1.5378, abs=1e-4)
+    own = on(None, wheelbase=0.3)
+    assert turn_factor(own) == 2.0
+    for turn in TURNS:
+        with_factor = mean_yaw_rate(PlanarBody(on(2.0, wheelbase=0.3)), turn)
+        assert mean_yaw_rate(PlanarBody(own), turn) == pytest.approx(with_factor, rel=1e-9)
+
+
+def test_tyres_that_grip_less_sideways_are_pushed_sideways_more_easily() -> None:
+    """The friction of a sideways slide is sqrt(kappa) of that of locked wheels."""
+    slides = []
+    for factor in (1.2, None):
+        body = PlanarBody(on(factor))
+        body._velocity = (0.0, 0.5, 0.0)
+        body.step((0.0, 0.0, 0.0, 0.0))
+        slides.append(0.5 - body._velocity[1])
+    kappa = 0.2 * (0.3 / 0.22) ** 2
+    assert slides[0] / slides[1] == pytest.approx(math.sqrt(kappa), rel=1e-3)
+
+
+@pytest.mark.parametrize("heading", HEADINGS)
+def test_a_straight_drive_of_ten_metres_stays_straight(body: BulletBody, heading: float) -> None:
+    body.reset(Scene(start=(0.0, 0.0, heading)))
+    steps(body, (10.0, 10.0, 10.0, 10.0), 21 * SECOND)
+    x, y, _ = body.truth.pose
+    along = x * math.cos(heading) + y * math.sin(heading)
+    sideways = y * math.cos(heading) - x * math.sin(heading)
+    assert along > 10.0
+    assert abs(sideways) < 0.01
+
+
+@pytest.mark.parametrize("turn", TURNS[:3])
+def test_after_a_stop_from_a_turn_nothing_rotates(body: BulletBody, turn: Speeds) -> None:
+    steps(body, turn, 2 * SECOND)
+    while body.wheel_speeds != ZERO:
+        body.step(ZERO)
+    steps(body, ZERO, 2)
+    stood = body.truth.pose
+    steps(body, ZERO, 5 * SECOND)
+    assert body.truth.pose == pytest.approx(stood, abs=1e-6)
+    assert body.truth.twist == pytest.approx((0.0, 0.0), abs=1e-6)
+
+
+def drive_some(body: BulletBody) -> list[tuple[float, float, float]]:
+    poses = []
+    for turn in (*TURNS[:3], ZERO):
+        for _ in range(50):
+            body.step(turn)
+            poses.append(body.truth.pose)
+    return poses
+
+
+def test_a_reset_body_repeats_a_fresh_one_bit_for_bit(body: BulletBody) -> None:
+    start = Scene(start=(0.3, 0.1, 1.0))
+    body.reset(start)
+    fresh = drive_some(body)
+    body.reset(Scene(start=(-5.0, 2.0, -2.0)))
+    steps(body, (9.0, 2.0, 2.0, 9.0), 333)
+    body.reset(start)
+    assert drive_some(body) == fresh
+
+
+def test_two_bodies_share_nothing(body: BulletBody) -> None:
+    other = BulletBody(RobotConfig())
+    steps(other, (10.0, 10.0, 10.0, 10.0), SECOND)
+    other.close()
+    assert body.truth.pose == (0.0, 0.0, 0.0)
+
+
+def test_the_picture_shows_robot_and_goal(body: BulletBody) -> None:
+    empty = body.image(160, 120)
+    body.reset(Scene(goal=(0.5, 0.0)))
+    marked = body.image(160, 120)
+    assert empty is not None
+    assert marked is not None
+    assert marked.shape == (120, 160, 3)
+    assert marked.std() > 5.0
+    assert (empty != marked).any()
+
+
+def test_a_window_without_a_display_says_what_to_use(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    with pytest.raises(RenderError, match="needs a display; drive without a window"):
+        BulletBody(RobotConfig(), window=True)
+
+
+def test_the_planar_robot_is_reset_to_its_start_and_has_no_camera() -> None:
+    body = PlanarBody(RobotConfig())
+    steps(body, (5.0, 9.0, 9.0, 5.0), SECOND)
+    body.reset(Scene(start=(1.0, 2.0, 4.0)))
+    assert body.truth.pose == pytest.approx((1.0, 2.0, 4.0 - 2.0 * math.pi))
+    assert body.truth.twist == (0.0, 0.0)
+    assert body.wheel_angles == ZERO
+    assert not isinstance(body, Camera)
+
+
+@pytest.mark.parametrize(
+    ("outline", "worlds"),
+    [(None, OBSTACLES), (WEDGE, SMALL), (FORK, SMALL)],
+    ids=["box", "wedge", "fork"],
+)
+def test_both_bodies_touch_at_the_same_place(outline: Any, worlds: dict[str, World]) -> None:
+    config = ACSAR.with_(footprint=outline)
+    bullet, planar = BulletBody(config), PlanarBody(config)
+    for world in worlds.values():
+        assert touches_at(bullet, world) == pytest.approx(touches_at(planar, world), abs=0.006)
+    bullet.close()
+
+
+def test_a_wall_stops_the_robot() -> None:
+    body = BulletBody(ACSAR)
+    touches_at(body, OBSTACLES["wall across"])
+    for _ in range(400):
+        body.step(AHEAD)
+    assert body.truth.pose[0] == pytest.approx(1.0 - ACSAR.body.length / 2.0, abs=0.01)
+    assert body.truth.contact
+    body.close()
+
+
+def test_a_near_miss_is_no_contact() -> None:
+    """A pillar 5 mm beside the footprint."""
+    beside = ACSAR.body.width / 2.0 + 0.1 + 0.005
+    for body in (BulletBody(ACSAR), PlanarBody(ACSAR)):
+        assert math.isnan(touches_at(body, World(np.array([[1.0, beside, 0.1]]))))
+        assert body.truth.pose[0] > 1.5
+        assert body.truth.pose[1:] == pytest.approx((0.0, 0.0), abs=1e-9)
+        body.close()
+
+
+def test_contact_is_forgotten_with_the_next_reset() -> None:
+    body = BulletBody(ACSAR)
+    touches_at(body, OBSTACLES["pillar ahead"])
+    body.reset(Scene())
+    body.feel()
+    assert not body.truth.contact
+    body.close()
+
+
+def test_compounds_are_small_and_few() -> None:
+    body = BulletBody(ACSAR)
+    rng = np.random.default_rng(0)
+    circles = np.column_stack([rng.uniform(-9, 9, (300, 2)), np.full(300, 0.1)])
+    statics = StaticObstacles(body._client, World(circles))
+    assert math.ceil(300 / MAX_SHAPES) <= len(statics) <= 1.3 * 300 / MAX_SHAPES
+    assert len(StaticObstacles(body._client, None)) == 0
+    body.close()
+
+
+MEMORY: dict[str, Callable[[np.random.Generator], Scene]] = {
+    "one world": lambda rng: Scene(goal=(1.0, 1.0)),
+    "changing worlds": lambda rng: Scene(
+        world=World(np.column_stack([rng.uniform(1.0, 5.0, (40, 2)), np.full(40, 0.1)]))
+    ),
+}
+
+
+@pytest.mark.parametrize("name", MEMORY)
+def test_memory_is_flat_over_resets(name: str, body: BulletBody) -> None:
+    process, rng = psutil.Process(), np.random.default_rng(0)
+
+    def some_resets(count: int) -> int:
+        for _ in range(count):
+            body.reset(MEMORY[name](rng))
+            body.step(AHEAD)
+        gc.collect()
+        return int(process.memory_info().rss)
+
+    before = some_resets(100)
+    assert some_resets(400) - before < 1_000_000
+
+
+def test_a_notch_is_open() -> None:
+    config = ACSAR.with_(footprint=FORK)
+    place = {name: touches_at(PlanarBody(config), world) for name, world in SMALL.items()}
+    assert place["pillar ahead"] > place["wall across"] + 0.1
+
+
+def test_a_polygon_drives_as_the_box_does() -> None:
+    ends = []
+    for config in (ACSAR, ACSAR.with_(footprint=WEDGE), ACSAR.with_(footprint=FORK)):
+        body = BulletBody(config)
+        for _ in range(200):
+            body.step((6.0, 8.0, 8.0, 6.0))
+        ends.append(body.truth.pose)
+        body.close()
+    assert ends[1] == pytest.approx(ends[0], abs=1e-6)
+    assert ends[2] == pytest.approx(ends[0], abs=1e-6)
+
+
+@pytest.mark.parametrize("outline", [None, WEDGE, FORK], ids=["box", "wedge", "fork"])
+def test_feet_stand_within_the_footprint(outline: Any) -> None:
+    config = ACSAR.with_(footprint=outline)
+    feet, foot = place_feet(config)
+    assert 1e-3 <= foot <= config.wheel_radius
+    for (x, y), hub in zip(feet, wheel_hubs(config), strict=True):
+        assert contains_point(config.outline, x, y)
+        assert border_distance(config.outline, x, y) >= foot - 1e-12
+        assert x * hub[1] == pytest.approx(y * hub[0])
+        if outline is None:
+            assert (x, y) == hub[:2]
+
+
+def test_its_camera_sees_it() -> None:
+    pictures = []
+    for outline in (None, WEDGE):
+        body = BulletBody(ACSAR.with_(footprint=outline))
+        image = body.image(160, 120)
+        assert image is not None
+        pictures.append(image)
+        body.close()
+    assert (pictures[0] != pictures[1]).any()

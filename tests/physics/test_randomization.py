@@ -1,0 +1,311 @@
+"""What episodes draw, and what it does to a robot's physics."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from varied import RANGES
+
+from acsar_gym import RobotConfig
+from acsar_gym.errors import ConfigError
+from acsar_gym.jit import record_of
+from acsar_gym.physics import Physics, Randomization, compute_physics
+from acsar_gym.physics.model import loop_period, turn_factor
+from acsar_gym.physics.randomization import (
+    DEFAULT_RANGES,
+    Drawn,
+    Randomizer,
+    describe_ranges,
+    drawn_places,
+    randomization_level,
+    vary_physics,
+)
+
+CONFIG = RobotConfig()
+DT, STEP = loop_period(CONFIG), 0.1
+WHEELS = "abcd"
+CHANGES = {
+    "mass": {"mass", "yaw_inertia", "grip"},
+    "friction": {"grip"},
+    "motor_gain": {f"gain_{wheel}" for wheel in WHEELS},
+    "motor_lag": {f"blend_{wheel}" for wheel in WHEELS},
+    "deadband": {f"deadband_{wheel}" for wheel in WHEELS},
+    "wheel_radius": {"left_radius", "right_radius"},
+    "latency": {"latency_loops"},
+    "feedback_rate": {"feedback_loops"},
+    "track_width": {"half_track"},
+    "left_wheel_radius": {"left_radius"},
+    "right_wheel_radius": {"right_radius"},
+    "turn_factor": {"kappa"},
+    "command_delay": {"command_delay"},
+    "delay_samples": {"command_delay"},
+    "deadband_offset": {f"deadband_{wheel}" for wheel in WHEELS},
+}
+
+
+def drawn(ranges: Any, seed: int = 0, config: RobotConfig = CONFIG) -> tuple[Physics, Any]:
+    randomizer = Randomizer(ranges, config, STEP, simulated=True)
+    own = randomizer.draw(np.random.default_rng(seed))
+    assert own is not None
+    return own, randomizer.info()
+
+
+def wheels(own: Physics, name: str) -> list[float]:
+    """The four numbers of a robot's wheels."""
+    return [getattr(own, f"{name}_{wheel}") for wheel in WHEELS]
+
+
+def test_every_parameter_has_numbers_and_every_number_a_parameter() -> None:
+    names = list(Randomization.model_fields)
+    assert sorted(place for name in names for place in drawn_places(name)) == list(
+        range(len(Drawn()))
+    )
+    assert set(RANGES) == set(CHANGES) == set(names)
+
+
+def test_numbers_keep_their_names_on_the_way_into_compiled_code() -> None:
+    own = Physics(*map(float, range(len(Physics._fields))))
+    assert tuple(record_of(own)[0]) == own
+
+
+def test_the_defaults_leave_a_robot_as_configured() -> None:
+    assert vary_physics(compute_physics(CONFIG), Drawn(), DT) == compute_physics(CONFIG)
+    assert Randomizer(None, CONFIG, STEP, simulated=False).draw(np.random.default_rng(0)) is None
+
+
+@pytest.mark.parametrize("name", RANGES)
+def test_each_parameter_changes_its_own_numbers_alone(name: str) -> None:
+    own, info = drawn({name: RANGES[name]})
+    pairs = zip(Physics._fields, own, compute_physics(CONFIG), strict=True)
+    assert {field for field, number, configured in pairs if number != configured} == CHANGES[name]
+    assert list(info) == [f"drawn_{name}"]
+    values = np.array(info[f"drawn_{name}"])
+    assert (values >= min(RANGES[name])).all()
+    assert (values <= max(RANGES[name]) * 1.12).all()  # 60 Hz are rounded to 66.7
+
+
+def test_factors_multiply_and_the_others_replace() -> None:
+    own, info = drawn(RANGES)
+    configured = compute_physics(CONFIG)
+    assert own.mass == pytest.approx(configured.mass * info["drawn_mass"])
+    assert own.yaw_inertia == pytest.approx(configured.yaw_inertia * info["drawn_mass"])
+    grip = configured.grip * info["drawn_mass"] * info["drawn_friction"]
+    assert own.grip == pytest.approx(grip)
+    assert wheels(own, "gain") == pytest.approx(info["drawn_motor_gain"])
+    lag = -DT / np.log(1.0 - np.array(wheels(own, "blend")))
+    assert lag == pytest.approx(CONFIG.motor.time_constant * info["drawn_motor_lag"])
+    dead = info["drawn_deadband"] + info["drawn_deadband_offset"]
+    assert wheels(own, "deadband") == pytest.approx(dead)
+    for side in ("left", "right"):
+        factor = info["drawn_wheel_radius"] * info[f"drawn_{side}_wheel_radius"]
+        assert getattr(own, f"{side}_radius") == pytest.approx(0.05 * factor)
+    ratio = (CONFIG.wheelbase / CONFIG.wheel_separation) ** 2
+    assert 1.0 + own.kappa * ratio == pytest.approx((1.0 + ratio) * info["drawn_turn_factor"])
+    delay = info["drawn_command_delay"] + info["drawn_delay_samples"]
+    assert own.command_delay == pytest.approx(delay)
+
+
+def test_times_are_whole_loops_of_the_firmware_and_told_as_such() -> None:
+    own, info = drawn(RANGES)
+    assert own.latency_loops == round(own.latency_loops) > 0
+    assert own.feedback_loops == round(own.feedback_loops) > 0
+    assert info["drawn_latency"] == pytest.approx(own.latency_loops * DT)
+    assert info["drawn_feedback_rate"] == pytest.approx(1.0 / (own.feedback_loops * DT))
+
+
+def test_a_seed_gives_one_robot_and_takes_one_sample_for_each_number() -> None:
+    randomizer = Randomizer(RANGES, CONFIG, STEP, simulated=True)
+    rng, other = np.random.default_rng(5), np.random.default_rng(5)
+    first, second = randomizer.draw(rng), randomizer.draw(rng)
+    assert first == drawn(RANGES, 5)[0] != second
+    other.random(2 * len(Drawn()))
+    assert rng.random() == other.random()
+
+
+def test_a_range_of_one_value_takes_no_sample() -> None:
+    own, info = drawn({"mass": (1.5, 1.5), "friction": (0.5, 1.0)}, 3)
+    assert info["drawn_mass"] == 1.5
+    assert info["drawn_friction"] == 0.5 + 0.5 * np.random.default_rng(3).random()
+    assert own.mass == 1.5 * compute_physics(CONFIG).mass
+
+
+def test_motors_without_lag_have_none_to_vary() -> None:
+    config = CONFIG.with_(motor={"time_constant": [0.0, 0.1, 0.0, 0.1]})
+    own, info = drawn({"motor_lag": (0.5, 0.9)}, config=config)
+    assert (wheels(own, "blend")[0], wheels(own, "blend")[2]) == (1.0, 1.0)
+    assert (info["drawn_motor_lag"] == 1.0).tolist() == [True, False, True, False]
+
+
+@pytest.mark.parametrize(
+    ("ranges", "field"),
+    [
+        ({"frictoin": (0.5, 1.0)}, "did you mean 'friction'"),
+        ({3: (0.5, 1.0)}, "3"),
+        ({"mass": (2.0, 1.0)}, "mass"),
+        ({"mass": 3}, "mass"),
+        ({"latency": (-0.1, 0.1)}, "latency"),
+        ({"latency": (0.0, 0.099)}, r"latency = .*: on this wire a line takes up to 0.119 s"),
+        ("mass", "must be a mapping"),
+        ({"turn_factor": (0.6, 1.0)}, r"turn_factor = .*0\.92"),
+        ({"command_delay": (0.0, 1.5)}, "command_delay"),
+        ({"delay_samples": ()}, "delay_samples"),
+        ({"delay_samples": (0.0, -0.1)}, "delay_samples"),
+        ({"delay_samples": 3}, "delay_samples"),
+        ({"feedback_rate": (1.0, 20.0)}, "feedback_rate = .*feedback_timeout = 0.5 s"),
+        ({"feedback_rate": (20.0, 190.0)}, "feedback_rate = .*baud_rate = 19200"),
+    ],
+)
+def test_bad_ranges_are_one_clear_error(ranges: Any, field: str) -> None:
+    config = CONFIG.with_(baud_rate=19200, control_rate=50.0)
+    with pytest.raises(ConfigError, match=rf"^(unknown field ')?randomization.*{field}") as raised:
+        Randomization.of(ranges).ranges(config, STEP)
+    assert "\n" not in str(raised.value)
+
+
+def test_every_measured_delay_is_drawn_as_often_as_the_others() -> None:
+    delays = (0.002, 0.003, 0.005, 0.009)
+    config = CONFIG.with_(firmware={"command_delay": 0.004})
+    randomizer = Randomizer({"delay_samples": delays}, config, STEP, simulated=True)
+    rng = np.random.default_rng(0)
+    drawn = [randomizer.draw(rng) for _ in range(4000)]
+    told = [own.command_delay for own in drawn if own is not None]
+    for delay in delays:
+        assert told.count(0.004 + delay) == pytest.approx(1000, abs=120)
+
+
+def test_a_deadband_is_never_negative() -> None:
+    own, _ = drawn({"deadband_offset": (-0.5, -0.5)}, config=CONFIG.with_(motor={"deadband": 0.2}))
+    assert wheels(own, "deadband") == [0.0] * 4
+
+
+ACSAR = RobotConfig.preset("acsar")
+MOTOR = {"time_constant": [0.1, 0.1, 0.2, 0.1], "gain": 0.98, "deadband": [0.2, 0.3, 0.2, 0.2]}
+
+
+def between(low: float, high: float) -> dict[str, Any]:
+    return {"low": low, "high": high, "method": "identify"}
+
+
+FOUND = {
+    "motor.time_constant.a": between(0.098, 0.103),
+    "motor.time_constant.b": between(0.099, 0.101),
+    "motor.time_constant.c": between(0.19, 0.21),
+    "motor.time_constant.d": between(0.099, 0.102),
+    "motor.gain": between(0.9702, 0.98),
+    "motor.deadband.a": between(0.15, 0.22),
+    "motor.deadband.b": between(0.28, 0.36),
+    "firmware.command_delay": between(0.006, 0.011),
+    "wheel_radius": between(0.0498, 0.0501),
+    "left_wheel_radius_multiplier": between(0.999, 1.003),
+    "body.turn_factor": between(1.6, 1.76),
+}
+FITTED = ACSAR.with_(
+    motor=MOTOR, body={"turn_factor": 1.7}, firmware={"command_delay": 0.008}, measured=FOUND
+)
+
+
+def test_without_measurements_the_default_widths_are_used() -> None:
+    assert Randomization.measured(ACSAR) == Randomization.of(DEFAULT_RANGES)
+    assert describe_ranges(ACSAR) == ""
+
+
+def test_measured_intervals_become_ranges() -> None:
+    ranges = Randomization.measured(FITTED)
+    assert ranges.motor_lag == pytest.approx((0.95, 1.05))
+    assert ranges.motor_gain == pytest.approx((0.99, 1.0))
+    assert ranges.deadband_offset == pytest.approx((-0.05, 0.06))
+    assert ranges.command_delay == (0.006, 0.011)
+    assert ranges.wheel_radius == pytest.approx((0.996, 1.002))
+    assert ranges.left_wheel_radius == (0.999, 1.003)
+    assert ranges.turn_factor == pytest.approx((1.6 / 1.7, 1.76 / 1.7))
+    assert (ranges.friction, ranges.latency) == (DEFAULT_RANGES["friction"], None)
+    line = describe_ranges(FITTED)
+    assert "randomized as measured: " in line
+    assert "motor_lag 0.95 to 1.05" in line
+    assert line.endswith("by default widths: friction")
+
+
+def test_wheels_that_were_not_measured_have_the_default_width() -> None:
+    own = ACSAR.with_(measured={"motor.time_constant.a": between(0.0796, 0.0804)})
+    assert Randomization.measured(own).motor_lag == pytest.approx(DEFAULT_RANGES["motor_lag"])
+
+
+def test_a_calibrated_multiplier_is_a_turn_factor() -> None:
+    found = {"wheel_separation_multiplier": between(1.7, 1.8)}
+    own = ACSAR.with_(wheel_separation_multiplier=1.75, measured=found)
+    factor = 1.0 + (0.22 / 0.3) ** 2
+    assert Randomization.measured(own).turn_factor == pytest.approx((1.7 / factor, 1.8 / factor))
+
+
+def test_default_widths_suit_robots_that_hardly_skid() -> None:
+    short = RobotConfig(wheel_separation=0.6, wheelbase=0.06)
+    Randomization.measured(short).ranges(short, 0.1)
+
+
+def test_measured_delays_are_replayed_in_single_envs_and_batches() -> None:
+    delays = (0.001, 0.004, 0.0125)
+    own = ACSAR.with_(firmware={"delay_samples": delays, "command_delay": 0.003})
+    ranges = Randomization.measured(own)
+    assert (ranges.delay_samples, ranges.latency) == (delays, None)
+    randomizer, rng = Randomizer(ranges, own, 0.1, simulated=True), np.random.default_rng(0)
+    drawn = [randomizer.draw(rng) for _ in range(50)]
+    assert {one.command_delay for one in drawn if one} == {0.003 + delay for delay in delays}
+    many: Any = gymnasium.make_vec(
+        "acsar_gym/PointGoal-v0",
+        50,
+        vectorization_mode="vector_entry_point",
+        robot=own,
+        randomization=ranges,
+    )
+    info = many.reset(seed=0)[1]
+    assert set(info["drawn_delay_samples"].tolist()) == set(delays)
+    many.close()
+
+
+@pytest.mark.parametrize(
+    ("name", "interval", "parameter"),
+    [
+        ("wheel_separation_multiplier", between(0.9, 1.0), "turn_factor"),
+        ("wheel_separation_multiplier", between(0.95, 1.05), "turn_factor"),
+        ("body.turn_factor", between(1.0001, 1.1), "turn_factor"),
+        ("motor.time_constant", between(0.0, 0.16), "motor_lag"),
+        ("firmware.command_delay", between(0.115, 0.125), "command_delay"),
+    ],
+)
+def test_any_interval_of_a_robot_can_be_trained_with(
+    name: str, interval: dict[str, Any], parameter: str
+) -> None:
+    own = ACSAR.with_(measured={name: interval})
+    ranges = Randomization.measured(own)
+    ranges.ranges(own, 0.1)
+    low, high = getattr(ranges, parameter)
+    assert low <= high
+    if parameter == "turn_factor":
+        assert low * turn_factor(own) == pytest.approx(1.001, abs=1e-9)
+
+
+def test_the_second_level_is_that_of_training() -> None:
+    assert randomization_level(ACSAR, 2) == Randomization.measured(ACSAR)
+
+
+def test_levels_are_nested() -> None:
+    narrow, usual, wide = (randomization_level(ACSAR, number) for number in (1, 2, 3))
+    for name in usual.names:
+        ends = [getattr(each, name) for each in (narrow, usual, wide)]
+        assert ends[2][0] <= ends[1][0] <= ends[0][0] <= ends[0][1] < ends[1][1] < ends[2][1]
+    assert wide.latency == (0.0, 0.04)
+    assert wide.friction == pytest.approx((0.4, 1.4))
+
+
+@pytest.mark.parametrize("number", [1, 2, 3])
+def test_every_level_suits_a_robot_that_hardly_skids(number: int) -> None:
+    robot = ACSAR.with_(body={"turn_factor": 1.02})
+    randomization_level(robot, number).ranges(robot, 0.1)
+
+
+def test_there_are_three() -> None:
+    with pytest.raises(ConfigError, match="must be 1, 2 or 3"):
+        randomization_level(ACSAR, 4)
