@@ -289,7 +289,7 @@ def randomized_recipe(env: str, level: int) -> dict[str, Any]:
     env_id = ids.strip_module(ids.find_id(env))
     found = recipes.read_recipe(recipes.find_algorithm("ppo"), env_id).as_dict()
     if level:
-        ranges = asdict(randomization_level(RobotConfig.of(None), level))
+        ranges = randomization_level(RobotConfig.of(None), level).model_dump()
         known = {name: list(each) for name, each in ranges.items() if each is not None}
         found["env_kwargs"] = {**found["env_kwargs"], "randomization": known}
     return {env_id: found}
