@@ -112,15 +112,6 @@ def test_a_summary_of_a_known_episode() -> None:
     assert (spread.count, spread.p99, spread.worst) == (100, timing.p99, timing.worst)
 
 
-def test_a_reset_forgets_everything() -> None:
-    record = lateness(0.5)
-    record.reset()
-    assert (record.count, record.late, record.missed) == (0, 0, 0)
-    assert math.isnan(record.worst)
-    record.add(1e-4)
-    assert record.percentile(99.0) == record.worst == 1e-4
-
-
 def test_memory_is_bounded() -> None:
     once, often = LatenessHistogram(PERIOD), LatenessHistogram(PERIOD)
     for number in range(100_000):

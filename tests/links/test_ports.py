@@ -220,13 +220,13 @@ def test_a_device_is_followed_by_its_adapter_s_name(
     with os.fdopen(os.open(before, os.O_RDWR | os.O_NOCTTY), "rb", 0):
         emulator.pull()
         assert before in drive_until_lost(robot).found
-        assert list(watchdog._searching) == [str(by_id / "usb-acsar")]
+        assert list(watchdog.list_searches()) == [str(by_id / "usb-acsar")]
         emulator.plug()
         assert emulator.device != before
         plugged[:] = [PortInfo(emulator.device, "board", "A50285BI")]
         with robot:
             robot.drive(0.2, 0.0)
-        assert not watchdog._searching
+        assert not watchdog.list_searches()
 
 
 ANOTHER_WRITER = """

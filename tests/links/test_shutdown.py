@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+from pathlib import Path
 
 import psutil
 import pytest
@@ -121,12 +122,13 @@ def test_ctrl_z_stops_the_robot_until_it_is_reset(emulator: Emulated) -> None:
     assert_drove_once(emulator)
 
 
-CONTAINED = """
+CONTAINED = f"""
 import sys
-from acsar_gym.tools.doctor import stopping_programs
+sys.path.insert(0, {str(Path(__file__).parents[1])!r})
+import stopping
 
-print(stopping_programs.no_namespace() or "can be had", flush=True)
-stopping_programs._become_pid_1(1)
+print(stopping.no_namespace() or "can be had", flush=True)
+stopping.become_pid_1(1)
 """
 """What follows is PID 1 of a namespace, as in a container without an init."""
 

@@ -54,7 +54,7 @@ os.kill({silent.process.pid}, signal.SIGUSR1)
             link.open()
         helper.wait(TIMEOUT)
     assert silent.device in caught.value.found
-    assert not link.watched
+    assert not link.watchdog.is_alive
     link.close()
 
 
@@ -79,7 +79,7 @@ def test_pulled_before_any_use_there_is_one_error(
     assert caught.value.fix
     link.stop()
     link.close()
-    assert not link.watched
+    assert not link.watchdog.is_alive
 
 
 @pytest.mark.parametrize("use", ["close", "stop"])

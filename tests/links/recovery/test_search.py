@@ -116,7 +116,7 @@ def test_without_patience_a_lost_port_is_tried_once(
 
 END = """
 robot.activate()
-print(robot.link._watch.watchdog.pid, flush=True)
+print(robot.link.watchdog.pid, flush=True)
 drive(10**9)
 """
 
@@ -169,7 +169,7 @@ def test_another_link_to_the_port_calls_the_search_back(
     lost.open()
     plugged.pull()
     lost.close()
-    (dog,) = watchdog._searching.values()
+    (dog,) = watchdog.list_searches().values()
     assert runs(dog)
     plugged.plug()
     other.open()
@@ -180,7 +180,7 @@ def test_another_link_to_the_port_calls_the_search_back(
 def test_called_back_nobody_looks_any_more(link: SerialLink, plugged: Emulated) -> None:
     plugged.pull()
     link.close()
-    ((place, dog),) = watchdog._searching.items()
+    ((place, dog),) = watchdog.list_searches().items()
     assert place == name(plugged)
     watchdog.end_searches("another")
     assert runs(dog)

@@ -13,8 +13,8 @@ from board_tools import NoTrailingComma, Sibling, board, commissioned
 from acsar_gym import Robot, RobotConfig
 from acsar_gym.errors import BoardSilentError, ConfigError, LinkError
 from acsar_gym.protocol import WHEELS, encode
-from acsar_gym.tools.doctor import ratios, wire
-from acsar_gym.tools.doctor.commission import Commission, parse_all_seen
+from acsar_gym.tools.doctor import wire
+from acsar_gym.tools.doctor.commission import SWAPPED_FIX, Commission, parse_all_seen
 from acsar_gym.tools.emulation import quirks
 from acsar_gym.tools.emulation.quirks import QuirkyLink
 from acsar_gym.worlds import Pose
@@ -91,7 +91,7 @@ def test_an_encoder_that_is_reversed_within_the_boards_loop(saw: Sequence[str] |
 def test_encoders_that_are_swapped_within_the_boards_loop() -> None:
     commission = Commission()
     check = commissioned(board("runaway=b", "swapped-encoders"), commission)["front_left"]
-    assert (check.status, check.fix) == ("fail", ratios.SWAPPED_FIX)
+    assert (check.status, check.fix) == ("fail", SWAPPED_FIX)
     assert not commission.finished
 
 
@@ -100,8 +100,8 @@ class Cutting(QuirkyLink):
 
     begun: float | None = None
 
-    def _taken(self, line: bytes) -> bytes:
-        line = super()._taken(line)
+    def take_line(self, line: bytes) -> bytes:
+        line = super().take_line(line)
         if not line.startswith((b"ap", b"an")) or line.startswith((b"ap00.00", b"an00.00")):
             self.begun = None
         elif self.begun is None:
@@ -114,7 +114,7 @@ class Cutting(QuirkyLink):
 def test_a_wheel_that_the_board_stops_as_it_turns_backward() -> None:
     found = quirks.parse_quirks(["runaway=a"])
     commission = Commission()
-    check = commissioned(Cutting(board()._link, RobotConfig(), found), commission)["front_right"]
+    check = commissioned(Cutting(board().link, RobotConfig(), found), commission)["front_right"]
     assert check.status == "fail"
     assert "turned backward, and stood again" in check.found
     assert check.fix.startswith("set ENCODER_REVERSED")

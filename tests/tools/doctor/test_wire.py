@@ -7,6 +7,7 @@ import signal
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from serial_tools import (
@@ -21,18 +22,20 @@ from serial_tools import (
 )
 
 from acsar_gym import RobotConfig
-from acsar_gym.errors import EmergencyStopError
+from acsar_gym.errors import BoardGarbledError, ConfigError, EmergencyStopError
 from acsar_gym.protocol import ZERO, encode
 from acsar_gym.safety.estop import StopListener
 from acsar_gym.tools.cli import devices, main
 from acsar_gym.tools.cli.options import SpinOptions
 from acsar_gym.tools.doctor import board, wire
+from acsar_gym.tools.doctor import checks as doctor_checks
 from acsar_gym.tools.doctor.checks import Check
 from acsar_gym.tools.doctor.commission import Commission
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
 MISSING = "/dev/acsar-missing"
+ACSAR = RobotConfig.preset("acsar")
 TIMED = {"feedback rate", "command to feedback"}
 """A busy machine may turn these to `warn`."""
 
@@ -69,7 +72,7 @@ import os, signal, sys
 from acsar_gym import RobotConfig
 from acsar_gym.tools.doctor import wire
 from acsar_gym.protocol import encode
-link = wire._Stoppable(sys.argv[1], RobotConfig())
+link = wire.StoppableLink(sys.argv[1], RobotConfig())
 link.open()
 for tick in range(100):
     link.write(encode((0.0, 0.0, 0.0, 6.0), trailing_comma=False))
@@ -84,15 +87,15 @@ def hurry(monkeypatch: pytest.MonkeyPatch) -> None:
     """Listen shorter than at the command line, and wait for what comes on a busy machine, too."""
     monkeypatch.setattr(board, "LISTEN_TIME", 0.2)
     monkeypatch.setattr(board, "RESPONSE_TRIALS", 2)
-    for module in (board,):
-        monkeypatch.setattr(module, "PATIENCE", TIMEOUT)
+    for name in ("START_TIMEOUT", "STEADY_TIMEOUT"):
+        monkeypatch.setattr(board, name, TIMEOUT)
 
 
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is waited for never comes."""
-    for module in (board,):
-        monkeypatch.setattr(module, "PATIENCE", 1.0)
+    for name in ("START_TIMEOUT", "STEADY_TIMEOUT"):
+        monkeypatch.setattr(board, name, 1.0)
 
 
 def examined(device: str, config: RobotConfig, *, spin: bool = False) -> dict[str, Check]:
@@ -197,17 +200,17 @@ def test_a_board_is_stopped_whichever_zeros_it_takes(
 def test_a_check_that_fails_to_open_listens_no_more(
     config: RobotConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made: list[wire._Stoppable] = []  # so that no finalizer closes anything
+    made: list[wire.StoppableLink] = []  # so that no finalizer closes anything
 
-    class Kept(wire._Stoppable):
+    class Kept(wire.StoppableLink):
         def __init__(self, device: str, config: RobotConfig) -> None:
             super().__init__(device, config)
             made.append(self)
 
-    monkeypatch.setattr(wire, "_Stoppable", Kept)
+    monkeypatch.setattr(wire, "StoppableLink", Kept)
     (check,) = wire.examine_device(MISSING, config)
     assert (check.name, check.status) == ("open", "fail")
-    assert made[0]._listener.paths == []
+    assert made[0].listener.paths == []
 
 
 def test_slow_feedback_is_a_warning(
@@ -332,3 +335,61 @@ def test_one_dead_wheel_is_found(
     assert (checks["rear_right"].status == "fail") == (wheel == "dead")
     assert checks["rear_left"].status == "ok"
     assert checks["line quality"].status == "ok"
+
+
+@pytest.mark.parametrize(("baud", "rate"), [(9600, 20.0), (19200, 50.0), (38400, 100.0)])
+def test_a_slow_line_lowers_the_control_rate(baud: int, rate: float) -> None:
+    robot = wire.at_baud_rate(ACSAR, baud)
+    assert (robot.baud_rate, robot.control_rate) == (baud, rate)
+
+
+@pytest.mark.parametrize("baud", [57601, 12345])
+def test_rates_that_no_board_uses_are_named(baud: int) -> None:
+    with pytest.raises(ConfigError, match="must be one of 9600"):
+        wire.at_baud_rate(ACSAR, baud)
+
+
+def test_a_line_that_is_too_slow_for_the_feedback_is_refused() -> None:
+    with pytest.raises(ConfigError, match="baud_rate = 9600"):
+        wire.at_baud_rate(ACSAR.with_(firmware={"feedback_rate": 50.0}), 9600)
+
+
+def test_a_board_of_another_language(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried: list[int] = []
+
+    class Garbled:
+        def __init__(self, device: str, config: RobotConfig) -> None:
+            tried.append(config.baud_rate)
+
+        def open(self) -> None:
+            raise BoardGarbledError("no valid line")
+
+        def close(self) -> None:
+            pass
+
+    monkeypatch.setattr(wire, "SerialLink", Garbled)
+    check = wire.search_baud_rate("/dev/ttyUSB0", ACSAR)
+    assert check.status == "fail"
+    assert tried == [57600, 38400, 19200, 9600]
+
+
+@pytest.mark.parametrize(
+    ("measured", "rate"),
+    [(50.1, 50.0), (48.9, 50.0), (99.3, 100.0), (10.2, 10.0), (44.04, 44.0), (33.33, 33.3)],
+)
+def test_a_rate_close_to_a_usual_one_is_that_one(measured: float, rate: float) -> None:
+    assert board.round_rate(measured) == rate
+
+
+def test_the_table_holds_every_check() -> None:
+    found = [Check(status, status, "found", "fix") for status in doctor_checks.STATUS_MARKS]
+    figures: dict[str, Any] = doctor_checks.checks_as_json(found)
+    assert doctor_checks.draw_checks(found).row_count == len(figures["checks"]) == 4
+
+
+def test_a_computer_without_ports_is_a_warning_unless_a_device_is_given(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(doctor_checks, "find_ports", list)
+    assert doctor_checks.check_ports().status == "warn"
+    assert doctor_checks.check_ports("/dev/pts/7").status == "ok"

@@ -23,9 +23,9 @@ CABLE = "usb-FTDI_FT232R-if00-port0"
 PREPARE = """
 import os, sys
 from acsar_gym.errors import ConfigError
-from acsar_gym.tools.doctor.host import prepare
+from acsar_gym.tools.doctor.host import prepare_realtime
 try:
-    prepare(20, [min(os.sched_getaffinity(0))])
+    prepare_realtime(20, [min(os.sched_getaffinity(0))])
 except ConfigError as error:
     print(error)
 else:
@@ -183,7 +183,7 @@ def test_a_computer_that_tells_nothing(
     tmp_path: Path, config: RobotConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delattr(os, "sched_getaffinity", raising=False)
-    checks = realtime.check_computer("/dev/pts/3", config, tmp_path)
+    checks = list(realtime.check_computer("/dev/pts/3", config, tmp_path))
     assert {check.status for check in checks if check.name not in ("cores", "baud rate")} == {
         "skip"
     }
