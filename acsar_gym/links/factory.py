@@ -70,10 +70,10 @@ def _make_replay(url: str, config: RobotConfig, window: bool) -> Link:
 
 
 BACKENDS = {
+    "planar": Backend(partial(_make_simulated, _make_planar_body), is_simulated=True),
     "bullet": Backend(
         partial(_make_simulated, _make_bullet_body), is_simulated=True, has_window=True
     ),
-    "planar": Backend(partial(_make_simulated, _make_planar_body), is_simulated=True),
     "replay:": Backend(_make_replay),
     "serial": Backend(_make_serial, is_real=True),
 }

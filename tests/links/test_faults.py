@@ -1,7 +1,8 @@
-"""Faults in numbers and letters: what may be asked for, and what broken wheels do to lines."""
+"""What faults may be asked for, what broken wheels do to lines, and which lines suffer."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import Counter
 from typing import Any
@@ -13,7 +14,17 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from acsar_gym.errors import ConfigError
-from acsar_gym.links.faults import Faults, LineSplitter, WheelEditor, WheelFaults
+from acsar_gym.links.faults import (
+    COMMAND_LINE,
+    FAULT_KINDS,
+    FEEDBACK_LINE,
+    WHOLE_EPISODE,
+    Faults,
+    LineSplitter,
+    WheelEditor,
+    WheelFaults,
+    line_hash,
+)
 from acsar_gym.protocol import MAX_LINE, Decoder, encode
 
 LINE = encode((1.0, -2.0, 3.0, 0.0))
@@ -41,13 +52,6 @@ def test_by_default_nothing_goes_wrong() -> None:
 def test_each_fault_is_possible_by_itself(change: dict[str, Any]) -> None:
     assert Faults.of(change).possible
     assert not Faults.of({**change, "episodes": 0.0}).possible
-
-
-@pytest.mark.parametrize(
-    "change", [{"lateness": 1.0}, {"garbage_bytes": 5}, {"reset_time": 1.0}, {"direction": "both"}]
-)
-def test_how_is_not_whether(change: dict[str, Any]) -> None:
-    assert not Faults.of(change).possible
 
 
 def test_faults_are_passed_on_as_they_are_and_frozen() -> None:
@@ -116,12 +120,6 @@ def test_named_wheels_are_those_and_numbers_are_drawn() -> None:
     assert min(pairs.values()) > 250
 
 
-def test_drawn_wheels_follow_the_seed() -> None:
-    faults = Faults(dead_wheels=1, stuck_encoders=3)
-    twice = [WheelFaults.draw(faults, np.random.default_rng(7)) for _ in range(2)]
-    assert twice[0] == twice[1]
-
-
 @given(chunks)
 def test_lines_lose_nothing_and_hold_back_half_a_line_at_most(pieces: list[bytes]) -> None:
     lines, given_, got = LineSplitter(), b"", b""
@@ -174,3 +172,38 @@ def test_a_dead_wheel_is_dead_whatever_the_line_looks_like(
     ):
         assert all(reading.speeds[1] in (None, 0.0) for reading in readings)
         assert all(reading.speeds[3] in (None, 0.0) for reading in readings)
+
+
+WORD = (1 << 64) - 1
+
+
+def split_mix(word: int) -> int:
+    """SplitMix64's output function, in whole numbers."""
+    word = ((word ^ (word >> 30)) * 0xBF58476D1CE4E5B9) & WORD
+    word = ((word ^ (word >> 27)) * 0x94D049BB133111EB) & WORD
+    return word ^ (word >> 31)
+
+
+@pytest.mark.parametrize("key", [0.0, 0.5, 0.1234567890123, 1.0 - 2.0**-53])
+def test_lots_are_split_mix_64(key: float) -> None:
+    for whose, number, kind in itertools.product((0, 1, 2), (0, 1, 7, 100_000), (0, 4)):
+        count = (number * 3 + whose) * FAULT_KINDS + kind + 1
+        word = split_mix(((int(key * 2**53) << 11) + count * 0x9E3779B97F4A7C15) & WORD)
+        assert line_hash(key, whose, float(number), kind) == (word >> 11) / 2**53
+
+
+def test_lots_are_uniform_and_independent() -> None:
+    keys = np.random.default_rng(0).random(20).tolist()
+    rows = [
+        [line_hash(key, whose, float(number), kind) for key in keys for number in range(200)]
+        for whose, kind in (
+            (FEEDBACK_LINE, 0),
+            (FEEDBACK_LINE, 4),
+            (COMMAND_LINE, 0),
+            (WHOLE_EPISODE, 0),
+        )
+    ]
+    table = np.array(rows)
+    assert np.histogram(table, 10, (0.0, 1.0))[0] / table.size == pytest.approx(0.1, abs=0.01)
+    assert np.corrcoef(table) == pytest.approx(np.eye(4), abs=0.06)
+    assert np.corrcoef(table[0, 1:], table[0, :-1])[0, 1] == pytest.approx(0.0, abs=0.06)

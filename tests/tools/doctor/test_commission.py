@@ -43,10 +43,6 @@ def test_a_board_as_documented_has_nothing_to_mend() -> None:
     assert (commission.changes, commission.finished) == ({}, True)
 
 
-def test_with_eyes_on_the_wheels_nothing_is_open() -> None:
-    assert findings(saw="abcd") == {}
-
-
 def test_a_board_that_takes_values_at_their_commas() -> None:
     for comma, status in ((True, "ok"), (False, "warn")):
         commission = Commission()
@@ -66,13 +62,6 @@ def test_numbers_of_its_own_are_shown_and_nothing_to_mend(quirk: str, shown: str
     assert shown in checks["line format"].found
     assert checks["line quality"].status == checks["line format"].status == "ok"
     assert checks["line quality"].found.startswith("0 bad parts")
-
-
-def test_a_reversed_encoder() -> None:
-    found = findings("reversed-encoder=b")
-    assert set(found) == {"front_left", "wiring"}
-    assert "encoder b counts backward" in found["front_left"]
-    assert "its encoder is reversed (or its motor" in found["front_left"]
 
 
 @pytest.mark.parametrize("saw", [None, "abcd"])
@@ -155,19 +144,6 @@ def test_a_wheel_may_be_somewhat_slower_or_faster(factor: float, robot: dict[str
     assert {checks[name].status for name in WHEELS} == {"ok"}
     said = checks["front_left"].found.partition("measured/commanded ")[2]
     assert float(said) == pytest.approx(factor, abs=0.06)
-
-
-def test_a_reversed_motor_that_was_seen() -> None:
-    found = findings("reversed-motor=b", saw=("a", "bn", "c", "d"))
-    assert "its motor is reversed" in found["front_left"]
-    assert "its encoder" not in found["front_left"]
-
-
-def test_swapped_sides() -> None:
-    found = findings("swapped-encoders")
-    assert set(found) == {*WHEELS, "wiring"}
-    assert "left and right are swapped" in found["wiring"]
-    assert "swapped with that of front_left" in found["front_right"]
 
 
 @pytest.mark.parametrize(
@@ -378,18 +354,6 @@ def test_enter_means_that_the_robots_file_is_right() -> None:
     assert commission.changes == {}
 
 
-def test_a_guess_is_written_with_a_warning_and_a_remark(tmp_path: Path) -> None:
-    commission, file = Commission(), tmp_path / "robot.yaml"
-    checks = commissioned(board("swapped-encoders"), commission)
-    said = commission.save(RobotConfig(), file)
-    assert checks["wiring"].status == said.status == "warn"
-    assert "is an assumption" in checks["wiring"].found
-    assert "is an assumption" in said.found
-    assert "--saw" in said.fix
-    lines = file.read_text().splitlines()
-    assert lines[lines.index("wheels:") - 1].startswith("# and say what turned: ")
-
-
 def test_asking_takes_answers_until_they_make_sense() -> None:
     answers = iter(["what?", "b", "a", "", "c"])
     asked: list[str] = []
@@ -402,14 +366,6 @@ def test_asking_takes_answers_until_they_make_sense() -> None:
         commissioned(board(), Commission(ask=ask))
     assert len(asked) == 5
     assert "a was commanded forward" in asked[0] == asked[1]
-
-
-def test_what_was_asked_is_mapped() -> None:
-    answers = iter(SWAPPED)
-    commission = Commission(ask=lambda _: next(answers))
-    commissioned(board("swapped-motors"), commission)
-    assert commission.changes["wheels"]["a"]["motor"] == "b"
-    assert commission.changes["wheels"]["a"]["encoder"] == "a"
 
 
 @pytest.mark.parametrize(

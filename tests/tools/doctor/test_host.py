@@ -136,11 +136,6 @@ def test_what_makes_ticks_late(
     assert fix in checks[name].fix
 
 
-def test_low_latency_mode_that_is_on(root: Path, found: Callable[..., dict[str, Check]]) -> None:
-    put(root, "sys/class/tty/ttyUSB0/flags", "0x10002040")
-    assert found()["low-latency mode"] == Check("low-latency mode", "ok", "on")
-
-
 @pytest.mark.parametrize(
     ("port", "status", "said"),
     [("1-2", "ok", "straight"), ("1-2.4", "ok", "one hub"), ("1-2.4.1", "warn", "2 hubs")],
@@ -187,10 +182,6 @@ def test_a_computer_that_tells_nothing(
     assert {check.status for check in checks if check.name not in ("cores", "baud rate")} == {
         "skip"
     }
-
-
-def test_this_computer(config: RobotConfig) -> None:
-    assert all(check.found for check in realtime.check_computer("/dev/ttyS0", config))
 
 
 def refused(priority: int | None, cores: Sequence[int] | None = None) -> str:
@@ -258,13 +249,6 @@ def test_other_operating_systems(
 ) -> None:
     monkeypatch.delattr(os, name, raising=False)
     assert "this operating system" in refused(priority, cores)
-
-
-@linux
-def test_nothing_asked_is_nothing_changed() -> None:
-    before = (os.sched_getscheduler(0), os.sched_getaffinity(0))
-    realtime.prepare_realtime()
-    assert (os.sched_getscheduler(0), os.sched_getaffinity(0)) == before
 
 
 @linux

@@ -15,7 +15,7 @@ from rich.console import Console
 from serial_tools import Emulated, no_leak, program, wait_until
 
 from acsar_gym import RobotConfig
-from acsar_gym.errors import ConfigError, LinkError, MissingExtraError, PortNotFoundError
+from acsar_gym.errors import ConfigError, LinkError, MissingExtraError
 from acsar_gym.links.lateness import DurationSpread, TickTiming
 from acsar_gym.protocol import ZERO
 from acsar_gym.safety.estop import StopListener
@@ -141,14 +141,6 @@ def test_without_onnxruntime(
     assert "no policy" in judged(report)["processor"].found
 
 
-def test_another_rate(config: RobotConfig, shared_device: str) -> None:
-    slow = config.with_(control_rate=10.0, firmware={"feedback_rate": 100.0})
-    report = measure_timing(shared_device, slow, 0.1, forwards)
-    assert report.lateness.ticks == 5
-    assert report.policy_time is not None
-    assert report.policy_time.count == 5
-
-
 def test_a_policy_that_takes_longer_than_ticks(config: RobotConfig, shared_device: str) -> None:
     def slow(observation: Action) -> Action:
         time.sleep(0.036)
@@ -186,11 +178,6 @@ def test_bad_durations(duration: float, config: RobotConfig, shared_device: str)
         measure_timing(shared_device, config, duration)
 
 
-def test_a_missing_device(config: RobotConfig) -> None:
-    with no_leak(), pytest.raises(PortNotFoundError):
-        measure_timing("/dev/acsar-missing", config, 1.0, forwards)
-
-
 def test_a_report_without_fault(report: TimingReport) -> None:
     checks = judged(report)
     assert checks.pop("round trip").status == "skip"
@@ -221,19 +208,6 @@ def test_what_a_report_warns_of(
     assert warning.name == name
     assert said in warning.found
     assert warning.fix
-
-
-def test_late_ticks_come_with_what_to_do(report: TimingReport) -> None:
-    late = judged(dataclasses.replace(report, lateness=LATE))["late ticks"]
-    assert late.fix.startswith("stop other programs, or put the control loop ahead of them")
-    assert "--realtime 10" in late.fix
-
-
-def test_the_tables_say_it_all(report: TimingReport) -> None:
-    text = drawn(report)
-    for said in ("0.05 ms", "2 ms", "900", "█", "1 of 1000", "stop other programs", "--spin"):
-        assert said in text
-    assert "5 ms" not in text.splitlines()[-1]
 
 
 def test_for_programs(report: TimingReport, tmp_path: Path) -> None:

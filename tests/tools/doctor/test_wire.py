@@ -15,7 +15,6 @@ from serial_tools import (
     RobotFile,
     StartEmulator,
     cli,
-    first_line,
     no_leak,
     program,
     wait_until,
@@ -40,33 +39,6 @@ TIMED = {"feedback rate", "command to feedback"}
 """A busy machine may turn these to `warn`."""
 
 
-BOARD = """
-import os, pty, sys, time, tty
-from acsar_gym.protocol import Decoder, encode
-master, slave = pty.openpty()
-tty.setraw(slave)
-os.set_blocking(master, False)
-print(os.ttyname(slave), flush=True)
-decoder, speeds, heard = Decoder(), (0.0,) * 4, 0.0
-while True:
-    try:
-        for reading in decoder.feed(os.read(master, 4096)):
-            speeds, heard = reading.speeds, time.monotonic()
-    except BlockingIOError:
-        pass
-    if time.monotonic() - heard > 0.3:
-        speeds = (0.0,) * 4
-    line = encode((*speeds[:3], 0.0 if sys.argv[1] == "dead" else speeds[3]))
-    for half in (line[:20], line[20:]):
-        try:
-            os.write(master, half)
-        except BlockingIOError:
-            pass
-        time.sleep(0.005)
-"""
-"""A board that writes its lines in two halves, with or without a dead wheel d."""
-
-
 SPINS = """
 import os, signal, sys
 from acsar_gym import RobotConfig
@@ -89,13 +61,6 @@ def hurry(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(board, "RESPONSE_TRIALS", 2)
     for name in ("START_TIMEOUT", "STEADY_TIMEOUT"):
         monkeypatch.setattr(board, name, TIMEOUT)
-
-
-@pytest.fixture
-def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is waited for never comes."""
-    for name in ("START_TIMEOUT", "STEADY_TIMEOUT"):
-        monkeypatch.setattr(board, name, 1.0)
 
 
 def examined(device: str, config: RobotConfig, *, spin: bool = False) -> dict[str, Check]:
@@ -160,28 +125,6 @@ def test_spin_measures_round_trip_and_stop(
     assert "stops when commands stop" in out
     written = RobotConfig.load(out_file)
     assert written.with_(firmware=robot.firmware.model_dump()) == robot
-
-
-@pytest.mark.slow  # as in simulated time, test_commission.py
-def test_spin_finds_a_board_that_never_stops(
-    config: RobotConfig, start_emulator: StartEmulator, robot_file: RobotFile, impatient: None
-) -> None:
-    emulator = start_emulator("--robot", str(robot_file(firmware={"command_timeout": None})))
-    stops = examined(emulator.device, config, spin=True)["stops when commands stop"]
-    assert stops.status == "fail"
-    assert "time-out" in stops.fix
-    wait_until(emulator.is_stopped, "zero as the last command")
-
-
-@pytest.mark.slow  # as in simulated time, test_commission.py
-def test_spin_finds_wheels_that_do_not_turn(
-    config: RobotConfig, start_emulator: StartEmulator, robot_file: RobotFile, impatient: None
-) -> None:
-    emulator = start_emulator("--robot", str(robot_file(motor={"deadband": 20.0})))
-    checks = examined(emulator.device, config, spin=True)
-    assert checks["command to feedback"].status == "fail"
-    assert "motors" in checks["command to feedback"].fix
-    assert "stops when commands stop" not in checks
 
 
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGTERM], ids=["kill", "term"])
@@ -321,20 +264,6 @@ def test_bad_options(arguments: tuple[str, ...], said: str) -> None:
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert said in done.stderr
-
-
-@pytest.mark.slow  # as in simulated time, test_commission.py
-@pytest.mark.parametrize("wheel", ["dead", "sound"])
-def test_one_dead_wheel_is_found(
-    config: RobotConfig, wheel: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    if wheel == "dead":
-        monkeypatch.setattr(board, "START_TIMEOUT", 1.0)
-    with program(BOARD, wheel) as started:
-        checks = examined(first_line(started), config, spin=True)
-    assert (checks["rear_right"].status == "fail") == (wheel == "dead")
-    assert checks["rear_left"].status == "ok"
-    assert checks["line quality"].status == "ok"
 
 
 @pytest.mark.parametrize(("baud", "rate"), [(9600, 20.0), (19200, 50.0), (38400, 100.0)])
