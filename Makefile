@@ -9,6 +9,7 @@ FUZZ_SECONDS ?= 300
 SOAK_MINUTES ?= 30
 FIRMWARE := $(CURDIR)/build/firmware
 BOARD_SUITES := tests/links/test_contract.py tests/links/test_serial.py tests/links/test_watchdog.py \
+  tests/links/test_watched_link.py \
   tests/safety/test_estop.py
 REPLUG_CYCLES ?= 1000
 STOPPING ?= --trials 40

@@ -212,7 +212,7 @@ def _timing(
     from acsar_gym.tools.doctor import timing  # noqa: PLC0415
     from acsar_gym.tools.evaluation import report  # noqa: PLC0415
 
-    found = timing.measure_timing(device, config, options.duration)
+    found = timing.examine_timing(device, config, options.duration)
     report.print_tables(*found.tables())
     report.write_json(json, found.as_dict())
     return 0

@@ -441,32 +441,6 @@ STEADY_TIMEOUT = 3.0
 """Longest wait for a steady speed, or for a time-out [s]."""
 
 
-@dataclass(frozen=True)
-class ResponseDelays:
-    """Times from a command's last byte to the first byte of the line that shows its effect [s].
-
-    Attributes:
-        shortest: without the wait for the next line.
-        longest: with all of it.
-    """
-
-    shortest: float
-    longest: float
-
-
-@dataclass(frozen=True)
-class CommandTimeout:
-    """How the wheels stop when commands stop.
-
-    Attributes:
-        after: the board's command time-out [s].
-        standing: when the wheels stand, counted from the newest command [s]; None if unseen.
-    """
-
-    after: float
-    standing: float | None
-
-
 class StepResponse:
     """Commands all letters that answer, and reads their mean speed.
 
@@ -490,14 +464,16 @@ class StepResponse:
     def _exceeds(self, level: float, lines: Sequence[FeedbackLine]) -> bool:
         return bool(lines) and self._mean(lines[-1]) > level
 
-    def measure_delays(self, rate: float) -> ResponseDelays | None:
+    def measure_delays(self, rate: float) -> tuple[float, float] | None:
         """Time a few commands, the first one only to warm up.
 
         Args:
             rate: lines that the board sends per second [Hz].
 
         Returns:
-            The delays; None where a command had no effect.
+            Times from a command's last byte to the first byte of the line that shows its effect,
+            without the wait for the next line and with all of it [s]; None where a command had no
+            effect.
         """
         probe, found = self._probe, []
 
@@ -526,15 +502,16 @@ class StepResponse:
         # Leave out wheels that still crept from an earlier command: all others lie in one period.
         usual = median_low(found[1:])  # one of them, so that it is near itself
         near = [delay for delay in found[1:] if abs(delay - usual) <= 1.0 / rate + DELAY_JITTER]
-        return ResponseDelays(min(near), max(near))
+        return min(near), max(near)
 
-    def measure_timeout(self) -> CommandTimeout | None:
+    def measure_timeout(self) -> tuple[float, float | None] | None:
         """Let the wheels turn steadily, stop commanding, and compare with a commanded stop.
 
         Both falls have the same delay and the same shape, so their difference is the time-out.
 
         Returns:
-            The time-out; None where the wheels keep turning.
+            The board's command time-out, and when the wheels stand, counted from the newest command
+            [s], None if unseen; or None where the wheels keep turning.
         """
         probe = self._probe
         steady, newest = self._turn_steadily()
@@ -551,7 +528,7 @@ class StepResponse:
             return None
         after = (by_itself - last) - (commanded - stop)
         stood = self._mean(end) < standing
-        return CommandTimeout(max(after, 0.0), end.stamp - last if stood else None)
+        return max(after, 0.0), end.stamp - last if stood else None
 
     def _turn_steadily(self) -> tuple[float, list[FeedbackLine]]:
         """Turn the wheels until their speed is steady; returns it [rad/s], and the newest line."""

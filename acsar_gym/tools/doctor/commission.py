@@ -165,11 +165,12 @@ class Commission:
         if (delays := response.measure_delays(probe.rate)) is None:
             yield Check(DELAY_CHECK, "fail", "not all wheels turn", NOTHING_TURNS)
         else:
+            shortest, longest = delays
             yield warn_if(
-                delays.shortest > SLOW_RESPONSE,
+                shortest > SLOW_RESPONSE,
                 DELAY_CHECK,
-                f"{delays.shortest * 1000.0:.1f} ms from a command's last byte to the first that "
-                f"shows it; {delays.longest * 1000.0:.1f} ms with the wait for a line",
+                f"{shortest * 1000.0:.1f} ms from a command's last byte to the first that shows "
+                f"it; {longest * 1000.0:.1f} ms with the wait for a line",
                 "raise the baud rate; set the USB adapter's latency timer to 1 ms",
             )
         yield self._check_timeout(response, config)
@@ -247,14 +248,14 @@ class Commission:
         """Say how soon the board stops by itself."""
         found = response.measure_timeout()
         configured = config.firmware.command_timeout or math.inf
-        after = math.inf if found is None else round(found.after, 2)
+        after = math.inf if found is None else round(found[0], 2)
         if after != configured and not abs(after - configured) <= TIMEOUT_TOLERANCE:
             self._note_firmware("command_timeout", None if found is None else after)
         if found is None:
             fix = "add a command time-out to the firmware"
             return Check(TIMEOUT_CHECK, "fail", "the wheels keep turning", fix)
-        stands = f"; the wheels stand after {found.standing:.2f} s" if found.standing else ""
-        return Check(TIMEOUT_CHECK, "ok", f"{found.after:.2f} s after the last command{stands}")
+        stands = f"; the wheels stand after {found[1]:.2f} s" if found[1] else ""
+        return Check(TIMEOUT_CHECK, "ok", f"{after:.2f} s after the last command{stands}")
 
     def _note_firmware(self, name: str, value: float | None) -> None:
         self.changes.setdefault("firmware", {})[name] = value

@@ -207,7 +207,7 @@ class _TickRecord(LatenessHistogram):
         return (woke if lateness > self.period else deadline) + self.period
 
 
-def measure_timing(
+def examine_timing(
     device: str | None, config: RobotConfig, duration: float, policy: Policy | None = None
 ) -> TimingReport:
     """Measure the timing with zero commands; the wheels never turn.
