@@ -46,10 +46,24 @@ class Link(Protocol):
         """
 
     def write(self, data: bytes) -> None:
-        """Send whole command lines to the robot; LinkLostError if the device is gone."""
+        """Send bytes to the robot.
+
+        Args:
+            data: whole command lines.
+
+        Raises:
+            LinkLostError: the device is gone.
+        """
 
     def advance(self, period: float) -> bytes:
-        """Let one control period pass [s]; returns the bytes that arrived during it."""
+        """Let one control period pass.
+
+        Args:
+            period: duration [s].
+
+        Returns:
+            The bytes that arrived during it.
+        """
 
     def now(self) -> float:
         """Return the time on the link's own clock [s]."""
