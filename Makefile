@@ -9,11 +9,13 @@ FUZZ_SECONDS ?= 300
 SOAK_MINUTES ?= 30
 FIRMWARE := $(CURDIR)/build/firmware
 BOARD_SUITES := tests/links/test_contract.py tests/links/test_serial.py tests/links/test_watchdog.py \
+  tests/links/test_watched_link.py \
   tests/safety/test_estop.py
 REPLUG_CYCLES ?= 1000
+STOPPING ?= --trials 40
 
 .PHONY: demo test docs test-slow test-browser test-ecosystem test-scale throughput lint firmware \
-  firmware-tested fuzz soak replug identify-check licences pictures clean
+  firmware-tested fuzz soak replug stopping identify-check licences pictures clean
 
 demo: $(READY)  ## train a policy, drive it in PyBullet, then over a serial device
 	$(BIN)/acsar-gym demo
@@ -75,6 +77,9 @@ identify-check: $(READY)  ## find the parameters of 20 hidden robots over pseudo
 
 replug: $(READY)  ## pull the cable of a driving robot a thousand times, in twenty minutes
 	$(BIN)/python tests/fuzz/replug.py --cycles $(REPLUG_CYCLES)
+
+stopping: $(READY)  ## how soon a robot stops after each kind of fault, in half an hour; STOPPING='--board COMMAND ...'
+	$(BIN)/python tests/stopping.py $(STOPPING)
 
 licences: $(READY)  ## write docs/licences.md from what is installed
 	$(BIN)/python tests/licence_tools.py >docs/licences.md

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextvars import ContextVar
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,9 @@ from acsar_gym.worlds import Scene
 WHILE_WAITING: ContextVar[Callable[[], None]] = ContextVar("while_waiting", default=lambda: None)
 """Called again and again while a reset waits for a port, board, standing wheels or LiDAR; what it
 raises ends the wait."""
+
+Arrivals = list[tuple[float, bytes]]
+"""Pieces of bytes, and when the last byte of each arrived, on the link's clock [s]."""
 
 
 class Link(Protocol):
@@ -78,13 +81,37 @@ class CameraLink(Protocol):
         """The camera; None if there is none."""
 
 
+@runtime_checkable
+class ScannedLink(Protocol):
+    """A link that has the scans of a LiDAR: a recording."""
+
+    def scan(self) -> tuple[float, NDArray[np.float64]] | None:
+        """Stamp [s] and ranges [m] of the newest scan; None if there is none."""
+
+
+@runtime_checkable
+class MeteredLink(Protocol):
+    """A simulated link, which can measure the work of the robot's motors."""
+
+    metered: bool
+    """Whether the work is measured; False at first, because it takes time in every period."""
+    work: float
+    """Mechanical work of the motors since the reset [J]: the power at the end of every period,
+    see `Body.power`, times the period."""
+
+
+@runtime_checkable
+class LinkWrapper(Protocol):
+    """A link around another one."""
+
+    @property
+    def link(self) -> Link:
+        """The inner link."""
+
+
 def camera_of(link: Link) -> Camera | None:
     """Return the camera of a link; None if it has none, as on hardware."""
     return link.camera if isinstance(link, CameraLink) else None
-
-
-Arrivals = list[tuple[float, bytes]]
-"""Pieces of bytes, and when the last byte of each arrived, on the link's clock [s]."""
 
 
 def arrivals_of(link: Link) -> Arrivals:
@@ -97,46 +124,20 @@ def arrivals_of(link: Link) -> Arrivals:
     return pieces
 
 
-@runtime_checkable
-class ScannedLink(Protocol):
-    """A link that has the scans of a LiDAR: a recording."""
-
-    def scan(self) -> tuple[float, NDArray[np.float64]] | None:
-        """Stamp [s] and ranges [m] of the newest scan; None if there is none."""
-
-
-@runtime_checkable
-class LinkWrapper(Protocol):
-    """A link around another one."""
-
-    @property
-    def link(self) -> Link:
-        """The inner link."""
-
-
-@runtime_checkable
-class MeteredLink(Protocol):
-    """A simulated link, which can measure the work of the robot's motors."""
-
-    metered: bool
-    """Whether the work is measured; False at first, because it takes time in every period."""
-    work: float
-    """Mechanical work of the motors since the reset [J]: the power at the end of every period,
-    see `dynamics.power`, times the period."""
-
-
 def tape_of(link: Link) -> ScannedLink | None:
     """Return the link, or the one that it wraps, that has the scans of a recording; or None."""
-    while not isinstance(link, ScannedLink):
-        if not isinstance(link, LinkWrapper):
-            return None
-        link = link.link
-    return link
+    found: ScannedLink | None = _find_inner(link, ScannedLink)
+    return found
 
 
 def meter_of(link: Link) -> MeteredLink | None:
     """Return the link, or the one that it wraps, that can measure work; None on hardware."""
-    while not isinstance(link, MeteredLink):
+    found: MeteredLink | None = _find_inner(link, MeteredLink)
+    return found
+
+
+def _find_inner(link: Any, kind: Any) -> Any:
+    while not isinstance(link, kind):
         if not isinstance(link, LinkWrapper):
             return None
         link = link.link

@@ -1,27 +1,88 @@
-"""Makes links from URLs. Links are imported late: hardware doesn't need pybullet."""
+"""Makes links from URLs, by one table of backends.
+
+Backends are imported late: hardware needs no simulator.
+"""
 
 from __future__ import annotations
 
 import os
 import re
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, show_value, suggest_name
 from acsar_gym.links.base import Link
-from acsar_gym.links.simulated import PacedLink
 from acsar_gym.physics.body import Body
 
-LINK_NAMES = (
-    "bullet",
-    "planar",
-    "serial",
-    "replay:FILE",
-    "/dev/ttyUSB0",
-    "COM3",
-    "usb:SERIAL_NUMBER",
-)
+
+class Backend(NamedTuple):
+    """What `open_link` makes of one name, or of a prefix such as "replay:".
+
+    Attributes: `make`, makes a link of a URL and a robot, with a window or without;
+    `is_simulated`, whether time and robot are simulated; `is_real`, whether the wheels are real;
+    `has_window`, whether there is a window.
+    """
+
+    make: Callable[[str, RobotConfig, bool], Link]
+    is_simulated: bool = False
+    is_real: bool = False
+    has_window: bool = False
+
+
+def _make_bullet_body(config: RobotConfig, window: bool) -> Body:
+    from acsar_gym.physics.bullet import BulletBody  # noqa: PLC0415
+
+    return BulletBody(config, window=window)
+
+
+def _make_planar_body(config: RobotConfig, window: bool) -> Body:
+    from acsar_gym.physics.planar import PlanarBody  # noqa: PLC0415
+
+    return PlanarBody(config)
+
+
+def _make_simulated(
+    make_body: Callable[[RobotConfig, bool], Body], url: str, config: RobotConfig, window: bool
+) -> Link:
+    from acsar_gym.links.simulated import SimulatedLink  # noqa: PLC0415
+
+    return SimulatedLink(config, partial(make_body, config, window))
+
+
+def _make_serial(url: str, config: RobotConfig, window: bool) -> Link:
+    from acsar_gym.links.serial import SerialLink  # noqa: PLC0415
+
+    device = config.serial_port if url == "serial" else url
+    if device is None:
+        raise ConfigError(
+            "serial_port is missing: set it in the robot's config, or name the device"
+        )
+    return SerialLink(device, config)
+
+
+def _make_replay(url: str, config: RobotConfig, window: bool) -> Link:
+    from acsar_gym.links.replay import ReplayLink  # noqa: PLC0415
+
+    return ReplayLink(Path(url.removeprefix("replay:")))
+
+
+BACKENDS = {
+    "planar": Backend(partial(_make_simulated, _make_planar_body), is_simulated=True),
+    "bullet": Backend(
+        partial(_make_simulated, _make_bullet_body), is_simulated=True, has_window=True
+    ),
+    "replay:": Backend(_make_replay),
+    "serial": Backend(_make_serial, is_real=True),
+}
+"""All kinds of links. Devices and URLs that no entry names are serial."""
+SIMULATED_LINKS = tuple(name for name, backend in BACKENDS.items() if backend.is_simulated)
+"""Names of the simulated links."""
+
+LINK_NAMES = (*BACKENDS, "/dev/ttyUSB0", "COM3", "usb:SERIAL_NUMBER")
+"""What a URL may be like, for messages."""
 _DEVICE = re.compile(r"(/|\./|COM\d+$|usb:.|(socket|rfc2217)://)", re.IGNORECASE)
 
 
@@ -49,70 +110,35 @@ def open_link(
     if not isinstance(url, str | os.PathLike):
         raise ConfigError(f"link = {show_value(url)}: must be a name, a device or a Link")
     url = os.fspath(url)
-    if window and url != "bullet":
-        raise ConfigError(f"link {url!r} has no window; only 'bullet' has one")
-    if url in ("bullet", "planar"):
-        link = _simulated(url, config, window)
-        return PacedLink(link) if realtime or window else link
-    if url.startswith("replay:"):
-        from acsar_gym.links.replay import ReplayLink  # noqa: PLC0415
+    backend = _find_backend(url)
+    if window and not (backend and backend.has_window):
+        windows = " and ".join(f"{name!r}" for name in BACKENDS if BACKENDS[name].has_window)
+        raise ConfigError(f"link {url!r} has no window; only {windows} has one")
+    if backend is None:
+        near = suggest_name(url[:40], LINK_NAMES)
+        if os.path.lexists(url):
+            near = ": for a device, write its full path, or ./ before it"
+        raise ConfigError(f"unknown link {show_value(url)}{near}")
+    link = backend.make(url, config, window)
+    if backend.is_simulated and (realtime or window):
+        from acsar_gym.links.simulated import PacedLink  # noqa: PLC0415
 
-        return ReplayLink(Path(url.removeprefix("replay:")))
-    if is_device(url):
-        from acsar_gym.links.serial import SerialLink  # noqa: PLC0415
-
-        return SerialLink(_device(url, config), config)
-    raise _unknown(url)
-
-
-def _unknown(url: str) -> ConfigError:
-    """Return the error for a URL that names no link."""
-    near = suggest_name(url[:40], LINK_NAMES)
-    if os.path.lexists(url):
-        near = ": for a device, write its full path, or ./ before it"
-    return ConfigError(f"unknown link {show_value(url)}{near}")
+        return PacedLink(link)
+    return link
 
 
 def is_device(url: str | os.PathLike[str]) -> bool:
     """Return whether a URL names a serial device, whose wheels are real."""
-    url = os.fspath(url)
-    if url in ("bullet", "planar"):
-        return False
-    return url == "serial" or _DEVICE.match(url) is not None or _exists(url)
+    backend = _find_backend(os.fspath(url))
+    return backend is not None and backend.is_real
 
 
-def _exists(url: str) -> bool:
-    """Whether a URL is the path of a device, such as a symbolic link to one."""
+def _find_backend(url: str) -> Backend | None:
+    for name, backend in BACKENDS.items():
+        if url == name or (name.endswith(":") and url.startswith(name)):
+            return backend
     try:
-        return Path(url).is_char_device()
+        is_device_file = Path(url).is_char_device()  # or a symbolic link to one
     except (OSError, ValueError):
-        return False
-
-
-def _simulated(name: str, config: RobotConfig, window: bool) -> Link:
-    """Make the link of a simulated robot."""
-    from acsar_gym.links.simulated import SimulatedLink  # noqa: PLC0415
-
-    return SimulatedLink(config, partial(_body, name, config, window))
-
-
-def _body(name: str, config: RobotConfig, window: bool) -> Body:
-    """Make the physics of a simulated robot."""
-    if name == "planar":
-        from acsar_gym.physics.planar import PlanarBody  # noqa: PLC0415
-
-        return PlanarBody(config)
-    from acsar_gym.physics.bullet import BulletBody  # noqa: PLC0415
-
-    return BulletBody(config, window=window)
-
-
-def _device(url: str, config: RobotConfig) -> str:
-    """Return the device that a URL or the config names."""
-    if url != "serial":
-        return url
-    if config.serial_port is None:
-        raise ConfigError(
-            "serial_port is missing: set it in the robot's config, or name the device"
-        )
-    return config.serial_port
+        is_device_file = False
+    return BACKENDS["serial"] if _DEVICE.match(url) or is_device_file else None

@@ -1,25 +1,60 @@
-"""Faults of lines, encoders, wheels, the board, its supply and the cable.
+"""Faults of lines, encoders, wheels, the board, its supply and the cable, and a link that has them.
 
-And a link that has them.
+Bytes from driver to board pass these stages; bytes of the board pass them in the opposite order:
+
+    driver -> cable (plugged in?) -> wire (lines, garbage) -> board (running?) -> wheels -> link
 """
 
 from __future__ import annotations
 
 import math
 import re
-import sys
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
-from typing import Any, Literal, Self, get_args
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
+from pydantic import AfterValidator, BeforeValidator, Field
 
-from acsar_gym.errors import ConfigError, LinkLostError, PortNotFoundError, show_value, suggest_name
+from acsar_gym.config.section import Section
+from acsar_gym.errors import ConfigError, LinkLostError, PortNotFoundError, show_value
 from acsar_gym.jit import COMPILED, loop
 from acsar_gym.links.base import WHILE_WAITING, Arrivals, ForwardingLink, Link
 from acsar_gym.protocol import MAX_LINE, MOTORS, ZERO, Decoder, encode
 from acsar_gym.worlds import Scene
+
+MAX_EVENT_RATE = 1000.0
+"""Highest rate of any event [1/s]."""
+LONGEST_FAULT = 60.0
+"""Longest duration of any fault [s]."""
+LARGEST_BURST = 4096
+"""Longest burst of garbage [bytes]."""
+MAX_BURSTS = 16
+"""Bursts of garbage in one period, at most."""
+WIRE_BUFFER = 65536
+"""Most bytes that wait behind a late line; more are lost, as in a driver's buffer."""
+TIME_TOLERANCE = 1e-9
+"""Tolerance for comparing times that are sums of periods [s]."""
+REPLUG_POLL = 0.01
+"""Steps in which `open` waits for a cable to be plugged in again [s]."""
+STOPPED_PART = b"p00.00"
+STOP_COMMAND = b"\r\n" + encode(ZERO)
+"""Command that stops the motors while the board isn't running; the line end ends a half command
+that the board may have received before."""
+
+LINE_FAULTS = ("dropped_lines", "duplicated_lines", "cut_lines", "corrupted_lines", "late_lines")
+"""In the order of their kinds, see `line_hash`."""
+DROPPED_LINE, LATE_LINE = LINE_FAULTS.index("dropped_lines"), LINE_FAULTS.index("late_lines")
+OTHER_FAULTS = {
+    **dict.fromkeys(("stuck_encoders", "reversed_encoders", "dead_wheels"), (0, "")),
+    **dict.fromkeys(("garbage_rate", "board_reset_rate", "brown_out_rate", "unplug_rate"), (0,)),
+    **dict.fromkeys(("board_reset_at", "brown_out_at", "unplug_at"), (None,)),
+}
+"""The other fields that cause faults, and their values without a fault."""
+
+# Random numbers for the faults of single lines
+
 
 FEEDBACK_LINE, COMMAND_LINE, WHOLE_EPISODE = 0, 1, 2
 """What a number is for: a line of one direction, or the whole episode."""
@@ -38,11 +73,15 @@ _BITS = 9007199254740992.0
 def line_hash(key: float, whose: int, number: float, kind: int) -> float:
     """Return a uniform random number in [0, 1) for one line and one kind of fault.
 
+    It depends on these inputs only, not on other random numbers, so the link of a single robot and
+    the robots of a batch lose the same lines. The hash is SplitMix64 of Steele, Lea and Flood
+    (2014).
+
     Args:
         key: key of the episode, in [0, 1).
-        whose: FEEDBACK, COMMANDS or EPISODE.
+        whose: FEEDBACK_LINE, COMMAND_LINE or WHOLE_EPISODE.
         number: number of the line.
-        kind: kind of fault, below KINDS.
+        kind: kind of fault, below FAULT_KINDS.
     """
     count = np.uint64((int(number) * 3 + whose) * FAULT_KINDS + kind + 1)
     word = (np.uint64(key * _BITS) << _S11) + count * _STEP
@@ -61,32 +100,49 @@ if not COMPILED:
             return _wrapping(key, whose, number, kind)
 
 
-Direction = Literal["feedback", "commands", "both"]
-Wheels = str | int
-"""Letters such as "ad" name motors; a number is how many, drawn anew in every episode."""
-
-MAX_EVENT_RATE = 1000.0
-"""Highest rate of any event [1/s]."""
-LONGEST_FAULT = 60.0
-"""Longest duration of any fault [s]."""
-LARGEST_BURST = 4096
-"""Longest burst of garbage [bytes]."""
-
-TIME_TOLERANCE = 1e-9
-"""Tolerance for comparing times that are sums of periods [s]."""
-STOPPED_PART = b"p00.00"
-
-_PART = re.compile(rb"(?<![^,\r\n])([abcd])([pn])([0-9]{2}\.[0-9]{2})(?![^,\r\n])")
+# What may be asked for
 
 
-@dataclass(frozen=True, slots=True)
-class Faults:
+def _check_number(value: Any) -> Any:
+    """Refuse what pydantic would convert to a number, and convert NumPy's."""
+    if isinstance(value, bool | str) or value is None:
+        raise ValueError("be a number")
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _check_replug_time(value: float) -> float:
+    if not (value <= LONGEST_FAULT or value == math.inf):
+        raise ValueError(f"be 0 to {LONGEST_FAULT:g} s, or inf")
+    return value
+
+
+def _check_wheels(value: Any) -> str | int:
+    if isinstance(value, str) and set(value) <= set(MOTORS) and len(set(value)) == len(value):
+        return value
+    if isinstance(value, int | np.integer) and not isinstance(value, bool) and 0 <= value <= 4:
+        return int(value)
+    raise ValueError(f"be letters of {MOTORS}, each once, or how many, 0 to 4")
+
+
+Number = BeforeValidator(_check_number)
+Share = Annotated[float, Field(ge=0.0, le=1.0), Number]
+EventRate = Annotated[float, Field(ge=0.0, le=MAX_EVENT_RATE), Number]
+FaultTime = Annotated[float, Field(ge=0.0, le=LONGEST_FAULT), Number]
+ReplugTime = Annotated[
+    float, Field(ge=0.0, allow_inf_nan=True), AfterValidator(_check_replug_time), Number
+]
+StartTime = Annotated[float, Field(ge=0.0), Number]
+FaultyWheels = Annotated[str | int, BeforeValidator(_check_wheels)]
+
+
+class Faults(Section):
     """Shares of lines, rates of events, and wheels that fail. By default there are no faults.
 
     An event with a rate comes at random, on average so many times a second; `*_at` is the time of
     the first one [s]. Faults of wheels, encoders, board, supply and cable begin with the drive:
     their clock starts anew after every reset, with the first command that turns wheels. Faults of
-    lines and garbage occur at all times.
+    lines and garbage occur at all times. Letters such as "ad" name wheels; a number is how many,
+    drawn anew in every episode.
 
     A batch knows `dropped_lines`, `late_lines`, `lateness`, `episodes` and `direction`, and loses
     the same lines as the single env.
@@ -94,63 +150,59 @@ class Faults:
     Raises ConfigError for values out of range.
     """
 
-    episodes: float = 1.0
+    section = "faults"
+
+    episodes: Share = 1.0
     """Share of episodes that have faults; the others have none."""
-    direction: Direction = "both"
+    direction: Literal["feedback", "commands", "both"] = "both"
     """Where lines have faults and garbage appears: "feedback", "commands" or "both"."""
 
-    dropped_lines: float = 0.0
+    dropped_lines: Share = 0.0
     """Share of lines that never arrive."""
-    duplicated_lines: float = 0.0
+    duplicated_lines: Share = 0.0
     """Share of lines that arrive twice."""
-    cut_lines: float = 0.0
+    cut_lines: Share = 0.0
     """Share of lines that lose their tail, line end included, so that the next line is appended
     to them."""
-    corrupted_lines: float = 0.0
+    corrupted_lines: Share = 0.0
     """Share of lines in which one to three bytes arrive with one bit flipped."""
-    late_lines: float = 0.0
+    late_lines: Share = 0.0
     """Share of lines that are delayed by `lateness`, and all lines behind them with them."""
-    lateness: float = 0.05
+    lateness: FaultTime = 0.05
     """Delay of a late line [s], rounded up to whole periods."""
-    garbage_rate: float = 0.0
+    garbage_rate: EventRate = 0.0
     """Bursts of random bytes per second [1/s]."""
-    garbage_bytes: int = 64
+    garbage_bytes: Annotated[int, Field(ge=1, le=LARGEST_BURST, strict=True), Number] = 64
     """Length of a burst [bytes]."""
 
-    stuck_encoders: Wheels = 0
+    stuck_encoders: FaultyWheels = 0
     """Encoders that repeat the reading they had at `wheel_faults_at`; at the start that is 0."""
-    reversed_encoders: Wheels = 0
+    reversed_encoders: FaultyWheels = 0
     """Encoders with the wrong sign: p instead of n, and n instead of p."""
-    dead_wheels: Wheels = 0
+    dead_wheels: FaultyWheels = 0
     """Wheels whose commands become zero on the board; their encoders still work."""
-    wheel_faults_at: float = 0.0
+    wheel_faults_at: StartTime = 0.0
     """When encoders and wheels fail [s after the drive's start]; with 0 they fail before it,
     too."""
 
-    board_reset_rate: float = 0.0
+    board_reset_rate: EventRate = 0.0
     """Resets of the board per second [1/s]."""
-    board_reset_at: float | None = None
+    board_reset_at: StartTime | None = None
     """When the first reset of the board happens [s after the drive's start]."""
-    reset_time: float = 2.0
+    reset_time: FaultTime = 2.0
     """For how long a board that resets doesn't run: motors off, no input, no output [s]."""
-    brown_out_rate: float = 0.0
+    brown_out_rate: EventRate = 0.0
     """Dips of the supply per second [1/s]."""
-    brown_out_at: float | None = None
+    brown_out_at: StartTime | None = None
     """When the first dip happens [s after the drive's start]."""
-    brown_out_time: float = 0.3
+    brown_out_time: FaultTime = 0.3
     """For how long a board doesn't run in a dip: motors off, no input, no output [s]."""
-    unplug_rate: float = 0.0
+    unplug_rate: EventRate = 0.0
     """How often the cable is pulled [1/s]."""
-    unplug_at: float | None = None
+    unplug_at: StartTime | None = None
     """When the cable is pulled [s after the drive's start]."""
-    replug_time: float = 1.0
+    replug_time: ReplugTime = 1.0
     """Time until it is plugged in again, under another device's name [s]; inf: never."""
-
-    def __post_init__(self) -> None:
-        for name, (is_sound, allowed) in _RULES.items():
-            value = getattr(self, name)
-            if not _holds(is_sound, value):
-                raise ConfigError(f"faults: {name} = {show_value(value)}: must be {allowed}")
 
     @classmethod
     def of(cls, faults: Mapping[str, Any] | Faults | None) -> Faults:
@@ -168,13 +220,7 @@ class Faults:
             raise ConfigError(
                 f"faults = {show_value(faults)}: must be a mapping such as dropped_lines: 0.01"
             )
-        known = {field.name for field in fields(cls)}
-        for key in faults or {}:
-            if key not in known:
-                raise ConfigError(
-                    f"faults: unknown fault {show_value(key)}{suggest_name(str(key), known)}"
-                )
-        return cls(**dict(faults or {}))
+        return cls.model_validate({str(name): value for name, value in (faults or {}).items()})
 
     @property
     def lines_suffer(self) -> bool:
@@ -184,10 +230,11 @@ class Faults:
     @property
     def possible(self) -> bool:
         """Whether any fault can occur."""
-        wheels = any(getattr(self, name) for name in _WHEELS)
-        rates = any(getattr(self, name) for name in _RATES)
-        times = any(getattr(self, name) is not None for name in _WHEN)
-        return self.episodes > 0.0 and (self.lines_suffer or wheels or rates or times)
+        others = any(getattr(self, name) not in none for name, none in OTHER_FAULTS.items())
+        return self.episodes > 0.0 and (self.lines_suffer or others)
+
+
+# Lines, wheels and events
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,20 +246,19 @@ class WheelFaults:
     dead: str = ""
 
     @classmethod
-    def drawn(cls, faults: Faults, rng: np.random.Generator) -> Self:
+    def draw(cls, faults: Faults, rng: np.random.Generator) -> Self:
         """Take the named wheels, and draw as many as are asked for by number."""
+
+        def draw_letters(wheels: str | int) -> str:
+            if isinstance(wheels, str):
+                return wheels
+            return "".join(sorted(rng.choice(list(MOTORS), wheels, replace=False).tolist()))
+
         return cls(
-            _drawn(faults.stuck_encoders, rng),
-            _drawn(faults.reversed_encoders, rng),
-            _drawn(faults.dead_wheels, rng),
+            draw_letters(faults.stuck_encoders),
+            draw_letters(faults.reversed_encoders),
+            draw_letters(faults.dead_wheels),
         )
-
-
-def _drawn(wheels: Wheels, rng: np.random.Generator) -> str:
-    """Letters of the motors that are named, or drawn."""
-    if isinstance(wheels, str):
-        return wheels
-    return "".join(sorted(rng.choice(list(MOTORS), int(wheels), replace=False).tolist()))
 
 
 class LineSplitter:
@@ -233,6 +279,9 @@ class LineSplitter:
         return lines
 
 
+_PART = re.compile(rb"(?<![^,\r\n])([abcd])([pn])([0-9]{2}\.[0-9]{2})(?![^,\r\n])")
+
+
 class WheelEditor:
     """Changes feedback and commands of one episode as failed encoders and motors would.
 
@@ -247,102 +296,36 @@ class WheelEditor:
         self._readings: dict[bytes, bytes] = {}
         self._commands, self._feedback = LineSplitter(), LineSplitter()
 
-    def cut_off(self) -> None:
+    def drop_partial(self) -> None:
         """Forget incomplete lines."""
         self._commands.partial = self._feedback.partial = b""
 
-    def commanded(self, data: bytes, now: float) -> bytes:
-        """Commands with zeros for dead wheels."""
+    def edit_commands(self, data: bytes, now: float) -> bytes:
+        """Return commands with zeros for dead wheels."""
         if not self._dead:
             return data
         lines = b"".join(self._commands.feed(data))
-        return lines if now + TIME_TOLERANCE < self.at else _PART.sub(self._obeyed, lines)
+        if now + TIME_TOLERANCE < self.at:
+            return lines
+        return _PART.sub(lambda p: p[1] + STOPPED_PART if p[1] in self._dead else p[0], lines)
 
-    def _obeyed(self, part: re.Match[bytes]) -> bytes:
-        """One motor's part of a command."""
-        return part[1] + STOPPED_PART if part[1] in self._dead else part[0]
-
-    def felt(self, data: bytes, now: float) -> bytes:
-        """Feedback with the readings of failed encoders."""
+    def edit_feedback(self, data: bytes, now: float) -> bytes:
+        """Return feedback with the readings of failed encoders."""
         if not (self._stuck or self._reversed):
             return data
         lines = b"".join(self._feedback.feed(data))
         if now + TIME_TOLERANCE < self.at:
             self._readings.update((part[1], part[0]) for part in _PART.finditer(lines))
             return lines
-        return _PART.sub(self._read, lines)
+        return _PART.sub(self._misread, lines)
 
-    def _read(self, part: re.Match[bytes]) -> bytes:
-        """One motor's part of a feedback line."""
+    def _misread(self, part: re.Match[bytes]) -> bytes:
         motor, direction, digits = part.groups()
         if motor in self._stuck:
             return self._readings.get(motor, motor + STOPPED_PART)
         if motor in self._reversed and digits != b"00.00":
             return motor + (b"n" if direction == b"p" else b"p") + digits
         return part[0]
-
-
-LINE_FAULTS = ("dropped_lines", "duplicated_lines", "cut_lines", "corrupted_lines", "late_lines")
-"""In the order of their kinds, see `lots.lot`."""
-DROPPED_LINE, LATE_LINE = LINE_FAULTS.index("dropped_lines"), LINE_FAULTS.index("late_lines")
-_RATES = ("garbage_rate", "board_reset_rate", "brown_out_rate", "unplug_rate")
-_WHEELS = ("stuck_encoders", "reversed_encoders", "dead_wheels")
-_WHEN = ("board_reset_at", "brown_out_at", "unplug_at")
-_TIMES = ("lateness", "reset_time", "brown_out_time")
-
-Check = Callable[[Any], bool]
-
-
-def _within(least: float, most: float, kind: Any = (int, float, np.number)) -> Check:
-    """Make a check whether a value is a number in a range; True and False aren't numbers."""
-    return lambda value: (
-        isinstance(value, kind) and not isinstance(value, bool) and bool(least <= value <= most)
-    )
-
-
-_is_count = _within(0, len(MOTORS), (int, np.integer))
-_is_time = _within(0.0, LONGEST_FAULT)
-_is_finite = _within(0.0, sys.float_info.max)
-
-
-def _holds(is_sound: Check, value: Any) -> bool:
-    """Whether a check passes; not for values that it can't compare."""
-    try:
-        return bool(is_sound(value))
-    except (TypeError, ValueError, OverflowError):  # an array, or an int too long for a float
-        return False
-
-
-def _are_wheels(value: Any) -> bool:
-    """Whether a value names motors, or is a number of them."""
-    if isinstance(value, str):
-        return set(value) <= set(MOTORS) and len(set(value)) == len(value)
-    return _is_count(value)
-
-
-_RULES: dict[str, tuple[Check, str]] = {
-    "direction": (lambda value: value in get_args(Direction), "feedback, commands or both"),
-    **dict.fromkeys(("episodes", *LINE_FAULTS), (_within(0.0, 1.0), "a share, 0 to 1")),
-    **dict.fromkeys(_RATES, (_within(0.0, MAX_EVENT_RATE), f"0 to {MAX_EVENT_RATE:g} per second")),
-    **dict.fromkeys(_TIMES, (_is_time, f"0 to {LONGEST_FAULT:g} s")),
-    **dict.fromkeys(_WHEN, (lambda value: value is None or _is_finite(value), "None, or 0 s on")),
-    **dict.fromkeys(_WHEELS, (_are_wheels, f"letters of {MOTORS}, each once, or how many, 0 to 4")),
-    "wheel_faults_at": (_is_finite, "0 s or more"),
-    "replug_time": (
-        lambda value: value == math.inf or _is_time(value),
-        f"0 to {LONGEST_FAULT:g} s, inf",
-    ),
-    "garbage_bytes": (
-        _within(1, LARGEST_BURST, (int, np.integer)),
-        f"a whole number, 1 to {LARGEST_BURST}",
-    ),
-}
-
-
-WIRE_BUFFER = 65536
-"""Most bytes that wait behind a late line; more are lost, as in a driver's buffer."""
-MAX_BURSTS = 16
-"""Bursts of garbage in one period, at most."""
 
 
 class FaultEvent:
@@ -362,7 +345,7 @@ class FaultEvent:
         self._name, self._lasting, self._rng, self._count = name, lasting, rng, count
         self._rate: float = getattr(faults, f"{name}_rate")
         after: float | None = getattr(faults, f"{name}_at")
-        self._after = self._pause() if after is None else after
+        self._after = self._draw_pause() if after is None else after
         self._next = math.inf
         self._until = -math.inf
 
@@ -370,16 +353,15 @@ class FaultEvent:
         """Start the clock; before that the event can't begin."""
         self._next = now + self._after
 
-    def _pause(self) -> float:
-        """Draw the time until the next event [s]."""
+    def _draw_pause(self) -> float:
         return float(self._rng.exponential(1.0 / self._rate)) if self._rate else math.inf
 
-    def going(self, now: float) -> bool:
+    def is_going(self, now: float) -> bool:
         """Whether the event is going on now; counts it when it begins."""
         if now + TIME_TOLERANCE >= max(self._next, self._until):
             self._count[self._name] += 1
             self._until = now + self._lasting
-            self._next = self._until + self._pause()
+            self._next = self._until + self._draw_pause()
         return now + TIME_TOLERANCE < self._until
 
 
@@ -408,7 +390,7 @@ class FaultyWire:
         self._queue: deque[tuple[float, bytes]] = deque()
         self._waiting = 0
 
-    def cut_off(self) -> None:
+    def drop_partial(self) -> None:
         """Forget an incomplete line."""
         self._lines.partial = b""
 
@@ -429,22 +411,12 @@ class FaultyWire:
         hits: set[str] = set()
         if line.strip():  # the second half of a line end that was split isn't a line
             key, whose, number = self._key, self._whose, self._number
-            hits = {
-                name for name, n, share in self._shares if line_hash(key, whose, number, n) < share
-            }
+            hits = {name for name, n, p in self._shares if line_hash(key, whose, number, n) < p}
             self._number += 1
         if "dropped_lines" in hits:
-            hits = {"dropped_lines"}
+            self._count["dropped_lines"] += 1
+            return
         self._count.update(hits)
-        line = self._damaged(line, hits)
-        if line and (not self._queue or self._waiting + len(line) <= WIRE_BUFFER):
-            self._queue.append((now + self._lateness * ("late_lines" in hits), line))
-            self._waiting += len(line)
-
-    def _damaged(self, line: bytes, hits: set[str]) -> bytes:
-        """Apply faults to a line; empty where it is dropped."""
-        if "dropped_lines" in hits:
-            return b""
         if "cut_lines" in hits:
             line = line[: self._rng.integers(len(line))]
         if "corrupted_lines" in hits and line:
@@ -454,9 +426,12 @@ class FaultyWire:
             for place in places:
                 bent[place] ^= 1 << int(self._rng.integers(8))
             line = bytes(bent)
-        return line * (1 + ("duplicated_lines" in hits))
+        line *= 1 + ("duplicated_lines" in hits)
+        if line and (not self._queue or self._waiting + len(line) <= WIRE_BUFFER):
+            self._queue.append((now + self._lateness * ("late_lines" in hits), line))
+            self._waiting += len(line)
 
-    def noisy(self, data: bytes, period: float) -> bytes:
+    def add_garbage(self, data: bytes, period: float) -> bytes:
         """Insert garbage into the bytes of a period [s]."""
         if not self._burst_rate:
             return data
@@ -468,11 +443,9 @@ class FaultyWire:
         return data
 
 
-REPLUG_POLL = 0.01
-"""Steps in which `open` waits for a cable to be plugged in again [s]."""
-STOP_COMMAND = b"\r\n" + encode(ZERO)
-"""Command that stops the motors while the board isn't running; the line end ends a half command
-that the board may have received before."""
+# The link
+
+
 FaultSeed = int | np.integer[Any] | np.random.Generator | None
 
 
@@ -527,7 +500,7 @@ class FaultyLink(ForwardingLink):
         """
         if isinstance(seed, np.random.Generator):
             self._key = float(seed.random())
-            self._rng = _generator(self._key)
+            self._rng = _make_generator(self._key)
             return
         if seed is not None and (not isinstance(seed, int | np.integer) or seed < 0):
             raise ConfigError(f"seed = {seed!r}: must be a whole number, 0 or more")
@@ -572,8 +545,8 @@ class FaultyLink(ForwardingLink):
         self.wheels, self._episode = WheelFaults(), None
         key, self._key = self._key, float(self._rng.random())
         if self.faults.possible and line_hash(key, WHOLE_EPISODE, 0.0, 0) < self.faults.episodes:
-            generators = _generator(key).spawn(3)
-            self.wheels = WheelFaults.drawn(self.faults, generators[-1])
+            generators = _make_generator(key).spawn(3)
+            self.wheels = WheelFaults.draw(self.faults, generators[-1])
             self._episode = _EpisodeFaults(self, key, generators)
 
     def write(self, data: bytes) -> None:
@@ -582,32 +555,25 @@ class FaultyLink(ForwardingLink):
             self._episode.watch(data, self.link.now())
         self._check_cable()
         if self._episode is not None:
-            data = self._episode.sent(data, self.link.now())
+            data = self._episode.pass_commands(data, self.link.now())
         if data or self._episode is None:
             self.link.write(data)
 
     def advance(self, period: float) -> bytes:
-        """Let a period pass, and return the feedback bytes after all faults.
-
-        Args:
-            period: [s].
-        """
+        """Let a period pass [s], and return the feedback bytes after all faults."""
         self._check_cable()
         episode = self._episode
         if episode is None:
             return self.link.advance(period)
-        due = episode.due(self.link.now(), period)
+        due = episode.release_commands(self.link.now(), period)
         if due:
             self.link.write(due)
         data = self.link.advance(period)
-        return episode.heard(data, self.link.now(), period)
+        return episode.pass_feedback(data, self.link.now(), period)
 
     def _check_cable(self) -> None:
-        """Raise LinkLostError where the cable is out.
-
-        When it is pulled, the link behind is closed.
-        """
-        if self._episode is not None and self._episode.unplugged(self.link.now()):
+        """Raise LinkLostError where the cable is out; when it is pulled, close the link behind."""
+        if self._episode is not None and self._episode.unplug.is_going(self.link.now()):
             self._back_at = self.link.now() + self.faults.replug_time
             self.close()
         if self._back_at is not None:
@@ -631,8 +597,8 @@ class FaultyLink(ForwardingLink):
         self.link.close()
 
 
-def _generator(key: float) -> np.random.Generator:
-    """The generator of all faults except those that `lot` draws; `key` is a number of [0, 1)."""
+def _make_generator(key: float) -> np.random.Generator:
+    """The generator of all faults except those of `line_hash`; `key` is a number of [0, 1)."""
     return np.random.default_rng(int(key * 2**53))
 
 
@@ -650,7 +616,7 @@ class _EpisodeFaults:
             FaultEvent("board_reset", faults.reset_time, faults, count, events),
             FaultEvent("brown_out", faults.brown_out_time, faults, count, events),
         )
-        self._unplug = FaultEvent("unplug", math.inf, faults, count, events)
+        self.unplug = FaultEvent("unplug", math.inf, faults, count, events)
         self._waiting: Decoder | None = Decoder()
 
     def watch(self, data: bytes, now: float) -> None:
@@ -659,35 +625,28 @@ class _EpisodeFaults:
             return
         self._waiting = None
         self._wheels.at = now + self._wheels_fail_after
-        for event in (*self._outages, self._unplug):
+        for event in (*self._outages, self.unplug):
             event.start(now)
 
-    def unplugged(self, now: float) -> bool:
-        """Whether the cable is out now."""
-        return self._unplug.going(now)
-
-    def _down(self, now: float) -> bool:
-        """Whether the board isn't running now.
-
-        It then forgets incomplete lines in both directions.
-        """
-        reset, brown_out = (outage.going(now) for outage in self._outages)
+    def _is_down(self, now: float) -> bool:
+        """Whether the board isn't running now, and so forgets incomplete lines."""
+        reset, brown_out = (outage.is_going(now) for outage in self._outages)
         if reset or brown_out:
             for stream in (self._feedback, self._commands, self._wheels):
-                stream.cut_off()
+                stream.drop_partial()
         return reset or brown_out
 
-    def sent(self, data: bytes, now: float) -> bytes:
-        """Bytes that reach the motors now, when the driver writes `data` now."""
+    def pass_commands(self, data: bytes, now: float) -> bytes:
+        """Return the bytes that reach the motors now, when the driver writes `data` now."""
         arrived = self._commands.carry(data, now)
-        return b"" if self._down(now) else self._wheels.commanded(arrived, now)
+        return b"" if self._is_down(now) else self._wheels.edit_commands(arrived, now)
 
-    def due(self, now: float, period: float) -> bytes:
-        """Other bytes that reach the motors in a period: late lines and garbage."""
-        arrived = self._commands.noisy(self._commands.carry(b"", now), period)
-        return STOP_COMMAND if self._down(now) else self._wheels.commanded(arrived, now)
+    def release_commands(self, now: float, period: float) -> bytes:
+        """Return other bytes that reach the motors in a period: late lines and garbage."""
+        arrived = self._commands.add_garbage(self._commands.carry(b"", now), period)
+        return STOP_COMMAND if self._is_down(now) else self._wheels.edit_commands(arrived, now)
 
-    def heard(self, data: bytes, now: float, period: float) -> bytes:
-        """Bytes that reach the driver, when the board sent `data` in the period that ends now."""
-        said = b"" if self._down(now) else self._wheels.felt(data, now)
-        return self._feedback.noisy(self._feedback.carry(said, now), period)
+    def pass_feedback(self, data: bytes, now: float, period: float) -> bytes:
+        """Return what reaches the driver of `data`, sent in the period that ends now."""
+        sent = b"" if self._is_down(now) else self._wheels.edit_feedback(data, now)
+        return self._feedback.add_garbage(self._feedback.carry(sent, now), period)

@@ -19,48 +19,43 @@ BOARD_POLL = 0.01
 
 
 def wait_for_board(read: Callable[[], bytes], device: str, config: RobotConfig) -> None:
-    """Wait for the first valid line of the board.
+    """Wait for the first valid line of the board, for `connect_timeout` at most.
 
     Args:
         read: returns the bytes that have arrived.
         device: name of the device, for messages.
-        config: configuration of the robot; has the `connect_timeout`.
+        config: configuration of the robot.
 
     Raises:
         BoardSilentError: nothing arrived, or only the beginning of a line.
         BoardGarbledError: bytes arrived, but no valid line.
     """
-    decoder = Decoder()
-    heard = 0
-    deadline = time.monotonic() + config.connect_timeout
-    while not decoder.lines:
-        if time.monotonic() > deadline:
-            raise _no_board(device, config, heard, decoder)
+    decoder, heard = Decoder(), 0
+    waited, baud = config.connect_timeout, config.baud_rate
+    deadline = time.monotonic() + waited
+    while time.monotonic() <= deadline:
         WHILE_WAITING.get()()
         time.sleep(BOARD_POLL)
         data = read()
         heard += len(data)
         decoder.feed(data)
-
-
-def _no_board(device: str, config: RobotConfig, heard: int, decoder: Decoder) -> BoardSilentError:
-    """Return the error for a board from which `heard` bytes have arrived."""
-    waited, baud = config.connect_timeout, config.baud_rate
-    if _garbled(decoder):
+        if decoder.lines:
+            return
+    if _is_garbled(decoder):
         others = ", ".join(str(rate) for rate in BAUD_RATES if rate != baud)
-        return BoardGarbledError(
+        raise BoardGarbledError(
             f"{device}: {heard} bytes in {waited:g} s at {baud} baud, but no valid line, such as "
             f"{shown_bytes(decoder.sample or decoder.rest)}",
             "if that isn't what its program sends, the board probably uses another baud_rate "
             f"({others}): 'acsar-gym doctor {device}' tries them",
         )
     if heard:
-        return BoardSilentError(
+        raise BoardSilentError(
             f"{device}: the board stopped in mid-line, {heard} bytes in {waited:g} s: "
             f"{shown_bytes(decoder.rest)}",
             "press its reset button, and check its power and program",
         )
-    return BoardSilentError(
+    raise BoardSilentError(
         f"{device}: no byte from the board in {waited:g} s",
         "check its power and cable, and the port's name (acsar-gym doctor lists them)",
     )
@@ -73,7 +68,7 @@ def silence_error(age: float, decoder: Decoder) -> BoardSilentError:
         age: time since the newest valid line [s].
         decoder: what it decoded.
     """
-    if _garbled(decoder):
+    if _is_garbled(decoder):
         received = shown_bytes(decoder.sample or decoder.rest)
         return BoardGarbledError(
             f"no valid feedback line for {age:.2f} s, but {received}",
@@ -88,13 +83,13 @@ def silence_error(age: float, decoder: Decoder) -> BoardSilentError:
     return BoardSilentError(f"no feedback for {age:.2f} s", "check the board's power and the cable")
 
 
-def _garbled(decoder: Decoder) -> bool:
+def _is_garbled(decoder: Decoder) -> bool:
     """Whether bytes that aren't those of a line have arrived since the newest valid line."""
     return decoder.damaged > 0 or not set(decoder.rest) <= LINE_CHARACTERS
 
 
 def shown_bytes(data: bytes) -> str:
-    """Format received bytes for a message: printable, and at most `SHOWN` of them."""
+    """Format received bytes for a message: printable, and at most `MAX_SHOWN_BYTES` of them."""
     return repr(data[:MAX_SHOWN_BYTES])[1:] + ("..." if len(data) > MAX_SHOWN_BYTES else "")
 
 

@@ -75,10 +75,6 @@ class DurationHistogram:
     """Counts any number of durations [s]; negative ones count as zero."""
 
     def __init__(self) -> None:
-        self.reset()
-
-    def reset(self) -> None:
-        """Discard all durations."""
         self.count = 0
         self._worst = 0.0
         self._buckets = [0] * _BUCKETS
@@ -91,11 +87,8 @@ class DurationHistogram:
             bucket = 0
         elif seconds < LONGEST_DURATION:
             fraction, octave = math.frexp(seconds)
-            bucket = (
-                (octave - _FIRST - 1) * BUCKETS_PER_OCTAVE
-                + int(2 * BUCKETS_PER_OCTAVE * fraction)
-                + 1
-            )
+            place = int(2 * BUCKETS_PER_OCTAVE * fraction)
+            bucket = (octave - _FIRST - 1) * BUCKETS_PER_OCTAVE + place + 1
         else:
             bucket = -1
         self._buckets[bucket] += 1
@@ -117,7 +110,13 @@ class DurationHistogram:
             return math.nan
         wanted = max(1, math.ceil(q / 100.0 * self.count))
         bucket = bisect_left(list(accumulate(self._buckets)), wanted)
-        return min(_upper_edge(bucket), self._worst)
+        if bucket == 0:
+            return 0.0
+        if bucket == _BUCKETS - 1:
+            return self._worst
+        octave, part = divmod(bucket - 1, BUCKETS_PER_OCTAVE)
+        fraction = (BUCKETS_PER_OCTAVE + part + 1) / (2 * BUCKETS_PER_OCTAVE)
+        return min(math.ldexp(fraction, _FIRST + octave), self._worst)
 
     def spread(self) -> DurationSpread:
         """Return percentiles and maximum."""
@@ -137,22 +136,17 @@ class LatenessHistogram(DurationHistogram):
     """
 
     def __init__(self, period: float) -> None:
-        self._period = period
         super().__init__()
-
-    def reset(self) -> None:
-        """Discard all ticks."""
-        super().reset()
-        self.late = 0
-        self.missed = 0
+        self.period = period
+        self.late = self.missed = 0
 
     def add(self, seconds: float) -> None:
         """Add a tick that ended `seconds` after its deadline."""
         super().add(seconds)
         if seconds > LATE_TICK:
             self.late += 1
-            if seconds > self._period:
-                self.missed += int(seconds / self._period)
+            if seconds > self.period:
+                self.missed += int(seconds / self.period)
 
     def summary(self) -> TickTiming:
         """Return the statistics."""
@@ -229,26 +223,14 @@ def first_byte(arrivals: Sequence[tuple[float, bytes]], end: float) -> float:
             earlier counts from the first piece on. Empty where the link doesn't tell.
         end: end of the period [s], which is the answer then.
     """
+
+    def after_line(data: bytes) -> int:
+        return max(data.rfind(b"\n"), data.rfind(b"\r")) + 1
+
     data = b"".join(piece for _, piece in arrivals)
-    lines = data[: _after_line(data)].rstrip(b"\r\n")
-    begin, passed = _after_line(lines), 0
+    begin, passed = after_line(data[: after_line(data)].rstrip(b"\r\n")), 0
     for stamp, piece in arrivals:
         passed += len(piece)
         if passed > begin:
             return stamp
     return end
-
-
-def _after_line(data: bytes) -> int:
-    """Return the place after the last line end; 0 where there is none."""
-    return max(data.rfind(b"\n"), data.rfind(b"\r")) + 1
-
-
-def _upper_edge(bucket: int) -> float:
-    """Return the upper bound of a bucket [s]; 0 for the first one, inf for the last one."""
-    if bucket == 0:
-        return 0.0
-    if bucket == _BUCKETS - 1:
-        return math.inf
-    octave, part = divmod(bucket - 1, BUCKETS_PER_OCTAVE)
-    return math.ldexp((BUCKETS_PER_OCTAVE + part + 1) / (2 * BUCKETS_PER_OCTAVE), _FIRST + octave)

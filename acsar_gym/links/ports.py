@@ -1,6 +1,6 @@
 """Serial ports: listing, persistent names, opening, reading and writing.
 
-The only module that imports pyserial.
+This is the only module that imports pyserial.
 """
 
 from __future__ import annotations
@@ -45,7 +45,8 @@ with contextlib.suppress(ImportError):  # Windows has no termios
 
     PORT_ERRORS += (termios.error,)
 
-
+WAIT_ERRORS: tuple[type[Exception], ...] = (ValueError, *PORT_ERRORS)
+"""The same where a port can't be waited for."""
 MORE_FILES_ADVICE = "close some, or allow more with 'ulimit -n'"
 """Advice for a process that has too many open files."""
 WRITE_TIMEOUT = 0.2
@@ -56,6 +57,12 @@ BUSY_TIMEOUT = 0.7
 """Longest time for which the watchdog of a killed program keeps its port [s]."""
 OPEN_PAUSES = (0.02, 0.1)
 """First and longest pause between attempts to open a port [s]; each is twice the last."""
+READ_CHUNK = 4096
+"""Bytes read from the port by one call."""
+MAX_READ_CHUNKS = 256
+"""Most chunks per read: enough to empty a driver's buffer, but not an endless stream."""
+DRAIN_TIMEOUT = 0.05
+"""Longest wait for sent bytes to leave the port when it is closed [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,18 +118,18 @@ def find_lasting_name(device: str) -> str:
     """
     with contextlib.suppress(OSError):
         path = Path(device)
-        if not path.is_symlink() and _has_its_own_number(path):
-            for name in sorted(BY_ID_FOLDER.iterdir()):
-                if name.resolve() == path.resolve():
-                    return str(name)
+        if path.is_symlink():
+            return device
+        known = [port for port in find_ports() if port.serial_number]
+        own = {
+            port.serial_number for port in known if Path(port.device).resolve() == path.resolve()
+        }
+        if sum(port.serial_number in own for port in known) != 1:
+            return device
+        for name in sorted(BY_ID_FOLDER.iterdir()):
+            if name.resolve() == path.resolve():
+                return str(name)
     return device
-
-
-def _has_its_own_number(path: Path) -> bool:
-    """Return whether no other adapter has the same serial number."""
-    known = [port for port in find_ports() if port.serial_number]
-    mine = [port.serial_number for port in known if Path(port.device).resolve() == path.resolve()]
-    return bool(mine) and [port.serial_number for port in known].count(mine[0]) == 1
 
 
 class PortLocation:
@@ -142,9 +149,14 @@ class PortLocation:
         self.lost = False
 
     @property
-    def lasts(self) -> bool:
-        """Whether no other device can get the name `path`."""
-        return self.path is not None and Path(self.path).is_symlink()
+    def lasting_path(self) -> str:
+        """The name `path`, if no other device can get it; else empty."""
+        return self.path if self.path is not None and Path(self.path).is_symlink() else ""
+
+    @property
+    def search_name(self) -> str:
+        """The name under which searches for the port are known."""
+        return self.path or self.name
 
     def opened(
         self, config: RobotConfig, make_way: Callable[[], None] = lambda: None
@@ -162,32 +174,27 @@ class PortLocation:
         start, (pause, longest) = time.monotonic(), OPEN_PAUSES
         while True:
             try:
-                return self._opened_now(config, make_way)
-            except LinkError as error:
-                if time.monotonic() + pause > start + self._patience(error, config):
+                device = locate_port(self.name)
+                if device == self.name and self.path is not None:
+                    device = self.path
+                try:
+                    port = open_port(device, config)
+                except PortBusyError:
+                    make_way()
                     raise
+            except LinkError as error:
+                patience = config.reconnect_timeout if self.lost else 0.0
+                if isinstance(error, PortBusyError):
+                    patience = max(patience, BUSY_TIMEOUT)
+                if time.monotonic() + pause > start + patience:
+                    raise
+            else:
+                make_way()
+                self.path, self.lost = find_lasting_name(device), False
+                return port
             WHILE_WAITING.get()()
             time.sleep(pause)
             pause = min(2.0 * pause, longest)
-
-    def _opened_now(self, config: RobotConfig, make_way: Callable[[], None]) -> SerialPort:
-        """Try once to open the port."""
-        device = locate_port(self.name)
-        if device == self.name and self.path is not None:
-            device = self.path
-        try:
-            port = open_port(device, config)
-        except PortBusyError:
-            make_way()
-            raise
-        make_way()
-        self.path, self.lost = find_lasting_name(device), False
-        return port
-
-    def _patience(self, error: LinkError, config: RobotConfig) -> float:
-        """Return how long to retry after an error [s]."""
-        lost = config.reconnect_timeout if self.lost else 0.0
-        return max(lost, BUSY_TIMEOUT if isinstance(error, PortBusyError) else 0.0)
 
     def left(self, *, lost: bool) -> None:
         """Note that the port was closed; only a lost port is looked for under the same name."""
@@ -222,40 +229,12 @@ def open_port(device: str, config: RobotConfig) -> SerialPort:
     except ValueError as error:
         raise LinkError(f"{device}: can't be opened as a serial port", str(error)) from None
     except PORT_ERRORS as error:
-        raise _why_not_open(device, error) from None
+        raise _opening_error(device, error) from None
     with contextlib.suppress(AttributeError, ValueError, NotImplementedError, OSError):
         port.set_low_latency_mode(True)
     with contextlib.suppress(AttributeError, OSError):  # send packets at once
         port._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # noqa: SLF001
     return port
-
-
-def write_all(port: SerialPort, data: bytes) -> None:
-    """Send bytes without blocking.
-
-    pyserial's own write blocks until there is room, and may report a failure only afterwards.
-
-    Raises:
-        Exception: one of PORT_ERRORS, if the port doesn't accept all bytes.
-    """
-    descriptor = getattr(port, "fd", None)
-    if descriptor is None:  # a socket, or Windows
-        port.write(data)
-        return
-    if _sent(descriptor, data) < len(data):
-        raise serial.SerialException("it takes no more bytes")
-
-
-def _sent(descriptor: int, data: bytes) -> int:
-    """Write to a descriptor; returns the number of bytes that were accepted.
-
-    The kernel also refuses a write while another process, such as the watchdog, is writing.
-    """
-    for pause in WRITE_PAUSES:
-        with contextlib.suppress(BlockingIOError):
-            return os.write(descriptor, data)
-        time.sleep(pause)
-    return 0
 
 
 def _check_url(url: str) -> None:
@@ -269,16 +248,15 @@ def _check_url(url: str) -> None:
             f"{url}: no watchdog can stop the wheels behind such a URL: have the other computer "
             "serve the raw port (ser2net, socat, esp-link), and use socket://host:port"
         )
-    try:
+    complete = False
+    with contextlib.suppress(ValueError):
         parts = urlsplit(url)
         complete = bool(parts.hostname and parts.port)
-    except ValueError:
-        complete = False
     if not complete:
         raise ConfigError(f"{url}: must be like socket://192.168.4.1:2000 (host and port)")
 
 
-def _why_not_open(device: str, error: Exception) -> LinkError:
+def _opening_error(device: str, error: Exception) -> LinkError:
     """Convert an exception of pyserial to a LinkError with advice."""
     code = getattr(error, "errno", None)
     text = str(error)
@@ -311,19 +289,34 @@ def translate_port_errors(device: str) -> Iterator[None]:
         ) from None
 
 
-READ_CHUNK = 4096
-"""Bytes read from the port by one call."""
-MAX_READ_CHUNKS = 256
-"""Most chunks per read: enough to empty a driver's buffer, but not an endless stream."""
-DRAIN_TIMEOUT = 0.05
-"""Longest wait for sent bytes to leave the port when it is closed [s]."""
+def write_all(port: SerialPort, data: bytes) -> None:
+    """Send bytes without blocking.
+
+    pyserial's own write blocks until there is room, and may report a failure only afterwards. The
+    kernel also refuses a write while another process, such as the watchdog, is writing.
+
+    Raises:
+        Exception: one of PORT_ERRORS, if the port doesn't accept all bytes.
+    """
+    descriptor = getattr(port, "fd", None)
+    if descriptor is None:  # a socket, or Windows
+        port.write(data)
+        return
+    written = 0
+    for pause in WRITE_PAUSES:
+        with contextlib.suppress(BlockingIOError):
+            written = os.write(descriptor, data)
+            break
+        time.sleep(pause)
+    if written < len(data):
+        raise serial.SerialException("it takes no more bytes")
 
 
 class OpenPort:
-    """An open port of pyserial.
+    """An open serial port with non-blocking reads and writes, and exceptions of this package.
 
-    `put`, `read` and `drop_input` raise LinkLostError if the device is gone. `says`, `is_quiet` and
-    `close` raise nothing, so that stopping can't fail halfway.
+    `write`, `read`, `drop_input` and `drop_output` raise LinkLostError if the device is gone. The
+    others raise nothing, so that stopping can't fail halfway.
 
     Args:
         port: pyserial's port.
@@ -334,13 +327,13 @@ class OpenPort:
         self._port = port
         self._device = device
 
-    def put(self, data: bytes) -> None:
-        """Send all of the bytes; LinkLostError if the device is gone."""
+    def write(self, data: bytes) -> None:
+        """Send all of the bytes."""
         with translate_port_errors(self._device):
             write_all(self._port, data)
 
     def read(self) -> bytes:
-        """Return what has arrived, without waiting; LinkLostError if the device is gone."""
+        """Return what has arrived, without waiting."""
         data = b""
         with translate_port_errors(self._device):
             for _ in range(MAX_READ_CHUNKS):
@@ -350,7 +343,7 @@ class OpenPort:
                     break
         return data
 
-    def wait(self, seconds: float) -> bool:
+    def wait_for_bytes(self, seconds: float) -> bool:
         """Wait for bytes for a time at most [s].
 
         Returns whether some arrived, or the device is gone. Ports without a descriptor that can be
@@ -358,9 +351,7 @@ class OpenPort:
         """
         try:
             return bool(select.select([self._port], [], [], seconds)[0])
-        except ValueError:
-            time.sleep(seconds)
-        except PORT_ERRORS:
+        except WAIT_ERRORS:
             time.sleep(seconds)
         return False
 
@@ -381,15 +372,15 @@ class OpenPort:
         except OSError:
             return None
 
-    def says(self, data: bytes) -> bool:
+    def try_write(self, data: bytes) -> bool:
         """Send bytes; returns whether the port accepted them."""
         with contextlib.suppress(*PORT_ERRORS):
             write_all(self._port, data)
             return True
         return False
 
-    def is_drained(self) -> bool:
-        """Wait up to DRAIN; returns whether all bytes have been sent.
+    def drain(self) -> bool:
+        """Wait up to DRAIN_TIMEOUT; returns whether all bytes have been sent.
 
         The rest is discarded, as it would delay the closing of the port.
         """

@@ -67,8 +67,7 @@ class ReplayLink:
         self.open()
         episodes = self._recording.episodes if self._recording else ()
         if self._next_episode >= len(episodes):
-            cut = self._recording is not None and self._recording.cut
-            missing = "; the file is cut: its end is missing" if cut else ""
+            missing = "; the file is cut: its end is missing" if self._is_cut() else ""
             raise LinkLostError(
                 f"{self.replays}: all {self._next_episode} episodes have been played{missing}",
                 "make a new link to play it again",
@@ -77,9 +76,18 @@ class ReplayLink:
         self._next_episode += 1
         self._sent = b""
 
+    def _is_cut(self) -> bool:
+        """Whether the file is cut, after the newest episode."""
+        recording = self._recording
+        return (
+            recording is not None
+            and recording.cut
+            and self._next_episode == len(recording.episodes)
+        )
+
     def write(self, data: bytes) -> None:
         """Take commands, which the next `advance` compares; a port gets them as well."""
-        self._playing().wrote()
+        self._require_tape().wrote()
         self._sent += data
         if self._port is not None:
             self._port.write(data)
@@ -90,11 +98,9 @@ class ReplayLink:
         Raises:
             LinkLostError: the episode ends here, commands differ, or the recording has a gap.
         """
-        tape, sent = self._playing(), self._sent
+        tape, sent = self._require_tape(), self._sent
         if tape.is_over:
-            recording = self._recording
-            last = recording is not None and self._next_episode == len(recording.episodes)
-            if last and recording is not None and recording.cut:
+            if self._is_cut():
                 raise LinkLostError(
                     f"{self.replays}: the file is cut here, {tape.place}",
                     "what followed is missing",
@@ -117,19 +123,17 @@ class ReplayLink:
                 f"{one!r}, not {other!r}",
                 "was it made with this robot, goal and policy?",
             )
-        return got if self._port is None else self._read(self._port, len(got))
-
-    def _read(self, port: ByteStream, size: int) -> bytes:
-        """Read the bytes of a period from the port."""
-        got = port.read(size)
-        if len(got) != size:
+        if self._port is None:
+            return got
+        arrived = self._port.read(len(got))
+        if len(arrived) != len(got):
             raise LinkLostError(
-                f"{self.replays}: the port sent {len(got)} of {size} bytes", "check the tape player"
+                f"{self.replays}: the port sent {len(arrived)} of {len(got)} bytes",
+                "check the tape player",
             )
-        return got
+        return arrived
 
-    def _playing(self) -> Tape:
-        """The episode that plays."""
+    def _require_tape(self) -> Tape:
         if not self._is_open or self._tape is None or not self._next_episode:
             raise LinkLostError(f"{self.replays}: nothing plays", "call reset() first")
         return self._tape

@@ -13,53 +13,16 @@ from acsar_gym.links.base import Arrivals
 from acsar_gym.links.handshake import wait_for_board
 from acsar_gym.links.ports import OpenPort, PortLocation
 from acsar_gym.links.shutdown import check_may_drive, close_at_exit, forget_link, install_handlers
-from acsar_gym.links.watchdog import WatchdogHandle
+from acsar_gym.links.watchdog import Watchdog, end_searches
 from acsar_gym.protocol import ZERO, encode
 from acsar_gym.worlds import Scene
-
-EMPTY_READ_PAUSE = 0.001
-"""Pause where a port says that there are bytes and has none [s]."""
-
-
-class ArrivalTimer:
-    """Waits for the end of a control period, and notes what arrives meanwhile.
-
-    Attributes: `wanted`, whether the next period's bytes are to be read as they arrive, and not
-    only at its end, which costs less; `pieces`, what arrived in the newest period.
-    """
-
-    def __init__(self) -> None:
-        self.wanted = False
-        self._listens = False
-        self.pieces: Arrivals = []
-
-    def begin(self) -> None:
-        """Begin a period."""
-        self.pieces = []
-        self._listens, self.wanted = self.wanted, False
-
-    def wait(self, port: OpenPort, seconds: float) -> None:
-        """Wait for bytes, or for a time [s]; LinkLostError if the device is gone."""
-        if not self._listens:
-            time.sleep(seconds)
-        elif port.wait(seconds):
-            data = port.read()
-            if data:
-                self.pieces.append((time.monotonic(), data))
-            else:
-                time.sleep(min(EMPTY_READ_PAUSE, seconds))
-
-    def heard(self, rest: bytes) -> bytes:
-        """End a period; returns all that arrived in it, `rest` being what is read just now."""
-        if rest and self._listens:
-            self.pieces.append((time.monotonic(), rest))
-        return b"".join([piece for _, piece in self.pieces]) if self.pieces else rest
-
 
 SILENT_SHARE = 0.5
 """A board silent for this share of `feedback_timeout` may not have received zero commands."""
 WRITER_TIMEOUT = 1.0
 """Longest wait for another thread's write [s]; a socket's takes at most 0.2 s."""
+EMPTY_READ_PAUSE = 0.001
+"""Pause where a port says that there are bytes and has none [s]."""
 
 
 class SerialLink:
@@ -68,6 +31,8 @@ class SerialLink:
     A lost port is searched under the persistent name of its adapter. While open, a watchdog process
     sends zero commands if this process dies, or hangs longer than `watchdog_timeout` while wheels
     turn. During driving, no call takes longer than a period.
+
+    Attributes: `device`; `lateness`; `watchdog`.
 
     Args:
         device: a device, a URL, or "usb:" and the serial number of a USB adapter.
@@ -83,13 +48,13 @@ class SerialLink:
         self._port: OpenPort | None = None
         self._lock = threading.RLock()  # a signal handler may run while this thread holds it
         self._location = PortLocation(device)
-        self._heard = 0.0
+        self._heard = self._deadline = 0.0
         self._moved = False
         self._zeros = tuple(zeros) or (encode(ZERO, trailing_comma=config.trailing_comma),)
         self._stop_line = b"\r\n" + b"".join(self._zeros)  # ends a truncated command
-        self._watch = WatchdogHandle(config, self._location, self._stop_line)
-        self._deadline = 0.0
-        self._ear = ArrivalTimer()
+        self.watchdog = Watchdog(self._stop_line, config.watchdog_timeout)
+        self._wants_arrivals = False
+        self._arrivals: Arrivals = []
         self.lateness = 0.0
         install_handlers()
 
@@ -106,43 +71,42 @@ class SerialLink:
         if self._port is not None:
             return
         check_may_drive()
-        self._port = OpenPort(
-            self._location.opened(self._config, self._watch.end_search), self.device
-        )
+        location = self._location
+        port = location.opened(self._config, lambda: end_searches(location.search_name))
+        self._port = OpenPort(port, self.device)
         close_at_exit(self)
         try:
-            self._stop_motors()
+            self.write(self._stop_line)
             with self._lock:
-                self._watch.start(self._require())
-            self._require().drop_input()
-            self._require().drop_output()
-            self._stop_motors()
+                self.watchdog.start(self._require_port().fileno(), location.lasting_path)
+            self._require_port().drop_input()
+            self._require_port().drop_output()
+            self.write(self._stop_line)
             wait_for_board(self.read_now, self.device, self._config)
-            self._watch.wait()
+            self.watchdog.wait_ready()
         except BaseException:
             self.close()
             raise
         self._deadline = self.now()
-
-    @property
-    def watched(self) -> bool:
-        """Whether a running watchdog would stop the robot if this process died or hung."""
-        return self._watch.alive
-
-    @property
-    def watchdog_pid(self) -> int | None:
-        """PID of the watchdog; None if there is none."""
-        return self._watch.pid
 
     def reset(self, scene: Scene) -> None:
         """Command zero, discard received bytes, and restart the deadlines.
 
         After the watchdog stopped the robot, this allows driving again.
         """
-        self._stop_motors()
+        self.write(self._stop_line)
         check_may_drive()
         try:
-            self._watch_anew()
+            with self._lock:  # a closed descriptor may be reused for another file
+                port = self._require_port()
+                restart = self.watchdog.is_started and not self.watchdog.is_alive
+                if restart:
+                    self.watchdog.close()
+                    self.watchdog.start(port.fileno(), self._location.lasting_path)
+            if restart:
+                self.watchdog.wait_ready()
+            with self._lock:
+                self.watchdog.rearm()
         except BaseException:  # don't drive without a watchdog
             self.close()
             raise
@@ -150,15 +114,6 @@ class SerialLink:
         self._moved, self._heard = False, self.now()
         self._deadline = self.now()
         self.lateness = 0.0
-
-    def _watch_anew(self) -> None:
-        """Restart a watchdog that doesn't run, and rearm it."""
-        with self._lock:  # a closed descriptor may be reused for another file
-            fresh = self._watch.renew(self._require())
-        if fresh:
-            self._watch.wait()
-        with self._lock:
-            self._watch.rearm()
 
     def write(self, data: bytes) -> None:
         """Send bytes to the board; zero commands are always sent.
@@ -168,23 +123,23 @@ class SerialLink:
                 the program is ending, or was asked to; zeros are sent instead.
         """
         with self._lock:
-            port = self._require()
+            port = self._require_port()
             if not data:
-                port.put(data)
+                port.write(data)
             elif data.endswith(self._zeros):
-                port.put(data)
-                self._watch.stand()
+                port.write(data)
+                self.watchdog.note_stop()
             else:
                 self._moved = True
                 try:
-                    self._watch.drive()
+                    self.watchdog.allow_drive()
                     check_may_drive()  # last, as a signal may come at any time
-                    port.put(data)
-                    self._watch.driven()
+                    port.write(data)
+                    self.watchdog.note_drive()
                 except LinkLostError:
                     raise
                 except LinkError:
-                    port.says(self._stop_line)
+                    port.try_write(self._stop_line)
                     raise
 
     def advance(self, period: float) -> bytes:
@@ -193,36 +148,46 @@ class SerialLink:
         After a delay of more than a period, the deadlines restart from now.
         """
         self._deadline += period
-        self._ear.begin()
+        notes, self._wants_arrivals = self._wants_arrivals, False
+        self._arrivals = pieces = []
         while (remaining := self._deadline - self.now()) > 0.0:
-            self._ear.wait(self._require(), min(remaining, self._watch.nap))
+            port, pause = self._require_port(), min(remaining, self.watchdog.beat_interval)
+            if not notes:
+                time.sleep(pause)
+            elif port.wait_for_bytes(pause):
+                if data := port.read():
+                    pieces.append((self.now(), data))
+                else:
+                    time.sleep(min(EMPTY_READ_PAUSE, pause))
             self._beat()
         self.lateness = self.now() - self._deadline
         if self.lateness > period:
             self._deadline = self.now()
-        got = self._ear.heard(self.read_now())
+        got = self.read_now()
+        if notes and got:
+            pieces.append((self.now(), got))
+        got = b"".join([piece for _, piece in pieces]) if pieces else got
         self._heard = self.now() if got else self._heard
         return got
 
     @property
     def arrivals(self) -> Arrivals:
         """When the bytes of the newest period arrived [s], noted in the period after each call."""
-        self._ear.wanted = True
-        return self._ear.pieces
+        self._wants_arrivals = True
+        return self._arrivals
 
     def _beat(self) -> None:
-        """Signal the watchdog that this process runs."""
         with self._lock:
-            self._watch.beat()
+            self.watchdog.beat()
 
     def reset_input(self) -> None:
         """Discard what has arrived and wasn't read."""
-        self._require().drop_input()
+        self._require_port().drop_input()
 
     def read_now(self) -> bytes:
         """Return what has arrived, without waiting."""
         self._beat()
-        data = self._require().read()
+        data = self._require_port().read()
         if data:
             self._heard = self.now()
         return data
@@ -237,27 +202,36 @@ class SerialLink:
         After an interrupt meanwhile, zeros are sent again. If they may not have arrived (lost port,
         silent board), the watchdog keeps sending them for a minute, or until the board answers.
         """
-        with self._alone():
+        with self._exclusively():
             port = self._port
             if port is None:
                 return
-            said = False
+            sent = False
             try:
-                said = self._say_stop(port)
+                sent = self._send_stop(port)
             except BaseException:
-                said = self._say_stop(port)
+                sent = self._send_stop(port)
                 raise
             finally:
-                self._release(port, lost=not said or self._is_silent(port))
+                age = self.now() - self._heard
+                silent = self._moved and age > SILENT_SHARE * self._config.feedback_timeout
+                lost = not sent or (silent and port.is_quiet())
+                with contextlib.ExitStack() as last_to_first:
+                    last_to_first.callback(self._let_go, port, lost=lost)
+                    if lost:
+                        last_to_first.callback(self.watchdog.search, self._location.search_name)
+                    else:  # before the port, as they share its lock
+                        last_to_first.callback(self.watchdog.close)
+                        self._send_stop(port)
 
     @contextlib.contextmanager
-    def _alone(self) -> Iterator[None]:
+    def _exclusively(self) -> Iterator[None]:
         """Lock out other threads; if one is writing now, send zeros without waiting for it."""
         alone = self._lock.acquire(blocking=False)
         if not alone:
             port = self._port
             if port is not None:
-                port.says(self._stop_line)
+                port.try_write(self._stop_line)
             alone = self._lock.acquire(timeout=WRITER_TIMEOUT)
         try:
             yield
@@ -272,41 +246,27 @@ class SerialLink:
         Errors are ignored, so that stopping goes on. For the watchdog, wheels still turn: if this
         takes longer than its time-out, as where the program is suspended, it trips.
         """
-        with self._alone():
+        with self._exclusively():
             port = self._port
             if port is not None:
-                self._say_stop(port)
+                self._send_stop(port)
             yield
 
-    def _is_silent(self, port: OpenPort) -> bool:
-        """Return whether the board hasn't answered for a while, since wheels turned."""
-        silent = self.now() - self._heard > SILENT_SHARE * self._config.feedback_timeout
-        return self._moved and silent and port.is_quiet()
-
-    def _say_stop(self, port: OpenPort) -> bool:
+    def _send_stop(self, port: OpenPort) -> bool:
         """Command zero; returns whether it has left the port."""
-        if not port.says(self._stop_line):
+        if not port.try_write(self._stop_line):
             return False
-        if not port.is_drained():
-            port.says(self._stop_line)
+        if not port.drain():
+            port.try_write(self._stop_line)
             return False
         return True
 
     def stop(self) -> None:
         """Command zero and stay open; errors are ignored."""
         with self.held():
-            self._watch.stand()
-
-    def _release(self, port: OpenPort, *, lost: bool) -> None:
-        """Command zero, end the watchdog, which shares the port's lock, and close the port."""
-        with contextlib.ExitStack() as last_to_first:
-            last_to_first.callback(self._let_go, port, lost=lost)
-            last_to_first.callback(self._watch.end, lost=lost)
-            if not lost:
-                self._say_stop(port)
+            self.watchdog.note_stop()
 
     def _let_go(self, port: OpenPort, *, lost: bool) -> None:
-        """Close the port."""
         self._port = None
         self._location.left(lost=lost)
         forget_link(self)
@@ -318,7 +278,7 @@ class SerialLink:
         port = self._port
         if port is None:
             return
-        self._watch.abandon()
+        self.watchdog.abandon()
         port.detach()
         self._let_go(port, lost=False)
 
@@ -330,10 +290,7 @@ class SerialLink:
         """Copy and pickle as a closed link to the same device; a port can't be shared."""
         return SerialLink, (self.device, self._config)
 
-    def _stop_motors(self) -> None:
-        self.write(self._stop_line)
-
-    def _require(self) -> OpenPort:
+    def _require_port(self) -> OpenPort:
         if self._port is None:
             raise LinkLostError(f"{self.device} is closed", "call open() or env.reset() first")
         return self._port

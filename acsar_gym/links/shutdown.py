@@ -114,8 +114,17 @@ def install_handlers() -> None:
     """Watch for the end of the program.
 
     Signals are handled if this is the main thread, and where the program has no handler.
+
+    `atexit` alone is too late for the end of the main thread: threads that drive are joined before
+    it, and other handlers may run first. The interpreter has no public way; this one is what
+    `concurrent.futures` uses to join its threads: imported first, it is called last.
     """
-    _close_with_main_thread()
+    if not _hooked[0]:
+        _hooked[0] = True
+        try:
+            threading._register_atexit(_close_links)  # type: ignore[attr-defined]  # noqa: SLF001
+        except RuntimeError:  # the main thread has ended
+            _ending[0] = True
     if threading.current_thread() is not threading.main_thread():
         return
     _signals.listen()
@@ -142,15 +151,14 @@ def forget_link(link: Closable) -> None:
     _open.discard(link)
 
 
-def _links() -> list[Closable]:
-    """Return the open links."""
+def _open_links() -> list[Closable]:
     while True:
         with contextlib.suppress(RuntimeError):  # another thread opened or closed one meanwhile
             return list(_open)
 
 
 def close_all() -> None:
-    """Stop all open links, then close them, and do what `at_end` was given.
+    """Stop all open links, then close them, and do what `call_at_end` was given.
 
     For the end of the program: wheels can't be turned afterwards.
     """
@@ -164,25 +172,9 @@ def _close_links() -> None:
     """Stop all open links, then close them, even if some of that fails; nothing drives any more."""
     _ending[0] = True
     with contextlib.ExitStack() as stack:
-        for link in _links():
+        for link in _open_links():
             stack.callback(link.close)
             stack.enter_context(link.held())
-
-
-def _close_with_main_thread() -> None:
-    """Close the links when the main thread ends, once for all links.
-
-    `atexit` is too late: threads that drive are joined before it, and other handlers may run first.
-    The interpreter has no public way; this one is what `concurrent.futures` uses to join its
-    threads: imported first, it is called last.
-    """
-    if _hooked[0]:
-        return
-    _hooked[0] = True
-    try:
-        threading._register_atexit(_close_links)  # type: ignore[attr-defined]  # noqa: SLF001
-    except RuntimeError:  # the main thread has ended
-        _ending[0] = True
 
 
 def _on_end(number: int, frame: FrameType | None) -> None:
@@ -192,15 +184,11 @@ def _on_end(number: int, frame: FrameType | None) -> None:
     finally:
         signal.signal(number, signal.SIG_DFL)
         os.kill(os.getpid(), number)
-        _exit(128 + number)
-
-
-def _exit(status: int) -> None:
-    """Exit now; a PID 1, as in a container, isn't ended by signals that it sends to itself."""
-    for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(Exception):
-            stream.flush()
-    os._exit(status)
+        # A PID 1, as in a container, isn't ended by signals that it sends to itself.
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(Exception):
+                stream.flush()
+        os._exit(128 + number)
 
 
 def _on_suspend(number: int, frame: FrameType | None) -> None:
@@ -209,7 +197,7 @@ def _on_suspend(number: int, frame: FrameType | None) -> None:
     Where wheels turned, the watchdog trips meanwhile: nothing drives on before a reset.
     """
     with contextlib.ExitStack() as stack:
-        for link in _links():
+        for link in _open_links():
             stack.enter_context(link.held())
         signal.raise_signal(signal.SIGSTOP)  # sent to this thread, so that it takes effect at once
 
@@ -218,7 +206,7 @@ def _in_child() -> None:
     """Abandon the parent's links in a forked child, and remove the signal handlers."""
     _ending[0] = False
     _signals.abandon()
-    for link in _links():
+    for link in _open_links():
         link.abandon()
     for name in (*ENDING_SIGNALS, *SUSPENDING_SIGNALS):
         number = getattr(signal, name, None)
@@ -289,10 +277,9 @@ class _Signals:
 
     def _forward_to(self, fd: int) -> int:
         """Forward all numbers to this descriptor; returns the one before."""
-        assert self._pipe is not None  # noqa: S101 - for the type checker
         with self._lock:
             before, self._theirs = self._theirs, fd
-            if fd != -1 and not self._forwards:
+            if fd != -1 and not self._forwards and self._pipe is not None:
                 self._forwards = True
                 threading.Thread(target=self._forward, args=self._pipe[:1], daemon=True).start()
         return before

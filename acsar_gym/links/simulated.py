@@ -1,4 +1,4 @@
-"""Links to a simulated robot: emulated firmware on a Body, as fast as possible or in real time."""
+"""Links to a simulated robot: emulated firmware on a body, as fast as possible or in real time."""
 
 from __future__ import annotations
 
@@ -13,10 +13,99 @@ from acsar_gym.physics.firmware import Firmware
 from acsar_gym.worlds import Scene
 
 
-class PacedLink(ForwardingLink):
-    """Forwards to another link; `advance` doesn't return before its absolute deadline.
+class SimulatedLink:
+    """Runs firmware and physics as fast as possible; its clock is 0 at every reset.
 
-    Clock and bytes are those of the inner link.
+    Attributes: `body`, the physics, None while closed; `metered` and `work`, as in
+    `links.base.MeteredLink`.
+
+    Args:
+        config: configuration of the robot.
+        make_body: makes the physics; called by `open`.
+    """
+
+    lateness = None
+
+    def __init__(self, config: RobotConfig, make_body: Callable[[], Body]) -> None:
+        self._config = config
+        self._make_body = make_body
+        self.body: Body | None = None
+        self._firmware: Firmware | None = None
+        self._now = 0.0
+        self.metered = False
+        self.work = 0.0
+
+    def open(self) -> None:
+        """Make the body and start the firmware."""
+        if self.body is None:
+            self.body = self._make_body()
+            self._firmware = Firmware(self._config, self.body)
+
+    def reset(self, scene: Scene) -> None:
+        """Put the robot at rest at the scene's start, with the scene's world and physics."""
+        self.open()
+        if self.body is None or self._firmware is None:
+            raise _closed_error()
+        self.body.reset(scene)
+        self._firmware.reset(scene.physics)
+        self._now = self.work = 0.0
+
+    def write(self, data: bytes) -> None:
+        """Send bytes over the simulated UART; LinkLostError if closed."""
+        if self._firmware is None:
+            raise _closed_error()
+        self._firmware.receive(data)
+
+    def advance(self, period: float) -> bytes:
+        """Simulate one period [s]; returns the bytes that arrived during it."""
+        if self.body is None or self._firmware is None:
+            raise _closed_error()
+        self._now += period
+        got = self._firmware.advance(period)
+        self.body.feel()
+        if self.metered:
+            self.work += self.body.power * period
+        return got
+
+    def now(self) -> float:
+        """Return the simulated time since the reset [s]."""
+        return self._now
+
+    @property
+    def arrivals(self) -> Arrivals:
+        """When the lines of the newest period arrived [s], exactly."""
+        return self._firmware.arrived if self._firmware else []
+
+    @property
+    def truth(self) -> GroundTruth:
+        """State of the body; the origin before the link is opened."""
+        return self.body.truth if self.body else GroundTruth()
+
+    @property
+    def camera(self) -> Camera | None:
+        """Camera of the body; None if it has none, or the link is closed."""
+        return self.body if isinstance(self.body, Camera) else None
+
+    def __reduce__(self) -> tuple[type[SimulatedLink], tuple[RobotConfig, Callable[[], Body]]]:
+        """Copy as a closed link with its own robot."""
+        return SimulatedLink, (self._config, self._make_body)
+
+    def close(self) -> None:
+        """Free the body. Idempotent."""
+        if self.body is not None:
+            self.body.close()
+            self.body = self._firmware = None
+
+
+def _closed_error() -> LinkLostError:
+    return LinkLostError("the simulated link is closed", "call open() or env.reset() first")
+
+
+class PacedLink(ForwardingLink):
+    """A simulated link in real time, for windows and keyboard control.
+
+    `advance` doesn't return before its absolute deadline; clock and bytes are those of the inner
+    link.
 
     Args:
         link: the inner link.
@@ -37,96 +126,3 @@ class PacedLink(ForwardingLink):
         self._deadline = max(self._deadline + period, time.monotonic() - period)
         time.sleep(max(0.0, self._deadline - time.monotonic()))
         return got
-
-
-class SimulatedLink:
-    """Runs firmware and physics as fast as possible; its clock is 0 at every reset.
-
-    Attributes: `metered` and `work`, as in `links.base.MeteredLink`.
-
-    Args:
-        config: configuration of the robot.
-        make_body: makes the physics; called by `open`.
-    """
-
-    lateness = None
-
-    def __init__(self, config: RobotConfig, make_body: Callable[[], Body]) -> None:
-        self._config = config
-        self._make_body = make_body
-        self._body: Body | None = None
-        self._firmware: Firmware | None = None
-        self._now = 0.0
-        self.metered = False
-        self.work = 0.0
-
-    def open(self) -> None:
-        """Make the body and start the firmware."""
-        if self._body is None:
-            self._body = self._make_body()
-            self._firmware = Firmware(self._config, self._body)
-
-    def reset(self, scene: Scene) -> None:
-        """Put the robot at rest at the scene's start, with the scene's world and physics."""
-        self.open()
-        if self._body is None or self._firmware is None:
-            raise _closed()
-        self._body.reset(scene)
-        self._firmware.reset(scene.physics)
-        self._now = self.work = 0.0
-
-    def write(self, data: bytes) -> None:
-        """Send bytes over the simulated UART; LinkLostError if closed."""
-        if self._firmware is None:
-            raise _closed()
-        self._firmware.receive(data)
-
-    def advance(self, period: float) -> bytes:
-        """Simulate one period [s]; returns the bytes that arrived during it."""
-        if self._body is None or self._firmware is None:
-            raise _closed()
-        self._now += period
-        got = self._firmware.advance(period)
-        self._body.feel()
-        if self.metered:
-            self.work += self._body.power * period
-        return got
-
-    def now(self) -> float:
-        """Return the simulated time since the reset [s]."""
-        return self._now
-
-    @property
-    def arrivals(self) -> Arrivals:
-        """When the lines of the newest period arrived [s], exactly."""
-        return self._firmware.arrived if self._firmware else []
-
-    @property
-    def body(self) -> Body | None:
-        """The physics, for benchmarks and tests; None while closed."""
-        return self._body
-
-    @property
-    def truth(self) -> GroundTruth:
-        """State of the body; the origin before the link is opened."""
-        return self._body.truth if self._body else GroundTruth()
-
-    @property
-    def camera(self) -> Camera | None:
-        """Camera of the body; None if it has none, or the link is closed."""
-        return self._body if isinstance(self._body, Camera) else None
-
-    def __reduce__(self) -> tuple[type[SimulatedLink], tuple[RobotConfig, Callable[[], Body]]]:
-        """Copy as a closed link with its own robot."""
-        return SimulatedLink, (self._config, self._make_body)
-
-    def close(self) -> None:
-        """Free the body. Idempotent."""
-        if self._body is not None:
-            self._body.close()
-            self._body = self._firmware = None
-
-
-def _closed() -> LinkLostError:
-    """Return the error for a closed link."""
-    return LinkLostError("the simulated link is closed", "call open() or env.reset() first")

@@ -20,7 +20,6 @@ import sys
 import termios
 import time
 from collections.abc import Callable
-from typing import Protocol
 
 SLOTS = 5
 BEAT, TRIPPED, LEAVE, STOOD, AWAKE = range(SLOTS)
@@ -62,121 +61,11 @@ def boot_clock() -> float:
     return time.clock_gettime(getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC))
 
 
-class ZeroReceiver(Protocol):
-    """Receiver of zero commands."""
-
-    def stop(self, wanted: Callable[[], bool] = ...) -> bool:
-        """Command zero if `wanted()`; returns whether the port accepted it."""
-
-    def find(self) -> bool:
-        """Open a lost port again; returns whether that succeeded."""
-
-    def answers(self) -> bool:
-        """Return whether anything has arrived since the last call."""
-
-    def share(self) -> None:
-        """Unlock the port for other programs, until the next zero command."""
-
-    @property
-    def taken(self) -> bool:
-        """Whether another program has the port, or its name isn't known."""
-
-
-class ProgramWatch:
-    """Watches one program until it closes the port or dies.
-
-    Args:
-        page: the shared page.
-        lifeline: descriptor of a pipe that is closed when the program dies.
-        parent: PID of the program.
-        timeout: longest time without a sign of life [s].
-        board: receiver of zero commands.
-    """
-
-    def __init__(
-        self,
-        page: memoryview[float],
-        lifeline: int,
-        parent: int,
-        timeout: float,
-        board: ZeroReceiver,
-    ) -> None:
-        self._page = page
-        self._lifeline = lifeline
-        self._parent = parent
-        self._timeout = timeout
-        self._board = board
-        self._pace = min(timeout / CHECKS_PER_TIMEOUT, LONGEST_SLEEP)
-        self._due = boot_clock() + self._pace
-        self._answered = 0.0
-        self._repeats = 0
-        self._until = 0.0
-        self._said = 0.0
-        page[AWAKE] = boot_clock()
-
-    def run(self) -> None:
-        """Watch until the program closes the port, or is dead and zeros have been sent."""
-        pipe = select.poll()
-        pipe.register(self._lifeline, select.POLLIN)
-        while not self._page[LEAVE]:
-            wait = math.ceil(1000.0 * max(0.0, self._due - boot_clock()))
-            if pipe.poll(wait) or os.getppid() != self._parent:
-                self._bury()
-                return
-            now = boot_clock()
-            self._page[AWAKE] = now
-            self._due = min(self._look(now), now + self._pace)
-
-    def _bury(self) -> None:
-        """Command zero for a program that is dead, or lost its port, or whose board is silent."""
-        deadline = time.monotonic() + SEARCH_TIMEOUT
-        sent = 0
-        while not self._page[LEAVE] and not self._board.taken and time.monotonic() < deadline:
-            if self._board.stop():
-                sent += 1
-                if sent >= DEATH_ZEROS:
-                    if self._board.answers():
-                        return
-                    self._board.share()
-                time.sleep(REPEAT_INTERVAL)
-            elif not self._board.find():
-                time.sleep(SEARCH_INTERVAL)
-
-    def _look(self, now: float) -> float:
-        """Command zero if that is due; returns the time of the next check."""
-        tripped = self._page[TRIPPED]
-        if not tripped:
-            beat = self._page[BEAT]
-            if not beat:
-                return self._stand(now)
-            if now < beat + self._timeout:
-                return beat + self._timeout
-            tripped = self._page[TRIPPED] = now - beat  # before the zeros: no command follows them
-        if tripped != self._answered:  # the program may have found it, too
-            self._answered, self._repeats, self._until = tripped, HANG_ZEROS, now + SEARCH_TIMEOUT
-        return self._repeat(now)
-
-    def _stand(self, now: float) -> float:
-        """Repeat the last zero command if the program sends nothing, as it may have been lost."""
-        stood = self._page[STOOD]
-        due = max(stood, self._said) + ZERO_INTERVAL
-        if stood and now >= due:
-            self._said = now
-            self._board.stop(lambda: not self._page[BEAT])
-        return due if now < due else now + ZERO_INTERVAL
-
-    def _repeat(self, now: float) -> float:
-        """Repeat zeros while the program hangs, also on a lost port once it is found."""
-        if not self._repeats or self._board.taken or now > self._until:
-            return now + self._timeout
-        if self._board.stop() or (self._board.find() and self._board.stop()):
-            self._repeats -= 1
-            return now + REPEAT_INTERVAL
-        return now + SEARCH_INTERVAL
-
-
 class SharedPort:
-    """The port that the program shares, and the name under which it reappears."""
+    """The port that the program shares, and the name under which it reappears.
+
+    Attributes: `taken`, whether another program has the port, or its name isn't known.
+    """
 
     taken = False
 
@@ -188,9 +77,18 @@ class SharedPort:
         with contextlib.suppress(termios.error):  # a socket has none
             self._settings = termios.tcgetattr(descriptor)
 
-    def stop(self, wanted: Callable[[], bool] = lambda: True) -> bool:
-        """Send the zero command, discarding unsent bytes if the port is stuck."""
-        if not self._locked() or not wanted():
+    def stop_robot(self, wanted: Callable[[], bool] = lambda: True) -> bool:
+        """Send the zero command if `wanted()`; returns whether the port accepted it.
+
+        Unsent bytes are discarded if the port is stuck.
+        """
+        try:
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            self.taken = True
+        except OSError:  # not every descriptor can be locked
+            pass
+        if self.taken or not wanted():
             return False
         with contextlib.suppress(OSError, termios.error):
             for _ in range(WRITE_ATTEMPTS):
@@ -203,29 +101,19 @@ class SharedPort:
             return True
         return False
 
-    def _locked(self) -> bool:
-        """Return whether the port's lock is held by the program, or could be taken now."""
-        try:
-            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            self.taken = True
-        except OSError:  # not every descriptor can be locked
-            pass
-        return not self.taken
-
-    def answers(self) -> bool:
-        """Return whether anything has arrived."""
+    def has_answer(self) -> bool:
+        """Return whether anything has arrived since the last call."""
         with contextlib.suppress(OSError):
             return bool(os.read(self._descriptor, ANSWER_CHUNK))
         return False
 
     def share(self) -> None:
-        """Unlock the port; the next `stop` tries to lock it again."""
+        """Unlock the port for other programs; the next `stop_robot` tries to lock it again."""
         with contextlib.suppress(OSError):
             fcntl.flock(self._descriptor, fcntl.LOCK_UN)
 
-    def find(self) -> bool:
-        """Open the port again, exclusively and with its former settings."""
+    def find_again(self) -> bool:
+        """Open a lost port again, exclusively and with its former settings."""
         if not self._place or self._settings is None:
             self.taken = True  # its name isn't known
             return False
@@ -245,11 +133,89 @@ class SharedPort:
         return True
 
 
-def be_urgent() -> None:
-    """Run with one real-time priority more than the program, if that is allowed."""
-    with contextlib.suppress(OSError, AttributeError):
-        priority = os.sched_getparam(0).sched_priority + 1
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+class ProgramWatch:
+    """Watches one program until it closes the port or dies.
+
+    Args:
+        page: the shared page.
+        lifeline: descriptor of a pipe that is closed when the program dies.
+        parent: PID of the program.
+        timeout: longest time without a sign of life [s].
+        port: takes the zero commands.
+    """
+
+    def __init__(
+        self, page: memoryview[float], lifeline: int, parent: int, timeout: float, port: SharedPort
+    ) -> None:
+        self._page = page
+        self._lifeline = lifeline
+        self._parent = parent
+        self._timeout = timeout
+        self._port = port
+        self._answered = 0.0
+        self._repeats = 0
+        self._until = 0.0
+        self._said = 0.0
+        page[AWAKE] = boot_clock()
+
+    def run(self) -> None:
+        """Watch until the program closes the port, or is dead and zeros have been sent."""
+        pipe = select.poll()
+        pipe.register(self._lifeline, select.POLLIN)
+        pace = min(self._timeout / CHECKS_PER_TIMEOUT, LONGEST_SLEEP)
+        due = boot_clock() + pace
+        while not self._page[LEAVE]:
+            wait = math.ceil(1000.0 * max(0.0, due - boot_clock()))
+            if pipe.poll(wait) or os.getppid() != self._parent:
+                self._stop_for_good()
+                return
+            now = boot_clock()
+            self._page[AWAKE] = now
+            due = min(self.check(now), now + pace)
+
+    def _stop_for_good(self) -> None:
+        """Command zero for a program that is dead, or lost its port, or whose board is silent."""
+        port = self._port
+        deadline = time.monotonic() + SEARCH_TIMEOUT
+        sent = 0
+        while not self._page[LEAVE] and not port.taken and time.monotonic() < deadline:
+            if port.stop_robot():
+                sent += 1
+                if sent >= DEATH_ZEROS:
+                    if port.has_answer():
+                        return
+                    port.share()
+                time.sleep(REPEAT_INTERVAL)
+            elif not port.find_again():
+                time.sleep(SEARCH_INTERVAL)
+
+    def check(self, now: float) -> float:
+        """Command zero if that is due; returns the time of the next check."""
+        tripped = self._page[TRIPPED]
+        if not tripped:
+            beat = self._page[BEAT]
+            if not beat:
+                return self._repeat_last_zero(now)
+            if now < beat + self._timeout:
+                return beat + self._timeout
+            tripped = self._page[TRIPPED] = now - beat  # before the zeros: no command follows them
+        if tripped != self._answered:  # the program may have found it, too
+            self._answered, self._repeats, self._until = tripped, HANG_ZEROS, now + SEARCH_TIMEOUT
+        if not self._repeats or self._port.taken or now > self._until:
+            return now + self._timeout
+        if self._port.stop_robot() or (self._port.find_again() and self._port.stop_robot()):
+            self._repeats -= 1
+            return now + REPEAT_INTERVAL
+        return now + SEARCH_INTERVAL
+
+    def _repeat_last_zero(self, now: float) -> float:
+        """Repeat the last zero command if the program sends nothing, as it may have been lost."""
+        stood = self._page[STOOD]
+        due = max(stood, self._said) + ZERO_INTERVAL
+        if stood and now >= due:
+            self._said = now
+            self._port.stop_robot(lambda: not self._page[BEAT])
+        return due if now < due else now + ZERO_INTERVAL
 
 
 def main() -> None:
@@ -261,10 +227,12 @@ def main() -> None:
     for name in IGNORED_SIGNALS:
         signal.signal(getattr(signal, name), signal.SIG_IGN)
     port, page, lifeline, ready, parent = map(int, sys.argv[1:6])
-    be_urgent()
+    with contextlib.suppress(OSError, AttributeError):  # ahead of the program, if that is allowed
+        priority = os.sched_getparam(0).sched_priority + 1
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     memory = memoryview(mmap.mmap(page, PAGE_SIZE)).cast("d")
-    board = SharedPort(port, bytes.fromhex(sys.argv[7]), sys.argv[8])
-    watch = ProgramWatch(memory, lifeline, parent, float(sys.argv[6]), board)
+    shared = SharedPort(port, bytes.fromhex(sys.argv[7]), sys.argv[8])
+    watch = ProgramWatch(memory, lifeline, parent, float(sys.argv[6]), shared)
     with contextlib.suppress(OSError):
         os.write(ready, b".")
     os.close(ready)

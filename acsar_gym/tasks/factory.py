@@ -23,7 +23,6 @@ from pydantic import BaseModel
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, TaskError, show_value, suggest_name, translate_errors
-from acsar_gym.links.faults import Faults
 from acsar_gym.reading import import_object, object_name
 from acsar_gym.sensors import LIDAR, Sensor
 from acsar_gym.sensors.lidar import footprint_edges
@@ -410,8 +409,6 @@ def to_plain(value: Any) -> Any:
     """
     if isinstance(value, BaseModel):
         value = value.model_dump(mode="json")
-    elif isinstance(value, Faults):
-        value = dataclasses.asdict(value)
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, Mapping):

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -234,12 +233,10 @@ def check_batch_faults(faults: Mapping[str, Any] | Faults | None, config: RobotC
         ConfigError: for a fault that a batch can't simulate, or a value out of range.
     """
     asked, sound = Faults.of(faults), Faults()
-    for field in fields(asked):
-        if field.name not in BATCH_FAULTS and getattr(asked, field.name) != getattr(
-            sound, field.name
-        ):
+    for name in Faults.model_fields:
+        if name not in BATCH_FAULTS and getattr(asked, name) != getattr(sound, name):
             raise ConfigError(
-                f"faults: {field.name}: a batch knows {', '.join(BATCH_FAULTS)}; for others "
+                f"faults: {name}: a batch knows {', '.join(BATCH_FAULTS)}; for others "
                 "make_vec with vectorization_mode='sync'"
             )
     most = WIRE_BUFFER / (max(config.control_rate, config.feedback_rate) * (LINE_BYTES + 1))

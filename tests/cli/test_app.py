@@ -54,9 +54,6 @@ SOCKET = ("run", "1", "0", "--link", "socket://127.0.0.1:1")
         (("doctor", "--timing"), 2, "--timing needs a device"),
         (("doctor", MISSING, "--timing", "--duration", "0"), 2, "duration = 0.0"),
         (("doctor", MISSING, "--timing", "--duration", "1e300"), 2, "duration = 1e+300"),
-        (("doctor", "--stopping", "--trials", "0"), 2, "trials = 0"),
-        (("doctor", "--stopping", "--trials", HUGE), 2, "must be 1 to 100,000"),
-        (("doctor", "--stopping", "--kinds", "kil"), 2, "did you mean 'kill'"),
         (("run", "1", "0", "--realtime", "99"), 2, "real-time priority = 99: must be 1 to 98"),
         (("drive", "--link", "planar", "--linear", "nan"), 2, "finite"),
         (("drive", "--link", MISSING, "--linear", "0.1"), 3, f"{MISSING}: no such device"),
@@ -278,17 +275,6 @@ def test_the_doctor_tells_how_late_ticks_are(
     for word in ("lateness", "bare loop", "feedback age", "baud rate"):
         assert word in output
     assert json.loads(file.read_text())["lateness"]["ticks"] == 50
-
-
-@pytest.mark.xdist_group("serial")
-def test_the_doctor_tells_how_soon_a_robot_is_stopped(call: Call, tmp_path: Path) -> None:
-    file = tmp_path / "stops.json"
-    options = ("--stopping", "--trials", "1", "--kinds", "kill")
-    code, output, error = call("doctor", *options, "--json", file)
-    assert error == ""
-    assert "SIGKILL" in output
-    stop = json.loads(file.read_text())["stops"]["kill"]
-    assert code == 1 - stop["in_time"]
 
 
 def test_a_closed_pipe_is_no_traceback(tmp_path: Path) -> None:

@@ -13,13 +13,11 @@ from typing import Any
 
 import firmware_tools
 import pytest
+import stopping
 from serial_tools import Emulated, cli, start, wait_until
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import WheelError
-from acsar_gym.tools.doctor import stopping
-from acsar_gym.tools.doctor.stopping_processes import programs
-from acsar_gym.tools.doctor.stopping_programs import KINDS
 
 pytestmark = [
     pytest.mark.usefixtures("deadline", "nursery"),
@@ -127,10 +125,10 @@ def off_after(board: Emulated, fault: float) -> tuple[float, float]:
 
 
 def test_motors_have_no_current_soon_after_kill_9(board: Emulated) -> None:
-    """The computer's part, from the fault to the command, is that of `doctor --stopping`."""
+    """The computer's part, from the fault to the command, is that of `make stopping`."""
     config = RobotConfig.preset("acsar_avr").with_(**PATIENT)
     took, own = [], []
-    with programs(board.device, config) as program:
+    with stopping.programs(board.device, config) as program:
         for _ in range(TRIALS):
             fault = program.fault("kill")
             since_fault, since_command = off_after(board, fault)
@@ -149,5 +147,5 @@ def test_motors_have_no_current_soon_after_kill_9(board: Emulated) -> None:
 def test_every_kind_of_fault_ends_in_a_zero_command_in_time(chip: str) -> None:
     config = RobotConfig.preset("acsar_avr")
     command = shlex.join(firmware_tools.command(chip))
-    stops = stopping.measure(1, tuple(KINDS), config, board=command)
+    stops = list(stopping.measure(1, config=config, board=command))
     assert all(one.sound for one in stops), stops

@@ -14,8 +14,8 @@ import pytest
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.links.base import arrivals_of
-from acsar_gym.links.ports import OpenPort, open_port
-from acsar_gym.links.serial import ArrivalTimer
+from acsar_gym.links.ports import OpenPort
+from acsar_gym.links.serial import SerialLink
 from acsar_gym.protocol import ZERO, encode
 from acsar_gym.recording import Recorder, read
 from acsar_gym.worlds import Scene
@@ -54,57 +54,63 @@ def test_a_recording_has_the_stamps_of_arrival(tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def wire() -> Iterator[tuple[OpenPort, int]]:
-    """An open port, and the other end of its pseudo-terminal."""
+def talking() -> Iterator[tuple[SerialLink, int]]:
+    """An open link, and the other end of its pseudo-terminal, which is silent now."""
     master, slave = os.openpty()
     tty.setraw(slave)
-    port = OpenPort(open_port(os.ttyname(slave), CONFIG), "pty")
-    yield port, master
-    port.close()
+    link = SerialLink(os.ttyname(slave), CONFIG.with_(watchdog_timeout=None))
+    silent = threading.Event()
+
+    def board() -> None:
+        while not silent.wait(0.005):
+            os.write(master, encode(ZERO))
+
+    writer = threading.Thread(target=board)
+    writer.start()
+    link.open()
+    silent.set()
+    writer.join()
+    link.reset(Scene())
+    yield link, master
+    link.close()
     os.close(master)
     os.close(slave)
 
 
 @pytest.mark.xdist_group("serial")
-def test_bytes_are_stamped_when_they_come(wire: tuple[OpenPort, int]) -> None:
-    port, master = wire
-    ear, written = ArrivalTimer(), []
-    ear.wanted = True
+def test_bytes_are_stamped_when_they_come(talking: tuple[SerialLink, int]) -> None:
+    link, master = talking
+    written: list[float] = []
+    assert link.arrivals == []  # from now on they are noted
 
     def board() -> None:
         for number in range(5):
             time.sleep(0.02)
-            os.write(master, b"%d" % number)
             written.append(time.monotonic())
+            os.write(master, b"%d" % number)
 
     writer = threading.Thread(target=board)
     writer.start()
-    ear.begin()
-    while len(ear.pieces) < 5:
-        ear.wait(port, 1.0)
+    got = link.advance(1.0)
     writer.join()
-    assert ear.heard(b"") == b"01234"
-    lags = sorted(stamp - when for (stamp, _), when in zip(ear.pieces, written, strict=True))
-    assert lags[2] < 0.01  # half of them, on a busy computer; none waits for the deadline of 1 s
+    stamps = [stamp for stamp, piece in link.arrivals for _ in piece]
+    assert got == b"".join(piece for _, piece in link.arrivals) == b"01234"
+    assert all(stamp >= when for stamp, when in zip(stamps, written, strict=True))
+    assert stamps[0] < link.now() - 0.01  # before the deadline
 
 
 @pytest.mark.xdist_group("serial")
-def test_without_anybody_who_asks_bytes_wait_for_the_deadline(wire: tuple[OpenPort, int]) -> None:
-    port, master = wire
-    ear = ArrivalTimer()
-    ear.begin()
+def test_without_anybody_who_asks_bytes_wait_for_the_deadline(
+    talking: tuple[SerialLink, int],
+) -> None:
+    link, master = talking
     os.write(master, b"late")
-    ear.wait(port, 0.01)
-    assert ear.pieces == []
-    assert ear.heard(port.read()) == b"late"
+    assert link.advance(0.01) == b"late"
+    assert link.arrivals == []
 
 
-@pytest.mark.xdist_group("serial")
-def test_a_port_that_cannot_be_waited_for_sleeps(wire: tuple[OpenPort, int]) -> None:
-    port, _ = wire
-    inner, port._port = port._port, object()  # as on Windows
-    assert port.wait(0.001) is False
-    port._port = inner
+def test_a_port_that_cannot_be_waited_for_sleeps() -> None:
+    assert not OpenPort(object(), "as on Windows").wait_for_bytes(0.001)
 
 
 @pytest.mark.xdist_group("serial")

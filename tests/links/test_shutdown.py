@@ -4,20 +4,41 @@ from __future__ import annotations
 
 import os
 import signal
+from pathlib import Path
 
+import numpy as np
 import psutil
 import pytest
 from nursery import ended, first_line, program
-from serial_tools import DRIVER, Emulated, wait_until
-from shutdown_tools import FOREVER, IN_BLOCK, assert_stopped, drives
+from serial_tools import BRIDGE, DRIVER, Emulated, wait_until
 from watchdog_tools import HASTY
 
 from acsar_gym.protocol import ZERO
+from acsar_gym.recording import read
 
 pytestmark = [
     pytest.mark.usefixtures("deadline", "nursery"),
     pytest.mark.xdist_group("serial"),
 ]
+
+
+IN_BLOCK = """
+with robot:
+    drive({ticks})
+    {end}
+"""
+
+FOREVER = 10**9
+
+
+def drives(emulator: Emulated) -> None:
+    wait_until(emulator.is_driven, "a command that turns the wheels")
+
+
+def assert_stopped(emulator: Emulated) -> None:
+    """Wheels turned, then a zero command came; the process is gone, so nothing follows it."""
+    wait_until(emulator.is_stopped, "zero as the last command")
+
 
 WITHOUT_BLOCK = """
 robot.activate()
@@ -121,12 +142,13 @@ def test_ctrl_z_stops_the_robot_until_it_is_reset(emulator: Emulated) -> None:
     assert_drove_once(emulator)
 
 
-CONTAINED = """
+CONTAINED = f"""
 import sys
-from acsar_gym.tools.doctor import stopping_programs
+sys.path.insert(0, {str(Path(__file__).parents[1])!r})
+import stopping
 
-print(stopping_programs.no_namespace() or "can be had", flush=True)
-stopping_programs._become_pid_1(1)
+print(stopping.no_namespace() or "can be had", flush=True)
+stopping.become_pid_1(1)
 """
 """What follows is PID 1 of a namespace, as in a container without an init."""
 
@@ -156,7 +178,7 @@ def test_pid_1_ends_too(number: signal.Signals, emulator: Emulated) -> None:
     assert_drove_once(emulator)
 
 
-THREAD = """
+DRIVING_THREAD = """
 import atexit, threading, time
 from acsar_gym.links import shutdown
 
@@ -175,7 +197,7 @@ thread.start()
 def test_a_thread_that_drives_is_stopped_by_signals(
     number: signal.Signals, emulator: Emulated
 ) -> None:
-    code = DRIVER + INSIST + THREAD + "thread.join()"
+    code = DRIVER + INSIST + DRIVING_THREAD + "thread.join()"
     with program(code, emulator.device) as process:
         drives(emulator)
         process.send_signal(number)
@@ -185,6 +207,351 @@ def test_a_thread_that_drives_is_stopped_by_signals(
 
 def test_a_thread_that_drives_is_stopped_when_the_main_thread_returns(emulator: Emulated) -> None:
     wait = "while robot.odometry.pose[0] < 0.02:\n    time.sleep(0.01)"
-    with program(DRIVER + INSIST + THREAD + wait, emulator.device) as process:
+    with program(DRIVER + INSIST + DRIVING_THREAD + wait, emulator.device) as process:
         assert ended(process) == (0, "")
     assert_drove_once(emulator)
+
+
+THREAD = """
+import threading, time
+
+def in_a_thread(work):
+    errors = []
+
+    def run():
+        try:
+            work()
+        except Exception as error:
+            errors.append(f"{type(error).__name__}: {error}")
+    thread = threading.Thread(target=run)
+    thread.start()
+    return thread, errors
+"""
+
+
+def test_a_thread_is_refused_until_the_main_thread_resets(emulator: Emulated) -> None:
+    """Whatever the program's own handler does: it had its time to end the thread."""
+    code = """
+signal.signal(signal.SIGINT, lambda *_: None)
+robot.activate()
+thread, errors = in_a_thread(lambda: drive(10**9))
+while robot.odometry.pose[0] < 0.02:
+    time.sleep(0.01)
+signal.raise_signal(signal.SIGINT)
+thread.join()
+again, too = in_a_thread(robot.activate)
+again.join()
+robot.activate()
+last, none = in_a_thread(lambda: drive(30))
+last.join()
+print(errors, too, none, sep="|", flush=True)
+"""
+    with program(DRIVER + THREAD + code, emulator.device) as process:
+        said = first_line(process).split("|")
+        assert ended(process) == (0, "")
+    refused = (
+        "['LinkError: SIGINT asked the program to end, and a thread drove on: "
+        "to go on, call activate() or env.reset() in the main thread']"
+    )
+    assert said == [refused, refused, "[]"]
+    assert_stopped(emulator)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, None], ids=["Ctrl-C", "exception"])
+def test_a_robot_that_only_a_thread_of_asyncio_knows_is_stopped(
+    number: signal.Signals | None, emulator: Emulated
+) -> None:
+    """The main thread doesn't end: it waits for the thread."""
+    code = """
+import asyncio
+
+def work():
+    exec(sys.argv[2], globals())
+    robot.activate()
+    try:
+        drive(10**9)
+    finally:
+        print("thread ends", flush=True)
+
+async def main():
+    thread = asyncio.create_task(asyncio.to_thread(work))
+    if sys.argv[3] == "None":
+        while "robot" not in globals() or robot.odometry.pose[0] < 0.02:
+            await asyncio.sleep(0.01)
+        raise RuntimeError
+    await thread
+
+asyncio.run(main())
+"""
+    start, robot = DRIVER.split("config = ", 1)
+    with program(start + code, emulator.device, f"config = {robot}", str(number)) as process:
+        drives(emulator)
+        if number is not None:
+            process.send_signal(number)
+        assert first_line(process) == "thread ends"
+        status, error = ended(process)
+    assert status == (1 if number is None else -signal.SIGINT)
+    assert ("RuntimeError" if number is None else "KeyboardInterrupt") in error
+    assert_stopped(emulator)
+
+
+def test_an_executor_s_thread_is_stopped_when_its_block_fails(emulator: Emulated) -> None:
+    """Not while the main thread waits at the block's end as planned."""
+    code = """
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+robot.activate()
+with ThreadPoolExecutor() as pool:
+    planned = pool.submit(drive, 30)
+planned.result()
+with ThreadPoolExecutor() as pool:
+    pool.submit(drive, 10**9)
+    time.sleep(0.1)
+    raise RuntimeError
+"""
+    with program(DRIVER + code, emulator.device) as process:
+        status, error = ended(process)
+    assert status == 1
+    assert error.endswith("RuntimeError\n")
+    assert_stopped(emulator)
+
+
+def test_the_main_thread_drives_on_after_a_handler_of_its_own(emulator: Emulated) -> None:
+    code = """
+signal.signal(signal.SIGTERM, lambda *_: None)
+robot.activate()
+drive(10)
+signal.raise_signal(signal.SIGTERM)
+drive(30)
+"""
+    with program(DRIVER + THREAD + code, emulator.device) as process:
+        assert ended(process) == (0, "")
+    assert_stopped(emulator)
+
+
+def test_other_signals_do_not_matter(emulator: Emulated) -> None:
+    """SIGHUP is one of them where the program handles it: servers read their settings again."""
+    code = """
+numbers = signal.SIGUSR1, signal.SIGCHLD, signal.SIGWINCH, signal.SIGHUP
+robot.activate()
+for number in numbers:
+    signal.signal(number, lambda *_: None)
+    signal.raise_signal(number)
+    thread, errors = in_a_thread(lambda: drive(20))
+    thread.join()
+    assert not errors, errors
+"""
+    with program(DRIVER + THREAD + code, emulator.device) as process:
+        assert ended(process) == (0, "")
+    assert_stopped(emulator)
+
+
+def test_signals_of_a_forked_child_are_its_own(emulator: Emulated) -> None:
+    code = """
+robot.activate()
+thread, errors = in_a_thread(lambda: drive(60))
+child = os.fork()
+if child == 0:
+    signal.signal(signal.SIGTERM, lambda *_: None)
+    signal.raise_signal(signal.SIGTERM)
+    os._exit(0)
+thread.join()
+assert os.waitpid(child, 0)[1] == 0
+assert not errors, errors
+"""
+    with program(DRIVER + THREAD + code, emulator.device) as process:
+        assert ended(process) == (0, "")
+    assert_stopped(emulator)
+
+
+LOOP = """
+import asyncio, signal
+loop = asyncio.new_event_loop()
+loop.add_signal_handler(signal.SIGTERM, loop.stop)
+"""
+
+
+@pytest.mark.parametrize("order", ["loop first", "link first"])
+def test_event_loops_get_their_signals(order: str, emulator: Emulated) -> None:
+    """Both want the one descriptor of `signal.set_wakeup_fd`."""
+    parts = [LOOP, DRIVER.replace("signal.SIGTERM, ", "")]
+    code = "".join(parts if order == "loop first" else parts[::-1])
+    code += """
+robot.activate()
+drive(30)
+robot.deactivate()
+print("stands", flush=True)
+loop.run_forever()
+loop.close()
+print("told", flush=True)
+"""
+    with program(code, emulator.device) as process:
+        assert first_line(process) == "stands"
+        process.terminate()
+        assert first_line(process) == "told"
+        assert ended(process) == (0, "")
+    assert_stopped(emulator)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_thread_that_ends_in_time_is_not_refused(
+    number: signal.Signals, emulator: Emulated
+) -> None:
+    """A program that ends in good order isn't disturbed."""
+    code = f"""
+done = threading.Event()
+signal.signal(signal.{number.name}, lambda *_: done.set())
+
+def drive_until_done():
+    while not done.is_set():
+        drive(1)
+    robot.deactivate()
+
+robot.activate()
+thread, errors = in_a_thread(drive_until_done)
+thread.join()
+assert not errors, errors
+"""
+    with program(DRIVER + THREAD + code, emulator.device) as process:
+        drives(emulator)
+        process.send_signal(number)
+        assert ended(process) == (0, "")
+    assert_stopped(emulator)
+
+
+UNWATCHED = "robot = Robot(open_link(sys.argv[1], config.with_(watchdog_timeout=None)), config)"
+
+FORK = """
+robot.activate()
+drive(30)
+child = os.fork()
+if child == 0:
+    {end}
+drive(30)
+while os.waitpid(child, os.WNOHANG) == (0, 0):
+    drive(1)
+drive(30)
+"""
+
+
+@pytest.mark.parametrize(
+    "end", ["sys.exit()", "os._exit(0)", "os.kill(os.getpid(), signal.SIGTERM)"]
+)
+def test_a_forked_child_ends_without_a_word(end: str, emulator: Emulated) -> None:
+    with program(DRIVER + FORK.format(end=end), emulator.device) as process:
+        assert ended(process) == (0, "")
+    assert_stopped(emulator)
+    driving = [command != ZERO for command in emulator.commands()]
+    first = driving.index(True)
+    assert all(driving[first : first + 90])
+
+
+@pytest.mark.parametrize(
+    "end",
+    [
+        "os._exit(0)",
+        "sys.exit()",
+    ],
+)
+def test_a_forked_child_leaves_the_socket_of_its_parent_alone(end: str, shared_device: str) -> None:
+    with program(BRIDGE, shared_device) as bridge:
+        url = f"socket://127.0.0.1:{first_line(bridge)}"
+        with program(DRIVER + FORK.format(end=end), url) as process:
+            assert ended(process) == (0, "")
+
+
+def test_a_recording_is_complete_when_a_signal_ends_the_program(
+    emulator: Emulated, tmp_path: Path
+) -> None:
+    tape = tmp_path / "tape.mcap"
+    recorder = """
+from acsar_gym.recording import Recorder
+robot = Robot(robot.link, config, recorder=Recorder(sys.argv[2]))
+"""
+    code = DRIVER + recorder + IN_BLOCK.format(ticks=FOREVER, end="pass")
+    with program(code, emulator.device, str(tape)) as process:
+        drives(emulator)
+        process.terminate()
+        assert ended(process) == (-signal.SIGTERM, "")
+    assert_stopped(emulator)
+    recording = read(tape)
+    assert not recording.cut
+    driven = sum(command != ZERO for command in emulator.commands())
+    _, sent = recording.episodes[0].wire.commands(recording.config)
+    assert driven - 1 <= np.count_nonzero(sent.any(axis=1)) <= driven
+
+
+def test_without_a_watchdog_the_boards_own_timeout_is_left(emulator: Emulated) -> None:
+    """SIGKILL leaves no time for a zero command; it shows that the tests above can fail."""
+    code = DRIVER + UNWATCHED + IN_BLOCK.format(ticks=FOREVER, end="pass")
+    with program(code, emulator.device) as process:
+        drives(emulator)
+        process.kill()
+        assert ended(process)[0] == -signal.SIGKILL
+    wait_until(emulator.stands, "a robot that stands")
+    assert emulator.is_driven()
+
+
+TWO_SIGNALS = """
+import contextlib, os, resource, signal, sys, time
+from acsar_gym.links import shutdown
+
+resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+class Link:
+    def held(self):
+        return contextlib.nullcontext()
+
+    def close(self):
+        pass
+
+    def abandon(self):
+        pass
+
+
+def interrupt_at(line):
+    lines = 0
+
+    def trace(frame, event, _):
+        nonlocal lines
+        if event == "line" and frame.f_code.co_filename.endswith(("shutdown.py", "threading.py")):
+            lines += 1
+            if lines == line:
+                sys.settrace(None)
+                signal.raise_signal(signal.SIGHUP)
+        return trace
+
+    return trace
+
+
+children = []
+for line in range(1, 17):
+    child = os.fork()
+    if child == 0:
+        link = Link()
+        for number in (signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, signal.SIG_DFL)
+        shutdown.close_at_exit(link)
+        sys.settrace(interrupt_at(line))
+        signal.raise_signal(signal.SIGTERM)
+        os._exit(0)
+    children.append(child)
+ended, deadline = set(), time.monotonic() + 10.0
+while len(ended) < len(children) and time.monotonic() < deadline:
+    for child in set(children) - ended:
+        done, status = os.waitpid(child, os.WNOHANG)
+        if done:
+            assert os.WIFSIGNALED(status)
+            ended.add(child)
+    time.sleep(0.01)
+for child in set(children) - ended:
+    os.kill(child, signal.SIGKILL)
+print(f"{len(ended)} of {len(children)} ended", flush=True)
+"""
+
+
+def test_a_second_signal_in_the_handler_of_the_first_one_ends_the_program_too() -> None:
+    with program(TWO_SIGNALS) as process:
+        assert first_line(process) == "16 of 16 ended"

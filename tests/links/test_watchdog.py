@@ -1,4 +1,4 @@
-"""The watchdog alone, on a pseudo-terminal."""
+"""The watchdog alone: what it does when, without processes, and on a pseudo-terminal."""
 
 from __future__ import annotations
 
@@ -8,30 +8,134 @@ import os
 import select
 import time
 import tty
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import psutil
 import pytest
 from nursery import first_line, program
 from serial_tools import DRIVER, no_leak, wait_until
-from watchdog_tools import HASTY, ZEROS
+from watchdog_tools import HASTY, TURNING, ZEROS
 
 from acsar_gym.errors import LinkError
 from acsar_gym.links import watchdog
 from acsar_gym.links.watchdog import Watchdog
 from acsar_gym.links.watchdog_child import (
+    BEAT,
     DEATH_ZEROS,
     HANG_ZEROS,
     PAGE_SIZE,
+    REPEAT_INTERVAL,
+    STOOD,
+    TRIPPED,
     ZERO_INTERVAL,
+    ProgramWatch,
+    SharedPort,
     boot_clock,
 )
-from acsar_gym.protocol import ZERO, encode
+from acsar_gym.protocol import ZERO, Decoder, encode
 
 pytestmark = [
     pytest.mark.usefixtures("deadline", "nursery"),
     pytest.mark.xdist_group("serial"),
 ]
+
+TIMEOUT_OF_DOG = 0.15
+
+
+# What it does when
+
+
+class Counting(SharedPort):
+    """Counts zero commands."""
+
+    def __init__(self) -> None:
+        self.zeros = 0
+
+    def stop_robot(self, wanted: Callable[[], bool] = lambda: True) -> bool:
+        self.zeros += wanted()
+        return True
+
+
+@pytest.fixture
+def port() -> Counting:
+    return Counting()
+
+
+@pytest.fixture
+def page() -> memoryview[float]:
+    return memoryview(bytearray(PAGE_SIZE)).cast("d")
+
+
+@pytest.fixture
+def check(port: Counting, page: memoryview[float]) -> Callable[[float], float]:
+    """Have it look at a time; returns when it looks again."""
+    return ProgramWatch(page, -1, os.getpid(), TIMEOUT_OF_DOG, port).check
+
+
+Check = Callable[[float], float]
+
+
+def test_it_looks_again_when_the_newest_sign_is_too_old(
+    check: Check, port: Counting, page: memoryview[float]
+) -> None:
+    page[BEAT] = 100.0
+    assert check(100.01) == 100.15
+    page[BEAT] = 100.14
+    assert check(100.15) == pytest.approx(100.29)
+    assert port.zeros == 0
+    assert check(100.29) == pytest.approx(100.34)
+    assert port.zeros == 1
+    assert page[TRIPPED] == pytest.approx(0.15)
+
+
+def test_a_gap_in_which_it_was_suspended_itself_trips_too(
+    check: Check, port: Counting, page: memoryview[float]
+) -> None:
+    """As where a container is paused, or the computer's lid is closed."""
+    page[BEAT] = 100.0
+    check(100.01)
+    check(105.0)
+    assert port.zeros == 1
+    assert page[TRIPPED] == pytest.approx(5.0)
+    page[BEAT] = 105.01
+    check(105.02)
+    assert page[TRIPPED], "until the reset"
+
+
+def test_a_gap_that_the_program_found_is_answered_with_zeros(
+    check: Check, port: Counting, page: memoryview[float]
+) -> None:
+    for gap in (3.0, 4.0):
+        port.zeros = 0
+        page[TRIPPED] = gap
+        for repeat in range(2 * HANG_ZEROS):
+            check(100.0 + repeat * REPEAT_INTERVAL)
+        assert port.zeros == HANG_ZEROS
+
+
+def test_zeros_are_repeated_only_while_the_program_says_nothing(
+    check: Check, port: Counting, page: memoryview[float]
+) -> None:
+    check(100.0)
+    assert port.zeros == 0
+    for milliseconds in range(0, 1000, 10):
+        now = 100.0 + 0.001 * milliseconds
+        if milliseconds < 500:  # the program itself commands zero
+            page[STOOD] = now
+        check(now)
+        assert milliseconds > 500 or not port.zeros
+    assert port.zeros == 5
+    page[BEAT] = 101.0
+    check(101.05)
+    assert port.zeros == 5
+
+
+def test_what_it_writes_is_whole_and_starts_with_a_line_end() -> None:
+    for cut in range(len(TURNING) + 1):
+        assert Decoder().feed(TURNING[:cut] + ZEROS)[-1].speeds == ZERO
+
+
+# On a pseudo-terminal
 
 
 @pytest.fixture
@@ -45,18 +149,26 @@ def wire() -> Iterator[tuple[int, int]]:
     os.close(slave)
 
 
+def watch(port: int, timeout: float = HASTY) -> tuple[Watchdog, int]:
+    """A watchdog that watches this process, and its PID."""
+    dog = Watchdog(ZEROS, timeout)
+    dog.start(port)
+    dog.wait_ready()
+    assert dog.pid is not None
+    return dog, dog.pid
+
+
 @pytest.fixture
 def dog(wire: tuple[int, int]) -> Iterator[Watchdog]:
     with no_leak():
-        dog = Watchdog(wire[1], ZEROS, HASTY)
-        dog.wait()
+        dog, pid = watch(wire[1])
         yield dog
         dog.close()
         dog.close()
-    assert not psutil.pid_exists(dog.pid)
+    assert not psutil.pid_exists(pid)
 
 
-def heard(descriptor: int, wait: float) -> bytes:
+def read_until_quiet(descriptor: int, wait: float) -> bytes:
     """What arrives until nothing has come for so long."""
     data = b""
     while select.select([descriptor], [], [], wait)[0]:
@@ -64,7 +176,7 @@ def heard(descriptor: int, wait: float) -> bytes:
     return data
 
 
-def heard_often(descriptor: int, times: int) -> bytes:
+def read_zeros(descriptor: int, times: int) -> bytes:
     """What arrives until there are so many zero commands."""
     data = b""
     while data.count(ZEROS) < times:
@@ -76,57 +188,57 @@ def test_it_trips_once_says_so_for_a_second_and_can_be_armed_again(
     wire: tuple[int, int], dog: Watchdog
 ) -> None:
     begin = time.monotonic()
-    dog.drive()
-    said = heard_often(wire[0], 1)
+    dog.allow_drive()
+    said = read_zeros(wire[0], 1)
     assert time.monotonic() - begin >= HASTY
-    assert dog.tripped
+    assert dog.has_tripped
     dog.beat()
     with pytest.raises(LinkError):
-        dog.drive()
-    said += heard_often(wire[0], HANG_ZEROS - 1)
-    assert said + heard(wire[0], 0.2) == ZEROS * HANG_ZEROS
+        dog.allow_drive()
+    said += read_zeros(wire[0], HANG_ZEROS - 1)
+    assert said + read_until_quiet(wire[0], 0.2) == ZEROS * HANG_ZEROS
     dog.rearm()
-    assert not dog.tripped
-    dog.drive()
-    assert heard_often(wire[0], 1)
+    assert not dog.has_tripped
+    dog.allow_drive()
+    assert read_zeros(wire[0], 1)
 
 
 def test_it_repeats_zeros_only_while_the_program_stands(
     wire: tuple[int, int], dog: Watchdog
 ) -> None:
-    dog.stand()
-    assert not heard(wire[0], 2 * ZERO_INTERVAL), "before the first reset, while the board starts"
+    dog.note_stop()
+    assert not read_until_quiet(wire[0], 2 * ZERO_INTERVAL), "before the first reset"
     dog.rearm()
-    assert set(heard_often(wire[0], 3).split(ZEROS)) == {b""}
+    assert set(read_zeros(wire[0], 3).split(ZEROS)) == {b""}
 
 
 def test_closing_is_silent(wire: tuple[int, int], dog: Watchdog) -> None:
-    dog.drive()
+    dog.allow_drive()
     dog.close()
-    assert not dog.alive
-    assert not dog.tripped
-    assert not heard(wire[0], 0.1)
+    assert not dog.is_alive
+    assert not dog.has_tripped
+    assert not read_until_quiet(wire[0], 0.1)
 
 
 def test_one_that_has_not_run_for_long_is_none(
-    dog: Watchdog, monkeypatch: pytest.MonkeyPatch
+    dog: Watchdog, page: memoryview[float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A machine that stood has held up the program too, and doesn't count."""
-    monkeypatch.setattr(dog, "_page", memoryview(bytearray(PAGE_SIZE)).cast("d"))  # nobody else's
+    monkeypatch.setattr(dog, "page", page)  # nobody else's
     now = 100.0
 
     def drive_until(end: float, step: float) -> None:
         nonlocal now
         while now < end:
             now += step
-            dog.drive()
+            dog.allow_drive()
 
     monkeypatch.setattr(watchdog, "boot_clock", lambda: now)
     drive_until(100.9, step=0.3)
-    with pytest.raises(LinkError, match=r"watchdog process hasn't run for 0\.2[0-9] s"):
+    with pytest.raises(LinkError, match=r"hasn't run for 0\.2[0-9] s"):
         drive_until(200.0, step=0.01)
     assert now < 101.3
-    assert not dog.alive, "it is replaced at the reset"
+    assert not dog.is_alive, "it is replaced at the reset"
     monkeypatch.undo()
 
 
@@ -134,15 +246,15 @@ def test_a_gap_that_the_program_finds_first_trips(
     wire: tuple[int, int], dog: Watchdog, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As where both were suspended, and the program goes on before the watchdog."""
-    dog.drive()
+    dog.allow_drive()
     later = boot_clock() + 3.0
     monkeypatch.setattr(watchdog, "boot_clock", lambda: later)
     dog.beat()
-    assert dog.tripped
-    with pytest.raises(LinkError, match=r"nothing was commanded for 30[0-9]{2} ms"):
-        dog.drive()
+    assert dog.has_tripped
+    with pytest.raises(LinkError, match=r"30[0-9]{2} ms"):
+        dog.allow_drive()
     monkeypatch.undo()
-    assert heard_often(wire[0], HANG_ZEROS)
+    assert read_zeros(wire[0], HANG_ZEROS)
 
 
 def test_it_makes_way_where_the_port_is_stuck(wire: tuple[int, int], dog: Watchdog) -> None:
@@ -150,42 +262,37 @@ def test_it_makes_way_where_the_port_is_stuck(wire: tuple[int, int], dog: Watchd
     with contextlib.suppress(BlockingIOError):
         while True:
             os.write(wire[1], b"x" * 4096)
-    dog.drive()
-    wait_until(lambda: dog.tripped, "a trip")
-    assert heard_often(wire[0], 1)
+    dog.allow_drive()
+    wait_until(lambda: dog.has_tripped, "a trip")
+    assert read_zeros(wire[0], 1)
 
 
-def test_a_lost_port_does_not_end_it(dog: Watchdog, wire: tuple[int, int]) -> None:
+def test_a_lost_port_does_not_end_it() -> None:
     other = os.open(os.devnull, os.O_RDONLY)
-    unwritable = Watchdog(other, ZEROS, 0.05)
-    unwritable.wait()
-    unwritable.drive()
-    wait_until(lambda: unwritable.tripped, "a trip")
-    assert unwritable.alive
+    unwritable, _ = watch(other, 0.05)
+    unwritable.allow_drive()
+    wait_until(lambda: unwritable.has_tripped, "a trip")
+    assert unwritable.is_alive
     unwritable.close()
     os.close(other)
-
-
-def test_it_insists_until_the_board_answers(wire: tuple[int, int]) -> None:
-    dog = Watchdog(wire[1], ZEROS, HASTY)
-    dog.wait()
-    dog.search("mine")
-    said = b""
-    while said.count(ZEROS) < 2 * DEATH_ZEROS:
-        said += os.read(wire[0], 4096)
-    os.write(wire[0], encode(ZERO))
-    wait_until(lambda: not psutil.pid_exists(dog.pid) or is_dead(dog.pid), "its end")
-    watchdog.end_searches("mine")
-    assert not psutil.pid_exists(dog.pid)
 
 
 def is_dead(process: int) -> bool:
     return psutil.Process(process).status() == psutil.STATUS_ZOMBIE
 
 
+def test_it_insists_until_the_board_answers(wire: tuple[int, int]) -> None:
+    dog, pid = watch(wire[1])
+    dog.search("mine")
+    read_zeros(wire[0], 2 * DEATH_ZEROS)
+    os.write(wire[0], encode(ZERO))
+    wait_until(lambda: not psutil.pid_exists(pid) or is_dead(pid), "its end")
+    watchdog.end_searches("mine")
+    assert not psutil.pid_exists(pid)
+
+
 def test_another_program_may_take_the_port_meanwhile(wire: tuple[int, int]) -> None:
-    dog = Watchdog(wire[1], ZEROS, HASTY)
-    dog.wait()
+    dog, pid = watch(wire[1])
     dog.search("mine")
     other = os.open(os.ttyname(wire[1]), os.O_RDWR | os.O_NOCTTY)
 
@@ -196,32 +303,29 @@ def test_another_program_may_take_the_port_meanwhile(wire: tuple[int, int]) -> N
         return False
 
     wait_until(is_mine, "the lock")
-    heard(wire[0], 0.01)
-    wait_until(lambda: is_dead(dog.pid), "its end")
-    assert ZEROS not in heard(wire[0], 0.1)
+    read_until_quiet(wire[0], 0.01)
+    wait_until(lambda: is_dead(pid), "its end")
+    assert ZEROS not in read_until_quiet(wire[0], 0.1)
     watchdog.end_searches("mine")
     os.close(other)
 
 
 def test_it_is_ahead_of_a_program_with_real_time_priority(shared_device: str) -> None:
     """Else a policy that never returns would keep it from the core."""
-    code = (
-        DRIVER
-        + """
+    code = """
 from acsar_gym import errors
-from acsar_gym.tools.doctor import host as realtime
+from acsar_gym.tools.doctor import host
 robot.activate()
 try:
-    realtime.prepare(priority=10)
+    host.prepare_realtime(priority=10)
 except errors.ConfigError:
     print("not allowed", flush=True)
     sys.exit()
 robot.deactivate()
 robot.activate()
-print(os.sched_getparam(robot.link._watch.watchdog.pid).sched_priority, flush=True)
+print(os.sched_getparam(robot.link.watchdog.pid).sched_priority, flush=True)
 """
-    )
-    with program(code, shared_device) as process:
+    with program(DRIVER + code, shared_device) as process:
         said = first_line(process)
     if said == "not allowed":
         pytest.skip("real-time priority isn't allowed here")

@@ -244,7 +244,7 @@ def test_lines_do_not_depend_on_threads_or_on_the_other_robots() -> None:
         ({"cut_lines": 0.1}, "vectorization_mode='sync'"),
         (Faults(stuck_encoders="a"), "stuck_encoders: a batch knows"),
         ({"droped_lines": 0.1}, "did you mean 'dropped_lines'"),
-        ({"dropped_lines": 1.1}, "must be a share"),
+        ({"dropped_lines": 1.1}, "dropped_lines = 1.1"),
         ({"late_lines": 0.1, "lateness": 50.0}, "lateness = 50: must be at most 19.3 s"),
     ],
 )

@@ -20,8 +20,6 @@ from acsar_gym.tools.cli.options import (
     Seconds,
     SpinArgs,
     SpinOptions,
-    StoppingArgs,
-    StoppingOptions,
     TimingArgs,
     TimingOptions,
     Worlds,
@@ -119,7 +117,6 @@ def _handle_signals(emulator: Emulator) -> list[int]:
 
 def examine_robot(
     timing: TimingArgs,
-    stopping: StoppingArgs,
     spinning: SpinArgs,
     host: HostArgs,
     device: Device = None,
@@ -131,7 +128,6 @@ def examine_robot(
 
     Args:
         timing: timing of the control loop.
-        stopping: stopping of an emulated robot.
         spinning: turning of the wheels, and recording.
         host: process priority and cores.
         device: serial device to examine; without it, ports are only listed.
@@ -148,8 +144,6 @@ def examine_robot(
     device = device or config.serial_port
     report.check_writable(json)
     host.prepare()
-    if stopping.stopping:
-        return _stopping(config, stopping, json)
     if timing.timing:
         return _timing(device, config, timing, json)
     return _checks(device, config, json, spinning)
@@ -209,17 +203,6 @@ def _commission(device: str | None, options: SpinOptions) -> Commission | None:
     asks = eyes is None and not options.yes
     countdown(f"the wheels of the robot on {device} will turn: lift it", yes=options.yes)
     return Commission(eyes=eyes, ask=ask_user if asks else None)
-
-
-def _stopping(config: RobotConfig, options: StoppingOptions, json: Path | None) -> int:
-    """Run --stopping; returns the exit code."""
-    from acsar_gym.tools.doctor import stopping  # noqa: PLC0415
-    from acsar_gym.tools.evaluation import report  # noqa: PLC0415
-
-    stops = stopping.measure_visibly(options.trials, options.kinds, config, options.board)
-    report.print_tables(stopping.table(stops))
-    report.write_json(json, stopping.as_json(stops))
-    return 0 if all(one.sound for one in stops) else 1
 
 
 def _timing(

@@ -253,20 +253,6 @@ class TimingOptions:
     """Duration of --timing [s]."""
 
 
-@dataclass(frozen=True)
-class StoppingOptions:
-    """Stopping of an emulated robot."""
-
-    stopping: bool = False
-    """Measure how soon an emulated robot is commanded to stop after faults of its program."""
-    trials: int = 100
-    """Trials of each kind of fault, for --stopping."""
-    kinds: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="KIND [KIND ...]")] = None
-    """Kinds of faults for --stopping, such as kill, stop, watchdog; default: all."""
-    board: str | None = None
-    """Command that --stopping emulates the board with; default: acsar-gym emulate."""
-
-
 def check_out(path: Path | None) -> None:
     """Check an --out before a robot drives; ConfigError where no robot can be written there."""
     from acsar_gym.config import files  # noqa: PLC0415
@@ -288,4 +274,3 @@ ScaleArgs = Annotated[ScaleOptions, _flat]
 BoardArgs = Annotated[BoardOptions, _flat]
 SpinArgs = Annotated[SpinOptions, _flat]
 TimingArgs = Annotated[TimingOptions, _flat]
-StoppingArgs = Annotated[StoppingOptions, _flat]

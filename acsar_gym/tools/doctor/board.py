@@ -1,14 +1,12 @@
-"""Listens to a board while it is commanded.
-
-Its feedback, which wheel answers to which letter, and how soon.
-"""
+"""Listens to a board while it is commanded: what it sends, which wheel answers, and how soon."""
 
 from __future__ import annotations
 
 import re
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from statistics import fmean, median, median_low
 from typing import NamedTuple
@@ -17,7 +15,7 @@ from acsar_gym.config import BITS_PER_BYTE, RobotConfig
 from acsar_gym.links.base import Link
 from acsar_gym.links.handshake import shown_bytes, silence_error, still_turning_error
 from acsar_gym.protocol import MOTORS, ZERO, Decoder, Speeds, encode_line, line_end
-from acsar_gym.tools.doctor.checks import Check
+from acsar_gym.tools.doctor.checks import Check, warn_if
 
 PROBE_POLL = 0.001
 """Resolution of the times [s]."""
@@ -74,10 +72,6 @@ class BoardProbe:
         self._counted = 0
         self._since = self._until = self._polled
 
-    def now(self) -> float:
-        """Return the link's time [s]."""
-        return self._link.now()
-
     def command(self, speeds: Speeds, order: str = MOTORS) -> None:
         """Send one command line.
 
@@ -85,43 +79,48 @@ class BoardProbe:
             speeds: of the letters a, b, c, d [rad/s].
             order: order of the letters in the line.
         """
-        line = encode_line(*speeds, b"")
-        parts = line.split(b",")
-        ordered = b",".join(parts[MOTORS.index(letter)] for letter in order)
-        ordered += line_end(trailing_comma=self.trailing_comma)
-        self.sent = self.now() + len(ordered) * self._byte_time
-        self._link.write(ordered)
+        parts = encode_line(*speeds, b"").split(b",")
+        line = b",".join(parts[MOTORS.index(letter)] for letter in order)
+        line += line_end(trailing_comma=self.trailing_comma)
+        self.sent = self._link.now() + len(line) * self._byte_time
+        self._link.write(line)
 
     def poll(self) -> list[FeedbackLine]:
-        """Let POLL pass, and return the lines that have arrived.
+        """Let PROBE_POLL pass, and return the lines that have arrived.
 
         Raises:
-            BoardSilentError: nothing valid has arrived for SILENT.
+            BoardSilentError: nothing valid has arrived for SILENCE_TIMEOUT.
             LinkError: the link is lost, or there was an emergency stop.
         """
         data = self._link.advance(PROBE_POLL)
-        now = self.now()
+        now = self._link.now()
         self._quiet += min(now - self._polled, LONGEST_STALL)
         self._polled = now
         if data and self._begin is None:
             self._begin = now
-        lines = [self._line(reading.over(self._speeds), now) for reading in self.decoder.feed(data)]
-        self._keep(data)
+        lines = []
+        for reading in self.decoder.feed(data):
+            self._speeds = reading.over(self._speeds)
+            lasted = len(self.raw[-1] if self.raw else b"") * self._byte_time
+            begin = min(now - lasted, now if self._begin is None else self._begin)
+            lines.append(FeedbackLine(now, begin, self._speeds))
+        if data:
+            *raw, self._partial = (self._partial + data).split(b"\n")
+            self.raw.extend(line[:200] for line in raw)
+            self._partial = self._partial[:200]
+            if raw:
+                self._begin = now if self._partial else None
         if lines:
-            self._count(len(lines), now)
+            if self._quiet > RESET_GAP:
+                self.gaps.append(self._quiet)
+                self._counted = 0
+            if not self._counted:
+                self._since = now
+            self._counted += len(lines) if self._counted else 1
+            self._quiet, self._until = 0.0, now
         elif self._quiet > SILENCE_TIMEOUT:
             raise silence_error(self._quiet, self.decoder)
         return lines
-
-    def _count(self, lines: int, now: float) -> None:
-        """Count lines; after a reset of the board anew."""
-        if self._quiet > RESET_GAP:
-            self.gaps.append(self._quiet)
-            self._counted = 0
-        if not self._counted:
-            self._since, lines = now, 1
-        self._quiet, self._until = 0.0, now
-        self._counted += lines
 
     @property
     def rate(self) -> float:
@@ -129,65 +128,57 @@ class BoardProbe:
         lasted = self._until - self._since
         return (self._counted - 1) / lasted if self._counted > 1 and lasted > 0.0 else 0.0
 
-    def _line(self, speeds: Speeds, now: float) -> FeedbackLine:
-        """Return a line that ends now."""
-        self._speeds = speeds
-        lasted = len(self.raw[-1] if self.raw else b"") * self._byte_time
-        begin = min(now - lasted, now if self._begin is None else self._begin)
-        return FeedbackLine(now, begin, speeds)
-
-    def _keep(self, data: bytes) -> None:
-        """Keep complete lines as they came, and when the first byte of the next one came."""
-        if not data:
-            return
-        *lines, self._partial = (self._partial + data).split(b"\n")
-        self.raw.extend(line[:200] for line in lines)
-        self._partial = self._partial[:200]
-        if lines:
-            self._begin = self.now() if self._partial else None
-
     def hear(
         self,
         speeds: Speeds | None,
-        enough: Callable[[FeedbackLine], bool],
+        enough: Callable[[list[FeedbackLine]], bool],
         patience: float,
         *,
         repeat: float = COMMAND_INTERVAL,
         order: str = MOTORS,
     ) -> list[FeedbackLine]:
-        """Command speeds again and again, and listen until a line is enough.
+        """Command speeds again and again, and listen until the lines are enough.
 
         Args:
             speeds: of the letters [rad/s]; None to send nothing.
-            enough: called with every line.
+            enough: called with all lines after each one.
             patience: longest time [s].
             repeat: time between commands [s].
             order: order of the letters in the line.
 
         Returns:
-            The lines; the last one was enough, unless patience ended.
+            The lines.
         """
-        begin = due = self.now()
+        begin = due = self._link.now()
         lines: list[FeedbackLine] = []
-        while (now := self.now()) - begin < patience:
+        while (now := self._link.now()) - begin < patience:
             if speeds is not None and now >= due:
                 self.command(speeds, order)
                 due = now + repeat
             for line in self.poll():
                 lines.append(line)
-                if enough(line):
+                if enough(lines):
                     return lines
         return lines
 
+    def listen(
+        self, lasting: float, speeds: Speeds | None = None, repeat: float = COMMAND_INTERVAL
+    ) -> list[FeedbackLine]:
+        """Listen for a while [s], commanding speeds as `hear` does; returns the lines."""
+        return self.hear(speeds, lambda _: False, lasting, repeat=repeat)
+
     def clear(self) -> None:
         """Take what has arrived before; nothing of it counts."""
-        self.pause(CLEAR_TIME)
+        self.listen(CLEAR_TIME)
         self._counted = 0
 
-    def pause(self, lasting: float) -> None:
-        """Listen to nothing in particular for a while [s]."""
-        self.hear(None, lambda _: False, lasting)
 
+def since(lines: Sequence[FeedbackLine], begin: float) -> list[FeedbackLine]:
+    """Return the lines that came after a time [s]."""
+    return [line for line in lines if line.stamp > begin]
+
+
+# What a standing board sends
 
 LISTEN_TIME = 2.0
 """Time during which feedback is counted [s]."""
@@ -198,44 +189,36 @@ RATE_ROUNDING = 0.03
 PADDED_LINE = re.compile(rb"(?:[abcd][pn][0-9]{2}\.[0-9]{2},?){1,4}\r?")
 
 
-def listen_standing(ear: BoardProbe, config: RobotConfig) -> list[FeedbackLine]:
-    """Command zero at the control rate for a while, and return what the board says meanwhile."""
-    ear.clear()
-    return ear.hear(ZERO, lambda _: False, LISTEN_TIME, repeat=config.period)
-
-
 def round_rate(measured: float) -> float:
     """Return the rate that a board was probably set to [Hz]."""
     usual = min(BOARD_RATES, key=lambda rate: abs(measured - rate))
     return float(usual) if abs(measured - usual) < RATE_ROUNDING * usual else round(measured, 1)
 
 
-def check_feedback(
-    ear: BoardProbe, lines: Sequence[FeedbackLine], config: RobotConfig
-) -> Iterator[Check]:
-    """Say what was found.
-
-    Args:
-        ear: has heard the board.
-        lines: of `listen`.
-        config: of the robot.
-    """
-    found, expected = ear.rate, config.feedback_rate
-    slow = found < 0.9 * expected
-    yield Check(
+def check_feedback(probe: BoardProbe, config: RobotConfig) -> Iterator[Check]:
+    """Command zero at the control rate for a while, and say what the board sends meanwhile."""
+    probe.clear()
+    lines = probe.listen(LISTEN_TIME, ZERO, repeat=config.period)
+    expected = config.feedback_rate
+    yield warn_if(
+        probe.rate < 0.9 * expected,
         "feedback rate",
-        "warn" if slow else "ok",
-        f"{found:.1f} lines/s, {expected:g} expected",
-        "set firmware.feedback_rate to what the board sends, or speed the board up" if slow else "",
+        f"{probe.rate:.1f} lines/s, {expected:g} expected",
+        "set firmware.feedback_rate to what the board sends, or speed the board up",
     )
-    yield _format(ear)
-    refused = sum(ear.decoder.refused.values())
-    sample = f", such as in {shown_bytes(ear.decoder.sample)}" if refused else ""
-    yield Check(
+    newest = probe.raw[-1] if probe.raw else b""
+    padded = PADDED_LINE.fullmatch(newest) is not None
+    numbers = "two digits and two decimals" if padded else "unpadded numbers, which are read"
+    comma = "with" if newest.rstrip().endswith(b",") else "without"
+    found = f"{numbers}, {comma} a trailing comma: {shown_bytes(newest.rstrip())}"
+    yield Check("line format", "ok", found)
+    refused = sum(probe.decoder.refused.values())
+    sample = f", such as in {shown_bytes(probe.decoder.sample)}" if refused else ""
+    yield warn_if(
+        refused > 0,
         "line quality",
-        "warn" if refused else "ok",
-        f"{refused} bad parts in {ear.decoder.lines} lines{sample}",
-        "check the cable, ground and baud rate" if refused else "",
+        f"{refused} bad parts in {probe.decoder.lines} lines{sample}",
+        "check the cable, ground and baud rate",
     )
     turning = [k for k in range(4) if lines and abs(median(x.speeds[k] for x in lines)) > 0.5]
     if turning:
@@ -246,19 +229,8 @@ def check_feedback(
             f"{letters}: feedback isn't zero while zero is commanded",
             "if that wheel stands, check its encoder; if it turns, what else commands the board",
         )
-    if ear.gaps:
-        yield report_resets(ear.gaps)
-
-
-def _format(ear: BoardProbe) -> Check:
-    """Say how the board writes its numbers."""
-    newest = ear.raw[-1] if ear.raw else b""
-    padded = PADDED_LINE.fullmatch(newest) is not None
-    comma = "with" if newest.rstrip().endswith(b",") else "without"
-    numbers = "two digits and two decimals" if padded else "unpadded numbers, which are read"
-    return Check(
-        "line format", "ok", f"{numbers}, {comma} a trailing comma: {shown_bytes(newest.rstrip())}"
-    )
+    if probe.gaps:
+        yield report_resets(probe.gaps)
 
 
 def report_resets(gaps: Sequence[float]) -> Check:
@@ -271,6 +243,8 @@ def report_resets(gaps: Sequence[float]) -> Check:
         "check its power supply, which motors may draw down, and its watchdog",
     )
 
+
+# One wheel after the other
 
 MOVING_SHARE = 0.4
 """A wheel that has this share of the commanded speed moves."""
@@ -335,132 +309,115 @@ class WheelAnswer:
     @property
     def is_right(self) -> bool:
         """Whether a wheel, if any, turned as fast as commanded, forward or backward."""
-        return not self.moving or (
-            LOWEST_RATIO <= abs(self.ratio) <= HIGHEST_RATIO and not self.stopped
-        )
+        in_range = LOWEST_RATIO <= abs(self.ratio) <= HIGHEST_RATIO
+        return not self.moving or (in_range and not self.stopped)
 
 
-def command_alone(letter: int, speed: float) -> Speeds:
-    """Return a command for one letter [rad/s]."""
-    a, b, c, d = (speed if number == letter else 0.0 for number in range(4))
+def command_letters(letters: Collection[int], speed: float) -> Speeds:
+    """Return a command for some letters, by their indices [rad/s]."""
+    a, b, c, d = (speed if number in letters else 0.0 for number in range(4))
     return a, b, c, d
 
 
-def stop_wheels(ear: BoardProbe, speed: float) -> None:
+def stop_wheels(probe: BoardProbe, speed: float) -> None:
     """Command zero until all wheels stand.
 
     Args:
-        ear: hears the board.
+        probe: hears the board.
         speed: at which wheels turn in these checks [rad/s].
 
     Raises:
         LinkError: a wheel keeps turning.
     """
-    lines: list[FeedbackLine] = []
 
-    def standing(line: FeedbackLine) -> bool:
-        lines.append(line)
+    def stands(lines: list[FeedbackLine]) -> bool:
         newest = lines[-AGREEING_LINES:]
-        return len(newest) == AGREEING_LINES and all(
-            max(map(abs, one.speeds)) < STANDING_SHARE * speed for one in newest
-        )
+        fastest = max(max(map(abs, one.speeds)) for one in newest)
+        return len(newest) == AGREEING_LINES and fastest < STANDING_SHARE * speed
 
-    heard = ear.hear(ZERO, standing, STOP_TIMEOUT)
+    heard = probe.hear(ZERO, stands, STOP_TIMEOUT)
     if not heard or max(map(abs, heard[-1].speeds)) >= STANDING_SHARE * speed:
         raise still_turning_error(STOP_TIMEOUT, heard[-1].speeds if heard else ZERO)
 
 
-def spin_wheel(ear: BoardProbe, letter: int, speed: float, order: str = MOTORS) -> WheelAnswer:
+def spin_wheel(probe: BoardProbe, letter: int, speed: float, order: str = MOTORS) -> WheelAnswer:
     """Turn the wheel of one letter until an encoder answers, and stop it.
 
     Args:
-        ear: hears the board.
+        probe: hears the board.
         letter: index of the letter.
         speed: to command [rad/s].
         order: order of the letters in the command line.
     """
-    command = command_alone(letter, speed)
-    lines: list[FeedbackLine] = []
+    command = command_letters((letter,), speed)
 
-    def moves(line: FeedbackLine) -> bool:
-        lines.append(line)
+    def moves(lines: list[FeedbackLine]) -> bool:
         newest = lines[-AGREEING_LINES:]
         return len(newest) == AGREEING_LINES and any(
             all(abs(one.speeds[k]) > MOVING_SHARE * speed for one in newest) for k in range(4)
         )
 
-    begun = ear.hear(command, moves, START_TIMEOUT, order=order)[-AGREEING_LINES:]
-    heard = ear.hear(command, _Steady(speed), SETTLING_TIMEOUT, order=order)
-    stop_wheels(ear, speed)
-    answer = _answer(letter, _newest(heard, SPEED_WINDOW) or lines[-1:], speed)
-    before = _answer(letter, begun, speed)
+    def is_steady(lines: list[FeedbackLine]) -> bool:
+        newest = since(lines, lines[-1].stamp - SPEED_WINDOW)
+        older = lines[: -len(newest)]
+        before = since(older, older[-1].stamp - SPEED_WINDOW) if older else []
+        if not before or before[-1].stamp - lines[0].stamp < SPEED_WINDOW:
+            return False
+        return all(
+            abs(now - then) < STEADY_SHARE * max(speed, abs(now))
+            for now, then in zip(_mean_speeds(newest), _mean_speeds(before), strict=True)
+        )
+
+    begun = probe.hear(command, moves, START_TIMEOUT, order=order)[-AGREEING_LINES:]
+    heard = probe.hear(command, is_steady, SETTLING_TIMEOUT, order=order)
+    stop_wheels(probe, speed)
+    newest = since(heard, heard[-1].stamp - SPEED_WINDOW) if heard else begun[-1:]
+    answer = _judge_answer(letter, newest, speed)
+    before = _judge_answer(letter, begun, speed)
     if not answer.moving and max(map(abs, before.speeds)) > MOVING_SHARE * speed:
         return replace(before, stopped=True)
     return answer
 
 
-class _Steady:
-    """Is true of the line from which on all speeds are steady."""
-
-    def __init__(self, speed: float) -> None:
-        self._speed = speed
-        self._lines: list[FeedbackLine] = []
-
-    def __call__(self, line: FeedbackLine) -> bool:
-        lines = self._lines
-        lines.append(line)
-        newest = _newest(lines, SPEED_WINDOW)
-        before = _newest(lines[: -len(newest)], SPEED_WINDOW)
-        if not before or before[-1].stamp - lines[0].stamp < SPEED_WINDOW:
-            return False
-        return all(
-            abs(now - then) < STEADY_SHARE * max(self._speed, abs(now))
-            for now, then in zip(_means(newest), _means(before), strict=True)
-        )
-
-
-def _newest(lines: Sequence[FeedbackLine], lasting: float) -> Sequence[FeedbackLine]:
-    """Return the lines of the last moments [s], at least one if there is one."""
-    return [line for line in lines if line.stamp > lines[-1].stamp - lasting]
-
-
-def _means(lines: Sequence[FeedbackLine]) -> Speeds:
+def _mean_speeds(lines: Sequence[FeedbackLine]) -> Speeds:
     """Return the mean speed of each letter [rad/s]."""
     a, b, c, d = (fmean(line.speeds[k] for line in lines) if lines else 0.0 for k in range(4))
     return a, b, c, d
 
 
-def _answer(letter: int, lines: Sequence[FeedbackLine], asked: float) -> WheelAnswer:
+def _judge_answer(letter: int, lines: Sequence[FeedbackLine], asked: float) -> WheelAnswer:
     """Return the answer that lines of feedback hold."""
-    speeds = _means(lines)
+    speeds = _mean_speeds(lines)
     least = max(FAINT_SHARE * asked, MOVING_SHARE * max(map(abs, speeds)))
     moving = [k for k in range(4) if abs(speeds[k]) > least]
     return WheelAnswer(letter, asked, speeds, tuple(sorted(moving, key=lambda k: -abs(speeds[k]))))
 
 
-def takes_last_value(ear: BoardProbe, letter: int, speed: float, *, comma: bool) -> bool:
+def takes_last_value(probe: BoardProbe, letter: int, speed: float, *, comma: bool) -> bool:
     """Return whether the board takes the last value of a line with, or without, a trailing comma.
 
     It gets one such line only: some boards take a value at the first comma of the next line.
 
     Args:
-        ear: hears the board; its `trailing_comma` is the same afterwards.
+        probe: hears the board; its `trailing_comma` is the same afterwards.
         letter: index of a letter whose wheel turns.
         speed: to command [rad/s].
         comma: whether the line has the trailing comma.
     """
+
+    def turns(lines: list[FeedbackLine]) -> bool:
+        return bool(lines) and max(map(abs, lines[-1].speeds)) > STANDING_SHARE * speed
+
     order = MOTORS.replace(MOTORS[letter], "") + MOTORS[letter]
-    usual, ear.trailing_comma = ear.trailing_comma, comma
-    ear.command(command_alone(letter, speed), order)
-    ear.trailing_comma = usual
-    lines = ear.hear(None, lambda line: _turns(line, speed), SINGLE_COMMAND_TIMEOUT)
-    stop_wheels(ear, speed)
-    return bool(lines) and _turns(lines[-1], speed)
+    usual, probe.trailing_comma = probe.trailing_comma, comma
+    probe.command(command_letters((letter,), speed), order)
+    probe.trailing_comma = usual
+    lines = probe.hear(None, turns, SINGLE_COMMAND_TIMEOUT)
+    stop_wheels(probe, speed)
+    return turns(lines)
 
 
-def _turns(line: FeedbackLine, speed: float) -> bool:
-    return max(map(abs, line.speeds)) > STANDING_SHARE * speed
-
+# All wheels together: from a command to its first effect, and the command time-out
 
 RESPONSE_TRIALS = 5
 """Commands whose first effect is timed, at different phases of the board's clock."""
@@ -480,174 +437,131 @@ FALL_LEVEL = 0.75
 """Falling speeds are compared at this share of the steady speed."""
 STEADY_MEAN = 0.02
 """A speed is steady where it changes by less than this share from one window to the next."""
-STEADY_WINDOW = 0.2
-"""Length of those windows [s]."""
 STEADY_TIMEOUT = 3.0
 """Longest wait for a steady speed, or for a time-out [s]."""
-
-
-@dataclass(frozen=True)
-class ResponseDelays:
-    """Times from a command's last byte to the first byte of the line that shows its effect [s].
-
-    Attributes:
-        shortest: without the wait for the next line.
-        longest: with all of it.
-    """
-
-    shortest: float
-    longest: float
-
-
-@dataclass(frozen=True)
-class CommandTimeout:
-    """How the wheels stop when commands stop.
-
-    Attributes:
-        after: the board's command time-out [s].
-        standing: when the wheels stand, counted from the newest command [s]; None if unseen.
-    """
-
-    after: float
-    standing: float | None
 
 
 class StepResponse:
     """Commands all letters that answer, and reads their mean speed.
 
     Args:
-        ear: hears the board.
+        probe: hears the board.
         motors: indices of the letters to command.
         encoders: indices of the letters that answer.
         speed: to command [rad/s].
     """
 
     def __init__(
-        self, ear: BoardProbe, motors: Iterable[int], encoders: Iterable[int], speed: float
+        self, probe: BoardProbe, motors: Collection[int], encoders: Collection[int], speed: float
     ) -> None:
-        letters = set(motors)
-        a, b, c, d = (speed if number in letters else 0.0 for number in range(4))
-        self._command: Speeds = (a, b, c, d)
-        self._encoders = tuple(encoders)
-        self._ear, self._speed = ear, speed
+        self._command = command_letters(motors, speed)
+        self._encoders = encoders
+        self._probe, self._speed = probe, speed
 
     def _mean(self, line: FeedbackLine) -> float:
         return fmean(abs(line.speeds[k]) for k in self._encoders)
 
-    def delays(self, rate: float) -> ResponseDelays | None:
+    def _exceeds(self, level: float, lines: Sequence[FeedbackLine]) -> bool:
+        return bool(lines) and self._mean(lines[-1]) > level
+
+    def measure_delays(self, rate: float) -> tuple[float, float] | None:
         """Time a few commands, the first one only to warm up.
 
         Args:
             rate: lines that the board sends per second [Hz].
 
         Returns:
-            The delays; None where a command had no effect.
+            Times from a command's last byte to the first byte of the line that shows its effect,
+            without the wait for the next line and with all of it [s]; None where a command had no
+            effect.
         """
-        ear, found = self._ear, []
+        probe, found = self._probe, []
+
+        def recent_noise(lines: list[FeedbackLine]) -> float:
+            newest = since(lines, lines[-1].stamp - QUIET_TIME) if lines else []
+            return max(map(self._mean, newest), default=0.0)
+
+        def is_quiet(lines: list[FeedbackLine]) -> bool:
+            lasted = lines[-1].stamp - lines[0].stamp
+            return lasted > QUIET_TIME and recent_noise(lines) < ZERO_SPEED
+
         for trial in range(RESPONSE_TRIALS + 1):
-            noise = self._quiet()
-            ear.hear(None, lambda _: True, EFFECT_TIMEOUT)
-            ear.pause(trial / (RESPONSE_TRIALS * rate))
-            delay = self._effect(max(ZERO_SPEED, 2.0 * noise))
-            if delay is None:
+            stop_wheels(probe, self._speed)
+            noise = recent_noise(probe.hear(ZERO, is_quiet, CALM_TIMEOUT))
+            probe.hear(None, lambda _: True, EFFECT_TIMEOUT)
+            probe.listen(trial / (RESPONSE_TRIALS * rate))
+            level = max(ZERO_SPEED, 2.0 * noise)
+            probe.command(self._command)
+            sent = probe.sent
+            shows = partial(self._exceeds, level)
+            lines = probe.hear(None, shows, EFFECT_TIMEOUT)
+            if not shows(lines):
                 return None
-            found.append(delay)
-        stop_wheels(ear, self._speed)
-        return _select_delays(found[1:], 1.0 / rate)
+            found.append(max(lines[-1].begin - sent, 0.0))
+        stop_wheels(probe, self._speed)
+        # Leave out wheels that still crept from an earlier command: all others lie in one period.
+        usual = median_low(found[1:])  # one of them, so that it is near itself
+        near = [delay for delay in found[1:] if abs(delay - usual) <= 1.0 / rate + DELAY_JITTER]
+        return min(near), max(near)
 
-    def _quiet(self) -> float:
-        """Wait until the encoders report nothing; returns the mean speed that remains [rad/s]."""
-        stop_wheels(self._ear, self._speed)
-        lines: list[FeedbackLine] = []
-
-        def quiet(line: FeedbackLine) -> bool:
-            lines.append(line)
-            newest = self._since(lines, line.stamp - QUIET_TIME)
-            return lines[0].stamp < line.stamp - QUIET_TIME and max(newest) < ZERO_SPEED
-
-        self._ear.hear(ZERO, quiet, CALM_TIMEOUT)
-        return max(self._since(lines, lines[-1].stamp - QUIET_TIME)) if lines else 0.0
-
-    def _effect(self, level: float) -> float | None:
-        """Send one command; return the time until the mean speed exceeds a level [s]."""
-        ear = self._ear
-        ear.command(self._command)
-        sent = ear.sent
-        lines = ear.hear(None, lambda line: self._mean(line) > level, EFFECT_TIMEOUT)
-        if not lines or self._mean(lines[-1]) <= level:
-            return None
-        return max(lines[-1].begin - sent, 0.0)
-
-    def time_out(self) -> CommandTimeout | None:
+    def measure_timeout(self) -> tuple[float, float | None] | None:
         """Let the wheels turn steadily, stop commanding, and compare with a commanded stop.
 
         Both falls have the same delay and the same shape, so their difference is the time-out.
 
         Returns:
-            The time-out; None where the wheels keep turning.
+            The board's command time-out, and when the wheels stand, counted from the newest command
+            [s], None if unseen; or None where the wheels keep turning.
         """
-        ear = self._ear
-        steady, newest = self._steady()
-        ear.command(ZERO)
-        stop = ear.sent
-        lines = ear.hear(ZERO, self._below(0.5 * steady), STEADY_TIMEOUT)
-        commanded = self._crossing([*newest, *lines], FALL_LEVEL * steady)
-        stop_wheels(ear, self._speed)
-        steady, newest = self._steady()
-        last = ear.sent
-        lines = ear.hear(None, self._below(STANDING_SHARE * self._speed), STEADY_TIMEOUT)
-        by_itself = self._crossing([*newest, *lines], FALL_LEVEL * steady)
-        stop_wheels(ear, self._speed)
-        if commanded is None or by_itself is None:
+        probe = self._probe
+        steady, newest = self._turn_steadily()
+        probe.command(ZERO)
+        stop = probe.sent
+        commanded = self._find_fall(newest, ZERO, 0.5 * steady, FALL_LEVEL * steady)[0]
+        stop_wheels(probe, self._speed)
+        steady, newest = self._turn_steadily()
+        last = probe.sent
+        standing = STANDING_SHARE * self._speed
+        by_itself, end = self._find_fall(newest, None, standing, FALL_LEVEL * steady)
+        stop_wheels(probe, self._speed)
+        if commanded is None or by_itself is None or end is None:
             return None
-        stood = self._mean(lines[-1]) < STANDING_SHARE * self._speed
         after = (by_itself - last) - (commanded - stop)
-        return CommandTimeout(max(after, 0.0), lines[-1].stamp - last if stood else None)
+        stood = self._mean(end) < standing
+        return max(after, 0.0), end.stamp - last if stood else None
 
-    def _below(self, level: float) -> Callable[[FeedbackLine], bool]:
-        """Return a condition on lines [rad/s]."""
-        return lambda line: self._mean(line) < level
-
-    def _steady(self) -> tuple[float, list[FeedbackLine]]:
+    def _turn_steadily(self) -> tuple[float, list[FeedbackLine]]:
         """Turn the wheels until their speed is steady; returns it [rad/s], and the newest line."""
-        lines: list[FeedbackLine] = []
 
-        def steady(line: FeedbackLine) -> bool:
-            lines.append(line)
-            newest = self._window(lines, line.stamp)
-            before = self._window(lines, line.stamp - STEADY_WINDOW)
-            if not newest or not before or lines[0].stamp > line.stamp - 2.0 * STEADY_WINDOW:
+        def window_mean(lines: list[FeedbackLine], end: float) -> float | None:
+            window = [self._mean(x) for x in lines if end - SPEED_WINDOW < x.stamp <= end]
+            return fmean(window) if window else None
+
+        def is_steady(lines: list[FeedbackLine]) -> bool:
+            end = lines[-1].stamp
+            now, before = window_mean(lines, end), window_mean(lines, end - SPEED_WINDOW)
+            if now is None or before is None or lines[0].stamp > end - 2.0 * SPEED_WINDOW:
                 return False
-            change = fmean(newest) - fmean(before)
-            return (
-                fmean(newest) > NOISE_SHARE * self._speed
-                and abs(change) < STEADY_MEAN * self._speed
-            )
+            moves = now > NOISE_SHARE * self._speed
+            return moves and abs(now - before) < STEADY_MEAN * self._speed
 
-        self._ear.hear(self._command, steady, STEADY_TIMEOUT)
-        speed = fmean(self._window(lines, lines[-1].stamp)) if lines else 0.0
-        return speed, lines[-1:]
+        lines = self._probe.hear(self._command, is_steady, STEADY_TIMEOUT)
+        speed = window_mean(lines, lines[-1].stamp) if lines else None
+        return speed or 0.0, lines[-1:]
 
-    def _since(self, lines: Sequence[FeedbackLine], begin: float) -> list[float]:
-        """Return the mean speeds of the lines since then [rad/s]."""
-        return [self._mean(line) for line in lines if line.stamp > begin]
+    def _find_fall(
+        self, newest: list[FeedbackLine], command: Speeds | None, end: float, level: float
+    ) -> tuple[float | None, FeedbackLine | None]:
+        """Listen until the mean speed is below `end` [rad/s].
 
-    def _window(self, lines: Sequence[FeedbackLine], end: float) -> list[float]:
-        """Return the mean speeds of the lines in a window that ends then [rad/s]."""
-        return [self._mean(one) for one in lines if end - STEADY_WINDOW < one.stamp <= end]
-
-    def _crossing(self, lines: Sequence[FeedbackLine], level: float) -> float | None:
-        """Return when the mean speed fell below a level, between two lines [s]."""
+        Returns:
+            When it fell below a level, between two lines [s], None if it didn't; and the last line.
+        """
+        heard = self._probe.hear(command, lambda x: self._mean(x[-1]) < end, STEADY_TIMEOUT)
+        lines = [*newest, *heard]
         for before, after in pairwise(lines):
             high, low = self._mean(before), self._mean(after)
             if low < level <= high:
                 share = (high - level) / (high - low)
-                return before.stamp + share * (after.stamp - before.stamp)
-        return None
-
-
-def _select_delays(found: Sequence[float], period: float) -> ResponseDelays:
-    """Leave out wheels that still crept from an earlier command: all others lie in one period."""
-    usual = median_low(found)  # one of them, so that it is near itself
-    near = [delay for delay in found if abs(delay - usual) <= period + DELAY_JITTER]
-    return ResponseDelays(min(near), max(near))
+                return before.stamp + share * (after.stamp - before.stamp), lines[-1]
+        return None, lines[-1] if lines else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -35,16 +36,18 @@ class Check:
     fix: str = ""
 
 
+def warn_if(bad: bool, name: str, found: str, fix: str) -> Check:
+    """Return a warning with what to do, or "ok" without it."""
+    return Check(name, "warn", found, fix) if bad else Check(name, "ok", found)
+
+
 def check_ports(device: str | None = None) -> Check:
     """List the serial ports of this computer; a warning if there is neither one nor a device."""
     found = [f"{port.device} ({port.description})" for port in find_ports()]
     if not found and device is not None:
-        return Check("serial ports", "ok", f"none but {device}")
-    if not found:
-        return Check(
-            "serial ports", "warn", "none found", "plug the board in; is its driver loaded?"
-        )
-    return Check("serial ports", "ok", ", ".join(found))
+        found = [f"none but {device}"]
+    advice = "plug the board in; is its driver loaded?"
+    return warn_if(not found, "serial ports", ", ".join(found) or "none found", advice)
 
 
 def check_estop() -> Check:
@@ -54,10 +57,10 @@ def check_estop() -> Check:
     faults = "; ".join(fault.found for fault in listener.faults)
     fixes = "; ".join(fault.fix for fault in listener.faults)
     listener.close()
-    if not folders:
-        return Check("emergency stop", "warn", f"'acsar-gym estop' won't be heard: {faults}", fixes)
     found = f"listens in {folders}" + (f"; not everywhere: {faults}" if faults else "")
-    return Check("emergency stop", "warn" if faults else "ok", found, fixes)
+    if not folders:
+        found = f"'acsar-gym estop' won't be heard: {faults}"
+    return warn_if(bool(faults) or not folders, "emergency stop", found, fixes)
 
 
 def checks_as_json(checks: list[Check]) -> dict[str, Any]:
@@ -65,9 +68,9 @@ def checks_as_json(checks: list[Check]) -> dict[str, Any]:
     return {"checks": [asdict(check) for check in checks]}
 
 
-def draw_checks(checks: list[Check]) -> Table:
+def draw_checks(checks: Sequence[Check], title: str = "acsar-gym doctor") -> Table:
     """Format results as a table."""
-    drawn = Table(title="acsar-gym doctor", title_justify="left")
+    drawn = Table(title=title, title_justify="left")
     for column in ("check", "", "found", "what to do"):
         drawn.add_column(column, overflow="fold")
     for check in checks:

@@ -9,9 +9,8 @@ from pathlib import Path
 
 from acsar_gym.config import BITS_PER_BYTE, LINE_BYTES, RobotConfig
 from acsar_gym.errors import BUSY_HINT, ConfigError
-from acsar_gym.tools.doctor.checks import Check
+from acsar_gym.tools.doctor.checks import Check, warn_if
 
-WITHOUT_REALTIME = "or run without --realtime"
 LIMITS_FILE = "/etc/security/limits.d/99-realtime.conf"
 BUSY_LOAD = 0.7
 """Load, as a share of the cores, above which the control loop may have to wait."""
@@ -36,35 +35,9 @@ def prepare_realtime(priority: int | None = None, cores: Sequence[int] | None = 
         ConfigError: it isn't allowed or possible.
     """
     if cores is not None:
-        _pin(cores)
-    if priority is not None:
-        _raise_priority(priority)
-
-
-def _pin(cores: Sequence[int]) -> None:
-    """Set the CPU affinity."""
-    if not hasattr(os, "sched_setaffinity"):
-        raise ConfigError("cores: this operating system can't pin a process; run without --cores")
-    before = os.sched_getaffinity(0)
-    try:
-        os.sched_setaffinity(0, cores)
-        missing = set(cores) - os.sched_getaffinity(0)
-    except (OSError, OverflowError, ValueError):  # ValueError: a negative number
-        missing = set(cores)
-    if missing or not cores:
-        os.sched_setaffinity(0, before)
-        raise ConfigError(
-            f"cores = {_listed(cores)}: this process may use {_listed(sorted(before))}; "
-            "name some of those, or run without --cores"
-        )
-
-
-def _listed(cores: Sequence[int]) -> str:
-    return ", ".join(map(str, cores)) or "none"
-
-
-def _raise_priority(priority: int) -> None:
-    """Set the SCHED_FIFO priority."""
+        _pin_to_cores(cores)
+    if priority is None:
+        return
     if not hasattr(os, "sched_setscheduler"):
         raise ConfigError(
             "real-time priority: this operating system has no SCHED_FIFO; run without --realtime"
@@ -77,25 +50,43 @@ def _raise_priority(priority: int) -> None:
         for allowed in (priority + 1, priority):
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(allowed))
     except OSError:
-        raise ConfigError(_not_allowed(priority)) from None
+        if os.geteuid() == 0:
+            why = (
+                "refused even to root, as in a container: start it with 'docker run --cap-add "
+                "SYS_NICE'"
+            )
+        else:
+            why = (
+                f"not allowed for this user: put the line '@realtime - rtprio "
+                f"{max(90, priority + 1)}' into {LIMITS_FILE}, then 'sudo groupadd -f realtime; "
+                "sudo usermod -aG realtime $USER' and log in again"
+            )
+        raise ConfigError(
+            f"real-time priority {priority}: {why}, or run without --realtime"
+        ) from None
 
 
-def _not_allowed(priority: int) -> str:
-    """Return the error message for a priority that isn't allowed."""
-    if os.geteuid() == 0:
-        return (
-            f"real-time priority {priority}: refused even to root, as in a container: start it "
-            f"with 'docker run --cap-add SYS_NICE', {WITHOUT_REALTIME}"
+def _pin_to_cores(cores: Sequence[int]) -> None:
+    if not hasattr(os, "sched_setaffinity"):
+        raise ConfigError("cores: this operating system can't pin a process; run without --cores")
+    before = os.sched_getaffinity(0)
+    try:
+        os.sched_setaffinity(0, cores)
+        missing = set(cores) - os.sched_getaffinity(0)
+    except (OSError, OverflowError, ValueError):  # ValueError: a negative number
+        missing = set(cores)
+    if missing or not cores:
+        os.sched_setaffinity(0, before)
+        asked, allowed = (", ".join(map(str, those)) or "none" for those in (cores, sorted(before)))
+        raise ConfigError(
+            f"cores = {asked}: this process may use {allowed}; name some of those, or run without "
+            "--cores"
         )
-    return (
-        f"real-time priority {priority}: not allowed for this user: put the line '@realtime - "
-        f"rtprio {max(90, priority + 1)}' into {LIMITS_FILE}, then 'sudo groupadd -f "
-        "realtime; sudo "
-        f"usermod -aG realtime $USER' and log in again, {WITHOUT_REALTIME}"
-    )
 
 
-def check_computer(device: str | None, config: RobotConfig, root: Path = Path("/")) -> list[Check]:
+def check_computer(
+    device: str | None, config: RobotConfig, root: Path = Path("/")
+) -> Iterator[Check]:
     """Check what in this computer, and between it and the device, delays ticks or feedback.
 
     Args:
@@ -104,116 +95,66 @@ def check_computer(device: str | None, config: RobotConfig, root: Path = Path("/
         config: configuration of the robot.
         root: folder with sys and proc.
 
-    Returns:
+    Yields:
         The results.
     """
-    return [
-        *_processor(root),
-        *(_way_to(device, root) if device and "://" not in device else ()),
-        _wire(config),
-    ]
-
-
-def _processor(root: Path) -> Iterator[Check]:
-    """Check kernel, frequency scaling and load."""
-    cores = _cores()
-    yield Check(
-        "cores",
-        "ok" if cores > 1 else "warn",
-        f"{cores}",
-        "" if cores > 1 else BUSY_HINT,
-    )
-    load = _read(root / "proc/loadavg").split(" ")[0]
-    busy = bool(load) and float(load) > BUSY_LOAD * cores
-    yield Check(
-        "load",
-        "warn" if busy else "ok" if load else "skip",
-        f"{load} of {cores}" if load else "not told here",
-        BUSY_HINT if busy else "",
-    )
-    files = sorted(root.glob("sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_governor"))
-    governors = sorted({_read(file) for file in files} - {""})
-    slow = any(governor != "performance" for governor in governors)
-    yield Check(
-        "CPU governor",
-        "warn" if slow else "ok" if governors else "skip",
-        ", ".join(governors) or "none here: the frequency is fixed, or a hypervisor's affair",
-        "sudo cpupower frequency-set -g performance" if slow else "",
-    )
-
-
-def _cores() -> int:
-    """Return the number of cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
-def _way_to(device: str, root: Path) -> Iterator[Check]:
-    """Check the USB adapter of a device."""
-    name = (root / device.lstrip("/")).resolve().name
-    yield _latency_timer(name, root)
-    yield _low_latency(device, root / "sys/class/tty" / name / "flags")
-    yield _hubs(root / "sys/class/tty" / name / "device")
-
-
-def _latency_timer(name: str, root: Path) -> Check:
-    """Check the latency timer of an FTDI adapter."""
-    file = f"sys/bus/usb-serial/devices/{name}/latency_timer"
-    delay = _read(root / file)
-    if not delay:
-        return Check("FTDI latency timer", "skip", "no such timer: not an FTDI adapter")
-    slow = delay != "1"
-    return Check(
-        "FTDI latency timer",
-        "warn" if slow else "ok",
-        f"{delay} ms: feedback waits up to so long",
-        f"echo 1 | sudo tee /{file}" if slow else "",
-    )
-
-
-def _low_latency(device: str, file: Path) -> Check:
-    """Check the low-latency flag of a serial driver."""
-    flags = _read(file)
-    if not flags:
-        return Check("low-latency mode", "skip", "this driver has none, or doesn't tell")
-    on = bool(int(flags, 16) & LOW_LATENCY_FLAG)
-    fix = "" if on else f"sudo setserial {device} low_latency"
-    return Check("low-latency mode", "ok" if on else "warn", "on" if on else "off", fix)
-
-
-def _hubs(link: Path) -> Check:
-    """Check for USB hubs between computer and adapter."""
-    ports = [part for part in link.resolve().parts if USB_PORT_NAME.fullmatch(part)]
-    if not ports:
-        return Check("USB hub", "skip", "not a USB device")
-    hubs = ports[-1].count(".")
-    return Check(
-        "USB hub",
-        "warn" if hubs > 1 else "ok",
-        ("straight into the computer", "one hub, maybe the computer's own")[hubs]
-        if hubs < 2
-        else f"{hubs} hubs in a row",
-        "plug it straight into the computer" if hubs > 1 else "",
-    )
-
-
-def _wire(config: RobotConfig) -> Check:
-    """Check the utilization of the serial line."""
-    line = LINE_BYTES + config.trailing_comma
-    lines = config.baud_rate / (BITS_PER_BYTE * line)
-    rates = f"{config.control_rate:g} commands and {config.feedback_rate:g} feedback lines"
-    tight = max(config.control_rate, config.feedback_rate) > TIGHT_LINE * lines
-    return Check(
+    has_affinity = hasattr(os, "sched_getaffinity")
+    cores = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1
+    yield warn_if(cores < 2, "cores", f"{cores}", BUSY_HINT)
+    if load := _read_text(root / "proc/loadavg").split(" ")[0]:
+        busy = float(load) > BUSY_LOAD * cores
+        yield warn_if(busy, "load", f"{load} of {cores}", BUSY_HINT)
+    else:
+        yield Check("load", "skip", "not told here")
+    files = root.glob("sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_governor")
+    if governors := sorted({_read_text(file) for file in files} - {""}):
+        slow = governors != ["performance"]
+        advice = "sudo cpupower frequency-set -g performance"
+        yield warn_if(slow, "CPU governor", ", ".join(governors), advice)
+    else:
+        none = "none here: the frequency is fixed, or a hypervisor's affair"
+        yield Check("CPU governor", "skip", none)
+    if device and "://" not in device:
+        yield from _check_adapter(device, root)
+    lines = config.baud_rate / (BITS_PER_BYTE * (LINE_BYTES + config.trailing_comma))
+    yield warn_if(
+        max(config.control_rate, config.feedback_rate) > TIGHT_LINE * lines,
         "baud rate",
-        "warn" if tight else "ok",
         f"{config.baud_rate} baud carries {int(lines)} lines/s each way, {1000.0 / lines:.1f} ms a "
-        f"line; {rates} are wanted",
-        "use a higher baud_rate, on the board too, or a lower rate" if tight else "",
+        f"line; {config.control_rate:g} commands and {config.feedback_rate:g} feedback lines are "
+        "wanted",
+        "use a higher baud_rate, on the board too, or a lower rate",
     )
 
 
-def _read(file: Path) -> str:
+def _check_adapter(device: str, root: Path) -> Iterator[Check]:
+    """Check the USB adapter of a device: latency timer, low-latency flag, and hubs on the way."""
+    name = (root / device.lstrip("/")).resolve().name
+    timer = f"sys/bus/usb-serial/devices/{name}/latency_timer"
+    if delay := _read_text(root / timer):
+        found = f"{delay} ms: feedback waits up to so long"
+        yield warn_if(delay != "1", "FTDI latency timer", found, f"echo 1 | sudo tee /{timer}")
+    else:
+        yield Check("FTDI latency timer", "skip", "no such timer: not an FTDI adapter")
+    if flags := _read_text(root / "sys/class/tty" / name / "flags"):
+        off = not int(flags, 16) & LOW_LATENCY_FLAG
+        advice = f"sudo setserial {device} low_latency"
+        yield warn_if(off, "low-latency mode", "off" if off else "on", advice)
+    else:
+        yield Check("low-latency mode", "skip", "this driver has none, or doesn't tell")
+    path = (root / "sys/class/tty" / name / "device").resolve()
+    ports = [part for part in path.parts if USB_PORT_NAME.fullmatch(part)]
+    if not ports:
+        yield Check("USB hub", "skip", "not a USB device")
+        return
+    hubs = ports[-1].count(".")
+    found = ("straight into the computer", "one hub, maybe the computer's own")[min(hubs, 1)]
+    many = hubs > 1
+    found = f"{hubs} hubs in a row" if many else found
+    yield warn_if(many, "USB hub", found, "plug it straight into the computer")
+
+
+def _read_text(file: Path) -> str:
     """Read a small file; empty if it doesn't exist."""
     try:
         return file.read_text(encoding="ascii").strip()

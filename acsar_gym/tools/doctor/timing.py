@@ -7,6 +7,7 @@ the ratio shows what the driver adds.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from bisect import bisect_left
@@ -31,11 +32,9 @@ from acsar_gym.safety.rules import Reason
 from acsar_gym.tasks import State
 from acsar_gym.tasks.base import new_memory
 from acsar_gym.tasks.goal import PointGoal
-from acsar_gym.tools.doctor import host as realtime
-from acsar_gym.tools.doctor.checks import STATUS_MARKS, Check
+from acsar_gym.tools.doctor.checks import Check, draw_checks, warn_if
+from acsar_gym.tools.doctor.host import check_computer
 from acsar_gym.tools.policies import OnnxPolicy, Policy
-
-# The report of `doctor --timing`.
 
 HISTOGRAM_EDGES = (2e-5, 5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1)
 """Upper edges of the histogram's bins [s]; the last bin has none."""
@@ -51,6 +50,15 @@ MAX_CPU_SHARE = 0.05
 MIN_LINE_SHARE = 0.99
 """Share of the expected feedback lines below which it warns."""
 
+BLOCK_TIME = 0.5
+"""Duration of a block of either loop [s]; feedback waits in the device's buffer meanwhile."""
+SHORTEST_BLOCK = 5
+"""Smallest number of ticks of a block."""
+LONGEST_MEASUREMENT = 86_400.0
+"""Longest measurement [s]."""
+DECISION_RATE = 10.0
+"""Approximate rate of the policy [Hz]."""
+
 
 @dataclass(frozen=True, slots=True)
 class TimingReport:
@@ -64,7 +72,7 @@ class TimingReport:
     bare: TickTiming
     """Lateness of the bare loop."""
     histogram: tuple[int, ...]
-    """Ticks per bin of EDGES, with one more bin above the last edge."""
+    """Ticks per bin of HISTOGRAM_EDGES, with one more bin above the last edge."""
     bare_histogram: tuple[int, ...]
     seconds: float
     """Time from the first to the last tick, with the blocks of the bare loop."""
@@ -96,82 +104,42 @@ class TimingReport:
     @property
     def figures(self) -> list[Check]:
         """Judge the measurement; round trips can't be measured without turning wheels."""
+        late, policy = self.lateness, self.policy_time
+        few = self.lines < MIN_LINE_SHARE * self.lines_expected - 2.0
+        thinking = f"policy {_ms(policy.p50)} a step" if policy else "no policy: no onnxruntime"
         return [
-            self._late(),
-            self._against_bare(),
-            self._feedback(),
-            self._age(),
-            self._processor(),
+            warn_if(
+                late.late_share > MAX_LATE_SHARE,
+                "late ticks",
+                f"{late.late_ticks} of {late.ticks} over 1 ms ({late.late_share:.2%}), "
+                f"{late.missed_ticks} missed",
+                f"{BUSY_HINT}; see the computer below",
+            ),
+            warn_if(
+                self.ratio > MAX_P99_RATIO,
+                "lateness",
+                f"{_describe_spread(late)}; p99 is {self.ratio:.2f} times a bare loop's",
+                "a policy that takes longer than a tick, or a blocking driver",
+            ),
+            warn_if(
+                few or self.refused > 0,
+                "feedback lines",
+                f"{self.lines} of {self.lines_expected:.0f} expected, {self.lost_lines} lost, "
+                f"{self.refused} bad parts",
+                "check the cable; is firmware.feedback_rate what the board sends?",
+            ),
+            Check("feedback age", "ok", _describe_spread(self.feedback_age)),
+            warn_if(
+                self.cpu_share > MAX_CPU_SHARE,
+                "processor",
+                f"{self.cpu_share:.1%} of a core; {thinking}",
+                "use a lower control_rate or a smaller policy",
+            ),
             Check("round trip", "skip", "needs turning wheels", "acsar-gym doctor DEVICE --spin"),
         ]
 
-    def _late(self) -> Check:
-        """Judge the share of late ticks."""
-        late = self.lateness
-        bad = late.late_share > MAX_LATE_SHARE
-        return Check(
-            "late ticks",
-            "warn" if bad else "ok",
-            f"{late.late_ticks} of {late.ticks} over 1 ms ({late.late_share:.2%}), "
-            f"{late.missed_ticks} missed",
-            f"{BUSY_HINT}; see the computer below" if bad else "",
-        )
-
-    def _against_bare(self) -> Check:
-        """Judge the lateness in comparison with the bare loop."""
-        bad = self.ratio > MAX_P99_RATIO
-        return Check(
-            "lateness",
-            "warn" if bad else "ok",
-            f"p50 {_ms(self.lateness.p50)}, p99 {_ms(self.lateness.p99)}, worst "
-            f"{_ms(self.lateness.worst)}; p99 is {self.ratio:.2f} times a bare loop's",
-            "a policy that takes longer than a tick, or a blocking driver" if bad else "",
-        )
-
-    def _feedback(self) -> Check:
-        """Judge the number of feedback lines."""
-        few = self.lines < MIN_LINE_SHARE * self.lines_expected - 2.0
-        return Check(
-            "feedback lines",
-            "warn" if few or self.refused else "ok",
-            f"{self.lines} of {self.lines_expected:.0f} expected, {self.lost_lines} lost, "
-            f"{self.refused} bad parts",
-            "check the cable; is firmware.feedback_rate what the board sends?"
-            if few or self.refused
-            else "",
-        )
-
-    def _age(self) -> Check:
-        """Report the age of the feedback."""
-        age = self.feedback_age
-        return Check(
-            "feedback age",
-            "ok",
-            f"p50 {_ms(age.p50)}, p99 {_ms(age.p99)}, worst {_ms(age.worst)}",
-        )
-
-    def _processor(self) -> Check:
-        """Judge the CPU time."""
-        bad = self.cpu_share > MAX_CPU_SHARE
-        policy = self.policy_time
-        thinking = f"policy {_ms(policy.p50)} a step" if policy else "no policy: no onnxruntime"
-        return Check(
-            "processor",
-            "warn" if bad else "ok",
-            f"{self.cpu_share:.1%} of a core; {thinking}",
-            "use a lower control_rate or a smaller policy" if bad else "",
-        )
-
     def tables(self) -> list[Table]:
         """Format histogram, figures and advice as tables."""
-        return [
-            self._drawn(),
-            _checks("the control loop", self.figures),
-            _checks("the computer", self.findings),
-        ]
-
-    def _drawn(self) -> Table:
-        """Format both histograms as a table."""
         title = f"lateness of {self.lateness.ticks} ticks at {self.rate:g} Hz over {self.device}"
         drawn = Table(title=title, title_justify="left", caption="Bars are logarithmic.")
         drawn.add_column("up to", justify="right")
@@ -180,16 +148,18 @@ class TimingReport:
             drawn.add_column(column, width=LONGEST_BAR)
         counts = list(zip(self.histogram, self.bare_histogram, strict=True))
         used = [number for number, pair in enumerate(counts) if any(pair)]
-        most = max(map(max, counts))
+        most = math.log1p(max(map(max, counts)))
         for number in range(used[0], used[-1] + 1):
-            edge = (
-                f"{HISTOGRAM_EDGES[number] * 1000.0:g} ms"
-                if number < len(HISTOGRAM_EDGES)
-                else "more"
-            )
-            own, bare = counts[number]
-            drawn.add_row(edge, f"{own}", _bar(own, most), f"{bare}", _bar(bare, most))
-        return drawn
+            last = number == len(HISTOGRAM_EDGES)
+            cells = ["more" if last else f"{HISTOGRAM_EDGES[number] * 1000.0:g} ms"]
+            for count in counts[number]:
+                cells += [f"{count}", "█" * math.ceil(LONGEST_BAR * math.log1p(count) / most)]
+            drawn.add_row(*cells)
+        return [
+            drawn,
+            draw_checks(self.figures, "the control loop"),
+            draw_checks(self.findings, "the computer"),
+        ]
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything for JSON."""
@@ -207,98 +177,8 @@ def _ms(seconds: float) -> str:
     return f"{seconds * 1000.0:.2f} ms"
 
 
-def _bar(count: int, most: int) -> str:
-    return "█" * math.ceil(LONGEST_BAR * math.log1p(count) / math.log1p(most))
-
-
-def _checks(title: str, checks: tuple[Check, ...] | list[Check]) -> Table:
-    """Format check results as a table."""
-    drawn = Table(title=title, title_justify="left")
-    for column in ("", "", "found", "what to change"):
-        drawn.add_column(column, overflow="fold")
-    for check in checks:
-        drawn.add_row(check.name, STATUS_MARKS[check.status], check.found, check.fix)
-    return drawn
-
-
-BLOCK_TIME = 0.5
-"""Duration of a block of either loop [s]; feedback waits in the device's buffer meanwhile."""
-LONGEST_MEASUREMENT = 86_400.0
-"""Longest measurement [s]."""
-SHORTEST_BLOCK = 5
-"""Smallest number of ticks of a block."""
-DECISION_RATE = 10.0
-"""Approximate rate of the policy [Hz]."""
-
-
-def examine_timing(device: str | None, config: RobotConfig, duration: float) -> TimingReport:
-    """Run `measure` with the packaged policy; ConfigError without a device."""
-    if device is None:
-        raise ConfigError("--timing needs a device, as in: acsar-gym doctor /dev/ttyUSB0 --timing")
-    return measure_timing(device, config, duration)
-
-
-def measure_timing(
-    device: str, config: RobotConfig, duration: float, policy: Policy | None = None
-) -> TimingReport:
-    """Measure the timing with zero commands; the wheels never turn.
-
-    Args:
-        device: the serial device.
-        config: configuration of the robot.
-        duration: time of the control loop [s]; the bare loop takes as long again.
-        policy: called ten times per second, its action isn't used; None for the packaged
-            point_goal, if onnxruntime is installed.
-
-    Raises:
-        LinkError: as Robot.activate and Robot.drive, and for an emergency stop.
-        ConfigError: `duration` isn't positive, or is longer than a day.
-    """
-    if not 0.0 < duration <= LONGEST_MEASUREMENT:
-        raise ConfigError(
-            f"duration = {show_value(duration)}: must be a positive number of seconds, at most "
-            f"{LONGEST_MEASUREMENT:,.0f}, a day"
-        )
-    link = _WakeUpLink(device, config)
-    loop = _ControlLoop(link, config, policy or _packaged())
-    bare = _Sleeps(config.period)
-    ticks = max(SHORTEST_BLOCK, round(BLOCK_TIME * config.control_rate))
-    with loop.robot:
-        loop.robot.drive(0.0, 0.0)
-        begin, start = link.woke, loop.robot.decoder.lines
-        for _ in range(math.ceil(duration * config.control_rate / ticks)):
-            bare.run(ticks)
-            loop.run(ticks)
-        return _report(loop, bare, link.woke - begin, start)
-
-
-def _report(loop: _ControlLoop, bare: _Sleeps, seconds: float, first_line: int) -> TimingReport:
-    """Build the report of both loops over `seconds`, counting lines from `first_line` on."""
-    config, decoder, device = loop.robot.config, loop.robot.decoder, loop.device
-    return TimingReport(
-        device=device,
-        rate=config.control_rate,
-        lateness=loop.record.lateness.summary(),
-        bare=bare.record.lateness.summary(),
-        histogram=tuple(loop.record.bars),
-        bare_histogram=tuple(bare.record.bars),
-        seconds=seconds,
-        lines=decoder.lines - first_line,
-        lines_expected=seconds * config.feedback_rate,
-        refused=sum(decoder.refused.values()),
-        feedback_age=loop.ages.spread(),
-        cpu_share=loop.processor / loop.seconds,
-        policy_time=loop.decision_times.spread() if loop.decision_times.count else None,
-        findings=tuple(realtime.check_computer(device, config)),
-    )
-
-
-def _packaged() -> Policy | None:
-    """Load the packaged policy, if onnxruntime is installed."""
-    try:
-        return OnnxPolicy("point_goal")
-    except MissingExtraError:
-        return None
+def _describe_spread(spread: TickTiming | DurationSpread) -> str:
+    return f"p50 {_ms(spread.p50)}, p99 {_ms(spread.p99)}, worst {_ms(spread.worst)}"
 
 
 class _WakeUpLink(SerialLink):
@@ -312,76 +192,107 @@ class _WakeUpLink(SerialLink):
         return super().read_now()
 
 
-class _Record:
-    """Lateness of the ticks of one loop, with a histogram."""
+class _TickRecord(LatenessHistogram):
+    """Lateness of the ticks of one loop, also as counts of bins."""
 
     def __init__(self, period: float) -> None:
-        self.lateness = LatenessHistogram(period)
-        self.bars = [0] * (len(HISTOGRAM_EDGES) + 1)
-        self._period = period
+        super().__init__(period)
+        self.bins = [0] * (len(HISTOGRAM_EDGES) + 1)
 
-    def add(self, woke: float, deadline: float) -> float:
+    def next_deadline(self, woke: float, deadline: float) -> float:
         """Count a tick; returns the next deadline, which restarts after a missed tick."""
         lateness = woke - deadline
-        self.lateness.add(lateness)
-        self.bars[bisect_left(HISTOGRAM_EDGES, lateness)] += 1
-        return (woke if lateness > self._period else deadline) + self._period
+        self.add(lateness)
+        self.bins[bisect_left(HISTOGRAM_EDGES, lateness)] += 1
+        return (woke if lateness > self.period else deadline) + self.period
 
 
-class _Sleeps:
-    """The bare loop, which only sleeps until absolute deadlines."""
+def examine_timing(
+    device: str | None, config: RobotConfig, duration: float, policy: Policy | None = None
+) -> TimingReport:
+    """Measure the timing with zero commands; the wheels never turn.
 
-    def __init__(self, period: float) -> None:
-        self.record = _Record(period)
-        self._period = period
+    Args:
+        device: the serial device.
+        config: configuration of the robot.
+        duration: time of the control loop [s]; the bare loop takes as long again.
+        policy: called ten times per second, its action isn't used; None for the packaged
+            point_goal, if onnxruntime is installed.
 
-    def run(self, ticks: int) -> None:
-        """Run a block of ticks."""
-        deadline = time.monotonic() + self._period
-        for _ in range(ticks):
-            time.sleep(max(0.0, deadline - time.monotonic()))
-            deadline = self.record.add(time.monotonic(), deadline)
+    Raises:
+        LinkError: as Robot.activate and Robot.drive, and for an emergency stop.
+        ConfigError: there is no device, or `duration` isn't positive, or is longer than a day.
+    """
+    if device is None:
+        raise ConfigError("--timing needs a device, as in: acsar-gym doctor /dev/ttyUSB0 --timing")
+    if not 0.0 < duration <= LONGEST_MEASUREMENT:
+        raise ConfigError(
+            f"duration = {show_value(duration)}: must be a positive number of seconds, at most "
+            f"{LONGEST_MEASUREMENT:,.0f}, a day"
+        )
+    link = _WakeUpLink(device, config)
+    robot = Robot(link, config)
+    own, bare = _TickRecord(config.period), _TickRecord(config.period)
+    ages, decision_times = DurationHistogram(), DurationHistogram()
+    if policy is None:
+        with contextlib.suppress(MissingExtraError):
+            policy = OnnxPolicy("point_goal")
+    decisions = _time_decisions(policy, robot) if policy else None
+    if decisions is not None:
+        next(decisions)  # the first one may compile, as a reset does in an episode
+    ticks = max(SHORTEST_BLOCK, round(BLOCK_TIME * config.control_rate))
+    ticks_per_step = max(1, round(config.control_rate / DECISION_RATE))
+    cpu_time = loop_time = 0.0
 
-
-class _ControlLoop:
-    """The control loop with a policy whose actions aren't used."""
-
-    def __init__(self, link: _WakeUpLink, config: RobotConfig, policy: Policy | None) -> None:
-        self.robot = Robot(link, config)
-        self.device = link.device
-        self.record = _Record(config.period)
-        self.ages, self.decision_times = DurationHistogram(), DurationHistogram()
-        self.processor = self.seconds = 0.0
-        self._link = link
-        self._period = config.period
-        self._policy = policy
-        self._decisions = _decisions(policy, self.robot) if policy else None
-        self._ticks_per_step = max(1, round(config.control_rate / DECISION_RATE))
-        if self._decisions is not None:
-            next(self._decisions)  # the first one may compile, as a reset does in an episode
-
-    def run(self, ticks: int) -> None:
-        """Run a block; its first tick isn't measured, as it reads the feedback of the bare loop."""
-        self._drive()
-        deadline = self._link.woke + self._period
-        begin, used = time.monotonic(), time.process_time()
-        for number in range(ticks):
-            if number % self._ticks_per_step == 0 and self._decisions is not None:
-                self.decision_times.add(next(self._decisions))
-            self._drive()
-            deadline = self.record.add(self._link.woke, deadline)
-            self.ages.add(self.robot.feedback_age)
-        self.processor += time.process_time() - used
-        self.seconds += time.monotonic() - begin
-
-    def _drive(self) -> None:
-        """Send a zero command; LinkError at an emergency stop."""
-        self.robot.drive(0.0, 0.0)
-        if self.robot.safety.reason is Reason.EMERGENCY_STOP:
+    def drive_zero() -> None:
+        robot.drive(0.0, 0.0)
+        if robot.safety.reason is Reason.EMERGENCY_STOP:
             raise LinkError("emergency stop", "start again when all is well")
 
+    with robot:
+        drive_zero()
+        start, first_line = link.woke, robot.decoder.lines
+        for _ in range(math.ceil(duration * config.control_rate / ticks)):
+            _sleep_through(ticks, bare)
+            drive_zero()  # not measured, as it reads the feedback of the bare loop
+            deadline = link.woke + config.period
+            begin, used = time.monotonic(), time.process_time()
+            for number in range(ticks):
+                if number % ticks_per_step == 0 and decisions is not None:
+                    decision_times.add(next(decisions))
+                drive_zero()
+                deadline = own.next_deadline(link.woke, deadline)
+                ages.add(robot.feedback_age)
+            cpu_time += time.process_time() - used
+            loop_time += time.monotonic() - begin
+        seconds = link.woke - start
+        return TimingReport(
+            device=device,
+            rate=config.control_rate,
+            lateness=own.summary(),
+            bare=bare.summary(),
+            histogram=tuple(own.bins),
+            bare_histogram=tuple(bare.bins),
+            seconds=seconds,
+            lines=robot.decoder.lines - first_line,
+            lines_expected=seconds * config.feedback_rate,
+            refused=sum(robot.decoder.refused.values()),
+            feedback_age=ages.spread(),
+            cpu_share=cpu_time / loop_time,
+            policy_time=decision_times.spread() if decision_times.count else None,
+            findings=tuple(check_computer(device, config)),
+        )
 
-def _decisions(policy: Policy, robot: Robot) -> Iterator[float]:
+
+def _sleep_through(ticks: int, record: _TickRecord) -> None:
+    """Run a block of the bare loop, which only sleeps until absolute deadlines."""
+    deadline = time.monotonic() + record.period
+    for _ in range(ticks):
+        time.sleep(max(0.0, deadline - time.monotonic()))
+        deadline = record.next_deadline(time.monotonic(), deadline)
+
+
+def _time_decisions(policy: Policy, robot: Robot) -> Iterator[float]:
     """Yield the duration of each decision of a policy, observation included [s]."""
     task, goal = PointGoal(), (2.0, 1.0)
     memory, action = new_memory(task), (0.0, 0.0)

@@ -20,8 +20,7 @@ from acsar_gym.links.serial import SerialLink
 from acsar_gym.protocol import ZERO, encode
 from acsar_gym.recording import Recorder
 from acsar_gym.safety.estop import StopListener
-from acsar_gym.tools.doctor import board
-from acsar_gym.tools.doctor.board import BoardProbe
+from acsar_gym.tools.doctor.board import BoardProbe, check_feedback
 from acsar_gym.tools.doctor.checks import Check
 from acsar_gym.tools.doctor.commission import Commission
 from acsar_gym.worlds import Scene
@@ -58,18 +57,30 @@ def at_baud_rate(config: RobotConfig, baud: int) -> RobotConfig:
 def search_baud_rate(device: str, config: RobotConfig) -> Check:
     """Try the other baud rates, fastest first, and say which one gives valid lines.
 
+    Nothing is commanded but zero.
+
     Args:
         device: the serial device, closed.
         config: of the robot, whose own rate gave none.
     """
-    for baud in sorted(BAUD_RATES, reverse=True):
-        if baud != config.baud_rate and _answers(device, config, baud):
-            return Check(
-                "baud rate",
-                "warn",
-                f"valid lines at {baud} baud",
-                f"use --baud-rate {baud}, and baud_rate: {baud} in the robot's file",
-            )
+    for baud in sorted(set(BAUD_RATES) - {config.baud_rate}, reverse=True):
+        timeout = min(BAUD_TIMEOUT, config.connect_timeout)
+        try:
+            link = SerialLink(device, at_baud_rate(config, baud).with_(connect_timeout=timeout))
+        except ConfigError:  # too slow for the feedback rate that the robot's file says
+            continue
+        try:
+            link.open()
+        except LinkError:
+            continue
+        finally:
+            link.close()
+        return Check(
+            "baud rate",
+            "warn",
+            f"valid lines at {baud} baud",
+            f"use --baud-rate {baud}, and baud_rate: {baud} in the robot's file",
+        )
     return Check(
         "baud rate",
         "fail",
@@ -77,24 +88,6 @@ def search_baud_rate(device: str, config: RobotConfig) -> Check:
         "look up in the board's program what it sends: it must be like ap12.50,bn08.75,cp15.00,"
         "dn10.25 with CR LF",
     )
-
-
-def _answers(device: str, config: RobotConfig, baud: int) -> bool:
-    """Whether a valid line arrives at a baud rate; nothing is commanded but zero."""
-    try:
-        tried = at_baud_rate(config, baud).with_(
-            connect_timeout=min(BAUD_TIMEOUT, config.connect_timeout)
-        )
-    except ConfigError:  # too slow for the feedback rate that the robot's file says
-        return False
-    link = SerialLink(device, tried)
-    try:
-        link.open()
-    except LinkError:
-        return False
-    finally:
-        link.close()
-    return True
 
 
 def examine_device(
@@ -117,49 +110,38 @@ def examine_device(
     Raises:
         EmergencyStopError: after the last result.
     """
-    link = record_link(_Stoppable(device, config), recorder, config)
+    link = record_link(StoppableLink(device, config), recorder, config)
     begin = time.monotonic()
+    is_open = False
     try:
-        failed = _failure_of_opening(link, recorder)
-        if failed is not None:
-            yield from _not_opened(link, failed, device, config)
-            return
+        link.open()
+        if recorder is not None:
+            link.reset(Scene())
+        is_open = True
         took = time.monotonic() - begin
         wire = f"{config.baud_rate} baud, {config.control_rate:g} commands/s"
         yield Check("open", "ok", f"{device}, {wire}, held exclusively")
         yield Check("first valid line", "ok", f"after {took:.2f} s")
         yield from examine_board(link, config, commission)
-    except LinkError as error:
+    except EmergencyStopError as error:
         yield Check("connection", "fail", error.found, error.fix)
-        if isinstance(error, EmergencyStopError):
-            raise
+        raise
+    except LinkError as error:
+        name = "first valid line" if isinstance(error, BoardSilentError) else "open"
+        garbled = isinstance(error, BoardGarbledError) and not is_open
+        yield Check(
+            "connection" if is_open else name,
+            "fail",
+            error.found,
+            "see the next row" if garbled else error.fix,
+        )
+        if garbled:
+            link.close()
+            yield search_baud_rate(device, config)
     finally:
         link.close()
         if recorder is not None:
             recorder.close()
-
-
-def _failure_of_opening(link: Link, recorder: Recorder | None) -> LinkError | None:
-    """Open the link; returns what failed. EmergencyStopError as it is."""
-    try:
-        link.open()
-        if recorder is not None:
-            link.reset(Scene())
-    except EmergencyStopError:
-        raise
-    except LinkError as error:
-        return error
-    return None
-
-
-def _not_opened(link: Link, error: LinkError, device: str, config: RobotConfig) -> Iterator[Check]:
-    """Say why a link can't be opened; look for the baud rate of a board that is garbled."""
-    name = "first valid line" if isinstance(error, BoardSilentError) else "open"
-    garbled = isinstance(error, BoardGarbledError)
-    yield Check(name, "fail", error.found, "see the next row" if garbled else error.fix)
-    if garbled:
-        link.close()
-        yield search_baud_rate(device, config)
 
 
 def examine_board(
@@ -170,21 +152,21 @@ def examine_board(
     Args:
         link: to the board, or to a simulated one.
         config: configuration of the robot.
-        commission: as for `examine`.
+        commission: as for `examine_device`.
 
     Raises:
         LinkError: the board is lost or silent, or its wheels keep turning.
     """
-    ear = BoardProbe(link, config)
-    lines = board.listen_standing(ear, config)
-    yield from board.check_feedback(ear, lines, config)
+    probe = BoardProbe(link, config)
+    yield from check_feedback(probe, config)
     if commission is None:
-        yield from _standing()
-    elif not ear.gaps:
-        yield from commission.run(ear, config)
+        for name in ("wiring", "command to feedback", "stops when commands stop"):
+            yield Check(name, "skip", "needs turning wheels", "lift the robot and add --spin")
+    elif not probe.gaps:
+        yield from commission.run(probe, config)
 
 
-class _Stoppable(SerialLink):
+class StoppableLink(SerialLink):
     """A link that obeys `acsar-gym estop`, as a Robot does.
 
     Its zero commands, and those of its watchdog, come without and with a trailing comma, as it
@@ -193,13 +175,13 @@ class _Stoppable(SerialLink):
 
     def __init__(self, device: str, config: RobotConfig) -> None:
         super().__init__(device, config, [encode(ZERO, trailing_comma=c) for c in (False, True)])
-        self._listener = StopListener(device, config.name)
+        self.listener = StopListener(device, config.name)
 
     def read_now(self) -> bytes:
         """Return what has arrived; LinkError at an emergency stop."""
-        if self._listener.is_requested():
+        if self.listener.is_requested():
             self.stop()
-            self._listener.confirm()
+            self.listener.confirm()
             raise EmergencyStopError
         return super().read_now()
 
@@ -208,10 +190,4 @@ class _Stoppable(SerialLink):
         try:
             super().close()
         finally:
-            self._listener.close()
-
-
-def _standing() -> Iterator[Check]:
-    """Name the checks that need turning wheels."""
-    for name in ("wiring", "command to feedback", "stops when commands stop"):
-        yield Check(name, "skip", "needs turning wheels", "lift the robot and add --spin")
+            self.listener.close()

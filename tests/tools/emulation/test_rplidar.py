@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from lds2d.drivers.rplidar import RPLIDAR_A1
 from lidar_tools import Floats, nothing, room
-from serial_tools import no_leak
 
 from acsar_gym.errors import ConfigError
 from acsar_gym.tools.emulation.rplidar import RplidarEmulator, RplidarTwin
@@ -248,10 +247,3 @@ def test_faults_are_silence_and_another_device() -> None:
             else:
                 assert os.read(port, 4096).startswith(expected)
             os.close(port)
-
-
-def test_closing_twice_is_once_and_leaves_nothing_open() -> None:
-    with no_leak():
-        emulator = RplidarEmulator(RplidarTwin(room))
-        emulator.close()
-        emulator.close()

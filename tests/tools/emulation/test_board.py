@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import select
-import signal
 import stat
 import termios
 import time
@@ -14,15 +13,12 @@ from pathlib import Path
 
 import pytest
 from serial_tools import (
-    HEEDING_CTRL_C,
     TIMEOUT,
     Emulated,
     RobotFile,
     StartEmulator,
     cli,
-    first_line,
     no_leak,
-    program,
     wait_until,
 )
 
@@ -174,15 +170,6 @@ def test_sigterm_ends_it_cleanly(own_emulator: Emulated) -> None:
     wait_until(lambda: len(own_emulator.poses()) > 10, "poses")
     assert own_emulator.end() == 0
     assert own_emulator.log.read_text(encoding="ascii").endswith("\n")
-
-
-def test_ctrl_c_ends_it() -> None:
-    with program(HEEDING_CTRL_C, "emulate") as process:
-        assert first_line(process).startswith("serving a robot on /dev/")
-        process.send_signal(signal.SIGINT)
-        _, error = process.communicate(timeout=TIMEOUT)
-    assert process.returncode == 130
-    assert "Traceback" not in error
 
 
 def test_a_duration_ends_it(tmp_path: Path) -> None:

@@ -1,7 +1,15 @@
-"""Driving programs and their faults, for `doctor --stopping`."""
+"""How soon wheels are commanded to stop after a fault of the driving program: `make stopping`.
+
+Three processes take part: the emulator, whose log holds the times of commands; the program, which
+drives at 100 Hz; and one that starts programs and causes faults. All use the same monotonic clock.
+The measured time is from the fault to the first zero command at the emulator, which polls every
+5 ms. While a cable is unplugged no command can arrive, so then it starts when the cable is plugged
+in again.
+"""
 
 from __future__ import annotations
 
+import argparse
 import asyncio
 import atexit
 import concurrent.futures
@@ -9,21 +17,33 @@ import contextlib
 import ctypes
 import errno
 import hashlib
+import math
 import os
 import pty
 import random
 import signal
+import statistics
+import subprocess
 import sys
+import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import IO
+
+from rich.console import Console
+from rich.table import Table
+from serial_tools import Emulated, start
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import AcsarError
 from acsar_gym.links import open_link
 from acsar_gym.links.serial import SerialLink
+from acsar_gym.protocol import ZERO, Decoder
 from acsar_gym.robot import Robot
+from acsar_gym.safety.estop import stop_all
 from acsar_gym.worlds import Scene
 
 KINDS = {
@@ -58,16 +78,17 @@ KINDS = {
     "pool": "the main thread raises; an executor's drives",
     "atexit": "sys.exit, slow atexit handler; a thread drives",
 }
-REPLUGGED = ("unplug", "reset")
+REPLUGGED = ("unplug", "reset", "estop-out")
+"""Kinds in which the cable is pulled and plugged in again."""
 CONTAINED = ("pid1-term", "pid1-hup")
 """Kinds that need a new PID namespace."""
 ESTOPPED = ("estop-out", "estop-resets")
 """Kinds that another process causes by an emergency stop."""
 CALLING = ("call-term", "call-hup", "call-quit", "call-int", "call-asyncio")
 """Kinds in which the main thread is in C code, so that it runs no signal handler."""
-ENDING = ("thread-end", "main-raises", "pool", "atexit")
+MAIN_ENDS = ("thread-end", "main-raises", "pool", "atexit")
 """Kinds in which the main thread ends."""
-THREADED = ("thread-term", "thread-hup", "to-thread", *CALLING, *ENDING)
+THREADED = ("thread-term", "thread-hup", "to-thread", *CALLING, *MAIN_ENDS)
 PAUSED = ("pause", "ctrl-z")
 """Kinds in which the program is suspended and continued; the fault is that it goes on."""
 SIGNALS = {
@@ -86,17 +107,22 @@ SIGNALS = {
     "to-thread": signal.SIGINT,
 }
 """Signals sent to the program, by kind."""
+LIMIT = 0.25
+"""Required time from fault to zero command [s]."""
+MAX_STARTS = 3
+"""Attempts per trial, as a program may end before its fault."""
+ZERO_TIMEOUT = 3.0
+"""Longest wait for a zero command [s]."""
+QUIET_TIME = 1.0
+"""Time after a zero command without other commands [s]; a reset takes half of it."""
+UNPLUGGED = (0.05, 0.5)
+"""Range of the random time for which a cable is unplugged [s]."""
 TICKS = 30
 """Ticks before the fault, at least."""
-JITTER = 0.02
+FAULT_JITTER = 0.02
 """Range of the random delay before a fault [s]; two ticks."""
-HANG = 5.0
-EPISODE = 40
+EPISODE_TICKS = 40
 """Ticks between two resets."""
-RETRY = 0.01
-"""Pause between two resets, which may fail at once [s]."""
-LIFE = 30.0
-"""Lifetime of a forked child [s]."""
 PAUSE = (1.0, 3.0)
 """Range of the random time for which a program is suspended [s]."""
 SLOW_EXIT = 3.0
@@ -105,15 +131,146 @@ CLONE_NEWUSER, CLONE_NEWPID, PR_SET_PDEATHSIG = 0x10000000, 0x20000000, 1
 """Constants of Linux that Python has since 3.12."""
 
 
+@dataclass(frozen=True, slots=True)
+class Stops:
+    """Times from one kind of fault to the zero command [s]; inf if none arrived."""
+
+    kind: str
+    times: tuple[float, ...]
+    skipped: str = ""
+    """Why this kind can't be tested on this computer; empty if it can."""
+
+    @property
+    def in_time(self) -> int:
+        """Number of trials within LIMIT."""
+        return sum(took <= LIMIT for took in self.times)
+
+    @property
+    def sound(self) -> bool:
+        """Whether all trials were within LIMIT."""
+        return self.in_time == len(self.times)
+
+
+def measure(
+    trials: int,
+    kinds: Sequence[str] = tuple(KINDS),
+    config: RobotConfig | None = None,
+    board: str | None = None,
+) -> Iterator[Stops]:
+    """Run trials of each kind of fault on an emulated robot, each with a new program.
+
+    `board` is the command of another program with the emulator's --log, --name, output and signals.
+    """
+    config = config or RobotConfig.of(None)
+    skipped = no_namespace() if set(kinds) & set(CONTAINED) else ""
+    with tempfile.TemporaryDirectory(prefix="acsar-stopping-") as folder:
+        name, robot = Path(folder, "robot"), Path(folder, "robot.yaml")
+        robot.write_text(config.model_dump_json(), encoding="utf-8")  # YAML contains JSON
+        options = ("--name", str(name), *(() if board else ("--robot", str(robot))))
+        emulated = start(Path(folder, "log.jsonl"), *options, board=board)
+        try:
+            with programs(str(name), config) as started:
+                for kind in kinds:
+                    if skipped and kind in CONTAINED:
+                        yield Stops(kind, (), skipped)
+                        continue
+                    times = [_time_stop(kind, started, emulated, name) for _ in range(trials)]
+                    yield Stops(kind, tuple(times))
+        finally:
+            emulated.end()
+
+
+def _time_stop(kind: str, program: Programs, board: Emulated, name: Path) -> float:
+    """Run one trial; returns the time from fault to zero command [s]."""
+    board.forget()
+    for _ in range(MAX_STARTS - 1):
+        try:
+            fault = program.fault(kind)
+            break
+        except AcsarError:
+            program.bury()
+    else:
+        fault = program.fault(kind)
+    if kind in REPLUGGED:
+        board.pull()
+        time.sleep(random.uniform(*UNPLUGGED))
+        if kind in ESTOPPED:
+            stop_all(str(name))
+        fault = time.monotonic()
+        board.plug()
+    elif kind in ESTOPPED:
+        fault = time.monotonic()
+        stop_all(str(name))
+    zero = math.inf
+    while time.monotonic() - min(zero, fault + ZERO_TIMEOUT) < QUIET_TIME:
+        time.sleep(0.02)
+        zero = _last_stop(board, fault)
+    program.bury()
+    return _last_stop(board, fault) - fault
+
+
+def _last_stop(board: Emulated, fault: float) -> float:
+    """When the first zero command came after the fault that no other command followed [s]."""
+    zero, decoder = math.inf, Decoder()
+    for event in board.events():
+        for reading in decoder.feed(event.get("rx", "").encode("latin-1")):
+            if event["t"] >= fault:
+                zero = min(zero, event["t"]) if reading.speeds == ZERO else math.inf
+    return zero
+
+
+class Programs:
+    """Starts driving programs and causes faults in them; client of `serve`."""
+
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        self._process = process
+
+    def fault(self, kind: str) -> float:
+        """Start a program, let it drive, and cause a fault; returns its time [s, monotonic clock].
+
+        Raises AcsarError where the program didn't drive.
+        """
+        answer = self._ask(kind)
+        try:
+            return float(answer)
+        except ValueError:
+            raise AcsarError(f"{kind}: the program didn't drive: {answer}") from None
+
+    def bury(self) -> None:
+        """End the program, if it still runs."""
+        self._ask("")
+
+    def _ask(self, line: str) -> str:
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write(f"{line}\n")
+        self._process.stdin.flush()
+        answer = self._process.stdout.readline().strip()
+        if not answer:
+            raise AcsarError("no programs any more: its own message says why")
+        return answer
+
+
+@contextlib.contextmanager
+def programs(device: str, config: RobotConfig) -> Iterator[Programs]:
+    """Run a process that starts programs and causes faults."""
+    command = [sys.executable, __file__, "--serve", device, config.model_dump_json()]
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
+    ) as process:
+        try:
+            yield Programs(process)
+        finally:  # it ends its program before itself
+            with contextlib.suppress(OSError, subprocess.TimeoutExpired):
+                process.communicate(timeout=ZERO_TIMEOUT)
+            process.kill()
+
+
 def serve(device: str, config: str) -> None:
     """Fork a program for each kind of fault read from stdin, and print the time of the fault.
 
     The fork has all modules imported already. From there on it behaves like a separate program,
     including the shutdown of the interpreter; so `_drive` may return or raise from here.
-
-    Args:
-        device: device of the emulator.
-        config: configuration of the robot, as JSON.
     """
     robot = RobotConfig.model_validate_json(config)
     for line in sys.stdin:
@@ -123,7 +280,7 @@ def serve(device: str, config: str) -> None:
         if program == 0:
             os.close(reader)
             if kind in CONTAINED:
-                _become_pid_1(writer)
+                become_pid_1(writer)
             _drive(device, robot, kind, writer)
             return
         os.close(writer)
@@ -131,13 +288,15 @@ def serve(device: str, config: str) -> None:
             with open(reader, encoding="ascii") as report:
                 print(_harm(kind, program, terminal, report), flush=True)
                 sys.stdin.readline()
-        finally:
-            _end(program)
+        finally:  # the program's children are in its session
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(program, signal.SIGKILL)
+            os.waitpid(program, 0)
         print("ended", flush=True)
 
 
 def no_namespace() -> str:
-    """Return why this process can't create a PID namespace; empty if it can."""
+    """Why this process can't create a PID namespace; empty if it can."""
     child = os.fork()
     if child == 0:
         os._exit(_unshare())
@@ -156,7 +315,7 @@ def _unshare() -> int:
         return errno.ENOSYS
 
 
-def _become_pid_1(writer: int) -> None:
+def become_pid_1(writer: int) -> None:
     """Continue as PID 1 of a new namespace; a process outside reports its outer PID."""
     os.setsid()
     _unshare()
@@ -177,9 +336,9 @@ def _harm(kind: str, program: int, terminal: int, report: IO[str]) -> str:
         program, first = int(first), report.readline().strip()
     if not first.startswith("drives"):
         return first or "it ended"
-    if kind in FAULTS or kind in ENDING:
+    if kind in OWN_FAULTS or kind in MAIN_ENDS:
         return report.readline().strip() or "it ended"
-    time.sleep(random.uniform(0.0, JITTER))
+    time.sleep(random.uniform(0.0, FAULT_JITTER))
     if kind in PAUSED:
         return repr(_pause(kind, program, int(first.removeprefix("drives "))))
     now = time.monotonic()
@@ -206,13 +365,6 @@ def _pause(kind: str, program: int, watchdog: int) -> float:
     return now
 
 
-def _end(program: int) -> None:
-    """Kill the program and its children, which are in its session."""
-    with contextlib.suppress(ProcessLookupError):
-        os.killpg(program, signal.SIGKILL)
-    os.waitpid(program, 0)
-
-
 def _drive(device: str, config: RobotConfig, kind: str, writer: int) -> None:
     """Run the driving program, which causes its own fault for some kinds."""
     if kind != "terminal":
@@ -221,8 +373,7 @@ def _drive(device: str, config: RobotConfig, kind: str, writer: int) -> None:
         signal.signal(number, signal.SIG_DFL)
     if SIGNALS.get(kind) == signal.SIGINT:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-    nowhere = os.open(os.devnull, os.O_RDWR)
-    os.dup2(nowhere, 2)
+    os.dup2(os.open(os.devnull, os.O_RDWR), 2)
     with open(writer, "w", buffering=1, encoding="ascii") as report:
         robot = Robot(open_link(device, config), config)
         if kind in THREADED:
@@ -242,18 +393,22 @@ def _drive_until_harmed(robot: Robot, kind: str, report: IO[str]) -> None:
     """Drive in the main thread until the fault."""
     robot.activate()
     if kind == "fork" and os.fork() == 0:
-        time.sleep(LIFE)
+        time.sleep(30.0)
         os._exit(0)
     _go(robot, TICKS)
     print("drives", _watchdog_of(robot), file=report)
     _go(robot, random.randrange(3))
-    if kind in FAULTS:
+    if kind in OWN_FAULTS:
         print(repr(time.monotonic()), file=report)
-        FAULTS[kind](robot)
+        OWN_FAULTS[kind](robot)
     if kind in CONTAINED:
         _insist(robot)
-    if kind in ESTOPPED:
-        _begin_episodes(robot)
+    while kind in ESTOPPED:  # as a training loop that nobody watches
+        with contextlib.suppress(AcsarError):
+            _go(robot, EPISODE_TICKS)
+        with contextlib.suppress(AcsarError):
+            robot.reset(Scene())
+        time.sleep(0.01)
     while True:
         _go(robot, 1)
 
@@ -288,8 +443,8 @@ def _drive_in_a_thread(robot: Robot, kind: str, report: IO[str]) -> None:
     wait()
     if kind in CALLING:
         _call_c()
-    elif kind in ENDING:
-        time.sleep(random.uniform(0.0, JITTER))
+    elif kind in MAIN_ENDS:
+        time.sleep(random.uniform(0.0, FAULT_JITTER))
         atexit.register(time.sleep, SLOW_EXIT if kind == "atexit" else 0.0)
         print(repr(time.monotonic()), file=report)
         if kind != "thread-end":
@@ -324,16 +479,6 @@ def _insist(robot: Robot) -> None:
             _go(robot, 1)
 
 
-def _begin_episodes(robot: Robot) -> None:
-    """Reset and drive in turns, whatever goes wrong, as a training loop that nobody watches."""
-    while True:
-        with contextlib.suppress(AcsarError):
-            _go(robot, EPISODE)
-        with contextlib.suppress(AcsarError):
-            robot.reset(Scene())
-        time.sleep(RETRY)
-
-
 def _go(robot: Robot, ticks: int) -> None:
     """Drive for some ticks."""
     for _ in range(ticks):
@@ -350,8 +495,8 @@ def _raise() -> None:
 
 
 def _watchdog_of(robot: Robot) -> int:
-    """Return the PID of the watchdog; 0 if there is none."""
-    return (robot.link.watchdog_pid or 0) if isinstance(robot.link, SerialLink) else 0
+    """The PID of the watchdog; 0 if there is none."""
+    return (robot.link.watchdog.pid or 0) if isinstance(robot.link, SerialLink) else 0
 
 
 def _suspend_watchdog(robot: Robot) -> None:
@@ -366,8 +511,8 @@ def _suspend_unseen(robot: Robot) -> None:
     _suspend_watchdog(robot)
 
 
-FAULTS: dict[str, Callable[[Robot], None]] = {
-    "hang": lambda _: time.sleep(HANG),
+OWN_FAULTS: dict[str, Callable[[Robot], None]] = {
+    "hang": lambda _: time.sleep(5.0),
     "busy": lambda _: _never_return(),
     "exception": lambda _: _raise(),
     "exit": lambda _: os._exit(1),
@@ -375,3 +520,35 @@ FAULTS: dict[str, Callable[[Robot], None]] = {
     "waitpid": _suspend_unseen,
 }
 """Faults that a policy causes in its own program, by kind."""
+
+
+def main() -> int:
+    """Exit code 0 where every zero command came in time."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--trials", type=int, default=40, help="of each kind of fault")
+    parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS), metavar="KIND")
+    parser.add_argument("--board", help="command that emulates the board; see `measure`")
+    options = parser.parse_args()
+    title = "from fault to zero command [ms]"
+    drawn = Table("fault", "min", "median", "max", f"within {LIMIT * 1000.0:.0f}", title=title)
+    for column in drawn.columns[1:]:
+        column.justify = "right"
+    sound = True
+    for stops in measure(options.trials, options.kinds, board=options.board):
+        sound = sound and stops.sound
+        cells = ["-", "-", "-", f"skipped: {stops.skipped}"]
+        if times := stops.times:
+            figures = (min(times), statistics.median(times), max(times))
+            cells = [f"{figure * 1000.0:.1f}" for figure in figures]
+            cells.append(f"{stops.in_time} of {len(times)}")
+        drawn.add_row(KINDS[stops.kind], *cells)
+        print(KINDS[stops.kind], *cells, sep="  ", file=sys.stderr)
+    Console().print(drawn)
+    return int(not sound)
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["--serve"]:
+        serve(*sys.argv[2:])
+    else:
+        sys.exit(main())

@@ -7,6 +7,7 @@ import signal
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from serial_tools import (
@@ -14,54 +15,27 @@ from serial_tools import (
     RobotFile,
     StartEmulator,
     cli,
-    first_line,
     no_leak,
     program,
     wait_until,
 )
 
 from acsar_gym import RobotConfig
-from acsar_gym.errors import EmergencyStopError
+from acsar_gym.errors import BoardGarbledError, ConfigError, EmergencyStopError
 from acsar_gym.protocol import ZERO, encode
 from acsar_gym.safety.estop import StopListener
-from acsar_gym.tools.cli import devices, main
-from acsar_gym.tools.cli.options import SpinOptions
+from acsar_gym.tools.cli import main
 from acsar_gym.tools.doctor import board, wire
+from acsar_gym.tools.doctor import checks as doctor_checks
 from acsar_gym.tools.doctor.checks import Check
 from acsar_gym.tools.doctor.commission import Commission
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
 MISSING = "/dev/acsar-missing"
+ACSAR = RobotConfig.preset("acsar")
 TIMED = {"feedback rate", "command to feedback"}
 """A busy machine may turn these to `warn`."""
-
-
-BOARD = """
-import os, pty, sys, time, tty
-from acsar_gym.protocol import Decoder, encode
-master, slave = pty.openpty()
-tty.setraw(slave)
-os.set_blocking(master, False)
-print(os.ttyname(slave), flush=True)
-decoder, speeds, heard = Decoder(), (0.0,) * 4, 0.0
-while True:
-    try:
-        for reading in decoder.feed(os.read(master, 4096)):
-            speeds, heard = reading.speeds, time.monotonic()
-    except BlockingIOError:
-        pass
-    if time.monotonic() - heard > 0.3:
-        speeds = (0.0,) * 4
-    line = encode((*speeds[:3], 0.0 if sys.argv[1] == "dead" else speeds[3]))
-    for half in (line[:20], line[20:]):
-        try:
-            os.write(master, half)
-        except BlockingIOError:
-            pass
-        time.sleep(0.005)
-"""
-"""A board that writes its lines in two halves, with or without a dead wheel d."""
 
 
 SPINS = """
@@ -69,7 +43,7 @@ import os, signal, sys
 from acsar_gym import RobotConfig
 from acsar_gym.tools.doctor import wire
 from acsar_gym.protocol import encode
-link = wire._Stoppable(sys.argv[1], RobotConfig())
+link = wire.StoppableLink(sys.argv[1], RobotConfig())
 link.open()
 for tick in range(100):
     link.write(encode((0.0, 0.0, 0.0, 6.0), trailing_comma=False))
@@ -84,15 +58,8 @@ def hurry(monkeypatch: pytest.MonkeyPatch) -> None:
     """Listen shorter than at the command line, and wait for what comes on a busy machine, too."""
     monkeypatch.setattr(board, "LISTEN_TIME", 0.2)
     monkeypatch.setattr(board, "RESPONSE_TRIALS", 2)
-    for module in (board,):
-        monkeypatch.setattr(module, "PATIENCE", TIMEOUT)
-
-
-@pytest.fixture
-def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is waited for never comes."""
-    for module in (board,):
-        monkeypatch.setattr(module, "PATIENCE", 1.0)
+    for name in ("START_TIMEOUT", "STEADY_TIMEOUT"):
+        monkeypatch.setattr(board, name, TIMEOUT)
 
 
 def examined(device: str, config: RobotConfig, *, spin: bool = False) -> dict[str, Check]:
@@ -159,28 +126,6 @@ def test_spin_measures_round_trip_and_stop(
     assert written.with_(firmware=robot.firmware.model_dump()) == robot
 
 
-@pytest.mark.slow  # as in simulated time, test_commission.py
-def test_spin_finds_a_board_that_never_stops(
-    config: RobotConfig, start_emulator: StartEmulator, robot_file: RobotFile, impatient: None
-) -> None:
-    emulator = start_emulator("--robot", str(robot_file(firmware={"command_timeout": None})))
-    stops = examined(emulator.device, config, spin=True)["stops when commands stop"]
-    assert stops.status == "fail"
-    assert "time-out" in stops.fix
-    wait_until(emulator.is_stopped, "zero as the last command")
-
-
-@pytest.mark.slow  # as in simulated time, test_commission.py
-def test_spin_finds_wheels_that_do_not_turn(
-    config: RobotConfig, start_emulator: StartEmulator, robot_file: RobotFile, impatient: None
-) -> None:
-    emulator = start_emulator("--robot", str(robot_file(motor={"deadband": 20.0})))
-    checks = examined(emulator.device, config, spin=True)
-    assert checks["command to feedback"].status == "fail"
-    assert "motors" in checks["command to feedback"].fix
-    assert "stops when commands stop" not in checks
-
-
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGTERM], ids=["kill", "term"])
 @pytest.mark.parametrize("quirk", ["no-comma", "at-comma"])
 def test_a_board_is_stopped_whichever_zeros_it_takes(
@@ -197,17 +142,17 @@ def test_a_board_is_stopped_whichever_zeros_it_takes(
 def test_a_check_that_fails_to_open_listens_no_more(
     config: RobotConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made: list[wire._Stoppable] = []  # so that no finalizer closes anything
+    made: list[wire.StoppableLink] = []  # so that no finalizer closes anything
 
-    class Kept(wire._Stoppable):
+    class Kept(wire.StoppableLink):
         def __init__(self, device: str, config: RobotConfig) -> None:
             super().__init__(device, config)
             made.append(self)
 
-    monkeypatch.setattr(wire, "_Stoppable", Kept)
+    monkeypatch.setattr(wire, "StoppableLink", Kept)
     (check,) = wire.examine_device(MISSING, config)
     assert (check.name, check.status) == ("open", "fail")
-    assert made[0]._listener.paths == []
+    assert made[0].listener.paths == []
 
 
 def test_slow_feedback_is_a_warning(
@@ -271,9 +216,10 @@ def test_an_emergency_stop_ends_with_its_exit_code(
 
     monkeypatch.setattr(wire, "examine_device", examine)
     report = tmp_path / "doctor.json"
-    with pytest.raises(EmergencyStopError) as ended:
-        devices._checks("/dev/ttyUSB7", RobotConfig(), report, SpinOptions())
-    assert ended.value.exit_code == 3
+    monkeypatch.setattr("sys.argv", ["acsar-gym", "doctor", "/dev/ttyUSB7", "--json", str(report)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 3
     assert reported(report)["connection"]["found"] == "emergency stop"
 
 
@@ -320,15 +266,59 @@ def test_bad_options(arguments: tuple[str, ...], said: str) -> None:
     assert said in done.stderr
 
 
-@pytest.mark.slow  # as in simulated time, test_commission.py
-@pytest.mark.parametrize("wheel", ["dead", "sound"])
-def test_one_dead_wheel_is_found(
-    config: RobotConfig, wheel: str, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("baud", "rate"), [(9600, 20.0), (19200, 50.0), (38400, 100.0)])
+def test_a_slow_line_lowers_the_control_rate(baud: int, rate: float) -> None:
+    robot = wire.at_baud_rate(ACSAR, baud)
+    assert (robot.baud_rate, robot.control_rate) == (baud, rate)
+
+
+@pytest.mark.parametrize("baud", [57601, 12345])
+def test_rates_that_no_board_uses_are_named(baud: int) -> None:
+    with pytest.raises(ConfigError, match="must be one of 9600"):
+        wire.at_baud_rate(ACSAR, baud)
+
+
+def test_a_line_that_is_too_slow_for_the_feedback_is_refused() -> None:
+    with pytest.raises(ConfigError, match="baud_rate = 9600"):
+        wire.at_baud_rate(ACSAR.with_(firmware={"feedback_rate": 50.0}), 9600)
+
+
+def test_a_board_of_another_language(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried: list[int] = []
+
+    class Garbled:
+        def __init__(self, device: str, config: RobotConfig) -> None:
+            tried.append(config.baud_rate)
+
+        def open(self) -> None:
+            raise BoardGarbledError("no valid line")
+
+        def close(self) -> None:
+            pass
+
+    monkeypatch.setattr(wire, "SerialLink", Garbled)
+    check = wire.search_baud_rate("/dev/ttyUSB0", ACSAR)
+    assert check.status == "fail"
+    assert tried == [57600, 38400, 19200, 9600]
+
+
+@pytest.mark.parametrize(
+    ("measured", "rate"),
+    [(50.1, 50.0), (48.9, 50.0), (99.3, 100.0), (10.2, 10.0), (44.04, 44.0), (33.33, 33.3)],
+)
+def test_a_rate_close_to_a_usual_one_is_that_one(measured: float, rate: float) -> None:
+    assert board.round_rate(measured) == rate
+
+
+def test_the_table_holds_every_check() -> None:
+    found = [Check(status, status, "found", "fix") for status in doctor_checks.STATUS_MARKS]
+    figures: dict[str, Any] = doctor_checks.checks_as_json(found)
+    assert doctor_checks.draw_checks(found).row_count == len(figures["checks"]) == 4
+
+
+def test_a_computer_without_ports_is_a_warning_unless_a_device_is_given(
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    if wheel == "dead":
-        monkeypatch.setattr(board, "START_TIMEOUT", 1.0)
-    with program(BOARD, wheel) as started:
-        checks = examined(first_line(started), config, spin=True)
-    assert (checks["rear_right"].status == "fail") == (wheel == "dead")
-    assert checks["rear_left"].status == "ok"
-    assert checks["line quality"].status == "ok"
+    monkeypatch.setattr(doctor_checks, "find_ports", list)
+    assert doctor_checks.check_ports().status == "warn"
+    assert doctor_checks.check_ports("/dev/pts/7").status == "ok"

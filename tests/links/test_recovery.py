@@ -1,0 +1,590 @@
+"""A cable that is pulled at any moment: links, robots and environments on this side of it."""
+
+from __future__ import annotations
+
+import fcntl
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import psutil
+import pytest
+import yaml
+from nursery import first_line, program
+from serial_tools import DRIVER, TIMEOUT, Emulated, StartEmulator, no_leak, start, wait_until
+
+from acsar_gym import Robot, RobotConfig, open_link
+from acsar_gym.envs.base import RobotEnv
+from acsar_gym.errors import (
+    BoardSilentError,
+    CommandError,
+    LinkError,
+    LinkLostError,
+    PortNotFoundError,
+)
+from acsar_gym.links import ports, watchdog
+from acsar_gym.links.serial import SerialLink
+from acsar_gym.protocol import ZERO, Decoder, encode
+from acsar_gym.worlds import Scene
+
+pytestmark = [
+    pytest.mark.usefixtures("deadline", "nursery"),
+    pytest.mark.xdist_group("serial"),
+]
+
+
+CURVE = np.array([0.1, 0.1], np.float32)
+
+Step = tuple[Any, float, bool, bool, dict[str, Any]]
+
+
+def name(emulator: Emulated) -> str:
+    return str(emulator.log.with_name("usb-acsar"))
+
+
+def made(emulator: Emulated, config: RobotConfig, **options: Any) -> Any:
+    options = {"max_episode_steps": 10**6} | options
+    device = name(emulator)
+    return gymnasium.make("acsar_gym/PointGoal-v0", link=device, robot=config, **options)
+
+
+def robot_of(env: Any) -> Robot:
+    assert isinstance(env.unwrapped, RobotEnv)
+    return env.unwrapped.robot
+
+
+def step_until_fault(env: Any) -> Step:
+    """The step that a fault ends."""
+    for _ in range(200):
+        result: Step = env.step(CURVE)
+        if result[3]:
+            return result
+    raise AssertionError("no fault")
+
+
+def drives(emulator: Emulated) -> None:
+    wait_until(emulator.is_driven, "a command that turns the wheels")
+
+
+def spoken(emulator: Emulated) -> set[Any]:
+    """The commands since the cable was plugged in."""
+    return {reading.speeds for reading in Decoder().feed(emulator.since_plugged())}
+
+
+@pytest.fixture(scope="module")
+def board(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Emulated]:
+    """It stops soon without commands, so that the next test needn't wait for it."""
+    folder = tmp_path_factory.mktemp("board")
+    hasty = RobotConfig.preset("acsar").with_(firmware={"command_timeout": 0.1})
+    robot = folder / "robot.yaml"
+    robot.write_text(yaml.safe_dump(hasty.model_dump()), encoding="utf-8")
+    options = "--name", str(folder / "usb-acsar"), "--robot", str(robot)
+    emulated = start(folder / "emulator.jsonl", *options)
+    yield emulated
+    emulated.end()
+
+
+@pytest.fixture
+def plugged(board: Emulated) -> Iterator[Emulated]:
+    """A robot that is plugged in, with a lasting name."""
+    board.plug()
+    yield board
+    board.resume()
+    watchdog.end_searches()
+
+
+@pytest.fixture
+def emulator(plugged: Emulated) -> Emulated:
+    """The same at rest, with an empty log."""
+    plugged.forget()
+    return plugged
+
+
+@pytest.fixture
+def config(config: RobotConfig) -> RobotConfig:
+    return config.with_(reconnect_timeout=TIMEOUT)
+
+
+@pytest.fixture
+def link(plugged: Emulated, config: RobotConfig) -> Iterator[SerialLink]:
+    with no_leak():
+        link = SerialLink(name(plugged), config)
+        link.open()
+        link.reset(Scene())
+        yield link
+        link.close()
+
+
+@pytest.fixture
+def env(plugged: Emulated, config: RobotConfig) -> Iterator[Any]:
+    """An environment in the middle of an episode."""
+    env = made(plugged, config)
+    env.reset(seed=0)
+    env.step(CURVE)
+    yield env
+    env.close()
+
+
+FORWARD = encode((3.0, 3.0, 3.0, 3.0))
+
+
+def test_pulled_before_the_first_line(start_emulator: StartEmulator, config: RobotConfig) -> None:
+    """The port opens, and is gone before the board has said anything."""
+    silent = start_emulator("--silent")
+    code = f"""
+import json, os, signal, time
+while "rx" not in open({str(silent.log)!r}).read():
+    time.sleep(0.01)
+os.kill({silent.process.pid}, signal.SIGUSR1)
+"""
+    link = SerialLink(silent.device, config)
+    with program(code) as helper, no_leak():
+        with pytest.raises(LinkLostError) as caught:
+            link.open()
+        helper.wait(TIMEOUT)
+    assert silent.device in caught.value.found
+    assert not link.watchdog.is_alive
+    link.close()
+
+
+USES: dict[str, Callable[[SerialLink], object]] = {
+    "write": lambda link: link.write(FORWARD),
+    "advance": lambda link: link.advance(0.01),
+    "read": lambda link: link.read_now(),
+    "reset_input": lambda link: link.reset_input(),
+    "reset": lambda link: link.reset(Scene()),
+}
+
+
+@pytest.mark.parametrize("use", USES)
+def test_pulled_before_any_use_there_is_one_error(
+    use: str, link: SerialLink, plugged: Emulated
+) -> None:
+    link.write(FORWARD)
+    link.advance(0.01)
+    plugged.pull()
+    with pytest.raises(LinkLostError) as caught:
+        USES[use](link)
+    assert caught.value.fix
+    link.stop()
+    link.close()
+    assert not link.watchdog.is_alive
+
+
+@pytest.mark.parametrize("use", ["close", "stop"])
+def test_pulled_before_the_end_there_is_none(use: str, link: SerialLink, plugged: Emulated) -> None:
+    link.write(FORWARD)
+    plugged.pull()
+    getattr(link, use)()
+
+
+def test_a_board_that_takes_no_bytes_holds_nobody_up(link: SerialLink, plugged: Emulated) -> None:
+    plugged.pause()
+    with pytest.raises(LinkLostError, match="takes no more bytes"):
+        while True:
+            link.write(encode(ZERO) * 200)
+    link.close()
+    plugged.resume()
+
+
+def test_a_program_held_up_in_a_write_has_not_lost_its_port(
+    link: SerialLink, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on a busy machine: the bytes are all gone when it goes on."""
+    write = os.write
+
+    def held_up(descriptor: int, data: bytes) -> int:
+        written = write(descriptor, data)
+        time.sleep(3.0 * RobotConfig.preset("acsar").period)
+        return written
+
+    with monkeypatch.context() as busy:
+        busy.setattr(os, "write", held_up)
+        link.write(encode(ZERO))
+    link.advance(0.01)
+
+
+def test_a_board_frozen_while_the_port_opens_is_silent(
+    plugged: Emulated, config: RobotConfig
+) -> None:
+    plugged.pause()
+    frozen = SerialLink(name(plugged), config.with_(connect_timeout=0.4))
+    link = SerialLink(name(plugged), config)
+    with no_leak():
+        with pytest.raises(BoardSilentError, match="no byte"):
+            frozen.open()
+        plugged.resume()
+        link.open()
+        link.close()
+
+
+def test_a_signal_ends_a_program_that_waits_for_its_cable(emulator: Emulated) -> None:
+    """It neither hangs until the time is up nor leaves the search undone."""
+    code = """
+import time
+robot.activate()
+try:
+    drive(10**9)
+except Exception:
+    print('lost', flush=True)
+robot.activate()
+"""
+    with program(DRIVER + code, name(emulator)) as process:
+        drives(emulator)
+        emulator.pull()
+        assert first_line(process) == "lost"
+        time.sleep(0.1)
+        process.send_signal(signal.SIGINT)
+        _, error = process.communicate(timeout=TIMEOUT)
+    assert "KeyboardInterrupt" in error
+    emulator.plug()
+    wait_until(lambda: bool(spoken(emulator)), "a command")
+    assert spoken(emulator) == {ZERO}
+
+
+def test_a_few_of_a_thousand_pulls_leave_nothing_behind() -> None:
+    replug = Path(__file__).parents[1] / "fuzz" / "replug.py"
+    done = subprocess.run(
+        [sys.executable, str(replug), "--cycles", "5", "--seed", "1", "--reconnect", "3"],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=2 * TIMEOUT,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.startswith("5 cycles in ")
+    assert ": 4 recovered, 1 reported, 0 neither; " in done.stdout
+    assert done.stdout.endswith("child processes left: 0\n")
+
+
+def drive_until_error(robot: Robot) -> None:
+    for _ in range(int(TIMEOUT / robot.config.period)):
+        robot.drive(0.2, 0.0)
+
+
+def poses(emulator: Emulated, since: float) -> list[tuple[float, float]]:
+    events = [event for event in emulator.events() if "pose" in event and event["t"] > since]
+    return [(event["pose"][0], event["pose"][1]) for event in events]
+
+
+def assert_stands(emulator: Emulated, since: float) -> None:
+    """Nothing has moved the robot since then, nor for the next moments."""
+    wait_until(lambda: len(poses(emulator, since)) > 30, "poses")
+    x, y = zip(*poses(emulator, since), strict=True)
+    assert max(x) - min(x) < 1e-4
+    assert max(y) - min(y) < 1e-4
+
+
+def test_the_same_robot_drives_on_once_the_cable_is_back(
+    emulator: Emulated, config: RobotConfig
+) -> None:
+    before = emulator.device
+    robot = Robot(open_link(name(emulator), config), config)
+    with no_leak():
+        robot.activate()
+        drive = robot.wheel_speeds(0.2, 0.0)
+        for _ in range(20):
+            robot.tick(drive)
+        emulator.pull()
+        with pytest.raises(LinkLostError) as caught:
+            drive_until_error(robot)
+        assert name(emulator) in caught.value.found
+        assert "\n" not in str(caught.value)
+        assert not robot.active
+        wait_until(lambda: emulator.stands(loops=20), "wheels that stand")
+        emulator.plug()
+        assert emulator.device != before
+        assert_stands(emulator, since=time.monotonic())
+        assert spoken(emulator) <= {ZERO}
+        robot.activate()
+        assert spoken(emulator) <= {ZERO}
+        assert robot.odometry.pose == (0.0, 0.0, 0.0)
+        while robot.odometry.pose[0] < 0.01:
+            robot.drive(0.2, 0.0)
+        robot.close()
+    wait_until(lambda: emulator.commands()[-1] == ZERO, "zero as the last command")
+
+
+def test_it_waits_for_the_cable(emulator: Emulated, config: RobotConfig) -> None:
+    """Activation begins while the cable is out; somebody plugs it in meanwhile."""
+    code = f"""
+import os, signal, time
+time.sleep(0.5)
+os.kill({emulator.process.pid}, signal.SIGUSR2)
+"""
+    robot = Robot(open_link(name(emulator), config), config)
+    robot.activate()
+    emulator.pull()
+    with pytest.raises(LinkLostError):
+        drive_until_error(robot)
+    with program(code) as helper:
+        robot.activate()
+        helper.wait(TIMEOUT)
+    emulator.device = emulator.devices()[-1]
+    robot.drive(0.2, 0.0)
+    robot.deactivate()
+
+
+SILENT, LOST = 1.0, 3.0
+
+
+def test_an_episode_ends_with_the_reason_and_the_next_begins(env: Any, plugged: Emulated) -> None:
+    plugged.pull()
+    observation, reward, terminated, truncated, info = step_until_fault(env)
+    assert env.observation_space.contains(observation)
+    assert (reward, terminated, truncated) == (0.0, False, True)
+    assert (info["fault"], info["is_success"]) == (LOST, 0.0)
+    assert "lost while in use" in info["fault_reason"]
+    for _ in range(2):
+        with pytest.raises(LinkError, match=r"call activate\(\) or env.reset\(\) first"):
+            env.step(CURVE)
+    plugged.plug()
+    observation, info = env.reset()
+    assert env.observation_space.contains(observation)
+    assert info["fault"] == 0.0
+    assert "fault_reason" not in info
+    assert spoken(plugged) <= {ZERO}
+    *_, truncated, info = env.step(CURVE)
+    assert not truncated
+    assert info["fault"] == 0.0
+
+
+def test_a_board_that_falls_silent_is_another_fault(
+    emulator: Emulated, config: RobotConfig
+) -> None:
+    env = made(emulator, config.with_(feedback_timeout=1.0))
+    env.reset(seed=0)
+    env.step(CURVE)
+    emulator.pause()
+    *_, info = step_until_fault(env)
+    assert info["fault"] == SILENT
+    assert "no feedback for 1." in info["fault_reason"]
+    emulator.resume()
+    env.reset()
+    assert env.step(CURVE)[-1]["fault"] == 0.0
+    env.close()
+    wait_until(lambda: emulator.commands()[-1] == ZERO, "zero as the last command")
+
+
+def test_pulled_between_two_episodes_the_next_reset_recovers(env: Any, plugged: Emulated) -> None:
+    plugged.pull()
+    plugged.plug()
+    env.reset()
+    assert env.step(CURVE)[-1]["fault"] == 0.0
+
+
+def test_pulled_before_a_bad_action_the_action_is_the_error(env: Any, plugged: Emulated) -> None:
+    plugged.pull()
+    with pytest.raises(CommandError, match="two finite numbers"):
+        env.unwrapped.step(np.array([math.nan, 0.0], np.float32))
+    plugged.plug()
+    env.reset()
+    env.step(CURVE)
+
+
+def test_after_a_reset_that_failed_there_is_no_episode_to_go_on_with(
+    plugged: Emulated, config: RobotConfig
+) -> None:
+    env = made(plugged, config.with_(reconnect_timeout=0.1))
+    env.reset(seed=0)
+    env.step(CURVE)
+    plugged.pull()
+    with pytest.raises(LinkError):
+        env.reset()
+    with pytest.raises(LinkError, match=r"env.reset\(\) first"):
+        env.step(CURVE)
+    plugged.plug()
+    env.reset()
+    env.step(CURVE)
+    env.close()
+
+
+def test_closing_an_environment_that_lost_its_cable_is_no_error(
+    env: Any, plugged: Emulated
+) -> None:
+    plugged.pull()
+    env.close()
+    env.close()
+    with pytest.raises(LinkError, match=r"env.reset\(\) first"):
+        env.step(CURVE)
+
+
+ZEROS = b"\r\n" + encode(ZERO)
+
+LONG = 3600.0
+
+
+def runs(process: int) -> bool:
+    """Whether it is there and no zombie."""
+    try:
+        return psutil.Process(process).status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
+
+
+def ends(process: int) -> None:
+    wait_until(lambda: not runs(process), "a process that ends")
+
+
+def test_a_cable_that_stays_out_is_reported_in_time(plugged: Emulated, config: RobotConfig) -> None:
+    env = made(plugged, config.with_(reconnect_timeout=0.4))
+    with no_leak():
+        env.reset(seed=0)
+        plugged.pull()
+        step_until_fault(env)
+        for _ in range(2):
+            begin = time.monotonic()
+            with pytest.raises(PortNotFoundError) as caught:
+                env.reset()
+            assert time.monotonic() - begin >= 0.3
+            assert "no such device" in caught.value.found
+            assert "\n" not in str(caught.value)
+        plugged.plug()
+        env.reset()
+        env.step(CURVE)
+        env.close()
+
+
+@pytest.fixture
+def tries(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The names under which ports were opened, or weren't."""
+    names: list[str] = []
+    opened = ports.open_port
+
+    def counted(device: str, config: RobotConfig) -> Any:
+        names.append(device)
+        return opened(device, config)
+
+    monkeypatch.setattr(ports, "open_port", counted)
+    return names
+
+
+def test_a_port_that_was_never_there_is_reported_at_once(
+    config: RobotConfig, tmp_path: Path, tries: list[str]
+) -> None:
+    missing = str(tmp_path / "missing")
+    link = SerialLink(missing, config.with_(reconnect_timeout=LONG))
+    for _ in range(2):
+        with no_leak(), pytest.raises(PortNotFoundError):
+            link.open()
+    assert tries == [missing] * 2
+
+
+def test_without_patience_a_lost_port_is_tried_once(
+    plugged: Emulated, config: RobotConfig, tries: list[str]
+) -> None:
+    link = SerialLink(name(plugged), config.with_(reconnect_timeout=0.0))
+    link.open()
+    plugged.pull()
+    with pytest.raises(LinkLostError):
+        link.reset(Scene())
+    link.close()
+    tries.clear()
+    with pytest.raises(PortNotFoundError):
+        link.open()
+    assert len(tries) == 1
+    plugged.plug()
+    link.open()
+    link.close()
+
+
+END = """
+robot.activate()
+print(robot.link.watchdog.pid, flush=True)
+drive(10**9)
+"""
+
+
+def lose(emulator: Emulated, device: str) -> int:
+    """Pull the cable of a program that drives, and so ends; the process of its watchdog."""
+    with program(DRIVER + END, device) as process:
+        dog = int(first_line(process))
+        drives(emulator)
+        emulator.pull()
+        _, error = process.communicate(timeout=TIMEOUT)
+    assert "LinkLostError" in error
+    return dog
+
+
+def test_a_program_that_has_ended_still_stops_the_robot(emulator: Emulated) -> None:
+    dog = lose(emulator, name(emulator))
+    assert runs(dog)
+    emulator.plug()
+    wait_until(lambda: emulator.since_plugged().count(ZEROS) >= 7, "seven zero commands")
+    ends(dog)
+    assert not emulator.since_plugged().replace(ZEROS, b"")
+
+
+def test_without_a_lasting_name_nothing_is_looked_for(emulator: Emulated) -> None:
+    """Another adapter may be /dev/ttyUSB0 next."""
+    ends(lose(emulator, emulator.device))
+    emulator.plug()
+    time.sleep(0.2)
+    assert emulator.since_plugged() == b""
+
+
+def test_whoever_has_the_port_then_is_not_disturbed(emulator: Emulated) -> None:
+    dog = psutil.Process(lose(emulator, name(emulator)))
+    dog.suspend()
+    emulator.plug()
+    port = os.open(emulator.device, os.O_RDWR | os.O_NOCTTY)
+    fcntl.flock(port, fcntl.LOCK_EX)
+    dog.resume()
+    ends(dog.pid)
+    time.sleep(0.1)
+    assert emulator.since_plugged() == b""
+    os.close(port)
+
+
+def test_another_link_to_the_port_calls_the_search_back(
+    plugged: Emulated, config: RobotConfig
+) -> None:
+    lost, other = (SerialLink(name(plugged), config) for _ in range(2))
+    lost.open()
+    plugged.pull()
+    lost.close()
+    (dog,) = watchdog.list_searches().values()
+    assert runs(dog)
+    plugged.plug()
+    other.open()
+    assert not runs(dog)
+    other.close()
+
+
+def test_called_back_nobody_looks_any_more(link: SerialLink, plugged: Emulated) -> None:
+    plugged.pull()
+    link.close()
+    ((place, dog),) = watchdog.list_searches().items()
+    assert place == name(plugged)
+    watchdog.end_searches("another")
+    assert runs(dog)
+    watchdog.end_searches(place)
+    assert not psutil.pid_exists(dog)  # no zombie either
+    watchdog.end_searches(place)
+    plugged.plug()
+    time.sleep(0.2)
+    assert plugged.since_plugged() == b""
+
+
+def test_the_search_goes_on_while_the_cable_stays_out(
+    emulator: Emulated, config: RobotConfig
+) -> None:
+    """A program may give up; the robot is stopped as soon as somebody plugs it in."""
+    env = made(emulator, config.with_(reconnect_timeout=0.1))
+    env.reset(seed=0)
+    emulator.pull()
+    step_until_fault(env)
+    with pytest.raises(PortNotFoundError):
+        env.reset()
+    env.close()
+    emulator.plug()
+    wait_until(lambda: bool(spoken(emulator)), "a command")
+    assert spoken(emulator) == {ZERO}

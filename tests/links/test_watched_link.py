@@ -1,0 +1,409 @@
+"""The watchdog of a link: whether there is one, what it allows, and what it stops."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import math
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+from nursery import ended, first_line, program
+from serial_tools import BRIDGE, DRIVER, Emulated, no_leak, wait_until
+from watchdog_tools import HASTY, TURNING, ZEROS, children
+
+from acsar_gym import Robot, RobotConfig, open_link
+from acsar_gym.errors import LinkError
+from acsar_gym.links import ports, watchdog
+from acsar_gym.links.serial import SerialLink
+from acsar_gym.links.watchdog_child import BEAT, ZERO_INTERVAL
+from acsar_gym.protocol import ZERO, Decoder, encode
+from acsar_gym.worlds import Scene
+
+pytestmark = [
+    pytest.mark.usefixtures("deadline", "nursery"),
+    pytest.mark.xdist_group("serial"),
+]
+
+
+def opened(device: str, config: RobotConfig) -> Iterator[SerialLink]:
+    link = SerialLink(device, config)
+    link.open()
+    link.reset(Scene())
+    yield link
+    link.close()
+
+
+@pytest.fixture
+def link(shared_device: str, config: RobotConfig) -> Iterator[SerialLink]:
+    """Its watchdog doesn't trip."""
+    yield from opened(shared_device, config.with_(watchdog_timeout=60.0))
+
+
+@pytest.fixture
+def hasty(shared_device: str, config: RobotConfig) -> Iterator[SerialLink]:
+    """Its watchdog trips soon."""
+    yield from opened(shared_device, config.with_(watchdog_timeout=HASTY))
+
+
+# Whether there is one
+
+
+def test_none_means_none(shared_device: str, config: RobotConfig) -> None:
+    link = SerialLink(shared_device, config.with_(watchdog_timeout=None))
+    link.open()
+    assert not link.watchdog.is_alive
+    assert link.watchdog.pid is None
+    assert not children()
+    link.write(TURNING)
+    link.reset(Scene())
+    link.close()
+
+
+FEW_FILES = """
+import resource
+robot.activate()
+robot.deactivate()
+held = len(os.listdir("/proc/self/fd")) - 1
+said = set()
+for room in range(100):
+    resource.setrlimit(resource.RLIMIT_NOFILE, (held + room, held + 1000))
+    try:
+        robot.activate()
+        break
+    except Exception as error:
+        said.add(f"{type(error).__name__}: {error}")
+    assert len(os.listdir("/proc/self/fd")) == held + 1 if room else True
+resource.setrlimit(resource.RLIMIT_NOFILE, (held + 1000, held + 1000))
+print(*said, sep="|", flush=True)
+"""
+
+
+def test_too_few_descriptors_are_one_clear_error(shared_device: str) -> None:
+    with program(DRIVER + FEW_FILES, shared_device) as process:
+        said = first_line(process).split("|")
+        assert ended(process) == (0, "")
+    assert len(said) > 1
+    assert all(one.startswith("LinkError: ") and "ulimit -n" in one for one in said)
+    assert "watchdog" in "".join(said)
+
+
+def test_windows_drives_without(
+    shared_device: str, config: RobotConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(watchdog, "WATCHDOG_AVAILABLE", False)
+    with Robot(open_link(shared_device, config), config) as robot:
+        robot.drive(0.2, 0.0)
+        assert not children()
+
+
+@pytest.mark.parametrize("python", ["/bin/false", "/acsar-missing"])
+def test_where_it_cannot_start_nothing_drives(
+    python: str, shared_device: str, config: RobotConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "executable", python)
+    link = SerialLink(shared_device, config)
+    with no_leak(), pytest.raises(LinkError, match="watchdog can't be started") as caught:
+        link.open()
+    assert "watchdog_timeout=None" in caught.value.fix
+    assert not children()
+
+
+def test_nothing_is_left_of_it(shared_device: str, config: RobotConfig) -> None:
+    """After closing often, and where a link is dropped."""
+    link = SerialLink(shared_device, config)
+    with no_leak():
+        for _ in range(5):
+            link.open()
+            assert link.watchdog.is_alive
+            link.close()
+            assert not children()
+        link.open()
+        del link
+        gc.collect()
+        assert not children()
+
+
+def test_it_holds_nothing_but_the_port_and_ignores_the_terminal(link: SerialLink) -> None:
+    (dog,) = children()
+    held = {file.resolve() for file in Path(f"/proc/{dog.pid}/fd").iterdir()}
+    assert Path(link.device) in held
+    assert len([path for path in held if str(path).startswith("/dev/pts/")]) == 1
+    assert os.getsid(dog.pid) == dog.pid
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP):
+        dog.send_signal(number)
+    link.reset(Scene())
+    assert link.watchdog.is_alive
+    assert dog.status() != psutil.STATUS_STOPPED
+
+
+# What it allows
+
+
+def test_after_a_trip_only_zeros_go_out_until_the_reset(hasty: SerialLink) -> None:
+    begin = time.monotonic()
+    hasty.write(TURNING)
+    wait_until(lambda: hasty.watchdog.has_tripped, "a trip")
+    for _ in range(2):
+        with pytest.raises(LinkError, match=r"nothing was commanded for [0-9]+ ms") as caught:
+            hasty.write(TURNING)
+        pause = float(caught.value.found.removesuffix(" ms").rpartition(" ")[2])
+        assert 1000.0 * HASTY <= pause <= 1000.0 * (time.monotonic() - begin) + 1.0
+        hasty.write(encode(ZERO))
+        hasty.write(b"")
+        hasty.advance(0.01)
+    hasty.reset(Scene())
+    assert not hasty.watchdog.has_tripped
+    hasty.write(TURNING)
+    hasty.write(encode(ZERO))
+
+
+def test_no_pause_at_standstill_is_too_long(link: SerialLink) -> None:
+    stops: list[Callable[[], None]] = [
+        lambda: link.write(encode(ZERO)),
+        link.stop,
+        lambda: link.reset(Scene()),
+    ]
+    for stop in stops:
+        link.write(TURNING)
+        assert link.watchdog.page[BEAT] > 0.0
+        stop()
+        assert link.watchdog.page[BEAT] == 0.0
+
+
+def test_a_zero_command_is_repeated_while_the_program_says_nothing(
+    emulator: Emulated, config: RobotConfig
+) -> None:
+    """As at an episode's end: a wire may have swallowed it."""
+    link = SerialLink(emulator.device, config)
+    link.open()
+    link.reset(Scene())
+    link.write(TURNING)
+    link.stop()
+    wait_until(emulator.is_stopped, "zero as the last command")
+    said = len(emulator.commands())
+    wait_until(lambda: len(emulator.commands()) > said + 5, "repeated zeros")
+    assert emulator.is_stopped()
+    link.close()
+
+
+def test_reading_is_a_sign_of_life(link: SerialLink) -> None:
+    """A program that listens doesn't hang: `doctor` waits for the board's own time-out."""
+    link.write(TURNING)
+    before = link.watchdog.page[BEAT]
+    link.read_now()
+    assert link.watchdog.page[BEAT] > before
+    link.stop()
+    link.read_now()
+    assert link.watchdog.page[BEAT] == 0.0
+
+
+def test_periods_longer_than_the_timeout_are_no_pause(hasty: SerialLink) -> None:
+    hasty.write(TURNING)
+    hasty.advance(2.0 * HASTY)
+    assert not hasty.watchdog.has_tripped
+    hasty.stop()
+
+
+def test_a_watchdog_that_dies_stops_the_robot_and_comes_back(link: SerialLink) -> None:
+    link.write(TURNING)
+    (dog,) = children()
+    dog.kill()
+    wait_until(lambda: not link.watchdog.is_alive, "a dead watchdog")
+    with pytest.raises(LinkError, match="has ended"):
+        link.write(TURNING)
+    link.write(encode(ZERO))
+    link.reset(Scene())
+    assert link.watchdog.is_alive
+    link.write(TURNING)
+    assert link.watchdog.pid != dog.pid
+
+
+def test_a_suspended_watchdog_is_none(link: SerialLink) -> None:
+    """The link refuses to drive, and what is suspended doesn't keep the port busy."""
+    link.write(TURNING)
+    (dog,) = children()
+    dog.suspend()
+    wait_until(lambda: not link.watchdog.is_alive, "a suspended watchdog")
+    with pytest.raises(LinkError, match=rf"is suspended \(PID {dog.pid}\)"):
+        link.write(TURNING)
+    dog.resume()
+    with pytest.raises(LinkError, match="is suspended"):
+        link.write(TURNING)
+    link.reset(Scene())
+    assert link.watchdog.pid != dog.pid
+    link.write(TURNING)
+    (dog,) = children()
+    dog.suspend()
+    link.close()
+    assert not children()
+    link.open()
+    assert link.watchdog.is_alive
+
+
+def test_what_another_thread_writes_goes_out_before_the_zeros_or_not_at_all(
+    link: SerialLink, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written: list[bytes] = []
+    writes = threading.Event()
+    write = os.write
+
+    def slow(descriptor: int, data: bytes) -> int:
+        if data == TURNING:
+            writes.set()
+            time.sleep(0.1)  # the main thread closes the port meanwhile
+        written.append(data)
+        return write(descriptor, data)
+
+    def drive() -> None:
+        with contextlib.suppress(LinkError):
+            while True:
+                link.write(TURNING)
+
+    monkeypatch.setattr(os, "write", slow)
+    thread = threading.Thread(target=drive)
+    thread.start()
+    writes.wait()
+    link.close()
+    thread.join()
+    assert written.count(ZEROS) > 2
+    last = len(written) - written[::-1].index(TURNING)
+    assert ZEROS in written[:last], "the slow write delayed the zeros"
+    assert set(written[last:]) == {ZEROS}
+
+
+def test_nobody_writes_while_the_link_is_held(link: SerialLink) -> None:
+    """As before Ctrl-Z suspends the program; the watchdog trips if that takes long."""
+    link.write(TURNING)
+    page = link.watchdog.page
+    before = page[BEAT]
+    thread = threading.Thread(target=lambda: link.write(TURNING))
+    with link.held():
+        thread.start()
+        thread.join(0.05)
+        assert thread.is_alive()
+        assert page[BEAT] == before
+    thread.join()
+    assert page[BEAT] > before
+
+
+# What it stops
+
+DRIVE = "robot.activate(); drive(10**9)"
+WATCHED = (
+    DRIVER
+    + f"""
+config = config.with_(watchdog_timeout={HASTY})
+robot = Robot(open_link(sys.argv[1], config), config)
+"""
+)
+
+
+def assert_stopped_after(emulator: Emulated, fault: float) -> None:
+    """A zero command came after the fault, and nothing turned wheels after it."""
+    wait_until(emulator.is_stopped, "zero as the last command")
+    decoder = Decoder()
+    driving = [
+        reading.speeds != ZERO
+        for event in emulator.events()
+        for reading in decoder.feed(event.get("rx", "").encode("latin-1"))
+        if event["t"] >= fault
+    ]
+    assert not any(driving[driving.index(False) :])
+
+
+def drives(emulator: Emulated) -> None:
+    wait_until(emulator.is_driven, "a command that turns the wheels")
+
+
+def test_a_suspended_program_does_not_drive_on_by_itself(emulator: Emulated) -> None:
+    with program(WATCHED + DRIVE, emulator.device) as process:
+        drives(emulator)
+        fault = time.monotonic()
+        process.send_signal(signal.SIGSTOP)
+        assert_stopped_after(emulator, fault)
+        process.send_signal(signal.SIGCONT)
+        status, error = ended(process)
+    assert status == 1
+    assert "LinkError: the watchdog stopped the robot" in error
+    assert_stopped_after(emulator, fault)
+
+
+def test_a_program_suspended_at_standstill_drives_on(emulator: Emulated) -> None:
+    """Its zeros are repeated meanwhile: the wire may have swallowed the last one."""
+    code = """
+import time
+robot.activate()
+for _ in range(30):
+    robot.drive(0.0, 0.0)
+goes_on = []
+signal.signal(signal.SIGCONT, lambda *_: goes_on.append(True))
+print("stands", flush=True)
+while not goes_on:
+    time.sleep(0.01)
+drive(10**9)
+"""
+    with program(WATCHED + code, emulator.device) as process:
+        assert first_line(process) == "stands"
+        process.send_signal(signal.SIGSTOP)
+        said = len(emulator.commands())
+        more = math.ceil(2 * HASTY / ZERO_INTERVAL)
+        wait_until(lambda: len(emulator.commands()) > said + more, "repeated zeros")
+        assert set(emulator.commands()) == {ZERO}
+        process.send_signal(signal.SIGCONT)
+        drives(emulator)
+
+
+def test_a_stray_copy_of_the_lifeline_only_delays_the_zero(
+    emulator: Emulated, config: RobotConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    code = """
+import subprocess
+robot.activate()
+stray = subprocess.Popen(["sleep", "60"], pass_fds=(robot.link.watchdog.lifeline,),
+                         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+drive(30)
+print(stray.pid, flush=True)
+drive(10**9)
+"""
+    monkeypatch.setattr(ports, "BUSY_TIMEOUT", config.connect_timeout)
+    with program(WATCHED + code, emulator.device) as process:
+        stray = psutil.Process(int(first_line(process)))
+        drives(emulator)
+        fault = time.monotonic()
+        process.kill()
+        assert_stopped_after(emulator, fault)
+        assert ended(process)[0] == -signal.SIGKILL
+        with Robot(open_link(emulator.device, config), config) as robot:
+            assert robot.active
+        stray.kill()
+
+
+def test_a_program_behind_a_socket_is_watched_too(emulator: Emulated) -> None:
+    with program(BRIDGE, emulator.device) as bridge:
+        url = f"socket://127.0.0.1:{first_line(bridge)}"
+        with program(DRIVER + DRIVE, url) as process:
+            drives(emulator)
+            fault = time.monotonic()
+            process.kill()
+            assert_stopped_after(emulator, fault)
+
+
+def test_the_port_is_soon_free_after_a_kill(
+    emulator: Emulated, config: RobotConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One `open` is enough."""
+    monkeypatch.setattr(ports, "BUSY_TIMEOUT", config.connect_timeout)
+    with program(DRIVER + DRIVE, emulator.device) as process:
+        drives(emulator)
+        process.kill()
+        link = SerialLink(emulator.device, config)
+        link.open()
+        link.close()

@@ -1,0 +1,155 @@
+"""Boards that behave differently, in simulated time; one over a pseudo-terminal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from board_tools import board
+from serial_tools import StartEmulator, cli
+
+from acsar_gym import RobotConfig, open_link
+from acsar_gym.errors import ConfigError
+from acsar_gym.links.simulated import SimulatedLink
+from acsar_gym.protocol import Decoder, Speeds, encode
+from acsar_gym.tools.emulation.quirks import QuirkyLink, parse_quirks
+
+SPEEDS = (4.0, 1.0, 2.0, 3.0)
+"""A left turn, with another speed for each wheel [rad/s]."""
+LOOP = 0.005
+
+
+def drive(
+    link: QuirkyLink, seconds: float = 1.0, *, comma: bool = False, says: bool = True
+) -> bytes:
+    """What the board sends while it is commanded, or while nothing is."""
+    heard = b""
+    for _ in range(round(seconds / LOOP)):
+        if says:
+            link.write(encode(SPEEDS, trailing_comma=comma))
+        heard += link.advance(LOOP)
+    return heard
+
+
+def newest(heard: bytes) -> Speeds:
+    """The speeds that the last line reports."""
+    *_, reading = Decoder().feed(heard)
+    a, b, c, d = (speed or 0.0 for speed in reading.speeds)
+    return a, b, c, d
+
+
+def turning(link: QuirkyLink) -> Speeds:
+    """The speeds of the wheels."""
+    assert isinstance(link.link, SimulatedLink)
+    assert link.link.body is not None
+    return link.link.body.wheel_speeds
+
+
+@pytest.mark.parametrize(
+    ("quirk", "reported", "real"),
+    [
+        ("at-comma", (4.0, 1.0, 2.0, 0.0), (4.0, 1.0, 2.0, 0.0)),
+        ("unpadded", SPEEDS, SPEEDS),
+        ("padded-space", SPEEDS, SPEEDS),
+        ("reversed-encoder=b", (4.0, -1.0, 2.0, 3.0), SPEEDS),
+        ("reversed-motor=b", (4.0, -1.0, 2.0, 3.0), (4.0, -1.0, 2.0, 3.0)),
+        ("swapped-encoders", (1.0, 4.0, 3.0, 2.0), SPEEDS),
+        ("swapped-motors", (1.0, 4.0, 3.0, 2.0), (1.0, 4.0, 3.0, 2.0)),
+        ("dead-wheel=c", (4.0, 1.0, 0.0, 3.0), (4.0, 1.0, 0.0, 3.0)),
+        ("dead-encoder=c", (4.0, 1.0, 0.0, 3.0), SPEEDS),
+        ("runaway=b", (4.0, -15.4, 2.0, 3.0), (4.0, 15.4, 2.0, 3.0)),
+        ("feedback-factor=1.5", (6.0, 1.5, 3.0, 4.5), SPEEDS),
+        ("feedback-rate=50", SPEEDS, SPEEDS),
+    ],
+)
+def test_what_a_board_reports_and_what_the_wheels_do(
+    quirk: str, reported: Speeds, real: Speeds
+) -> None:
+    link = board(quirk)
+    assert newest(drive(link)) == pytest.approx(reported, abs=0.15)  # of a count
+    assert turning(link) == pytest.approx(real, abs=0.01)
+
+
+@pytest.mark.parametrize(("comma", "last"), [(True, 0.0), (False, 3.0)])
+def test_a_board_that_misses_the_value_before_a_trailing_comma(comma: bool, last: float) -> None:
+    link = board("no-comma")
+    drive(link, comma=comma)
+    assert turning(link) == pytest.approx((4.0, 1.0, 2.0, last), abs=0.01)
+
+
+@pytest.mark.parametrize(("quirk", "part"), [("unpadded", b",bp1."), ("padded-space", b",bp 1.")])
+def test_a_board_with_numbers_of_its_own(quirk: str, part: bytes) -> None:
+    assert part in drive(board(quirk))
+
+
+@pytest.mark.parametrize(
+    ("quirk", "speeds"), [("command-timeout=0.1", (0.0,) * 4), ("no-timeout", SPEEDS)]
+)
+def test_command_time_outs(quirk: str, speeds: Speeds) -> None:
+    link = board(quirk)
+    drive(link)
+    assert newest(drive(link, 2.0, says=False)) == pytest.approx(speeds, abs=0.15)
+
+
+def test_feedback_rate() -> None:
+    assert drive(board("feedback-rate=50")).count(b"\n") in (49, 50)
+
+
+def test_a_board_that_stops_in_mid_line() -> None:
+    decoder = Decoder()
+    link = board("frozen=0.3")
+    decoder.feed(drive(link, 5.0))
+    assert 28 <= decoder.lines <= 31
+    assert not decoder.refused
+    assert decoder.rest
+    assert turning(link) == pytest.approx((0.0,) * 4, abs=0.01)
+
+
+def test_a_board_that_resets_answers_again() -> None:
+    link = board("resets=0.5")
+    decoder, silent, longest = Decoder(), 0, 0
+    for _ in range(900):
+        data = drive(link, LOOP)
+        silent = 0 if data else silent + 1
+        longest = max(longest, silent)
+        decoder.feed(data)
+    assert 290 <= longest <= 310
+    assert decoder.cut == 2
+    assert not decoder.refused
+
+
+@pytest.mark.usefixtures("deadline")
+def test_an_emulator_has_quirks(start_emulator: StartEmulator, config: RobotConfig) -> None:
+    link = open_link(start_emulator("--quirk", "unpadded", "swapped-motors").device, config)
+    link.open()
+    heard = b""
+    while b"ap0.00,bp0.00" not in heard:
+        heard += link.advance(config.period)
+    link.close()
+
+
+@pytest.mark.parametrize(
+    ("quirk", "said"),
+    [
+        ("at-coma", "at-comma"),
+        ("dead-wheel", "dead-wheel=WHEEL"),
+        ("dead-wheel=ab", "a, b, c, d"),
+        ("reversed-encoder=x", "a, b, c, d"),
+        ("runaway=", "a, b, c, d"),
+        ("feedback-factor=0", "feedback-factor=NUMBER"),
+        ("command-timeout=soon", "command-timeout=NUMBER"),
+        ("frozen=-1", "frozen=NUMBER"),
+        ("feedback-rate=nan", "feedback-rate=NUMBER"),
+        ("at-comma=1", "at-comma"),
+    ],
+)
+def test_bad_quirks_are_one_error(quirk: str, said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        parse_quirks([quirk])
+
+
+@pytest.mark.anywhere
+def test_the_command_line_refuses_an_unknown_quirk(tmp_path: Path) -> None:
+    done = cli("emulate", "--quirk", "unpaded", "--log", tmp_path / "log")
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "unpadded" in done.stderr
