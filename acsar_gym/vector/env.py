@@ -282,7 +282,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         seeds = _seeds(seed, self.num_envs)
         self._whole = False
         self.batch.seed(seeds, mask)
-        self.batch.wish(asked, mask)
+        self.batch.set_reset_options(asked, mask)
         self.batch.reset(mask, self._threads.share)
         self._done = self._done & ~mask
         self._whole = True
@@ -298,7 +298,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
             ConfigError, WorldError: for unknown options, or values that are malformed.
         """
         mask, asked = self._asked(options)
-        self.batch.wish(asked, mask)
+        self.batch.set_reset_options(asked, mask)
 
     def _asked(self, options: Mapping[str, Any] | None) -> tuple[Array, ResetRows]:
         """Which robots a reset's options are for, and the options as rows of the state.
@@ -428,7 +428,7 @@ def copy_state(env: RobotVectorEnv) -> dict[str, NDArray[Any]] | None:
         Arrays by name; None where the batch has tasks or sensors written in Python, whose state
         isn't known.
     """
-    arrays = env.batch.changing()
+    arrays = env.batch.changing_arrays()
     return None if arrays is None else {name: array.copy() for name, array in arrays.items()}
 
 
@@ -442,7 +442,7 @@ def restore_state(env: RobotVectorEnv, arrays: Mapping[str, NDArray[Any]]) -> No
     Raises:
         ConfigError: they are of another batch.
     """
-    own = env.batch.changing() or {}
+    own = env.batch.changing_arrays() or {}
     wanted, given = (
         {name: (array.shape, array.dtype) for name, array in each.items()} for each in (own, arrays)
     )

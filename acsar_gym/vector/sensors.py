@@ -168,7 +168,7 @@ class BatchSensors:
     def __len__(self) -> int:
         return len(self._groups)
 
-    def tell(self, info: dict[str, Floats]) -> None:
+    def add_info(self, info: dict[str, Floats]) -> None:
         """Add the sensors' info to the batch's. ConfigError for a key that is there already."""
         if self.info:
             for group in self._groups:

@@ -146,7 +146,6 @@ def make_setup(
         max_angular=config.max_angular,
         max_steps=math.inf if max_steps is None else float(max_steps),
         guarded=limited or late or faults.possible,
-        rules=rules.make_rules(config),
         faults=line_faults(faults, config),
         falls_silent=faults.possible and faults.direction != "commands",
         numbers=numbers,
@@ -161,7 +160,9 @@ def _board(config: RobotConfig, dt: float) -> dict[str, Any]:
     window = round(encoder.window * rate)
     per_radian = encoder.counts_per_revolution / (2.0 * math.pi)
     return {
-        "ramps": tuple(config.motor.of_wheel(wheel).acceleration * dt for wheel in range(4)),
+        "ramps": layout.Ramps(
+            *(config.motor.of_wheel(wheel).acceleration * dt for wheel in range(4))
+        ),
         "top": config.motor.max_speed,
         "counts_per_radian": per_radian,
         "speed_per_count": 1.0 / (per_radian * window * dt),
