@@ -164,7 +164,7 @@ class Batch:
         """Begin new episodes of the robots in the mask."""
         tables = self.tables
         tables.over[:], tables.idle[:] = mask, True
-        another = contextlib.nullcontext()
+        another: contextlib.AbstractContextManager[None] = contextlib.nullcontext()
         if self._new:  # compile the step in another process, while this one compiles the rest
             another = compiled_beside(
                 drive.step, tables, 0, 1, self._setups, self._rules, self._around

@@ -53,8 +53,20 @@ from acsar_gym.worlds.geometry import Surroundings
 
 forward = jit(kinematics.compute_twist)
 integrate = jit(odometry.integrate_twist)
+FourRows = tuple[Floats, Floats, Floats, Floats]
 SILENCE = 1.0
 """The code of BoardSilentError in info's `fault`, see `envs.base.fault_code`."""
+
+
+@jit
+def four_rows(state: Floats, number: int, first: int, last: int) -> FourRows:
+    """Views of four numbers of robots first to last that follow each other, such as of wheels."""
+    return (
+        row(state, number, first, last),
+        row(state, number + 1, first, last),
+        row(state, number + 2, first, last),
+        row(state, number + 3, first, last),
+    )
 
 
 @jit
@@ -67,52 +79,39 @@ def round_as_sent(speed: float) -> float:
 @jit
 def command_once(state: Floats, first: int, last: int, setup: Setup, rules: SafetyRules) -> None:
     """Compute the wheel targets of this step's command line. Only without limits or faults."""
-    old_right, old_left = (
-        row(state, rows.OLD_RIGHT, first, last),
-        row(state, rows.OLD_LEFT, first, last),
-    )
-    new_right, new_left = (
-        row(state, rows.NEW_RIGHT, first, last),
-        row(state, rows.NEW_LEFT, first, last),
-    )
+    old_right, old_left, new_right, new_left = four_rows(state, rows.OLD_RIGHT, first, last)
     heard, delay = row(state, rows.HEARD, first, last), row(state, rows.COMMAND_LOOPS, first, last)
-    asks, turns = (
-        row(state, rows.LAST_LINEAR, first, last),
-        row(state, rows.LAST_ANGULAR, first, last),
-    )
-    sent, bent = (
-        row(state, rows.SENT_LINEAR, first, last),
-        row(state, rows.SENT_ANGULAR, first, last),
-    )
+    asks = row(state, rows.LAST_LINEAR, first, last)
+    turns = row(state, rows.LAST_ANGULAR, first, last)
+    sent = row(state, rows.SENT_LINEAR, first, last)
+    bent = row(state, rows.SENT_ANGULAR, first, last)
     reasons = row(state, rows.REASON, first, last)
+    ahead, turn, top = setup.max_linear, setup.max_angular, setup.top  # loads don't vectorize
     for i in range(last - first):
-        linear, angular = asks[i] * setup.max_linear, turns[i] * setup.max_angular
+        linear, angular = asks[i] * ahead, turns[i] * turn
         right, left = compute_wheels(linear, angular, rules)
         sent[i], bent[i], reasons[i] = explain_sent(linear, angular, right, left, 0.0, rules)
         old_right[i] = new_right[i]
         old_left[i] = new_left[i]
-        new_right[i] = min(max(round_as_sent(right), -setup.top), setup.top)
-        new_left[i] = min(max(round_as_sent(left), -setup.top), setup.top)
+        new_right[i] = min(max(round_as_sent(right), -top), top)
+        new_left[i] = min(max(round_as_sent(left), -top), top)
         heard[i] = delay[i]
 
 
 @jit
 def limit_twists(state: Floats, first: int, last: int, setup: Setup, rules: SafetyRules) -> None:
     """Compute the twist that every robot is sent in this tick."""
-    asks, turns = (
-        row(state, rows.LAST_LINEAR, first, last),
-        row(state, rows.LAST_ANGULAR, first, last),
-    )
+    asks = row(state, rows.LAST_LINEAR, first, last)
+    turns = row(state, rows.LAST_ANGULAR, first, last)
     new, past = row(state, rows.NEW_LINEAR, first, last), row(state, rows.PAST_LINEAR, first, last)
-    bent, past_bent = (
-        row(state, rows.NEW_ANGULAR, first, last),
-        row(state, rows.PAST_ANGULAR, first, last),
-    )
+    bent = row(state, rows.NEW_ANGULAR, first, last)
+    past_bent = row(state, rows.PAST_ANGULAR, first, last)
     latched, reasons = row(state, rows.LATCHED, first, last), row(state, rows.REASON, first, last)
     xs, ys = row(state, rows.ODOM_X, first, last), row(state, rows.ODOM_Y, first, last)
     ages = row(state, rows.AGE, first, last)
+    ahead, turn = setup.max_linear, setup.max_angular
     for i in range(last - first):
-        linear, angular = asks[i] * setup.max_linear, turns[i] * setup.max_angular
+        linear, angular = asks[i] * ahead, turns[i] * turn
         before = SafetyMemory(latched[i], 0.0, new[i], bent[i], past[i], past_bent[i], 0.0, 0.0)
         after = limit_twist(linear, angular, xs[i], ys[i], ages[i], before, rules)
         latched[i] = after.latched
@@ -137,10 +136,11 @@ def store_commands(
     limit_twists(state, first, last, setup, rules)
     new, bent = row(state, rows.NEW_LINEAR, first, last), row(state, rows.NEW_ANGULAR, first, last)
     rights, lefts = commands[slot, 0, first:last], commands[slot, 1, first:last]
+    top = setup.top
     for i in range(last - first):
         right, left = compute_wheels(new[i], bent[i], rules)
-        rights[i] = min(max(round_as_sent(right), -setup.top), setup.top)
-        lefts[i] = min(max(round_as_sent(left), -setup.top), setup.top)
+        rights[i] = min(max(round_as_sent(right), -top), top)
+        lefts[i] = min(max(round_as_sent(left), -top), top)
 
 
 @jit
@@ -239,16 +239,8 @@ def ramps_of(setup: Setup) -> Speeds:
 @jit
 def ramp_to_newest(state: Floats, first: int, last: int, now: float, setup: Setup) -> None:
     """Move set points towards the newest targets that the board knows by loop `now`."""
-    a, b = row(state, rows.POINT, first, last), row(state, rows.POINT + 1, first, last)
-    c, d = row(state, rows.POINT + 2, first, last), row(state, rows.POINT + 3, first, last)
-    old_right, old_left = (
-        row(state, rows.OLD_RIGHT, first, last),
-        row(state, rows.OLD_LEFT, first, last),
-    )
-    new_right, new_left = (
-        row(state, rows.NEW_RIGHT, first, last),
-        row(state, rows.NEW_LEFT, first, last),
-    )
+    a, b, c, d = four_rows(state, rows.POINT, first, last)
+    old_right, old_left, new_right, new_left = four_rows(state, rows.OLD_RIGHT, first, last)
     heard, steps = row(state, rows.HEARD, first, last), ramps_of(setup)
     for i in range(last - first):
         new = now >= heard[i]
@@ -323,8 +315,7 @@ def move_set_points(
     state: Floats, rights: Floats, lefts: Floats, first: int, last: int, steps: Speeds
 ) -> None:
     """Move set points towards these targets of the right and the left wheels [rad/s]."""
-    a, b = row(state, rows.POINT, first, last), row(state, rows.POINT + 1, first, last)
-    c, d = row(state, rows.POINT + 2, first, last), row(state, rows.POINT + 3, first, last)
+    a, b, c, d = four_rows(state, rows.POINT, first, last)
     for i in range(last - first):
         right, left = rights[i], lefts[i]
         a[i] = move_towards(a[i], right, steps[0])
@@ -338,26 +329,21 @@ def turn_motors(
     state: Floats, counts: Floats, first: int, last: int, slot: int, setup: Setup
 ) -> None:
     """Advance wheel speeds and angles by one loop, and store the encoder counts."""
+    top, dt, counts_per_radian = setup.top, setup.dt, setup.counts_per_radian
     for k in range(4):
-        speeds, angles = (
-            row(state, rows.WHEEL + k, first, last),
-            row(state, rows.ANGLE + k, first, last),
-        )
-        points, gains = (
-            row(state, rows.POINT + k, first, last),
-            row(state, rows.MOTOR_GAIN + k, first, last),
-        )
-        blends, deadbands = (
-            row(state, rows.BLEND + k, first, last),
-            row(state, rows.MOTOR_DEADBAND + k, first, last),
-        )
+        speeds = row(state, rows.WHEEL + k, first, last)
+        angles = row(state, rows.ANGLE + k, first, last)
+        points = row(state, rows.POINT + k, first, last)
+        gains = row(state, rows.MOTOR_GAIN + k, first, last)
+        blends = row(state, rows.BLEND + k, first, last)
+        deadbands = row(state, rows.MOTOR_DEADBAND + k, first, last)
         seen = counts[slot, k, first:last]
         for i in range(last - first):
-            speed = wheel_speed(speeds[i], points[i], gains[i], blends[i], deadbands[i], setup.top)
-            angle = angles[i] + speed * setup.dt
+            speed = wheel_speed(speeds[i], points[i], gains[i], blends[i], deadbands[i], top)
+            angle = angles[i] + speed * dt
             speeds[i] = speed
             angles[i] = angle
-            seen[i] = np.floor(angle * setup.counts_per_radian)
+            seen[i] = np.floor(angle * counts_per_radian)
 
 
 class Chassis(NamedTuple):
@@ -385,26 +371,17 @@ def move_bodies(state: Floats, first: int, last: int, setup: Setup) -> None:
 @jit
 def slide_bodies(state: Floats, first: int, last: int, isotropic: bool, dt: float) -> None:
     """Advance velocity and pose by one loop, with tyres that are isotropic or not."""
-    xs, ys, thetas = (
-        row(state, rows.X, first, last),
-        row(state, rows.Y, first, last),
-        row(state, rows.THETA, first, last),
-    )
-    vxs, vys, rates = (
-        row(state, rows.VX, first, last),
-        row(state, rows.VY, first, last),
-        row(state, rows.RATE, first, last),
-    )
-    a, b = row(state, rows.WHEEL, first, last), row(state, rows.WHEEL + 1, first, last)
-    c, d = row(state, rows.WHEEL + 2, first, last), row(state, rows.WHEEL + 3, first, last)
-    left_radii, right_radii = (
-        row(state, rows.LEFT_RADIUS, first, last),
-        row(state, rows.RIGHT_RADIUS, first, last),
-    )
-    lengths, widths = (
-        row(state, rows.HALF_WHEELBASE, first, last),
-        row(state, rows.HALF_TRACK, first, last),
-    )
+    xs = row(state, rows.X, first, last)
+    ys = row(state, rows.Y, first, last)
+    thetas = row(state, rows.THETA, first, last)
+    vxs = row(state, rows.VX, first, last)
+    vys = row(state, rows.VY, first, last)
+    rates = row(state, rows.RATE, first, last)
+    a, b, c, d = four_rows(state, rows.WHEEL, first, last)
+    left_radii = row(state, rows.LEFT_RADIUS, first, last)
+    right_radii = row(state, rows.RIGHT_RADIUS, first, last)
+    lengths = row(state, rows.HALF_WHEELBASE, first, last)
+    widths = row(state, rows.HALF_TRACK, first, last)
     masses, inertias = row(state, rows.MASS, first, last), row(state, rows.YAW_INERTIA, first, last)
     grips, slips = row(state, rows.GRIP, first, last), row(state, rows.SLIP_SPEED, first, last)
     kappas = row(state, rows.KAPPA, first, last)
@@ -506,14 +483,14 @@ def read_feedback(
 @jit
 def update_odometry(state: Floats, first: int, last: int, setup: Setup) -> None:
     """Update odometry with equations (1)-(10) on the newest wheel speeds."""
-    a, b = row(state, rows.READ, first, last), row(state, rows.READ + 1, first, last)
-    c, d = row(state, rows.READ + 2, first, last), row(state, rows.READ + 3, first, last)
+    a, b, c, d = four_rows(state, rows.READ, first, last)
     xs, ys = row(state, rows.ODOM_X, first, last), row(state, rows.ODOM_Y, first, last)
     thetas = row(state, rows.ODOM_THETA, first, last)
     linears, angulars = row(state, rows.LINEAR, first, last), row(state, rows.ANGULAR, first, last)
-    left, right, dt = setup.left_radius, setup.right_radius, setup.period
+    left, right, separation = setup.left_radius, setup.right_radius, setup.separation
+    dt = setup.period
     for i in range(last - first):
-        linear, angular = forward(a[i], b[i], c[i], d[i], left, right, setup.separation)
+        linear, angular = forward(a[i], b[i], c[i], d[i], left, right, separation)
         sin, cos = sincos(thetas[i])
         x, y, theta = integrate(xs[i], ys[i], thetas[i], cos, sin, linear, angular, dt)
         xs[i] = x

@@ -144,17 +144,13 @@ def reset(  # noqa: C901, PLR0912 - as `drive.step`
 def update_info(state: Floats, first: int, last: int, setups: Records) -> None:
     """Compute the rows of the state that only info uses."""
     setup = setups[0]
-    xs, ys, thetas = (
-        row(state, rows.X, first, last),
-        row(state, rows.Y, first, last),
-        row(state, rows.THETA, first, last),
-    )
+    xs = row(state, rows.X, first, last)
+    ys = row(state, rows.Y, first, last)
+    thetas = row(state, rows.THETA, first, last)
     goal_xs, goal_ys = row(state, rows.GOAL_X, first, last), row(state, rows.GOAL_Y, first, last)
     odom_xs, odom_ys = row(state, rows.ODOM_X, first, last), row(state, rows.ODOM_Y, first, last)
-    headings, distances = (
-        row(state, rows.TRUE_THETA, first, last),
-        row(state, rows.TRUE_DISTANCE, first, last),
-    )
+    headings = row(state, rows.TRUE_THETA, first, last)
+    distances = row(state, rows.TRUE_DISTANCE, first, last)
     errors, outcomes = row(state, rows.ERROR, first, last), row(state, rows.OUTCOME, first, last)
     successes = row(state, rows.SUCCESS, first, last)
     for i in range(last - first):

@@ -177,8 +177,6 @@ class Setup(NamedTuple):
     """The radius of the right wheels that the odometry assumes [m]."""
     separation: float
     """The effective wheel separation that the odometry assumes [m]."""
-    max_wheel_speed: float
-    """Fastest wheel speed that a command may ask for [rad/s]."""
     max_linear: float
     """Linear velocity of a full action [m/s]."""
     max_angular: float
