@@ -76,7 +76,7 @@ def make_vec(env_id: str, num_envs: int, **options: Any) -> RobotVectorEnv:
     """Make a batch of planar robots of a registered id.
 
     Args:
-        env_id: as `registered` returns it.
+        env_id: as `find_id` returns it.
         num_envs: number of robots.
         **options: of the env and of `RobotVectorEnv`.
 

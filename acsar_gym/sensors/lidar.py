@@ -218,8 +218,8 @@ def add_noise(
 
     Args:
         ranges: (rays,), true ranges [m]; changed.
-        uniforms: samples of [0, 1), as many as `draws` says: two for each pair of rays (Box and
-            Muller 1958), then one for each ray that may drop out.
+        uniforms: samples of [0, 1), as many as `noise_draws` says: two for each pair of rays (Box
+            and Muller 1958), then one for each ray that may drop out.
         noise: standard deviation of ranges that meet something [m].
         dropouts: share of rays that measure nothing, which read `farthest`.
         nearest: least range [m].

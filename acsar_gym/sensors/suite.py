@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 
@@ -47,13 +47,7 @@ class Sensors(Sequence[Sensor]):
         self._uses_truth = any(sensor.uses_truth for sensor in self._sensors)
         check_names([sensor.name for sensor in self._sensors])
 
-    @overload
-    def __getitem__(self, index: int) -> Sensor: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Sensor]: ...
-
-    def __getitem__(self, index: int | slice) -> Sensor | Sequence[Sensor]:
+    def __getitem__(self, index: Any) -> Any:
         return self._sensors[index]
 
     def __len__(self) -> int:

@@ -157,7 +157,7 @@ def remember_start(state: State, memory: Any) -> None:
 
 @compilable
 def stalled_share(state: State, memory: Any) -> float:
-    """Time since the robot last came nearer to the goal, as a share of PATIENCE, at most 1."""
+    """Time since the robot last came nearer to the goal, as a share of STALL_TIME, at most 1."""
     return float(min((state.time - memory.nearest_at) / STALL_TIME, 1.0))
 
 

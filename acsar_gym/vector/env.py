@@ -396,7 +396,7 @@ def restore_state(env: RobotVectorEnv, arrays: Mapping[str, NDArray[Any]]) -> No
 
     Args:
         env: a batch of the same task, robot, worlds and options.
-        arrays: what `taken` has returned.
+        arrays: what `copy_state` has returned.
 
     Raises:
         ConfigError: they are of another batch.

@@ -49,7 +49,7 @@ def reset_rows(spawn: Spawn, options: Mapping[str, Any], robots: int) -> ResetRo
     found: ResetRows = {}
     if given.get("goal") is not None:
         goals = _spread_option("goal", given["goal"], robots, 2)
-        asked = ~np.isnan(goals).all(axis=1)
+        asked: Array = np.asarray(~np.isnan(goals).all(axis=1))
         for robot in np.flatnonzero(asked):
             x, y = goals[robot].tolist()
             if not np.isfinite(x + y):

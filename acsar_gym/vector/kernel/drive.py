@@ -166,7 +166,7 @@ def release_time(
 
     Args:
         key: of the episode; negative where it has no faults.
-        whose: COMMANDS or FEEDBACK.
+        whose: COMMAND_LINE or FEEDBACK_LINE.
         number: of the line.
         arrived: when it would arrive without faults [s].
         before: when the line before it was passed on [s].
@@ -413,29 +413,31 @@ def slide_bodies(state: Floats, first: int, last: int, isotropic: bool, dt: floa
 
 @jit
 def read_encoders(
-    state: Floats, counts: Floats, i: int, slot: int, line: float, setup: Setup
+    state: Floats, counts: Floats, i: int, slot: int, ago: int, encoder: tuple[int, float, float]
 ) -> None:
-    """Set robot i's wheel speeds from what its encoders had counted when the board made a line."""
-    slots, made = counts.shape[0], np.ceil(line * state[rows.FEEDBACK_LOOPS, i] - 1e-9)
-    new = slot - int(state[rows.LOOPS, i] - made)
+    """Set robot i's wheel speeds from what its encoders had counted `ago` firmware loops ago.
+
+    `encoder` has the setup's window, speed_per_count and quantum.
+    """
+    slots, (window, speed_per_count, quantum) = counts.shape[0], encoder
+    new = slot - ago
     new += slots if new < 0 else 0
-    old = new - setup.window
+    old = new - window
     old += slots if old < 0 else 0
     for k in range(4):
-        speed = (counts[new, k, i] - counts[old, k, i]) * setup.speed_per_count
-        if setup.quantum > 0.0:
-            speed = round_printed(speed, setup.quantum)
+        speed = (counts[new, k, i] - counts[old, k, i]) * speed_per_count
+        if quantum > 0.0:
+            speed = round_printed(speed, quantum)
         state[rows.READ + k, i] = round_as_sent(speed)
 
 
 @jit
-def newest_line(state: Floats, i: int) -> float:
-    """Number of the newest feedback line that has reached robot i by now, without faults.
+def newest_line(loops: float, delay: float, every: float) -> float:
+    """Number of the newest feedback line that has arrived by a firmware loop, without faults.
 
-    Line n is made n * FEEDBACK_LOOPS firmware loops after the reset and used DELAY_LOOPS later.
+    Line n is made n * `every` firmware loops after the reset, and used `delay` later.
     """
-    late = state[rows.LOOPS, i] - state[rows.DELAY_LOOPS, i]
-    line: float = np.floor(late / state[rows.FEEDBACK_LOOPS, i] + 1e-9)
+    line: float = np.floor((loops - delay) / every + 1e-9)
     return line
 
 
@@ -445,15 +447,13 @@ def receive_line(state: Floats, i: int, setup: Setup) -> float:
 
     LOOPS must include the loops of this tick.
     """
-    now, found, newest = state[rows.LOOPS, i] * setup.dt, 0.0, newest_line(state, i)
-    if not setup.faults.possible:
-        found = newest if newest > state[rows.LAST_LINE, i] else 0.0
-        state[rows.LAST_LINE, i] = newest
-        return found
+    loops, every = state[rows.LOOPS, i], state[rows.FEEDBACK_LOOPS, i]
+    delay = state[rows.DELAY_LOOPS, i]
+    now, found, newest = loops * setup.dt, 0.0, newest_line(loops, delay, every)
     while state[rows.LAST_LINE, i] < newest:
         line = state[rows.LAST_LINE, i] + 1.0
-        made = np.ceil(line * state[rows.FEEDBACK_LOOPS, i] - 1e-9)
-        arrived = np.ceil((made + state[rows.DELAY_LOOPS, i]) / setup.loops) * setup.period
+        made = np.ceil(line * every - 1e-9)
+        arrived = np.ceil((made + delay) / setup.loops) * setup.period
         before = state[rows.FEEDBACK_RELEASE, i]
         when = release_time(
             state[rows.KEY, i], FEEDBACK_LINE, line - 1.0, arrived, before, setup.faults
@@ -472,12 +472,26 @@ def read_feedback(
     state: Floats, counts: Floats, first: int, last: int, slot: int, setup: Setup
 ) -> None:
     """Read the newest feedback line that has arrived by the end of a tick, if it is new."""
-    for i in range(first, last):
-        state[rows.LOOPS, i] += setup.loops
-        line = receive_line(state, i, setup)
-        state[rows.AGE, i] = 0.0 if line > 0.0 else state[rows.AGE, i] + setup.period
+    loops, ages = row(state, rows.LOOPS, first, last), row(state, rows.AGE, first, last)
+    lines = row(state, rows.LAST_LINE, first, last)
+    every = row(state, rows.FEEDBACK_LOOPS, first, last)
+    delays = row(state, rows.DELAY_LOOPS, first, last)
+    faulty, period, turns = setup.faults.possible, setup.period, setup.loops
+    encoder = setup.window, setup.speed_per_count, setup.quantum
+    for i in range(last - first):
+        loops[i] += turns
+        if faulty:
+            line = receive_line(state, first + i, setup)
+        else:
+            line = newest_line(loops[i], delays[i], every[i])
+            line = line if line > lines[i] else 0.0
         if line > 0.0:
-            read_encoders(state, counts, i, slot, line, setup)
+            lines[i] = max(lines[i], line)
+            ages[i] = 0.0
+            made = np.ceil(line * every[i] - 1e-9)
+            read_encoders(state, counts, first + i, slot, int(loops[i] - made), encoder)
+        else:
+            ages[i] += period
 
 
 @jit
@@ -501,7 +515,7 @@ def update_odometry(state: Floats, first: int, last: int, setup: Setup) -> None:
 
 
 @loop
-def step(  # noqa: C901, PLR0912 - a part that takes all tables would compile for half a second more
+def step(  # noqa: C901, PLR0912, PLR0915 - every part that takes all tables compiles for longer
     tables: Tables,
     first: int,
     last: int,
@@ -568,22 +582,25 @@ def step(  # noqa: C901, PLR0912 - a part that takes all tables would compile fo
             explain_commands(state, low, high, setup, rules)
         if stop < setup.ticks:
             continue
-        for i in range(low, high):
-            if setup.falls_silent and tables.idle[i] and not tables.over[i]:
-                for number in range(rows.COMMAND_LOOPS):
-                    state[number, i] = tables.kept[number, i]
-                state[rows.SCAN_TICK, i] += setup.ticks  # so that the scan's age stays, too
-                state[rows.FAULT, i] = SILENCE
-                for k in range(tables.ranges.shape[1]):
-                    tables.observations[i, numbers + k] = tables.kept_rays[i, k]
-            state[rows.STEPS, i] += 1.0
+        if setup.falls_silent:
+            for i in range(low, high):
+                if tables.idle[i] and not tables.over[i]:
+                    for number in range(rows.COMMAND_LOOPS):
+                        state[number, i] = tables.kept[number, i]
+                    state[rows.SCAN_TICK, i] += setup.ticks  # so that the scan's age stays, too
+                    state[rows.FAULT, i] = SILENCE
+                    for k in range(tables.ranges.shape[1]):
+                        tables.observations[i, numbers + k] = tables.kept_rays[i, k]
+        steps = row(state, rows.STEPS, low, high)
+        for i in range(high - low):
+            steps[i] += 1.0
 
 
 @jit
 def settle_with_faults(state: Floats, i: int, setup: Setup, rules: SafetyRules) -> None:
     """Run robot i's reset with faults: it waits for two fresh readings, as `Robot.reset`.
 
-    Where the single env would raise BoardSilentError, rows.SILENT is set.
+    Where the single env would raise BoardSilentError, SILENT is set.
     """
     ticks, fresh, age = 0.0, 0, 0.0
     state[rows.LAST_COMMAND, i] = -1.0

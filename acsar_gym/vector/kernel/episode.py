@@ -55,7 +55,7 @@ def draw_goal(state: Floats, random: NDArray[np.uint64], i: int, spawns: Spawns)
 
 @jit
 def draw_start(state: Floats, random: NDArray[np.uint64], i: int, spawns: Spawns) -> None:
-    """Set robot i's world, start and goal, as `tasks.spawn.drawn`."""
+    """Set robot i's world, start and goal, as `tasks.episode.draw_in_world`."""
     u0, u1, u2 = uniform(random, i), uniform(random, i), uniform(random, i)
     u3, u4, u5 = uniform(random, i), uniform(random, i), uniform(random, i)
     low, high = int(state[rows.FIRST_RANK, i]), int(state[rows.LAST_RANK, i])
@@ -131,8 +131,9 @@ def reset(  # noqa: C901, PLR0912 - as `drive.step`
             settle_with_faults(state, i, setup, rules)
         else:
             delay, every = state[rows.DELAY_LOOPS, i], state[rows.FEEDBACK_LOOPS, i]
-            state[rows.LOOPS, i] = count_settle_ticks(delay, every, setup.loops) * setup.loops
-            state[rows.LAST_LINE, i] = newest_line(state, i)
+            loops = count_settle_ticks(delay, every, setup.loops) * setup.loops
+            state[rows.LOOPS, i] = loops
+            state[rows.LAST_LINE, i] = newest_line(loops, delay, every)
         if state[rows.SILENT, i] > 0.0:
             for k in range(tables.ranges.shape[1]):
                 tables.ranges[i, k] = tables.observations[i, setup.numbers + k] = 0.0
