@@ -42,10 +42,7 @@ def register(
     Raises:
         ConfigError: where `task` isn't a class of tasks.
     """
-    from acsar_gym.tasks.factory import (  # noqa: PLC0415
-        importable_task,
-        split_by_mode,
-    )
+    from acsar_gym.tasks.factory import importable_task, split_by_mode  # noqa: PLC0415
 
     gymnasium.register(
         id=id,

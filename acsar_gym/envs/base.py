@@ -8,8 +8,7 @@ import math
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import gymnasium
 import numpy as np
@@ -27,7 +26,6 @@ from acsar_gym.errors import (
     LinkError,
     LinkLostError,
     RenderError,
-    TaskError,
     WheelError,
     show_value,
 )
@@ -38,11 +36,11 @@ from acsar_gym.physics.body import GroundTruth, Image
 from acsar_gym.physics.randomization import Randomizer
 from acsar_gym.render.renderer import Screen
 from acsar_gym.robot import Robot
-from acsar_gym.sensors import LIDAR, Factory, Sensor
+from acsar_gym.sensors import LIDAR, Sensor
 from acsar_gym.sensors.lidar import footprint_edges, newest_scan, sensor_factories
 from acsar_gym.tasks import Observation, Outcome, State, Task
 from acsar_gym.tasks.base import NO_PATH, NO_RANGES, NOTHING_SENSED
-from acsar_gym.tasks.episode import RunningEpisode, Spawn, check_observation
+from acsar_gym.tasks.episode import RunningEpisode, Spawn
 from acsar_gym.tasks.factory import (
     PlainSpec,
     SharedOptions,
@@ -54,29 +52,6 @@ from acsar_gym.tasks.factory import (
 from acsar_gym.worlds import Pose, Scene
 from acsar_gym.worlds.world import point_in_world, to_odometry
 
-
-def check_action(action: Any) -> tuple[float, float]:
-    """Return an action as two floats, clipped to [-1, 1].
-
-    Args:
-        action: (2,), linear and angular.
-
-    Raises:
-        CommandError: for another shape, NaN or infinity.
-    """
-    try:
-        linear, angular = np.asarray(action, np.float64).tolist()
-        sound = math.isfinite(linear + angular)
-    except (TypeError, ValueError, OverflowError):
-        sound = False
-    if not sound:
-        raise CommandError(
-            f"action = {show_value(action)}: must be two finite numbers (linear, angular) "
-            "in [-1, 1]"
-        )
-    return min(max(linear, -1.0), 1.0), min(max(angular, -1.0), 1.0)
-
-
 Info = dict[str, Any]
 FAULT_CODES = (
     (BoardGarbledError, 2),
@@ -84,160 +59,24 @@ FAULT_CODES = (
     (LinkLostError, 3),
     (LidarError, 4),
     (WheelError, 6),
+    (LinkError, 5),
 )
 """Numbers of errors in info's `fault`; subclasses come first."""
 UNKNOWN_POSE: Pose = (math.nan, math.nan, math.nan)
 """The true pose on links without ground truth."""
 
 
-def fault_code(error: LinkError) -> int:
-    """Number of a link's error for info's `fault`; 5 for those that aren't in `FAULT_CODES`."""
-    return next((code for kind, code in FAULT_CODES if isinstance(error, kind)), 5)
-
-
-def make_state(
-    robot: Robot,
-    episode: RunningEpisode,
-    action: tuple[float, float],
-    sensed: Observation,
-    ticks: int,
-    *,
-    contact: bool,
-) -> State:
-    """Make the State of a robot after a reset or step.
-
-    Args:
-        robot: with the odometry and the sensors.
-        episode: with the goal, the path and the number of steps.
-        action: the last one, in [-1, 1].
-        sensed: numbers of all sensors, as in the observation.
-        ticks: control periods of an env step.
-        contact: whether a simulated robot has touched an obstacle.
-    """
-    assignment, config = episode.assignment, robot.config
-    scan = newest_scan(robot.sensors)
-    return State(
-        pose=robot.odometry.pose,
-        twist=robot.odometry.twist,
-        wheel_speeds=robot.speeds,
-        action=action,
-        sent=robot.safety.sent,
-        reason=int(robot.safety.reason),
-        ranges=NO_RANGES if scan is None else scan.ranges,
-        edges=NO_RANGES if scan is None else footprint_edges(config),
-        sensed=sensed,
-        time=episode.steps * ticks * config.period,
-        feedback_age=robot.feedback_age,
-        contact=contact,
-        goal=assignment.goal,
-        path=NO_PATH if assignment.path is None else assignment.path,
-        length=assignment.length,
-        max_twist=(config.max_linear, config.max_angular),
-        period=ticks * config.period,
-    )
-
-
-def observe_task(episode: RunningEpisode, state: State, task: Task) -> Observation:
-    """The task's own part of the observation, (numbers,).
-
-    Args:
-        episode: with the memory.
-        state: after the reset or step.
-        task: of the episode.
-
-    Raises:
-        TaskError: the task returned something else than so many finite numbers.
-    """
-    given = episode.observe(state)
-    try:
-        numbers = np.array(given, np.float32)
-    except (TypeError, ValueError):
-        raise TaskError(
-            f"{task_name(task)}.observe returned {show_value(given)}: must be numbers"
-        ) from None
-    if numbers.shape != (len(task.observation),):
-        raise TaskError(
-            f"{task_name(task)}.observe returned numbers of shape {numbers.shape}: must be "
-            f"({len(task.observation)},)"
-        )
-    check_observation(task, numbers)
-    return numbers
-
-
-def make_info(episode: RunningEpisode, state: State, truth: GroundTruth | None) -> Info:
-    """Make the info that every environment has; ground truth is NaN on links without it.
-
-    Args:
-        episode: with the start of the robot, and what the task adds.
-        state: after the reset or step.
-        truth: of the robot, in the frame of its world; None on hardware.
-    """
-    x, y, theta = state.pose
-    start = episode.assignment.start
-    true_x, true_y, true_theta = to_odometry(start, truth.pose) if truth else UNKNOWN_POSE
-    goal_x, goal_y = state.goal
-    return {
-        "is_success": float(episode.outcome is Outcome.SUCCESS),
-        "odom_x": x,
-        "odom_y": y,
-        "odom_theta": theta,
-        "feedback_age": state.feedback_age,
-        "sent_linear": state.sent[0],
-        "sent_angular": state.sent[1],
-        "sent_reason": float(state.reason),
-        "true_x": true_x,
-        "true_y": true_y,
-        "true_theta": true_theta,
-        "true_contact": float(truth.contact) if truth else math.nan,
-        "true_goal_distance": math.hypot(goal_x - true_x, goal_y - true_y),
-        "odometry_error": math.hypot(true_x - x, true_y - y),
-    } | episode.info()
-
-
-RENDER_MODES = ("human", "rgb_array")
-
-
-@dataclass(frozen=True, kw_only=True)
 class EnvOptions(SharedOptions):
     """The options of a single environment.
 
     The manual of `acsar_gym/PointGoal-v0` describes them.
     """
 
+    render_mode: Literal["human", "rgb_array"] | None = None
     lidar: Any = None
-    view: str = "top"
-    on_fault: str = "truncate"
+    view: Literal["top", "camera"] = "top"
+    on_fault: Literal["raise", "truncate"] = "truncate"
     record: Any = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.render_mode not in (None, *RENDER_MODES):
-            raise ConfigError(
-                f"render_mode = {show_value(self.render_mode)}: must be None, human or rgb_array"
-            )
-        if not isinstance(self.view, str) or self.view not in ("top", "camera"):
-            raise ConfigError(f"view = {show_value(self.view)}: must be top or camera")
-        if not isinstance(self.on_fault, str) or self.on_fault not in ("raise", "truncate"):
-            raise ConfigError(f"on_fault = {show_value(self.on_fault)}: must be raise or truncate")
-
-    def factories(self, task: Task) -> list[Sensor | Factory]:
-        """Return the factories of a task's sensors and these.
-
-        Args:
-            task: of the env.
-
-        Raises:
-            ConfigError: there is a `lidar` for a task that uses none, or an unknown sensor.
-        """
-        names = (*task.sensors, *self.sensors)
-        if self.lidar is not None and LIDAR not in names:
-            raise ConfigError(f"lidar = {show_value(self.lidar)}: {task_name(task)} uses none")
-        return sensor_factories(names, self.lidar)
-
-    def check_view(self, link: Any) -> None:
-        """Raise RenderError for view="camera" where the link has no camera."""
-        if self.view == "camera" and isinstance(link, str) and link != "bullet":
-            raise RenderError(f"link {link!r} has no camera; view='camera' needs link='bullet'")
 
 
 class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
@@ -248,7 +87,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - as gymnasium.Env declares it
-        "render_modes": list(RENDER_MODES),
+        "render_modes": ["human", "rgb_array"],
         "render_fps": 10,
     }
 
@@ -279,7 +118,6 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         self.task = make_task(task, rest, EnvOptions.names())
         self._spawn = Spawn(self.task, self._options.worlds, self._options.difficulty, config)
         self.pool = self._spawn.pool
-        self._options.check_view(link)
         self._connect(link, config)
         validate_task(self.task, config, self.sensors)
         self.action_space: Any
@@ -288,33 +126,30 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         self._episode: RunningEpisode | None = None
         self._sensed: Observation = NOTHING_SENSED
         self._truth: GroundTruth | None = None
-        self._told_last: tuple[Observation, Info] | None = None
+        self._last_step: tuple[Observation, Info] | None = None
 
     def _connect(self, link: Any, config: RobotConfig) -> None:
         """Make the robot with its link and sensors, and the screen; opens nothing."""
-        wire, asked = self._link(link, config), self._options
-        step, simulated = self.ticks_per_step * config.period, wire.truth is not None
+        asked, human = self._options, self.render_mode == "human"
+        if asked.view == "camera" and isinstance(link, str) and link != "bullet":
+            raise RenderError(f"link {link!r} has no camera; view='camera' needs link='bullet'")
+        sensors = (*self.task.sensors, *asked.sensors)
+        if asked.lidar is not None and LIDAR not in sensors:
+            raise ConfigError(
+                f"lidar = {show_value(asked.lidar)}: {task_name(self.task)} uses none"
+            )
+        own_window = human and link == "bullet" and body.has_display()  # PyBullet's own
+        if isinstance(link, str | os.PathLike) or not hasattr(link, "advance"):
+            link = open_link(link, config, window=own_window, realtime=human)
+        step, simulated = self.ticks_per_step * config.period, link.truth is not None
         self._randomizer = Randomizer(asked.randomization, config, step, simulated=simulated)
         faults = Faults.of(asked.faults)
-        self._faulty = FaultyLink(wire, faults) if faults.possible else None
+        self._faulty = FaultyLink(link, faults) if faults.possible else None
         self._record = EnvRecord(asked.record)
-        own = config, asked.factories(self.task), self._record.recorder
-        self.robot = Robot(self._faulty or wire, *own)
+        factories = sensor_factories(sensors, asked.lidar)
+        self.robot = Robot(self._faulty or link, config, factories, self._record.recorder)
         self._top = (config.max_linear, config.max_angular)
-        mode = None if self._bullets_window(link) else self.render_mode
-        self._screen = Screen(config, mode, asked.view)
-
-    def _link(self, link: Any, config: RobotConfig) -> Link:
-        """Make the link that the `link` argument names, or return a Link that was given."""
-        if not isinstance(link, str | os.PathLike) and hasattr(link, "advance"):
-            ready: Link = link
-            return ready
-        human = self.render_mode == "human"
-        return open_link(link, config, window=self._bullets_window(link), realtime=human)
-
-    def _bullets_window(self, link: Any) -> bool:
-        """Whether PyBullet shows the robot in its own window."""
-        return self.render_mode == "human" and link == "bullet" and body.has_display()
+        self._screen = Screen(config, None if own_window else self.render_mode, asked.view)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -334,7 +169,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
             TaskError, SensorError: where a task or sensor fails, or gives NaN.
         """
         self._halt()
-        self._told_last = None
+        self._last_step = None
         super().reset(seed=seed)
         if self._faulty is not None:
             self._faulty.seed(self.np_random)
@@ -349,9 +184,9 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         with self._stopping():
             state = self._state(episode, (0.0, 0.0))
             episode.begin(state)
-            told = self._told(episode, state)
-            self._record.first(self.robot, told[0])
-            return told
+            observation, info = self._describe_step(episode, state)
+            self._record.first(self.robot, observation)
+            return observation, info
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, Info]:
         """Drive for one env step; the class of the id describes spaces, reward and end.
@@ -371,28 +206,47 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         episode = self._episode
         if episode is None:
             raise ConfigError("step() before reset(): call reset() first")
+        linear, angular = self._check_action(action)
         try:
-            linear, angular = check_action(action)
-        except CommandError:
-            self._halt()
-            raise
-        try:
-            self._drive(linear * self._top[0], angular * self._top[1])
+            for _ in range(self.ticks_per_step):
+                self.robot.drive(linear * self._top[0], angular * self._top[1])
+            self._sensed = self.robot.read().astype(np.float32)
         except LinkError as error:
-            if self._told_last is None or self._options.on_fault == "raise":
+            if self._last_step is None or self._options.on_fault == "raise":
                 raise
-            return self._cut_short(error, episode, action)
+            self.robot.deactivate(error)
+            (observation, info), self._last_step = self._last_step, None
+            code = next(code for kind, code in FAULT_CODES if isinstance(error, kind))
+            why = {"is_success": 0.0, "fault": float(code), "fault_reason": str(error)}
+            cut = observation, 0.0, False, True
+            self._record.stepped(self.robot, episode.steps + 1, action, cut)
+            return *cut, info | self._randomizer.info() | why
         episode.steps += 1
         with self._stopping():
             state = self._state(episode, (linear, angular))
             reward, outcome = episode.step(state)
-            observation, info = self._told(episode, state)
+            observation, info = self._describe_step(episode, state)
         over = outcome is not Outcome.GOING
         if over:
             self._halt()
         told = observation, reward, over, False
         self._record.stepped(self.robot, episode.steps, action, told, info["is_success"])
         return observation, reward, over, False, info
+
+    def _check_action(self, action: Any) -> tuple[float, float]:
+        """Return an action as two floats in [-1, 1]; stops, and raises CommandError, otherwise."""
+        try:
+            linear, angular = np.asarray(action, np.float64).tolist()
+            sound = math.isfinite(linear + angular)
+        except (TypeError, ValueError, OverflowError):
+            sound = False
+        if not sound:
+            self._halt()
+            raise CommandError(
+                f"action = {show_value(action)}: must be two finite numbers (linear, angular) "
+                "in [-1, 1]"
+            )
+        return min(max(linear, -1.0), 1.0), min(max(angular, -1.0), 1.0)
 
     @contextlib.contextmanager
     def _stopping(self) -> Iterator[None]:
@@ -413,40 +267,61 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         except LinkError as error:
             self.robot.deactivate(error)
 
-    def _cut_short(
-        self, error: LinkError, episode: RunningEpisode, action: NDArray[np.float32]
-    ) -> tuple[Observation, float, bool, bool, Info]:
-        """Truncate the episode because the link failed; the observation is the last one."""
-        self.robot.deactivate(error)
-        assert self._told_last is not None  # noqa: S101 - for the type checker
-        (observation, info), self._told_last = self._told_last, None
-        why = {"is_success": 0.0, "fault": float(fault_code(error)), "fault_reason": str(error)}
-        self._record.stepped(self.robot, episode.steps + 1, action, (observation, 0.0, False, True))
-        return observation, 0.0, False, True, info | self._randomizer.info() | why
-
-    def _drive(self, linear: float, angular: float) -> None:
-        """Drive towards a twist [m/s, rad/s] for one env step, then read the sensors."""
-        for _ in range(self.ticks_per_step):
-            self.robot.drive(linear, angular)
-        self._sensed = self.robot.read().astype(np.float32)
-
     def _state(self, episode: RunningEpisode, action: tuple[float, float]) -> State:
         """The State that the task is given."""
-        self._truth = self.robot.link.truth
-        contact = self._truth is not None and self._truth.contact
-        ticks = self.ticks_per_step
-        return make_state(self.robot, episode, action, self._sensed, ticks, contact=contact)
+        robot, assignment, config = self.robot, episode.assignment, self.robot.config
+        self._truth = robot.link.truth
+        scan = newest_scan(robot.sensors)
+        return State(
+            pose=robot.odometry.pose,
+            twist=robot.odometry.twist,
+            wheel_speeds=robot.speeds,
+            action=action,
+            sent=robot.safety.sent,
+            reason=int(robot.safety.reason),
+            ranges=NO_RANGES if scan is None else scan.ranges,
+            edges=NO_RANGES if scan is None else footprint_edges(config),
+            sensed=self._sensed,
+            time=episode.steps * self.ticks_per_step * config.period,
+            feedback_age=robot.feedback_age,
+            contact=self._truth is not None and self._truth.contact,
+            goal=assignment.goal,
+            path=NO_PATH if assignment.path is None else assignment.path,
+            length=assignment.length,
+            max_twist=self._top,
+            period=self.ticks_per_step * config.period,
+        )
 
-    def _told(self, episode: RunningEpisode, state: State) -> tuple[Observation, Info]:
+    def _describe_step(self, episode: RunningEpisode, state: State) -> tuple[Observation, Info]:
         """Observation and info after a reset or step; also updates the screen."""
-        self._screen.show(state, self._truth, newest_scan(self.robot.sensors))
-        numbers = observe_task(episode, state, self.task)
-        info = make_info(episode, state, self._truth) | self._randomizer.info()
-        if self._faulty is not None or self._truth is None:
+        truth = self._truth
+        self._screen.show(state, truth, newest_scan(self.robot.sensors))
+        numbers = episode.observe(state)
+        x, y, theta = state.pose
+        start = episode.assignment.start
+        true_x, true_y, true_theta = to_odometry(start, truth.pose) if truth else UNKNOWN_POSE
+        info = {
+            "is_success": float(episode.outcome is Outcome.SUCCESS),
+            "odom_x": x,
+            "odom_y": y,
+            "odom_theta": theta,
+            "feedback_age": state.feedback_age,
+            "sent_linear": state.sent[0],
+            "sent_angular": state.sent[1],
+            "sent_reason": float(state.reason),
+            "true_x": true_x,
+            "true_y": true_y,
+            "true_theta": true_theta,
+            "true_contact": float(truth.contact) if truth else math.nan,
+            "true_goal_distance": math.hypot(state.goal[0] - true_x, state.goal[1] - true_y),
+            "odometry_error": math.hypot(true_x - x, true_y - y),
+        }
+        info |= episode.info() | self._randomizer.info()
+        if self._faulty is not None or truth is None:
             info["fault"] = 0.0
         self.robot.tell(info)
         told = np.concatenate([numbers, state.sensed]), info
-        self._told_last = told[0].copy(), info.copy()  # a caller may change its own
+        self._last_step = told[0].copy(), info.copy()  # a caller may change its own
         return told
 
     @property
@@ -479,7 +354,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def close(self) -> None:
         """Stop the wheels, close link, sensors and window; idempotent."""
-        self._told_last = None
+        self._last_step = None
         try:
             self.robot.close()
         finally:
@@ -487,7 +362,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def __getstate__(self) -> dict[str, Any]:
         """Copies and pickles have a robot of their own and must be reset first."""
-        return self.__dict__ | {"_episode": None, "_told_last": None}
+        return self.__dict__ | {"_episode": None, "_last_step": None}
 
     def __copy__(self) -> Self:
         """Every copy is a deep one, because two environments can't share a robot."""

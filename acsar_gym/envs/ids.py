@@ -49,8 +49,16 @@ def find_id(name: str) -> str:
     """
     env_id = full_id(name)
     module = env_id.rpartition(":")[0]
-    if module:
-        _import(module, name)
+    if module and "" not in sys.path:
+        sys.path.append("")
+    try:
+        if module:
+            importlib.import_module(module)
+    except AcsarError:
+        raise
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a user's module raises
+        said = f"{type(error).__name__}: {_one_line(error)}"
+        raise ConfigError(f"env {name}: the module {module} can't be imported: {said}") from None
     try:
         gymnasium.spec(strip_module(env_id))
     except gymnasium.error.Error as error:
@@ -59,24 +67,11 @@ def find_id(name: str) -> str:
     return env_id
 
 
-def _import(module: str, name: str) -> None:
-    """Import a module, also from the current folder; ConfigError for whatever it raises."""
-    if "" not in sys.path:
-        sys.path.append("")
-    try:
-        importlib.import_module(module)
-    except AcsarError:
-        raise
-    except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a user's module raises
-        said = f"{type(error).__name__}: {_one_line(error)}"
-        raise ConfigError(f"env {name}: the module {module} can't be imported: {said}") from None
-
-
 def make_vec(env_id: str, num_envs: int, **options: Any) -> RobotVectorEnv:
     """Make a batch of planar robots of a registered id.
 
     Args:
-        env_id: as `registered` returns it.
+        env_id: as `find_id` returns it.
         num_envs: number of robots.
         **options: of the env and of `RobotVectorEnv`.
 

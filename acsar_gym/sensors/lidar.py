@@ -1,6 +1,7 @@
-"""LiDARs: the contract, the sensor that observes their ranges.
+"""LiDARs: the contract, the sensor that observes their ranges, and the simulated and replayed one.
 
-The simulated and the replayed one, and how a URL names one.
+A scan is as from a single pose, though a real LiDAR turns while the robot drives: `scan_turn` moves
+its measurements by what the robot drove since, or will have driven, at its present twist.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from acsar_gym.sensors import LIDAR, Factory, Sensor
 from acsar_gym.worlds import Scene
 from acsar_gym.worlds.geometry import Obstacles, RaySpec, cast_rays, make_surroundings
 
+Floats = NDArray[np.float64]
 STALE_PERIODS = 2.0
 """A scan that is older than this many periods of the LiDAR counts as stale."""
 
@@ -156,8 +158,7 @@ class SimulatedLidar:
     """Exact rays from the true pose of a simulated robot, with noise and drop-outs.
 
     A scan is taken at the reset and then at the first tick of every period of the LiDAR. All rays
-    of
-    a scan start from the same pose.
+    of a scan start from the same pose.
     """
 
     def __init__(self, link: Link, config: RobotConfig) -> None:
@@ -179,24 +180,20 @@ class SimulatedLidar:
 
     def scan(self) -> Scan:
         """Return the newest scan; takes one where it is due."""
-        now = self._link.now()
-        if now - self._first > self._taken / self._settings.rate - 1e-9:
-            self._taken = 1 + math.floor((now - self._first) * self._settings.rate + 1e-9)
-            self._scan = Scan(self._ranges(), now)
+        now, lidar = self._link.now(), self._settings
+        if now - self._first > self._taken / lidar.rate - 1e-9:
+            self._taken = 1 + math.floor((now - self._first) * lidar.rate + 1e-9)
+            truth, ranges = self._link.truth, np.empty(lidar.rays)
+            x, y, theta = truth.pose if truth else (0.0, 0.0, 0.0)
+            cast_rays(x, y, math.cos(theta), math.sin(theta), 0, self._around, ranges)
+            if noise_draws(lidar):
+                uniforms = self._rng.random(noise_draws(lidar))
+                limits = lidar.min_range, lidar.max_range
+                add_noise(ranges, uniforms, lidar.noise, lidar.dropouts, *limits)
+            else:
+                np.maximum(ranges, lidar.min_range, out=ranges)
+            self._scan = Scan(ranges, now)
         return self._scan
-
-    def _ranges(self) -> NDArray[np.float64]:
-        """Ranges of a scan at the robot's true pose [m]."""
-        truth = self._link.truth
-        x, y, theta = truth.pose if truth else (0.0, 0.0, 0.0)
-        ranges = np.empty(self._settings.rays)
-        cast_rays(x, y, math.cos(theta), math.sin(theta), 0, self._around, ranges)
-        if noise_draws(self._settings):
-            uniforms = self._rng.random(noise_draws(self._settings))
-            add_noise(ranges, uniforms, *noise_settings(self._settings))
-        else:
-            np.maximum(ranges, self._settings.min_range, out=ranges)
-        return ranges
 
     def close(self) -> None:
         """Do nothing: there is no device."""
@@ -206,11 +203,6 @@ def noise_draws(lidar: LidarConfig) -> int:
     """How many uniform samples one noisy scan consumes."""
     pairs = (lidar.rays + 1) // 2 if lidar.noise > 0.0 else 0
     return 2 * pairs + (lidar.rays if lidar.dropouts > 0.0 else 0)
-
-
-def noise_settings(lidar: LidarConfig) -> tuple[float, float, float, float]:
-    """Noise [m], drop-out share, and least and longest range [m], as `measure` takes them."""
-    return lidar.noise, lidar.dropouts, lidar.min_range, lidar.max_range
 
 
 @loop
@@ -226,8 +218,8 @@ def add_noise(
 
     Args:
         ranges: (rays,), true ranges [m]; changed.
-        uniforms: samples of [0, 1), as many as `draws` says: two for each pair of rays (Box and
-            Muller 1958), then one for each ray that may drop out.
+        uniforms: samples of [0, 1), as many as `noise_draws` says: two for each pair of rays (Box
+            and Muller 1958), then one for each ray that may drop out.
         noise: standard deviation of ranges that meet something [m].
         dropouts: share of rays that measure nothing, which read `farthest`.
         nearest: least range [m].
@@ -247,6 +239,106 @@ def add_noise(
         ranges[k] = min(max(ranges[k], nearest), farthest)
         if dropouts > 0.0 and uniforms[used + k] < dropouts:
             ranges[k] = farthest
+
+
+Turn = tuple[Floats, Floats]
+"""A revolution: bearings [rad], counter-clockwise from the LiDAR's zero, and distances [m], 0 where
+nothing was measured."""
+RAY_REACH = 0.75
+"""A ray takes a measurement that is this near, in parts of the angle between two measurements."""
+READ_DELAY = 0.5
+"""When a scan is read, in revolutions after its end: at any time from 0 to 1."""
+GAP_STEPS = 2.0
+"""Steps between two measurements that driving may leave between them."""
+
+
+def scan_turn(
+    turn: Turn, duration: float, twist: tuple[float, float], config: RobotConfig, late: int = 0
+) -> Floats:
+    """Compute the ranges of a scan from one revolution of a robot that moves.
+
+    They are as seen from where the robot will be half a revolution after the end of this one: the
+    scan is the newest one for a whole revolution.
+
+    Args:
+        turn: the revolution.
+        duration: of it [s].
+        twist: of the robot at its end, linear [m/s] and angular [rad/s].
+        config: of the robot.
+        late: how many measurements of the next revolution had come when this one was complete.
+
+    Returns:
+        (rays,) [m], within min_range to max_range.
+    """
+    bearings, distances = turn
+    (linear, angular), count = twist, len(bearings)
+    if twist == (0.0, 0.0) or not count:
+        return bin_ranges(bearings, distances, config.lidar)
+    (places,), spacing = np.nonzero(distances), 2.0 * math.pi / count
+    measured = distances > 0.0
+    if len(places):  # even bearings where nothing was measured: an RPLIDAR gives none there
+        even = bearings[places[0]] - (np.arange(count) - places[0]) * spacing
+        bearings = np.where(measured, bearings, even)
+    # Each measurement moves with the robot on an arc, for the time since it was taken.
+    ages = ((np.arange(count, 0, -1) + late) / count + READ_DELAY) * duration
+    turned, (mount_x, mount_y) = angular * ages, (config.lidar_x_offset, config.lidar_y_offset)
+    chord = linear * ages * np.sinc(turned / 2.0 / math.pi)
+    x = mount_x + distances * np.cos(bearings) - chord * np.cos(turned / 2.0)
+    y = mount_y + distances * np.sin(bearings) - chord * np.sin(turned / 2.0)
+    cos, sin = np.cos(turned), np.sin(turned)
+    x, y = cos * x + sin * y - mount_x, cos * y - sin * x - mount_y
+    seen = np.where(measured, np.arctan2(y, x), bearings - turned)
+    gap = GAP_STEPS * spacing + abs(angular) * duration
+    return bin_ranges(seen, np.where(measured, np.hypot(x, y), 0.0), config.lidar, gap)
+
+
+def bin_ranges(bearings: Floats, distances: Floats, lidar: LidarConfig, gap: float = 0.0) -> Floats:
+    """Compute the ranges of a scan from one revolution.
+
+    Each ray takes the measurement whose bearing is next to it, while a simulated ray has
+    exactly its own bearing.
+
+    Args:
+        bearings: counter-clockwise [rad].
+        distances: of the same shape [m]; 0 where nothing was measured.
+        lidar: configuration of the rays.
+        gap: width of the gaps that a moving robot leaves between bearings [rad]. A ray in a gap
+            takes what is next to it; that may be a bearing where nothing was measured.
+
+    Returns:
+        (rays,) [m], within min_range to max_range.
+    """
+    spec = RaySpec(lidar.rays, lidar.max_range, lidar.field_of_view)
+    spacing = 2.0 * math.pi / max(len(bearings), 1)
+    measured = distances > 0.0
+    ranges = np.full(spec.rays, np.inf)
+    if measured.any():
+        seen, rays = _wrapped(bearings), spec.angles()
+        ranges = _next_to(rays, seen[measured], distances[measured], RAY_REACH * spacing)
+        if gap:
+            around = _next_to(rays, seen, np.where(measured, distances, np.inf), gap)
+            ranges = np.where(np.isfinite(ranges), ranges, around)
+    clamped: Floats = np.clip(ranges, lidar.min_range, lidar.max_range)
+    return clamped
+
+
+def _next_to(directions: Floats, bearings: Floats, distances: Floats, reach: float) -> Floats:
+    """The distance whose bearing is next to each direction.
+
+    Inf where none is within `reach` [rad].
+    """
+    order = np.argsort(bearings)
+    bearings, distances = bearings[order], distances[order]
+    right = np.searchsorted(bearings, _wrapped(directions)) % len(bearings)
+    both = np.stack((right - 1, right))
+    off = np.abs(_wrapped(bearings[both] - directions))
+    nearest = off.argmin(axis=0), np.arange(len(directions))
+    return np.where(off[nearest] <= reach, distances[both[nearest]], np.inf)
+
+
+def _wrapped(angles: Floats) -> Floats:
+    """Wrap angles to [-pi, pi) [rad]."""
+    return (angles + math.pi) % (2.0 * math.pi) - math.pi
 
 
 class ReplayedLidar:
@@ -297,8 +389,7 @@ def open_lidar(url: Any, link: Link, config: RobotConfig) -> Lidar:
 
     Args:
         url: None or "simulated" for rays in the world of a simulated link, or the scans of a
-            recording, or
-            "rplidar:///dev/ttyUSB1" for an RPLIDAR on a serial device, or a Lidar.
+            recording, or "rplidar:///dev/ttyUSB1" for an RPLIDAR on a serial device, or a Lidar.
         link: of the robot.
         config: of the robot.
 
@@ -339,18 +430,18 @@ def sensor_factories(
     Raises:
         ConfigError: A name is unknown.
     """
-    return [_named(one, lidar) if isinstance(one, str) else one for one in sensors]
 
-
-def _named(name: str, lidar: Any) -> Factory:
-    """The factory that a name stands for."""
-    if ":" in name:
-        made: Factory = import_object("sensor", name)
-        return made
-    if name != LIDAR:
-        raise ConfigError(f"unknown sensor {show_value(name)}{suggest_name(name, [LIDAR])}")
-
-    def make(link: Link, config: RobotConfig) -> Sensor:
+    def make_lidar(link: Link, config: RobotConfig) -> Sensor:
         return LidarSensor(open_lidar(lidar, link, config), config)
 
-    return make
+    found: list[Sensor | Factory] = []
+    for sensor in sensors:
+        if not isinstance(sensor, str):
+            found.append(sensor)
+        elif ":" in sensor:
+            found.append(import_object("sensor", sensor))
+        elif sensor == LIDAR:
+            found.append(make_lidar)
+        else:
+            raise ConfigError(f"unknown sensor {show_value(sensor)}{suggest_name(sensor, [LIDAR])}")
+    return found

@@ -1,29 +1,30 @@
-"""A real RPLIDAR (A1, A2, C1 in its standard mode) on a serial device, through lds2d."""
+"""A real RPLIDAR (A1, A2, C1 in its standard mode) on a serial device, through lds2d.
+
+lds2d knows the commands, the baud rates and the measurements. What it lacks for a robot is done
+here: its port isn't exclusive and leaves DTR asserted, which holds an A1's motor; its `scans()`
+waits forever for a silent device, begins with a part of a revolution, splits revolutions where the
+angle jitters around zero, and passes on measurements that lost bytes have shifted.
+"""
 
 from __future__ import annotations
 
 import contextlib
-import math
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from acsar_gym.config import LidarConfig, RobotConfig
-from acsar_gym.errors import LidarError, LinkError, MissingExtraError
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import LidarError, LinkError, require_extra
 from acsar_gym.links.base import WHILE_WAITING
 from acsar_gym.links.ports import PORT_ERRORS, PortLocation, write_all
 from acsar_gym.links.shutdown import close_at_exit, forget_link, install_handlers
 from acsar_gym.odometry import Odometry
-from acsar_gym.sensors.lidar import Scan
+from acsar_gym.sensors.lidar import Scan, Turn, scan_turn
 from acsar_gym.worlds import Scene
-from acsar_gym.worlds.geometry import RaySpec
-
-Floats = NDArray[np.float64]
 
 NODE_BYTES = 5
 """Bytes of a measurement."""
@@ -34,12 +35,6 @@ MAX_ANGLE_ERROR = 15.0
 START_PROOF = 8
 """Valid measurements in a row that prove a start flag: bytes shifted by a loss are invalid
 sooner."""
-RAY_REACH = 0.75
-"""A ray takes a measurement that is this near, in parts of the angle between two measurements."""
-
-Turn = tuple[Floats, Floats]
-"""Bearings [rad], counter-clockwise from the LiDAR's zero, and distances [m], 0 where nothing
-was measured."""
 
 
 class TurnDecoder:
@@ -67,102 +62,45 @@ class TurnDecoder:
 
         Each goes from one start flag to the next.
         """
-        buffer, at, turns = self._rest + data, 0, []
+        buffer, at = self._rest + data, 0
+        turns: list[Turn] = []
         while len(buffer) - at >= NODE_BYTES:
             node = buffer[at : at + NODE_BYTES]
-            if self._library.node_ok(node):
-                turns += self._take(*self._library.parse_node(node))
-                at += NODE_BYTES
-            else:
+            if not self._library.node_ok(node):
                 self._drop()
                 at += 1
+                continue
+            at += NODE_BYTES
+            point, starts = self._library.parse_node(node)
+            if starts:
+                self._ended, self._points = self._points, []
+            if self._points is None:
+                continue
+            self._points.append(point)
+            if len(self._points) > MAX_MEASUREMENTS:
+                self._drop()
+            elif len(self._points) == START_PROOF and self._ended is not None:
+                turns += _complete_turn(self._ended)
         self._rest = buffer[at:]
         return turns
 
-    def _take(self, point: Any, starts: bool) -> list[Turn]:
-        """Add a measurement; returns the revolution that it completes, if it does."""
-        if starts:
-            self._ended, self._points = self._points, []
-        if self._points is None:
-            return []
-        self._points.append(point)
-        if len(self._points) > MAX_MEASUREMENTS:
-            self._drop()
-        elif len(self._points) == START_PROOF and self._ended is not None:
-            return _turn(self._ended)
-        return []
 
+def _complete_turn(points: list[Any]) -> list[Turn]:
+    """A revolution of these points; empty where some are missing.
 
-def _turn(points: list[Any]) -> list[Turn]:
-    """A revolution of these points; empty where some are missing."""
+    Its angles then don't grow evenly by a full turn. Missed measurements have no valid angle.
+    """
     if len(points) < MIN_MEASUREMENTS:
         return []
     angles = np.array([point.angle_deg for point in points], dtype=np.float64)
     distances = np.array([point.dist_mm for point in points], dtype=np.float64) / 1000.0
-    return [(-np.radians(angles), distances)] if _even(angles, distances > 0.0) else []
-
-
-def _even(angles: Floats, measured: NDArray[np.bool_]) -> bool:
-    """Whether the angles [deg] grow evenly by a full turn.
-
-    Missed measurements have no valid angle.
-    """
-    (places,) = np.nonzero(measured)
-    if not len(places):
-        return True
-    expected = (places - places[0]) * 360.0 / len(angles)
-    off = (angles[places] - angles[places[0]] - expected + 180.0) % 360.0 - 180.0
-    return bool(np.abs(off).max() <= MAX_ANGLE_ERROR)
-
-
-def bin_ranges(bearings: Floats, distances: Floats, lidar: LidarConfig, gap: float = 0.0) -> Floats:
-    """Compute the ranges of a scan from one revolution.
-
-    Each ray takes the measurement whose bearing is next to it, while a simulated ray has exactly
-    its
-    own bearing.
-
-    Args:
-        bearings: counter-clockwise [rad].
-        distances: of the same shape [m]; 0 where nothing was measured.
-        lidar: configuration of the rays.
-        gap: width of the gaps that a moving robot leaves between bearings [rad]. A ray in a gap
-            takes what is next to it; that may be a bearing where nothing was measured.
-
-    Returns:
-        (rays,) [m], within min_range to max_range.
-    """
-    spec = RaySpec(lidar.rays, lidar.max_range, lidar.field_of_view)
-    spacing = 2.0 * math.pi / max(len(bearings), 1)
-    measured = distances > 0.0
-    ranges = np.full(spec.rays, np.inf)
-    if measured.any():
-        seen, rays = _wrapped(bearings), spec.angles()
-        ranges = _next_to(rays, seen[measured], distances[measured], RAY_REACH * spacing)
-        if gap:
-            around = _next_to(rays, seen, np.where(measured, distances, np.inf), gap)
-            ranges = np.where(np.isfinite(ranges), ranges, around)
-    clamped: Floats = np.clip(ranges, lidar.min_range, lidar.max_range)
-    return clamped
-
-
-def _next_to(directions: Floats, bearings: Floats, distances: Floats, reach: float) -> Floats:
-    """The distance whose bearing is next to each direction.
-
-    Inf where none is within `reach` [rad].
-    """
-    order = np.argsort(bearings)
-    bearings, distances = bearings[order], distances[order]
-    right = np.searchsorted(bearings, _wrapped(directions)) % len(bearings)
-    both = np.stack((right - 1, right))
-    off = np.abs(_wrapped(bearings[both] - directions))
-    nearest = off.argmin(axis=0), np.arange(len(directions))
-    return np.where(off[nearest] <= reach, distances[both[nearest]], np.inf)
-
-
-def _wrapped(angles: Floats) -> Floats:
-    """Wrap angles to [-pi, pi) [rad]."""
-    return (angles + math.pi) % (2.0 * math.pi) - math.pi
+    (places,) = np.nonzero(distances)
+    if len(places):
+        expected = (places - places[0]) * 360.0 / len(angles)
+        off = (angles[places] - angles[places[0]] - expected + 180.0) % 360.0 - 180.0
+        if np.abs(off).max() > MAX_ANGLE_ERROR:
+            return []
+    return [(-np.radians(angles), distances)]
 
 
 READ_PERIOD = 0.005
@@ -197,17 +135,8 @@ class _Outbox:
         write_all(self._port, data)
 
 
-def import_lds2d() -> Any:
-    """Import lds2d's module; MissingExtraError where it isn't installed."""
-    try:
-        from lds2d.drivers import rplidar  # noqa: PLC0415
-    except ImportError:
-        raise MissingExtraError("a real LiDAR", "lidar") from None
-    return rplidar
-
-
 def find_device(port: Any, device: str, models: Any) -> Any:
-    """Find the baud rate at which the device answers, and start its motor.
+    """Find the baud rate at which a healthy device answers, and start its motor.
 
     A device that still measures for a process that crashed is stopped first.
 
@@ -220,7 +149,7 @@ def find_device(port: Any, device: str, models: Any) -> Any:
         lds2d's driver on the port.
 
     Raises:
-        LidarError: nothing answers, or something else than an RPLIDAR.
+        LidarError: nothing answers, or something else than an RPLIDAR, or a broken one.
     """
     heard = 0
     for model in (models.RPLIDAR_A1, models.RPLIDAR_C1) * BAUD_TRIES:
@@ -229,11 +158,20 @@ def find_device(port: Any, device: str, models: Any) -> Any:
         driver.stop()
         time.sleep(STOP_DELAY)
         port.reset_input_buffer()
-        _start_motor(port)
+        with contextlib.suppress(*PORT_ERRORS):  # a pseudo-terminal has no DTR
+            port.dtr = False
+        write_all(port, MOTOR_ON)
         info, count = _ask(port, GET_INFO, INFO_DESCRIPTOR)
-        if info is not None:
-            return driver
         heard += count
+        if info is None:
+            continue
+        health, _ = _ask(port, GET_HEALTH, HEALTH_DESCRIPTOR)
+        if health is not None and health[0] == HEALTH_BROKEN:
+            raise LidarError(
+                f"LiDAR {device}: reports error 0x{health[2]:02x}{health[1]:02x} and won't measure",
+                "unplug it for a few seconds, then reset; if it comes again, the device is broken",
+            )
+        return driver
     waited = 2 * BAUD_TRIES * ANSWER_TIMEOUT
     if heard:
         raise LidarError(
@@ -244,38 +182,6 @@ def find_device(port: Any, device: str, models: Any) -> Any:
         f"LiDAR {device}: no answer in {waited:g} s",
         "check its power and cable, and the port's name",
     )
-
-
-def _start_motor(port: Any) -> None:
-    """Start the motor by DTR, for adapters of the A1, and by command, for other models.
-
-    A pseudo-terminal has no DTR.
-    """
-    with contextlib.suppress(*PORT_ERRORS):
-        port.dtr = False
-    write_all(port, MOTOR_ON)
-
-
-def hold_motor(port: Any) -> None:
-    """Stop an A1's motor by DTR, and keep DTR asserted after the port is closed."""
-    with contextlib.suppress(*PORT_ERRORS):
-        port.dtr = True
-    with contextlib.suppress(ImportError, *PORT_ERRORS):  # Windows has no termios
-        import termios  # noqa: PLC0415
-
-        attributes = termios.tcgetattr(port.fileno())
-        attributes[2] &= ~termios.HUPCL
-        termios.tcsetattr(port.fileno(), termios.TCSANOW, attributes)
-
-
-def check_health(port: Any, device: str) -> None:
-    """Raise LidarError where the device reports that it is broken."""
-    health, _ = _ask(port, GET_HEALTH, HEALTH_DESCRIPTOR)
-    if health is not None and health[0] == HEALTH_BROKEN:
-        raise LidarError(
-            f"LiDAR {device}: reports error 0x{health[2]:02x}{health[1]:02x} and won't measure",
-            "unplug it for a few seconds, then reset; if it comes again, the device is broken",
-        )
 
 
 def _ask(port: Any, request: bytes, descriptor: bytes) -> tuple[bytes | None, int]:
@@ -295,70 +201,16 @@ def _ask(port: Any, request: bytes, descriptor: bytes) -> tuple[bytes | None, in
     return None, len(heard)
 
 
-READ_DELAY = 0.5
-"""When a scan is read, in revolutions after its end: at any time from 0 to 1."""
-GAP_STEPS = 2.0
-"""Steps between two measurements that driving may leave between them."""
-Twist = tuple[float, float]
+def hold_motor(port: Any) -> None:
+    """Stop an A1's motor by DTR, and keep DTR asserted after the port is closed."""
+    with contextlib.suppress(*PORT_ERRORS):
+        port.dtr = True
+    with contextlib.suppress(ImportError, *PORT_ERRORS):  # Windows has no termios
+        import termios  # noqa: PLC0415
 
-
-def scan_turn(turn: Turn, duration: float, twist: Twist, config: RobotConfig) -> Floats:
-    """Compute the ranges of a scan from one revolution of a robot that moves.
-
-    They are as seen from where the robot will be half a revolution after the end of this one.
-
-    Args:
-        turn: the revolution.
-        duration: of it [s].
-        twist: of the robot at its end, linear [m/s] and angular [rad/s].
-        config: of the robot.
-
-    Returns:
-        (rays,) [m], within min_range to max_range.
-    """
-    bearings, distances = turn
-    count = len(bearings)
-    if twist == (0.0, 0.0) or not count:
-        return bin_ranges(bearings, distances, config.lidar)
-    ages = ((np.arange(count, 0, -1) + START_PROOF) / count + READ_DELAY) * duration
-    mount = (config.lidar_x_offset, config.lidar_y_offset)
-    gap = GAP_STEPS * 2.0 * math.pi / count + abs(twist[1]) * duration
-    moved = _moved(_placed(bearings, distances), distances, ages, twist, mount)
-    return bin_ranges(*moved, config.lidar, gap)
-
-
-def _placed(bearings: Floats, distances: Floats) -> Floats:
-    """Bearings, even ones where nothing was measured: an RPLIDAR gives no valid angle there."""
-    (measured,) = np.nonzero(distances)
-    if not len(measured):
-        return bearings
-    first, count = measured[0], len(bearings)
-    even = bearings[first] - (np.arange(count) - first) * 2.0 * math.pi / count
-    return np.where(distances > 0.0, bearings, even)
-
-
-def _moved(
-    bearings: Floats, distances: Floats, ages: Floats, twist: Twist, mount: tuple[float, float]
-) -> Turn:
-    """Bearings and distances after the robot drove for `ages` [s] on an arc; 0 stays 0.
-
-    Args:
-        bearings: in the LiDAR's frame [rad].
-        distances: [m].
-        ages: time since each was measured [s].
-        twist: linear [m/s] and angular [rad/s].
-        mount: place of the LiDAR in the base frame [m].
-    """
-    linear, angular = twist
-    turned = angular * ages
-    chord = linear * ages * np.sinc(turned / 2.0 / math.pi)
-    x = mount[0] + distances * np.cos(bearings) - chord * np.cos(turned / 2.0)
-    y = mount[1] + distances * np.sin(bearings) - chord * np.sin(turned / 2.0)
-    cos, sin = np.cos(turned), np.sin(turned)
-    x, y = cos * x + sin * y - mount[0], cos * y - sin * x - mount[1]
-    measured = distances > 0.0
-    seen = np.where(measured, np.arctan2(y, x), bearings - turned)
-    return seen, np.where(measured, np.hypot(x, y), 0.0)
+        attributes = termios.tcgetattr(port.fileno())
+        attributes[2] &= ~termios.HUPCL
+        termios.tcsetattr(port.fileno(), termios.TCSANOW, attributes)
 
 
 MAX_SLEEP = 0.1
@@ -404,8 +256,7 @@ class RplidarLidar:
         """Open the device if it is closed or doesn't deliver, and wait for a complete revolution.
 
         A device that was lost has the config's `reconnect_timeout` to come back. The device is
-        closed
-        again where this raises.
+        closed again where this raises.
 
         Raises:
             LidarError: the device can't be opened, or doesn't measure.
@@ -415,8 +266,10 @@ class RplidarLidar:
             self._newest()
             return
         self.close()
+        with require_extra("a real LiDAR", "lidar"):
+            from lds2d.drivers import rplidar as models  # noqa: PLC0415
         try:
-            self._open(import_lds2d())
+            self._open(models)
         except BaseException:
             self.close()
             raise
@@ -428,17 +281,15 @@ class RplidarLidar:
         except LinkError as error:
             raise LidarError(f"LiDAR {error.found}", error.fix) from None
         close_at_exit(self)
-        with _translated(self.device):
+        try:
             self._driver = find_device(self._port, self.device, models)
-            check_health(self._port, self.device)
             self._driver.start()
+        except PORT_ERRORS as error:
+            raise _lost(self.device, str(error)) from None
         decoder = TurnDecoder(models)
-        self._reader = _Reader(self._port, decoder, self._config, self._now, self._odometry)
-        self._reader.start()
-        self._wait_for_a_turn(self._reader)
-
-    def _wait_for_a_turn(self, reader: _Reader) -> None:
-        """Wait for the first complete revolution; LidarError after SPIN_UP."""
+        reader = _Reader(self._port, decoder, self._config, self._now, self._odometry)
+        self._reader = reader
+        reader.start()
         deadline = time.monotonic() + SPIN_UP_TIMEOUT
         while reader.newest is None:
             if reader.lost:
@@ -479,27 +330,21 @@ class RplidarLidar:
 
     def close(self) -> None:
         """Stop measuring and the motor, end the thread and close the port; idempotent."""
-        port = self._port
+        port, reader = self._port, self._reader
         if port is None:
             return
         try:
-            self._end_reader()
+            if reader is not None:
+                reader.running = False
+                # The garbage collector may close a LiDAR in any thread, this one included.
+                if reader.is_alive() and reader is not threading.current_thread():
+                    reader.join(READER_TIMEOUT)
             self._say_stop(port)
         except BaseException:
             self._say_stop(port)
             raise
         finally:
             self._release(port)
-
-    def _end_reader(self) -> None:
-        """Tell the reader thread to end and wait for it."""
-        reader = self._reader
-        if reader is None:
-            return
-        reader.running = False
-        # The garbage collector may close a LiDAR in any thread, this one included.
-        if reader.is_alive() and reader is not threading.current_thread():
-            reader.join(READER_TIMEOUT)
 
     def _say_stop(self, port: Any) -> None:
         """Command the LiDAR to stop measuring, and its motor to stop."""
@@ -549,7 +394,7 @@ class _Reader(threading.Thread):
     def __init__(
         self,
         port: Any,
-        turns: TurnDecoder,
+        decoder: TurnDecoder,
         config: RobotConfig,
         now: Callable[[], float],
         odometry: Odometry,
@@ -560,7 +405,7 @@ class _Reader(threading.Thread):
         """Why the device is gone; empty while it isn't."""
         self.running = True
         self._port = port
-        self._turns = turns
+        self._decoder = decoder
         self._config = config
         self._now = now
         self._odometry = odometry
@@ -575,34 +420,20 @@ class _Reader(threading.Thread):
                 before, awake = awake, time.monotonic()
                 if awake - before > MAX_SLEEP:
                     self._port.reset_input_buffer()
-                    self._turns.forget()
+                    self._decoder.forget()
                     continue
             except PORT_ERRORS as error:
                 self.lost = str(error) or type(error).__name__
                 return
-            self._keep(self._turns.feed(data))
-
-    def _keep(self, turns: list[Turn]) -> None:
-        """Keep the newest of these revolutions as a scan."""
-        if turns:
-            stamp, twist = self._now(), self._odometry.twist
-            ranges = scan_turn(turns[-1], self._duration(stamp), twist, self._config)
-            self.newest = Scan(ranges, stamp)
-
-    def _duration(self, stamp: float) -> float:
-        """Time of the revolution that ends now [s]: since the last one, if that's likely."""
-        usual = 1.0 / self._config.lidar.rate
-        since = usual if self.newest is None else stamp - self.newest.stamp
-        return since if since < 2.0 * usual else usual
-
-
-@contextlib.contextmanager
-def _translated(device: str) -> Iterator[None]:
-    """Convert errors of an open port to LidarError."""
-    try:
-        yield
-    except PORT_ERRORS as error:
-        raise _lost(device, str(error)) from None
+            turns = self._decoder.feed(data)
+            if turns:
+                stamp, duration = self._now(), 1.0 / self._config.lidar.rate
+                since = duration if self.newest is None else stamp - self.newest.stamp
+                if since < 2.0 * duration:  # otherwise there was a turn between them that was lost
+                    duration = since
+                twist = self._odometry.twist
+                ranges = scan_turn(turns[-1], duration, twist, self._config, START_PROOF)
+                self.newest = Scan(ranges, stamp)
 
 
 def _lost(device: str, why: str) -> LidarError:

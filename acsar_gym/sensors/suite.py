@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 
@@ -45,15 +45,9 @@ class Sensors(Sequence[Sensor]):
         self._sensors = sorted(made, key=lambda sensor: sensor.name != LIDAR)
         self._polled = [one for one in self._sensors if type(one).poll is not Sensor.poll]
         self._uses_truth = any(sensor.uses_truth for sensor in self._sensors)
-        check_names(self._sensors)
+        check_names([sensor.name for sensor in self._sensors])
 
-    @overload
-    def __getitem__(self, index: int) -> Sensor: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Sensor]: ...
-
-    def __getitem__(self, index: int | slice) -> Sensor | Sequence[Sensor]:
+    def __getitem__(self, index: Any) -> Any:
         return self._sensors[index]
 
     def __len__(self) -> int:
@@ -126,15 +120,14 @@ class Sensors(Sequence[Sensor]):
 
     def close(self) -> None:
         """Close all of them, even where one raises; idempotent."""
+
+        def close(sensor: Sensor) -> None:
+            with naming_sensor(sensor):
+                sensor.close()
+
         with contextlib.ExitStack() as stack:
             for sensor in reversed(self._sensors):
-                stack.callback(_close, sensor)
-
-
-def _close(sensor: Sensor) -> None:
-    """Close a sensor; SensorError where it raises an error."""
-    with naming_sensor(sensor):
-        sensor.close()
+                stack.callback(close, sensor)
 
 
 def naming_sensor(sensor: Sensor) -> contextlib.AbstractContextManager[None]:
@@ -164,17 +157,11 @@ def make_sensor(factory: Any, link: Link, config: RobotConfig) -> Sensor:
         raise ConfigError(
             f"sensors: {show_value(sensor)}, made by {show_value(factory)}, is no Sensor"
         )
-    check_layout(sensor)
-    return sensor
-
-
-def check_layout(sensor: Sensor) -> None:
-    """Raise ConfigError for a name, size or bounds that can't be used."""
     name, size = getattr(sensor, "name", None), getattr(sensor, "size", None)
     if not isinstance(name, str) or not name.isidentifier():
         raise ConfigError(
-            f"{type(sensor).__name__}.name = {show_value(name)}: must be a word of "
-            "letters, digits and _"
+            f"{type(sensor).__name__}.name = {show_value(name)}: must be a word of letters, "
+            "digits and _"
         )
     if not isinstance(size, int | np.integer) or isinstance(size, bool) or size < 1:
         raise ConfigError(
@@ -187,23 +174,17 @@ def check_layout(sensor: Sensor) -> None:
         sound = False
     if not sound:
         raise ConfigError(
-            f"sensor {name!r}: low = {show_value(sensor.low)}, high = "
-            f"{show_value(sensor.high)} must be "
-            f"numbers or ({size},) arrays, low <= high"
+            f"sensor {name!r}: low = {show_value(sensor.low)}, high = {show_value(sensor.high)} "
+            f"must be numbers or ({size},) arrays, low <= high"
         )
+    return sensor
 
 
-def check_names(sensors: Sequence[Sensor]) -> None:
+def check_names(names: Sequence[str]) -> None:
     """Raise ConfigError where two sensors have the same name."""
-    names = [sensor.name for sensor in sensors]
     for name in names:
         if names.count(name) > 1:
-            raise ConfigError(duplicate_name(name))
-
-
-def duplicate_name(name: str) -> str:
-    """The message about two sensors with the same name."""
-    return f"sensors: two are named {name!r}: give each a name of its own"
+            raise ConfigError(f"sensors: two are named {name!r}: give each a name of its own")
 
 
 def check_numbers(sensor: Sensor, numbers: Any) -> Floats:
@@ -227,8 +208,8 @@ def check_numbers(sensor: Sensor, numbers: Any) -> Floats:
         )
     if not np.isfinite(array).all():
         raise SensorError(
-            f"sensor {sensor.name!r}: read() gave {show_value(array.tolist())}: must be "
-            "finite numbers"
+            f"sensor {sensor.name!r}: read() gave {show_value(array.tolist())}: must be finite "
+            "numbers"
         )
     return array.astype(np.float64, copy=False)
 

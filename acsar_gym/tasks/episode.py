@@ -1,7 +1,4 @@
-"""The episodes of a task.
-
-Draw world, start and goal, and call the task's methods in the single environment.
-"""
+"""Draw the world, start and goal of an episode, and call a task's methods for one robot."""
 
 from __future__ import annotations
 
@@ -28,7 +25,7 @@ from acsar_gym.tasks.base import (
     point_in_disc,
     relative_point,
 )
-from acsar_gym.tasks.factory import check_point, check_reset_options, task_name
+from acsar_gym.tasks.factory import check_distances, check_reset_options, task_name
 from acsar_gym.worlds import Pose, Region, World
 from acsar_gym.worlds.generators import Level
 from acsar_gym.worlds.pool import Pool, Source, check_world
@@ -91,7 +88,7 @@ class Spawn:
         if source is None and level is not None:
             raise ConfigError(f"difficulty = {show_value(level)}: {task.id} has no worlds")
         self.pool = None if source is None else Pool.of(source, level, footprint_radius(config))
-        _check_distances(task)
+        check_distances(task.goal_distance)
         self.options: tuple[str, ...] = ("goal",)
         if self.pool is not None:
             self.options = ("world", "difficulty", "path" if task.follows else "goal")
@@ -114,17 +111,12 @@ class Spawn:
             return assign_path(options["path"])
         if self.pool is not None:
             return draw_in_world(self.pool, rng, options, follow=self._task.follows)
-        goal = options.get("goal")
-        return Assignment(
-            self._goal(rng) if goal is None else self.checked(check_point("goal", goal))
-        )
-
-    def _goal(self, rng: np.random.Generator) -> Goal:
-        """Draw a goal in any direction, its distance uniform between the task's limits."""
+        if options.get("goal") is not None:
+            return Assignment(self.check_goal(_check_point(options["goal"])))
         distance = rng.uniform(*self._task.goal_distance)
-        return goal_at(distance, rng.uniform(-math.pi, math.pi))
+        return Assignment(goal_at(distance, rng.uniform(-math.pi, math.pi)))
 
-    def checked(self, goal: Goal) -> Goal:
+    def check_goal(self, goal: Goal) -> Goal:
         """Return a goal on an open floor once its distance is checked.
 
         Args:
@@ -142,18 +134,16 @@ class Spawn:
         return goal
 
 
-def _check_distances(task: Task) -> None:
-    """Raise ConfigError unless `goal_distance` is 0 < nearest <= farthest."""
+def _check_point(value: Any) -> Goal:
+    """Return a goal of two finite numbers; ConfigError for anything else."""
     try:
-        nearest, farthest = (float(distance) for distance in task.goal_distance)
-    except (TypeError, ValueError):
-        nearest, farthest = math.nan, math.nan
-    if not 0.0 < nearest <= farthest < math.inf:
-        raise ConfigError(
-            f"goal_distance = {show_value(task.goal_distance)}: must be (nearest, "
-            "farthest) [m], with "
-            "0 < nearest <= farthest"
-        )
+        x, y = (float(number) for number in value)
+        sound = math.isfinite(x + y)
+    except (TypeError, ValueError, OverflowError):
+        sound = False
+    if not sound:
+        raise ConfigError(f"goal = {show_value(value)}: must be two finite numbers (x, y) [m]")
+    return (x, y)
 
 
 @jit
@@ -176,30 +166,24 @@ def choose_world(worlds: Pool, share: float, options: Mapping[str, Any]) -> tupl
     Raises:
         ConfigError, WorldError: for a world that isn't in the pool, or isn't one.
     """
-    asked = options.get("world")
-    if asked is None:
-        number = worlds.numbers[_drawn(worlds, share, options.get("difficulty"))]
-        return number, worlds[number]
+    asked, difficulty = options.get("world"), options.get("difficulty")
     if isinstance(asked, World):
         return -1, check_world(asked, worlds.radius)
-    if not (isinstance(asked, int | np.integer) or _whole(asked)):
+    if asked is None and difficulty is None:
+        number = worlds.numbers[min(int(share * len(worlds)), len(worlds) - 1)]
+    elif asked is None:
+        ranks = worlds.ranks(difficulty)
+        rank = ranks[min(int(share * len(ranks)), len(ranks) - 1)]
+        number = worlds.numbers[int(worlds.by_difficulty[0][rank])]
+    elif isinstance(asked, int | np.integer) or (
+        isinstance(asked, float | np.floating) and float(asked).is_integer()  # as in info
+    ):
+        number = int(asked)
+    else:
         raise ConfigError(
             f"world = {show_value(asked)}: must be a number of the env's worlds, or a World"
         )
-    return int(asked), worlds[int(asked)]
-
-
-def _whole(value: Any) -> bool:
-    """Whether a value is a float without a fraction, as info["world"] is."""
-    return isinstance(value, float | np.floating) and float(value).is_integer()
-
-
-def _drawn(worlds: Pool, share: float, difficulty: Level) -> int:
-    """Index into the pool's numbers for a uniform sample, among all or a range of difficulty."""
-    if difficulty is None:
-        return min(int(share * len(worlds)), len(worlds) - 1)
-    ranks = worlds.ranks(difficulty)
-    return int(worlds.by_difficulty[0][ranks[min(int(share * len(ranks)), len(ranks) - 1)]])
+    return number, worlds[number]
 
 
 def draw_in_world(
@@ -209,7 +193,7 @@ def draw_in_world(
 
     Args:
         worlds: to draw from.
-        rng: the env's generator; DRAWS numbers are taken.
+        rng: the env's generator; WORLD_DRAWS numbers are taken.
         options: of the reset: "world", "difficulty" and "goal", see `Spawn.draw`.
         follow: whether the assignment gets the world's path, and starts at one of its ends.
 
@@ -224,7 +208,7 @@ def draw_in_world(
     theta = (2.0 * u[3] - 1.0) * math.pi if theta is None else theta
     start: Pose = (x, y, theta)
     if options.get("goal") is not None:  # without the world's path, which leads elsewhere
-        return Assignment(check_point("goal", options["goal"]), world, number=number, start=start)
+        return Assignment(_check_point(options["goal"]), world, number=number, start=start)
     goal_x, goal_y = point_in_disc(ends.goal.x, ends.goal.y, ends.goal.radius, u[4], u[5])
     goal: Goal = relative_point(x, y, math.cos(theta), math.sin(theta), goal_x, goal_y)
     path = path_from_start(ends) if follow else None
@@ -236,11 +220,8 @@ def assign_path(path: Any) -> Assignment:
 
     The robot starts at the origin of that frame, wherever the path begins.
     """
-    world = world_along(path)
-    goal = (world.goal.x, world.goal.y)
-    start = Region(0.0, 0.0, 0.0, 0.0)
-    world = replace(world, start=start, name="given")
-    return Assignment(goal, world, path_from_start(world), world.length)
+    world = replace(world_along(path), start=Region(0.0, 0.0, 0.0, 0.0), name="given")
+    return Assignment((world.goal.x, world.goal.y), world, path_from_start(world), world.length)
 
 
 def path_from_start(world: World) -> Floats:
@@ -266,11 +247,7 @@ def path_from_start(world: World) -> Floats:
 
 
 def ask_outcome(task: Task, state: State, memory: Memory) -> Outcome:
-    """Ask a task for the outcome of a step.
-
-    Raises:
-        TaskError: it is no Outcome.
-    """
+    """Ask a task for the outcome of a step; TaskError where it is no Outcome."""
     outcome = task.outcome(state, memory)
     try:
         return Outcome(outcome)
@@ -281,11 +258,7 @@ def ask_outcome(task: Task, state: State, memory: Memory) -> Outcome:
 
 
 def ask_reward(task: Task, state: State, memory: Memory, outcome: Outcome) -> float:
-    """Ask a task for the reward of a step.
-
-    Raises:
-        TaskError: it is no finite number.
-    """
+    """Ask a task for the reward of a step; TaskError where it is no finite number."""
     reward = task.reward(state, memory, outcome)
     try:
         number = float(reward)
@@ -310,9 +283,9 @@ def check_observation(task: Task, numbers: Observation) -> None:
     """
     if np.isfinite(numbers).all():
         return
-    rows = np.atleast_2d(numbers)
-    robot = int(np.isfinite(rows).all(axis=1).argmin())
-    found = dict(zip(task.observation, rows[robot].tolist(), strict=True))
+    each = np.atleast_2d(numbers)
+    robot = int(np.isfinite(each).all(axis=1).argmin())
+    found = dict(zip(task.observation, each[robot].tolist(), strict=True))
     wrong = {name: number for name, number in found.items() if not math.isfinite(number)}
     whose = f" for robot {robot}" if numbers.ndim > 1 else ""
     raise TaskError(
@@ -348,10 +321,28 @@ class RunningEpisode:
             self.outcome = ask_outcome(self.task, state, self.memory)
             return ask_reward(self.task, state, self.memory, self.outcome), self.outcome
 
-    def observe(self, state: State) -> tuple[float, ...]:
-        """Return the task's own numbers of the observation. TaskError as for `step`."""
-        with translate_errors(TaskError, lambda: task_name(self.task)):
-            return self.task.observe(state, self.memory)
+    def observe(self, state: State) -> Observation:
+        """Return the task's own part of the observation, (numbers,).
+
+        Raises:
+            TaskError: the task raises an error, or returns something else than so many finite
+                numbers.
+        """
+        name, size = task_name(self.task), len(self.task.observation)
+        with translate_errors(TaskError, lambda: name):
+            given = self.task.observe(state, self.memory)
+        try:
+            numbers = np.array(given, np.float32)
+        except (TypeError, ValueError):
+            raise TaskError(
+                f"{name}.observe returned {show_value(given)}: must be numbers"
+            ) from None
+        if numbers.shape != (size,):
+            raise TaskError(
+                f"{name}.observe returned numbers of shape {numbers.shape}: must be ({size},)"
+            )
+        check_observation(self.task, numbers)
+        return numbers
 
     def info(self) -> Info:
         """Return what the task adds to info; the keys are the same at every step."""

@@ -1,7 +1,4 @@
-"""Make tasks from what users pass, and what single environments and batches share.
-
-Options, spaces, specs.
-"""
+"""Make tasks from what users pass, and what single environments and batches share."""
 
 from __future__ import annotations
 
@@ -10,7 +7,6 @@ import dataclasses
 import inspect
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
 from enum import Enum
 from pathlib import Path
 from types import FunctionType
@@ -19,17 +15,16 @@ from typing import Any, Self
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.spaces import Box
-from pydantic import BaseModel
+from pydantic import BaseModel, field_validator
 
 from acsar_gym.config import RobotConfig
+from acsar_gym.config.section import Section
 from acsar_gym.errors import ConfigError, TaskError, show_value, suggest_name, translate_errors
 from acsar_gym.reading import import_object, object_name
 from acsar_gym.sensors import LIDAR, Sensor
 from acsar_gym.sensors.lidar import footprint_edges
 from acsar_gym.tasks.base import (
     RESERVED_INFO,
-    Goal,
-    Memory,
     Outcome,
     State,
     Task,
@@ -38,9 +33,11 @@ from acsar_gym.tasks.base import (
     new_memory,
 )
 
+NUMBER = (float, int, np.floating, np.integer)
+
 
 def make_task(task: Any, options: Mapping[str, Any], others: Sequence[str] = ()) -> Task:
-    """Make a task from what a user passes as `task`, and check its class; see `tried`, too.
+    """Make a task from what a user passes as `task`, and check its class; see `validate_task`, too.
 
     Args:
         task: a Task, a subclass of it, or "module:Class".
@@ -54,15 +51,60 @@ def make_task(task: Any, options: Mapping[str, Any], others: Sequence[str] = ())
     if isinstance(task, str):
         task = import_object("task", task)
     if isinstance(task, type) and issubclass(task, Task):
-        task = _built(task, options, others)
+        known = list(inspect.signature(task).parameters)
+        for name in options:
+            if name not in known:
+                raise ConfigError(
+                    f"unknown option {show_value(name)} of {task_name(task)}"
+                    f"{suggest_name(str(name)[:40], [*known, *others])}"
+                )
+        with translate_errors(TaskError, lambda: task_name(task)):
+            try:
+                task = task(**{name: _tupled(value) for name, value in options.items()})
+            except TypeError as error:
+                raise ConfigError(f"{task_name(task)}: {error}") from None
     elif options:
-        raise ConfigError(f"{_listed(options)}: no option of the env, and the task is made already")
+        names = ", ".join(str(name)[:40] for name in options)
+        raise ConfigError(f"{names}: no option of the env, and the task is made already")
     if not isinstance(task, Task):
         raise ConfigError(
             f"task = {show_value(task)}: must be an acsar_gym.Task or a subclass of it"
         )
     _check_class(task)
     return task
+
+
+def _tupled(value: Any) -> Any:
+    """Lists of numbers as tuples: JSON, as in an env's spec, has no tuples."""
+    numbers = isinstance(value, list) and all(isinstance(one, int | float) for one in value)
+    return tuple(value) if numbers else value
+
+
+def _check_class(task: Task) -> None:  # noqa: C901 - one check after the other
+    """Raise ConfigError where methods, bounds, names or types of a task's class are wrong."""
+    for name in ("reward", "observe"):
+        if getattr(type(task), name) is getattr(Task, name):
+            raise ConfigError(f"{task_name(task)}: has no method {name}()")
+    for name, wanted in (("observation", Mapping), ("memory", Mapping), ("sensors", Sequence)):
+        value = getattr(task, name)
+        if not isinstance(value, wanted) or isinstance(value, str):
+            kind = "mapping" if wanted is Mapping else "tuple"
+            raise ConfigError(f"{task_name(task)}: {name} = {show_value(value)}: must be a {kind}")
+    if isinstance(task.told, str):
+        raise ConfigError(f"{task_name(task)}: told = {task.told!r}: must be a tuple of names")
+    for name in task.told or ():
+        if name not in task.memory:
+            raise ConfigError(f"{task_name(task)}: told {name!r}: isn't in memory")
+    for name, bounds in task.observation.items():
+        try:
+            low, high = (float(bound) for bound in bounds)
+        except (TypeError, ValueError):
+            low, high = math.nan, math.nan
+        if not low <= high:
+            raise ConfigError(
+                f"{task_name(task)}: observation {name!r}: {show_value(bounds)}: must be "
+                "(least, largest)"
+            )
 
 
 def importable_task(task: Any) -> Any:
@@ -83,70 +125,11 @@ def importable_task(task: Any) -> Any:
     return object_name(kind) or kind
 
 
-def _built(task: type[Task], options: Mapping[str, Any], others: Sequence[str]) -> Task:
-    """Call a class of tasks with its options; ConfigError for unknown ones."""
-    known = list(inspect.signature(task).parameters)
-    for name in options:
-        if name not in known:
-            raise ConfigError(
-                f"unknown option {show_value(name)} of {task_name(task)}"
-                f"{suggest_name(str(name)[:40], [*known, *others])}"
-            )
-    with translate_errors(TaskError, lambda: task_name(task)):
-        try:
-            return task(**{name: _tuples(value) for name, value in options.items()})
-        except TypeError as error:
-            raise ConfigError(f"{task_name(task)}: {error}") from None
-
-
-def _tuples(value: Any) -> Any:
-    """Lists of numbers as tuples: JSON, as in an env's spec, has no tuples."""
-    numbers = isinstance(value, list) and all(isinstance(one, int | float) for one in value)
-    return tuple(value) if numbers else value
-
-
-def _listed(options: Mapping[str, Any]) -> str:
-    """The names of options, separated by commas."""
-    return ", ".join(str(name)[:40] for name in options)
-
-
 def task_name(task: Task | type[Task]) -> str:
     """The id of a task, or the name of its class, for messages."""
     kind = task if isinstance(task, type) else type(task)
     own: str = vars(task).get("id") or vars(kind).get("id") or kind.__qualname__
     return own
-
-
-def _check_class(task: Task) -> None:
-    """Check methods, bounds and names of a task's class; ConfigError where they are wrong."""
-    for name in ("reward", "observe"):
-        if getattr(type(task), name) is getattr(Task, name):
-            raise ConfigError(f"{task_name(task)}: has no method {name}()")
-    _check_types(task)
-    for name, bounds in task.observation.items():
-        try:
-            low, high = (float(bound) for bound in bounds)
-        except (TypeError, ValueError):
-            low, high = math.nan, math.nan
-        if not low <= high:
-            raise ConfigError(
-                f"{task_name(task)}: observation {name!r}: {show_value(bounds)}: must be "
-                "(least, largest)"
-            )
-    for name in task.told or ():
-        if name not in task.memory:
-            raise ConfigError(f"{task_name(task)}: told {name!r}: isn't in memory")
-
-
-def _check_types(task: Task) -> None:
-    """Check that a task's attributes are mappings and tuples; ConfigError where they aren't."""
-    for name, wanted in (("observation", Mapping), ("memory", Mapping), ("sensors", Sequence)):
-        value = getattr(task, name)
-        if not isinstance(value, wanted) or isinstance(value, str):
-            kind = "mapping" if wanted is Mapping else "tuple"
-            raise ConfigError(f"{task_name(task)}: {name} = {show_value(value)}: must be a {kind}")
-    if isinstance(task.told, str):
-        raise ConfigError(f"{task_name(task)}: told = {task.told!r}: must be a tuple of names")
 
 
 def validate_task(task: Task, config: RobotConfig, sensors: Sequence[Sensor]) -> None:
@@ -161,54 +144,10 @@ def validate_task(task: Task, config: RobotConfig, sensors: Sequence[Sensor]) ->
         ConfigError: where a method returns something of the wrong type or shape.
         TaskError: where a method raises an error.
     """
-    with translate_errors(TaskError, lambda: task_name(task)):
-        state, memory = _example(task, config, sensors), new_memory(task)
-        task.begin(state, memory)
-        outcome = task.outcome(state, memory)
-        if outcome not in tuple(Outcome):
-            raise ConfigError(
-                f"{task_name(task)}.outcome returned {show_value(outcome)}: must be an Outcome"
-            )
-        reward = task.reward(state, memory, Outcome(outcome))
-        if not isinstance(reward, float | int | np.floating | np.integer):
-            raise ConfigError(
-                f"{task_name(task)}.reward returned {show_value(reward)}: must be a number"
-            )
-        numbers = task.observe(state, memory)
-        if np.shape(numbers) != (len(task.observation),):
-            raise ConfigError(
-                f"{task_name(task)}.observe returned numbers of shape {np.shape(numbers)}: must be "
-                f"{len(task.observation)}, as `observation` has names"
-            )
-        _check_told(task, memory)
-        if is_compiled(task) and not isinstance(numbers, tuple):
-            raise ConfigError(
-                f"{task_name(task)}.observe: must return a tuple where the task is compiled"
-            )
-
-
-def _check_told(task: Task, memory: Memory) -> None:
-    """Check that what a task tells in info is numbers, and none of the env's own."""
-    for name in info_names(task):
-        value = vars(memory)[name]
-        if not isinstance(value, float | int | np.floating | np.integer):
-            raise ConfigError(
-                f"{task_name(task)}: memory {name!r} = {show_value(value)}: is told in "
-                "info, so must be a "
-                "number; list those that are to be told in `told`"
-            )
-        if name in RESERVED_INFO or name.startswith("drawn_"):
-            raise ConfigError(
-                f"{task_name(task)}: memory {name!r}: info has that already; rename it"
-            )
-
-
-def _example(task: Task, config: RobotConfig, sensors: Sequence[Sensor]) -> State:
-    """An example state: at rest, 1 m from the goal, all sensors at their upper bounds."""
-    rays = sum(sensor.size for sensor in sensors if sensor.name == LIDAR)
     most = np.concatenate([np.zeros(0), *(sensor.bounds[1] for sensor in sensors)])
     path = np.column_stack([np.linspace(0.0, 1.0, 21), np.zeros((21, 2))])
-    return State(
+    rays = sum(sensor.size for sensor in sensors if sensor.name == LIDAR)
+    state = State(  # at rest, 1 m from the goal, all sensors at their upper bounds
         ranges=np.full(rays, config.lidar.max_range),
         edges=footprint_edges(config)[:rays],
         sensed=np.where(np.isfinite(most), most, 0.0).astype(np.float32),
@@ -217,6 +156,33 @@ def _example(task: Task, config: RobotConfig, sensors: Sequence[Sensor]) -> Stat
         length=1.0,
         max_twist=(config.max_linear, config.max_angular),
     )
+    name = task_name(task)
+    with translate_errors(TaskError, lambda: name):
+        memory = new_memory(task)
+        task.begin(state, memory)
+        outcome = task.outcome(state, memory)
+        if outcome not in tuple(Outcome):
+            raise ConfigError(f"{name}.outcome returned {show_value(outcome)}: must be an Outcome")
+        reward = task.reward(state, memory, Outcome(outcome))
+        if not isinstance(reward, NUMBER):
+            raise ConfigError(f"{name}.reward returned {show_value(reward)}: must be a number")
+        numbers = task.observe(state, memory)
+    if np.shape(numbers) != (len(task.observation),):
+        raise ConfigError(
+            f"{name}.observe returned numbers of shape {np.shape(numbers)}: must be "
+            f"{len(task.observation)}, as `observation` has names"
+        )
+    if is_compiled(task) and not isinstance(numbers, tuple):
+        raise ConfigError(f"{name}.observe: must return a tuple where the task is compiled")
+    for key in info_names(task):
+        value = vars(memory)[key]
+        if not isinstance(value, NUMBER):
+            raise ConfigError(
+                f"{name}: memory {key!r} = {show_value(value)}: is told in info, so must be a "
+                "number; list those that are to be told in `told`"
+            )
+        if key in RESERVED_INFO or key.startswith("drawn_"):
+            raise ConfigError(f"{name}: memory {key!r}: info has that already; rename it")
 
 
 ONE_MODE_OPTIONS = ("autoreset_mode", "lidar", "on_fault", "record", "threads", "view")
@@ -226,43 +192,34 @@ MODE_DEFAULTS = "defaults"
 
 
 def split_by_mode(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Move an id's defaults that only one mode has to DEFAULTS; see `with_defaults`."""
+    """Move an id's defaults that only one mode has to MODE_DEFAULTS; see `SharedOptions.split`."""
     own = {name: value for name, value in options.items() if name in ONE_MODE_OPTIONS}
-    shared = {name: value for name, value in options.items() if name not in ONE_MODE_OPTIONS}
+    shared = {name: value for name, value in options.items() if name not in own}
     return shared | ({MODE_DEFAULTS: own} if own else {})
 
 
-def with_defaults(options: Mapping[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
-    """Add an id's registered defaults of options that only one mode has.
-
-    Args:
-        options: as given to an env or a batch.
-        names: of this mode's options; defaults with other names belong to the other mode.
-    """
-    given = dict(options)
-    defaults = given.pop(MODE_DEFAULTS, {})
-    return {name: value for name, value in defaults.items() if name in names} | given
-
-
-@dataclass(frozen=True, kw_only=True)
-class SharedOptions:
+class SharedOptions(Section):
     """The options that single environments and batches share; each has a subclass of it."""
 
     worlds: Any = None
     difficulty: Any = None
-    sensors: Sequence[Any] = ()
-    policy_rate: float = 10.0
+    sensors: Any = ()
+    policy_rate: Any = 10.0
     faults: Any = None
     randomization: Any = None
-    render_mode: str | None = None
+    render_mode: Any = None
 
-    def __post_init__(self) -> None:
-        check_list("sensors", self.sensors)
+    @field_validator("sensors")
+    @classmethod
+    def _is_list(cls, value: Any) -> Any:
+        if isinstance(value, list | tuple):
+            return value
+        raise ValueError("must be a list, such as [ThreeRays]")
 
     @classmethod
     def names(cls) -> tuple[str, ...]:
         """Names of all options."""
-        return tuple(field.name for field in fields(cls))
+        return tuple(cls.model_fields)
 
     @classmethod
     def split(cls, given: Mapping[str, Any]) -> tuple[Self, dict[str, Any]]:
@@ -278,21 +235,19 @@ class SharedOptions:
         Raises:
             ConfigError: for values that are unknown or out of range.
         """
-        own = cls.names()
-        asked = with_defaults(given, own)
+        own, asked = cls.names(), dict(given)
+        defaults = asked.pop(MODE_DEFAULTS, {})
+        asked = {name: value for name, value in defaults.items() if name in own} | asked
         rest = {name: value for name, value in asked.items() if name not in own}
         return cls(**{name: value for name, value in asked.items() if name in own}), rest
 
 
-def check_reset_options(options: Mapping[str, Any], names: tuple[str, ...]) -> Mapping[str, Any]:
-    """Check the names of a reset's options.
+def check_reset_options(options: Any, names: Sequence[str]) -> Mapping[str, Any]:
+    """Return a reset's options once their names are checked.
 
     Args:
         options: as passed to `reset`.
         names: that the task knows.
-
-    Returns:
-        The options.
 
     Raises:
         ConfigError: for an unknown name, or where `options` is no mapping.
@@ -307,30 +262,8 @@ def check_reset_options(options: Mapping[str, Any], names: tuple[str, ...]) -> M
     return options
 
 
-def check_list(name: str, value: Any) -> None:
-    """Check that an option is a list or a tuple.
-
-    Args:
-        name: of the option, for the message.
-        value: of the option.
-
-    Raises:
-        ConfigError: for anything else.
-    """
-    if not isinstance(value, list | tuple):
-        raise ConfigError(f"{name} = {show_value(value)}: must be a list, such as [ThreeRays]")
-
-
 def check_positive(name: str, value: Any) -> float:
-    """Check that an option is a positive, finite number, and return it.
-
-    Args:
-        name: of the option, for the message.
-        value: of the option.
-
-    Raises:
-        ConfigError: for anything else.
-    """
+    """Return an option that must be a positive, finite number; ConfigError where it isn't."""
     try:
         number = float(value)
     except (TypeError, ValueError, OverflowError):
@@ -340,24 +273,18 @@ def check_positive(name: str, value: Any) -> float:
     return number
 
 
-def check_point(name: str, value: Any) -> Goal:
-    """Check that an option is a point of two finite numbers (x, y) [m], and return it.
-
-    Args:
-        name: of the option, for the message.
-        value: of the option.
-
-    Raises:
-        ConfigError: for anything else.
-    """
+def check_distances(value: Any) -> tuple[float, float]:
+    """Return a `goal_distance`, which must be 0 < nearest <= farthest; ConfigError otherwise."""
     try:
-        x, y = (float(number) for number in value)
-        sound = math.isfinite(x + y)
+        nearest, farthest = (float(distance) for distance in value)
     except (TypeError, ValueError, OverflowError):
-        sound = False
-    if not sound:
-        raise ConfigError(f"{name} = {show_value(value)}: must be two finite numbers (x, y) [m]")
-    return (x, y)
+        nearest, farthest = math.nan, math.nan
+    if not 0.0 < nearest <= farthest < math.inf:
+        raise ConfigError(
+            f"goal_distance = {show_value(value)}: must be (nearest, farthest) [m], with "
+            "0 < nearest <= farthest"
+        )
+    return nearest, farthest
 
 
 def task_spaces(task: Task, sensors: Iterable[Sensor]) -> tuple[Box, Box]:
@@ -377,7 +304,10 @@ def task_spaces(task: Task, sensors: Iterable[Sensor]) -> tuple[Box, Box]:
 
 
 class PlainSpec:
-    """Mixin of environments: keeps the arguments in Gymnasium's `spec` as plain data."""
+    """Mixin of environments: keeps the arguments in Gymnasium's `spec` as plain data.
+
+    So `spec.to_json()` works, and makes an equal env.
+    """
 
     task: Task
     _spec: EnvSpec | None = None
@@ -391,15 +321,14 @@ class PlainSpec:
     def spec(self, spec: EnvSpec | None) -> None:
         if spec is not None:
             spec = copy.copy(spec)
-            named = {**spec.kwargs, "sensors": _named(spec.kwargs.get("sensors", ()))}
+            sensors = [
+                (isinstance(one, FunctionType) and object_name(one)) or one
+                for one in spec.kwargs.get("sensors", ())
+            ]
+            named = {**spec.kwargs, "sensors": sensors}
             spec.kwargs = {name: to_plain(named[name]) for name in spec.kwargs}
             object.__setattr__(self.task, "id", spec.id)  # a task's class may have several ids
         self._spec = spec
-
-
-def _named(sensors: Sequence[Any]) -> list[Any]:
-    """Replace functions among an env's `sensors` by their names, where these import them."""
-    return [(isinstance(one, FunctionType) and object_name(one)) or one for one in sensors]
 
 
 def to_plain(value: Any) -> Any:

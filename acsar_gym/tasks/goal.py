@@ -11,19 +11,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from acsar_gym.errors import ConfigError, show_value
+from acsar_gym.errors import ConfigError
 from acsar_gym.jit import compilable
 from acsar_gym.physics.trigonometry import cos_sin
 from acsar_gym.tasks.base import (
     OBSERVATION_LIMIT,
     Goal,
     Outcome,
+    Pose,
     State,
     Task,
     clip_to,
     relative_point,
 )
-from acsar_gym.tasks.factory import check_positive
+from acsar_gym.tasks.factory import check_distances, check_positive
 
 GOAL_OBSERVATION: Mapping[str, tuple[float, float]] = {
     "goal_distance": (0.0, OBSERVATION_LIMIT),
@@ -56,10 +57,11 @@ class GoalTask(Task):
     def outcome(self, state: State, memory: Any) -> Outcome:
         """Success within the tolerance, out of bounds beyond the boundary, collision by contact."""
         x, y, _ = state.pose
-        distance, start = goal_distance(x, y, state.goal), math.sqrt(x * x + y * y)
-        return goal_outcome(  # type: ignore[return-value]  # its number
-            distance, start, self.goal_tolerance, self.boundary, state.contact
-        )
+        if state.contact:
+            return Outcome.COLLISION
+        if goal_distance(x, y, state.goal) <= self.goal_tolerance:
+            return Outcome.SUCCESS
+        return Outcome.OUT_OF_BOUNDS if math.sqrt(x * x + y * y) > self.boundary else Outcome.GOING
 
     def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
         """Reward of the step, see `goal_reward`; remembers the distance to the goal."""
@@ -88,20 +90,14 @@ class PointGoal(GoalTask):
     end = 2.0
 
     def __post_init__(self) -> None:
-        try:
-            nearest, farthest = (float(distance) for distance in self.goal_distance)
-            tolerance = float(self.goal_tolerance)
-        except (TypeError, ValueError, OverflowError):
+        limits = check_distances(self.goal_distance)
+        tolerance = check_positive("goal_tolerance", self.goal_tolerance)
+        if tolerance >= limits[0]:
             raise ConfigError(
-                f"goal_distance = {show_value(self.goal_distance)}, goal_tolerance = "
-                f"{show_value(self.goal_tolerance)}: must be (nearest, farthest) and one number [m]"
-            ) from None
-        if not 0.0 < tolerance < nearest <= farthest < math.inf:
-            raise ConfigError(
-                f"goal_tolerance = {tolerance}, goal_distance = ({nearest}, {farthest}): must be "
-                "0 < tolerance < nearest <= farthest [m]"
+                f"goal_tolerance = {tolerance:g}: must be below the nearest goal_distance, "
+                f"{limits[0]:g} m"
             )
-        object.__setattr__(self, "goal_distance", (nearest, farthest))
+        object.__setattr__(self, "goal_distance", limits)
         object.__setattr__(self, "goal_tolerance", tolerance)
         if self.distance_scale is not None:
             scale = check_positive("distance_scale", self.distance_scale)
@@ -122,32 +118,8 @@ class PointGoal(GoalTask):
 
 
 @compilable
-def polar_from(
-    x: float, y: float, cos: float, sin: float, goal_x: float, goal_y: float
-) -> tuple[float, float, float]:
-    """Polar coordinates of a point in the frame of a pose.
-
-    Args:
-        x: of the pose [m].
-        y: of the pose [m].
-        cos: of the pose's heading.
-        sin: of the pose's heading.
-        goal_x: of the point [m].
-        goal_y: of the point [m].
-
-    Returns:
-        Distance [m], and cosine and sine of the bearing.
-    """
-    ahead, left = relative_point(x, y, cos, sin, goal_x, goal_y)
-    dx, dy = goal_x - x, goal_y - y
-    distance = math.sqrt(dx * dx + dy * dy)
-    near = max(distance, 1e-12)
-    return distance, clip_to(ahead / near, 1.0), clip_to(left / near, 1.0)
-
-
-@compilable
 def goal_numbers(
-    pose: tuple[float, float, float],
+    pose: Pose,
     twist: tuple[float, float],
     goal: Goal,
     scales: tuple[float, float, float],
@@ -164,11 +136,13 @@ def goal_numbers(
     """
     x, y, theta = pose
     cos, sin = cos_sin(theta)
-    distance, ahead, left = polar_from(x, y, cos, sin, goal[0], goal[1])
+    ahead, left = relative_point(x, y, cos, sin, goal[0], goal[1])
+    distance = goal_distance(x, y, goal)
+    near = max(distance, 1e-12)
     return (
         min(distance / scales[0], OBSERVATION_LIMIT),
-        ahead,
-        left,
+        clip_to(ahead / near, 1.0),
+        clip_to(left / near, 1.0),
         clip_to(twist[0] / scales[1], OBSERVATION_LIMIT),
         clip_to(twist[1] / scales[2], OBSERVATION_LIMIT),
         action[0],
@@ -181,18 +155,6 @@ def goal_distance(x: float, y: float, goal: Goal) -> float:
     """Straight-line distance to the goal [m]."""
     dx, dy = goal[0] - x, goal[1] - y
     return math.sqrt(dx * dx + dy * dy)
-
-
-@compilable
-def goal_outcome(
-    distance: float, from_start: float, tolerance: float, boundary: float, contact: bool
-) -> int:
-    """Return the Outcome's number for the distances to the goal and from the start [m]."""
-    if contact:
-        return 3
-    if distance <= tolerance:
-        return 1
-    return 2 if from_start > boundary else 0
 
 
 @compilable

@@ -1,6 +1,14 @@
-"""Tasks with a goal behind obstacles.
+"""Tasks with a goal behind obstacles: a cluttered floor, or the worlds of BARN.
 
-A cluttered floor, or the worlds of BARN with the challenge's score.
+A policy without a memory of its own stands still for ever where the way to the goal is blocked:
+what it sees doesn't change. So the observation tells how long the robot hasn't come nearer.
+
+The score of the BARN challenge (Xiao et al., ICRA 2022) for one run is
+
+    score = success * OT / clip(AT, k * OT, 8 * OT)
+
+OT, the optimal time, is the length of the world's own path divided by a reference speed. AT is
+the time that the run took.
 """
 
 from __future__ import annotations
@@ -49,26 +57,6 @@ def barn_score(success: float, time: float, length: float, speed: float, k: floa
     return success * optimal / min(max(time, k * optimal), 8.0 * optimal)
 
 
-@compilable
-def barn_scores(
-    success: float, time: float, length: float, top_speed: float
-) -> tuple[float, float, float, float]:
-    """Compute the four scores of one run, in the order of SCORES.
-
-    Args:
-        success: 1 for a run that reached the goal, otherwise 0.
-        time: that the run took [s].
-        length: of the world's own path from start to goal [m]; NaN where there is none.
-        top_speed: of the robot [m/s].
-    """
-    return (
-        barn_score(success, time, length, CHALLENGE_SPEED, 2.0),
-        barn_score(success, time, length, CHALLENGE_SPEED, 4.0),
-        barn_score(success, time, length, top_speed, 2.0),
-        barn_score(success, time, length, top_speed, 4.0),
-    )
-
-
 NEAR_CLEARANCE = 0.15
 """Less clearance than this costs reward [m]."""
 PROGRESS_STEP = 0.05
@@ -114,18 +102,7 @@ class NavigationTask(GoalTask):
         seen = goal_numbers(state.pose, state.twist, state.goal, scales, state.action)
         detour = min(max(memory.goal_distance - memory.least_distance, 0.0), OBSERVATION_LIMIT)
         turning = clip_to(memory.turn_rate / state.max_twist[1], OBSERVATION_LIMIT)
-        return (
-            seen[0],
-            seen[1],
-            seen[2],
-            seen[3],
-            seen[4],
-            seen[5],
-            seen[6],
-            stalled_share(state, memory),
-            detour,
-            turning,
-        )
+        return (*seen, stalled_share(state, memory), detour, turning)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,22 +156,8 @@ def remember_start(state: State, memory: Any) -> None:
 
 
 @compilable
-def update_memory(state: State, memory: Any) -> float:
-    """Update the memory after a step; returns how much nearer the goal is [m]."""
-    before = memory.goal_distance
-    memory.goal_distance = goal_distance(state.pose[0], state.pose[1], state.goal)
-    if memory.goal_distance < memory.least_distance - PROGRESS_STEP:
-        memory.least_distance = memory.goal_distance
-        memory.nearest_at = state.time
-    memory.turn_rate += (state.twist[1] - memory.turn_rate) * min(
-        state.period / TURN_RATE_TIME, 1.0
-    )
-    return float(before - memory.goal_distance)
-
-
-@compilable
 def stalled_share(state: State, memory: Any) -> float:
-    """Time since the robot last came nearer to the goal, as a share of PATIENCE, at most 1."""
+    """Time since the robot last came nearer to the goal, as a share of STALL_TIME, at most 1."""
     return float(min((state.time - memory.nearest_at) / STALL_TIME, 1.0))
 
 
@@ -216,7 +179,13 @@ def navigation_reward(state: State, memory: Any, outcome: int, end: float, crash
         end: added at success.
         crash: subtracted for a collision.
     """
-    gained = update_memory(state, memory)
+    gained = memory.goal_distance - goal_distance(state.pose[0], state.pose[1], state.goal)
+    memory.goal_distance = goal_distance(state.pose[0], state.pose[1], state.goal)
+    if memory.goal_distance < memory.least_distance - PROGRESS_STEP:
+        memory.least_distance = memory.goal_distance
+        memory.nearest_at = state.time
+    share = min(state.period / TURN_RATE_TIME, 1.0)
+    memory.turn_rate += (state.twist[1] - memory.turn_rate) * share
     near = 1.0 - scan_clearance(state.ranges, state.edges, NEAR_CLEARANCE) / NEAR_CLEARANCE
     last = end if outcome == 1 else (-crash if outcome > 1 else 0.0)
     costs = (
@@ -228,7 +197,9 @@ def navigation_reward(state: State, memory: Any, outcome: int, end: float, crash
 @compilable
 def store_scores(state: State, memory: Any, outcome: int) -> None:
     """Write BARN's scores of the run so far into the memory; zeros without success."""
-    success = 1.0 if outcome == 1 else 0.0
-    s2, s4, own2, own4 = barn_scores(success, state.time, state.length, state.max_twist[0])
-    memory.barn_score, memory.barn_score_k4 = s2, s4
-    memory.barn_score_own, memory.barn_score_own_k4 = own2, own4
+    success, own = 1.0 if outcome == 1 else 0.0, state.max_twist[0]
+    time, length = state.time, state.length
+    memory.barn_score = barn_score(success, time, length, CHALLENGE_SPEED, 2.0)
+    memory.barn_score_k4 = barn_score(success, time, length, CHALLENGE_SPEED, 4.0)
+    memory.barn_score_own = barn_score(success, time, length, own, 2.0)
+    memory.barn_score_own_k4 = barn_score(success, time, length, own, 4.0)

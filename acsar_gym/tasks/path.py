@@ -98,12 +98,10 @@ class PathFollow(Task):
         memory.mean_heading_error = memory.heading_sum / steps
         x, y, _ = state.pose
         far = math.sqrt((state.goal[0] - x) ** 2 + (state.goal[1] - y) ** 2)
-        return path_outcome(  # type: ignore[return-value]  # its number
-            remaining_length(state, memory),
-            far,
-            abs(memory.cross_track_error),
-            self.max_cross_track,
-        )
+        if remaining_length(state, memory) <= PATH_TOLERANCE and far <= PATH_TOLERANCE:
+            return Outcome.SUCCESS
+        beside = abs(memory.cross_track_error) > self.max_cross_track
+        return Outcome.OUT_OF_BOUNDS if beside else Outcome.GOING
 
     def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
         """Reward of the step, see `path_reward`."""
@@ -152,17 +150,9 @@ def remaining_length(state: State, memory: Any) -> float:
 def point_ahead(
     state: State, memory: Any, cos: float, sin: float, number: int
 ) -> tuple[float, float]:
-    """Transform an observed point of the path into the frame of the robot.
+    """How far an observed point of the path, from 1, lies ahead and to the left [m], clipped.
 
-    Args:
-        state: has the pose and the path.
-        memory: has the robot's position on the path.
-        cos: of the robot's heading.
-        sin: of the robot's heading.
-        number: of the point, from 1; they are STRIDE samples apart.
-
-    Returns:
-        How far the point lies ahead and to the left [m], clipped to the OBSERVATION_LIMIT.
+    `cos` and `sin` are those of the robot's heading.
     """
     k = min(int(memory.progress) + number * POINT_STRIDE, len(state.path) - 1)
     x, y = state.path[k, 0], state.path[k, 1]
@@ -208,21 +198,6 @@ def heading_error(theta: float, bearing: float) -> float:
     """Heading minus path direction [rad], wrapped to [-pi, pi); positive to the left."""
     error = theta - bearing
     return error - 2.0 * math.pi * math.floor(error / (2.0 * math.pi) + 0.5)
-
-
-@compilable
-def path_outcome(remaining: float, far: float, beside: float, most: float) -> int:
-    """Return the Outcome's number for a position on the path and beside it.
-
-    Args:
-        remaining: length of the path ahead [m].
-        far: straight distance to its end [m].
-        beside: distance from the path [m].
-        most: allowed distance from the path [m].
-    """
-    if remaining <= PATH_TOLERANCE and far <= PATH_TOLERANCE:
-        return 1
-    return 2 if beside > most else 0
 
 
 @compilable

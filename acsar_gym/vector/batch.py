@@ -15,13 +15,14 @@ from acsar_gym.errors import TaskError
 from acsar_gym.jit import compiled_beside, record_of
 from acsar_gym.physics import Randomization, compute_physics
 from acsar_gym.physics.randomization import drawn_places
+from acsar_gym.safety.rules import make_rules
 from acsar_gym.sensors import Factory, Sensor
 from acsar_gym.sensors.lidar import LidarSensor, SimulatedLidar, footprint_edges
 from acsar_gym.tasks.base import Task
 from acsar_gym.tasks.episode import Spawn, check_observation
 from acsar_gym.tasks.factory import task_name
 from acsar_gym.vector import pcg
-from acsar_gym.vector.kernel import episode, layout
+from acsar_gym.vector.kernel import drive, episode, layout
 from acsar_gym.vector.sensors import BatchSensors, BatchView, RobotLink, python_sensors
 from acsar_gym.vector.setup import (
     ResetRows,
@@ -31,7 +32,7 @@ from acsar_gym.vector.setup import (
     pad_surroundings,
     spawn_arrays,
 )
-from acsar_gym.vector.task import Loops, make_loops
+from acsar_gym.vector.task import TaskLoops, make_loops
 
 Mask = NDArray[np.bool_]
 Share = Callable[[Callable[[int, int], None], int], None]
@@ -72,14 +73,16 @@ class Batch:
         self._pool, worlds = spawn.pool, make_worlds(spawn.pool, follow=task.follows)
         self._spawns = spawn_arrays(task, spawn.pool, worlds)
         self._around = pad_surroundings(worlds, config, sees=sees)
+        self._setups, self._rules = record_of(setup), make_rules(config)
         self._drawn = {f"drawn_{name}": list(drawn_places(name)) for name in randomization.names}
-        self.tables = self._tables(randomization)
+        self.tables = self._make_tables(randomization)
         self._view = BatchView(self.tables.state, self.tables.random, setup.dt, worlds)
         self.python = BatchSensors(python_sensors(sensors), config, robots, self._view)
+        self._first_python = self.tables.observations.shape[1]
+        """The first column of the observation that belongs to a sensor written in Python."""
         width = self._first_python + self.python.size
-        observations = np.zeros((robots, width), np.float32)
-        self.tables = self.tables._replace(observations=observations)
-        self._loops: Loops = make_loops(task, self.tables, self._setup, self._spawns)
+        self.tables = self.tables._replace(observations=np.zeros((robots, width), np.float32))
+        self._loops: TaskLoops = make_loops(task, self.tables, setup, self._setups, self._spawns)
         self._together = self._loops.compiled and not len(self.python)
         """Whether a robot's task can run right after its physics, on the same thread."""
         self._rows = dict(layout.INFO_ROWS)
@@ -91,11 +94,6 @@ class Batch:
         """Whether there was no reset yet."""
 
     @property
-    def _first_python(self) -> int:
-        """The first column of the observation that belongs to a sensor written in Python."""
-        return self._setup.numbers + len(self._around.directions)
-
-    @property
     def sensors(self) -> list[Sensor]:
         """One instance of each kind of sensor, in the order of their numbers in the observation."""
         if self._setup.lidar_rate == 0.0:
@@ -103,10 +101,12 @@ class Batch:
         lidar = SimulatedLidar(RobotLink(self._view, 0), self._config)
         return [LidarSensor(lidar, self._config), *self.python.kinds]
 
-    def _tables(self, randomization: Randomization) -> layout.Tables:
+    def _make_tables(self, randomization: Randomization) -> layout.Tables:
         """Make all arrays. Columns for Python sensors are added to the observations later."""
-        robots, setup = self.robots, self._setup
-        columns, rays = _columns(robots), len(self._around.directions)
+        robots, setup, rays = self.robots, self._setup, len(self._around.directions)
+        # An odd number of cache lines a row: rows a power of two apart would all fall into the same
+        # few sets of the cache.
+        columns = 8 * (math.ceil(robots / 8) | 1)
         ranges = randomization.ranges(self._config, setup.ticks * setup.period)
         lines = command_slots(setup, ranges, self._config)
         return layout.Tables(
@@ -127,7 +127,7 @@ class Batch:
             kept_rays=np.zeros((robots if setup.falls_silent else 0, rays), np.float32),
             ranges=np.zeros((robots, rays)),
             edges=footprint_edges(self._config)[:rays],
-            observations=np.zeros((robots, self._first_python), np.float32),
+            observations=np.zeros((robots, setup.numbers + rays), np.float32),
             rewards=np.zeros(robots),
             ends=np.zeros((2, robots), np.bool_),
             ring=np.array([0, 0, 0, setup.ticks], np.int64),
@@ -155,46 +155,58 @@ class Batch:
                 self.python.forget(int(robot))
         self.seeded = True
 
-    def wish(self, wishes: ResetRows, mask: Mask) -> None:
+    def set_reset_options(self, options: ResetRows, mask: Mask) -> None:
         """Set the reset options that hold for the next episodes of the robots in the mask."""
         for row in range(layout.WISHED_WORLD, layout.LAST_RANK + 1):
-            self.state[row, mask] = wishes[row][mask] if row in wishes else 0.0
+            self.state[row, mask] = options[row][mask] if row in options else 0.0
 
     def reset(self, mask: Mask, share: Share) -> None:
         """Begin new episodes of the robots in the mask."""
-        with self._compiled_beside() if self._new else contextlib.nullcontext():
-            share(lambda first, last: self._begin(mask, first, last), self.robots)
+        tables = self.tables
+        tables.over[:], tables.idle[:] = mask, True
+        another: contextlib.AbstractContextManager[None] = contextlib.nullcontext()
+        if self._new:  # compile the step in another process, while this one compiles the rest
+            another = compiled_beside(
+                drive.step, tables, 0, 1, self._setups, self._rules, self._around
+            )
+        with another:
+            share(self._begin, self.robots)
         self._new = False
         if not self._together:
-            self._sense(mask, driven=False)
-            self._apart(lambda first, last: self._loops.start(mask, first, last), share)
+            self._sense(driven=False)
+            self._run_task(share)
         self._check_observations()
 
-    def _compiled_beside(self) -> contextlib.AbstractContextManager[None]:
-        """Compile `episode.step`, if it must be, while the block compiles the rest."""
-        return compiled_beside(episode.step, self.tables, 0, 1, self._setup, self._around)
-
-    def _begin(self, mask: Mask, first: int, last: int) -> None:
-        """Begin new episodes of those robots first to last that are in the mask."""
-        episode.reset(self.tables, mask, first, last, self._setup, self._spawns, self._around)
+    def _begin(self, first: int, last: int) -> None:
+        """Begin new episodes of those robots first to last that are in `tables.over`."""
+        setups, rules = self._setups, self._rules
+        episode.reset(self.tables, first, last, setups, rules, self._spawns, self._around)
         if self._together:
-            self._loops.start(mask, first, last)
+            self._loops.run(first, last)
 
     def step(self, share: Share) -> None:
         """Do an env step of all robots with `tables.actions`. Those in `tables.over` begin anew."""
+        tables, setup, ring = self.tables, self._setup, self.tables.ring
         if self.python.clocked:
-            self._drive_tick_by_tick(share)
+            try:
+                for tick in range(setup.ticks):
+                    ring[2:] = tick, tick + 1
+                    share(self._drive, self.robots)
+                    self.python.poll(np.flatnonzero(~tables.idle))
+            finally:
+                ring[2:] = 0, setup.ticks
         else:
             share(self._drive, self.robots)
         if not self._together:
-            self._sense(self.tables.over, driven=True)
-            self._apart(self._loops.step, share)
-        self._move_on()
+            self._sense(driven=True)
+            self._run_task(share)
+        ring[0] = (ring[0] + setup.ticks * setup.loops) % tables.counts.shape[0]
+        ring[1] = (ring[1] + setup.ticks) % tables.commands.shape[0]
         self._check_observations()
-        if not np.isfinite(self.tables.rewards).all():
-            robot = int(np.isfinite(self.tables.rewards).argmin())
+        if not np.isfinite(tables.rewards).all():
+            robot = int(np.isfinite(tables.rewards).argmin())
             raise TaskError(
-                f"{task_name(self._task)}.reward returned {self.tables.rewards[robot]} for robot "
+                f"{task_name(self._task)}.reward returned {tables.rewards[robot]} for robot "
                 f"{robot}: must be a finite number"
             )
 
@@ -204,68 +216,46 @@ class Batch:
 
     def _drive(self, first: int, last: int) -> None:
         """Run the physics of robots first to last, and their task where `_together`."""
-        tables, setup = self.tables, self._setup
-        episode.step(tables, first, last, setup, self._around)
-        if tables.ring[3] == setup.ticks and tables.over[first:last].any():
-            episode.reset(tables, tables.over, first, last, setup, self._spawns, self._around)
-        if self._together:
-            self._loops.step(first, last)
+        tables = self.tables
+        drive.step(tables, first, last, self._setups, self._rules, self._around)
+        if tables.ring[3] == self._setup.ticks and tables.over[first:last].any():
+            self._begin(first, last)
+        elif self._together:
+            self._loops.run(first, last)
 
-    def _drive_tick_by_tick(self, share: Share) -> None:
-        """Run the physics of a step tick by tick, and poll sensors after every tick."""
-        ring = self.tables.ring
-        try:
-            for tick in range(self._setup.ticks):
-                ring[2:] = tick, tick + 1
-                share(self._drive, self.robots)
-                self.python.poll(np.flatnonzero(~self.tables.idle))
-        finally:
-            ring[2:] = 0, self._setup.ticks
-
-    def _apart(self, loop: Callable[[int, int], None], share: Share) -> None:
-        """Run a loop of the task for all robots, on several threads if it is compiled."""
+    def _run_task(self, share: Share) -> None:
+        """Run the task for all robots, on several threads if it is compiled."""
         if self._loops.compiled:
-            share(loop, self.robots)
+            share(self._loops.run, self.robots)
         else:
-            loop(0, self.robots)
+            self._loops.run(0, self.robots)
 
-    def _sense(self, begun: Mask, *, driven: bool) -> None:
+    def _sense(self, *, driven: bool) -> None:
         """Reset and read Python sensors of robots that have begun.
 
         Read the others' too if driven. Those whose board is silent at the reset get zeros.
         """
         if len(self.python):
+            begun, silent = self.tables.over, self.state[layout.SILENT] > 0.0
             columns = self.tables.observations[:, self._first_python :]
-            silent = self.state[layout.SILENT] > 0.0
             columns[begun & silent] = 0.0
             self.python.reset(np.flatnonzero(begun & ~silent), columns)
             if driven:
                 self.python.read(np.flatnonzero(~self.tables.idle), columns)
 
-    def _move_on(self) -> None:
-        """Advance the positions in the ring buffers by one env step."""
-        ring, setup = self.tables.ring, self._setup
-        slot, line, *_ = ring.tolist()
-        ring[0] = (slot + setup.ticks * setup.loops) % self.tables.counts.shape[0]
-        ring[1] = (line + setup.ticks) % self.tables.commands.shape[0]
-
     def info(self) -> dict[str, NDArray[np.float64]]:
         """Info with the keys of the single env, each an array with a row for each robot."""
-        rows = self.state[list(self._rows.values())]
-        info = dict(zip(self._rows, rows, strict=True))
+        info = dict(zip(self._rows, self.state[list(self._rows.values())], strict=True))
         if self._pool is not None:
             info["world"] += self._pool.numbers[0]
-        info |= self._loops.info() | self._told()
-        self.python.tell(info)
+        info |= self._loops.info()
+        for name, places in self._drawn.items():  # (robots,), or (robots, 4) in wheel order
+            row = self.tables.drawn[places, : self.robots].T
+            info[name] = row[:, 0] if len(places) == 1 else row
+        self.python.add_info(info)
         return info
 
-    def _told(self) -> dict[str, NDArray[np.float64]]:
-        """Randomized parameters of the episodes: (robots,), or (robots, 4) in wheel order."""
-        drawn = self.tables.drawn[:, : self.robots]
-        rows = {name: drawn[numbers].T for name, numbers in self._drawn.items()}
-        return {name: row[:, 0] if row.shape[1] == 1 else row for name, row in rows.items()}
-
-    def changing(self) -> dict[str, NDArray[Any]] | None:
+    def changing_arrays(self) -> dict[str, NDArray[Any]] | None:
         """All arrays that a later step depends on, by name; None where Python code has a state."""
         memory = self._loops.memory
         if memory is None or len(self.python):
@@ -276,11 +266,3 @@ class Batch:
     def bytes_per_robot(self) -> float:
         """Memory of all arrays, divided by the number of robots [bytes]."""
         return sum(array.nbytes for array in self.tables) / self.robots
-
-
-def _columns(robots: int) -> int:
-    """Number of columns for so many robots: an odd number of cache lines a row.
-
-    Rows a power of two apart would all fall into the same few sets of the cache.
-    """
-    return 8 * (math.ceil(robots / 8) | 1)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -30,7 +29,7 @@ from acsar_gym.tasks.factory import (
 )
 from acsar_gym.vector.batch import Batch
 from acsar_gym.vector.kernel import layout
-from acsar_gym.vector.setup import ResetRows, check_batch_faults, make_setup, reset_rows
+from acsar_gym.vector.setup import ResetRows, check_faults, make_setup, reset_rows
 from acsar_gym.vector.threads import Threads
 
 MAX_ROBOTS = 1_000_000
@@ -41,42 +40,13 @@ ROBOTS_PER_THREAD = 256
 """A thread more is used for so many robots; with fewer its start costs more than it saves."""
 
 
-@dataclass(frozen=True, kw_only=True)
 class BatchOptions(SharedOptions):
     """The options of a batch; `RobotVectorEnv` describes them."""
 
-    max_episode_steps: int | None = None
-    autoreset_mode: Any = AutoresetMode.NEXT_STEP
-    threads: int | None = None
-    link: str = "planar"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.link != "planar":
-            raise ConfigError(
-                f"link = {self.link!r}: a batch has planar robots; for others make_vec with "
-                "vectorization_mode='sync' or 'async'"
-            )
-        if self.render_mode is not None:
-            raise ConfigError("a batch of robots has no pictures: render a single env instead")
-        if self.max_episode_steps is not None:
-            check_count("max_episode_steps", self.max_episode_steps, MAX_STEPS)
-        object.__setattr__(self, "autoreset_mode", _autoreset(self.autoreset_mode))
-        if not jit.COMPILED:
-            warnings.warn(
-                "numba isn't installed, so batches are slow: pip install 'acsar_gym[fast]'",
-                RuntimeWarning,
-                stacklevel=6,
-            )
-
-
-def _autoreset(mode: AutoresetMode | str) -> AutoresetMode:
-    """Convert an autoreset mode or its value; ConfigError for anything else."""
-    try:
-        return AutoresetMode(mode)
-    except ValueError:
-        known = ", ".join(repr(known.value) for known in AutoresetMode)
-        raise ConfigError(f"autoreset_mode = {mode!r}: must be one of {known}") from None
+    max_episode_steps: Any = None
+    autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP
+    threads: Any = None
+    link: Any = "planar"
 
 
 def check_count(name: str, value: int, most: int) -> int:
@@ -131,7 +101,7 @@ def choose_threads(asked: int | None, robots: int) -> int:
     """Number of threads to use.
 
     Args:
-        asked: by the user; None uses all cores, but gives each at least FAIR_SHARE robots.
+        asked: by the user; None uses all cores, but gives each at least ROBOTS_PER_THREAD robots.
         robots: of the batch.
 
     Raises:
@@ -143,7 +113,6 @@ def choose_threads(asked: int | None, robots: int) -> int:
 
 
 MASK_OPTION = "reset_mask"
-
 Array = NDArray[Any]
 Info = dict[str, Any]
 
@@ -217,18 +186,39 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         Raises:
             ConfigError, WorldError: for unknown options, or values out of range.
         """
-        config = RobotConfig.of(robot)
+        self.config = config = RobotConfig.of(robot)
         asked, rest = BatchOptions.split(options)
+        if asked.link != "planar":
+            raise ConfigError(
+                f"link = {show_value(asked.link)}: a batch has planar robots; for others make_vec "
+                "with vectorization_mode='sync' or 'async'"
+            )
+        if asked.render_mode is not None:
+            raise ConfigError("render_mode: a batch of robots has no pictures: render a single env")
+        if not jit.COMPILED:
+            said = "numba isn't installed, so batches are slow: pip install 'acsar_gym[fast]'"
+            warnings.warn(said, RuntimeWarning, stacklevel=3)
         self.num_envs = check_count("num_envs", num_envs, MAX_ROBOTS)
+        limit = asked.max_episode_steps
+        if limit is not None:
+            limit = check_count("max_episode_steps", limit, MAX_STEPS)
         self.autoreset_mode = asked.autoreset_mode
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
         self.task = make_task(task, rest, BatchOptions.names())
         self._spawn = Spawn(self.task, asked.worlds, asked.difficulty, config)
         self.pool = self._spawn.pool
-        self.config = config
         rate = asked.policy_rate
         self.ticks_per_step = whole_ratio("control_rate", config.control_rate, "policy_rate", rate)
-        self.batch = self._batch(asked)
+        sensors = (*self.task.sensors, *asked.sensors)
+        faults, varied = check_faults(asked.faults, config), asked.randomization
+        varied = Randomization.of(varied, config)
+        ticks, numbers = self.ticks_per_step, len(self.task.observation)
+        setup = make_setup(
+            config, ticks, limit, numbers, faults, sees=LIDAR in sensors, varied=varied
+        )
+        self.batch = Batch(self.num_envs, config, self.task, self._spawn, sensors, setup, varied)
+        self.sensors = self.batch.sensors
+        validate_task(self.task, config, self.sensors)
         spaces = task_spaces(self.task, self.sensors)
         self.single_action_space, self.single_observation_space = spaces
         self.action_space = batch_space(self.single_action_space, self.num_envs)
@@ -239,19 +229,6 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         self._whole = True
         """False from the beginning of a call until its end; it stays False where one was
         interrupted."""
-
-    def _batch(self, asked: BatchOptions) -> Batch:
-        """Make the robots and check the task with their sensors."""
-        task, config, steps = self.task, self.config, asked.max_episode_steps
-        sensors = (*task.sensors, *asked.sensors)
-        faults, numbers = check_batch_faults(asked.faults, config), len(task.observation)
-        varied = Randomization.of(asked.randomization, config)
-        ticks, sees = self.ticks_per_step, LIDAR in sensors
-        setup = make_setup(config, ticks, steps, numbers, faults, sees=sees, varied=varied)
-        batch = Batch(self.num_envs, config, task, self._spawn, sensors, setup, varied)
-        self.sensors = batch.sensors
-        validate_task(task, config, self.sensors)
-        return batch
 
     def reset(
         self,
@@ -273,16 +250,16 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
             ConfigError, WorldError: for unknown options, or values that are malformed.
             TaskError, SensorError: where a task or sensor fails, or gives NaN; names it.
         """
-        mask, asked = self._asked(options)
+        mask, asked = self._read_options(options)
         if not (mask.all() or (self.batch.seeded and self._whole)):
             raise ConfigError(
                 "reset_mask: the first reset, and the next one after an interrupt, must be of all "
                 "robots"
             )
-        seeds = _seeds(seed, self.num_envs)
+        seeds = _check_seeds(seed, self.num_envs)
         self._whole = False
         self.batch.seed(seeds, mask)
-        self.batch.wish(asked, mask)
+        self.batch.set_reset_options(asked, mask)
         self.batch.reset(mask, self._threads.share)
         self._done = self._done & ~mask
         self._whole = True
@@ -297,20 +274,22 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         Raises:
             ConfigError, WorldError: for unknown options, or values that are malformed.
         """
-        mask, asked = self._asked(options)
-        self.batch.wish(asked, mask)
+        mask, asked = self._read_options(options)
+        self.batch.set_reset_options(asked, mask)
 
-    def _asked(self, options: Mapping[str, Any] | None) -> tuple[Array, ResetRows]:
+    def _read_options(self, options: Mapping[str, Any] | None) -> tuple[Array, ResetRows]:
         """Which robots a reset's options are for, and the options as rows of the state.
 
         Waits for the threads of an interrupted call, because the state is written next.
         """
         self._threads.wait()
-        given = check_reset_options(options or {}, (MASK_OPTION, *self._spawn.options))
-        rest = {name: value for name, value in given.items() if name != MASK_OPTION}
-        return _mask(given.get(MASK_OPTION), self.num_envs), reset_rows(
-            self._spawn, rest, self.num_envs
-        )
+        asked = check_reset_options(options or {}, (MASK_OPTION, *self._spawn.options))
+        rest = {name: value for name, value in asked.items() if name != MASK_OPTION}
+        mask = asked.get(MASK_OPTION)
+        mask = np.ones(self.num_envs, np.bool_) if mask is None else np.array(mask, order="C")
+        if mask.shape != (self.num_envs,) or mask.dtype != np.bool_:
+            raise ConfigError(f"reset_mask: must be a boolean array of shape ({self.num_envs},)")
+        return mask, reset_rows(self._spawn, rest, self.num_envs)
 
     def step(self, actions: Array) -> tuple[Array, Array, Array, Array, Info]:
         """Do one env step of every robot.
@@ -326,8 +305,14 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
             ConfigError: before a reset, after an interrupted call, or for an env that has ended.
             TaskError, SensorError: where a task or sensor fails, or gives NaN; names it.
         """
-        actions = self._checked(actions)
-        if not self.batch.seeded:
+        batch, tables = self.batch, self.batch.tables
+        actions = np.array(actions, np.float64, order="C")  # numba would compile for other types
+        if actions.shape != (self.num_envs, 2):
+            raise CommandError(f"actions of shape {actions.shape}: must be ({self.num_envs}, 2)")
+        if not np.isfinite(actions).all():
+            bad = int(np.argmax(~np.isfinite(actions).all(axis=1)))
+            raise CommandError(f"action of env {bad} is {actions[bad]}: must be finite numbers")
+        if not batch.seeded:
             raise ConfigError("step() before reset(): call reset() first")
         if not self._whole:
             raise ConfigError("step() after an interrupted call: reset() all robots first")
@@ -335,7 +320,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
             raise ConfigError(
                 f"env {int(self._done.argmax())} has ended: reset it with options['reset_mask']"
             )
-        batch, tables, self._whole = self.batch, self.batch.tables, False
+        self._whole = False
         tables.actions[:] = actions
         tables.over[:] = self.autoreset_mode is AutoresetMode.NEXT_STEP and self._done
         batch.step(self._threads.share)
@@ -343,7 +328,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         self._done = terminated | truncated
         rewards, info = tables.rewards.copy(), {}
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._done.any():
-            info = self._finals(self._done)
+            info = self._final_info(self._done)
             batch.reset(self._done, self._threads.share)
         self._whole = True
         info |= self._info(np.ones(self.num_envs, np.bool_))
@@ -353,23 +338,12 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         """Allow steps without a reset, after all arrays of the batch have been set."""
         self._whole = self.batch.seeded = True
 
-    def _checked(self, actions: Array) -> Array:
-        """The actions as float64 (num_envs, 2); CommandError for another shape, NaN or infinity."""
-        actions = np.array(actions, np.float64, order="C")  # numba would compile for other types
-        if actions.shape != (self.num_envs, 2):
-            raise CommandError(f"actions of shape {actions.shape}: must be ({self.num_envs}, 2)")
-        if not np.isfinite(actions).all():
-            bad = int(np.argmax(~np.isfinite(actions).all(axis=1)))
-            raise CommandError(f"action of env {bad} is {actions[bad]}: must be finite numbers")
-        return actions
-
-    def _finals(self, done: Array) -> Info:
+    def _final_info(self, done: Array) -> Info:
         """The keys that Gymnasium asks for where an episode ends and is reset in the same step."""
         final = np.full(self.num_envs, None, object)
         for index in np.flatnonzero(done):
             final[index] = self.batch.tables.observations[index].copy()
-        info = self._info(done)
-        state = self.batch.state
+        info, state = self._info(done), self.batch.state
         info |= {"episode_return": state[layout.RETURN].copy(), "_episode_return": done}
         info |= {"episode_length": state[layout.STEPS].copy(), "_episode_length": done}
         return {"final_obs": final, "_final_obs": done, "final_info": info, "_final_info": done}
@@ -386,36 +360,21 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         self._threads.close()
 
 
-def _mask(mask: Any, robots: int) -> Array:
-    """Check a reset mask; all robots where it is None."""
-    if mask is None:
-        return np.ones(robots, np.bool_)
-    asked: Array = np.array(mask, order="C")
-    if asked.shape != (robots,) or asked.dtype != np.bool_:
-        raise ConfigError(f"reset_mask: must be a boolean array of shape ({robots},)")
-    return asked
-
-
-def _seeds(seed: int | Sequence[int | None] | None, robots: int) -> list[int | None] | None:
+def _check_seeds(seed: Any, robots: int) -> list[int | None] | None:
     """A seed for each robot; None where nothing is seeded."""
     if seed is None:
         return None
-    if isinstance(seed, int | np.integer):
-        return [_seed(seed) + index for index in range(robots)]
+    single = isinstance(seed, int | np.integer)
     try:
-        seeds = list(seed)
+        seeds = [seed] if single else list(seed)
     except TypeError:
         raise ConfigError(f"seed = {show_value(seed)}: must be a whole number, or a list") from None
-    if len(seeds) != robots:
+    if not single and len(seeds) != robots:
         raise ConfigError(f"{len(seeds)} seeds for {robots} robots: give one each")
-    return [None if one is None else _seed(one) for one in seeds]
-
-
-def _seed(value: Any) -> int:
-    """Check one seed."""
-    if not isinstance(value, int | np.integer) or value < 0:
-        raise ConfigError(f"seed = {show_value(value)}: must be a whole number of at least 0")
-    return int(value)
+    for one in seeds:
+        if one is not None and (not isinstance(one, int | np.integer) or one < 0):
+            raise ConfigError(f"seed = {show_value(one)}: must be a whole number of at least 0")
+    return [int(seed) + index for index in range(robots)] if single else seeds
 
 
 def copy_state(env: RobotVectorEnv) -> dict[str, NDArray[Any]] | None:
@@ -428,7 +387,7 @@ def copy_state(env: RobotVectorEnv) -> dict[str, NDArray[Any]] | None:
         Arrays by name; None where the batch has tasks or sensors written in Python, whose state
         isn't known.
     """
-    arrays = env.batch.changing()
+    arrays = env.batch.changing_arrays()
     return None if arrays is None else {name: array.copy() for name, array in arrays.items()}
 
 
@@ -437,12 +396,12 @@ def restore_state(env: RobotVectorEnv, arrays: Mapping[str, NDArray[Any]]) -> No
 
     Args:
         env: a batch of the same task, robot, worlds and options.
-        arrays: what `taken` has returned.
+        arrays: what `copy_state` has returned.
 
     Raises:
         ConfigError: they are of another batch.
     """
-    own = env.batch.changing() or {}
+    own = env.batch.changing_arrays() or {}
     wanted, given = (
         {name: (array.shape, array.dtype) for name, array in each.items()} for each in (own, arrays)
     )

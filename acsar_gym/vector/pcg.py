@@ -7,7 +7,7 @@ PCG XSL RR 128/64 of O'Neill (2014), as NumPy documents it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,23 +55,18 @@ class LentGenerators(Sequence[np.random.Generator]):
     def __len__(self) -> int:
         return len(self._which)
 
-    @overload
-    def __getitem__(self, index: int) -> np.random.Generator: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[np.random.Generator]: ...
-
-    def __getitem__(
-        self, index: int | slice
-    ) -> np.random.Generator | Sequence[np.random.Generator]:
+    def __getitem__(self, index: Any) -> Any:
         if isinstance(index, slice):
             return [self[place] for place in range(*index.indices(len(self)))]
         row = self._which[index]
         if row not in self._lent:
             if row not in self._made:
                 self._made[row] = np.random.Generator(np.random.PCG64(0))
-            generator = self._lent[row] = self._made[row]
-            _go_on(generator.bit_generator, self._rows[row].tolist())
+            generator, own = self._made[row], self._rows[row].tolist()
+            state: Any = generator.bit_generator.state
+            state["state"] = {"state": own[0] << 64 | own[1], "inc": own[2] << 64 | own[3]}
+            generator.bit_generator.state = state
+            self._lent[row] = generator
         return self._lent[row]
 
     def give_back(self) -> None:
@@ -79,13 +74,6 @@ class LentGenerators(Sequence[np.random.Generator]):
         for row, generator in self._lent.items():
             self._rows[row] = row_of(generator.bit_generator)
         self._lent = {}
-
-
-def _go_on(bits: np.random.BitGenerator, row: Sequence[int]) -> None:
-    """Set the state of a NumPy generator to that of a row."""
-    state: Any = bits.state
-    state["state"] = {"state": row[0] << 64 | row[1], "inc": row[2] << 64 | row[3]}
-    bits.state = state
 
 
 @jit

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
@@ -24,7 +24,6 @@ from acsar_gym.sensors.suite import (
     check_info_key,
     check_names,
     check_numbers,
-    duplicate_name,
     make_sensor,
     naming_sensor,
 )
@@ -158,7 +157,7 @@ class BatchSensors:
         self._view = view
         self._groups = [_group(factory, config, robots, view) for factory in wanted]
         self.kinds: list[Sensor] = [group.kind for group in self._groups]
-        check_names(self.kinds)
+        check_names([kind.name for kind in self.kinds])
         self.clocked = any(overrides(kind, "poll") for kind in self.kinds)
         self.size = sum(kind.size for kind in self.kinds)
         self.info: dict[str, Floats] = {}
@@ -168,7 +167,7 @@ class BatchSensors:
     def __len__(self) -> int:
         return len(self._groups)
 
-    def tell(self, info: dict[str, Floats]) -> None:
+    def add_info(self, info: dict[str, Floats]) -> None:
         """Add the sensors' info to the batch's. ConfigError for a key that is there already."""
         if self.info:
             for group in self._groups:
@@ -201,31 +200,21 @@ class BatchSensors:
                 group.poll(moment)
 
     def read(self, robots: Robots, observations: Observations) -> None:
-        """Read the sensors of these robots after the last tick of a step.
-
-        Args:
-            robots: indices of the robots.
-            observations: (all robots, numbers): their rows are written.
-        """
+        """Read the sensors of these robots after the last tick of a step; as `reset`."""
         with self._moment(robots) as moment:
             self._read(moment, observations)
 
     def _read(self, moment: Moment, observations: Observations) -> None:
         """Write what the sensors read into the observations, and their info."""
         first = 0
+        told: dict[str, list[float]] = {}
         for group in self._groups:
             out = np.full((len(moment.robots), group.kind.size), np.nan)
             group.read(moment, out)
             observations[moment.robots, first : first + group.kind.size] = out
             first += group.kind.size
-        self._tell(moment)
-
-    def _tell(self, moment: Moment) -> None:
-        """Collect the sensors' info in new arrays: those that a user has don't change."""
-        told: dict[str, list[float]] = {}
-        for group in self._groups:
             group.tell(moment, told)
-        for key, values in told.items():
+        for key, values in told.items():  # in new arrays: those that a user has don't change
             array = self.info[key].copy() if key in self.info else np.zeros(len(self._scenes))
             array[moment.robots] = values
             self.info[key] = array
@@ -254,58 +243,56 @@ class _Each:
         self._tells = overrides(self.kind, "info")
         self.keys: list[str] = []
 
+    def _for_each(
+        self, moment: Moment, call: Callable[[int, Sensor, GroundTruth, float], None]
+    ) -> None:
+        """Call a function with place, sensor, ground truth and time of each robot.
+
+        Errors name the sensor and the robot.
+        """
+        at = 0
+        with translate_errors(SensorError, lambda: f"sensor {self.kind.name!r} of robot {at}"):
+            for place, (robot, truth, now) in enumerate(moment.each()):
+                at = robot
+                call(place, self._sensors[robot], truth, now)
+
     def reset(self, moment: Moment) -> None:
         """Reset them; those with a clock of their own take a first measurement."""
-        with self._named() as at:
-            for place, (robot, truth, now) in enumerate(moment.each()):
-                at[0] = robot
-                self._sensors[robot].reset(moment.scenes[place], moment.rngs[place])
-                if self._polled:
-                    self._sensors[robot].poll(truth, now)
+
+        def begin(place: int, sensor: Sensor, truth: GroundTruth, now: float) -> None:
+            sensor.reset(moment.scenes[place], moment.rngs[place])
+            if self._polled:
+                sensor.poll(truth, now)
+
+        self._for_each(moment, begin)
 
     def poll(self, moment: Moment) -> None:
         """Poll those with a clock of their own."""
         if self._polled:
-            self._lend(moment)
-            with self._named() as at:
-                for robot, truth, now in moment.each():
-                    at[0] = robot
-                    self._sensors[robot].poll(truth, now)
+            list(moment.rngs)  # generators that sensors keep go on at the batch's current states
+            self._for_each(moment, lambda _, sensor, truth, now: sensor.poll(truth, now))
 
     def read(self, moment: Moment, out: Floats) -> None:
         """Read them into `out`, (robots, size)."""
-        self._lend(moment)
-        with self._named() as at:
-            for row, (robot, truth, now) in zip(out, moment.each(), strict=True):
-                at[0] = robot
-                sensor = self._sensors[robot]
-                row[:] = check_numbers(sensor, sensor.read(truth, now))
+        list(moment.rngs)
 
-    @contextlib.contextmanager
-    def _named(self) -> Iterator[list[int]]:
-        """Name the sensor and the robot (the list's number) in errors inside the block."""
-        at = [0]
-        with translate_errors(SensorError, lambda: f"sensor {self.kind.name!r} of robot {at[0]}"):
-            yield at
+        def read(place: int, sensor: Sensor, truth: GroundTruth, now: float) -> None:
+            out[place] = check_numbers(sensor, sensor.read(truth, now))
 
-    def _lend(self, moment: Moment) -> None:
-        """Set the generators that sensors keep to the batch's current states."""
-        for _ in moment.rngs:
-            pass
+        self._for_each(moment, read)
 
     def tell(self, moment: Moment, told: dict[str, list[float]]) -> None:
         """Add their info, one number for each robot. ConfigError for a key that is there."""
-        if self._tells:
-            rows: list[dict[str, float]] = []
-            with self._named() as at:
-                for robot, now in zip(moment.robots, moment.now.tolist(), strict=True):
-                    at[0] = robot
-                    rows.append({})
-                    add_sensor_info(rows[-1], self._sensors[robot], now)
-            self.keys = list(rows[0]) if rows else self.keys
-            for key in self.keys if rows else ():
-                check_info_key(told, self.kind, key)
-                told[key] = [row[key] for row in rows]
+        if not self._tells:
+            return
+        each: list[dict[str, float]] = [{} for _ in moment.robots]
+        self._for_each(
+            moment, lambda place, sensor, _, now: add_sensor_info(each[place], sensor, now)
+        )
+        self.keys = list(each[0]) if each else self.keys
+        for key in self.keys if each else ():
+            check_info_key(told, self.kind, key)
+            told[key] = [info[key] for info in each]
 
 
 class _Whole:
@@ -345,9 +332,8 @@ def python_sensors(sensors: Sequence[str | Sensor | Factory]) -> list[Sensor | F
     Raises:
         ConfigError: A name is unknown, or the LiDAR is named twice.
     """
+    check_names([LIDAR for sensor in sensors if sensor == LIDAR])
     rest = [sensor for sensor in sensors if sensor != LIDAR]
-    if len(sensors) - len(rest) > 1:
-        raise ConfigError(duplicate_name(LIDAR))
     return sensor_factories(rest)
 
 

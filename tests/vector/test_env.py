@@ -23,7 +23,7 @@ from acsar_gym.errors import CommandError, ConfigError
 from acsar_gym.physics import Physics, Randomization, compute_physics
 from acsar_gym.tasks import PointGoal
 from acsar_gym.vector.env import RobotVectorEnv
-from acsar_gym.vector.kernel import episode, layout
+from acsar_gym.vector.kernel import drive, episode, layout
 from acsar_gym.vector.threads import Threads
 
 ENV_ID = "acsar_gym/PointGoal-v0"
@@ -192,14 +192,14 @@ def test_actions_of_any_layout_use_the_same_loops() -> None:
     env = batch(4)
     env.reset(seed=0)
     env.step(np.zeros((4, 2)))
-    known = len(getattr(episode.step, "signatures", ()))
+    known = len(getattr(drive.step, "signatures", ()))
     rows = np.zeros((2, 4)).T
     rows.setflags(write=False)
     many: list[Any] = [rows, rows.astype(np.float32), rows.tolist(), np.zeros((8, 4))[::2, ::2]]
     for actions in many:
         env.step(actions)
     env.reset(options={"reset_mask": np.ones(8, np.bool_)[::2]})
-    assert len(getattr(episode.step, "signatures", ())) == known
+    assert len(getattr(drive.step, "signatures", ())) == known
     assert len(getattr(episode.reset, "signatures", ())) <= 1
 
 
@@ -215,52 +215,27 @@ def test_a_robots_fate_does_not_depend_on_its_neighbours(randomization: Any) -> 
         assert (single == crowd.step(np.repeat(act, 200, axis=0))[0][0]).all()
 
 
-@pytest.mark.parametrize("key", RANGES)
-def test_each_randomization_makes_robots_differ(key: str) -> None:
-    """Two robots with one command differ through what is randomized, and its info says by what."""
-    env = batch(2, randomization={key: RANGES[key]})
-    env.reset(seed=[1, 2])
-    for _ in range(20):
-        env.step(np.array([[0.6, 0.9]] * 2))
-    state = env.batch.state
-    differs = max(
-        np.ptp(state[row]) for row in (*range(layout.VX), *range(layout.ODOM_X, layout.LINEAR))
-    )
-    if key == "mass":  # mass and grip cancel under Coulomb friction
-        differs = np.ptp(Physics(*env.batch.state[layout.PHYSICS :]).mass)
-    assert differs > 1e-7
-    env.close()
-
-
-@pytest.mark.parametrize("mode", AutoresetMode)
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
 def test_what_is_drawn_is_told_at_every_step(mode: AutoresetMode) -> None:
-    """The same keys always; new values with every episode, those of the state's own physics."""
+    """New values with every episode, those of the state's own physics."""
     env = batch(30, randomization=RANGES, max_episode_steps=4, autoreset_mode=mode)
     _, first = env.reset(seed=1)
     drawn = {key: first[f"drawn_{key}"] for key in RANGES}
-    of_wheels = ("motor_gain", "motor_lag", "deadband_offset")
     for key, width in RANGES.items():
         low, high = min(width), max(width)
-        assert drawn[key].shape == ((30, 4) if key in of_wheels else (30,))
+        wheels = key in ("motor_gain", "motor_lag", "deadband_offset")
+        assert drawn[key].shape == ((30, 4) if wheels else (30,))
         assert (drawn[key] >= low - 0.005).all()  # delays are whole loops of the firmware
         assert (drawn[key] <= high * 1.2 + 0.005).all()  # and so are the lines' intervals
         assert np.ptp(drawn[key]) > 0.3 * (high - low)
         assert first[f"_drawn_{key}"].all()
     for step in range(1, 7):
-        if mode is AutoresetMode.DISABLED and step == 5:
-            _, info = env.reset(options={"reset_mask": np.arange(30) > 0})
-            assert [info[f"drawn_{key}"][0] for key in ("mass", "latency")] == [
-                drawn[key][0] for key in ("mass", "latency")
-            ]
-            env.reset(options={"reset_mask": np.arange(30) == 0})
         *_, info = env.step(np.zeros((30, 2)))
-        assert first.keys() <= info.keys()
         anew = step >= (4 if mode is AutoresetMode.SAME_STEP else 5)
         for key in RANGES:
             assert (info[f"drawn_{key}"] == drawn[key]).all() != anew
-    own, configured = Physics(*env.batch.state[layout.PHYSICS :]), compute_physics(env.config)
-    told = env.batch.info()
-    grip = configured.grip * told["drawn_mass"] * told["drawn_friction"]
+    own, told = Physics(*env.batch.state[layout.PHYSICS :]), env.batch.info()
+    grip = compute_physics(env.config).grip * told["drawn_mass"] * told["drawn_friction"]
     assert own.grip == pytest.approx(grip, rel=1e-12)
     gains = np.array([own.gain_a, own.gain_b, own.gain_c, own.gain_d])
     assert told["drawn_motor_gain"] == pytest.approx(gains.T)
@@ -268,49 +243,46 @@ def test_what_is_drawn_is_told_at_every_step(mode: AutoresetMode) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("options", "named"),
     [
-        ({"num_envs": 0}, "num_envs = 0"),
-        ({"num_envs": 2.5}, "num_envs = 2.5"),
-        ({"num_envs": 10**11}, "num_envs = 100000000000: must be .* 1 to 1,000,000"),
-        ({"max_episode_steps": 10**400}, "max_episode_steps = 1000.*: must be .* 1 to 1,000,000"),
-        ({"max_episode_steps": 0}, "max_episode_steps = 0"),
-        ({"threads": 0}, "threads = 0"),
-        ({"threads": 10_000}, "the cores (of this machine|that this process may use)"),
+        ({"num_envs": 0}, "num_envs"),
+        ({"num_envs": 2.5}, "num_envs"),
+        ({"num_envs": 10**11}, "num_envs"),
+        ({"max_episode_steps": 10**400}, "max_episode_steps"),
+        ({"max_episode_steps": 0}, "max_episode_steps"),
+        ({"threads": 0}, "threads"),
+        ({"threads": 10_000}, "threads"),
         ({"randomization": {"frictoin": (0.5, 1.0)}}, "did you mean 'friction'"),
-        ({"randomization": {"mass": (2.0, 1.0)}}, "low <= high"),
-        ({"randomization": "friction"}, "must be a mapping .* or True for what acsar-gym train"),
-        ({"randomization": {"mass": 3}}, "must be \\(low, high\\)"),
-        ({"randomization": {"latency": (0.0, 0.5)}}, "shorter than a step"),
-        ({"render_mode": "rgb_array"}, "no pictures"),
-        ({"link": "bullet"}, "vectorization_mode='sync'"),
+        ({"randomization": "friction"}, "randomization"),
+        ({"randomization": {"mass": 3}}, "mass"),
+        ({"randomization": {"latency": (0.0, 0.5)}}, "latency"),
+        ({"render_mode": "rgb_array"}, "render_mode"),
+        ({"link": "bullet"}, "link"),
         ({"autoreset_mode": "Sometimes"}, "autoreset_mode"),
+        ({"autoreset_mode": 3}, "autoreset_mode"),
     ],
 )
-def test_bad_options_are_one_clear_error(options: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
+def test_bad_options_are_one_clear_error(options: dict[str, Any], named: str) -> None:
+    with pytest.raises(ConfigError, match=named) as caught:
         PointGoalVectorEnv(**{"num_envs": 2, **options})
+    assert "\n" not in str(caught.value)
 
 
-def test_bad_actions_name_the_first_bad_env() -> None:
+def test_bad_actions_and_seeds_are_one_clear_error_and_change_nothing() -> None:
     env = batch()
+    with pytest.raises(ConfigError, match="call reset"):
+        env.step(np.zeros((4, 2)))
     env.reset(seed=0)
-    with pytest.raises(CommandError, match=r"\(3, 2\): must be \(4, 2\)"):
+    with pytest.raises(CommandError, match=r"\(3, 2\)"):
         env.step(np.zeros((3, 2)))
     bad = np.zeros((4, 2))
     bad[2, 1] = bad[3, 0] = np.nan
     with pytest.raises(CommandError, match="env 2"):
         env.step(bad)
-    env.close()
-
-
-@pytest.mark.parametrize("seed", [[1, 2], "abc", "abcd", -5, [0, 1, 2, -1], 2.5])
-def test_bad_seeds_are_one_clear_error(seed: Any) -> None:
-    """The robots go on as if nobody had asked."""
-    env = batch()
-    env.reset(seed=0)
-    with pytest.raises(ConfigError, match="seed"):
-        env.reset(seed=seed)
+    seeds: list[Any] = [[1, 2], "abc", "abcd", -5, [0, 1, 2, -1], 2.5]
+    for seed in seeds:
+        with pytest.raises(ConfigError, match="seed"):
+            env.reset(seed=seed)
     env.step(np.zeros((4, 2)))
     env.close()
 
@@ -349,11 +321,6 @@ def test_without_numba_everything_is_the_same_with_one_warning(tmp_path: Path) -
     seen = [env.reset(seed=1)[0]]
     seen += [env.step(np.full((2, 2), 0.5))[0] for _ in range(9)]
     assert np.load(file) == pytest.approx(np.array(seen), abs=1e-6)
-
-
-def test_a_step_before_the_reset_is_one_clear_error() -> None:
-    with pytest.raises(ConfigError, match="call reset"):
-        batch().step(np.zeros((4, 2)))
 
 
 @pytest.mark.parametrize("kind", [RobotVectorEnv, RobotEnv])

@@ -226,17 +226,6 @@ def test_what_is_told_of_a_silent_robot_is_what_it_was_told_last() -> None:
     env.close()
 
 
-def test_lines_do_not_depend_on_threads_or_on_the_other_robots() -> None:
-    seen = []
-    for threads in (1, 2):
-        env = batch(faults=LATE, threads=threads)
-        rows = [env.reset(seed=3)[0]]
-        rows += [env.step(np.full((40, 2), 0.3))[0] for _ in range(20)]
-        seen.append(np.array(rows))
-        env.close()
-    assert (seen[0] == seen[1]).all()
-
-
 @pytest.mark.parametrize(
     ("faults", "message"),
     [

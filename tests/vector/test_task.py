@@ -77,24 +77,6 @@ def test_a_subclass_has_its_own_reward_in_a_batch() -> None:
     batch.close()
 
 
-class Late(Remembering):
-    """What `outcome` returns after the first step isn't an Outcome."""
-
-    def outcome(self, state: State, memory: Any) -> Any:
-        return 7 if state.time > 0.15 else Outcome.GOING
-
-
-@pytest.mark.parametrize("make", [lambda: RobotEnv(Late, "planar"), lambda: RobotVectorEnv(Late)])
-def test_what_is_no_outcome_is_named(make: Any) -> None:
-    env = make()
-    env.reset(seed=0)
-    action = ACTIONS[0, 0] if isinstance(env, RobotEnv) else ACTIONS[0, :1]
-    env.step(action)
-    with pytest.raises(TaskError, match=r"Late.outcome returned 7: must be an Outcome"):
-        env.step(action)
-    env.close()
-
-
 USER = """
 from acsar_gym import Task
 from {helper} import bonus
@@ -143,6 +125,13 @@ def test_a_task_whose_helper_was_edited_is_compiled_anew(tmp_path: Path) -> None
     assert said == [11.0, 12.0]
 
 
+class Late(Remembering):
+    """What `outcome` returns after the first step isn't an Outcome."""
+
+    def outcome(self, state: State, memory: Any) -> Any:
+        return 7 if state.time > 0.15 else Outcome.GOING
+
+
 class Bending(Remembering):
     """Changes the path that it is told, which all robots of a world share."""
 
@@ -156,34 +145,9 @@ class Bending(Remembering):
         """Nothing to note."""
 
     def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
-        if state.time > 0.1:
+        if state.time > 0.15:
             state.path[:, 0] += 1.0
         return 0.0
-
-
-@pytest.mark.parametrize(
-    "make", [lambda: RobotEnv(Bending, "planar"), lambda: RobotVectorEnv(Bending)]
-)
-def test_a_path_cannot_be_changed(make: Any) -> None:
-    env = make()
-    env.reset(seed=0)
-    action = ACTIONS[0, 0] if isinstance(env, RobotEnv) else ACTIONS[0, :1]
-    env.step(action)
-    with pytest.raises(TaskError, match=r"Bending: reward\(\) raised ValueError: .* read-only"):
-        env.step(action)
-    env.close()
-
-
-class Lying(Remembering):
-    """Tells a success of its own."""
-
-    memory: ClassVar[Mapping[str, Any]] = {"before": None, "history": [], "is_success": 1.0}
-    told = ("is_success",)
-
-
-def test_memory_cannot_have_the_names_of_info() -> None:
-    with pytest.raises(ConfigError, match="'is_success': info has that already"):
-        RobotEnv(Lying, "planar")
 
 
 class OutOfReach(Task):
@@ -200,16 +164,6 @@ class OutOfReach(Task):
 
     def observe(self, state: State, memory: Any) -> tuple[float, ...]:
         return (1.0,)
-
-
-@needs_numba
-def test_an_index_out_of_reach_is_an_error_compiled_too() -> None:
-    batch = RobotVectorEnv(OutOfReach)
-    batch.reset(seed=0)
-    batch.step(ACTIONS[0, :1])
-    with pytest.raises(TaskError, match=r"OutOfReach: IndexError: index .* out of bounds"):
-        batch.step(ACTIONS[0, :1])
-    batch.close()
 
 
 class Unsound(Task):
@@ -242,31 +196,70 @@ class CompiledObservation(UnsoundObservation):
     compiled = True
 
 
-@pytest.mark.parametrize(
-    ("task", "said"),
-    [
-        (UnsoundReward, r"UnsoundReward.reward returned nan"),
-        (UnsoundObservation, r"UnsoundObservation.observe returned {'x': -inf}"),
-        pytest.param(CompiledReward, r"CompiledReward.reward returned nan", marks=needs_numba),
-        pytest.param(CompiledObservation, r"CompiledObservation.* {'x': -inf}", marks=needs_numba),
-    ],
-)
+MISTAKES = [
+    (Late, r"Late.outcome returned 7"),
+    (Bending, r"Bending: reward\(\) raised ValueError: .* read-only"),
+    (UnsoundReward, r"UnsoundReward.reward returned nan"),
+    (UnsoundObservation, r"UnsoundObservation.observe returned {'x': -inf}"),
+    pytest.param(CompiledReward, r"CompiledReward.reward returned nan", marks=needs_numba),
+    pytest.param(CompiledObservation, r"CompiledObservation.* {'x': -inf}", marks=needs_numba),
+]
+
+
+@pytest.mark.parametrize(("task", "said"), MISTAKES)
 @pytest.mark.parametrize("mode", ["single", "batch", "batch that resets in the same step"])
-def test_numbers_that_are_not_finite_are_named(task: type[Task], said: str, mode: str) -> None:
+def test_what_a_step_cannot_use_is_named_and_a_reset_recovers(
+    task: type[Task], said: str, mode: str
+) -> None:
     same: dict[str, Any] = (
         {"autoreset_mode": "SameStep", "max_episode_steps": 2} if "same" in mode else {}
     )
     env: Any = RobotEnv(task, "planar") if mode == "single" else RobotVectorEnv(task, 3, **same)
     action = ACTIONS[0, 0] if mode == "single" else ACTIONS[0]
-    env.reset(seed=0)
-    env.step(action)
-    with pytest.raises(TaskError, match=rf"^{said}.*: must be (a )?finite number") as caught:
+    for _ in range(2):
+        env.reset(seed=0)
         env.step(action)
-    if mode != "single" and task is not UnsoundReward:
-        assert "for robot 0" in str(caught.value)
-    env.reset(seed=0)
-    env.step(action)
+        with pytest.raises(TaskError, match=rf"^{said}"):
+            env.step(action)
     env.close()
+
+
+@needs_numba
+def test_an_index_out_of_reach_is_an_error_compiled_too() -> None:
+    batch = RobotVectorEnv(OutOfReach)
+    batch.reset(seed=0)
+    batch.step(ACTIONS[0, :1])
+    with pytest.raises(TaskError, match=r"OutOfReach: IndexError"):
+        batch.step(ACTIONS[0, :1])
+    batch.close()
+
+
+class Lying(Remembering):
+    """Tells a success of its own."""
+
+    memory: ClassVar[Mapping[str, Any]] = {"before": None, "history": [], "is_success": 1.0}
+    told = ("is_success",)
+
+
+class Hasty(Remembering):
+    """Divides by zero."""
+
+    def begin(self, state: State, memory: Any) -> None:
+        memory.rate = 1.0 / state.pose[0]
+
+
+@pytest.mark.parametrize(
+    ("task", "said"),
+    [
+        (Lying, "'is_success': info has that already"),
+        (Hasty, r"Hasty: begin\(\) raised ZeroDivisionError: .*\.py:\d+"),
+    ],
+)
+def test_mistakes_that_an_example_shows_are_found_before_the_first_reset(
+    task: type[Task], said: str
+) -> None:
+    with pytest.raises(ConfigError, match=said):
+        RobotEnv(task, "planar")
 
 
 class Failing(Remembering):
@@ -314,15 +307,6 @@ def test_errors_of_a_task_name_it_and_the_line(kind: Any, method: str) -> None:
     env.close()
 
 
-def test_errors_where_a_task_is_tried_name_it() -> None:
-    class Hasty(Remembering):
-        def begin(self, state: State, memory: Any) -> None:
-            memory.rate = 1.0 / state.pose[0]
-
-    with pytest.raises(TaskError, match=r"Hasty: begin\(\) raised ZeroDivisionError: .*\.py:\d+"):
-        RobotEnv(Hasty, "planar")
-
-
 class Undeclared(Unsound):
     """Remembers what its memory hasn't."""
 
@@ -349,8 +333,5 @@ def test_what_a_memory_does_not_declare_is_named(task: type[Task]) -> None:
     with pytest.raises(ConfigError) as error:
         batch.reset(seed=0)
         batch.step(ACTIONS[0, :1])
-    assert str(error.value) == (
-        f"{task.__name__}: memory.turns isn't declared: give it a first value in the class, such "
-        'as memory = {"turns": 0.0}'
-    )
+    assert str(error.value).startswith(f"{task.__name__}: memory.turns isn't declared")
     batch.close()

@@ -43,29 +43,20 @@ def test_an_error_of_any_share_is_raised_and_the_pool_goes_on() -> None:
     pool.close()
 
 
-def test_a_closed_pool_leaves_no_thread_and_works_on_alone() -> None:
-    before = threading.active_count()
-    pool = Threads(4)
-    pool.close()
-    pool.close()
-    for thread in threading.enumerate():
-        if thread is not threading.current_thread() and thread.daemon:
-            thread.join(0.2)
-    assert threading.active_count() <= before
-    seen: list[tuple[int, int]] = []
-    pool.share(lambda first, last: seen.append((first, last)), 9)
-    assert seen == [(0, 9)]
-
-
-def test_a_pool_that_is_dropped_leaves_no_thread() -> None:
+def test_a_closed_or_dropped_pool_leaves_no_thread_and_a_closed_one_works_on_alone() -> None:
     before = set(threading.enumerate())
-    pool = Threads(3)
+    pool, dropped = Threads(3), Threads(3)
     new = [thread for thread in threading.enumerate() if thread not in before]
-    assert len(new) == 2
-    del pool
+    assert len(new) == 4
+    del dropped
+    pool.close()
+    pool.close()
     for thread in new:
         thread.join(5.0)
     assert not any(thread.is_alive() for thread in new)
+    seen: list[tuple[int, int]] = []
+    pool.share(lambda first, last: seen.append((first, last)), 9)
+    assert seen == [(0, 9)]
 
 
 class Interrupted:
@@ -142,20 +133,6 @@ def test_an_interrupt_while_orders_are_handed_out_leaves_nothing_behind() -> Non
     for _ in range(3):
         pool.share(lambda first, last: done.append(last - first), 90)
     assert sum(done) == 270
-    pool.close()
-
-
-def test_an_old_error_is_not_raised_by_a_later_call() -> None:
-    pool = Threads(2)
-
-    def fail(first: int, last: int) -> None:
-        if first > 0:
-            raise ValueError("of an interrupted call")
-
-    pool._reports = Interrupted(pool._reports, 1, 2)  # type: ignore[assignment]
-    with pytest.raises(KeyboardInterrupt):
-        pool.share(fail, 90)
-    pool.share(lambda *_: None, 90)
     pool.close()
 
 

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from acsar_gym.jit import jit
 from acsar_gym.physics import Physics
-from acsar_gym.safety.rules import SafetyRules
 
 Floats = NDArray[np.float64]
 
@@ -132,6 +131,19 @@ class LineFaults(NamedTuple):
     """A board that gets no command for so long stops its motors [s]."""
 
 
+class Ramps(NamedTuple):
+    """A number for each wheel, in the order of the wheels."""
+
+    a: float
+    b: float
+    c: float
+    d: float
+
+
+Records = Any
+"""A record of Setup, see `jit.record_of`: named tuples of so many numbers take long to compile."""
+
+
 class Setup(NamedTuple):
     """Numbers that all robots of a batch share."""
 
@@ -141,7 +153,7 @@ class Setup(NamedTuple):
     """Duration of a tick, the control period [s]."""
     wire_time: float
     """Time from writing a line to its use, without further delays [s]."""
-    ramps: tuple[float, float, float, float]
+    ramps: Ramps
     """Most that the set points of the four wheels change in a firmware loop [rad/s]."""
     isotropic: bool
     """Whether the tyres of all robots have equal friction in all directions."""
@@ -165,8 +177,6 @@ class Setup(NamedTuple):
     """The radius of the right wheels that the odometry assumes [m]."""
     separation: float
     """The effective wheel separation that the odometry assumes [m]."""
-    max_wheel_speed: float
-    """Fastest wheel speed that a command may ask for [rad/s]."""
     max_linear: float
     """Linear velocity of a full action [m/s]."""
     max_angular: float
@@ -176,8 +186,6 @@ class Setup(NamedTuple):
     guarded: bool
     """Whether commands must be kept tick by tick: there are limits, a geofence, faults, or commands
     that take longer than a step."""
-    rules: SafetyRules
-    """Numbers of the safety layer."""
     faults: LineFaults
     """Faults of the lines."""
     falls_silent: bool
@@ -249,10 +257,10 @@ class Tables(NamedTuple):
     actions: Floats
     """(R, 2): linear and angular, as given to the step."""
     over: NDArray[np.bool_]
-    """(R,): whether the robot begins a new episode in this step."""
+    """(R,): whether the robot begins a new episode in this step or reset."""
     idle: NDArray[np.bool_]
-    """(R,): whether the robot doesn't drive in this step: it begins anew, or its board is
-    silent."""
+    """(R,): whether the robot doesn't drive: it begins anew, its board is silent, or this is a
+    reset."""
     kept: Floats
     """(COMMAND_LOOPS, columns): the state before the step; no columns where boards can't fall
     silent."""
@@ -272,19 +280,6 @@ class Tables(NamedTuple):
     """(4,): the slot of `counts` that the last loop of the last step wrote, the slot of
     `commands` that its last tick wrote, and the first tick (and the one after the last) of a
     step that the next call drives."""
-
-
-class TaskSetup(NamedTuple):
-    """The fields of `Setup` that the task's loops need; every call unpacks them."""
-
-    numbers: int
-    ticks: int
-    period: float
-    max_linear: float
-    max_angular: float
-    max_steps: float
-    lidar_rate: float
-    stale: float
 
 
 class TaskTables(NamedTuple):

@@ -15,7 +15,6 @@ from acsar_gym.sensors.lidar import (
     SimulatedLidar,
     add_noise,
     noise_draws,
-    noise_settings,
     open_lidar,
 )
 from acsar_gym.sensors.rplidar import RplidarLidar
@@ -47,12 +46,16 @@ def test_ranges_have_limits() -> None:
     assert scanner(rays=4, min_range=2.5).scan().ranges == pytest.approx([5.0, 5.0, 5.0, 2.5])
 
 
+def limits(lidar: LidarConfig) -> tuple[float, float, float, float]:
+    return lidar.noise, lidar.dropouts, lidar.min_range, lidar.max_range
+
+
 def noisy(noise: float, dropouts: float, true: float, count: int = 20_000) -> Any:
     lidar = LidarConfig(rays=1, noise=noise, dropouts=dropouts)
     rng, found = np.random.default_rng(1), []
     for _ in range(count):
         ranges = np.array([true])
-        add_noise(ranges, rng.random(noise_draws(lidar)), *noise_settings(lidar))
+        add_noise(ranges, rng.random(noise_draws(lidar)), *limits(lidar))
         found.append(ranges[0])
     return np.array(found)
 
@@ -69,7 +72,7 @@ def test_both_rays_of_a_pair_have_noise_of_their_own() -> None:
     rng, rows = np.random.default_rng(0), []
     for _ in range(4000):
         ranges = np.full(3, 2.0)
-        add_noise(ranges, rng.random(noise_draws(lidar)), *noise_settings(lidar))
+        add_noise(ranges, rng.random(noise_draws(lidar)), *limits(lidar))
         rows.append(ranges)
     correlation = np.corrcoef(np.array(rows).T)
     assert np.abs(correlation - np.eye(3)).max() < 0.06
@@ -81,11 +84,8 @@ def test_dropouts_read_as_nothing_in_reach() -> None:
     assert (np.abs(found[found < 5.0] - 2.0) < 0.1).all()
 
 
-def test_what_is_out_of_reach_has_no_noise() -> None:
+def test_noise_stays_within_the_limits_and_what_is_out_of_reach_has_none() -> None:
     assert (noisy(0.5, 0.0, 5.0, 100) == 5.0).all()
-
-
-def test_noise_stays_within_the_limits() -> None:
     found = noisy(1.0, 0.0, 0.3, 2000)
     assert found.min() == 0.1
     assert found.max() <= 5.0

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from acsar_gym import Robot, RobotConfig, open_link
-from acsar_gym.sensors.lidar import LidarSensor
-from acsar_gym.sensors.rplidar import READ_DELAY, Floats, RplidarLidar, Turn, bin_ranges, scan_turn
+from acsar_gym.sensors.lidar import READ_DELAY, Floats, LidarSensor, Turn, bin_ranges, scan_turn
+from acsar_gym.sensors.rplidar import RplidarLidar
 
 SAMPLES, PERIOD = 720, 0.1
 MOUNT = (0.08, -0.02)
@@ -89,15 +89,10 @@ def test_what_is_free_stays_free_and_no_ray_is_lost(
     assert whole.max() < CONFIG.lidar.max_range
 
 
-def test_a_robot_at_rest_has_the_scan_as_it_was_measured() -> None:
-    measured = turn((0.0, 0.0))
-    assert (
-        scan_turn(measured, PERIOD, (0.0, 0.0), CONFIG) == bin_ranges(*measured, CONFIG.lidar)
-    ).all()
-
-
-def test_a_turn_that_measured_nothing_is_free() -> None:
-    bearings, _ = turn((0.0, 0.0))
+def test_a_robot_at_rest_has_the_scan_as_it_was_measured_and_nothing_is_free() -> None:
+    bearings, distances = turn((0.0, 0.0))
+    still = scan_turn((bearings, distances), PERIOD, (0.0, 0.0), CONFIG)
+    assert (still == bin_ranges(bearings, distances, CONFIG.lidar)).all()
     found = scan_turn((bearings, np.zeros(SAMPLES)), PERIOD, (0.5, 0.3), CONFIG)
     assert (found == CONFIG.lidar.max_range).all()
 

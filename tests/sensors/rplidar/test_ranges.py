@@ -25,13 +25,14 @@ from rplidar_tools import (
 from serial_tools import Emulated
 
 from acsar_gym.config import LidarConfig
-from acsar_gym.sensors.rplidar import TurnDecoder, bin_ranges
+from acsar_gym.sensors.lidar import bin_ranges
+from acsar_gym.sensors.rplidar import TurnDecoder
 from acsar_gym.tools.emulation.rplidar import RplidarTwin
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
 
-@pytest.mark.parametrize("rays", [1, 2, 5, 63, 64, 180])
+@pytest.mark.parametrize("rays", [1, 5, 64, 180])
 def test_every_direction_has_its_own_wall(sensor: Emulated, make: Open, rays: int) -> None:
     ranges = measure(make(sensor, rays=rays))
     assert ranges.shape == (rays,)
@@ -39,7 +40,7 @@ def test_every_direction_has_its_own_wall(sensor: Emulated, make: Open, rays: in
     assert rays < 63 or not shows_the_room(ranges[::-1])
 
 
-@pytest.mark.parametrize("rays", [2, 46, 91, 271])
+@pytest.mark.parametrize("rays", [2, 91])
 def test_a_field_of_view_ends_on_both_sides(sensor: Emulated, make: Open, rays: int) -> None:
     field = math.radians(270.0)
     ranges = measure(make(sensor, rays=rays, field_of_view=field))
@@ -148,18 +149,15 @@ def test_a_turn_is_stamped_when_it_is_complete(start: Start, make: Open) -> None
     assert statistics.median(lags) < 0.5 / 5.5  # were it the turn before, a whole turn
 
 
-def test_a_scan_is_the_callers_own_and_waits_for_nothing(sensor: Emulated, make: Open) -> None:
+def test_an_open_one_resets_at_once_and_scans_are_the_callers_own(
+    sensor: Emulated, make: Open
+) -> None:
     lidar = make(sensor)
     reset(lidar)
     scans = [lidar.scan() for _ in range(100)]
     assert len({scan.stamp for scan in scans}) < 100  # it doesn't wait for the next turn
     scans[0].ranges[:] = 0.0
     assert scans[1].ranges.min() > 0.5
-
-
-def test_an_open_one_resets_at_once(sensor: Emulated, make: Open) -> None:
-    lidar = make(sensor)
-    reset(lidar)
     before, states = lidar.scan().stamp, len([e for e in sensor.events() if "pwm" in e])
     for _ in range(100):
         reset(lidar)
