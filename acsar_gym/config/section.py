@@ -55,6 +55,8 @@ def _problem(model: type[BaseModel], section: str, item: Any) -> str:
     """Format one problem: field, value and allowed range."""
     path = [str(part)[:40] for part in item["loc"]]
     field = ".".join([section, *path] if section else path)
+    if item["type"] == "missing":
+        return f"{field!r} is missing"
     if item["type"] == "extra_forbidden":
         near = suggest_name(str(item["loc"][-1])[:40], model.model_fields)
         return f"unknown field {field!r}{near}"

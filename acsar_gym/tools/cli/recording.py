@@ -74,14 +74,13 @@ class RecordOptions:
         """
         if self.record is None and not self.view:
             return None
-        from acsar_gym.recording import Recorder, target  # noqa: PLC0415
+        from acsar_gym.recording import Recorder  # noqa: PLC0415
+        from acsar_gym.recording.sinks import LiveView, check_target  # noqa: PLC0415
 
         if self.record is not None:
-            target.check_target(self.record)
+            check_target(self.record)
         sinks = []
         if self.view:
-            from acsar_gym.recording.sinks import LiveView  # noqa: PLC0415 - optional
-
             sinks.append(LiveView())
             print(f"live view: open {sinks[0].url} in Foxglove", flush=True)
         made = Recorder(self.record, {"command": command, **about}, sinks)
