@@ -24,8 +24,7 @@ from acsar_gym import RobotConfig
 from acsar_gym.errors import EmergencyStopError
 from acsar_gym.protocol import ZERO, encode
 from acsar_gym.safety.estop import StopListener
-from acsar_gym.tools.cli import devices, main
-from acsar_gym.tools.cli.options import SpinOptions
+from acsar_gym.tools.cli import main
 from acsar_gym.tools.doctor import board, wire
 from acsar_gym.tools.doctor.checks import Check
 from acsar_gym.tools.doctor.commission import Commission
@@ -271,9 +270,10 @@ def test_an_emergency_stop_ends_with_its_exit_code(
 
     monkeypatch.setattr(wire, "examine_device", examine)
     report = tmp_path / "doctor.json"
-    with pytest.raises(EmergencyStopError) as ended:
-        devices._checks("/dev/ttyUSB7", RobotConfig(), report, SpinOptions())
-    assert ended.value.exit_code == 3
+    monkeypatch.setattr("sys.argv", ["acsar-gym", "doctor", "/dev/ttyUSB7", "--json", str(report)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 3
     assert reported(report)["connection"]["found"] == "emergency stop"
 
 
