@@ -62,8 +62,8 @@ def test_an_odd_board_is_commissioned_and_driven(
     """The last of its answers only eyes can give: the sides are swapped at the motors."""
     monkeypatch.setattr(board, "LISTEN_TIME", 0.5)  # shorter than at the command line
     monkeypatch.setattr(board, "RESPONSE_TRIALS", 2)
-    for module in (board,):  # and patient on a busy machine
-        monkeypatch.setattr(module, "PATIENCE", TIMEOUT)
+    for name in ("START_TIMEOUT", "STEADY_TIMEOUT"):  # and patient on a busy machine
+        monkeypatch.setattr(board, name, TIMEOUT)
     odd = start_emulator("--quirk", *ODD)
     guess, found, report = (tmp_path / name for name in ("guess.yaml", "found.yaml", "out.json"))
     config.save(guess)
