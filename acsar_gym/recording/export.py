@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.errors import ConfigError, MissingExtraError, RecordingWarning, show_value
+from acsar_gym.errors import ConfigError, RecordingWarning, require_extra, show_value
 from acsar_gym.reading import explain_error, replace_file
 from acsar_gym.recording.reader import read
 from acsar_gym.recording.types import Episode, Recording
@@ -156,23 +156,19 @@ def _write_csv(path: Path, columns: TableColumns) -> None:
 
 
 def _write_parquet(path: Path, columns: TableColumns) -> None:
-    try:
+    with require_extra("export to Parquet", "export"):
         import pyarrow as pa  # noqa: PLC0415 - optional
         from pyarrow import parquet  # noqa: PLC0415 - optional
-    except ImportError:
-        raise MissingExtraError("export to Parquet", "export") from None
     with replace_file(path) as new:
         parquet.write_table(pa.table(columns), new)
 
 
 def _write_minari(recording: Recording, path: Path, folder: Path) -> Path:
     """Write a data set of the episodes with steps; returns its folder."""
-    try:
+    with require_extra("export to Minari", "export"):
         import minari  # noqa: PLC0415 - optional
         from gymnasium.spaces import Box  # noqa: PLC0415 - only here
         from minari.data_collector import EpisodeBuffer  # noqa: PLC0415 - optional
-    except ImportError:
-        raise MissingExtraError("export to Minari", "export") from None
     buffers = []
     whole = len(recording.episodes) - is_incomplete(recording)
     for number, one in enumerate(recording.episodes[:whole]):

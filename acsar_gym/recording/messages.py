@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.config.robot import hash_config
-from acsar_gym.errors import MissingExtraError
+from acsar_gym.errors import require_extra
 from acsar_gym.protocol import WHEELS
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
@@ -175,10 +175,8 @@ TOPICS = (
 @cache
 def load_typestore() -> Any:
     """Return the messages of ROS 2 Humble; MissingExtraError without rosbags."""
-    try:
+    with require_extra("recording", "record"):
         from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - optional
-    except ImportError:
-        raise MissingExtraError("recording", "record") from None
     return get_typestore(Stores.ROS2_HUMBLE)
 
 

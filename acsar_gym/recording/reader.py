@@ -23,7 +23,7 @@ from pydantic import ConfigDict, Field
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.config.section import Section
-from acsar_gym.errors import ConfigError, MissingExtraError
+from acsar_gym.errors import ConfigError, require_extra
 from acsar_gym.reading import open_file, parse_json
 from acsar_gym.recording import messages
 from acsar_gym.recording.messages import (
@@ -210,12 +210,10 @@ class RecordStream:
 
 def parse_record(kind: str, content: bytes) -> Any:
     """Parse a record of a kind such as "Channel", as the library mcap has it."""
-    try:
+    with require_extra("reading a recording", "record"):
         from mcap import records  # noqa: PLC0415 - optional
         from mcap.data_stream import ReadDataStream  # noqa: PLC0415 - optional
-        from mcap.exceptions import McapError  # noqa: PLC0415
-    except ImportError:
-        raise MissingExtraError("reading a recording", "record") from None
+        from mcap.exceptions import McapError  # noqa: PLC0415 - optional
     try:
         return getattr(records, kind).read(ReadDataStream(io.BytesIO(content)))
     except (McapError, struct.error, UnicodeDecodeError):
@@ -226,21 +224,18 @@ def _unpack(kind: str, data: bytes, size: int) -> bytes:
     """Decompress a chunk, but no more than `size` bytes."""
     if not kind:
         return data
+    if kind not in ("zstd", "lz4"):
+        raise ConfigError(f"has chunks packed as {kind[:20]!r}, which isn't known")
+    with require_extra("reading a recording", "record"):
+        import zstandard  # noqa: PLC0415 - optional
+        from lz4 import frame  # noqa: PLC0415 - optional
     try:
-        if kind == "zstd":
-            import zstandard  # noqa: PLC0415 - optional
-
-            with zstandard.ZstdDecompressor().stream_reader(data) as stream:
-                return bytes(stream.read(size + 1))
         if kind == "lz4":
-            from lz4 import frame  # noqa: PLC0415 - optional
-
             return bytes(frame.LZ4FrameDecompressor().decompress(data, size + 1))
-    except ImportError:
-        raise MissingExtraError("reading a recording", "record") from None
+        with zstandard.ZstdDecompressor().stream_reader(data) as stream:
+            return bytes(stream.read(size + 1))
     except Exception as error:  # noqa: BLE001 - each library has its own
         raise ConfigError(f"is damaged: {error}") from None
-    raise ConfigError(f"has chunks packed as {kind[:20]!r}, which isn't known")
 
 
 class EpisodeParts:

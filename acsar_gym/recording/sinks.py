@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
-from acsar_gym.errors import ConfigError, MissingExtraError
+from acsar_gym.errors import ConfigError, require_extra
 from acsar_gym.reading import explain_error, open_nonblocking
 from acsar_gym.recording import messages
 from acsar_gym.recording.encoder import Message
@@ -110,10 +110,8 @@ class McapFile:
     """
 
     def __init__(self, path: Path, header: Mapping[str, Any]) -> None:
-        try:
+        with require_extra("recording", "record"):
             from mcap.writer import Writer  # noqa: PLC0415 - optional
-        except ImportError:
-            raise MissingExtraError("recording", "record") from None
         messages.load_typestore()
         self._file: UnbufferedFile | None = None
         try:
@@ -207,10 +205,8 @@ class LiveView:
     """
 
     def __init__(self, port: int = LIVE_PORT) -> None:
-        try:
+        with require_extra("a live view", "view"):
             import foxglove  # noqa: PLC0415 - optional
-        except ImportError:
-            raise MissingExtraError("a live view", "view") from None
         self._context = context = foxglove.Context()  # nothing else keeps it
         self._channels = {
             topic.name: foxglove.Channel(

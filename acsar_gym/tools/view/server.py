@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from acsar_gym.errors import ConfigError, LinkError, MissingExtraError, shorten_text
+from acsar_gym.errors import ConfigError, LinkError, require_extra, shorten_text
 from acsar_gym.links.factory import is_device
 from acsar_gym.reading import explain_error
 from acsar_gym.safety import estop
@@ -72,12 +72,10 @@ def serve_page(path: Path, port: int = PAGE_PORT) -> Iterator[Any]:
         ConfigError: the recording can't be read, or the port can't be used.
     """
     session = Session(path)
-    try:
+    with require_extra("the dashboard", "dashboard"):
         from werkzeug.serving import WSGIRequestHandler, make_server  # noqa: PLC0415 - optional
 
         from acsar_gym.tools.view.app import make_app  # noqa: PLC0415 - optional
-    except ImportError:
-        raise MissingExtraError("the dashboard", "dashboard") from None
 
     class QuietHandler(WSGIRequestHandler):
         """Answers without a line on the terminal for each request."""

@@ -62,23 +62,6 @@ def test_results_survive_a_full_disk(
     assert_one_line(error, "tape.mcap: the recording isn't whole")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "status", "said"),
-    [
-        (("run", "1", "0", "--link", MISSING, "--yes"), 3, f"{MISSING}: no such device"),
-        ((*RUN, "--policy", "missing.onnx"), 2, "missing.onnx: no such policy file"),
-        (("emulate", "--body", "balloon"), 2, "planar or bullet"),
-    ],
-    ids=["device", "policy", "body"],
-)
-def test_errors_of_a_real_process(arguments: tuple[str, ...], status: int, said: str) -> None:
-    done = subprocess.run(
-        [*CLI, *arguments], check=False, capture_output=True, text=True, timeout=TIMEOUT
-    )
-    assert done.returncode == status, done.stderr
-    assert_one_line(done.stderr, said)
-
-
 @pytest.fixture(scope="module")
 def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A stable-baselines3 zip for PointGoal."""

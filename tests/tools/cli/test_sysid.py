@@ -48,27 +48,6 @@ def test_a_short_log_has_reasons_and_no_file(short: Path, call: Call, tmp_path: 
     assert not out.exists()
 
 
-def test_a_file_that_is_no_device_is_no_unknown_name(
-    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("rob").symlink_to("/dev/acsar-missing")
-    code, _, error = call("identify", "rob", "--yes")
-    assert code == 2
-    assert_one_line(error, "unknown link 'rob': for a device, write its full path, or ./")
-
-
-def test_a_dead_wheel_is_said_in_one_line(call: Call, tmp_path: Path) -> None:
-    twin, out = tmp_path / "twin.yaml", tmp_path / "mine.yaml"
-    dead = RobotConfig(motor={"deadband": (0.0, 0.0, 20.0, 0.0)})
-    dead.save(twin)
-    options = ("--twin", twin, "--duration", "12", "--out", out)
-    code, said, error = call("identify", "planar", *options)
-    assert code == 0, error
-    assert "rear_left never turned: nothing of it was found" in said
-    assert out.exists()
-
-
 def test_a_miswired_robot_is_refused(call: Call, tmp_path: Path) -> None:
     twin, out = tmp_path / "twin.yaml", tmp_path / "mine.yaml"
     RobotConfig(wheels={"a": {"motor": "b"}, "b": {"motor": "a"}}).save(twin)
@@ -143,18 +122,6 @@ def test_a_recording_holds_runs_that_readings_can_be_given_to(call: Call, tmp_pa
     assert "heading 175.0 deg" in said
 
 
-def test_squares_take_their_corners_from_files(call: Call, twin: Path, tmp_path: Path) -> None:
-    files = [tmp_path / name for name in ("cw.csv", "ccw.csv")]
-    for path, side in zip(files, (-1.0, 1.0), strict=True):
-        path.write_text(f"x,y\n-0.12,{0.245 * side}\n", encoding="utf-8")
-    code, said, _ = call(
-        "calibrate", "planar", "square", "--size", "0.4", "--twin", twin, "--corners", *files
-    )
-    assert code == 0
-    assert "square cw 1" in said
-    assert "square ccw 1" in said
-
-
 def test_a_reading_that_contradicts_the_odometry_is_refused(call: Call, tmp_path: Path) -> None:
     runs = tmp_path / "cal.json"
     drive = ("--distance", "0.6", "--runs", runs, "--measured")
@@ -216,20 +183,6 @@ def test_readings_given_later_keep_what_is_known_of_the_robot(
     later = (tmp_path / kept, "straight", "--measured", "0.61", "--out", out)
     assert call("calibrate", *later)[0] == 0
     assert RobotConfig.load(out).motor == known.motor
-
-
-def test_without_readings_no_robot_is_written(call: Call, tmp_path: Path) -> None:
-    runs, out = tmp_path / "cal.json", tmp_path / "out.yaml"
-    drive = ("--distance", "0.6", "--repeats", "1", "--runs", runs)
-    assert call("calibrate", "planar", "straight", *drive)[0] == 0
-    told = json.loads(runs.read_text(encoding="utf-8"))
-    told["runs"][0]["readings"] = []
-    runs.write_text(json.dumps(told), encoding="utf-8")
-    code, said, _ = call("calibrate", runs, "straight", "--out", out)
-    assert code == 0
-    assert f"readings: acsar-gym calibrate {runs} straight --measured ..." in said
-    assert f"{out} isn't written: there are no readings yet" in said
-    assert not out.exists()
 
 
 ACSAR = RobotConfig.preset("acsar")
@@ -297,12 +250,6 @@ def test_a_limit_that_isnt_kept_is_exit_code_1(inside: Path, call: Call) -> None
     assert "over the limit of 0.1" in error
 
 
-def test_the_unfitted_robot_can_be_that_of_the_recording(inside: Path, call: Call) -> None:
-    code, out, _ = call("gap", "log0.mcap", "--robot", "robot.yaml", "--before", "recorded")
-    assert code == 0
-    assert "(before: recorded)" in out
-
-
 def test_two_sides_of_a_task(inside: Path, call: Call) -> None:
     outputs = ("--json", "compare.json", "--html", "compare.html")
     code, out, error = call("compare", "sim.mcap", "real.mcap", "--sim", "late.mcap", *outputs)
@@ -343,11 +290,3 @@ def test_a_preset_before_fitting_has_the_recorded_wiring(inside: Path, call: Cal
         assert call(*logs, "--before", before)[0] == 0
         found[before] = json.loads((inside / "gap.json").read_text())["before"]["figures"]
     assert found["acsar"] == found["recorded"]
-
-
-def test_a_cut_copy_is_the_same_recording(inside: Path, call: Call) -> None:
-    whole = (inside / "log0.mcap").read_bytes()
-    (inside / "part.mcap").write_bytes(whole[: len(whole) * 2 // 3])
-    code, _, error = call("gap", "log0.mcap", "part.mcap", "--robot", "robot.yaml")
-    assert code == 2
-    assert_one_line(error, "part.mcap: is the same recording as log0.mcap")

@@ -13,7 +13,6 @@ import pytest
 from dash import no_update
 from recording_tools import begun
 
-from acsar_gym.errors import ConfigError
 from acsar_gym.tools.view import app as apps
 from acsar_gym.tools.view.app import (
     PAGE_INPUTS,
@@ -23,7 +22,7 @@ from acsar_gym.tools.view.app import (
     PageInputs,
     update_page,
 )
-from acsar_gym.tools.view.drawing import COLOURS, find_world, format_milliseconds
+from acsar_gym.tools.view.drawing import COLOURS, find_world
 from acsar_gym.tools.view.session import Session
 
 BASE = "http://127.0.0.1:8050"
@@ -185,20 +184,9 @@ def test_the_end_of_a_live_run_is_shown(tape: Path, tmp_path: Path) -> None:
     assert (over["state"], over["playing"]) == ("ended", False)
 
 
-def test_lateness_keeps_its_digits_where_it_is_short() -> None:
-    found = [format_milliseconds(value) for value in (0.000_123, 0.0123, 2.30734, float("nan"))]
-    assert found == ["0.12", "12.3", "2307", "\N{EN DASH}"]
-
-
 def test_unknown_episodes_show_a_known_one(session: Session) -> None:
     for number in (None, -3, 0, 7):
         assert answered(session, "episode", episode=number)["episode"] == 1
-
-
-def test_half_an_episode_is_a_whole_one(tape: Path) -> None:
-    several = Session(tape)
-    several.tail.episodes *= 3
-    assert answered(several, "episode", episode=2.5)["episode"] == 2
 
 
 def test_what_went_wrong_is_told_of_the_episode_that_is_shown(tape: Path) -> None:
@@ -291,8 +279,3 @@ def test_a_recording_without_an_episode_is_refused(tape: Path, tmp_path: Path) -
     begun.tail.episodes.clear()
     assert begun.draw(0, 0.0) == ({}, {})
     assert answered(begun, None)["message"] == "waiting for the first episode"
-
-
-def test_a_missing_file_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="there is no such file"):
-        Session(tmp_path / "nothing.mcap")
