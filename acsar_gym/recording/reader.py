@@ -164,9 +164,8 @@ class RecordStream:
         size = chunk.uncompressed_size
         self._packed += len(content)
         self._unpacked += size
-        if size > MAX_RECORD or self._unpacked > min(
-            MAX_UNPACKED, MAX_RECORD + MAX_RATIO * self._packed
-        ):
+        most = min(MAX_UNPACKED, MAX_RECORD + MAX_RATIO * self._packed)
+        if size > MAX_RECORD or self._unpacked > most:
             raise ConfigError(TOO_MUCH)
         data = _unpack(chunk.compression, chunk.data, size)
         crc = chunk.uncompressed_crc
@@ -179,9 +178,10 @@ class RecordStream:
             first = place + head
             place = first + length
             before += 1
-            is_one = opcode == MESSAGE and length > 1 and wanted is not None
-            if is_one and data[first] | data[first + 1] << 8 not in wanted:  # type: ignore[operator]
-                continue
+            if wanted is not None and opcode == MESSAGE and length > 1:
+                channel = data[first] | data[first + 1] << 8
+                if channel not in wanted:
+                    continue
             if place > size or opcode not in KNOWN_OPCODES:
                 raise ConfigError("is damaged: a broken record in a chunk")
             if opcode == MESSAGE or opcode in DESCRIPTIONS:

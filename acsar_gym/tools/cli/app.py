@@ -95,7 +95,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "train": policies.train_policy,
     "evaluate": policies.evaluate_policy,
     "run": policies.run_policy,
-    "export": policies.export_policy,
+    "export": policies.convert_policy,
     "view": recording.view_run,
     "gap": sysid.measure_gap,
     "compare": sysid.compare_runs,

@@ -20,7 +20,7 @@ Folders = Annotated[tuple[Path, ...], tyro.conf.arg(metavar="FOLDER [FOLDER ...]
 
 
 @dataclass(frozen=True)
-class ChoiceOptions:
+class BenchmarkChoice:
     """What is compared."""
 
     ids: Names = ()
@@ -46,7 +46,7 @@ class ChoiceOptions:
 
 
 @dataclass(frozen=True)
-class OutputOptions:
+class BenchmarkOutputs:
     """Where it runs, and what it writes."""
 
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("runs/benchmark")
@@ -68,8 +68,8 @@ class OutputOptions:
 
 
 def run_benchmark(
-    what: ChoiceOptions,
-    how: OutputOptions,
+    what: BenchmarkChoice,
+    how: BenchmarkOutputs,
     policy: str = "",
     combine: Folders = (),
     cards: Folder = None,
@@ -106,7 +106,7 @@ def run_benchmark(
     return 0
 
 
-def _make_plan(what: ChoiceOptions, policy: str) -> BenchmarkPlan:
+def _make_plan(what: BenchmarkChoice, policy: str) -> BenchmarkPlan:
     """Make the plan of these options."""
     from acsar_gym.registration import IDS  # noqa: PLC0415
     from acsar_gym.tools.benchmark import plan  # noqa: PLC0415

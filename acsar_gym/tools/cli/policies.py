@@ -179,7 +179,7 @@ def _report_run(
     return 0
 
 
-def export_policy(
+def convert_policy(
     model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")],
     out: OutFile,
     trust: bool = False,

@@ -48,7 +48,6 @@ First = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SIM")]
 Second = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="REAL")]
 UnfittedRobot = Annotated[str, tyro.conf.arg(metavar="PRESET|FILE|recorded")]
 RobotFile = Annotated[str, tyro.conf.arg(metavar="PRESET|FILE")]
-SIMULATED_LINKS = ("planar", "bullet")
 LATE_MANOEUVRE = 1.1
 """A manoeuvre that takes longer than this, as a share of its length, is worth a warning."""
 
@@ -94,7 +93,7 @@ def identify_robot(
         known = None if robot is None else RobotConfig.of(robot)
         found = identify.identify_files([Path(source) for source in sources], known)
     else:
-        config, simulated = RobotConfig.of(robot), device in SIMULATED_LINKS
+        config, simulated = RobotConfig.of(robot), device in ("planar", "bullet")
         if twin is not None and not simulated:
             raise ConfigError("--twin is for simulated robots: planar or bullet")
         link = open_link(device, config if twin is None else RobotConfig.of(twin))
@@ -137,7 +136,7 @@ def describe_lateness(took: float, asked: float, device: str) -> str:
 
 
 @dataclass(frozen=True)
-class DeviceOptions(RecordOptions):
+class CalibrationSetup(RecordOptions):
     """The robot, who measures, and recording."""
 
     robot: RobotArg = None
@@ -156,7 +155,7 @@ class DeviceOptions(RecordOptions):
 
 
 @dataclass(frozen=True)
-class OutputOptions:
+class CalibrationOutputs:
     """Results."""
 
     runs: File = None
@@ -175,8 +174,8 @@ def calibrate_robot(
     manoeuvre: Manoeuvre,
     what: Manoeuvres,
     run: RunOptions,
-    wire: DeviceOptions,
-    output: OutputOptions,
+    wire: CalibrationSetup,
+    output: CalibrationOutputs,
 ) -> int:
     """Measure wheel radii and turning on the floor, and write them into the robot's file.
 
@@ -222,7 +221,7 @@ def calibrate_robot(
 
 
 def _finish_calibration(
-    job: CalibrationJob, config: RobotConfig, kept_in: Path | None, output: OutputOptions
+    job: CalibrationJob, config: RobotConfig, kept_in: Path | None, output: CalibrationOutputs
 ) -> int:
     """Fit, print and write; returns the exit code."""
     from acsar_gym.tools.sysid import calibration_fit  # noqa: PLC0415

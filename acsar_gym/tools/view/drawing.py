@@ -176,7 +176,7 @@ def _draw_marker(
     }
 
 
-class Surroundings(NamedTuple):
+class ViewContents(NamedTuple):
     """What is drawn around a robot, in the odometry frame; nothing of it has to be there."""
 
     goal: tuple[float, float] | None = None
@@ -197,7 +197,7 @@ def draw_top_view(
     config: RobotConfig,
     poses: Floats,
     place: int = -1,
-    around: Surroundings | None = None,
+    around: ViewContents | None = None,
     revision: str = "",
 ) -> Figure:
     """Draw a robot, its path and its surroundings from above, in the odometry frame.
@@ -212,7 +212,7 @@ def draw_top_view(
     Returns:
         `data` and `layout` of plotly.
     """
-    around = around or Surroundings()
+    around = around or ViewContents()
     traces = [_draw_specks(around.seen, COLOURS["seen"], 3, "seen before")]
     if around.world is not None:
         circles, segments = world_lines(around.world, around.start)
@@ -359,7 +359,7 @@ def draw_episode_from_above(
         config,
         np.stack([episode.column(name) for name in ("x", "y", "theta")], axis=1),
         episode.place(at),
-        Surroundings(episode.goal, world, episode.start, truth, scan, seen),
+        ViewContents(episode.goal, world, episode.start, truth, scan, seen),
         revision,
     )
 

@@ -18,7 +18,7 @@ LIVE, STOPPED, ENDED, RECORDED, BROKEN = "live", "stopped", "ended", "recorded",
 
 
 @dataclass(frozen=True)
-class StopResult:
+class StopAnswer:
     """What came of a stop.
 
     Attributes: `state`, "stopped", "unanswered" or "nobody"; `said`, in words.
@@ -36,7 +36,7 @@ def can_stop_process(process: int) -> bool:
         return False
 
 
-def stop_process(process: int) -> StopResult:
+def stop_process(process: int) -> StopAnswer:
     """Ask the process that drives to stop the robot, and wait until it says that it has.
 
     This is the same emergency stop as `acsar-gym estop`, for one process. Its control loop answers
@@ -51,21 +51,21 @@ def stop_process(process: int) -> StopResult:
     try:
         found = estop.stop_all(process=process) if process else []
     except LinkError as error:
-        return StopResult("unanswered", str(error))
+        return StopAnswer("unanswered", str(error))
     took = (time.monotonic() - began) * 1e3
     answered = bool(found) and all(each.answered for each in found)
     if not (answered or can_stop_process(process)):
         said = "nothing to stop: the program has ended, and it or its watchdog stops the wheels"
-        return StopResult("nobody", said)
+        return StopAnswer("nobody", said)
     if not answered:
         said = "the program doesn't answer: its watchdog stops the wheels"
-        return StopResult("unanswered", said)
+        return StopAnswer("unanswered", said)
     if not all(each.connected for each in found):
         said = "the program isn't connected to the robot, and won't drive it"
-        return StopResult("stopped", said)
+        return StopAnswer("stopped", said)
     clock = time.strftime("%H:%M:%S")
     said = f"zero is on the wire, says the control loop (after {took:.0f} ms, at {clock})"
-    return StopResult("stopped", f"{said}, until acsar-gym estop --release")
+    return StopAnswer("stopped", f"{said}, until acsar-gym estop --release")
 
 
 class Session:
@@ -84,7 +84,7 @@ class Session:
     def __init__(self, path: Path) -> None:
         self.tail = RecordingTail(path)
         self.problem = ""
-        self.stopped: StopResult | None = None
+        self.stopped: StopAnswer | None = None
         self.revision = 1
         self._lock, self._stopping = threading.Lock(), threading.Lock()
         self._worlds: dict[int, World | None] = {}
@@ -134,7 +134,7 @@ class Session:
         """Whether the stop button does anything."""
         return self.is_live and can_stop_process(self.tail.process)
 
-    def stop(self) -> StopResult:
+    def stop(self) -> StopAnswer:
         """Stop the robot, and wait until its program says so; several at once have to queue."""
         with self._stopping:
             before, newest = self.stopped, len(self.tail.episodes)

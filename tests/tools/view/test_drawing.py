@@ -7,7 +7,7 @@ import pytest
 
 from acsar_gym import RobotConfig
 from acsar_gym.tools.view.drawing import (
-    Surroundings,
+    ViewContents,
     draw_top_view,
     thin_evenly,
     thin_keeping_peaks,
@@ -56,7 +56,7 @@ def test_others_draw_a_robot_from_above_without_a_recording() -> None:
     world = World(segments=np.array([[2.0, -1.0, 2.0, 1.0]]))
     poses = np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 0.3]])
     few = draw_top_view(config, poses[:0])
-    around = Surroundings(goal=(7.3, 0.0), world=world, truth=poses[:, :2])
+    around = ViewContents(goal=(7.3, 0.0), world=world, truth=poses[:, :2])
     more = draw_top_view(config, poses, 1, around)
     names = [[trace["name"] for trace in drawn["data"]] for drawn in (few, more)]
     assert set(names[1]) - set(names[0]) == {"obstacles", "walls", "true path", "goal"}

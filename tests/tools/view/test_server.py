@@ -17,7 +17,7 @@ from acsar_gym.errors import ConfigError, LinkError
 from acsar_gym.safety.estop import StopListener
 from acsar_gym.tools.view import session
 from acsar_gym.tools.view.server import find_recording, serve_page
-from acsar_gym.tools.view.session import BROKEN, STOPPED, Session, StopResult
+from acsar_gym.tools.view.session import BROKEN, STOPPED, Session, StopAnswer
 
 pytestmark = [pytest.mark.xdist_group("serial"), pytest.mark.usefixtures("deadline")]
 
@@ -158,7 +158,7 @@ def test_a_driver_that_ends_without_an_answer_has_nothing_to_stop(
 
 def test_a_second_click_does_not_take_back_what_was_confirmed(tape: Path) -> None:
     session = Session(tape)
-    session.stopped = StopResult("stopped", "zero is on the wire")
+    session.stopped = StopAnswer("stopped", "zero is on the wire")
     assert session.stop().state == "stopped"  # this process drives nothing any more
     assert session.state == STOPPED
 

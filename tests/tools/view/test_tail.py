@@ -11,7 +11,7 @@ from recording_tools import begun
 
 from acsar_gym import kinematics
 from acsar_gym.recording import read
-from acsar_gym.tools.view.session import BROKEN, ENDED, LIVE, RECORDED, STOPPED, Session, StopResult
+from acsar_gym.tools.view.session import BROKEN, ENDED, LIVE, RECORDED, STOPPED, Session, StopAnswer
 from acsar_gym.tools.view.tail import WRITING_TIMEOUT, RecordingTail
 
 CHUNK = b"zstd"
@@ -83,7 +83,7 @@ def test_a_robot_that_is_started_again_is_not_called_stopped(tape: Path, tmp_pat
     path.write_bytes(begun(tape))
     session = Session(path)
     session.stop()
-    session.stopped = StopResult("stopped", "zero is on the wire")
+    session.stopped = StopAnswer("stopped", "zero is on the wire")
     session.poll()
     assert session.state == STOPPED
     session.tail.episodes *= 2
