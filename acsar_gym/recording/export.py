@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import os
 import warnings
-from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -75,23 +74,15 @@ def make_tables(recording: Recording) -> dict[str, TableColumns]:
     Raises:
         ConfigError: the episodes have different columns.
     """
-    makers: dict[str, Callable[[Episode], TableColumns]] = {
-        "ticks": _list_ticks,
-        "wire": _list_wire,
-        "steps": _list_steps,
-        "scans": lambda one: {
-            "stamp": one.scans.stamps,
-            **_name_columns("range", one.scans.ranges),
-        },
-    }
+    found = [_list_columns(episode) for episode in recording.episodes]
     tables: dict[str, TableColumns] = {}
-    for name, make in makers.items():
+    for name in found[0]:
         parts = []
-        for number, episode in enumerate(recording.episodes):
-            columns = make(episode)
-            stamps = columns["stamp"]
+        for number, (episode, columns) in enumerate(zip(recording.episodes, found, strict=True)):
+            stamps = columns[name]["stamp"]
             times = np.rint(stamps * 1e9).astype(np.int64) + episode.offset
-            parts.append({"episode": np.full(len(stamps), number), "time": times, **columns})
+            episodes = np.full(len(stamps), number)
+            parts.append({"episode": episodes, "time": times, **columns[name]})
         parts = [part for part in parts if len(part["stamp"])] or parts[:1]
         if any(list(part) != list(parts[0]) for part in parts):
             raise ConfigError(f"the episodes have different {name}: they don't fit into one table")
@@ -101,51 +92,44 @@ def make_tables(recording: Recording) -> dict[str, TableColumns]:
     return tables
 
 
-def _list_ticks(episode: Episode) -> TableColumns:
-    pose, twist = ("x", "y", "theta"), ("linear", "angular")
-    return {
+def _list_columns(episode: Episode) -> dict[str, TableColumns]:
+    """The columns of each table: ticks, pieces of bytes, observations with what led to them."""
+    pose, twist, wire, count = "x y theta", "linear angular", episode.wire, len(episode.step_stamps)
+    ticks = {
         "stamp": episode.stamps,
         **_name_columns("", episode.poses, pose),
         **_name_columns("", episode.twists, twist),
-        **_name_columns("speed", episode.speeds, "abcd"),
-        **_name_columns("asked", episode.asked, twist),
-        **_name_columns("sent", episode.sent, twist),
+        **_name_columns("speed_", episode.speeds, "a b c d"),
+        **_name_columns("asked_", episode.asked, twist),
+        **_name_columns("sent_", episode.sent, twist),
         "reason": episode.reasons,
         "lateness": episode.lateness,
-        **_name_columns("true", episode.truth, pose),
+        **_name_columns("true_", episode.truth, pose),
     }
-
-
-def _list_wire(episode: Episode) -> TableColumns:
-    """One row for each piece of bytes, in the order of time."""
-    wire = episode.wire
     stamps = np.concatenate([wire.sent_stamps, wire.got_stamps])
     order = np.argsort(stamps, kind="stable")
     names = np.array(["sent"] * len(wire.sent) + ["received"] * len(wire.got), dtype=object)
     texts = np.array([piece.decode("latin-1") for piece in wire.sent + wire.got], dtype=object)
-    return {"stamp": stamps[order], "direction": names[order], "bytes": texts[order]}
-
-
-def _list_steps(episode: Episode) -> TableColumns:
-    """One row for each observation, with the action that led to it."""
-    count = len(episode.step_stamps)
-    first = np.full((min(count, 1), episode.actions.shape[1]), np.nan)
-    return {
+    none = np.full((min(count, 1), episode.actions.shape[1]), np.nan)
+    steps = {
         "stamp": episode.step_stamps,
         "step": np.arange(count),
-        "reward": np.concatenate([np.full(min(count, 1), np.nan), episode.rewards]),
-        **_name_columns("action", np.concatenate([first, episode.actions])),
-        **_name_columns("observation", episode.observations),
+        "reward": np.concatenate([none[:, 0], episode.rewards]),
+        **_name_columns("action_", np.concatenate([none, episode.actions])),
+        **_name_columns("observation_", episode.observations),
+    }
+    return {
+        "ticks": ticks,
+        "wire": {"stamp": stamps[order], "direction": names[order], "bytes": texts[order]},
+        "steps": steps,
+        "scans": {"stamp": episode.scans.stamps, **_name_columns("range_", episode.scans.ranges)},
     }
 
 
-def _name_columns(
-    prefix: str, rows: NDArray[Any], names: Iterable[str] | None = None
-) -> TableColumns:
+def _name_columns(prefix: str, rows: NDArray[Any], names: str = "") -> TableColumns:
     """The columns of rows by name; by number where none are given."""
-    lead = f"{prefix}_" if prefix else ""
-    found = map(str, range(rows.shape[1])) if names is None else names
-    return {f"{lead}{name}": rows[:, number] for number, name in enumerate(found)}
+    found = names.split() or map(str, range(rows.shape[1]))
+    return {f"{prefix}{name}": rows[:, number] for number, name in enumerate(found)}
 
 
 def _write_csv(path: Path, columns: TableColumns) -> None:
