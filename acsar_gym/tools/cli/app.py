@@ -149,7 +149,8 @@ def main() -> None:
         print(f"acsar-gym: {escape_unprintable(str(error))}", file=sys.stderr)
         code = error.exit_code
     except KeyboardInterrupt:
-        stopped = ", the wheels were commanded to stop" if words[0] in DRIVING_COMMANDS else ""
+        drives = words[:1] and words[0] in DRIVING_COMMANDS
+        stopped = ", the wheels were commanded to stop" if drives else ""
         print(f"\nacsar-gym: interrupted{stopped}", file=sys.stderr)
         code = 130
     except BrokenPipeError:  # such as `| head -1`: nobody reads on
